@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _flown(cases, given)
     rows: list[Row] = []
     for row in _printed(_done(cases, given), len(cases)):
-        rows = sorted((*rows, row), key=lambda one: one.case)
+        rows = sorted((*rows, row), key=lambda scored: scored.case)
         # After each case, so that a stopped run keeps its results.
         given.json.write_text(json.dumps(_report(rows), indent=1) + "\n")
     print(text(rows))
@@ -91,7 +91,7 @@ def _read(given: argparse.Namespace) -> int:
     except FileNotFoundError:
         print(f"{given.json} does not exist; run without --read first")
         return 2
-    rows = [Row.read(one) for one in kept if is_wanted(one["case"], given.only)]
+    rows = [Row.read(content) for content in kept if is_wanted(content["case"], given.only)]
     print(text(rows))
     return 0
 
@@ -123,19 +123,19 @@ def _done(cases: Sequence[Case], given: argparse.Namespace) -> Iterator[tuple[Ro
     keys = {case.key(code): case.name for case in named.values()}
     # An earlier result is used only if the same code made it.
     again = (lambda _: True) if given.keep else (lambda answer: bool(answer.failure))
-    ended: queue.SimpleQueue[JobResult | BaseException | None] = queue.SimpleQueue()
+    results: queue.SimpleQueue[JobResult | BaseException | None] = queue.SimpleQueue()
 
     def work() -> None:
         def say(state: State) -> None:
             if state.newest is not None:
-                ended.put(state.newest)
+                results.put(state.newest)
 
         try:
             campaign = Campaign("blind", tuple(named.values()))
             run_campaign(campaign, store, processes=given.processes, code=code, again=again, on_progress=say)
-            ended.put(None)
+            results.put(None)
         except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
-            ended.put(error)
+            results.put(error)
 
     known = {} if given.keep else store.read(keys)
     for answer in known.values():
@@ -143,11 +143,13 @@ def _done(cases: Sequence[Case], given: argparse.Namespace) -> Iterator[tuple[Ro
             yield Row.read(answer.detail), ""
     threading.Thread(target=work, daemon=True).start()
     try:
-        while (one := ended.get()) is not None:
-            if isinstance(one, BaseException):
-                raise one
-            whole = store.read([one.key]).get(one.key, one)
-            yield (None, f"{one.name}: {one.failure}") if one.failure else (Row.read(whole.detail), "")
+        while (result := results.get()) is not None:
+            if isinstance(result, BaseException):
+                raise result
+            whole = store.read([result.key]).get(result.key, result)
+            yield (
+                (None, f"{result.name}: {result.failure}") if result.failure else (Row.read(whole.detail), "")
+            )
     except KeyboardInterrupt:
         print("stopped; the same command continues")
         raise SystemExit(130) from None
@@ -157,13 +159,13 @@ def _printed(done: Iterable[tuple[Row | None, str]], count: int) -> Iterator[Row
     started_s = time.monotonic()
     for number, (row, failure) in enumerate(done, 1):
         left_s = (time.monotonic() - started_s) / number * (count - number)
-        left = f"{number}/{count}, {left_s / 60.0:.0f} min left"
+        progress = f"{number}/{count}, {left_s / 60.0:.0f} min left"
         if row is None:
-            print(f"[{left}] {failure}", flush=True)
+            print(f"[{progress}] {failure}", flush=True)
             continue
         word = "failed" if row.failure else ("right" if row.right else "WRONG")
         named = ", ".join(row.named) or row.failure or "no cause"
-        print(f"[{left}] {row.case}: {word}; {row.verdict}: {named}; {row.seconds:.0f} s", flush=True)
+        print(f"[{progress}] {row.case}: {word}; {row.verdict}: {named}; {row.seconds:.0f} s", flush=True)
         yield row
 
 

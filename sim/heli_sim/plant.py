@@ -15,6 +15,7 @@ from heli_sim import _native
 from heli_sim.compiled import compile_function
 from heli_sim.model.base import Model
 from heli_sim.rig import Quantity, Rig
+from heli_sim.runge_kutta import runge_kutta_step
 
 STEP_s: Final = 0.001
 LIMITS: Final = ("elevation_min", "elevation_max", "pitch_max", "travel_max", "table_damping")
@@ -94,11 +95,7 @@ def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
     def rates(at: ca.SX, later_s: float) -> ca.SX:
         return free * model.dynamics(at, u, p_model, t + later_s, locked=locked)
 
-    k1 = rates(x, 0.0)
-    k2 = rates(x + STEP_s / 2 * k1, STEP_s / 2)
-    k3 = rates(x + STEP_s / 2 * k2, STEP_s / 2)
-    k4 = rates(x + STEP_s * k3, STEP_s)
-    after = x + STEP_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    after = runge_kutta_step(rates, x, STEP_s)
     turning = ca.fmax(t > 0, ca.fmax(ca.fabs(commanded[0]), ca.fabs(commanded[1])) > 0)
     t_after = t + STEP_s * turning
     after, measured, chance = end_of_step(model, after, u, p, t_after, chance, locked)

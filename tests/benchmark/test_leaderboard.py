@@ -6,13 +6,32 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from heli_benchmark.leaderboard import score as score_module
 from heli_benchmark.leaderboard.report import comparison_table, pair_lines
-from heli_benchmark.leaderboard.score import CaseScore, score_answer, score_run, scored_truth
+from heli_benchmark.leaderboard.score import (
+    CaseScore,
+    equation_correlation,
+    score_answer,
+    score_run,
+    score_runs,
+    scored_truth,
+)
 from heli_benchmark.leaderboard.summary import summarise_runs
 from heli_benchmark.splits.causes import causes_content
-from heli_benchmark.task import NOTHING, UNLISTED, Answer, Estimate, write_answer
+from heli_benchmark.task import (
+    NOTHING,
+    UNLISTED,
+    Answer,
+    AxisSeries,
+    BenchmarkCase,
+    Estimate,
+    read_case,
+    write_answer,
+)
 from heli_benchmark.task.split import causes_of
+from heli_host.arrays import Floats
 from heli_host.cli.entry import run
 
 from tests.benchmark.small_split import TRUTHS, informed, make
@@ -117,6 +136,47 @@ def test_methods_are_compared_on_the_same_cases() -> None:
     assert pair["skill"] == {"value": 1.0, "low": 1.0, "high": 1.0, "cases": 6}
     assert pair["all_named"]["value"] == 1.0
     assert summarise_runs(runs, seed=3) == summarise_runs(runs, seed=3)
+
+
+def test_an_equation_is_scored_by_its_torques_where_an_unlisted_cause_is_visible() -> None:
+    t_s: Floats = np.arange(200, dtype=np.float64) * 0.02
+    # Pitch has the strongest torque, and decides.
+    true_Nm = np.column_stack([0.01 * np.cos(t_s), np.sin(3.0 * t_s), np.zeros(200)])
+    true = {"validation-1": AxisSeries(t_s, true_Nm)}
+
+    def correlation(values: Floats, name: str = "validation-1", times_s: Floats = t_s) -> float | None:
+        answer = Answer({UNLISTED: 1.0}, equation_torques={name: AxisSeries(times_s, values)})
+        return equation_correlation(answer, true)
+
+    assert correlation(0.2 * true_Nm) == pytest.approx(1.0)
+    assert correlation(-true_Nm) == pytest.approx(-1.0)
+    assert correlation(true_Nm[50:], times_s=t_s[50:]) == pytest.approx(1.0)
+    assert correlation(true_Nm * np.array([1.0, 0.0, 1.0])) == 0.0
+    assert correlation(true_Nm, name="validation-2") == 0.0
+    assert correlation(true_Nm, times_s=t_s + 100.0) == 0.0
+    assert correlation(np.ones((200, 3))) == 0.0
+    assert equation_correlation(Answer({UNLISTED: 1.0}), true) == 0.0
+    assert equation_correlation(Answer({UNLISTED: 1.0}), {}) is None
+
+
+@pytest.mark.medium
+def test_several_runs_read_each_case_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    split = make(tmp_path / "small")
+    folders = [tmp_path / name for name in ("first", "second")]
+    for folder in folders:
+        folder.mkdir()
+        for case in split.cases:
+            write_answer(folder / f"{case.name}.json", informed(split.truth(case.name)))
+    alone = [score_run(split, folder) for folder in folders]
+    read: list[str] = []
+
+    def read_and_note(folder: Path) -> BenchmarkCase:
+        read.append(folder.name)
+        return read_case(folder)
+
+    monkeypatch.setattr(score_module, "read_case", read_and_note)
+    assert score_runs(split, folders) == alone
+    assert read == [case.name for case in split.cases]
 
 
 @pytest.mark.medium

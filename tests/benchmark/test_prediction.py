@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 from heli_benchmark.leaderboard.prediction import WORST_RATIO, prediction_ratio, true_errors
-from heli_benchmark.task import Answer, BenchmarkCase, Estimate
+from heli_benchmark.task import Answer, AxisSeries, BenchmarkCase, Estimate
+from heli_host.arrays import Floats
 
 from tests.benchmark.test_methods import CAUSES, RIG, SPRING, STIFFNESS, flown
 
@@ -48,6 +49,29 @@ def test_the_rig_parameters_of_an_answer_are_used() -> None:
     gain = RIG["thrust_gain"].value
     assert ratio(spring(SIZE, thrust_gain=1.3 * gain), SPRING) > 1.2
     assert ratio(spring(SIZE, thrust_gain=-gain), SPRING) == WORST_RATIO
+
+
+def predicted(angles_rad: Floats, t_s: Floats = FLIGHT.t_s) -> Answer:
+    return Answer({SPRING: 1.0}, predicted_flights={"validation-1": AxisSeries(t_s, angles_rad)})
+
+
+@pytest.mark.medium
+def test_a_predicted_flight_is_scored_in_place_of_the_model() -> None:
+    reference = true_errors(CASE, TRUTH)
+    assert reference is not None
+    # The errors of the true model on each axis, as a constant error.
+    as_good = ratio(predicted(FLIGHT.angles_rad + reference), SPRING)
+    assert as_good == pytest.approx(1.0)
+    assert ratio(predicted(FLIGHT.angles_rad + 2.0 * reference), SPRING) == pytest.approx(2.0)
+    assert ratio(predicted(FLIGHT.angles_rad), SPRING) < as_good
+
+
+@pytest.mark.medium
+def test_a_predicted_flight_that_ends_early_or_is_missing_counts_as_a_wrong_model() -> None:
+    half = len(FLIGHT) // 2
+    assert ratio(predicted(FLIGHT.angles_rad[:half], FLIGHT.t_s[:half]), SPRING) == WORST_RATIO
+    other = Answer({}, predicted_flights={"validation-2": AxisSeries(FLIGHT.t_s, FLIGHT.angles_rad)})
+    assert ratio(other, SPRING) == WORST_RATIO
 
 
 def test_a_case_without_a_true_model_in_the_catalogue_has_no_reference() -> None:

@@ -5,11 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet
 import pytest
 from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.splits.causes import causes_content
-from heli_benchmark.task import NOTHING, UNLISTED, Causes, answer_with, read_case, read_split
+from heli_benchmark.task import (
+    NOTHING,
+    UNLISTED,
+    Causes,
+    answer_with,
+    read_answer,
+    read_case,
+    read_split,
+    write_answer,
+)
 from heli_benchmark.task.answer import check_answer
 from heli_benchmark.task.split import causes_of
 
@@ -21,6 +31,10 @@ GOOD: dict[str, Any] = {
     "probabilities": {NOTHING: 0.1, "rotor_lag": 0.9},
     "parameters": {"rotor_lag_s": {"value": 0.1, "std": 0.01}},
 }
+
+
+FIRST = "validation-1"
+TORQUES = {"t_s": [0.0, 0.1], "elevation_Nm": [0.0, 0.2], "pitch_Nm": [0, 1], "travel_Nm": [0.1, 0.0]}
 
 
 @pytest.mark.parametrize(
@@ -38,6 +52,16 @@ GOOD: dict[str, Any] = {
         ({"parameters": {"rotor_lag_s": 0.1}}, "'rotor_lag_s' needs a value and a std"),
         ({"parameters": {"rotor_lag_s": {"value": 0.1, "std": 0.0}}}, "positive std"),
         ({"equation": 3}, "the equation is not text"),
+        ({"equation_torques": []}, "'equation_torques' is not an object"),
+        ({"equation_torques": {"training-1": TORQUES}}, "unknown flight 'training-1'"),
+        ({"equation_torques": {FIRST: TORQUES | {"t_s": [0.0, 0.1, 0.2]}}}, "lists of different lengths"),
+        ({"equation_torques": {FIRST: TORQUES | {"t_s": [0.1, 0.0]}}}, "times that do not rise"),
+        ({"equation_torques": {FIRST: TORQUES | {"pitch_Nm": [0.0, float("inf")]}}}, "not finite"),
+        ({"equation_torques": {FIRST: TORQUES | {"pitch_Nm": ["a", "b"]}}}, "lists without numbers"),
+        ({"equation_torques": {FIRST: TORQUES | {"pitch_Nm": [[1.0], [2.0]]}}}, "lists of different lengths"),
+        ({"equation_torques": {FIRST: TORQUES | {"pitch_Nm": 0.0}}}, "lists without numbers"),
+        ({"equation_torques": {FIRST: {key: [0.0] for key in TORQUES}}}, "has 1 rows"),
+        ({"predicted_flights": {FIRST: TORQUES}}, "give t_s, elevation_rad, pitch_rad, travel_rad"),
     ],
 )
 def test_a_mistake_in_an_answer_is_one_line(change: dict[str, Any], words: str) -> None:
@@ -46,6 +70,17 @@ def test_a_mistake_in_an_answer_is_one_line(change: dict[str, Any], words: str) 
         check_answer(GOOD | change, CAUSES, "a.json")
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_torques_and_predicted_flights_of_an_answer_survive_their_file(tmp_path: Path) -> None:
+    angles = {key.replace("Nm", "rad"): values for key, values in TORQUES.items()}
+    more = {"equation_torques": {FIRST: TORQUES}, "predicted_flights": {FIRST: angles}}
+    write_answer(tmp_path / "a.json", check_answer(GOOD | more, CAUSES, "it"))
+    answer = read_answer(tmp_path / "a.json", CAUSES)
+    assert answer.equation_torques[FIRST].values.tolist() == [[0.0, 0.0, 0.1], [0.2, 1.0, 0.0]]
+    middle, outside = answer.predicted_flights[FIRST].at(np.array([0.05, 0.11]))
+    assert middle == pytest.approx([0.1, 0.5, 0.05])
+    assert np.isnan(outside).all()
 
 
 def test_an_answer_of_few_probabilities_is_completed_and_valid() -> None:

@@ -11,7 +11,13 @@ from heli_benchmark.cases.disturbed import disturbed_cases
 from heli_benchmark.cases.disturbed_case import QUANSER_RIG, DisturbedCase
 from heli_benchmark.engine.true_trajectory import TrueTrajectory
 from heli_benchmark.reference.replay import FINE, Forces, ReplayedRig, acts_by_itself, inertia_kg_m2, steps
-from heli_benchmark.reference.visibility import CauseContribution, LinearisedRig, imitators, visibility
+from heli_benchmark.reference.visibility import (
+    CauseContribution,
+    LinearisedRig,
+    imitators,
+    residual_norm,
+    visibility,
+)
 from heli_host.arrays import Floats
 from heli_sim.rig.encoders import count_rad
 
@@ -72,7 +78,7 @@ def test_visibility_is_the_ratio_of_the_size_to_the_disturbances() -> None:
         white = line.innovations(
             [CauseContribution(size * torque, nothing), *imitators(rig, trajectory, forces, line)]
         )
-        seen.append(line.remaining(white, 0, 1))
+        seen.append(residual_norm(white, 0, 1))
     assert seen[1] == pytest.approx(2.0 * seen[0], rel=1e-6)
     assert 0.45 * seen[0] < seen[2] < 0.75 * seen[0]
     assert visibility(case, DURATION_s)["off-pitch_by_elevation"] == pytest.approx(seen[0], rel=0.01)
@@ -85,13 +91,13 @@ def test_what_another_number_of_the_rig_can_be_does_not_stand_out() -> None:
     line = LinearisedRig(trajectory, rig, case.disturbances)
     others = imitators(rig, trajectory, forces, line)
     # Thrust a tenth stronger, which the rig's file allows.
-    stronger = Forces(1.1 * forces.thrust_N, forces.torque_Nm, forces.seen_rad)
+    stronger = Forces(1.1 * forces.thrust_N, forces.torque_Nm, forces.encoder_rad)
     plain = ReplayedRig(rig, ())
     change = plain.accelerations(trajectory, stronger) - plain.accelerations(trajectory, forces)
     gain = CauseContribution(line.torque(change, FINE), np.zeros((steps(trajectory), 3)))
     alone = np.linalg.norm(line.innovations([gain]))
     assert alone > 30.0
-    assert line.remaining(line.innovations([gain, *others]), 0, 1) < 3.0
+    assert residual_norm(line.innovations([gain, *others]), 0, 1) < 3.0
 
 
 @pytest.mark.medium

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from heli_benchmark.cases.published import PublishedCase, published_cases
-from heli_benchmark.leaderboard import score_run, summarise_runs
+from heli_benchmark.leaderboard import score, score_run, summarise_runs
 from heli_benchmark.splits import make, make_split
 from heli_benchmark.task import Answer, Split, read_split, write_answer
 
@@ -59,6 +59,27 @@ def test_base_rates_have_skill_0_and_the_truth_skill_1_on_flown_cases(split: Spl
     assert methods["base"]["skill"]["value"] == 0.0
     assert methods["truth"]["skill"]["value"] == 1.0
     assert methods["truth"]["false_alarms"]["value"] == methods["truth"]["false_names"]["value"] == 0.0
+
+
+@pytest.mark.slow
+def test_the_true_torques_of_unlisted_causes_are_scored_as_a_right_equation(
+    split: Split, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Flights of two seconds show no cause clearly.
+    monkeypatch.setattr(score, "MIN_VISIBILITY_STD", 0.0)
+
+    def with_torques(truth: dict[str, Any]) -> Answer:
+        return replace(informed(truth), equation_torques=split.unlisted_torques_Nm(truth["case"]))
+
+    names = {case.name for case in split.cases if split.truth(case.name)["unlisted"]}
+    assert {case.name for case in split.cases if split.unlisted_torques_Nm(case.name)} == names
+    assert len(names) == COUNT // 6
+    for name in names:
+        strongest_Nm = max(abs(of.values).max() for of in split.unlisted_torques_Nm(name).values())
+        assert 1e-3 < strongest_Nm < 1.0
+    scores = score_run(split, answers(split, tmp_path / "right", with_torques))
+    correlations = {of.case: of.equation for of in scores if of.equation is not None}
+    assert correlations == pytest.approx(dict.fromkeys(names, 1.0))
 
 
 @pytest.mark.slow

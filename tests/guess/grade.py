@@ -19,7 +19,7 @@ from tests.guess.exports import corrections
 from tests.guess.foreign import ForeignFile, write
 
 DEVELOPMENT_SEEDS: Final = range(20)
-JUDGING_SEEDS: Final = range(1000, 1020)
+JUDGING_SEEDS: Final = range(3000, 3020)
 _MAX_DELAY_s: Final = 0.06
 """Delays as a flight shows them scatter by this much."""
 _REFUSED: Final = 9
@@ -71,11 +71,21 @@ def _wrong_entries(file: ForeignFile, table: object, guess: Guess) -> tuple[str,
     # Delays are compared as such; without them the flights can be compared row by row.
     guessed = replace(guess, profile=_with_delays(guess.profile, file.profile))
     wrong = list(corrections(table, guessed, file.truth))  # type: ignore[arg-type]
+    wrong_unit: list[str] = []
+    in_true_units = _with_voltage_units(guessed.profile, file.profile)
+    if in_true_units is not None and any(entry.endswith(".column") for entry in wrong):
+        # Commands in a wrong unit are clipped elsewhere, and then do not even resemble the voltages.
+        guessed = replace(guessed, profile=in_true_units)
+        wrong = list(corrections(table, guessed, file.truth))  # type: ignore[arg-type]
+        wrong_unit = ["voltages.unit"]
     supply_V = next(iter(file.profile.voltages.values())).supply_V
-    clipped = replace(guessed.profile, clip_V=(-supply_V, supply_V))
-    others = list(corrections(table, replace(guessed, profile=clipped), file.truth))  # type: ignore[arg-type]
-    if len(others) < len(wrong):
-        wrong = [*others, "voltages.clip_V"]
+    as_logged = wrong
+    for smallest_V in (-supply_V, 0.0):
+        clipped = replace(guessed.profile, clip_V=(smallest_V, supply_V))
+        others = list(corrections(table, replace(guessed, profile=clipped), file.truth))  # type: ignore[arg-type]
+        if len(others) < len(as_logged) and (wrong is as_logged or len(others) + 1 < len(wrong)):
+            wrong = [*others, f"voltages.clip_V {smallest_V:g} to {supply_V:g}"]
+    wrong += wrong_unit
     units = [entry for entry in wrong if ".unit" in entry and entry.split(".")[0] in file.profile.voltages]
     if len(units) == len(file.profile.voltages) and len({unit.split(".")[1] for unit in units}) == 1:
         # One entry gives the unit of both voltages.
@@ -95,6 +105,21 @@ def _with_delays(profile: Profile, true: Profile) -> Profile:
     return replace(profile, angles=angles, voltages=voltages)
 
 
+def _with_voltage_units(profile: Profile, true: Profile) -> Profile | None:
+    """The profile with the true units of the voltages; None if it has them, or other columns."""
+    pairs = [(voltage, true.voltages.get(role)) for role, voltage in profile.voltages.items()]
+    if any(right is None or voltage.column != right.column for voltage, right in pairs):
+        return None
+    names = ("unit", "full", "factor")
+    voltages = {
+        role: replace(voltage, **{name: getattr(true.voltages[role], name) for name in names})
+        for role, voltage in profile.voltages.items()
+    }
+    if voltages == dict(profile.voltages):
+        return None
+    return replace(profile, voltages=voltages)
+
+
 def _delays(profile: Profile, true: Profile) -> list[tuple[str, float, float]]:
     both = [(axis, profile.angles[axis].delay_s, true.angles[axis].delay_s) for axis in profile.angles]
     first = [next(iter(p.voltages.values())).delay_s for p in (profile, true)]
@@ -112,8 +137,9 @@ def _named(entry: str, true: Profile, guess: Guess) -> bool:
 def _names(entry: str, true: Profile, doubt: str) -> bool:
     if entry == "mirrored":
         return "set mirrored =" in doubt
-    if entry == "voltages.clip_V":
-        return "clipped to" in doubt
+    if entry.startswith("voltages.clip_V"):
+        smallest, _, largest = entry.removeprefix("voltages.clip_V ").partition(" to ")
+        return "clipped to 0 V" in doubt if smallest == "0" else f"clipped to {largest} V" in doubt
     if entry == "time.unit":
         return f"in {true.time_unit}" in doubt
     part, _, what = entry.partition(".")

@@ -94,6 +94,8 @@ def test_measured_flights_are_guessed_right(tmp_path: Path) -> None:
         table = read_table(path)
         guess_result = guess(table, rig)
         (made,) = flights_of(table, guess_result.profile)
-        assert guess_result.sure, (path.name, guess_result.ambiguities)
+        subjects = {ambiguity.subject for ambiguity in guess_result.ambiguities}
+        # Slow rotors look like a delay, and reversed propellers hardly push; nothing is changed for either.
+        assert subjects <= {"elevation's time", "the voltages' lower limit"}, (path.name, subjects)
         assert made.pitch_rad == pytest.approx(flight.pitch_rad, abs=1e-6)
         assert made.front_V == pytest.approx(flight.front_V, abs=1e-6)

@@ -87,20 +87,20 @@ class Case:
         flight : int
             Number of the flight, for random torques.
         """
-        made: list[HiddenEffect] = []
+        effects: list[HiddenEffect] = []
         for number, ((_, size), maker) in enumerate(
             zip((*self.effects, *self.unlisted), self.makers, strict=True)
         ):
             # 2 for listed effects, 3 for others; the second number restarts there.
             place = [2, number] if number < len(self.effects) else [3, number - len(self.effects)]
-            one = maker(size, np.random.default_rng([self.seed, *place]))
-            one.flight_rng = np.random.default_rng([self.seed, 5, flight, number])
-            made.append(one)
-        return made
+            effect = maker(size, np.random.default_rng([self.seed, *place]))
+            effect.flight_rng = np.random.default_rng([self.seed, 5, flight, number])
+            effects.append(effect)
+        return effects
 
     def truth(self) -> dict[str, dict[str, float]]:
         """Return the true parameters of the listed effects."""
-        return {name: one.truth for (name, _), one in zip(self.effects, self.hidden(), strict=False)}
+        return {name: effect.truth for (name, _), effect in zip(self.effects, self.hidden(), strict=False)}
 
     def flights(
         self, folder: Path, durations_s: tuple[float, float] = (TRAIN_S, VALIDATE_S)

@@ -146,12 +146,12 @@ def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]
     if any(cause.startswith(STRONGLY_EXCITED_ONLY) for cause in (*effects, *equations)):
         gentle = False
     larger = STRENGTH_FACTORS[strength] * (WEAK_EXCITATION_FACTOR if gentle else 1.0)
-    sized = [(one, _size(one, SIZES[one], larger, rng)) for one in effects]
-    off = [(law, _size(law, DISTURBED[law][1], larger, rng)) for law in equations]
+    sized = [(name, _size(name, SIZES[name], larger, rng)) for name in effects]
+    sized_unlisted = [(law, _size(law, DISTURBED[law][1], larger, rng)) for law in equations]
     return DisturbedCase(
         name,
         tuple(sized),
-        tuple(off),
+        tuple(sized_unlisted),
         seed,
         tuple(MAKERS[cause] for cause in (*effects, *equations)),
         QUANSER_RIG if on_quanser else PAPER_RIG,

@@ -202,7 +202,7 @@ def _disturbances(rng: np.random.Generator) -> tuple[DisturbanceModel, float]:
     shares, drift_s = rng.uniform(0.5, 1.0, 3), float(rng.uniform(20.0, 40.0))
     if kind == "none":
         gusts_Nm = (0.0, 0.0, 0.0)
-    e, p, t = (float(one) for one in shares * gusts_Nm * (kind == "drifting"))
+    e, p, t = (float(gust_Nm) for gust_Nm in shares * gusts_Nm * (kind == "drifting"))
     return DisturbanceModel(gusts_Nm, memory_s, (e, p, t), drift_s), STRENGTH_FACTORS[strength]
 
 
@@ -216,7 +216,7 @@ def _possible(names: tuple[str, ...], on_quanser: bool, weak: bool) -> tuple[str
 def _drawn(rng: np.random.Generator, count: int, on_quanser: bool, weak: bool) -> tuple[str, ...]:
     names = _possible(LISTED_CAUSES, on_quanser, weak)
     for _ in range(_MAX_CONFLICTS):
-        drawn = tuple(str(one) for one in rng.choice(names, count, replace=False))
+        drawn = tuple(str(name) for name in rng.choice(names, count, replace=False))
         if all(sum(name in group for name in drawn) <= 1 for group in (_LATE, _FADING)):
             return drawn
     return drawn[:1]

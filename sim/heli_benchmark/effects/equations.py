@@ -162,23 +162,23 @@ class Unlisted(HiddenEffect):
         self._late = 0.0
 
     def _value(self, at: Moment) -> float:
-        seen = EquationInputs(at.angles_rad, at.rates_rad_s, at.thrust_N)
+        inputs = EquationInputs(at.angles_rad, at.rates_rad_s, at.thrust_N)
         if self.equation.remembers is not None:
             keep = np.exp(-STEP_S / self.numbers["lag_s"])
-            self._late = keep * self._late + (1.0 - keep) * float(self.equation.remembers(seen))
-            seen = EquationInputs(seen.q, seen.w, seen.thrust_N, self._late)
-        return self.size * float(self.equation.value(np, seen, self.numbers))
+            self._late = keep * self._late + (1.0 - keep) * float(self.equation.remembers(inputs))
+            inputs = EquationInputs(inputs.q, inputs.w, inputs.thrust_N, self._late)
+        return self.size * float(self.equation.value(np, inputs, self.numbers))
 
     def torque(self, at: Moment) -> None:
-        kind, _, where = self.equation.channel.partition(".")
+        kind, _, target = self.equation.channel.partition(".")
         if kind == "torque":
-            at.torque_Nm[("elevation", "pitch", "travel").index(where)] += self._value(at)
+            at.torque_Nm[("elevation", "pitch", "travel").index(target)] += self._value(at)
 
     def thrust(self, at: Moment) -> None:
-        kind, _, where = self.equation.channel.partition(".")
+        kind, _, target = self.equation.channel.partition(".")
         if kind == "thrust":
-            on = {"both": (1.0, 1.0), "front": (1.0, 0.0), "back": (0.0, 1.0)}[where]
-            at.thrust_N = at.thrust_N * (1.0 + self._value(at) * np.array(on))
+            shares = {"both": (1.0, 1.0), "front": (1.0, 0.0), "back": (0.0, 1.0)}[target]
+            at.thrust_N = at.thrust_N * (1.0 + self._value(at) * np.array(shares))
 
 
 @dataclass(frozen=True)

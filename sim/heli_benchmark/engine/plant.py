@@ -194,7 +194,7 @@ class MujocoPlant:
         angles, rates = data.qpos[self._q].copy(), data.qvel[self._v].copy()
         if angles[0] <= self._lowest_rad:
             angles[0], rates = self._lowest_rad, rates * np.array([0.0, 0.99, 0.99])
-        return [*angles, *rates], self.seen(angles).tolist()
+        return [*angles, *rates], self.encoder_angles_rad(angles).tolist()
 
     def act(self, at: Moment) -> None:
         """Compute thrusts and torques of a moment from its voltages, hidden effects included."""
@@ -232,15 +232,15 @@ class MujocoPlant:
         mujoco.mj_forward(self.physics, data)
         return np.asarray(data.qacc[self._v])
 
-    def seen(self, angles_rad: Floats) -> Floats:
+    def encoder_angles_rad(self, angles_rad: Floats) -> Floats:
         """Return the angles that the encoders see for true `angles_rad`, shape (3,).
 
         Call it once per millisecond, because play has a memory.
         """
-        seen = angles_rad + self._zeros_rad
+        encoder_rad = angles_rad + self._zeros_rad
         for effect in self.hidden:
-            seen = effect.measured(seen)
-        return seen
+            encoder_rad = effect.measured(encoder_rad)
+        return encoder_rad
 
     def _step(
         self, state: list[float], volts_V: list[float], locked: list[float], parameters: list[float]

@@ -36,7 +36,7 @@ class TrueTrajectory:
     time_s: Floats
     flight_s: Floats
 
-    def moved(self, state: int, by: float) -> TrueTrajectory:
+    def perturbed(self, state: int, by: float) -> TrueTrajectory:
         """Return the trajectory with one `state` (0 to 2 angles, 3 to 5 rates) shifted `by` rad or rad/s."""
         which, axis = ("angles_rad", "rates_rad_s")[state // 3], state % 3
         column = getattr(self, which).copy()

@@ -39,6 +39,11 @@ class MethodAddress:
     builtin: bool
 
     @property
+    def text(self) -> str:
+        """Text from which `find_method` finds it in any folder."""
+        return self.file.stem if self.builtin else f"{self.file}:{self.function}"
+
+    @property
     def digest(self) -> str:
         """Digest of the code: of the file, and of what methods of this package share if it uses that."""
         content = self.file.read_bytes()

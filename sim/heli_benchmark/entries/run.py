@@ -2,44 +2,27 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
 from heli_host.files import file_digest
 
+from heli_benchmark.entries.case_process import RunLimits, run_case
 from heli_benchmark.entries.method import MethodAddress, find_method
 from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.task.commitments import COMMITMENTS_FILE
 from heli_benchmark.task.json_file import read_json, write_json
 from heli_benchmark.task.split import CAUSES_FILE, SCHEMA, Split
 
+Distribute = Callable[
+    [MethodAddress, Sequence[Path], Path | None, RunLimits], Iterator[tuple[str, dict[str, Any]]]
+]
+"""Runs a method on cases with resources and limits, and yields names and results."""
 RUN_FILE: Final = "run.json"
 _TRAINED_FILE: Final = "trained.json"
-_WALL_FACTOR: Final = 30.0
-"""Elapsed time per CPU time from which a process counts as hanging without work. At 4, a case on a computer
-with 25 busy processes was stopped before its CPU limit."""
-
-
-@dataclass(frozen=True)
-class RunLimits:
-    """Limits of the process of a case.
-
-    Parameters
-    ----------
-    cpu_s : int
-        CPU time.
-    memory_MB : int
-        Address space.
-    """
-
-    cpu_s: int = 300
-    memory_MB: int = 6000
 
 
 def run_method(
@@ -50,6 +33,7 @@ def run_method(
     limits: RunLimits | None = None,
     resources: Path | None = None,
     workers: int = 1,
+    distribute: Distribute | None = None,
     say: Callable[[str, str], None] | None = None,
 ) -> None:
     """Run a method on the cases of a split that have no result yet.
@@ -65,7 +49,10 @@ def run_method(
     resources : Path, optional
         Folder for the method, such as training cases.
     workers : int
-        Number of processes.
+        Number of processes on this machine.
+    distribute : callable, optional
+        Runs the cases on other machines, such as those of a cluster, and yields the name and the result of
+        each. They must see the folders of split, method and resources under the same paths.
     say : callable, optional
         Called with the name of a finished case and its failure, if it has one.
 
@@ -78,14 +65,21 @@ def run_method(
     method = find_method(text)
     _check_folder(split, method, text, folder, limits)
     if resources is not None and not (folder / _TRAINED_FILE).exists():
-        result = _called(method, "-", resources, limits, folder / _TRAINED_FILE)
+        result = run_case(method, "-", resources, limits, folder / _TRAINED_FILE)
         if result["failure"]:
             (folder / _TRAINED_FILE).unlink()
             raise BenchmarkError(f"{text} cannot be trained: {result['failure']}", "correct the method")
     waiting = [case for case in split.cases if not (folder / f"{case.name}.json").exists()]
 
+    if distribute is not None:
+        for name, result in distribute(method, waiting, resources, limits):
+            write_json(folder / f"{name}.json", result)
+            if say is not None:
+                say(name, result["failure"])
+        return
+
     def work(case: Path) -> None:
-        result = _called(method, str(case), resources, limits, folder / f"{case.name}.json")
+        result = run_case(method, str(case), resources, limits, folder / f"{case.name}.json")
         if say is not None:
             say(case.name, result["failure"])
 
@@ -152,33 +146,3 @@ def _check_folder(split: Split, method: MethodAddress, text: str, folder: Path, 
                 "choose another folder, or delete it",
             )
     write_json(mark, content)
-
-
-def _called(
-    method: MethodAddress, case: str, resources: Path | None, limits: RunLimits, file: Path
-) -> dict[str, Any]:
-    """Run the worker, and return its result; a worker that dies has a failure instead of an answer."""
-    text = method.file.stem if method.builtin else f"{method.file}:{method.function}"
-    where = "-" if resources is None else str(resources.resolve())
-    command = [sys.executable, "-m", "heli_benchmark.entries.worker", text, case, str(file.resolve()), where]
-    command += [str(limits.cpu_s), str(limits.memory_MB)]
-    # Threads that wait for each other cost CPU time, and sums in another order change the last digits.
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    environment = {**os.environ, **threads, "PYTHONHASHSEED": "0"}
-    failure = ""
-    try:
-        ended = subprocess.run(
-            command,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=_WALL_FACTOR * limits.cpu_s,
-            check=False,
-        )
-        if ended.returncode:
-            failure = f"the process ended with code {ended.returncode}; its limits are {limits}"
-    except subprocess.TimeoutExpired:
-        failure = f"the process took more than {_WALL_FACTOR * limits.cpu_s:.0f} s"
-    if failure:
-        write_json(file, {"answer": None, "failure": failure, "cpu_s": None, "peak_MB": None})
-    return read_json(file, "run the method again")

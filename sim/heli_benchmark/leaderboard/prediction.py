@@ -1,7 +1,8 @@
 """Prediction of validation flights by the model of an answer, compared with that of the true model.
 
 The model of an answer has its rig parameters, and the causes that it names, with their sizes. It starts each
-half second at the measured angles, and predicts the angles one second later from the voltages alone.
+half second at the measured angles, and predicts the angles one second later from the voltages alone. If an
+answer has predicted flights, their angles at the same times are used instead.
 """
 
 from __future__ import annotations
@@ -11,16 +12,18 @@ from typing import Any, Final
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.arrays import Floats, Integers
 from heli_host.errors import HeliError
 from heli_host.flight import Flight
 from heli_sim.model import Model, MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import Rig
 from heli_sim.rig.encoders import count_rad
+from heli_sim.runge_kutta import runge_kutta_step
 from scipy.signal import savgol_filter
 
-from heli_benchmark.task import Answer, BenchmarkCase
+from heli_benchmark.task import Answer, AxisSeries, BenchmarkCase
+from heli_benchmark.task.axis_series import flight_name
 
 HORIZON_s: Final = 1.0
 """Time of a prediction. The rig moves by tens of degrees in it, and disturbances do not yet decide alone."""
@@ -85,7 +88,11 @@ def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], 
         if values:
             causes[name] = values
     try:
-        errors = _errors(case, case.rig.replace(**rig_values), causes)
+        errors = (
+            _errors_of_predicted_flights(case, answer.predicted_flights)
+            if answer.predicted_flights
+            else _errors(case, case.rig.replace(**rig_values), causes)
+        )
     except HeliError:
         return WORST_RATIO
     if errors is None or not np.isfinite(errors).all():
@@ -99,9 +106,45 @@ def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], 
 def _errors(case: BenchmarkCase, rig: Rig, causes: Mapping[str, Mapping[str, float]]) -> Floats | None:
     model = MultibodyModel(tuple(catalogue()[name].make(values) for name, values in causes.items()))
     predictor = _Predictor(model, rig)
-    flights = [predictor.errors(flight) for flight in case.validation]
-    every = np.concatenate(flights)
-    return np.sqrt(np.mean(every**2, axis=0)) if len(every) else None
+    return _rms([predictor.errors(flight) for flight in case.validation])
+
+
+def _errors_of_predicted_flights(case: BenchmarkCase, predicted: Mapping[str, AxisSeries]) -> Floats | None:
+    """RMS errors of flights that an answer predicts; NaN if a flight is missing or does not last as long."""
+    errors = []
+    for number, flight in enumerate(case.validation):
+        t_s, _, ends = _prediction_rows(flight)
+        series = predicted.get(flight_name(number))
+        measured = _interpolated(t_s[ends], flight.t_s, flight.angles_rad)
+        errors.append(np.full(measured.shape, np.nan) if series is None else series.at(t_s[ends]) - measured)
+    return _rms(errors)
+
+
+def _rms(errors: Sequence[Floats]) -> Floats | None:
+    """Root mean square of the errors of all flights by axis, or None if the flights are too short."""
+    pooled = np.concatenate(errors)
+    return np.sqrt(np.mean(pooled**2, axis=0)) if len(pooled) else None
+
+
+def _prediction_rows(flight: Flight) -> tuple[Floats, Integers, Integers]:
+    """Times of the steps of a flight, and the steps at which predictions start and end; both are empty if
+    the flight is too short.
+    """
+    t_s = np.arange(flight.t_s[0], flight.t_s[-1] - 2.0 * _STEP_s, _STEP_s)
+    horizon = round(HORIZON_s / _STEP_s)
+    edge = round(_WINDOW_s / _STEP_s)
+    last = len(t_s) - horizon - edge if _window_rows(flight) <= len(flight) else 0
+    starts = np.arange(edge, last, round(_EVERY_s / _STEP_s))
+    return t_s, starts, starts + horizon
+
+
+def _sample_s(flight: Flight) -> float:
+    return float(flight.t_s[-1] - flight.t_s[0]) / (len(flight) - 1)
+
+
+def _window_rows(flight: Flight) -> int:
+    """Length of the filter of the rates, an odd number of rows."""
+    return 2 * round(_WINDOW_s / 2.0 / _sample_s(flight)) + 1
 
 
 class _Predictor:
@@ -115,38 +158,29 @@ class _Predictor:
         p = ca.SX(ca.DM(self._parameters))
         self._states = len(model.states)
         rates = ca.Function("rates", [x, u, t], [model.dynamics(x, u, p, t)])
-        h = _STEP_s
-        first = rates(x, u, t)
-        second = rates(x + h / 2 * first, u, t + h / 2)
-        third = rates(x + h / 2 * second, u, t + h / 2)
-        fourth = rates(x + h * third, u, t + h)
-        after = model.reset_map(x + h / 6 * (first + 2 * second + 2 * third + fourth), u, p, t + h)
+        after = runge_kutta_step(lambda state, later_s: rates(state, u, t + later_s), x, _STEP_s)
+        after = model.reset_map(after, u, p, t + _STEP_s)
         self._step = ca.Function("step", [x, u, t], [ca.densify(after)])
-        self._seen = ca.Function("seen", [x, u, t], [ca.densify(model.measurement(x, u, p, t))])
+        self._encoders = ca.Function("seen", [x, u, t], [ca.densify(model.measurement(x, u, p, t))])
 
     def errors(self, flight: Flight) -> Floats:
         """Return predicted minus measured angles at the end of each prediction, rad, shape (k, 3)."""
-        sample_s = float(flight.t_s[-1] - flight.t_s[0]) / (len(flight) - 1)
-        t_s = np.arange(flight.t_s[0], flight.t_s[-1] - 2.0 * _STEP_s, _STEP_s)
-        window = 2 * round(_WINDOW_s / 2.0 / sample_s) + 1
-        horizon = round(HORIZON_s / _STEP_s)
-        edge = round(_WINDOW_s / _STEP_s)
-        starts = np.arange(edge, len(t_s) - horizon - edge, round(_EVERY_s / _STEP_s))
-        if not len(starts) or window > len(flight):
+        t_s, starts, ends = _prediction_rows(flight)
+        if not len(starts):
             return np.empty((0, 3))
+        window, sample_s = _window_rows(flight), _sample_s(flight)
         smooth, rate = (
             savgol_filter(flight.angles_rad, window, 3, deriv=deriv, delta=sample_s, axis=0)
             for deriv in (0, 1)
         )
         measured, rates, angles = (
-            _at(t_s, flight.t_s, signal) for signal in (smooth, rate, flight.angles_rad)
+            _interpolated(t_s, flight.t_s, signal) for signal in (smooth, rate, flight.angles_rad)
         )
         volts = self._mean_volts(flight, t_s)
         states = self._all_states(measured, rates, volts, t_s)[starts].T
-        for k in range(horizon):
+        for k in range(ends[0] - starts[0]):
             states = np.asarray(self._step(states, volts[starts + k].T, t_s[starts + k][None]))
-        ends = starts + horizon
-        predicted = np.asarray(self._seen(states, volts[ends].T, t_s[ends][None])).T
+        predicted = np.asarray(self._encoders(states, volts[ends].T, t_s[ends][None])).T
         return np.asarray(predicted - angles[ends])
 
     def _mean_volts(self, flight: Flight, t_s: Floats) -> Floats:
@@ -154,8 +188,9 @@ class _Predictor:
         total = np.vstack(
             [np.zeros(2), np.cumsum(flight.voltages_V[:-1] * np.diff(flight.t_s)[:, None], axis=0)]
         )
-        late = t_s - self._delay_s
-        return np.asarray((_at(late + _STEP_s, flight.t_s, total) - _at(late, flight.t_s, total)) / _STEP_s)
+        late_s = t_s - self._delay_s
+        before, after = (_interpolated(times_s, flight.t_s, total) for times_s in (late_s, late_s + _STEP_s))
+        return np.asarray((after - before) / _STEP_s)
 
     def _all_states(self, angles: Floats, rates: Floats, volts: Floats, t_s: Floats) -> Floats:
         """Return the state at each step: measured angles and rates, and the states of the effects along
@@ -167,10 +202,10 @@ class _Predictor:
             for k in range(len(t_s) - 1):
                 states[k + 1, 6:] = np.asarray(self._step(states[k], volts[k], t_s[k])).ravel()[6:]
         # The angles behind what the encoders show.
-        shown = np.asarray(self._seen(states.T, volts.T, t_s[None])).T
-        states[:, :3] -= shown - angles
+        encoder_rad = np.asarray(self._encoders(states.T, volts.T, t_s[None])).T
+        states[:, :3] -= encoder_rad - angles
         return states
 
 
-def _at(t_s: Floats, grid_s: Floats, values: Floats) -> Floats:
+def _interpolated(t_s: Floats, grid_s: Floats, values: Floats) -> Floats:
     return np.stack([np.interp(t_s, grid_s, column) for column in values.T], axis=1)

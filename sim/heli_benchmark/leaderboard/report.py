@@ -16,6 +16,7 @@ _COLUMNS: Final = (
     ("sizes_within", "sizes within 2 standard errors", "{:.0%}"),
     ("interval_score", "interval score", "{:.2f}"),
     ("prediction_error", "prediction error", "{:.2f}"),
+    ("equation_correlation", "equation correlation", "{:.2f}"),
     ("calibration_error", "calibration error", "{:.2f}"),
 )
 _LEAST: Final = -1.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -12,8 +12,18 @@ from heli_host.arrays import Floats
 
 from heli_benchmark.entries.run import read_run
 from heli_benchmark.leaderboard.prediction import prediction_ratio, true_errors
+from heli_benchmark.reference.equation_torque import torque_correlation
 from heli_benchmark.scoring.judge import MIN_VISIBILITY_STD
-from heli_benchmark.task import NOTHING, UNLISTED, Answer, Causes, Split, read_case
+from heli_benchmark.task import (
+    NOTHING,
+    UNLISTED,
+    Answer,
+    AxisSeries,
+    BenchmarkCase,
+    Causes,
+    Split,
+    read_case,
+)
 from heli_benchmark.task.answer import check_answer
 
 MIN_PROBABILITY: Final = 1e-3
@@ -74,6 +84,8 @@ class CaseScore:
     prediction : float or None
         Prediction error on the validation flights relative to that of the true model; None if the true model
         is not in the catalogue.
+    equation : float or None
+        Correlation of the equation of the answer with the true torques; None if no unlisted cause is visible.
     calibration : tuple of (float, bool)
         Probability and truth of each name.
     cpu_s, peak_MB : float or None
@@ -92,52 +104,118 @@ class CaseScore:
     sizes: tuple[tuple[bool, float], ...]
     sizes_asked: int
     prediction: float | None
+    equation: float | None
     calibration: tuple[tuple[float, bool], ...]
     cpu_s: float | None
     peak_MB: float | None
     failure: str
 
 
-def score_run(
-    split: Split, folder: Path, references: dict[str, Floats | None] | None = None
-) -> list[CaseScore]:
-    """Score a run.
+def score_runs(split: Split, folders: Sequence[Path]) -> list[list[CaseScore]]:
+    """Score runs; each case is read once, and its true model predicts once.
 
     Parameters
     ----------
     split : Split
         The split, with its truth.
-    folder : Path
-        Folder of the run.
-    references : dict, optional
-        Prediction errors of the true models by case. Missing ones are added, so that several runs share them.
+    folders : sequence of Path
+        Folders of the runs.
 
     Returns
     -------
-    list of CaseScore
-        One per case. A failed case counts as an answer of base rates that names nothing.
+    list of list of CaseScore
+        By run, one per case. A failed case counts as an answer of base rates that names nothing.
     """
-    scores = []
-    references = {} if references is None else references
-    for name, result in read_run(folder, split).items():
-        content = split.truth(name)
-        truth = scored_truth(content)
-        failure = str(result.get("failure", ""))
-        answer = (
-            Answer(split.causes.base_rates)
-            if failure
-            else check_answer(result["answer"], split.causes, f"{folder / name}.json")
-        )
-        cost = (result.get("cpu_s"), result.get("peak_MB"))
-        case = read_case(split.folder / "cases" / name)
-        if name not in references:
-            references[name] = true_errors(case, content)
-        reference = references[name]
-        prediction = (
-            None if reference is None else prediction_ratio(case, answer, listed_names(answer), reference)
-        )
-        scores.append(score_answer(name, answer, truth, split.causes, cost, failure, prediction))
+    runs = [read_run(folder, split) for folder in folders]
+    scores: list[list[CaseScore]] = [[] for _ in folders]
+    for case_folder in split.cases:
+        reference = _reference(split, case_folder)
+        for folder, run, scored in zip(folders, runs, scores, strict=True):
+            name = case_folder.name
+            scored.append(_score_result(reference, run[name], f"{folder / name}.json"))
     return scores
+
+
+def score_run(split: Split, folder: Path) -> list[CaseScore]:
+    """Score one run, as in `score_runs`."""
+    return score_runs(split, [folder])[0]
+
+
+@dataclass(frozen=True)
+class _CaseReference:
+    """What the answers to a case are compared with.
+
+    Parameters
+    ----------
+    case : BenchmarkCase
+        The case as a method sees it.
+    truth : Truth
+        Its scored causes.
+    errors : ndarray (3,) or None
+        Prediction errors of the true model.
+    torques_Nm : Mapping[str, AxisSeries]
+        Torques of visible unlisted causes by flight.
+    """
+
+    case: BenchmarkCase
+    truth: Truth
+    errors: Floats | None
+    torques_Nm: Mapping[str, AxisSeries]
+
+
+def _reference(split: Split, case_folder: Path) -> _CaseReference:
+    content = split.truth(case_folder.name)
+    case, truth = read_case(case_folder), scored_truth(content)
+    torques_Nm = split.unlisted_torques_Nm(case.name) if UNLISTED in truth.causes else {}
+    return _CaseReference(case, truth, true_errors(case, content), torques_Nm)
+
+
+def _score_result(reference: _CaseReference, result: Mapping[str, Any], where: str) -> CaseScore:
+    """Score the result of a case; `where` is its file."""
+    case, causes = reference.case, reference.case.causes
+    failure = str(result.get("failure", ""))
+    answer = Answer(causes.base_rates) if failure else check_answer(result["answer"], causes, where)
+    prediction = (
+        None
+        if reference.errors is None
+        else prediction_ratio(case, answer, listed_names(answer), reference.errors)
+    )
+    return score_answer(
+        case.name,
+        answer,
+        reference.truth,
+        causes,
+        (result.get("cpu_s"), result.get("peak_MB")),
+        failure,
+        prediction,
+        equation_correlation(answer, reference.torques_Nm),
+    )
+
+
+def equation_correlation(answer: Answer, torques_Nm: Mapping[str, AxisSeries]) -> float | None:
+    """Return the correlation of the equation of an answer with the true torques, mean of the flights.
+
+    Parameters
+    ----------
+    torques_Nm : Mapping[str, AxisSeries]
+        Torques of the unlisted causes by flight.
+
+    Returns
+    -------
+    float or None
+        0 for a flight without torques of the equation; None if no unlisted cause is visible.
+    """
+    if not torques_Nm:
+        return None
+    correlations = []
+    for name, true in torques_Nm.items():
+        proposed = answer.equation_torques.get(name)
+        if proposed is None or proposed.t_s[-1] < true.t_s[0] or proposed.t_s[0] > true.t_s[-1]:
+            correlations.append(0.0)
+            continue
+        _, correlation = torque_correlation(true.t_s, true.values, proposed.t_s, proposed.values)
+        correlations.append(correlation)
+    return sum(correlations) / len(correlations)
 
 
 def scored_truth(content: Mapping[str, Any]) -> Truth:
@@ -174,6 +252,7 @@ def score_answer(
     cost: tuple[float | None, float | None] = (None, None),
     failure: str = "",
     prediction: float | None = None,
+    equation: float | None = None,
 ) -> CaseScore:
     """Score an answer.
 
@@ -191,6 +270,8 @@ def score_answer(
         Why there is no answer.
     prediction : float, optional
         Prediction error relative to that of the true model.
+    equation : float, optional
+        Correlation of the equation with the true torques.
     """
     scored = [name for name in causes.names if name not in truth.invisible]
     given = {name: answer.probabilities.get(name, 0.0) for name in causes.names}
@@ -216,6 +297,7 @@ def score_answer(
         ),
         len(truth.sizes),
         prediction,
+        equation,
         calibration,
         *cost,
         failure,

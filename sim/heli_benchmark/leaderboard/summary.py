@@ -96,15 +96,16 @@ def _sums(scores: Sequence[CaseScore]) -> dict[str, SumsPerCase]:
         sums = [sum(value(size) for size in case.sizes) for case in scores]
         return np.array(sums, float), np.array([float(len(case.sizes)) for case in scores])
 
-    asked = np.array([float(case.sizes_asked) for case in scores])
+    true_sizes = np.array([float(case.sizes_asked) for case in scores])
     return {
         "first_right": each(lambda case: case.first_right),
         "all_named": each(lambda case: case.all_named),
         "false_names": each(lambda case: case.false_names),
         "false_alarms": each(lambda case: case.false_alarm),
-        "sizes_given": (np.array([float(len(case.sizes)) for case in scores]), asked),
+        "sizes_given": (np.array([float(len(case.sizes)) for case in scores]), true_sizes),
         "sizes_within": sizes(lambda size: size[0]),
         "interval_score": sizes(lambda size: size[1]),
+        "equation_correlation": each(lambda case: case.equation),
         "prediction_error": each(lambda case: None if case.prediction is None else np.log(case.prediction)),
     }
 

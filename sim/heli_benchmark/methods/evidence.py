@@ -39,9 +39,9 @@ class TermEvidence:
             self._columns_by_cause.setdefault(term.cause, []).append(term.columns)
 
     def _basis(self, columns: Floats) -> Floats:
-        rest = columns - self._known @ (self._onto @ columns)
-        left, sizes, _ = np.linalg.svd(rest, full_matrices=False)
-        return np.asarray(left[:, sizes > _MIN_NORM * max(float(sizes[0]), _MIN_NORM)])
+        residual = columns - self._known @ (self._onto @ columns)
+        vectors, singular_values, _ = np.linalg.svd(residual, full_matrices=False)
+        return np.asarray(vectors[:, singular_values > _MIN_NORM * max(float(singular_values[0]), _MIN_NORM)])
 
     def features(self, targets: Floats) -> Floats:
         """Return the evidence of each name in each target, nats, and its difference to the highest.
@@ -56,12 +56,12 @@ class TermEvidence:
         ndarray (k, 2 names)
             Features of a classifier.
         """
-        rest = targets - self._known @ (self._onto @ targets)
-        n, total = len(rest), (rest**2).sum(axis=0)
+        residual = targets - self._known @ (self._onto @ targets)
+        n, total = len(residual), (residual**2).sum(axis=0)
         names = [*self._causes.listed, UNLISTED]
-        gains = np.zeros((len(names), rest.shape[1]))
+        gains = np.zeros((len(names), residual.shape[1]))
         for term, basis in zip(self._regression.terms, self._bases, strict=True):
-            explained = ((basis.T @ rest) ** 2).sum(axis=0)
+            explained = ((basis.T @ residual) ** 2).sum(axis=0)
             gain = -0.5 * n * np.log1p(-np.minimum(explained / total, 0.999999)) - 0.5 * basis.shape[
                 1
             ] * np.log(n)

@@ -27,10 +27,10 @@ _PARTS: Final = {"rotor_lag_with_delay": ("rotor_lag", "input_delay")}
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     """Diagnose a case with the laboratory."""
     labels = [f"flight {i}" for i in range(len(case.training) + len(case.validation))]
-    found = lab_diagnose(
+    diagnosis = lab_diagnose(
         MultibodyModel(), case.rig, case.training, case.validation, labels=labels, refits=_REFITS, threads=1
     )
-    result = to_json(found)
+    result = to_json(diagnosis)
     causes = [cause for cause in result["causes"] if not cause["effect"].startswith("random_torque")]
     verdict = result["verdict"]
     if verdict in ("cause_found", "ambiguous"):
@@ -38,9 +38,9 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         verdict = "cause_found" if causes else "explained"
     named: dict[str, float] = {UNLISTED: probability(UNLISTED, verdict, case.causes)}
     parameters: dict[str, Estimate] = {}
-    for name, of in (result["rig"] or {"numbers": {}})["numbers"].items():
-        if name in case.rig and of["std"] and math.isfinite(of["std"]):
-            parameters[name] = Estimate(float(of["value"]), float(of["std"]))
+    for name, estimate in (result["rig"] or {"numbers": {}})["numbers"].items():
+        if name in case.rig and estimate["std"] and math.isfinite(estimate["std"]):
+            parameters[name] = Estimate(float(estimate["value"]), float(estimate["std"]))
     for cause in causes:
         confidence, effect = float(cause["confidence"]), cause["effect"]
         for name in _PARTS.get(effect, (effect,)):
@@ -51,9 +51,9 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         for other in cause["ambiguous_with"]:
             if other in case.causes.listed:
                 named.setdefault(other, 1.0 - confidence)
-        for name, of in cause["parameters"].items():
-            if name in case.causes.parameter_names and of["std"] and math.isfinite(of["std"]):
-                parameters[name] = Estimate(float(of["value"]), float(of["std"]))
+        for name, estimate in cause["parameters"].items():
+            if name in case.causes.parameter_names and estimate["std"] and math.isfinite(estimate["std"]):
+                parameters[name] = Estimate(float(estimate["value"]), float(estimate["std"]))
     if verdict == "explained" and len(named) == 1:
         named = {NOTHING: probability(NOTHING, "explained", case.causes)}
     elif not causes and verdict != "unexplained":

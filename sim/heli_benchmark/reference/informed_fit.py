@@ -63,14 +63,14 @@ def fit_informed(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[True
     nothing = _fit(rig, records, (), {}, None)
     kinds = catalogue()
     effects, fixed_values = [], dict[str, float]()
-    for one in hidden:
-        kind = kinds[one.id]
+    for effect in hidden:
+        kind = kinds[effect.id]
         if kind.baseline:
             fixed_values |= kind.override
         elif not kind.noise_inputs:
-            effects.append(kind.make(one.start))
+            effects.append(kind.make(effect.start))
             # A free frequency would diverge before its torque, which starts small, has grown.
-            fixed_values |= {name: value for name, value in one.start.items() if name.endswith("_Hz")}
+            fixed_values |= {name: value for name, value in effect.start.items() if name.endswith("_Hz")}
     informed = _best(rig, records, effects, fixed_values, nothing) if effects or fixed_values else nothing
     train, held_out = _errors(informed, records[1])
     names = {name for effect in effects for name in effect.priors}
@@ -78,7 +78,7 @@ def fit_informed(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[True
         train,
         held_out,
         *_errors(nothing, records[1]),
-        {one.id: _significance(informed, kinds[one.id].size) for one in hidden},
+        {effect.id: _significance(informed, kinds[effect.id].size) for effect in hidden},
         {name: value for name, value in informed.values.items() if name in names},
         {name: value for name, value in informed.std.items() if name in names},
     )

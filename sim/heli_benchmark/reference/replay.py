@@ -39,13 +39,13 @@ class Forces:
         Thrusts, mean of each part.
     torque_Nm : ndarray (parts, 3)
         Torques in addition to those of MuJoCo, mean of each part.
-    seen_rad : ndarray (steps, 3)
+    encoder_rad : ndarray (steps, 3)
         Angles at the encoders, before quantisation.
     """
 
     thrust_N: Floats
     torque_Nm: Floats
-    seen_rad: Floats
+    encoder_rad: Floats
 
 
 @dataclass
@@ -72,24 +72,25 @@ class ReplayedRig:
         plant, parts = self._plant, steps(trajectory) * FINE
         halves = _HALVES // FINE
         thrust, torque = np.zeros((parts, 2)), np.zeros((parts, 3))
-        seen = np.empty((steps(trajectory), 3))
+        encoder_rad = np.empty((steps(trajectory), 3))
         # The board takes the angles at power-up for level.
         start = np.zeros(6)
-        for one in self.hidden:
-            one.rest(start)
+        for effect in self.hidden:
+            effect.rest(start)
         for k in range(steps(trajectory) * _HALVES):
             at = trajectory.moment(k)
             plant.act(at)
             thrust[k // halves] += at.thrust_N
             torque[k // halves] += at.torque_Nm
             if k % 2 == 0:
-                shown = plant.seen(at.angles_rad)
+                # An encoder with play depends on each earlier angle.
+                shown_rad = plant.encoder_angles_rad(at.angles_rad)
                 if k % _HALVES == 0:
-                    seen[k // _HALVES] = shown - start[:3]
-        return Forces(thrust / halves, torque / halves, seen)
+                    encoder_rad[k // _HALVES] = shown_rad - start[:3]
+        return Forces(thrust / halves, torque / halves, encoder_rad)
 
-    def accelerations(self, trajectory: TrueTrajectory, forces: Forces, every: int = 1) -> Floats:
-        """Return accelerations along a trajectory under given forces, rad/s2, shape (parts / every, 3).
+    def accelerations(self, trajectory: TrueTrajectory, forces: Forces, stride: int = 1) -> Floats:
+        """Return accelerations along a trajectory under given forces, rad/s2, shape (parts / stride, 3).
 
         Parameters
         ----------
@@ -97,23 +98,23 @@ class ReplayedRig:
             States of the rig.
         forces : Forces
             Thrusts and torques.
-        every : int
-            Evaluate each `every`-th part only.
+        stride : int
+            Evaluate each `stride`-th part only.
         """
         plant, halves = self._plant, _HALVES // FINE
-        found = np.empty((len(forces.thrust_N) // every, 3))
-        for i in range(len(found)):
-            part = i * every
-            k = part * halves + halves * every // 2
-            for one in plant.hidden:
-                one.during(trajectory.moment(k), plant.physics)
-            found[i] = plant.acceleration(
+        accelerations_rad_s2 = np.empty((len(forces.thrust_N) // stride, 3))
+        for i in range(len(accelerations_rad_s2)):
+            part = i * stride
+            k = part * halves + halves * stride // 2
+            for effect in plant.hidden:
+                effect.during(trajectory.moment(k), plant.physics)
+            accelerations_rad_s2[i] = plant.acceleration(
                 trajectory.angles_rad[k],
                 trajectory.rates_rad_s[k],
                 forces.thrust_N[part],
                 forces.torque_Nm[part],
             )
-        return found
+        return accelerations_rad_s2
 
 
 def inertia_kg_m2(rig: Rig, angles_rad: Floats) -> Floats:
@@ -132,13 +133,14 @@ def inertia_kg_m2(rig: Rig, angles_rad: Floats) -> Floats:
         Inertia in kg m2.
     """
     plant = MujocoPlant(rig, ())
-    found = np.empty((len(angles_rad), 3, 3))
-    still, none = np.zeros(3), np.zeros(2)
+    inertias = np.empty((len(angles_rad), 3, 3))
+    zeros, no_thrust = np.zeros(3), np.zeros(2)
     for i, angles in enumerate(angles_rad):
-        rest = plant.acceleration(angles, still, none, still)
-        answers = [plant.acceleration(angles, still, none, torque) - rest for torque in np.eye(3)]
-        found[i] = np.linalg.inv(np.array(answers).T)
-    return found
+        bias = plant.acceleration(angles, zeros, no_thrust, zeros)
+        # Columns of the inverse inertia: accelerations by a torque of 1 N m about each axis.
+        per_torque = [plant.acceleration(angles, zeros, no_thrust, torque) - bias for torque in np.eye(3)]
+        inertias[i] = np.linalg.inv(np.array(per_torque).T)
+    return inertias
 
 
 def acts_by_itself(effect: HiddenEffect) -> bool:

@@ -52,12 +52,12 @@ class CauseContribution:
     ----------
     torque_Nm : ndarray (n, 3)
         Torques about the axes.
-    seen_rad : ndarray (n, 3)
+    encoder_error_rad : ndarray (n, 3)
         Errors of the measured angles.
     """
 
     torque_Nm: Floats
-    seen_rad: Floats
+    encoder_error_rad: Floats
 
 
 def visibility(case: DisturbedCase, duration_s: float = TRAIN_S) -> dict[str, float]:
@@ -78,24 +78,25 @@ def visibility(case: DisturbedCase, duration_s: float = TRAIN_S) -> dict[str, fl
         return {}
     trajectory = case.fly(0, duration_s)[1]
     rig = case.rig()
-    line = LinearisedRig(trajectory, rig, case.disturbances)
-    acting = ReplayedRig(rig, case.hidden(0))
-    forces = acting.forces(trajectory)
-    acceleration = acting.accelerations(trajectory, forces)
+    linearised = LinearisedRig(trajectory, rig, case.disturbances)
+    with_all = ReplayedRig(rig, case.hidden(0))
+    forces = with_all.forces(trajectory)
+    acceleration = with_all.accelerations(trajectory, forces)
     causes = []
     for i in range(len(names)):
-        every = case.hidden(0)
-        rest = ReplayedRig(rig, [*every[:i], *every[i + 1 :]])
-        left = rest.forces(trajectory) if acts_by_itself(every[i]) else forces
-        lost = acceleration - rest.accelerations(trajectory, left)
-        causes.append(CauseContribution(line.torque(lost, FINE), forces.seen_rad - left.seen_rad))
-    others = imitators(rig, trajectory, forces, line)
-    white = line.innovations([*causes, *others])
-    return {name: line.remaining(white, i, len(causes)) for i, name in enumerate(names)}
+        effects = case.hidden(0)
+        without = ReplayedRig(rig, [*effects[:i], *effects[i + 1 :]])
+        forces_without = without.forces(trajectory) if acts_by_itself(effects[i]) else forces
+        difference = acceleration - without.accelerations(trajectory, forces_without)
+        encoder_error_rad = forces.encoder_rad - forces_without.encoder_rad
+        causes.append(CauseContribution(linearised.torque(difference, FINE), encoder_error_rad))
+    others = imitators(rig, trajectory, forces, linearised)
+    innovations = linearised.innovations([*causes, *others])
+    return {name: residual_norm(innovations, i, len(causes)) for i, name in enumerate(names)}
 
 
 def imitators(
-    rig: Rig, trajectory: TrueTrajectory, forces: Forces, line: LinearisedRig
+    rig: Rig, trajectory: TrueTrajectory, forces: Forces, linearised: LinearisedRig
 ) -> list[CauseContribution]:
     """Return the contribution of an error of each parameter by one standard deviation of its prior.
 
@@ -107,37 +108,38 @@ def imitators(
         States along the flight.
     forces : Forces
         Thrusts and torques along the flight.
-    line : LinearisedRig
+    linearised : LinearisedRig
         The rig linearised about the trajectory.
     """
     nothing = np.zeros((steps(trajectory), 3))
     base = ReplayedRig(rig, ()).accelerations(trajectory, forces, FINE)
-    found = []
+    contributions = []
 
-    def off(name: str) -> float:
+    def std(name: str) -> float:
         return 0.5 * rig[name].tolerance
 
     for name in (*_MECHANICAL, *_FRICTIONS):
-        if off(name):
-            other = ReplayedRig(rig.replace(**{name: rig[name].value + off(name)}), ())
-            change = other.accelerations(trajectory, forces, FINE) - base
-            found.append(CauseContribution(line.torque(change, 1), nothing))
+        if std(name):
+            changed_rig = ReplayedRig(rig.replace(**{name: rig[name].value + std(name)}), ())
+            change = changed_rig.accelerations(trajectory, forces, FINE) - base
+            contributions.append(CauseContribution(linearised.torque(change, 1), nothing))
     gain = rig["thrust_gain"].value
-    on = np.abs(forces.thrust_N) > 0.0
-    for thrust in (
-        forces.thrust_N * off("thrust_gain") / gain,
-        -gain * off("dead_zone") * np.sign(forces.thrust_N) * on,
+    is_on = np.abs(forces.thrust_N) > 0.0
+    for thrust_change_N in (
+        forces.thrust_N * std("thrust_gain") / gain,
+        -gain * std("dead_zone") * np.sign(forces.thrust_N) * is_on,
     ):
-        pushed = Forces(forces.thrust_N + thrust, forces.torque_Nm, forces.seen_rad)
-        change = ReplayedRig(rig, ()).accelerations(trajectory, pushed, FINE) - base
-        found.append(CauseContribution(line.torque(change, 1), nothing))
+        changed = Forces(forces.thrust_N + thrust_change_N, forces.torque_Nm, forces.encoder_rad)
+        change = ReplayedRig(rig, ()).accelerations(trajectory, changed, FINE) - base
+        contributions.append(CauseContribution(linearised.torque(change, 1), nothing))
     for i, axis in enumerate(("elevation", "pitch", "travel")):
-        steady = np.zeros((steps(trajectory), 3))
-        steady[:, i] = 1.0
-        found.append(CauseContribution(steady * off(f"torque_{axis}"), nothing))
+        constant = np.zeros((steps(trajectory), 3))
+        constant[:, i] = 1.0
+        contributions.append(CauseContribution(constant * std(f"torque_{axis}"), nothing))
         if i < 2:
-            found.append(CauseContribution(nothing, steady * math.radians(off(f"offset_{axis}"))))
-    return found
+            offset = constant * math.radians(std(f"offset_{axis}"))
+            contributions.append(CauseContribution(nothing, offset))
+    return contributions
 
 
 class LinearisedRig:
@@ -147,11 +149,11 @@ class LinearisedRig:
         halves = len(trajectory.time_s) // steps(trajectory)
         middle = slice(halves // 2, steps(trajectory) * halves, halves)
         self._inertia = inertia_kg_m2(rig, trajectory.angles_rad[middle])
-        self._push = np.linalg.inv(self._inertia)
+        self._inverse_inertia = np.linalg.inv(self._inertia)
         forces = ReplayedRig(rig, ()).forces(trajectory)
-        self._by_state = _jacobians(rig, trajectory, forces)
+        self._acceleration_by_state = _jacobians(rig, trajectory, forces)
         self._disturbances = disturbances
-        self._noise = np.diag(count_rad(rig) ** 2 / 12.0)
+        self._encoder_covariance = np.diag(count_rad(rig) ** 2 / 12.0)
 
     def torque(self, acceleration: Floats, parts: int) -> Floats:
         """Return the torques of an `acceleration`, rad/s2, given in `parts` of a step, as means of the steps,
@@ -165,72 +167,74 @@ class LinearisedRig:
 
         The error of the filter obeys a stable equation, so the unstable rig is not simulated.
         """
-        torques = np.stack([one.torque_Nm for one in contributions], axis=2)
-        seen = np.stack([one.seen_rad for one in contributions], axis=2)
-        h, see = GRID_S, np.eye(3, 12)
+        torques = np.stack([cause.torque_Nm for cause in contributions], axis=2)
+        encoder_errors = np.stack([cause.encoder_error_rad for cause in contributions], axis=2)
+        # States of the error: angles, rates, gusts and drift; the encoders measure the angles.
+        h, output = GRID_S, np.eye(3, 12)
         gusts = np.array(self._disturbances.gusts_Nm), math.exp(-h / self._disturbances.correlation_time_s)
         drift = np.array(self._disturbances.slow_std_Nm), math.exp(-h / self._disturbances.drift_s)
-        kicks = np.zeros((12, 12))
-        for start, (size, keep) in ((6, gusts), (9, drift)):
-            kicks[start : start + 3, start : start + 3] = np.diag(size**2 * (1.0 - keep**2))
+        process_covariance = np.zeros((12, 12))
+        for start, (std_Nm, decay) in ((6, gusts), (9, drift)):
+            process_covariance[start : start + 3, start : start + 3] = np.diag(std_Nm**2 * (1.0 - decay**2))
         covariance = np.diag([_START_RAD**2] * 3 + [_START_RAD_S**2] * 3 + [*gusts[0] ** 2, *drift[0] ** 2])
         error = np.zeros((12, len(contributions)))
-        white = np.empty((len(torques), 3, len(contributions)))
+        whitened = np.empty((len(torques), 3, len(contributions)))
         for k in range(len(torques)):
-            spread = see @ covariance @ see.T + self._noise
-            surprise = see @ error + seen[k]
-            white[k] = np.linalg.solve(np.linalg.cholesky(spread), surprise)
-            gain = np.linalg.solve(spread, see @ covariance).T
-            error = error - gain @ surprise
-            covariance = covariance - gain @ see @ covariance
-            step, pushed = self._step(k, gusts[1], drift[1])
-            error = step @ error + pushed @ torques[k]
-            covariance = step @ covariance @ step.T + kicks
+            innovation_covariance = output @ covariance @ output.T + self._encoder_covariance
+            innovation = output @ error + encoder_errors[k]
+            whitened[k] = np.linalg.solve(np.linalg.cholesky(innovation_covariance), innovation)
+            gain = np.linalg.solve(innovation_covariance, output @ covariance).T
+            error = error - gain @ innovation
+            covariance = covariance - gain @ output @ covariance
+            transition, input_matrix = self._step(k, gusts[1], drift[1])
+            error = transition @ error + input_matrix @ torques[k]
+            covariance = transition @ covariance @ transition.T + process_covariance
             covariance = 0.5 * (covariance + covariance.T)
-        return white.reshape(-1, len(contributions))
+        return whitened.reshape(-1, len(contributions))
 
-    def remaining(self, white: Floats, which: int, causes: int) -> float:
-        """Return the norm of a column of innovations after its projection on the others, under their priors.
-
-        Parameters
-        ----------
-        white : ndarray (rows, columns)
-            Columns of the causes, then of the parameters.
-        which : int
-            Column of the cause.
-        causes : int
-            Number of columns of causes.
-        """
-        column = white[:, which]
-        others = np.delete(white, which, axis=1)
-        others[:, : causes - 1] *= _OTHER_CAUSE
-        bent = others.T @ others + np.eye(others.shape[1])
-        toward = others.T @ column
-        left = column @ column - toward @ np.linalg.solve(bent, toward)
-        return math.sqrt(max(float(left), 0.0))
-
-    def _step(self, k: int, gust_keeps: float, drift_keeps: float) -> tuple[Floats, Floats]:
+    def _step(self, k: int, gust_decay: float, drift_decay: float) -> tuple[Floats, Floats]:
         """Return the transition matrix of a step, (12, 12), and the input matrix of a torque, (12, 3)."""
         h = GRID_S
         a = np.zeros((6, 6))
         a[:3, 3:] = np.eye(3)
-        a[3:] = self._by_state[k]
-        b = np.vstack([np.zeros((3, 3)), self._push[k]])
+        a[3:] = self._acceleration_by_state[k]
+        b = np.vstack([np.zeros((3, 3)), self._inverse_inertia[k]])
         # exp(a h) to third order: the time constants of the rig are tenths of a second.
-        moved = np.eye(6) + h * a + h**2 / 2.0 * a @ a + h**3 / 6.0 * a @ a @ a
-        pushed = (h * np.eye(6) + h**2 / 2.0 * a + h**3 / 6.0 * a @ a) @ b
-        step = np.zeros((12, 12))
-        step[:6, :6], step[:6, 6:9], step[:6, 9:] = moved, pushed, pushed
-        step[6:9, 6:9], step[9:, 9:] = gust_keeps * np.eye(3), drift_keeps * np.eye(3)
-        return step, np.vstack([pushed, np.zeros((6, 3))])
+        motion = np.eye(6) + h * a + h**2 / 2.0 * a @ a + h**3 / 6.0 * a @ a @ a
+        by_torque = (h * np.eye(6) + h**2 / 2.0 * a + h**3 / 6.0 * a @ a) @ b
+        transition = np.zeros((12, 12))
+        transition[:6, :6], transition[:6, 6:9], transition[:6, 9:] = motion, by_torque, by_torque
+        transition[6:9, 6:9], transition[9:, 9:] = gust_decay * np.eye(3), drift_decay * np.eye(3)
+        return transition, np.vstack([by_torque, np.zeros((6, 3))])
+
+
+def residual_norm(innovations: Floats, which: int, causes: int) -> float:
+    """Return the norm of a column of innovations after its projection on the others, under their priors.
+
+    Parameters
+    ----------
+    innovations : ndarray (rows, columns)
+        Whitened innovations of the causes, then of the parameters.
+    which : int
+        Column of the cause.
+    causes : int
+        Number of columns of causes.
+    """
+    column = innovations[:, which]
+    others = np.delete(innovations, which, axis=1)
+    others[:, : causes - 1] *= _OTHER_CAUSE
+    gram = others.T @ others + np.eye(others.shape[1])
+    correlation = others.T @ column
+    remaining = column @ column - correlation @ np.linalg.solve(gram, correlation)
+    return math.sqrt(max(float(remaining), 0.0))
 
 
 def _jacobians(rig: Rig, trajectory: TrueTrajectory, forces: Forces) -> Floats:
     """Return the derivatives of the accelerations by angles and rates at each step, shape (n, 3, 6)."""
-    plain = ReplayedRig(rig, ())
-    base = plain.accelerations(trajectory, forces, FINE)
-    found = np.empty((steps(trajectory), 3, 6))
+    nominal = ReplayedRig(rig, ())
+    base = nominal.accelerations(trajectory, forces, FINE)
+    jacobians = np.empty((steps(trajectory), 3, 6))
     for i in range(6):
-        moved = trajectory.moved(i, _SMALL)
-        found[:, :, i] = (plain.accelerations(moved, forces, FINE) - base) / _SMALL
-    return found
+        perturbed = trajectory.perturbed(i, _SMALL)
+        jacobians[:, :, i] = (nominal.accelerations(perturbed, forces, FINE) - base) / _SMALL
+    return jacobians

@@ -97,14 +97,14 @@ def run(case: Case, folder: Path, *, keep: bool = False, refits: int = REFITS) -
     Row
         The judgement.
     """
-    ready = prepare(case, folder, keep=keep)
+    prepared = prepare(case, folder, keep=keep)
     code = _digest("", _DIAGNOSIS_FILES)
     place = folder / case.name / "diagnosis.json"
-    answer = _kept(place, code, keep, lambda: timed_diagnosis(ready.rig, ready.flights, refits))
+    answer = _kept(place, code, keep, lambda: timed_diagnosis(prepared.rig, prepared.flights, refits))
     return judge(
         case,
-        hidden_in(case, _motors_on_s(ready.flights[0], ready.rig)),
-        ready.reference,
+        hidden_in(case, _motors_on_s(prepared.flights[0], prepared.rig)),
+        prepared.reference,
         answer["result"],
         answer["seconds"],
         answer["failure"],
@@ -115,8 +115,8 @@ def run(case: Case, folder: Path, *, keep: bool = False, refits: int = REFITS) -
 
 def run_named_case(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Run a case of a campaign by its name in `settings`; return its summary and its row."""
-    every = (*clean_cases(), *disturbed_cases())
-    case = next(one for one in every if one.name == settings["case"])
+    cases = (*clean_cases(), *disturbed_cases())
+    case = next(candidate for candidate in cases if candidate.name == settings["case"])
     row = run(case, Path(settings["folder"]), keep=settings["keep"], refits=settings["refits"])
     answer = {
         "verdict": row.verdict,
@@ -196,16 +196,16 @@ def _conditions(case: DisturbedCase) -> dict[str, Any]:
 def _motors_on_s(flight: Flight, rig: Rig) -> float:
     # Drivers pass no voltage below their dead band.
     least_V = rig["driver_dead_band"].value * rig["supply"].value
-    on = (flight.voltages_V > least_V).any(axis=1)
-    return float(flight.t_s[on][0] - flight.t_s[0])
+    is_on = (flight.voltages_V > least_V).any(axis=1)
+    return float(flight.t_s[is_on][0] - flight.t_s[0])
 
 
 def _kept(path: Path, made_by: str, keep: bool, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """Read the result of an earlier run with the same code, or compute and write it."""
     if path.exists():
-        found: dict[str, Any] = json.loads(path.read_text())
-        if keep or found["made_by"] == made_by:
-            return dict(found["what"])
+        earlier: dict[str, Any] = json.loads(path.read_text())
+        if keep or earlier["made_by"] == made_by:
+            return dict(earlier["what"])
     what = make()
     unfinished = path.with_suffix(".unfinished")
     unfinished.write_text(json.dumps({"made_by": made_by, "what": what}, indent=1, default=float))

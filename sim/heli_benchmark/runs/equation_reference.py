@@ -23,7 +23,8 @@ from heli_sim.rig import Prior, Quantity, load_rig
 from heli_benchmark.cases.clean import VALIDATE_S
 from heli_benchmark.cases.disturbed_case import DisturbedCase
 from heli_benchmark.effects.equations import EQUATIONS, EquationInputs, TrueEquation, Unlisted
-from heli_benchmark.reference.replay import FINE, GRID_S, ReplayedRig, inertia_kg_m2, steps
+from heli_benchmark.reference.equation_torque import torque_correlation, true_torque_Nm
+from heli_benchmark.reference.replay import inertia_kg_m2
 from heli_benchmark.runs.ask import REFITS, run_diagnosis
 
 _AXES = ("elevation", "pitch", "travel")
@@ -42,34 +43,35 @@ class TrueEquationEffect(Effect):
     def __hash__(self) -> int:
         return hash((self.name, tuple(self.values.items())))
 
-    def _seen(self, at: Operands) -> EquationInputs:
+    def _inputs(self, at: Operands) -> EquationInputs:
         q = [at.state[f"{axis}_rad"] for axis in _AXES]
         w = [at.state[f"{axis}_rate_rad_s"] for axis in _AXES]
         late = self.own(at, "late") if self.states else 0.0
         return EquationInputs(q, w, [at.thrust_N[0], at.thrust_N[1]], late)
 
     def _value(self, at: Operands) -> ca.SX:
-        value: ca.SX = self.own(at, "size") * self.equation.value(ca, self._seen(at), self.numbers)
+        value: ca.SX = self.own(at, "size") * self.equation.value(ca, self._inputs(at), self.numbers)
         return value
 
     def torque_Nm(self, at: Operands) -> ca.SX:
-        kind, _, where = self.equation.channel.partition(".")
-        on = kind == "torque"
-        return ca.vertcat(*(self._value(at) if on and where == axis else ca.SX(0) for axis in _AXES))
+        kind, _, acting_axis = self.equation.channel.partition(".")
+        if kind != "torque":
+            return ca.SX.zeros(3)
+        return ca.vertcat(*(self._value(at) if axis == acting_axis else ca.SX(0) for axis in _AXES))
 
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        kind, _, where = self.equation.channel.partition(".")
+        kind, _, rotors = self.equation.channel.partition(".")
         if kind != "thrust":
             return thrust_N
-        on = {"both": (1.0, 1.0), "front": (1.0, 0.0), "back": (0.0, 1.0)}[where]
-        return thrust_N * (1.0 + self._value(at) * ca.DM(on))
+        shares = {"both": (1.0, 1.0), "front": (1.0, 0.0), "back": (0.0, 1.0)}[rotors]
+        return thrust_N * (1.0 + self._value(at) * ca.DM(shares))
 
     def state_rates(self, at: Operands) -> ca.SX:
         if not self.states:
             return ca.SX.zeros(0)
         assert self.equation.remembers is not None
-        seen = self._seen(at)
-        return ca.SX((self.equation.remembers(seen) - seen.late) / self.numbers["lag_s"])
+        inputs = self._inputs(at)
+        return ca.SX((self.equation.remembers(inputs) - inputs.late) / self.numbers["lag_s"])
 
 
 def true_equation_effect(hidden: Unlisted) -> TrueEquationEffect:
@@ -86,28 +88,6 @@ def true_equation_effect(hidden: Unlisted) -> TrueEquationEffect:
         equation=hidden.equation,
         numbers=hidden.numbers,
     )
-
-
-def true_torque_Nm(case: DisturbedCase) -> tuple[Floats, Floats]:
-    """Return times and torques of the hidden equation along the validation flight, shapes (n,) and (n, 3).
-
-    The torque is the difference of MuJoCo with and without the equation.
-    """
-    trajectory = case.fly(1, VALIDATE_S)[1]
-    rig = case.rig()
-    every = case.hidden(1)
-    acting, rest = ReplayedRig(rig, every), ReplayedRig(rig, _without_equation(case.hidden(1)))
-    with_it = acting.accelerations(trajectory, acting.forces(trajectory), FINE)
-    without = rest.accelerations(trajectory, rest.forces(trajectory), FINE)
-    halves = len(trajectory.time_s) // steps(trajectory)
-    middle = slice(halves // 2, steps(trajectory) * halves, halves)
-    inertia = inertia_kg_m2(rig, trajectory.angles_rad[middle])
-    torque = np.einsum("nij,nj->ni", inertia, with_it - without)
-    return np.asarray(GRID_S * (np.arange(len(torque)) + 0.5), float), np.asarray(torque, float)
-
-
-def _without_equation(hidden: list[Any]) -> list[Any]:
-    return [one for one in hidden if not isinstance(one, Unlisted)]
 
 
 def judge_equation(
@@ -131,16 +111,16 @@ def judge_equation(
         on which the equation acts most.
     """
     rig = load_rig(case.rig_name)
-    found = run_diagnosis(rig, flights, refits)
-    proposed = found.proposed_term
+    diagnosis = run_diagnosis(rig, flights, refits)
+    proposed = diagnosis.proposed_term
     answer: dict[str, Any] = {
-        "verdict": found.label,
-        "causes": [one.candidate.id for one in found.verdict.causes],
+        "verdict": diagnosis.label,
+        "causes": [cause.candidate.id for cause in diagnosis.verdict.causes],
         "channel": None,
         "expression": None,
-        "seconds": found.effort.seconds,
+        "seconds": diagnosis.effort.seconds,
     }
-    unlisted = [one for one in case.hidden(0) if isinstance(one, Unlisted)]
+    unlisted = [effect for effect in case.hidden(0) if isinstance(effect, Unlisted)]
     if proposed is not None:
         answer |= {
             "channel": proposed.equation.channels[0],
@@ -152,14 +132,12 @@ def judge_equation(
         return answer
     records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]
     comparison = ModelComparison(MultibodyModel(), rig, records[:1], records[1:])
-    time_s, truth = true_torque_Nm(case)
-    seen_s, law = equation_torque_Nm(comparison, proposed.discovery.hypothesis, case)
-    there = (time_s >= seen_s[0]) & (time_s <= seen_s[-1])
-    at = np.column_stack([np.interp(time_s[there], seen_s, law[:, i]) for i in range(3)])
-    axis = int(np.argmax(truth[there].std(axis=0)))
+    true_s, true_Nm = true_torque_Nm(case, 1, VALIDATE_S)
+    proposed_s, proposed_Nm = equation_torque_Nm(comparison, proposed.discovery.hypothesis, case)
+    axis, correlation = torque_correlation(true_s, true_Nm, proposed_s, proposed_Nm)
     answer["axis"] = _AXES[axis]
-    answer["correlation"] = float(np.corrcoef(truth[there][:, axis], at[:, axis])[0, 1])
-    answer["error_ratio"] = _error_ratio(comparison, found, case, unlisted[0], axis)
+    answer["correlation"] = correlation
+    answer["error_ratio"] = _error_ratio(comparison, diagnosis, case, unlisted[0], axis)
     return answer
 
 
@@ -168,20 +146,22 @@ def equation_torque_Nm(
 ) -> tuple[Floats, Floats]:
     """Return times and torques of a proposed equation along the validation flight, shapes (n,) and (n, 3)."""
     estimate = comparison.held_out_estimate(hypothesis)
-    seen_s, change = accelerations(estimate, NAME)
+    times_s, change_rad_s2 = accelerations(estimate, NAME)
     (linear,) = estimate.filtered().linearised_flights
     inertia = inertia_kg_m2(case.rig(), linear.trajectory.state[:, :3])
-    return seen_s, np.asarray(np.einsum("nij,nj->ni", inertia, change), float)
+    return times_s, np.asarray(np.einsum("nij,nj->ni", inertia, change_rad_s2), float)
 
 
 def _error_ratio(
-    comparison: ModelComparison, found: Diagnosis, case: DisturbedCase, hidden: Unlisted, axis: int
+    comparison: ModelComparison, diagnosis: Diagnosis, case: DisturbedCase, hidden: Unlisted, axis: int
 ) -> float:
     """Error over 2 s of the validation flight, divided by that of the fit with the true equation."""
-    assert found.proposal is not None
+    assert diagnosis.proposal is not None
     truth = Candidate("true_equation", true_equation_effect(hidden), ("true_equation_size",))
-    reached = informed_errors_deg(comparison, [*listed_candidates(name for name, _ in case.effects), truth])
-    return found.proposal.evaluation.reductions[_AXES[axis]].after_deg / reached[_AXES[axis]]
+    informed_deg = informed_errors_deg(
+        comparison, [*listed_candidates(name for name, _ in case.effects), truth]
+    )
+    return diagnosis.proposal.evaluation.reductions[_AXES[axis]].after_deg / informed_deg[_AXES[axis]]
 
 
 def listed_candidates(names: Iterable[str]) -> list[Candidate]:
@@ -192,8 +172,8 @@ def listed_candidates(names: Iterable[str]) -> list[Candidate]:
 
 def informed_errors_deg(comparison: ModelComparison, candidates: Sequence[Candidate]) -> dict[str, float]:
     """Return errors over 2 s of the validation flight by axis, of a fit with the true causes, degrees."""
-    start = {name: value for one in candidates for name, value in one.effect.values.items()}
+    start = {name: value for candidate in candidates for name, value in candidate.effect.values.items()}
     hypothesis = comparison.refit(candidates, start, comparison.refit([]))
     fit = predict(hypothesis.estimate, comparison.train, comparison.held_out).fit
     runs = free_runs(fit, comparison.held_out)
-    return {axis: one.after_deg for axis, one in compare_free_runs(runs, runs, 0).horizons["2"].items()}
+    return {axis: error.after_deg for axis, error in compare_free_runs(runs, runs, 0).horizons["2"].items()}

@@ -45,8 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from heli_benchmark.cases.unlisted_equations import equation_cases
     from heli_benchmark.runs.equation_reference import judge_equation
 
-    every = [one for one in disturbed_cases() if not one.unlisted] if given.nothing else equation_cases()
-    rows = judge_rows(chosen(every, given), judge_equation, _said, given)
+    cases = [case for case in disturbed_cases() if not case.unlisted] if given.nothing else equation_cases()
+    rows = judge_rows(chosen(cases, given), judge_equation, _describe_row, given)
     print(equation_summary(rows))
     return 0 if all("failure" not in row for row in rows.values()) else 1
 
@@ -56,7 +56,7 @@ def add_rows(parser: argparse.ArgumentParser, json_file: Path) -> None:
     add_choice(parser)
     parser.add_argument("--keep", action="store_true", help="use flights that exist")
     parser.add_argument("--json", type=Path, default=json_file)
-    parser.set_defaults(seen=False)
+    parser.set_defaults(visibilities=False)
 
 
 def judge_rows(
@@ -89,13 +89,13 @@ def judge_rows(
             continue
         started_s = time.process_time()
         try:
-            ready = prepare(case, given.folder, keep=given.keep)
-            reference = ready.reference
+            prepared = prepare(case, given.folder, keep=given.keep)
+            reference = prepared.reference
             row: EquationRow = {"visibility": reference if isinstance(reference, dict) else {}}
             if given.seen and not is_visible(row):
                 print(f"{case.name}: not visible, {row['visibility']}", flush=True)
                 continue
-            row |= judge(case, ready.flights)
+            row |= judge(case, prepared.flights)
         except Exception as error:  # noqa: BLE001 - an error in one case must not end the others
             row = {"failure": f"{type(error).__name__}: {error}"}
         row["cpu_seconds"] = time.process_time() - started_s
@@ -113,15 +113,17 @@ def is_visible(row: EquationRow) -> bool:
     )
 
 
-def _said(row: EquationRow) -> str:
+def _describe_row(row: EquationRow) -> str:
     if "failure" in row:
         return str(row["failure"])
-    seen = ", ".join(f"{name} {z:.0f}" for name, z in row["visibility"].items())
-    law = row["expression"] or "no equation"
+    visibilities = ", ".join(f"{name} {z:.0f}" for name, z in row["visibility"].items())
+    expression = row["expression"] or "no equation"
     numbers = ""
     if "correlation" in row:
         numbers = f"; correlation {row['correlation']:.3f}, error {row['error_ratio']:.2f} of informed"
-    return f"[{seen}] {row['verdict']}, {', '.join(row['causes']) or 'no cause'}: {law}{numbers}"
+    return (
+        f"[{visibilities}] {row['verdict']}, {', '.join(row['causes']) or 'no cause'}: {expression}{numbers}"
+    )
 
 
 def equation_summary(rows: dict[str, EquationRow]) -> str:
@@ -139,12 +141,12 @@ def equation_summary(rows: dict[str, EquationRow]) -> str:
     ]
     others = [row for name, row in rows.items() if not name.startswith("law-") and "failure" not in row]
     proposed = [row for row in equations if row["expression"]]
-    good = [row for row in equations if row.get("correlation", 0.0) >= MIN_CORRELATION]
-    near = [row for row in equations if row.get("error_ratio", 99.0) <= MAX_ERROR_RATIO]
+    correlated = [row for row in equations if row.get("correlation", 0.0) >= MIN_CORRELATION]
+    accurate = [row for row in equations if row.get("error_ratio", 99.0) <= MAX_ERROR_RATIO]
     return (
         f"visible equations: {len(equations)}, proposed {len(proposed)}, "
-        f"correlation of {MIN_CORRELATION} and more {len(good)}, "
-        f"error within {MAX_ERROR_RATIO} of informed {len(near)}; proposed where none is hidden: "
+        f"correlation of {MIN_CORRELATION} and more {len(correlated)}, "
+        f"error within {MAX_ERROR_RATIO} of informed {len(accurate)}; proposed where none is hidden: "
         f"{sum(bool(row['expression']) for row in others)} of {len(others)}"
     )
 

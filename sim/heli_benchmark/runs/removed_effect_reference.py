@@ -43,27 +43,28 @@ def judge_replacement(
     """
     rig = load_rig(case.rig_name)
     name = case.effects[-1][0]
-    found = run_diagnosis(rig, flights, refits, (name, *REMOVED[name]))
-    proposed = found.proposed_term
+    diagnosis = run_diagnosis(rig, flights, refits, (name, *REMOVED[name]))
+    proposed = diagnosis.proposed_term
     records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]
     comparison = ModelComparison(MultibodyModel(), rig, records[:1], records[1:])
-    rest = listed_candidates(one for one, _ in case.effects[:-1])
-    without, informed = (
-        informed_errors_deg(comparison, [*rest, *more]) for more in ([], listed_candidates([name]))
+    other_causes = listed_candidates(effect for effect, _ in case.effects[:-1])
+    errors_without_deg, informed_deg = (
+        informed_errors_deg(comparison, [*other_causes, *more]) for more in ([], listed_candidates([name]))
     )
-    axis = max(informed, key=lambda name: without[name] / informed[name])
-    proposal = found.proposal
-    gains = found.error_reductions if proposal is None else proposal.evaluation.reductions
+    axis = max(informed_deg, key=lambda name: errors_without_deg[name] / informed_deg[name])
+    proposal = diagnosis.proposal
+    gains = diagnosis.error_reductions if proposal is None else proposal.evaluation.reductions
     answer: dict[str, Any] = {
-        "verdict": found.label,
-        "causes": [one.candidate.id for one in found.verdict.causes],
+        "verdict": diagnosis.label,
+        "causes": [cause.candidate.id for cause in diagnosis.verdict.causes],
         "expression": None if proposed is None else proposed.sentence,
         "axis": axis,
-        "without_deg": without[axis],
-        "informed_deg": informed[axis],
+        "without_deg": errors_without_deg[axis],
+        "informed_deg": informed_deg[axis],
         "found_deg": gains[axis].after_deg,
-        "share": (without[axis] - gains[axis].after_deg) / (without[axis] - informed[axis]),
-        "seconds": found.effort.seconds,
+        "share": (errors_without_deg[axis] - gains[axis].after_deg)
+        / (errors_without_deg[axis] - informed_deg[axis]),
+        "seconds": diagnosis.effort.seconds,
     }
     if proposed is not None:
         path = folder / case.name / "proposed.py"

@@ -37,17 +37,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from heli_benchmark.runs.removed_effect_reference import judge_replacement
 
     cases = chosen(removed_effect_cases(), given)
-    rows = judge_rows(cases, lambda one, two: judge_replacement(one, two, given.folder), _said, given)
+    rows = judge_rows(
+        cases, lambda case, flights: judge_replacement(case, flights, given.folder), _describe_row, given
+    )
     print(removed_effect_summary(rows))
     return 0 if all("failure" not in row for row in rows.values()) else 1
 
 
-def _said(row: EquationRow) -> str:
+def _describe_row(row: EquationRow) -> str:
     if "failure" in row:
         return str(row["failure"])
-    seen = list(row["visibility"].values())[-1]
+    visibility_std = list(row["visibility"].values())[-1]
     return (
-        f"[{seen:.0f}] {row['verdict']}, {', '.join(row['causes']) or 'no cause'}: "
+        f"[{visibility_std:.0f}] {row['verdict']}, {', '.join(row['causes']) or 'no cause'}: "
         f"{row['expression'] or 'no equation'}; {row['axis']} off by {row['without_deg']:.3g} deg without, "
         f"{row['found_deg']:.3g} with it, {row['informed_deg']:.3g} with the effect: share {row['share']:.2f}"
         f"{'; flown: ' + row['flies'] if 'flies' in row else ''}"
@@ -56,13 +58,13 @@ def _said(row: EquationRow) -> str:
 
 def removed_effect_summary(rows: Mapping[str, EquationRow]) -> str:
     """Count equations that fly and explain `SHARE` of the error; `rows` are by case, as in the file."""
-    ended = [row for row in rows.values() if "failure" not in row]
-    proposed = [row for row in ended if row["expression"]]
+    completed = [row for row in rows.values() if "failure" not in row]
+    proposed = [row for row in completed if row["expression"]]
     flying = [row for row in proposed if row["flies"] == "completed"]
-    good = [row for row in flying if row["share"] >= SHARE]
+    explaining = [row for row in flying if row["share"] >= SHARE]
     return (
-        f"effects removed: {len(ended)}, equations proposed {len(proposed)}, flown {len(flying)}, "
-        f"explain {SHARE:.0%} of the error of the effect {len(good)}"
+        f"effects removed: {len(completed)}, equations proposed {len(proposed)}, flown {len(flying)}, "
+        f"explain {SHARE:.0%} of the error of the effect {len(explaining)}"
     )
 
 

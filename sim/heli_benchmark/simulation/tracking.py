@@ -96,19 +96,19 @@ def tracked(
     pilot = _Pilot(nominal, controller, step_s, rng)
     counts_rad = count_rad(rig)
     state = np.zeros(6)
-    for one in hidden:
-        one.rest(state)
+    for effect in hidden:
+        effect.rest(state)
     # The controller takes the first angles for level.
     believed_rad = state[:3].copy()
-    seen = plant.seen(state[:3])
+    encoder_rad = plant.encoder_angles_rad(state[:3])
     rows: Floats = np.empty((len(times_s), 5))
     for k in range(len(times_s)):
-        angles = np.round((seen - believed_rad) / counts_rad) * counts_rad
+        angles = np.round((encoder_rad - believed_rad) / counts_rad) * counts_rad
         volts = pilot.volts(angles, wanted[k], excited_V[k])
         rows[k] = (*volts, *angles)
         for _ in range(ticks):
             after, measured = plant.millisecond(state.tolist(), volts.tolist())
-            state, seen = np.array(after), np.array(measured)
+            state, encoder_rad = np.array(after), np.array(measured)
         if abs(state[1]) > _MAX_PITCH_rad or abs(state[0]) > _MAX_ELEVATION_rad:
             raise FlightAborted(f"at {times_s[k]:.1f} s the rig leaves its angles", "draw another seed")
     return Flight(times_s, *np.ascontiguousarray(rows.T))

@@ -19,6 +19,8 @@ def causes_content() -> dict[str, Any]:
         content[name] = {
             "base_rate": round(rate, 6),
             "meaning": meaning if spec is None else spec.equation,
-            "parameters": {} if spec is None else {one.name: one.unit for one in spec.parameters},
+            "parameters": {}
+            if spec is None
+            else {quantity.name: quantity.unit for quantity in spec.parameters},
         }
     return content

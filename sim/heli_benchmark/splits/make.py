@@ -9,26 +9,31 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
 from heli_sim.rig import load_rig
 
 from heli_benchmark.cases.published import PublishedCase, published_cases, redrawn
 from heli_benchmark.errors import BenchmarkError
+from heli_benchmark.reference.equation_torque import true_torque_Nm
 from heli_benchmark.reference.truth import hidden_in
 from heli_benchmark.reference.visibility import visibility
 from heli_benchmark.splits.causes import causes_content
 from heli_benchmark.splits.data_card import write_card
 from heli_benchmark.splits.seal import Seal
+from heli_benchmark.task.axis_series import AxisSeries, flight_name, series_content
 from heli_benchmark.task.case import write_case
 from heli_benchmark.task.commitments import write_commitments
 from heli_benchmark.task.json_file import read_json, write_json
-from heli_benchmark.task.split import CAUSES_FILE, SCHEMA
+from heli_benchmark.task.split import CAUSES_FILE, SCHEMA, torques_file
 
 MAX_ATTEMPTS: Final = 8
 """Draws of routes until another case is drawn. Fewer: easy rigs become more frequent. More: time."""
 MAX_REDRAWS: Final = 8
 """Draws of a case until the split is given up. One of 120 cases needed a redraw."""
+_TORQUE_DECIMALS: Final = 7
+"""Decimals of torques in N m; the smallest hidden ones are 0.001 N m."""
 
 
 def make_split(
@@ -123,6 +128,9 @@ def _fly_and_write(case: PublishedCase, folder: Path, truth_folder: Path, seal: 
     if seal is not None:
         truth["salt"] = seal.salt(case.name)
     write_json(truth_folder / f"{case.name}.json", truth)
+    if case.unlisted:
+        # Beside the truth, whose digest is published: the draw gives these torques again.
+        write_json(truth_folder / torques_file(case.name), unlisted_torques(case))
     # Renamed when complete: a folder in `cases` is whole.
     unfinished = folder / f"unfinished-{case.name}"
     shutil.rmtree(unfinished, ignore_errors=True)
@@ -161,6 +169,15 @@ def fly_case(case: PublishedCase) -> tuple[PublishedCase, tuple[Flight, ...]]:
     )
 
 
+def unlisted_torques(case: PublishedCase) -> dict[str, Any]:
+    """Return the torques of the unlisted causes along each validation flight, as their file has them."""
+    series = {}
+    for number, duration_s in enumerate(case.validation_s):
+        t_s, torque_Nm = true_torque_Nm(case, len(case.training_s) + number, duration_s)
+        series[flight_name(number)] = AxisSeries(t_s, np.round(torque_Nm, _TORQUE_DECIMALS))
+    return series_content(series, "Nm")
+
+
 def truth_content(case: PublishedCase, flight: Flight) -> dict[str, Any]:
     """Return the truth of a case, as its file has it.
 
@@ -185,7 +202,9 @@ def truth_content(case: PublishedCase, flight: Flight) -> dict[str, Any]:
         "case": case.name,
         "causes": causes,
         "unlisted": unlisted,
-        "rig": {one: true_rig[one].value for one in true_rig if true_rig[one].value != nominal[one].value},
+        "rig": {
+            name: true_rig[name].value for name in true_rig if true_rig[name].value != nominal[name].value
+        },
         "conditions": {
             "rig": case.rig_name,
             "rate_Hz": case.rate_Hz,

@@ -11,10 +11,14 @@ from typing import Any, Final
 from heli_sim.rig import RIG_QUANTITIES
 
 from heli_benchmark.errors import BenchmarkError
+from heli_benchmark.task.axis_series import AxisSeries, read_series, series_content
 from heli_benchmark.task.json_file import read_json, write_json
 from heli_benchmark.task.split import NOTHING, SCHEMA, Causes
 
-_KEYS: Final = {"schema", "probabilities", "parameters", "equation"}
+_KEYS: Final = {
+    *("schema", "probabilities", "parameters"),
+    *("equation", "equation_torques", "predicted_flights"),
+}
 _RIG_PARAMETERS: Final = frozenset(quantity.name for quantity in RIG_QUANTITIES)
 _ROUNDING: Final = 1e-6
 
@@ -48,11 +52,18 @@ class Answer:
         Estimates by name, of causes or of the rig.
     equation : str
         An equation in words or symbols, for readers; it is not scored.
+    equation_torques : Mapping[str, AxisSeries]
+        Torques of the unlisted cause along validation flights, by flight, N m; empty if there are none.
+    predicted_flights : Mapping[str, AxisSeries]
+        Angles of validation flights, rad, each predicted from the voltages and from the angles up to 1 s
+        earlier; empty if the model of the answer predicts.
     """
 
     probabilities: Mapping[str, float]
     parameters: Mapping[str, Estimate] = field(default_factory=dict)
     equation: str = ""
+    equation_torques: Mapping[str, AxisSeries] = field(default_factory=dict)
+    predicted_flights: Mapping[str, AxisSeries] = field(default_factory=dict)
 
 
 def check_answer(content: object, causes: Causes, where: str) -> Answer:
@@ -98,7 +109,13 @@ def check_answer(content: object, causes: Causes, where: str) -> Answer:
     if not isinstance(equation, str):
         raise BenchmarkError(f"{where}: the equation is not text", "give text, or leave the key out")
     parameters = _parameters(content.get("parameters", {}), causes, where)
-    return Answer({name: float(value) for name, value in given.items()}, parameters, equation)
+    return Answer(
+        {name: float(value) for name, value in given.items()},
+        parameters,
+        equation,
+        read_series(content.get("equation_torques", {}), "Nm", f"{where}: 'equation_torques'"),
+        read_series(content.get("predicted_flights", {}), "rad", f"{where}: 'predicted_flights'"),
+    )
 
 
 def _parameters(given: object, causes: Causes, where: str) -> dict[str, Estimate]:
@@ -154,6 +171,8 @@ def answer_content(answer: Answer) -> dict[str, Any]:
         "probabilities": dict(answer.probabilities),
         "parameters": {name: asdict(of) for name, of in answer.parameters.items()},
         "equation": answer.equation,
+        "equation_torques": series_content(answer.equation_torques, "Nm"),
+        "predicted_flights": series_content(answer.predicted_flights, "rad"),
     }
 
 

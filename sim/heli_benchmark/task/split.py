@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_benchmark.errors import BenchmarkError
+from heli_benchmark.task.axis_series import AxisSeries, read_series
 from heli_benchmark.task.commitments import read_commitments, verify_commitment
 from heli_benchmark.task.json_file import read_json
 
@@ -100,6 +101,35 @@ class Split:
         if self.commitments is not None:
             verify_commitment(file, self.commitments.get(case))
         return read_json(file, "give the folder of the truths with --truth")
+
+    def unlisted_torques_Nm(self, case: str) -> dict[str, AxisSeries]:
+        """Read the torques of the unlisted causes of a case along its validation flights, by flight.
+
+        Parameters
+        ----------
+        case : str
+            Name of the case.
+
+        Returns
+        -------
+        dict of AxisSeries
+            Empty if the case has no unlisted cause, or an earlier release made the split.
+        """
+        file = self.truth_folder / torques_file(case)
+        if not file.exists():
+            return {}
+        return read_series(read_json(file, _REMEDY), "Nm", str(file))
+
+
+def torques_file(case: str) -> str:
+    """Return the name of the file with the torques of the unlisted causes of a case.
+
+    Parameters
+    ----------
+    case : str
+        Name of the case.
+    """
+    return f"{case}-torques.json"
 
 
 def read_split(folder: Path, truth_folder: Path | None = None) -> Split:

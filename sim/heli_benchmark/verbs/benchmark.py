@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from heli_host.cli.options import JsonOption
@@ -102,6 +102,15 @@ def run(
         int, typer.Option("--memory-limit", metavar="MB", min=200, help="Limit the memory of a case.")
     ] = 6000,
     workers: WorkersOption = 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Use a Dask cluster, such as tcp://10.0.0.1:8786.  [default: this machine]",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Run a method on each case of a split, in a process with limits.
 
@@ -109,8 +118,14 @@ def run(
     continues with the remaining cases. The method can read every file that you can read, so run only methods
     that you trust.
 
+    With --scheduler, the cases run on the workers of a Dask cluster. The workers must see the folders of
+    split, method and resources under the same paths, and --workers does not apply.
+
     Example: `heli-host benchmark run public --method mymethod.py:diagnose -o runs/mymethod`
     """
+    from functools import partial
+
+    from heli_benchmark.cluster import run_on_cluster
     from heli_benchmark.entries import RunLimits, run_method
     from heli_benchmark.task import read_split
 
@@ -120,7 +135,16 @@ def run(
         say_progress(f"{case}: {failure or 'answered'}")
 
     limits = RunLimits(cpu_limit, memory_limit)
-    run_method(split, method, output, limits=limits, resources=resources, workers=workers, say=show)
+    run_method(
+        split,
+        method,
+        output,
+        limits=limits,
+        resources=resources,
+        workers=workers,
+        distribute=None if scheduler is None else partial(run_on_cluster, scheduler),
+        say=show,
+    )
     say_files([output])
 
 
@@ -137,15 +161,15 @@ def score(
     """
     from heli_host.cli.outputs import check_result_places
 
-    from heli_benchmark.leaderboard import score_run, summarise_runs
+    from heli_benchmark.leaderboard import score_runs, summarise_runs
     from heli_benchmark.leaderboard.report import comparison_table, pair_lines
     from heli_benchmark.task import read_split
 
     check_result_places(json)
     data_on_stdout(json)
     split = read_split(folder, truth)
-    references: dict[str, Any] = {}
-    summary = summarise_runs({run.name: score_run(split, run, references) for run in runs})
+    names = [run.name for run in runs]
+    summary = summarise_runs(dict(zip(names, score_runs(split, runs), strict=True)))
     say(*comparison_table(summary).splitlines(), *pair_lines(summary))
     if write_result(json, summary):
         return

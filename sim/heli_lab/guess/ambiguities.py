@@ -162,7 +162,10 @@ def unit_ambiguities(
             Ambiguity(
                 "the units",
                 _describe_units(best),
-                ", or ".join(_describe_units(scale) for scale in close[:_MAX_ALTERNATIVES]),
+                ", or ".join(
+                    f"{_describe_units(scale)}{_clipping(scale, motion, reference)}"
+                    for scale in close[:_MAX_ALTERNATIVES]
+                ),
                 f"for rig {rig.name} they differ by only "
                 f"{best.log_likelihood - close[0].log_likelihood:.1f} nats; state the unit in the header or "
                 "the profile",
@@ -225,6 +228,11 @@ def _volts_of_another_gain(possible: list[Scale]) -> str:
     in_volts = [scale.log_likelihood for scale in possible if scale.voltage == "V"]
     lead_nats = possible[0].log_likelihood - max(in_volts, default=-math.inf)
     return ", or V" if lead_nats < 2.0 * thresholds.DECISIVE_NATS else ""
+
+
+def _clipping(scale: Scale, motion: MeasuredMotion, reference: Reference) -> str:
+    """Words for the limit that commands need in the units of a `scale`; empty if they need none."""
+    return f", clipped to {reference.supply_V:g} V" if scale.voltage_scale in motion.limited else ""
 
 
 def _describe_units(scale: Scale) -> str:
@@ -304,61 +312,3 @@ def _changes(swapped: bool, pitch: bool, travel: bool, motors: str) -> str:
     elif pitch or travel:
         parts.append(f"{'pitch' if pitch else 'travel'} has the opposite sign")
     return ", and ".join(parts) or "front and back as proposed"
-
-
-def lag_ambiguities(regressions: dict[str, RegressionFit]) -> tuple[list[Ambiguity], str]:
-    """Ambiguities of delays between the columns; no delay is sure enough to be removed.
-
-    Parameters
-    ----------
-    regressions : dict of RegressionFit
-        Regression of each axis' acceleration on its cause, by axis.
-
-    Returns
-    -------
-    ambiguities : list of Ambiguity
-        One per implausible delay.
-    evidence : str
-        A sentence with all delays.
-    """
-    ambiguities = []
-    lag = {axis: regressions[axis].lag_s for axis in AXES}
-    if abs(lag["travel"]) > thresholds.MAX_TRAVEL_LAG_S:
-        ambiguities.append(
-            Ambiguity(
-                "travel's time",
-                "not late",
-                f"{lag['travel']:.2f} s late",
-                "it follows pitch at another time than a rig can; check how it is logged, and set delay_s",
-            )
-        )
-    apart = lag["elevation"] - lag["pitch"]
-    if (
-        abs(apart) > thresholds.MAX_LAG_DIFFERENCE_S
-        and regressions["elevation"].log_likelihood_ratio > thresholds.DECISIVE_NATS
-    ):
-        ambiguities.append(
-            Ambiguity(
-                "elevation's time",
-                "logged with pitch",
-                f"{apart:.2f} s later than pitch",
-                "the same rotors drive both; check how they are logged, and set delay_s",
-            )
-        )
-    low, high = thresholds.PLAUSIBLE_LAGS_S
-    if not low <= lag["pitch"] <= high:
-        ambiguities.append(
-            Ambiguity(
-                "the voltages' time",
-                "logged with the angles",
-                f"{'late' if lag['pitch'] < low else 'early'} by about "
-                f"{abs(lag['pitch'] - 0.1):.2f} s relative to the angles",
-                "no rotor responds with such a lag; check how they are logged, and set delay_s",
-            )
-        )
-    sentence = (
-        f"pitch follows the voltages after {lag['pitch']:.2f} s, elevation after {lag['elevation']:.2f} s "
-        "(rotor lag, transport and logging delay; a flight cannot separate them); travel follows pitch "
-        f"after {lag['travel']:.2f} s"
-    )
-    return ambiguities, sentence

@@ -81,11 +81,14 @@ def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, li
         return 0.0, []
     if zero_at_rest and rest.lowest and not zero_at_level:
         return table_deg - rest.deg, []
+    at_rest = f"{table_deg - rest.deg:.1f} deg to add, so that it rests at {table_deg:g} deg"
+    # A log that begins in flight may be zeroed there, and most pilots fly near level.
+    in_flight = "" if rest.lowest else f", or {-rest.median_deg:.1f} deg to add, so that it flies at 0 deg"
     return 0.0, [
         Ambiguity(
             "the elevation's zero",
             f"as it is, at rest {rest.deg:.1f} deg",
-            f"{table_deg - rest.deg:.1f} deg to add, so that it rests at {table_deg:g} deg",
+            f"{at_rest}{in_flight}",
             "with the rig file's table angle, neither level nor rest would be 0; measure the angle at rest",
         )
     ]

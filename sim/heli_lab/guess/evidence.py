@@ -223,8 +223,10 @@ def pooled_fits(files: Sequence[Mapping[str, RegressionFit]]) -> dict[str, Regre
         strongest = max(fits, key=lambda fit: fit.log_likelihood_ratio)
         weights = np.array([max(fit.log_likelihood_ratio, 1e-6) for fit in fits])
         lag_s = float(np.average([fit.lag_s for fit in fits], weights=weights))
+        shortest_s, longest_s = np.average([fit.lag_range_s for fit in fits], axis=0, weights=weights)
         gain = abs(strongest.gain) * (1.0 if nats >= 0.0 else -1.0)
-        pooled[axis] = RegressionFit(abs(float(nats)), gain, lag_s)
+        lag_range_s = float(shortest_s), float(longest_s)
+        pooled[axis] = RegressionFit(abs(float(nats)), gain, lag_s, lag_range_s)
     return pooled
 
 
@@ -287,8 +289,8 @@ def _limited_motions(
         share = float(np.mean(largest > thresholds.CLIP_SHARE * limit))
         if not thresholds.MIN_CLIPPED_SHARE < share <= thresholds.MAX_CLIPPED_SHARE or not rows.any():
             continue
-        fits = axis_regressions(signals, assignment, reference, bias=bias, limit=limit)
-        total, _ = sum_and_difference(signals, assignment, bias, limit)
+        fits = axis_regressions(signals, assignment, reference, bias=bias, limits=(-limit, limit))
+        total, _ = sum_and_difference(signals, assignment, bias, (-limit, limit))
         gain = {axis: fits[axis].gain for axis in AXES} | {"travel": regressions["travel"].gain}
         ratio = sum(
             fits[axis].log_likelihood_ratio - regressions[axis].log_likelihood_ratio

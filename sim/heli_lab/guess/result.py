@@ -30,6 +30,7 @@ _ENTRIES: Final = {
     "the elevation's zero": "elevation.offset_deg",
     "the sum's bias": "sum.offset_V",
     "the voltages' limit": "voltages.clip_V",
+    "the voltages' lower limit": "voltages.clip_V",
     "the voltages' time": "voltages.delay_s",
     "elevation's time": "elevation.delay_s",
     "travel's time": "travel.delay_s",

@@ -16,7 +16,6 @@ from heli_lab.guess import thresholds
 from heli_lab.guess.ambiguities import (
     SignChanges,
     assignment_ambiguities,
-    lag_ambiguities,
     sign_ambiguities,
     sum_ambiguities,
     unit_ambiguities,
@@ -31,13 +30,15 @@ from heli_lab.guess.evidence import (
     rank,
 )
 from heli_lab.guess.known import NOTHING_KNOWN, KnownEntries
+from heli_lab.guess.lags import lag_ambiguities
+from heli_lab.guess.limits import limited, one_way_nats, supply_limits
 from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
 from heli_lab.guess.refusals import check_voltages, names_state_voltages, too_few_columns
 from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
 from heli_lab.guess.regression.axis_regression import axis_regressions, sum_and_difference
 from heli_lab.guess.regression.candidates import feedback_sign
 from heli_lab.guess.regression.reference import Reference, reference_of
-from heli_lab.guess.regression.scales import AXES, MeasuredMotion, Scale, rad_of
+from heli_lab.guess.regression.scales import AXES, Scale, rad_of
 from heli_lab.guess.regression.signals import filtered_signal
 from heli_lab.guess.result import Ambiguity, Guess
 from heli_lab.guess.sign_trials import try_sign_choices
@@ -105,7 +106,8 @@ def propose(
     ranked_scales = pooled_scales(motions, reference)
     scale = ranked_scales[0]
     ambiguities += unit_ambiguities(ranked_scales, motions[0], reference, rig)
-    flights = _FlightsInUnits(files, assignment, scale, reference, _limit(scale, motions, reference))
+    limits = supply_limits(scale, motions, reference)
+    flights = _FlightsInUnits(files, assignment, scale, reference, limits)
     regressions = flights.regressions()
     if not names_state_voltages(assignment) and not known.voltages:
         check_voltages(source, regressions, assignment)
@@ -137,17 +139,15 @@ def propose(
     )
     parts = [file.table for file in files]
     if profile.clip_V is None:
-        profile, clip_ambiguities = _limit_to_supply(parts, profile, reference)
-        ambiguities += clip_ambiguities
+
+        def regress(limits: tuple[float, float]) -> Mapping[str, RegressionFit]:
+            return replace(flights, limits=limits).regressions()
+
+        profile, limit_ambiguities = limited(parts, profile, reference, lambda: one_way_nats(regress, limits))
+        ambiguities += limit_ambiguities
     ambiguities = [ambiguity for ambiguity in ambiguities if not known.states(ambiguity)]
     nats = assignment.log_likelihood
     return Guess(profile, tuple(ambiguities), tuple(evidence), log_likelihood=nats), parts
-
-
-def _limit(scale: Scale, motions: Sequence[MeasuredMotion], reference: Reference) -> float:
-    """Largest voltage of a motor, in the unit of the columns; infinite if no command exceeds the supply."""
-    exceeds_supply = any(scale.voltage_scale in motion.limited for motion in motions)
-    return reference.supply_V / scale.volts(reference) if exceeds_supply else math.inf
 
 
 @dataclass(frozen=True)
@@ -164,15 +164,15 @@ class _FlightsInUnits:
         Units of the columns.
     reference : Reference
         Gains, hover voltage and encoders of the rig file.
-    limit : float
-        Largest voltage of a motor, in the unit of the columns.
+    limits : tuple of (float, float)
+        Smallest and largest voltage of a motor, in the unit of the columns.
     """
 
     files: Sequence[PreparedFile]
     assignment: ColumnAssignment
     scale: Scale
     reference: Reference
-    limit: float
+    limits: tuple[float, float]
 
     @property
     def rad(self) -> dict[str, float]:
@@ -189,7 +189,7 @@ class _FlightsInUnits:
     def regressions(self) -> dict[str, RegressionFit]:
         """Regression of each axis' acceleration on its cause, over all files, by axis."""
         by_file = [
-            axis_regressions(file.signals, self.assignment, self.reference, self.rad, self.bias, self.limit)
+            axis_regressions(file.signals, self.assignment, self.reference, self.rad, self.bias, self.limits)
             for file in self.files
         ]
         return pooled_fits(by_file)
@@ -198,7 +198,7 @@ class _FlightsInUnits:
         """Sum over the files of the sign of elevation's feedback, -1, 0 or 1 in each."""
         total = 0.0
         for file in self.files:
-            voltage_sum, _ = sum_and_difference(file.signals, self.assignment, self.bias, self.limit)
+            voltage_sum, _ = sum_and_difference(file.signals, self.assignment, self.bias, self.limits)
             elevation = file.signals.filtered[self.assignment.elevation]
             total += feedback_sign(
                 filtered_signal(voltage_sum).value, elevation, file.signals.counts_per_turn
@@ -239,37 +239,6 @@ def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]
         return clock, []
     other = clock.alternative or "something else"
     return clock, [Ambiguity("the time", f"{clock.column} in {clock.unit}", other, NO_RATE)]
-
-
-def _limit_to_supply(
-    tables: Sequence[Table], profile: Profile, reference: Reference
-) -> tuple[Profile, list[Ambiguity]]:
-    """Profile that clips the voltages to the supply if a few exceed it, as commands before saturation do, and
-    the ambiguity of it, if there is one.
-    """
-    limit_V = reference.supply_V
-    sizes_V = [np.abs(flight.voltages_V) for table in tables for flight in flights_of(table, profile)]
-    largest_V = max(float(size_V.max()) for size_V in sizes_V)
-    share_beyond = float(np.mean(np.concatenate(sizes_V) > thresholds.CLIP_SHARE * limit_V))
-    if largest_V < thresholds.CLIP_SHARE * limit_V:
-        return profile, []
-    if share_beyond > thresholds.MAX_CLIPPED_SHARE:
-        return profile, [
-            Ambiguity(
-                "the voltages' limit",
-                f"as logged, up to {largest_V:.1f} V",
-                f"clipped to {limit_V:g} V, the rig file's supply",
-                f"{100.0 * share_beyond:.0f} % of the rows exceed the supply; set clip_V, or give your rig "
-                "with --rig",
-            )
-        ]
-    ambiguity = Ambiguity(
-        "the voltages' limit",
-        f"clipped to {limit_V:g} V, the rig file's supply",
-        f"as logged, up to {largest_V:.1f} V",
-        "the amplifier cannot give more than the supply; set clip_V to your limit, or remove it",
-    )
-    return replace(profile, clip_V=(-limit_V, limit_V)), [ambiguity]
 
 
 def check_by_simulation(proposed: Guess, tables: Sequence[Table], rig: Rig) -> list[Guess]:

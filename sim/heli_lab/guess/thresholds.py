@@ -76,12 +76,18 @@ rate."""
 MAX_TRAVEL_LAG_S: Final = 0.08
 """Lag from pitch to travel from which on the guess doubts the times of travel [s]. Measured and simulated
 flights have -0.04 to 0.06 s by this estimate."""
-MAX_LAG_DIFFERENCE_S: Final = 0.16
-"""Difference between the lags of elevation and pitch from which on one of the two columns counts as delayed
-[s]. Measured flights have up to 0.14 s."""
-PLAUSIBLE_LAGS_S: Final = (-0.03, 0.28)
+MAX_LAG_DIFFERENCE_S: Final = 0.11
+"""Difference between the lags of elevation and pitch from which on the guess doubts the times of elevation
+[s]. Seven of eight measured flights have up to 0.08 s. A higher value hides delays, a lower one doubts weakly
+excited flights."""
+MAX_DECISIVE_LAG_S: Final = 0.07
+"""The same difference if the flight decisively excludes that elevation lags like pitch. Simulated flights
+without a delay have up to 0.06 s."""
+PLAUSIBLE_LAGS_S: Final = (0.02, 0.28)
 """Plausible lags from voltages to angles [s]: rotors of 0.05 to 0.2 s, and the error of the estimate.
-Outside, the voltages were logged at other times than the angles, and the guess reports an ambiguity."""
+Outside, the voltages were logged at other times than the angles, and the guess reports an ambiguity. Voltages
+that are delayed by as much as slow rotors lag are just below the lower end, and so are flights of simulations
+without a rotor lag."""
 SIMULATED_S: Final = 20.0
 """Longest time of a flight that is simulated for each choice of signs [s], from the parts in which pitch
 moves most. Set by judgement: simulating all of it takes longer and gives the same result."""

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
+from heli_sim.runge_kutta import runge_kutta_step
 
 from heli_lab.paper.bench_tests import TABLE_DEG, BenchTest
 
@@ -63,7 +64,7 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
     table_rad = math.radians(TABLE_DEG)
     constant_rad_s2 = p["P_1"] + p["P_5"] + p["P_6"] * sum_V
 
-    def derivative(x: Floats) -> Floats:
+    def derivative(x: Floats, _: float) -> Floats:
         elevation_rad, rate_rad_s = x
         acceleration_rad_s2 = (
             constant_rad_s2
@@ -80,10 +81,7 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
     for row in range(t_s.size):
         elevation_rad_by_row[row] = x[0]
         for _ in range(substeps):
-            k1 = derivative(x)
-            k2 = derivative(x + 0.5 * h * k1)
-            k3 = derivative(x + 0.5 * h * k2)
-            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + derivative(x + h * k3))
+            x = runge_kutta_step(derivative, x, h)
             if x[0] <= table_rad:
                 x = np.array([table_rad, max(x[1], 0.0)])
     return np.degrees(elevation_rad_by_row)

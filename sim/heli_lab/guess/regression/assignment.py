@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -32,11 +33,14 @@ class RegressionFit:
         Acceleration per unit of the signal, with its sign.
     lag_s : float
         Delay from the signal to the acceleration [s].
+    lag_range_s : tuple of (float, float)
+        Shortest and longest delay that are not decisively less likely [s].
     """
 
     log_likelihood_ratio: float
     gain: float
     lag_s: float = 0.0
+    lag_range_s: tuple[float, float] = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)

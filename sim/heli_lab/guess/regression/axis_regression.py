@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -19,6 +21,9 @@ from heli_lab.guess.regression.reference import Reference
 from heli_lab.guess.regression.scales import AXES
 from heli_lab.guess.regression.signals import Signals, delay, filtered_signal
 
+NO_LIMITS: Final = (-math.inf, math.inf)
+"""Limits of the voltages if no command is beyond what the amplifier gives."""
+
 
 def axis_regressions(
     signals: Signals,
@@ -26,7 +31,7 @@ def axis_regressions(
     reference: Reference,
     rad: Mapping[str, float] | None = None,
     bias: float = 0.0,
-    limit: float = math.inf,
+    limits: tuple[float, float] = NO_LIMITS,
 ) -> dict[str, RegressionFit]:
     """Regress each axis' acceleration on its cause, at the lag with the highest likelihood.
 
@@ -36,10 +41,10 @@ def axis_regressions(
         Radians per unit of each angle, if known: the causes then include the sines and cosines of pitch.
     bias : float
         Bias that the logged sum of the voltages lacks, in the unit of the sum.
-    limit : float
-        Largest voltage of a motor, in the unit of the columns; larger commands did not act.
+    limits : tuple of (float, float)
+        Smallest and largest voltage of a motor, in the unit of the columns; commands beyond did not act.
     """
-    total, difference = sum_and_difference(signals, assignment, bias, limit)
+    total, difference = sum_and_difference(signals, assignment, bias, limits)
     pitch = signals.raw[assignment.pitch]
     causes = {"elevation": total, "pitch": difference, "travel": pitch}
     if rad is not None:
@@ -55,7 +60,10 @@ def axis_regressions(
 
 
 def sum_and_difference(
-    signals: Signals, assignment: ColumnAssignment, bias: float = 0.0, limit: float = math.inf
+    signals: Signals,
+    assignment: ColumnAssignment,
+    bias: float = 0.0,
+    limits: tuple[float, float] = NO_LIMITS,
 ) -> tuple[Floats, Floats]:
     """Sum and difference of the motors' voltages as they acted.
 
@@ -63,8 +71,8 @@ def sum_and_difference(
     ----------
     bias : float
         Bias that the logged sum lacks, in the unit of the sum.
-    limit : float
-        Largest voltage of a motor, in the unit of the columns.
+    limits : tuple of (float, float)
+        Smallest and largest voltage of a motor, in the unit of the columns.
 
     Returns
     -------
@@ -73,10 +81,10 @@ def sum_and_difference(
     """
     first, second = voltages(signals, assignment)
     total, difference = (first + bias, second) if assignment.summed else (first + second, first - second)
-    if math.isinf(limit):
+    if limits == NO_LIMITS:
         return total, difference
-    front = np.clip(0.5 * (total + difference), -limit, limit)
-    back = np.clip(0.5 * (total - difference), -limit, limit)
+    front = np.clip(0.5 * (total + difference), *limits)
+    back = np.clip(0.5 * (total - difference), *limits)
     return front + back, front - back
 
 
@@ -99,9 +107,15 @@ def _best(signals: Signals, column: str, axis: str, cause: Floats, reference: Re
     rest = signal.value * 0.0 if axis == "travel" else signal.value - signal.value.mean()
     stiffness = reference.stiffness.get(axis, (0.0, 0.1))
     fits = []
-    for lag_s in np.arange(*thresholds.LAGS_S):
+    for lag_s in np.round(np.arange(*thresholds.LAGS_S), 3) + 0.0:
         fit = regress_acceleration(
             signal.acceleration, (rest, signal.rate), delay(cause, float(lag_s)), stiffness, rows
         )
         fits.append(RegressionFit(fit.log_likelihood_ratio, fit.gain, float(lag_s)))
-    return max(fits, key=lambda fit: fit.log_likelihood_ratio)
+    best = max(fits, key=lambda fit: fit.log_likelihood_ratio)
+    possible_s = [
+        fit.lag_s
+        for fit in fits
+        if best.log_likelihood_ratio - fit.log_likelihood_ratio < thresholds.DECISIVE_NATS
+    ]
+    return replace(best, lag_range_s=(min(possible_s), max(possible_s)))

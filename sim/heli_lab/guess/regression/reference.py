@@ -35,6 +35,8 @@ class Reference:
         Encoder counts per turn, by axis.
     supply_V : float
         Largest voltage of a motor [V].
+    reverses : bool
+        Whether a rotor gives thrust at reversed voltage.
     travel_rad_s2, travel_std_rad_s2 : float
         Constant acceleration of travel at level pitch, and its standard deviation [rad/s^2]; both 0 if
         the rig file states no torque.
@@ -47,6 +49,7 @@ class Reference:
     rest_tolerance_deg: float
     counts: Mapping[str, float]
     supply_V: float
+    reverses: bool = False
     travel_rad_s2: float = 0.0
     travel_std_rad_s2: float = 0.0
 
@@ -90,6 +93,7 @@ def reference_of(rig: Rig) -> Reference:
         rig["elevation_min"].tolerance,
         dict(zip(AXES, counts_per_turn(rig).tolist(), strict=True)),
         rig["supply"].value,
+        rig["reverse_thrust"].value != 0.0,
         per_torque * torque.value,
         std_rad_s2,
     )

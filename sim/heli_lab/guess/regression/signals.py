@@ -18,6 +18,11 @@ _EXTENDED_ROWS: Final = 15
 """Number of rows of padding at each end, reflected about the end value."""
 _COUNTER: Final = 65536.0
 """Number at which a counter of 16 bits overflows."""
+_WRAP_STEPS: Final = 3.0
+"""Step across a wrap, as a multiple of the median step nearby. Angles have about 1; a voltage at take-off
+has ten and more. A lost row next to a wrap doubles the step."""
+_NEARBY_ROWS: Final = 10
+"""Rows before and after a jump that count as nearby."""
 _SETTLED_ROWS: Final = round(16.0 / (CUTOFF_Hz * SAMPLE_STEP_s))
 """Number of rows after which the impulse response of the low-pass filter has decayed to 1e-16."""
 
@@ -109,6 +114,9 @@ def _response(count: int) -> NDArray[np.complex128]:
 def unwrapped(values: Floats, counts_per_turn: Collection[float] = ()) -> Floats:
     """Unwrap a column that jumps by one turn; return other columns unchanged.
 
+    An angle that wraps moves on as smoothly as in all other rows. A voltage that is switched on may jump by
+    nearly a turn, but does not.
+
     Parameters
     ----------
     values : ndarray (n,)
@@ -117,14 +125,27 @@ def unwrapped(values: Floats, counts_per_turn: Collection[float] = ()) -> Floats
         Counts per turn of the encoders that it may come from.
     """
     jumps = np.abs(np.diff(values))
-    far = jumps[jumps > 0.5 * np.ptp(values)]
-    if not far.size or np.ptp(values) == 0.0 or far.size > 0.02 * values.size:
+    is_far = jumps > 0.5 * np.ptp(values)
+    far = jumps[is_far]
+    if not far.size or far.size > 0.02 * values.size:
         return values
+    smooth = _WRAP_STEPS * _steps_nearby(jumps, is_far)
     for turn in (2.0 * np.pi, 360.0, 1.0, *sorted(set(counts_per_turn)), _COUNTER):
-        if np.all(np.abs(far / turn - 1.0) < 0.2) and np.ptp(values) < 1.05 * turn:
+        is_turn = np.all(np.abs(far / turn - 1.0) < 0.2) and np.median(np.abs(far - turn) - smooth) <= 0.0
+        if is_turn and np.ptp(values) < 1.05 * turn:
             result: Floats = np.unwrap(values, period=turn)
             return result
     return values
+
+
+def _steps_nearby(jumps: Floats, is_far: Booleans) -> Floats:
+    """Median of the other steps next to each far jump, shape (k,), and at least the smallest step."""
+    others = np.where(is_far, 0.0, jumps)
+    smallest = float(np.min(others[others > 0.0], initial=np.inf))
+    if np.isinf(smallest):
+        return np.zeros(int(is_far.sum()))
+    rows = [slice(max(row - _NEARBY_ROWS, 0), row + _NEARBY_ROWS + 1) for row in np.flatnonzero(is_far)]
+    return np.array([max(float(np.median(others[nearby])), smallest) for nearby in rows])
 
 
 def delay(values: Floats, lag_s: float) -> Floats:

@@ -1,0 +1,121 @@
+"""Cases of a run on a Dask cluster, by the campaign engine of the laboratory."""
+
+from __future__ import annotations
+
+import queue
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from heli_benchmark.entries.case_process import WALL_FACTOR, RunLimits, run_case
+from heli_benchmark.entries.method import MethodAddress, find_method
+from heli_benchmark.errors import BenchmarkError
+
+_WORK: Final = "heli_benchmark.cluster.run:answer_case"
+_MARGIN_s: Final = 60.0
+"""Time for which the engine waits longer than the limit of a case, so that the case reports its end."""
+
+
+def answer_case(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Answer a case on a worker, in a process with limits.
+
+    Parameters
+    ----------
+    settings : Mapping[str, Any]
+        ``method`` and ``digest`` of its code, ``case``, ``resources`` and ``limits``.
+
+    Returns
+    -------
+    tuple of dict
+        Row of the campaign's table, and the result of the case.
+
+    Raises
+    ------
+    BenchmarkError
+        If the worker has another version of the method.
+    """
+    method = find_method(settings["method"])
+    if method.digest != settings["digest"]:
+        raise BenchmarkError(f"{method.file} differs on this worker", "install the same version there")
+    resources = None if settings["resources"] is None else Path(settings["resources"])
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "result.json"
+        result = run_case(method, settings["case"], resources, RunLimits(**settings["limits"]), file)
+    return {"answered": not result["failure"]}, result
+
+
+def run_on_cluster(
+    scheduler: str,
+    method: MethodAddress,
+    cases: Sequence[Path],
+    resources: Path | None,
+    limits: RunLimits,
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Run a method on cases, and yield the name and the result of each case that ends.
+
+    Parameters
+    ----------
+    scheduler : str
+        Address of a Dask scheduler.
+    method : MethodAddress
+        File and function, which every worker must see under the same path.
+    cases : sequence of Path
+        Folders of the cases.
+    resources : Path or None
+        Folder for the method.
+    limits : RunLimits
+        Limits of the process of each case.
+
+    Raises
+    ------
+    CampaignError
+        If the cluster cannot be used, or is gone before all cases have ended.
+    """
+    if not cases:
+        return
+    # Only a run on a cluster needs Dask.
+    from heli_lab.campaign import Campaign, Case, JobResult, Store, run_campaign
+    from heli_lab.campaign.run import State
+    from heli_lab.campaign.worker_process import Limits
+
+    settings = {
+        "method": method.text,
+        "digest": method.digest,
+        "resources": None if resources is None else str(resources.resolve()),
+        "limits": asdict(limits),
+    }
+    campaign = Campaign(
+        "benchmark",
+        tuple(Case(case.name, _WORK, {"case": str(case.resolve()), **settings}) for case in cases),
+        Limits(wait_s=WALL_FACTOR * limits.cpu_s + _MARGIN_s),
+    )
+    ended: queue.SimpleQueue[JobResult | BaseException | None] = queue.SimpleQueue()
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store(Path(folder))
+
+        def report(state: State) -> None:
+            if state.newest is not None:
+                ended.put(state.newest)
+
+        def work() -> None:
+            try:
+                run_campaign(campaign, store, scheduler=scheduler, on_progress=report)
+                ended.put(None)
+            except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
+                ended.put(error)
+
+        threading.Thread(target=work, daemon=True).start()
+        while (result := ended.get()) is not None:
+            if isinstance(result, BaseException):
+                raise result
+            # A worker that sees the store leaves the details there.
+            stored = store.read([result.key]).get(result.key, result)
+            yield (
+                result.name,
+                stored.detail
+                if not result.failure
+                else {"answer": None, "failure": result.failure, "cpu_s": None, "peak_MB": None},
+            )
