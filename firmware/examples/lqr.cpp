@@ -22,6 +22,7 @@ void Lqr::derive(IdleLoop, const params::Params& params, Bank bank) {
   Constants& c = constants_[bank];
   c.hover_V = Quantity::of(params.get(Param::hover_V));
   c.hover_V_per_rad = Gain::of(params.get(Param::hover_slope) * kDegPerRad);
+  c.pitch_hold_V_per_rad = Gain::of(params.get(Param::pitch_hold_ff) * kDegPerRad);
   c.dead_zone = DeadZone::of(params.get(Param::dead_zone_V));
   c.motor_min_V = Quantity::of(params.get(Param::motor_min_V));
   c.motor_max_V = Quantity::of(params.get(Param::motor_max_V));
@@ -39,14 +40,16 @@ void Lqr::init() {
 
 ControlOutput Lqr::update(const ControlInput& in, Bank bank) {
   const Constants& c = constants_[bank];
-  const bool changed = begins_ || in.axes != axes_;
+  const bool changed = begins_ || in.axes != axes_ || in.travel_waits != travel_waits_;
   begins_ = false;
   axes_ = in.axes;
+  travel_waits_ = in.travel_waits;
 
   // What no loop closes follows the caller: in open loop both voltages are the caller's.
   const bool elevation_closed = (in.axes & link::axes::elevation) != 0U;
   const bool pitch_closed = (in.axes & link::axes::pitch) != 0U;
-  const bool travel_closed = (in.axes & link::axes::travel) != 0U;
+  // While travel waits, pitch goes to the setpoint of the check of the travel encoder.
+  const bool travel_closed = (in.axes & link::axes::travel) != 0U && !in.travel_waits;
   Quantity front_V = in.open_front_V;
   Quantity back_V = in.open_back_V;
   bool saturated = false;
@@ -63,7 +66,8 @@ ControlOutput Lqr::update(const ControlInput& in, Bank bank) {
     }
     if (pitch_closed) {
       const Quantity wanted_rad = travel_closed ? Quantity{} : in.setpoint_rad[kPitch];
-      differential_V = kPitch_V_per_rad * (wanted_rad - in.angle_rad[kPitch]) -
+      differential_V = c.pitch_hold_V_per_rad * wanted_rad +
+                       kPitch_V_per_rad * (wanted_rad - in.angle_rad[kPitch]) -
                        kPitch_V_per_rad_s * in.rate_rad_s[kPitch];
     }
     if (travel_closed) {

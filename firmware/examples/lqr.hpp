@@ -19,6 +19,7 @@ class Lqr final : public Controller {
   struct Constants {
     Quantity hover_V;  // lift of both motors together that holds the arm level
     Gain hover_V_per_rad;
+    Gain pitch_hold_V_per_rad;
     DeadZone dead_zone;
     MixerLimits mixer;
     Quantity motor_min_V;
@@ -32,6 +33,7 @@ class Lqr final : public Controller {
   Quantity front_V_;  // of the previous tick, without excitation
   Quantity back_V_;
   std::uint8_t axes_ = 0;
+  bool travel_waits_ = false;
   bool begins_ = true;  // the next output begins at the voltages of the previous tick
 };
 

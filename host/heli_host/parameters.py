@@ -103,8 +103,10 @@ class Parameters(Mapping[str, float]):
             ack = self._session.command(ParamSetMessage(0, spec.index, value))
         except CommandRefused as error:
             if error.result == Result.OUT_OF_RANGE:
+                # Within the declared range: this board was built with less than the declaration allows.
                 raise ParameterError(
-                    f"the board refused {name} = {value:g}", f"give {_range(spec)}"
+                    f"the board refused {name} = {value:g}",
+                    f"heli-host params list {name} --long shows the values that this board takes",
                 ) from error
             raise
         in_force = shortest_decimal(ack.value)

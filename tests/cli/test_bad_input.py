@@ -119,6 +119,13 @@ def test_a_parameter_out_of_range_says_the_range(terminal: Terminal) -> None:
     assert "0 to 20" in refusal(terminal("params", "set", "hover_V", "-5", "--sil"), code=ASKED)
 
 
+@pytest.mark.medium
+def test_a_controller_that_this_board_lacks_points_to_those_it_has(terminal: Terminal) -> None:
+    # Declared are 8; the range of the declaration would be the wrong advice.
+    line = refusal(terminal("params", "set", "controller", "7", "--sil"), code=ASKED)
+    assert "refused controller = 7" in line and "params list controller --long" in line
+
+
 def test_an_unknown_parameter_is_guessed(terminal: Terminal) -> None:
     assert "hover_V" in refusal(terminal("params", "get", "hover", "--sil"), code=ASKED)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import tempfile
@@ -11,8 +12,8 @@ from typing import Any
 import heli_host
 import numpy as np
 from heli_host.controllers import controller_names
-from heli_host.declaration import Flags, Result
-from heli_host.errors import CommandRefused
+from heli_host.declaration import Fault, Flags, Result
+from heli_host.errors import CommandRefused, HeliError
 from heli_host.fly.recorder import Recorder
 from heli_host.heli import Heli
 from heli_host.log.reader import read_log
@@ -68,6 +69,17 @@ def taken_over(heli: Heli) -> dict[str, Any]:
     return {"law_flew": bool(by_law.any()), "takeover_jump_V": float(jump_V.max())}
 
 
+def fault_of_a_dead_travel_encoder(controller: int = 1) -> str:
+    """Name of the fault in a hover, shaken in pitch, in which the travel encoder stops counting."""
+    shaken = "sil://?speed=max&board=native&encoder_out=travel:10&effect=periodic_torque.pitch=0.05"
+    with heli_host.connect(shaken, land_on_exit=True) as heli:
+        heli.params.set("controller", controller)
+        heli.take_off()
+        with contextlib.suppress(HeliError):
+            heli.wait(18.0)
+        return Fault(int(heli.samples(last_s=15.0).fault.max())).name
+
+
 def fly(log: Path) -> dict[str, Any]:
     """Fly, and return what was seen."""
     seen: dict[str, Any] = {}
@@ -89,6 +101,7 @@ def fly(log: Path) -> dict[str, Any]:
         seen |= differential(heli, flown) | taken_over(heli)
         heli.land()
         seen["end"] = heli.state.name.lower()
+    seen["without_travel"] = fault_of_a_dead_travel_encoder()
     seen["logged"] = read_log(log).metadata["session"]["controller"]
     return seen
 

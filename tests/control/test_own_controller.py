@@ -90,6 +90,10 @@ def test_it_takes_over_from_an_uploaded_law_without_a_jump(flown: dict[str, Any]
     assert flown["takeover_jump_V"] < 0.1
 
 
+def test_it_tilts_the_arm_when_the_board_checks_the_travel_encoder(flown: dict[str, Any]) -> None:
+    assert flown["without_travel"] == "TRAVEL_MOTIONLESS"
+
+
 @pytest.mark.emulated
 def test_the_due_builds_it_within_its_bounds_and_divides_nowhere_in_a_tick(tmp_path: Path) -> None:
     if shutil.which("arm-none-eabi-g++") is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +18,7 @@ from scikit_build_core.settings.skbuild_read_settings import SettingsReader
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
+SETUP = ROOT / ".ci" / "setup"
 WITHOUT_TESTS = "HELI_WITHOUT_TESTS"
 TARGETS = ["_native", "_due", "_due_board", "_kalman", "_expression_vm"]
 
@@ -49,7 +51,20 @@ def test_to_fly_needs_no_compiling_for_tests(monkeypatch: pytest.MonkeyPatch) ->
     editable = settings("editable")
     assert editable.build.targets == TARGETS
     assert editable.install.components == ["python"]
-    assert f"export {WITHOUT_TESTS}=1" in (ROOT / ".ci" / "setup").read_text()
+    assert f"export {WITHOUT_TESTS}=1" in SETUP.read_text()
+
+
+@pytest.mark.parametrize(
+    ("purpose", "tools", "wanted"),
+    [("fly", False, False), ("fly", True, True), ("docs", True, True), ("quick", False, True)],
+)
+def test_flying_leaves_tests_able_to_run(purpose: str, tools: bool, wanted: bool, tmp_path: Path) -> None:
+    function = re.search(r"^tests_wanted\(\) \{.*?^\}$", SETUP.read_text(), re.MULTILINE | re.DOTALL)
+    assert function is not None
+    if tools:
+        (tmp_path / "stamp-test").touch()
+    asked = f"purpose={purpose} venv={tmp_path}\n{function[0]}\ntests_wanted"
+    assert (subprocess.run(["bash", "-c", asked], check=False).returncode == 0) is wanted
 
 
 def test_only_the_tests_component_installs_the_tests_extension() -> None:

@@ -54,8 +54,6 @@ class Draw:
 
     Parameters
     ----------
-    split_seed : int
-        Seed of the split.
     number : int
         Place of the case in its split, from 0.
     kind : str
@@ -70,7 +68,13 @@ class Draw:
     redraws: int = 0
 
     def rng(self, stream: int) -> np.random.Generator:
-        """Return the random numbers of one subject, for example of the conditions."""
+        """Return the random numbers of one subject.
+
+        Parameters
+        ----------
+        stream : int
+            1 for the conditions, 2 for what is hidden, 3 for the seed of the flights.
+        """
         again = (self.redraws,) if self.redraws else ()
         return np.random.default_rng([self.split_seed, stream, self.number, *again])
 
