@@ -54,6 +54,8 @@ class Draw:
 
     Parameters
     ----------
+    split_seed : int
+        Seed that all cases of the split share; a sealed one derives it from its secret.
     number : int
         Place of the case in its split, from 0.
     kind : str
