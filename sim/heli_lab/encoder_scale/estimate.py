@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -25,10 +24,10 @@ from heli_host.flight.flown import flown_rows
 from heli_sim.model.base import Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
-from scipy.optimize import least_squares
 
 from heli_lab.encoder_scale.weak_form import TestFunctions, gap_free_parts
 from heli_lab.estimation import Trajectory
+from heli_lab.estimation.levenberg_marquardt import DampedStep, minimise
 from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
 from heli_lab.identify.free import free_parameters
 
@@ -56,11 +55,10 @@ _FEEDBACK: Final = 2.0
 """How far a scale may be wrong because the control law answers disturbances, see `_noise`, in shares of their
 power. On 24 rigs in strong disturbances the estimates of sines were up to three shares too small. Smaller:
 false warnings. Larger: half the counts unseen."""
-_SMALL_GAIN: Final = 1e-5
-"""Relative gain in cost at which a search ends. Up to a cost of 1000 the gain is then below 0.01: no unknown
-is farther from its estimate than a tenth of its standard error."""
-_MAX_EVALUATIONS: Final = 60
-"""Evaluations of a search after which its best point is taken."""
+_FIRST_DAMPING: Final = 1.0
+"""Damping of the first step of a search: no scale then moves by more than its prior allows."""
+_MAX_STEPS: Final = 60
+"""Steps of a search after which its best point is taken."""
 
 
 @dataclass(frozen=True)
@@ -185,6 +183,78 @@ class FlightInWeakForm:
 
 
 @dataclass(frozen=True)
+class _Iterate:
+    """Free unknowns, residuals of each axis [rad/s2], residuals and derivatives in standard deviations."""
+
+    free: Floats
+    residuals: list[Floats]
+    errors: Floats
+    jacobian: Floats
+    cost: float
+
+
+class _ScaleProblem:
+    """Scales of some axes and everything else, with priors: a `LeastSquares` problem.
+
+    Parameters
+    ----------
+    known : FlightInWeakForm
+        The flight.
+    noise : ndarray (3,)
+        Standard deviation of the residuals of each axis [rad/s2].
+    axes : sequence of int
+        Axes whose scales are free.
+    start : ndarray
+        All unknowns; those that are not free keep these values.
+    """
+
+    def __init__(self, known: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats) -> None:
+        self._known, self._noise, self._start = known, noise, start
+        self._free = np.array([*axes, *range(3, len(known.mean))], int)
+        self._mean, self._precision = known.mean[self._free], known.std[self._free] ** -2
+
+    def unknowns(self, free: Floats) -> Floats:
+        """Return all unknowns."""
+        result = self._start.copy()
+        result[self._free] = free
+        return result
+
+    def first(self) -> _Iterate:
+        """Return the iterate at the start."""
+        return self._evaluate(self._start[self._free])
+
+    def covariance(self, iterate: _Iterate) -> Floats:
+        """Return the covariance of the free unknowns."""
+        return np.asarray(np.linalg.inv(self._information(iterate, 0.0)), np.float64)
+
+    def step(self, iterate: _Iterate, damping: float) -> DampedStep[_Iterate]:
+        """See `LeastSquares.step`; the damping is in units of the priors' precision."""
+        matrix = self._information(iterate, damping)
+        slope = -iterate.jacobian.T @ iterate.errors + self._precision * (self._mean - iterate.free)
+        move = np.linalg.solve(matrix, slope)
+        std = np.sqrt(np.diag(np.linalg.inv(matrix)))
+        promised = float(move @ (2.0 * slope - matrix @ move))
+        return DampedStep(move, std, promised, lambda: self._evaluate(iterate.free + move))
+
+    def with_states_refined(self, iterate: _Iterate) -> None:
+        """No unknown is eliminated."""
+
+    def is_out_of_budget(self) -> bool:
+        """The number of steps is the only limit."""
+        return False
+
+    def _information(self, iterate: _Iterate, damping: float) -> Floats:
+        return iterate.jacobian.T @ iterate.jacobian + np.diag((1.0 + damping) * self._precision)
+
+    def _evaluate(self, free: Floats) -> _Iterate:
+        residuals, slopes = self._known.residuals(self.unknowns(free))
+        errors = np.concatenate([values / std for values, std in zip(residuals, self._noise, strict=True)])
+        rows = [values[:, self._free] / std for values, std in zip(slopes, self._noise, strict=True)]
+        away = self._precision @ (free - self._mean) ** 2
+        return _Iterate(free, residuals, errors, np.vstack(rows), float(errors @ errors + away))
+
+
+@dataclass(frozen=True)
 class _Fit:
     unknowns: Floats
     covariance: Floats
@@ -261,34 +331,7 @@ def _noise(known: FlightInWeakForm) -> tuple[Floats, _Fit]:
 
 
 def _fit(known: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats) -> _Fit:
-    """Fit the scales of some axes and everything else, with priors, from `start` on, by SciPy's
-    Levenberg-Marquardt method.
-    """
-    free = np.array([*axes, *range(3, len(known.mean))], int)
-    weight = 1.0 / known.std[free]
-
-    @lru_cache(maxsize=1)
-    def evaluated(point: bytes) -> tuple[list[Floats], list[Floats]]:
-        unknowns = start.copy()
-        unknowns[free] = np.frombuffer(point)
-        return known.residuals(unknowns)
-
-    def errors(point: Floats) -> Floats:
-        residuals, _ = evaluated(point.tobytes())
-        away = weight * (point - known.mean[free])
-        return np.concatenate([*(values / std for values, std in zip(residuals, noise, strict=True)), away])
-
-    def jacobian(point: Floats) -> Floats:
-        _, derivatives = evaluated(point.tobytes())
-        rows = [values[:, free] / std for values, std in zip(derivatives, noise, strict=True)]
-        return np.vstack([*rows, np.diag(weight)])
-
-    fitted = least_squares(
-        errors, start[free], jacobian, method="lm", x_scale="jac", ftol=_SMALL_GAIN, max_nfev=_MAX_EVALUATIONS
-    )
-    unknowns = start.copy()
-    unknowns[free] = fitted.x
-    covariance = np.asarray(np.linalg.inv(fitted.jac.T @ fitted.jac), np.float64)
-    counts = np.cumsum([len(known.shown(axis)) for axis in range(3)])
-    residuals = [std * values for std, values in zip(noise, np.split(fitted.fun, counts), strict=False)]
-    return _Fit(unknowns, covariance, 2.0 * float(fitted.cost), residuals)
+    """Fit the scales of some axes and everything else, with priors, from `start` on."""
+    problem = _ScaleProblem(known, noise, axes, start)
+    best = minimise(problem, problem.first(), damping=_FIRST_DAMPING, max_steps=_MAX_STEPS).iterate
+    return _Fit(problem.unknowns(best.free), problem.covariance(best), best.cost, best.residuals)
