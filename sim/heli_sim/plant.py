@@ -207,9 +207,7 @@ class Plant:
         values = model.parameter_values(rig)
         names = [parameter.name for parameter in model.parameters]
         late_s = float(values[names.index(model.delay)]) if model.delay else 0.0
-        # Without effects, models of a class without a constructor of its own are alike.
-        is_plain = not model.effects and type(model).__init__ is Model.__init__
-        self.extras, self.function = _plain_step(type(model)) if is_plain else _step(model, late_s)
+        self.extras, self.function = _plain_step(type(model)) if model.is_plain else _step(model, late_s)
         """What the simulation remembers besides the model's states, which follow those, and its step."""
         limits = [rig[name].value for name in LIMITS]
         self.parameters: Floats = np.array([*values, *limits])

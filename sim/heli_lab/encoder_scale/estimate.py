@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -26,7 +27,7 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.encoder_scale.weak_form import TestFunctions, gap_free_parts
-from heli_lab.estimation import Trajectory
+from heli_lab.estimation import ModelFunctions, Trajectory
 from heli_lab.estimation.levenberg_marquardt import DampedStep, minimise
 from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
 from heli_lab.identify.free import free_parameters
@@ -88,6 +89,12 @@ class ScaleEstimate:
         return abs(self.scale - 1.0) / self.standard_error
 
 
+@cache
+def _functions_of(kind: type[Model], free: tuple[str, ...]) -> ModelFunctions:
+    """Functions of a plain model: to compile them takes as long as a second of simulated flight."""
+    return model_functions(kind(), free)
+
+
 class FlightInWeakForm:
     """Residuals of a rig's equations of motion along a flight, in weak form.
 
@@ -121,7 +128,9 @@ class FlightInWeakForm:
         torques = {name: np.hypot(0.5 * rig[name].tolerance, std) for name, std in TORQUE_STD_Nm.items()}
         numbered = (*(parameter.quantity for parameter in free), *torques)
         self._places = [names.index(name) for name in numbered]
-        self._functions = model_functions(plain, numbered)
+        self._functions = (
+            _functions_of(type(plain), numbered) if plain.is_plain else model_functions(plain, numbered)
+        )
         rest_deg = flight.parameters.get("elevation_rest_deg", rig["elevation_min"].value)
         self._pivot: Floats = np.array([np.radians(rest_deg), 0.0, 0.0])
         tolerances_deg = [

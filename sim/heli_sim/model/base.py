@@ -90,6 +90,11 @@ class Model(ABC):
         self.delay: str = delays[0] if delays else ""
         """Name of the parameter by which the voltages act late, or empty."""
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether the class alone determines the equations: no effects, and no constructor of its own."""
+        return not self.effects and type(self).__init__ is Model.__init__
+
     def values_in(self, label: str, values: Floats) -> Floats:
         """Return the values of all parameters in the flight `label`: the moment of an event belongs to one
         flight.
