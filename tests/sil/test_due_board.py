@@ -24,7 +24,7 @@ def image(build: Build) -> Image:
     return read_image(build("board.c", "-O2"))
 
 
-def test_a_program_built_anew_at_the_same_path_is_read_anew(build: Build, tmp_path: Path) -> None:
+def test_a_new_program_at_the_same_path_is_read_again(build: Build, tmp_path: Path) -> None:
     path = tmp_path / "program.elf"
     addresses = []
     for name in ("board.c", "hello.c", "board.c"):
