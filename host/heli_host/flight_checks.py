@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Final
 
 from heli_host.errors import HeliError
+from heli_host.plugins import plugins
 
 if TYPE_CHECKING:
     from heli_host.flight import Flight
@@ -58,7 +58,7 @@ def check_flight(flight: Flight, rig: str) -> tuple[FlightFinding, ...]:
         Empty for a healthy flight, and if no installed package offers checks.
     """
     findings: list[FlightFinding] = []
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
+    for entry in plugins(ENTRY_POINT_GROUP):
         # A check that cannot be made must not cost the summary of a flight.
         try:
             check: FlightCheck = entry.load()

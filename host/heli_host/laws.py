@@ -7,12 +7,12 @@ group ``heli_host.laws``, which converts a file to a program.
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final
 
 from heli_host.errors import BadLaw
 from heli_host.law_program import LawProgram
+from heli_host.plugins import plugins
 
 ENTRY_POINT_GROUP: Final = "heli_host.laws"
 FILE_LIMIT_s: Final = 30.0
@@ -43,7 +43,7 @@ def read_law(path: Path, rig: str | None = None) -> LawProgram:
         The file is missing, fails, does not end or holds no law; or no installed package can read
         control laws.
     """
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
+    for entry in plugins(ENTRY_POINT_GROUP):
         reader: LawReader = entry.load()
         return reader(path, rig)
     raise BadLaw("no installed package can read control laws", "reinstall heli-host")

@@ -11,12 +11,12 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final
 
 from heli_host.errors import HeliError, RigMismatch
 from heli_host.parameters import spec_of
+from heli_host.plugins import plugins
 
 ENTRY_POINT_GROUP: Final = "heli_host.rig_parameters"
 
@@ -123,7 +123,7 @@ def rig_parameters(rig: str) -> RigParameters:
     HeliError
         There is no such rig, or its file is not complete and valid.
     """
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
+    for entry in plugins(ENTRY_POINT_GROUP):
         reader: RigReader = entry.load()
         return reader(rig)
     return RigParameters()

@@ -11,11 +11,11 @@ import queue
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Final, Protocol
 
 from heli_host.declaration import TICK_US
 from heli_host.errors import HeliError
+from heli_host.plugins import plugins
 
 if TYPE_CHECKING:
     import numpy as np
@@ -103,7 +103,7 @@ def open_twin(name: str) -> TwinMaker:
     HeliError
         No installed package offers twins, or the rig is unknown.
     """
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
+    for entry in plugins(ENTRY_POINT_GROUP):
         opener: TwinOpener = entry.load()
         return opener(name)
     raise HeliError("no installed package provides twins", "reinstall heli-host")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import casadi as ca
@@ -182,6 +183,18 @@ def _drawn(chance: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
     return ca.vertcat(*numbers), chance
 
 
+def _step(model: Model, late_s: float) -> tuple[Extras, ca.Function]:
+    return extras(model, late_s), step_function(model, late_s)
+
+
+@cache
+def _plain_step(kind: type[Model]) -> tuple[Extras, ca.Function]:
+    """Return extras and step of a model without effects: to make them takes half of the time in which a
+    simulated board opens.
+    """
+    return _step(kind(), 0.0)
+
+
 class Plant:
     """A model with the parameters of a rig. Random effects draw from the `seed`."""
 
@@ -191,9 +204,8 @@ class Plant:
         values = model.parameter_values(rig)
         names = [parameter.name for parameter in model.parameters]
         late_s = float(values[names.index(model.delay)]) if model.delay else 0.0
-        self.extras = extras(model, late_s)
-        """What the simulation remembers besides the model's states; its states follow those."""
-        self.function = step_function(model, late_s)
+        self.extras, self.function = _plain_step(type(model)) if model.is_plain else _step(model, late_s)
+        """What the simulation remembers besides the model's states, which follow those, and its step."""
         limits = [rig[name].value for name in LIMITS]
         self.parameters: Floats = np.array([*values, *limits])
         """Parameters of the step, shape (len(model.parameters) + 5,)."""

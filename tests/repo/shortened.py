@@ -16,7 +16,7 @@ from typing import Any, Final
 PLANS: Final = "plans"
 """Fly only the first seconds of a plan."""
 WORK: Final = "work"
-"""Use less of each flight, fewer refits, fewer iterations, coarser figures; diagnose equal flights once."""
+"""Use less of each flight, fewer refits, fewer iterations, coarser figures; analyse equal flights once."""
 SEGMENTS_s: Final = 20.0
 """Duration of a plan's segments, s: at 16 s the sine of the plan `identify` is refused as too short."""
 USED_s: Final = 16.0
@@ -34,13 +34,15 @@ def shorten(parts: Iterable[str]) -> None:
     import heli_host.fly.plan
     import heli_lab.diagnose
     import heli_lab.diagnose.run
+    import heli_lab.identify.run
     import scipy.optimize
     from matplotlib.figure import Figure
 
     if PLANS in parts:
         _wrap(heli_host.fly.plan, "parse_toml", _short_plan)
     if WORK in parts:
-        _wrap(heli_lab.diagnose, "diagnose", _diagnosed_once)
+        _wrap(heli_lab.diagnose, "diagnose", _computed_once)
+        _wrap(heli_lab.identify.run, "identify", _computed_once)
         _wrap(heli_lab.diagnose.run, "prepare", _short_record)
         _wrap(heli_lab.diagnose.run, "search", _small_search)
         _wrap(scipy.optimize, "minimize", _few_iterations)
@@ -74,20 +76,19 @@ def _short_plan(parse: Callable[[str], dict[str, Any]], text: str) -> dict[str, 
     return {**values, "segment": kept}
 
 
-def _diagnosed_once(diagnose: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+def _computed_once(compute: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     """Return the result of an earlier call with equal arguments, which a second run of a notebook makes."""
-    if options:
-        return diagnose(*arguments, **options)
-    model, rig, flights, validation = arguments
-    given = [
-        [(f.t_s, f.angles_rad, f.voltages_V, f.parameters) for f in role] for role in (flights, validation)
-    ]
+    if not all(isinstance(value, int | float | str) for value in options.values()):
+        return compute(*arguments, **options)
+    model, rig, *roles = arguments
+    given = [[(f.t_s, f.angles_rad, f.voltages_V, f.parameters) for f in role] for role in roles]
     effects = [(effect.name, sorted(effect.values.items())) for effect in model.effects]
-    key = hashlib.sha256(pickle.dumps((model.name, effects, rig, given))).hexdigest()
+    named = (compute.__name__, model.name, effects, rig, given, options)
+    key = hashlib.sha256(pickle.dumps(named)).hexdigest()
     # Next to the folder of the document, in which a test looks for what the document writes.
-    kept = Path.cwd().with_name(f"diagnosis-{key}.pickle")
+    kept = Path.cwd().with_name(f"result-{key}.pickle")
     if not kept.exists():
-        kept.write_bytes(pickle.dumps(diagnose(*arguments)))
+        kept.write_bytes(pickle.dumps(compute(*arguments, **options)))
     return pickle.loads(kept.read_bytes())
 
 

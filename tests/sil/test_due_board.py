@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from pathlib import Path
 
 import pytest
 from due_emulator import Image, read_image
@@ -21,6 +22,15 @@ SYSTICK = 15
 @pytest.fixture(scope="module")
 def image(build: Build) -> Image:
     return read_image(build("board.c", "-O2"))
+
+
+def test_a_new_program_at_the_same_path_is_read_again(build: Build, tmp_path: Path) -> None:
+    path = tmp_path / "program.elf"
+    addresses = []
+    for name in ("board.c", "hello.c", "board.c"):
+        path.write_bytes(build(name, "-O1").read_bytes())
+        addresses.append({symbol.name for symbol in read_image(path).symbols})
+    assert addresses[0] == addresses[2] != addresses[1]
 
 
 def booted(image: Image) -> DueBoard:

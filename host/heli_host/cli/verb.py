@@ -12,12 +12,13 @@ import pkgutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any, Final
 
 import typer
 
 from heli_host.cli.variadic import Variadic
+from heli_host.plugins import plugins
 
 ENTRY_POINT_GROUP: Final = "heli_host.verbs"
 DISTRIBUTION: Final = "heli-host"
@@ -64,7 +65,7 @@ def installed_verbs() -> dict[str, Verb]:
     other verb with it.
     """
     found: dict[str, Verb] = {}
-    for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=_order):
+    for entry in sorted(plugins(ENTRY_POINT_GROUP), key=_order):
         try:
             for name, verb in _verbs_in(entry.value):
                 if found.setdefault(name, verb) is not verb:

@@ -15,7 +15,6 @@ import select
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
 
@@ -24,6 +23,7 @@ from serial.tools import list_ports
 
 from heli_host.declaration import BAUD
 from heli_host.errors import BadBaud, LinkError, LinkLost, PortError
+from heli_host.plugins import plugins
 
 ENTRY_POINT_GROUP = "heli_host.transports"
 
@@ -387,7 +387,7 @@ def open_transport(
             f"{url.partition('?')[0]} is a dashboard, not a board", "join its flight: heli_host.join(address)"
         )
     if scheme:
-        for entry in entry_points(group=ENTRY_POINT_GROUP, name=scheme):
+        for entry in plugins(ENTRY_POINT_GROUP).select(name=scheme):
             factory = cast(Callable[[str], Transport], entry.load())
             return factory(url)
     return SerialTransport(url, baud, reset_board=reset_board, min_read_interval_s=min_read_interval_s)

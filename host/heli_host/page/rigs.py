@@ -6,8 +6,9 @@ A package that can read rig files provides them by a function in the entry-point
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from importlib.metadata import entry_points
 from typing import Final
+
+from heli_host.plugins import plugins
 
 ENTRY_POINT_GROUP: Final = "heli_host.rigs"
 
@@ -27,7 +28,7 @@ def outline(rig: str) -> dict[str, float]:
     HeliError
         There is no such rig, or its file is invalid.
     """
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
+    for entry in plugins(ENTRY_POINT_GROUP):
         read_outline: Outline = entry.load()
         return dict(read_outline(rig))
     return {}

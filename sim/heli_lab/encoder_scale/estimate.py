@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -25,10 +25,10 @@ from heli_host.flight.flown import flown_rows
 from heli_sim.model.base import Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
-from scipy.optimize import least_squares
 
 from heli_lab.encoder_scale.weak_form import TestFunctions, gap_free_parts
-from heli_lab.estimation import Trajectory
+from heli_lab.estimation import ModelFunctions, Trajectory
+from heli_lab.estimation.levenberg_marquardt import DampedStep, minimise
 from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
 from heli_lab.identify.free import FLIGHT_CONSTANTS, free_parameters
 
@@ -56,11 +56,10 @@ _FEEDBACK: Final = 2.0
 """How far a scale may be wrong because the control law answers disturbances, see `_noise`, in shares of their
 power. On 24 rigs in strong disturbances the estimates of sines were up to three shares too small. Smaller:
 false warnings. Larger: half the counts unseen."""
-_SMALL_GAIN: Final = 1e-5
-"""Relative gain in cost at which a search ends. Up to a cost of 1000 the gain is then below 0.01: no unknown
-is farther from its estimate than a tenth of its standard error."""
-_MAX_EVALUATIONS: Final = 60
-"""Evaluations of a search after which its best point is taken."""
+_FIRST_DAMPING: Final = 1.0
+"""Damping of the first step of a search: no scale then moves by more than its prior allows."""
+_MAX_STEPS: Final = 60
+"""Steps of a search after which its best point is taken."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +87,12 @@ class ScaleEstimate:
     def sigmas(self) -> float:
         """Distance of the scale from 1, in standard errors."""
         return abs(self.scale - 1.0) / self.standard_error
+
+
+@cache
+def _functions_of(kind: type[Model], free: tuple[str, ...]) -> ModelFunctions:
+    """Functions of a plain model: to compile them takes as long as a second of simulated flight."""
+    return model_functions(kind(), free)
 
 
 class FlightInWeakForm:
@@ -118,7 +123,9 @@ class FlightInWeakForm:
         torques = {name: np.hypot(0.5 * rig[name].tolerance, std) for name, std in TORQUE_STD_Nm.items()}
         numbered = (*(parameter.quantity for parameter in free), *torques)
         self._places = [plain.parameter_names.index(name) for name in numbered]
-        self._functions = model_functions(plain, numbered)
+        self._functions = (
+            _functions_of(type(plain), numbered) if plain.is_plain else model_functions(plain, numbered)
+        )
         rest_deg = flight.parameters.get("elevation_rest_deg", rig["elevation_min"].value)
         self._pivot: Floats = np.array([np.radians(rest_deg), 0.0, 0.0])
         tolerances_deg = [
@@ -177,6 +184,80 @@ class FlightInWeakForm:
                 slope[:, axis] -= scales[axis] * pushed
                 slopes[axis].append(slope)
         return [np.concatenate(part) for part in values], [np.concatenate(part) for part in slopes]
+
+
+@dataclass(frozen=True)
+class _Iterate:
+    """Free unknowns, residuals of each axis [rad/s2], residuals and derivatives in standard deviations."""
+
+    free: Floats
+    residuals: list[Floats]
+    errors: Floats
+    jacobian: Floats
+    cost: float
+
+
+class _ScaleProblem:
+    """Scales of some axes and everything else, with priors: a `LeastSquares` problem.
+
+    Parameters
+    ----------
+    weak_form : FlightInWeakForm
+        The flight.
+    noise : ndarray (3,)
+        Standard deviation of the residuals of each axis [rad/s2].
+    axes : sequence of int
+        Axes whose scales are free.
+    start : ndarray
+        All unknowns; those that are not free keep these values.
+    """
+
+    def __init__(
+        self, weak_form: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats
+    ) -> None:
+        self._weak_form, self._noise, self._start = weak_form, noise, start
+        self._free = np.array([*axes, *range(3, len(weak_form.mean))], int)
+        self._mean, self._precision = weak_form.mean[self._free], weak_form.std[self._free] ** -2
+
+    def unknowns(self, free: Floats) -> Floats:
+        """Return all unknowns."""
+        result = self._start.copy()
+        result[self._free] = free
+        return result
+
+    def first(self) -> _Iterate:
+        """Return the iterate at the start."""
+        return self._evaluate(self._start[self._free])
+
+    def covariance(self, iterate: _Iterate) -> Floats:
+        """Return the covariance of the free unknowns."""
+        return np.asarray(np.linalg.inv(self._information(iterate, 0.0)), np.float64)
+
+    def step(self, iterate: _Iterate, damping: float) -> DampedStep[_Iterate]:
+        """See `LeastSquares.step`; the damping is in units of the priors' precision."""
+        matrix = self._information(iterate, damping)
+        slope = -iterate.jacobian.T @ iterate.errors + self._precision * (self._mean - iterate.free)
+        move = np.linalg.solve(matrix, slope)
+        std = np.sqrt(np.diag(np.linalg.inv(matrix)))
+        promised = float(move @ (2.0 * slope - matrix @ move))
+        return DampedStep(move, std, promised, lambda: self._evaluate(iterate.free + move))
+
+    def with_states_refined(self, iterate: _Iterate) -> None:
+        """No unknown is eliminated."""
+
+    def is_out_of_budget(self) -> bool:
+        """The number of steps is the only limit."""
+        return False
+
+    def _information(self, iterate: _Iterate, damping: float) -> Floats:
+        return iterate.jacobian.T @ iterate.jacobian + np.diag((1.0 + damping) * self._precision)
+
+    def _evaluate(self, free: Floats) -> _Iterate:
+        residuals, slopes = self._weak_form.residuals(self.unknowns(free))
+        errors = np.concatenate([values / std for values, std in zip(residuals, self._noise, strict=True)])
+        rows = [values[:, self._free] / std for values, std in zip(slopes, self._noise, strict=True)]
+        away = self._precision @ (free - self._mean) ** 2
+        return _Iterate(free, residuals, errors, np.vstack(rows), float(errors @ errors + away))
 
 
 @dataclass(frozen=True)
@@ -262,34 +343,7 @@ def _noise(weak_form: FlightInWeakForm) -> tuple[Floats, _Fit]:
 
 
 def _fit(weak_form: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats) -> _Fit:
-    """Fit the scales of some axes and everything else, with priors, from `start` on, by SciPy's
-    Levenberg-Marquardt method.
-    """
-    free = np.array([*axes, *range(3, len(weak_form.mean))], int)
-    weight = 1.0 / weak_form.std[free]
-
-    @lru_cache(maxsize=1)
-    def evaluated(point: bytes) -> tuple[list[Floats], list[Floats]]:
-        unknowns = start.copy()
-        unknowns[free] = np.frombuffer(point)
-        return weak_form.residuals(unknowns)
-
-    def errors(point: Floats) -> Floats:
-        residuals, _ = evaluated(point.tobytes())
-        away = weight * (point - weak_form.mean[free])
-        return np.concatenate([*(values / std for values, std in zip(residuals, noise, strict=True)), away])
-
-    def jacobian(point: Floats) -> Floats:
-        _, derivatives = evaluated(point.tobytes())
-        rows = [values[:, free] / std for values, std in zip(derivatives, noise, strict=True)]
-        return np.vstack([*rows, np.diag(weight)])
-
-    fitted = least_squares(
-        errors, start[free], jacobian, method="lm", x_scale="jac", ftol=_SMALL_GAIN, max_nfev=_MAX_EVALUATIONS
-    )
-    unknowns = start.copy()
-    unknowns[free] = fitted.x
-    covariance = np.asarray(np.linalg.inv(fitted.jac.T @ fitted.jac), np.float64)
-    counts = np.cumsum([len(weak_form.shown(axis)) for axis in range(3)])
-    residuals = [std * values for std, values in zip(noise, np.split(fitted.fun, counts), strict=False)]
-    return _Fit(unknowns, covariance, 2.0 * float(fitted.cost), residuals)
+    """Fit the scales of some axes and everything else, with priors, from `start` on."""
+    problem = _ScaleProblem(weak_form, noise, axes, start)
+    best = minimise(problem, problem.first(), damping=_FIRST_DAMPING, max_steps=_MAX_STEPS).iterate
+    return _Fit(problem.unknowns(best.free), problem.covariance(best), best.cost, best.residuals)

@@ -95,6 +95,11 @@ class Model(ABC):
         """Names of `parameters`, in their order."""
         return tuple(quantity.name for quantity in self.parameters)
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether the class alone determines the equations: no effects, and no constructor of its own."""
+        return not self.effects and type(self).__init__ is Model.__init__
+
     def values_in(self, label: str, values: Floats) -> Floats:
         """Return the values of all parameters in the flight `label`: the moment of an event belongs to one
         flight.

@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tests.repo.prose.rules import Finding, Rules, is_long, unexplained, words_in
-from tests.repo.prose.texts import sentences_of, sources, texts_of
+from tests.repo.prose.texts import is_document, sentences_of, sources, texts_of
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
@@ -58,7 +58,7 @@ def findings(files: Sequence[Path], rules: Rules, root: Path = ROOT) -> Iterator
 def long_share(files: Sequence[Path], rules: Rules, root: Path = ROOT) -> tuple[int, int]:
     """Count the documents' sentences above the bound, and all of them."""
     long = total = 0
-    for file in files:
+    for file in (file for file in files if is_document(file, root)):
         for text in texts_of(file, root):
             if text.kind == "document":
                 for sentence in sentences_of(text):

@@ -95,6 +95,11 @@ def sentences_of(text: Text) -> list[str]:
     return [part for part in END.split(text.content) if part.strip()] if text.is_prose else []
 
 
+def is_document(path: Path, root: Path) -> bool:
+    """Whether texts of a file are a document's."""
+    return path.suffix == ".md" or path.is_relative_to(root / "docs" / "course")
+
+
 def texts_of(path: Path, root: Path) -> Iterator[Text]:
     """Yield what a person reads of a file, in its order."""
     name = path.relative_to(root).as_posix()
@@ -120,9 +125,17 @@ def _text_of(statement: ast.stmt) -> str:
     return inspect.cleandoc(text) if isinstance(text, str) else ""
 
 
+def _statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield a node, and all statements in it: a tenth of the nodes that `ast.walk` visits."""
+    yield node
+    for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for child in getattr(node, field, ()):
+            yield from _statements(child)
+
+
 def _tests(source: str, name: str) -> Iterator[Text]:
     """Names of tests, all docstrings, and all comments that are sentences."""
-    for node in ast.walk(ast.parse(source)):
+    for node in _statements(ast.parse(source)):
         if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             continue
         line = 1 if isinstance(node, ast.Module) else node.lineno

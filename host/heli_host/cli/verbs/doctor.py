@@ -7,7 +7,6 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +19,7 @@ from heli_host.cli.modem_manager import check_modem_manager
 from heli_host.cli.options import JsonOption
 from heli_host.cli.say import write_result
 from heli_host.cli.verb import DISTRIBUTION, Verb
+from heli_host.plugins import plugins
 
 if TYPE_CHECKING:
     from heli_host.link.transport import PortInfo
@@ -68,7 +68,7 @@ def examine() -> Iterator[Finding]:
     yield check_python()
     yield check_packages()
     yield from check_extras()
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
+    for entry in plugins(ENTRY_POINT_GROUP):
         yield from entry.load()()
     from heli_host.link.transport import available_ports
 
