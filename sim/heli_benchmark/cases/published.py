@@ -50,7 +50,7 @@ _MAX_CONFLICTS: Final = 40
 
 @dataclass(frozen=True)
 class Draw:
-    """What a case is drawn from.
+    """Source of a case: its split, place and kind.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class PublishedCase(DisturbedCase):
     attempt : int
         Number of the draw of routes and controllers, after a flight that left the safe range of angles.
     draw : Draw
-        What the case was drawn from.
+        Where it comes from: split, place and kind.
     """
 
     training_s: tuple[float, ...] = (30.0,)

@@ -128,6 +128,6 @@ def _residuals_after(
         ):
             added_angle = 0.0 if angles is None else (angles[blocks.rows] @ coefficients)[:, :, None]
             new_drive = drive + (added_drive @ coefficients)[:, :, None]
-            windows.append(ModelErrors(new_drive, measured - added_angle))
+            windows.append((new_drive, measured - added_angle))
         result.append(windows)
     return result
