@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import shlex
+import shutil
 import subprocess
 from collections import defaultdict
 from collections.abc import Callable
@@ -24,6 +25,9 @@ _LEFT_OUT: Final = ("test_mutations.py", "test_pio.py", "test_upload.py", "test_
 _LIMIT_s: Final = 60.0
 _REAL_s: Final = 900.0
 """CPU time of one test, and real time of all, on the firmware without a mutant: they take 15 s together."""
+_HEADER: Final = "firmware/due/registers.hpp"
+_READS_HEADER: Final = "tests/firmware/test_registers.py"
+"""Compares the text of that header with the vendor's description of the chip, and runs no firmware."""
 _CROSS: Final = "arm-none-eabi-"
 _FUNCTION: Final = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
 _PLACE: Final = re.compile(r"^(/\S+):(\d+)")
@@ -52,8 +56,11 @@ class DueBench:
         """Compile a mutant; what to call in a fork before its tests."""
         with self._tree.holding(mutant):
             objects = self._compile(self._tree.dependents(mutant.file), "mutant", self._flags)
+            drivers = self._work / "drivers"
+            shutil.rmtree(drivers, ignore_errors=True)
+            shutil.copytree(self._tree.folder / FOLDER, drivers)
         elf = self._link(self._original | objects, "mutant.elf")
-        return lambda: session.use_elf(elf)
+        return lambda: session.use_firmware(elf, drivers)
 
     def is_same_code(self, mutant: Mutant) -> bool:
         """Whether the linked program is the same; the mutant was built last."""
@@ -73,7 +80,8 @@ class DueBench:
             # A probe counts when its function returns: start-up, fault handlers and the main loop never do.
             every = frozenset(found.costs_s)
             lines = {f: {line: tests or every for line, tests in of.items()} for f, of in found.lines.items()}
-            reach = Reach(found.costs_s, lines)
+            readers = frozenset(name for name in every if name.startswith(_READS_HEADER))
+            reach = Reach(found.costs_s, lines, {_HEADER: readers})
             self._check_original(reach)
             reach.save(kept)
         return Reach.load([kept])
@@ -82,7 +90,7 @@ class DueBench:
         """A test that fails without a mutant would kill them all."""
         elf = self._work / "original.elf"
         outcome = session.run_tests(
-            lambda: session.use_elf(elf), dict.fromkeys(reach.costs_s, _LIMIT_s), _REAL_s
+            lambda: session.use_firmware(elf), dict.fromkeys(reach.costs_s, _LIMIT_s), _REAL_s
         )
         if outcome.killed_by:
             raise BuildError(
@@ -155,8 +163,8 @@ def _look(elf: Path, addresses: list[int]) -> dict[str, Any]:
         probes.watch(board)
 
     machine.load_image = load_and_watch
-    session.use_elf(elf)
-    watch = Watch(probes.take)
+    session.use_firmware(elf)
+    watch = Watch(probes.take, readers=(_READS_HEADER,))
     session.run_pytest(test_files(), [watch], "--maxfail=100000")
     return watch.result()
 

@@ -37,12 +37,13 @@ class Reach:
         CPU time of each test that passed, by name.
     lines : dict
         By file, by line: names of the tests that reach it.
-    code : dict
-        By file, the lines that have code.
+    readers : dict
+        By file: names of the tests that read its text.
     """
 
     costs_s: dict[str, float]
     lines: dict[str, dict[int, frozenset[str]]]
+    readers: dict[str, frozenset[str]] = field(default_factory=dict)
     _mentions: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
 
     def tests_for(self, mutant: Mutant) -> list[str]:
@@ -50,7 +51,7 @@ class Reach:
         reached = self._reached(mutant.file, range(mutant.line, mutant.last_line + 1), set())
         if reached is None:
             reached = frozenset().union(*self.lines.get(mutant.file, {}).values()) or frozenset(self.costs_s)
-        return self.ordered(reached)
+        return self.ordered(reached | self.readers.get(mutant.file, frozenset()))
 
     def ordered(self, names: Iterable[str]) -> list[str]:
         """The quickest first; of those that cost alike, the tests of a file together."""
@@ -118,22 +119,26 @@ class Reach:
             file: {str(line): sorted(place[name] for name in tests) for line, tests in of_file.items()}
             for file, of_file in self.lines.items()
         }
-        path.write_text(json.dumps({"costs_s": self.costs_s, "lines": lines}), encoding="utf-8")
+        readers = {file: sorted(tests) for file, tests in self.readers.items()}
+        written = {"costs_s": self.costs_s, "lines": lines, "readers": readers}
+        path.write_text(json.dumps(written), encoding="utf-8")
 
     @classmethod
     def load(cls, paths: Iterable[Path]) -> Reach:
         """Read what `save` wrote, of several files of tests together."""
         costs_s: dict[str, float] = {}
         by_line: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
+        readers: dict[str, frozenset[str]] = {}
         for path in paths:
             written = json.loads(path.read_text(encoding="utf-8"))
             names = list(written["costs_s"])
             costs_s |= written["costs_s"]
+            readers |= {file: frozenset(tests) for file, tests in written["readers"].items()}
             for file, of_file in written["lines"].items():
                 for line, indices in of_file.items():
                     by_line[file][int(line)].update(names[index] for index in indices)
         frozen = {file: {line: frozenset(t) for line, t in lines.items()} for file, lines in by_line.items()}
-        return cls(costs_s, frozen)
+        return cls(costs_s, frozen, readers)
 
 
 class Watch:
@@ -143,10 +148,12 @@ class Watch:
     ----------
     take : callable
         Gives what was entered since it was called last.
+    readers : tuple of str
+        Files of tests that enter nothing, and count nevertheless.
     """
 
-    def __init__(self, take: Callable[[], set[int]]) -> None:
-        self._take = take
+    def __init__(self, take: Callable[[], set[int]], readers: tuple[str, ...] = ()) -> None:
+        self._take, self._readers = take, readers
         self.entered: dict[str, set[int]] = defaultdict(set)
         self.costs_s: dict[str, float] = {}
         self._shared: dict[tuple[str, str], set[int]] = {}
@@ -196,7 +203,9 @@ class Watch:
         costs_s = {
             name: round(cost_s, 4)
             for name, cost_s in self.costs_s.items()
-            if name not in self._failed and cost_s <= MAX_COST_S and self.entered[name]
+            if name not in self._failed
+            and cost_s <= MAX_COST_S
+            and (self.entered[name] or name.startswith(self._readers))
         }
         return {
             "costs_s": costs_s,
