@@ -1,4 +1,4 @@
-"""Single functions of the firmware, called with every kind of argument: memory, flash pages, fault records."""
+"""Single functions of the firmware, called with any argument: memory, flash pages, fault records."""
 
 from __future__ import annotations
 
@@ -257,7 +257,12 @@ def test_the_watchdog_is_restarted_while_sets_are_written(idle: Board) -> None:
 
 @pytest.mark.parametrize(
     ("side", "offset", "kept"),
-    [("bottom", 0, True), ("bottom", -4, False), ("top", -FRAME_BYTES, True), ("top", 4 - FRAME_BYTES, False)],
+    [
+        ("bottom", 0, True),
+        ("bottom", -4, False),
+        ("top", -FRAME_BYTES, True),
+        ("top", 4 - FRAME_BYTES, False),
+    ],
 )
 def test_a_frame_is_read_only_if_all_of_it_is_on_the_stack(
     idle: Board, side: str, offset: int, kept: bool

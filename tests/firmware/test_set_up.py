@@ -1,8 +1,8 @@
-"""What the chip is set to once the firmware has started: clocks, pins, interrupts, and every peripheral in use.
+"""What the chip is set to once the firmware has started: clocks, pins, interrupts, and the peripherals in use.
 
-The tables here are the wiring and the datasheet's meaning of each bit; nothing is read from the firmware's sources.
-Flights show most of these settings, but not all: an input is heard whichever peripheral its pin is given to, and an
-interrupt priority shows only if two interrupts meet.
+The tables here are the wiring and the datasheet's meaning of each bit; nothing is read from the firmware's
+sources. Flights show most of these settings, but not all: an input is heard whichever peripheral its pin is
+given to, and an interrupt priority shows only if two interrupts meet.
 """
 
 from __future__ import annotations

@@ -25,9 +25,6 @@ _LEFT_OUT: Final = ("test_mutations.py", "test_pio.py", "test_upload.py", "test_
 _LIMIT_s: Final = 60.0
 _REAL_s: Final = 900.0
 """CPU time of one test, and real time of all, on the firmware without a mutant: they take 15 s together."""
-_HEADER: Final = "firmware/due/registers.hpp"
-_READS_HEADER: Final = "tests/firmware/test_registers.py"
-"""Compares the text of that header with the vendor's description of the chip, and runs no firmware."""
 _CROSS: Final = "arm-none-eabi-"
 _FUNCTION: Final = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
 _PLACE: Final = re.compile(r"^(/\S+):(\d+)")
@@ -67,7 +64,11 @@ class DueBench:
         return (self._work / "mutant.elf").read_bytes() == self._code
 
     def reach(self) -> Reach:
-        """Which test enters which function; a test reaches all lines of a function that it enters."""
+        """Which test was seen to enter which function; these go first, and the others follow.
+
+        A probe counts when its function returns. Fault handlers never do, a test that cuts the power or calls
+        a function itself may not let it, and `test_registers.py` reads the text of a header.
+        """
         kept = BUILD / f"reach-due-{digest(*SOURCES, *ROOMS)}.json"
         if not kept.exists():
             # Nothing of the drivers is inlined, so that each function is seen when it is entered.
@@ -77,11 +78,10 @@ class DueBench:
             elf = self._link(self._original | objects, "covered.elf")
             functions = _functions_of(elf, self._tree.folder)
             found = reach_of(session.call_in_fork(lambda: _look(elf, sorted(functions))), functions)
-            # A probe counts when its function returns: start-up, fault handlers and the main loop never do.
             every = frozenset(found.costs_s)
             lines = {f: {line: tests or every for line, tests in of.items()} for f, of in found.lines.items()}
-            readers = frozenset(name for name in every if name.startswith(_READS_HEADER))
-            reach = Reach(found.costs_s, lines, {_HEADER: readers})
+            files = [name for name in self._tree.includes if name.startswith(FOLDER)]
+            reach = Reach(found.costs_s, lines, dict.fromkeys(files, every))
             self._check_original(reach)
             reach.save(kept)
         return Reach.load([kept])
@@ -164,7 +164,7 @@ def _look(elf: Path, addresses: list[int]) -> dict[str, Any]:
 
     machine.load_image = load_and_watch
     session.use_firmware(elf)
-    watch = Watch(probes.take, readers=(_READS_HEADER,))
+    watch = Watch(probes.take, keeps_all=True)
     session.run_pytest(test_files(), [watch], "--maxfail=100000")
     return watch.result()
 
