@@ -54,7 +54,7 @@ class Reach:
         return self.ordered(reached | self.others.get(mutant.file, frozenset()), first=reached)
 
     def ordered(self, names: Iterable[str], first: frozenset[str] = frozenset()) -> list[str]:
-        """The quickest first; of those that cost alike, those in `first`, and the tests of a file together."""
+        """The quickest first; of those that cost alike, those in `first`; the tests of a file together."""
 
         def key(name: str) -> tuple[int, bool, str, float]:
             cost_s = self.costs_s[name]
