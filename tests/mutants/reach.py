@@ -159,6 +159,7 @@ class Watch:
         self.costs_s: dict[str, float] = {}
         self._shared: dict[tuple[str, str], set[int]] = {}
         self._shared_s: dict[tuple[str, str], float] = defaultdict(float)
+        self._not_passed: set[str] = set()
         self._failed: set[str] = set()
         self._items: list[pytest.Item] = []
         self._outer: list[set[int]] = []
@@ -198,6 +199,8 @@ class Watch:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if not report.passed:
+            self._not_passed.add(report.nodeid)
+        if report.failed:
             self._failed.add(report.nodeid)
 
     def result(self) -> dict[str, Any]:
@@ -210,7 +213,9 @@ class Watch:
         costs_s = {
             name: round(cost_s, 4)
             for name, cost_s in self.costs_s.items()
-            if name not in self._failed and cost_s <= MAX_COST_S and (self.entered[name] or self._keeps_all)
+            if name not in self._not_passed
+            and cost_s <= MAX_COST_S
+            and (self.entered[name] or self._keeps_all)
         }
         return {
             "costs_s": costs_s,
