@@ -71,7 +71,7 @@ class DueBench:
         """
         kept = BUILD / f"reach-due-{digest(*SOURCES, *ROOMS)}.json"
         if not kept.exists():
-            # The same code, with the lines of each function: other code would fail tests of its cost and places.
+            # The same code, with lines: other code would fail the tests of its cost and of its places.
             drivers = [source for source in self._sources if source.startswith(FOLDER)]
             objects = self._compile(drivers, "covered", [*self._flags, "-g", "-gdwarf-4"])
             elf = self._link(self._original | objects, "covered.elf")
