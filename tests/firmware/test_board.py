@@ -205,6 +205,10 @@ def test_opening_the_port_is_distinguished_from_power_up(board: Board) -> None:
     assert welcome.boot_id != before.boot_id
 
 
+def test_the_handshake_names_the_kind_of_board(board: Board) -> None:
+    assert board.connect().info.board == "Arduino Due"
+
+
 def test_every_start_has_another_boot_id(board: Board) -> None:
     ids = {board.connect().session.welcome.boot_id}
     for _ in range(3):

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.firmware.built import ROOT
+from tests.firmware import built
 from tests.firmware.description import Description, Register
 
 pytestmark = pytest.mark.emulated
 
-HEADER = ROOT / "firmware" / "due" / "registers.hpp"
+HEADER = built.DRIVERS / "registers.hpp"
 
 # Structures of the header: their peripheral in the description, and where in it they begin.
 BLOCKS = {

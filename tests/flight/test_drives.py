@@ -11,8 +11,9 @@ from heli_host.declaration import Event, Fault, State, Trigger
 from tests.flight.harness import REST_DEG, Harness
 from tests.flight.test_tracking import COUNT_DEG, ELEVATION, PITCH, TRAVEL, hover, level, tripped
 
-HOVER_V, DEAD_V = (
-    next(spec.default for spec in d.PARAMS if spec.name == name) for name in ("hover_V", "dead_zone_V")
+HOVER_V, DEAD_V, MOTION_V = (
+    next(spec.default for spec in d.PARAMS if spec.name == name)
+    for name in ("hover_V", "dead_zone_V", "pitch_motion_V")
 )
 
 
@@ -61,6 +62,20 @@ def test_an_arm_on_the_table_need_not_turn_when_it_is_tilted() -> None:
 def test_a_pitch_that_does_not_count_is_noticed_on_the_table_too() -> None:
     harness = streamed()
     drive(harness, 1500, DEAD_V + 1.0, 0.0)
+    assert tripped(harness) == (Fault.PITCH_MOTIONLESS, Trigger.TRIP)
+
+
+def test_a_motor_that_is_driven_backwards_has_a_dead_zone_too() -> None:
+    """A pitch must move by what its dead zone leaves of a voltage, and by no more."""
+    harness = Harness(tracked=True)
+    harness.set("elevation_motion_V", 10.0)
+    harness.set("motor_min_V", -12.0)
+    harness.arm()
+    harness.ask(d.StreamMessage(0))
+    drive(harness, 20, 0.0, 0.0)
+    drive(harness, 1500, 0.0, -(DEAD_V + 0.5 * MOTION_V))
+    assert harness.state is State.STREAMED
+    drive(harness, 1500, 0.0, -(DEAD_V + 2.0 * MOTION_V))
     assert tripped(harness) == (Fault.PITCH_MOTIONLESS, Trigger.TRIP)
 
 

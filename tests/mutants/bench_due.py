@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import shlex
+import shutil
 import subprocess
 from collections import defaultdict
 from collections.abc import Callable
@@ -52,28 +53,37 @@ class DueBench:
         """Compile a mutant; what to call in a fork before its tests."""
         with self._tree.holding(mutant):
             objects = self._compile(self._tree.dependents(mutant.file), "mutant", self._flags)
+            drivers = self._work / "drivers"
+            shutil.rmtree(drivers, ignore_errors=True)
+            shutil.copytree(self._tree.folder / FOLDER, drivers)
         elf = self._link(self._original | objects, "mutant.elf")
-        return lambda: session.use_elf(elf)
+        return lambda: session.use_firmware(elf, drivers)
 
     def is_same_code(self, mutant: Mutant) -> bool:
         """Whether the linked program is the same; the mutant was built last."""
         return (self._work / "mutant.elf").read_bytes() == self._code
 
     def reach(self) -> Reach:
-        """Which test enters which function; a test reaches all lines of a function that it enters."""
+        """Which test was seen to enter which function; these go first, and the others follow.
+
+        A probe counts when its function returns. Fault handlers never do, a test that cuts the power or calls
+        a function itself may not let it, and `test_registers.py` reads the text of a header.
+        """
         kept = BUILD / f"reach-due-{digest(*SOURCES, *ROOMS)}.json"
         if not kept.exists():
-            # Nothing of the drivers is inlined, so that each function is seen when it is entered.
-            flags = [*self._flags, "-g", "-gdwarf-4"]
+            # The same code, with lines: other code would fail the tests of its cost and of its places.
             drivers = [source for source in self._sources if source.startswith(FOLDER)]
-            objects = self._compile(drivers, "covered", [*flags, "-fno-inline"])
+            objects = self._compile(drivers, "covered", [*self._flags, "-g", "-gdwarf-4"])
             elf = self._link(self._original | objects, "covered.elf")
             functions = _functions_of(elf, self._tree.folder)
-            found = reach_of(session.call_in_fork(lambda: _look(elf, sorted(functions))), functions)
-            # A probe counts when its function returns: start-up, fault handlers and the main loop never do.
+            looked = session.call_in_fork(lambda: _look(elf, sorted(functions)))
+            if looked["failed"]:
+                raise BuildError(f"{looked['failed'][0]} fails without a mutant; make it pass first")
+            found = reach_of(looked, functions)
             every = frozenset(found.costs_s)
             lines = {f: {line: tests or every for line, tests in of.items()} for f, of in found.lines.items()}
-            reach = Reach(found.costs_s, lines)
+            files = [name for name in self._tree.includes if name.startswith(FOLDER)]
+            reach = Reach(found.costs_s, lines, dict.fromkeys(files, every))
             self._check_original(reach)
             reach.save(kept)
         return Reach.load([kept])
@@ -82,7 +92,7 @@ class DueBench:
         """A test that fails without a mutant would kill them all."""
         elf = self._work / "original.elf"
         outcome = session.run_tests(
-            lambda: session.use_elf(elf), dict.fromkeys(reach.costs_s, _LIMIT_s), _REAL_s
+            lambda: session.use_firmware(elf), dict.fromkeys(reach.costs_s, _LIMIT_s), _REAL_s
         )
         if outcome.killed_by:
             raise BuildError(
@@ -155,8 +165,8 @@ def _look(elf: Path, addresses: list[int]) -> dict[str, Any]:
         probes.watch(board)
 
     machine.load_image = load_and_watch
-    session.use_elf(elf)
-    watch = Watch(probes.take)
+    session.use_firmware(elf)
+    watch = Watch(probes.take, keeps_all=True)
     session.run_pytest(test_files(), [watch], "--maxfail=100000")
     return watch.result()
 

@@ -37,27 +37,29 @@ class Reach:
         CPU time of each test that passed, by name.
     lines : dict
         By file, by line: names of the tests that reach it.
-    code : dict
-        By file, the lines that have code.
+    others : dict
+        By file: names of the tests that may notice a mutant there although they were not seen to reach it.
     """
 
     costs_s: dict[str, float]
     lines: dict[str, dict[int, frozenset[str]]]
+    others: dict[str, frozenset[str]] = field(default_factory=dict)
     _mentions: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
 
     def tests_for(self, mutant: Mutant) -> list[str]:
-        """Names of the tests that reach a mutant; the quickest first, those of a file together."""
+        """Names of the tests that may notice a mutant; the quickest first, those of a file together."""
         reached = self._reached(mutant.file, range(mutant.line, mutant.last_line + 1), set())
         if reached is None:
             reached = frozenset().union(*self.lines.get(mutant.file, {}).values()) or frozenset(self.costs_s)
-        return self.ordered(reached)
+        return self.ordered(reached | self.others.get(mutant.file, frozenset()), first=reached)
 
-    def ordered(self, names: Iterable[str]) -> list[str]:
-        """The quickest first; of those that cost alike, the tests of a file together."""
+    def ordered(self, names: Iterable[str], first: frozenset[str] = frozenset()) -> list[str]:
+        """The quickest first; of those that cost alike, those in `first`; the tests of a file together."""
 
-        def key(name: str) -> tuple[int, str, float]:
+        def key(name: str) -> tuple[int, bool, str, float]:
             cost_s = self.costs_s[name]
-            return sum(cost_s > limit_s for limit_s in (0.02, 0.1, 0.5)), name.partition("::")[0], cost_s
+            cost_class = sum(cost_s > limit_s for limit_s in (0.02, 0.1, 0.5))
+            return cost_class, name not in first, name.partition("::")[0], cost_s
 
         return sorted(names, key=key)
 
@@ -118,22 +120,26 @@ class Reach:
             file: {str(line): sorted(place[name] for name in tests) for line, tests in of_file.items()}
             for file, of_file in self.lines.items()
         }
-        path.write_text(json.dumps({"costs_s": self.costs_s, "lines": lines}), encoding="utf-8")
+        others = {file: sorted(tests) for file, tests in self.others.items()}
+        written = {"costs_s": self.costs_s, "lines": lines, "others": others}
+        path.write_text(json.dumps(written), encoding="utf-8")
 
     @classmethod
     def load(cls, paths: Iterable[Path]) -> Reach:
         """Read what `save` wrote, of several files of tests together."""
         costs_s: dict[str, float] = {}
         by_line: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
+        others: dict[str, frozenset[str]] = {}
         for path in paths:
             written = json.loads(path.read_text(encoding="utf-8"))
             names = list(written["costs_s"])
             costs_s |= written["costs_s"]
+            others |= {file: frozenset(tests) for file, tests in written["others"].items()}
             for file, of_file in written["lines"].items():
                 for line, indices in of_file.items():
                     by_line[file][int(line)].update(names[index] for index in indices)
         frozen = {file: {line: frozenset(t) for line, t in lines.items()} for file, lines in by_line.items()}
-        return cls(costs_s, frozen)
+        return cls(costs_s, frozen, others)
 
 
 class Watch:
@@ -143,17 +149,21 @@ class Watch:
     ----------
     take : callable
         Gives what was entered since it was called last.
+    keeps_all : bool
+        Whether tests count that were not seen to enter anything.
     """
 
-    def __init__(self, take: Callable[[], set[int]]) -> None:
-        self._take = take
+    def __init__(self, take: Callable[[], set[int]], *, keeps_all: bool = False) -> None:
+        self._take, self._keeps_all = take, keeps_all
         self.entered: dict[str, set[int]] = defaultdict(set)
         self.costs_s: dict[str, float] = {}
         self._shared: dict[tuple[str, str], set[int]] = {}
+        self._shared_s: dict[tuple[str, str], float] = defaultdict(float)
+        self._not_passed: set[str] = set()
         self._failed: set[str] = set()
         self._items: list[pytest.Item] = []
         self._outer: list[set[int]] = []
-        self._start_s = 0.0
+        self._start_s = self._set_up_s = 0.0
         self._pending: set[int] = set()
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
@@ -163,28 +173,34 @@ class Watch:
     def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef[Any]) -> Generator[None, Any, Any]:
         if fixturedef.scope == "function":
             return (yield)
-        # Shared by tests, whichever of them it is made for.
+        # Shared by tests, whichever of them it is made for: a mutant may meet any of them first.
         self._outer.append(self._take())
+        start_s, earlier_s = time.process_time(), self._set_up_s
         try:
             return (yield)
         finally:
-            inner = self._take()
-            self._shared.setdefault((fixturedef.argname, fixturedef.baseid), set()).update(inner)
+            inner, key = self._take(), (fixturedef.argname, fixturedef.baseid)
+            self._shared.setdefault(key, set()).update(inner)
             self._pending |= self._outer.pop() | inner
+            spent_s = time.process_time() - start_s
+            self._shared_s[key] = max(self._shared_s[key], spent_s - (self._set_up_s - earlier_s))
+            self._set_up_s = earlier_s + spent_s
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, Any, Any]:
         self._take()
         self._pending = set()
-        self._start_s = time.process_time()
+        self._start_s, self._set_up_s = time.process_time(), 0.0
         try:
             return (yield)
         finally:
-            self.costs_s[item.nodeid] = time.process_time() - self._start_s
+            self.costs_s[item.nodeid] = time.process_time() - self._start_s - self._set_up_s
             self.entered[item.nodeid] |= self._take() | self._pending
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if not report.passed:
+            self._not_passed.add(report.nodeid)
+        if report.failed:
             self._failed.add(report.nodeid)
 
     def result(self) -> dict[str, Any]:
@@ -193,10 +209,13 @@ class Watch:
             for (name, base), entered in self._shared.items():
                 if name in getattr(item, "fixturenames", ()) and item.nodeid.startswith(base):
                     self.entered[item.nodeid] |= entered
+                    self.costs_s[item.nodeid] += self._shared_s[name, base]
         costs_s = {
             name: round(cost_s, 4)
             for name, cost_s in self.costs_s.items()
-            if name not in self._failed and cost_s <= MAX_COST_S and self.entered[name]
+            if name not in self._not_passed
+            and cost_s <= MAX_COST_S
+            and (self.entered[name] or self._keeps_all)
         }
         return {
             "costs_s": costs_s,

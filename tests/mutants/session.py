@@ -121,10 +121,20 @@ def load_extensions(library: Path) -> None:
             setattr(importlib.import_module(package), attribute, module)
 
 
-def use_elf(elf: Path) -> None:
-    """Let the tests of the Due's firmware take another ELF than that of the sources as they are."""
+def use_firmware(elf: Path, drivers: Path | None = None) -> None:
+    """Let the tests of the Due's firmware take another ELF, and other drivers, than those of the sources.
+
+    Parameters
+    ----------
+    elf : Path
+        The linked firmware.
+    drivers : Path, optional
+        Its folder ``firmware/due``, for tests that read text.
+    """
     built: Any = importlib.import_module("tests.firmware.built")
     built.built_elf = lambda: elf
+    if drivers is not None:
+        built.DRIVERS = drivers
 
 
 def run_tests(prepare: Callable[[], None], limits_s: dict[str, float], most_s: float) -> Outcome:

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutants import rotation
+from tests.mutants import rotation, session
 from tests.mutants.declared import DeclarationError, read_declarations
 from tests.mutants.generate import ROOT, Mutant, mutants_of, sample, sources
-from tests.mutants.reach import Reach
+from tests.mutants.reach import Reach, Watch
 from tests.mutants.results import Result, Results, table
 from tests.mutants.tree import digest
 
@@ -120,6 +120,47 @@ def test_a_constant_is_reached_by_the_tests_of_what_uses_it() -> None:
     used = next(k for k, line in enumerate(lines, 1) if "rest_rad < kTouchdown_rad" in line)
     reach = Reach({"slow": 0.3, "quick": 0.01, "other": 0.01}, {file: {used: frozenset({"slow", "quick"})}})
     assert reach.tests_for(a_mutant(file, declared)) == ["quick", "slow"]
+
+
+def test_tests_that_were_not_seen_to_reach_a_mutant_come_last_of_their_cost() -> None:
+    file = "firmware/due/registers.hpp"
+    costs_s = {"reaches": 0.012, "reads": 0.011, "expensive": 0.4}
+    reach = Reach(costs_s, {file: {1: frozenset({"reaches"})}}, {file: frozenset({"reads", "expensive"})})
+    assert reach.tests_for(a_mutant(file, 1)) == ["reaches", "reads", "expensive"]
+
+
+SHARED = """
+import time
+import pytest
+
+@pytest.fixture(scope="module")
+def table():
+    end_s = time.process_time() + 0.2
+    while time.process_time() < end_s:
+        pass
+
+def test_first(table): pass
+def test_second(table): pass
+def test_alone(): pass
+"""
+
+
+def test_each_test_may_have_to_pay_for_what_it_shares(tmp_path: Path) -> None:
+    """A limit of CPU time that does not include a fixture would kill every mutant that meets it."""
+    file = tmp_path / "test_shared.py"
+    file.write_text(SHARED, encoding="utf-8")
+
+    def look() -> dict[str, object]:
+        watch = Watch(set, keeps_all=True)
+        session.run_pytest([str(file)], [watch])
+        return watch.result()
+
+    costs_s = {
+        name.rpartition("::")[2]: cost_s for name, cost_s in session.call_in_fork(look)["costs_s"].items()
+    }
+    assert costs_s["test_first"] >= 0.2
+    assert costs_s["test_second"] >= 0.2
+    assert costs_s["test_alone"] < 0.2
 
 
 def a_result(outcome: str, sources_digest: str = "s", tests_digest: str = "t") -> Result:

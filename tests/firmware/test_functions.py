@@ -1,0 +1,292 @@
+"""Single functions of the firmware, called with any argument: memory, flash pages, fault records."""
+
+from __future__ import annotations
+
+import random
+import struct
+
+import pytest
+from heli_host.declaration import Fault
+
+from tests.firmware.calling import SCRATCH, call, enter, halt_at
+from tests.firmware.desk import Board
+from tests.firmware.hangs import POLL
+from tests.firmware.test_records import GPBR, MAGIC, recorded
+from tests.firmware.test_safety import store
+
+pytestmark = pytest.mark.emulated
+
+pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
+pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
+
+READ_PAGE = "_ZN4heli3due5flash9read_pageEjPhj"
+WRITE_PAGE = "_ZN4heli3due5flash10write_pageEjPKhj"
+BOARD_READ_PAGE = "_ZN4heli3due8DueBoard9read_pageEjPhj"
+BOARD_WRITE_PAGE = "_ZN4heli3due8DueBoard10write_pageEjPKhj"
+PAGE = 256
+PAGES = 4
+FIRST_PAGE = 1024 - PAGES
+"""Of the 1024 pages of the upper flash bank."""
+PARAMETERS = 0x0010_0000 - PAGES * PAGE
+EFC1_FMR, EFC1_FCR = 0x400E_0C00, 0x400E_0C04
+SET_LOCK, CLEAR_LOCK, KEY = 0x08, 0x09, 0x5A << 24
+READING, PROGRAMMING = 4, 6
+"""Wait states at 84 MHz; the vendor's header asks for six to program (CHIP_FLASH_WRITE_WAIT_STATE)."""
+FRAME_BYTES = 32
+
+
+@pytest.fixture
+def idle(board: Board) -> Board:
+    """A board that stands at the start of a turn of its idle loop."""
+    board.advance(20)
+    halt_at(board, POLL)
+    return board
+
+
+def put(board: Board, data: bytes, address: int = SCRATCH) -> None:
+    board.due.poke(address, data)
+
+
+def pattern(count: int, seed: int = 1) -> bytes:
+    return random.Random(seed).randbytes(count)
+
+
+def parameter_pages(board: Board) -> list[bytes]:
+    flash = board.due.flash()
+    return [flash[len(flash) - (PAGES - k) * PAGE :][:PAGE] for k in range(PAGES)]
+
+
+def wait_states(board: Board) -> int:
+    return board.register(EFC1_FMR) >> 8 & 0xF
+
+
+# -- memory ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("to", range(4))
+@pytest.mark.parametrize("source", range(4))
+def test_memcpy_copies_so_many_bytes_and_no_other(idle: Board, to: int, source: int) -> None:
+    data = pattern(64)
+    for count in (0, 1, 3, 4, 5, 8, 11, 32):
+        put(idle, data)
+        put(idle, b"\x55" * 64, SCRATCH + 0x100)
+        place = SCRATCH + 0x110 + to
+        assert call(idle, "memcpy", place, SCRATCH + 8 + source, count) == place
+        around = b"\x55" * (0x10 + to) + data[8 + source :][:count]
+        assert idle.due.peek(SCRATCH + 0x100, 64) == around.ljust(64, b"\x55")
+
+
+@pytest.mark.parametrize("to", range(4))
+def test_memset_fills_so_many_bytes_and_no_other(idle: Board, to: int) -> None:
+    for count in (0, 1, 2, 3, 4, 5, 7, 8, 13, 32):
+        put(idle, b"\x55" * 64)
+        place = SCRATCH + 0x10 + to
+        assert call(idle, "memset", place, 0x1234_56C7, count) == place
+        assert idle.due.peek(SCRATCH, 64) == (b"\x55" * (0x10 + to) + b"\xc7" * count).ljust(64, b"\x55")
+
+
+def test_memcmp_orders_bytes_by_the_first_that_differs(idle: Board) -> None:
+    for left, right, count, order in (
+        (b"abcd", b"abcd", 4, 0),
+        (b"abcd", b"abce", 3, 0),
+        (b"abcd", b"abce", 4, -1),
+        (b"abce", b"abcd", 4, 1),
+        (b"\x80", b"\x7f", 1, 1),
+        (b"azzz", b"baaa", 4, -1),
+        (b"x", b"y", 0, 0),
+    ):
+        put(idle, left)
+        put(idle, right, SCRATCH + 0x101)
+        result = call(idle, "memcmp", SCRATCH, SCRATCH + 0x101, count)
+        assert struct.unpack("<i", struct.pack("<I", result)) == (order,)
+
+
+@pytest.mark.parametrize(("function", "second"), [("memcpy", SCRATCH), ("memset", 0)])
+def test_aligned_memory_is_moved_by_words(idle: Board, function: str, second: int) -> None:
+    def instructions(to: int) -> int:
+        before = idle.due.instructions
+        call(idle, function, to, second, 128)
+        return idle.due.instructions - before
+
+    # An unaligned copy goes byte by byte, an unaligned fill has at most six bytes outside of words.
+    by_words = instructions(SCRATCH + 0x100)
+    assert by_words < 128 * 2
+    if function == "memcpy":
+        assert instructions(SCRATCH + 0x101) > 2.5 * by_words
+
+
+# -- flash -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", range(PAGES))
+@pytest.mark.parametrize("count", [4, 44, PAGE])
+def test_a_page_takes_what_is_written_and_is_erased_behind_it(idle: Board, page: int, count: int) -> None:
+    data = pattern(PAGE)
+    put(idle, data)
+    before = parameter_pages(idle)
+    code = idle.due.flash()[: -PAGES * PAGE]
+    assert call(idle, WRITE_PAGE, page, SCRATCH, count) == 1
+    assert not idle.due.flash_busy
+    assert wait_states(idle) == READING
+    before[page] = data[:count].ljust(PAGE, b"\xff")
+    assert parameter_pages(idle) == before
+    assert idle.due.flash()[: -PAGES * PAGE] == code
+
+
+def test_a_page_is_programmed_with_the_wait_states_of_programming(idle: Board) -> None:
+    back = enter(idle, WRITE_PAGE, 1, SCRATCH, PAGE)
+    seen = set()
+    idle.due.add_breakpoint(back)
+    while idle.due.halt != "breakpoint":
+        if idle.due.flash_busy:
+            seen.add(wait_states(idle))
+        idle.due.run_us(50.0)
+    assert seen == {PROGRAMMING}
+    assert wait_states(idle) == READING
+    assert idle.due.reg(0) == 1
+
+
+@pytest.mark.parametrize(("page", "count"), [(PAGES, 4), (PAGES + 1, 4), (2**32 - 1, 4), (0, PAGE + 4)])
+def test_outside_of_the_parameter_pages_nothing_is_written(idle: Board, page: int, count: int) -> None:
+    stores, flash = idle.due.flash_stores, idle.due.flash()
+    assert call(idle, WRITE_PAGE, page, SCRATCH, count) == 0
+    assert idle.due.flash_stores == stores
+    assert idle.due.flash() == flash
+
+
+def test_a_write_waits_for_the_flash_and_reports_its_error(idle: Board) -> None:
+    # The command is lost on a locked region: 16 KiB around the parameter pages.
+    store(idle, EFC1_FCR, KEY | FIRST_PAGE << 8 | SET_LOCK)
+    before = parameter_pages(idle)
+    assert call(idle, WRITE_PAGE, 0, SCRATCH, PAGE) == 0
+    assert parameter_pages(idle) == before
+    assert wait_states(idle) == READING
+    store(idle, EFC1_FCR, KEY | FIRST_PAGE << 8 | CLEAR_LOCK)
+    assert call(idle, WRITE_PAGE, 0, SCRATCH, PAGE) == 1
+
+
+def test_a_write_during_which_a_command_was_refused_has_failed(idle: Board) -> None:
+    idle.due.set_strict(False)
+    back = enter(idle, WRITE_PAGE, 0, SCRATCH, PAGE)
+    while not idle.due.flash_busy:
+        idle.due.step()
+    # A command without its key: EEFC_FSR.FCMDE, which the next look at the status clears.
+    store(idle, EFC1_FCR, 0)
+    idle.due.add_breakpoint(back)
+    idle.due.run_us(20_000.0)
+    assert idle.due.halt == "breakpoint"
+    assert idle.due.reg(0) == 0
+
+
+def test_an_error_from_before_a_write_is_none_of_the_write(idle: Board) -> None:
+    idle.due.set_strict(False)
+    store(idle, EFC1_FCR, 0)
+    assert call(idle, WRITE_PAGE, 0, SCRATCH, PAGE) == 1
+
+
+def test_a_page_is_read_into_so_many_bytes_and_no_other(idle: Board) -> None:
+    data = pattern(PAGES * PAGE, seed=2)
+    idle.due.load(PARAMETERS, data)
+    for page in range(PAGES):
+        for count in (0, 4, 20, PAGE):
+            put(idle, b"\x55" * 300, SCRATCH)
+            call(idle, READ_PAGE, page, SCRATCH + 1, count)
+            read = b"\x55" + data[page * PAGE :][:count]
+            assert idle.due.peek(SCRATCH, 300) == read.ljust(300, b"\x55")
+
+
+# -- a set of parameters: two pages of the chip --------------------------------------------------------
+
+
+@pytest.mark.parametrize("pages", [0, 1])
+@pytest.mark.parametrize("count", [4, PAGE - 4, PAGE, PAGE + 4, 2 * PAGE])
+def test_a_set_is_written_over_both_of_its_pages(idle: Board, pages: int, count: int) -> None:
+    data = pattern(2 * PAGE, seed=3)
+    put(idle, data)
+    before = parameter_pages(idle)
+    assert call(idle, BOARD_WRITE_PAGE, 0, pages, SCRATCH, count) == 1
+    whole = data[:count].ljust(2 * PAGE, b"\xff")
+    before[2 * pages : 2 * pages + 2] = [whole[:PAGE], whole[PAGE:]]
+    assert parameter_pages(idle) == before
+    put(idle, bytes(2 * PAGE))
+    call(idle, BOARD_READ_PAGE, 0, pages, SCRATCH, count)
+    assert idle.due.peek(SCRATCH, 2 * PAGE) == data[:count].ljust(2 * PAGE, b"\0")
+
+
+@pytest.mark.parametrize(("pages", "count"), [(0, 2 * PAGE + 4), (2, 4), (2, 2 * PAGE)])
+def test_a_set_that_has_no_room_is_not_written(idle: Board, pages: int, count: int) -> None:
+    stores, flash = idle.due.flash_stores, idle.due.flash()
+    assert call(idle, BOARD_WRITE_PAGE, 0, pages, SCRATCH, count) == 0
+    assert idle.due.flash_stores == stores
+    assert idle.due.flash() == flash
+
+
+@pytest.mark.parametrize("fails", [0, 1])
+def test_a_set_of_which_a_page_fails_has_failed(idle: Board, fails: int) -> None:
+    """The flash has one lock for both pages, so the lock is set or cleared between them."""
+    lock, unlock = (KEY | FIRST_PAGE << 8 | command for command in (SET_LOCK, CLEAR_LOCK))
+    store(idle, EFC1_FCR, unlock if fails else lock)
+    back = enter(idle, BOARD_WRITE_PAGE, 0, 0, SCRATCH, 2 * PAGE)
+    write = idle.image.symbols[WRITE_PAGE] & ~1
+    idle.due.add_breakpoint(write)
+    for page in range(2):
+        idle.due.run_us(20_000.0)
+        assert idle.due.halt == "breakpoint"
+        if page:
+            store(idle, EFC1_FCR, lock if fails else unlock)
+        idle.due.resume()
+        idle.due.step()
+    idle.due.remove_breakpoint(write)
+    idle.due.add_breakpoint(back)
+    idle.due.run_us(20_000.0)
+    assert idle.due.halt == "breakpoint"
+    assert idle.due.reg(0) == 0
+
+
+def test_the_watchdog_is_restarted_while_sets_are_written(idle: Board) -> None:
+    before = idle.due.watchdog_restarts
+    for _ in range(8):
+        call(idle, BOARD_WRITE_PAGE, 0, 0, SCRATCH, 2 * PAGE)
+    # Eight sets take 80 ms, the shortest timeout of the watchdog; a restart comes every 16 ms.
+    assert idle.due.watchdog_restarts - before >= 4
+    assert idle.due.resets == 1
+
+
+# -- what a fault leaves -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("side", "offset", "kept"),
+    [
+        ("bottom", 0, True),
+        ("bottom", -4, False),
+        ("top", -FRAME_BYTES, True),
+        ("top", 4 - FRAME_BYTES, False),
+    ],
+)
+def test_a_frame_is_read_only_if_all_of_it_is_on_the_stack(
+    idle: Board, side: str, offset: int, kept: bool
+) -> None:
+    frame = idle.image.symbols[f"__stack_{side}"] + offset
+    for k in range(FRAME_BYTES // 4):
+        if frame + 4 * k >= idle.image.symbols["__stack_bottom"]:
+            store(idle, frame + 4 * k, 0x1000 + k)
+    for k in range(5):
+        store(idle, GPBR + 4 * k, 0)
+    resets = idle.due.resets
+    enter(idle, "fault_handler", frame)
+    while idle.due.resets == resets:
+        record, pc, lr, *_ = recorded(idle)
+        idle.due.step()
+    assert (pc, lr) == ((0x1006, 0x1005) if kept else (0, 0))
+    # Called by the idle loop, and by no exception.
+    assert record == MAGIC | Fault.UNEXPECTED_INTERRUPT
+
+
+def test_random_bits_leave_their_generator_off(idle: Board) -> None:
+    values = {call(idle, "_ZN4heli3due6random4bitsEv") for _ in range(8)}
+    assert len(values) == 8
+    # 32 bits each: the odds that a bit is the same in all eight are 1 in 128, for 32 bits of 8 numbers below.
+    assert max(values) >= 2**31 > min(values)
+    idle.due.run_us(10.0)
+    assert idle.register(0x400B_C01C) == 0, "the generator still makes numbers"
