@@ -32,6 +32,7 @@ def short_flights(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(make, "fly_case", lambda case: (case, tuple(flight for _ in case.durations_s)))
     monkeypatch.setattr(make, "truth_content", truth)
+    monkeypatch.setattr(make, "true_torque_Nm", lambda *_: (t_s, np.zeros((100, 3))))
 
 
 @pytest.fixture

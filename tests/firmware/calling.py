@@ -34,7 +34,7 @@ def enter(board: Board, symbol: str, *arguments: int) -> int:
 
 
 def call(board: Board, symbol: str, *arguments: int) -> int:
-    """The result of a function, called where the processor stands; it stands there again afterwards.
+    """The result of a function, called at the processor's present instruction, to which it returns.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ BOARD_WRITE_PAGE = "_ZN4heli3due8DueBoard10write_pageEjPKhj"
 PAGE = 256
 PAGES = 4
 FIRST_PAGE = 1024 - PAGES
-"""Of the 1024 pages of the upper flash bank."""
+"""Page of the upper flash bank, which has 1024."""
 PARAMETERS = 0x0010_0000 - PAGES * PAGE
 EFC1_FMR, EFC1_FCR = 0x400E_0C00, 0x400E_0C04
 SET_LOCK, CLEAR_LOCK, KEY = 0x08, 0x09, 0x5A << 24

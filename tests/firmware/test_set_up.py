@@ -1,4 +1,4 @@
-"""What the chip is set to once the firmware has started: clocks, pins, interrupts, peripherals in use.
+"""Once the firmware has started, the chip is set up: clocks, pins, interrupts, peripherals in use.
 
 The tables here are the wiring and the datasheet's meaning of each bit; nothing is read from the firmware's
 sources. Flights show most of these settings, but not all: an input is heard whichever peripheral its pin is

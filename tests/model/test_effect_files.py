@@ -229,7 +229,10 @@ def test_effects_are_read_from_the_command_line() -> None:
     [
         ("rotor_lg=0.1", "unknown effect 'rotor_lg'; did you mean rotor_lag?"),
         ("backlash=0.1", "did you mean backlash.elevation or backlash.pitch or backlash.travel?"),
-        ("rotor_lag=fast", "rotor_lag_s = 'fast' is not a number; give a number"),
+        (
+            "rotor_lag=fast",
+            "rotor_lag_s = 'fast' is not a number; write it with a decimal point and without a unit",
+        ),
         ("rotor_lag=-1", "rotor_lag_s = -1 s is out of range; give 0 to 0.6"),
         ("rotor_lag=nan", "out of range"),
         ("rotor_lag=0.1@3", "'rotor_lag' has no 'at_s'; choose from s"),
