@@ -37,7 +37,8 @@ def test_a_disk_that_blocks_for_seconds_is_not_noticed_by_the_board(
     process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
     due = dict(BLOCKS_S)
     plan = short(SHORT.replace('kind = "hold"\nduration_s = 2', 'kind = "hold"\nduration_s = 10'))
-    with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
+    # At ten times real time, a computer with four busy processes on two cores lost samples.
+    with process.SilProcess(speed=5.0) as sil, connect(sil.url) as heli:
         heli.params.restore(PATIENT)
 
         def device_s() -> float:
