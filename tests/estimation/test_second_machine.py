@@ -43,3 +43,16 @@ def test_a_cart_with_a_pendulum_is_identified_within_its_standard_errors() -> No
     assert (std / np.array([*TRUE.values()])).max() < 0.1
     # The disturbances that were added: 0.08 N and 4 mN m, correlated over 0.25 s.
     assert found.disturbances.fast_std == pytest.approx([0.08, 0.004], rel=0.3)
+
+
+def test_parameters_without_a_likelihood_give_the_worst_estimate() -> None:
+    shared = [FreeParameter(name, "", NormalPrior(value, value, 1e-4), name) for name, value in TRUE.items()]
+    recording = run(1)
+    start = np.array([*TRUE.values(), 0.0, 0.0])
+    vector = ParameterVector(PARAMETERS, start, shared, [], [recording.label])
+    functions = ModelFunctions(MODEL, vector.quantities)
+    reference = kinematic_filter(recording, KINEMATICS)
+    impossible = np.where(np.array(vector.names) == "length_m", np.nan, vector.start)
+    worst = estimate(vector, [reference], functions, impossible)
+    assert worst.log_likelihood == -np.inf
+    assert not worst.converged

@@ -204,6 +204,9 @@ def maximise(
         values = likelihood.at(point)[0] if start_values is None else start_values
     for _ in range(_MOVES):
         gradient = likelihood.gradient(point, values)
+        if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
+            # Parameters at which the model has no likelihood: no disturbances improve it.
+            return start.with_logarithms(point, None)
         move = likelihood.newton_move(gradient, curvature)
         predicted_gain = 0.5 * float(gradient @ move)
         if predicted_gain < tolerance_nats:

@@ -243,6 +243,8 @@ class _GaussNewton:
         """Search from an `iterate`; return the last one, and whether a further step would gain nothing."""
         last_log_posterior = -np.inf
         for _ in range(_MAX_MOVES):
+            if not np.isfinite(iterate.log_posterior):
+                return iterate, False
             if iterate.step.promised_nats > _CONVERGED_NATS:
                 after = self.with_next_parameters(iterate)
                 if after is None:
@@ -296,7 +298,8 @@ def estimate(
         parameter_vector=parameter_vector,
         theta=last.theta,
         covariance=last.step.covariance,
-        log_likelihood=last.log_posterior,
+        # A model without a likelihood at its parameters is the worst one, in each comparison.
+        log_likelihood=last.log_posterior if np.isfinite(last.log_posterior) else -np.inf,
         disturbances=last.disturbances,
         converged=converged,
         references=tuple(references),
