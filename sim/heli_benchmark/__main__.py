@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import queue
 import sys
-import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -16,9 +14,8 @@ from itertools import zip_longest
 from multiprocessing import get_context
 from pathlib import Path
 
-from heli_lab.campaign import Campaign, JobResult, Store, run_campaign
+from heli_lab.campaign import Campaign, Store, campaign_results
 from heli_lab.campaign import Case as CampaignCase
-from heli_lab.campaign.run import State
 
 from heli_benchmark.cases.clean import Case, clean_cases
 from heli_benchmark.cases.disturbed import disturbed_cases
@@ -123,32 +120,17 @@ def _done(cases: Sequence[Case], given: argparse.Namespace) -> Iterator[tuple[Ro
     keys = {case.key(code): case.name for case in named.values()}
     # An earlier result is used only if the same code made it.
     again = (lambda _: True) if given.keep else (lambda answer: bool(answer.failure))
-    results: queue.SimpleQueue[JobResult | BaseException | None] = queue.SimpleQueue()
-
-    def work() -> None:
-        def say(state: State) -> None:
-            if state.newest is not None:
-                results.put(state.newest)
-
-        try:
-            campaign = Campaign("blind", tuple(named.values()))
-            run_campaign(campaign, store, processes=given.processes, code=code, again=again, on_progress=say)
-            results.put(None)
-        except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
-            results.put(error)
-
     known = {} if given.keep else store.read(keys)
     for answer in known.values():
         if not answer.failure:
             yield Row.read(answer.detail), ""
-    threading.Thread(target=work, daemon=True).start()
+    campaign = Campaign("blind", tuple(named.values()))
     try:
-        while (result := results.get()) is not None:
-            if isinstance(result, BaseException):
-                raise result
-            whole = store.read([result.key]).get(result.key, result)
+        for result in campaign_results(campaign, store, processes=given.processes, code=code, again=again):
             yield (
-                (None, f"{result.name}: {result.failure}") if result.failure else (Row.read(whole.detail), "")
+                (None, f"{result.name}: {result.failure}")
+                if result.failure
+                else (Row.read(result.detail), "")
             )
     except KeyboardInterrupt:
         print("stopped; the same command continues")

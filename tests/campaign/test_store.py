@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from heli_lab.campaign import Campaign, Case, JobResult, Store, run_campaign
+from heli_lab.campaign import Campaign, Case, JobResult, Store, campaign_results, run_campaign
 from heli_lab.campaign.store import row_of
 from heli_lab.campaign.worker_process import Limits
 from heli_lab.errors import CampaignError
@@ -38,6 +38,23 @@ def test_a_result_that_was_torn_is_computed_again_and_no_other_is(tmp_path: Path
     again = run_campaign(campaign, store, code="test")
     assert sorted(log.read_text().split()[4:]) == ["1", "2"]
     assert [row["square"] for row in again] == [row["square"] for row in whole] == [0, 1, 4, 9]
+
+
+@pytest.mark.medium
+def test_results_arrive_as_cases_end_and_those_of_an_earlier_run_do_not(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    arrived = list(campaign_results(CAMPAIGN, store, code="test", processes=2))
+    assert sorted((result.name, result.row["square"]) for result in arrived) == [
+        (f"case {n}", n * n) for n in range(4)
+    ]
+    assert list(campaign_results(CAMPAIGN, store, code="test")) == []
+
+
+@pytest.mark.medium
+def test_an_error_of_the_campaign_is_raised_where_results_are_waited_for(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    with store.locked(), pytest.raises(CampaignError, match="another campaign"):
+        list(campaign_results(CAMPAIGN, store, code="test"))
 
 
 @pytest.mark.medium

@@ -61,14 +61,14 @@ def test_an_address_without_its_kind_asks_for_a_socket(terminal: Terminal) -> No
 def test_a_serial_port_that_is_no_usb_port_is_not_offered(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    own, due = ListPortInfo("/dev/ttyS0"), ListPortInfo("/dev/ttyACM3")
-    due.vid, due.pid = 0x2341, 0x003D
-    monkeypatch.setattr(list_ports, "comports", lambda: [own])
+    serial_port, usb_port = ListPortInfo("/dev/ttyS0"), ListPortInfo("/dev/ttyACM3")
+    usb_port.vid, usb_port.pid = 0x2341, 0x003D
+    monkeypatch.setattr(list_ports, "comports", lambda: [serial_port])
     line = refusal(terminal("watch", "--port", "/dev/ttyACM9"), code=LINK)
     assert "plug the board in" in line
     assert "--sil" in line
     assert "ttyS0" not in line
-    monkeypatch.setattr(list_ports, "comports", lambda: [own, due])
+    monkeypatch.setattr(list_ports, "comports", lambda: [serial_port, usb_port])
     line = refusal(terminal("watch", "--port", "/dev/ttyACM9"), code=LINK)
     assert line.endswith("choose an existing port: /dev/ttyACM3")
 

@@ -86,7 +86,7 @@ def test_memset_fills_so_many_bytes_and_no_other(idle: Board, to: int) -> None:
 
 
 def test_memcmp_orders_bytes_by_the_first_that_differs(idle: Board) -> None:
-    for left, right, count, order in (
+    for first, second, count, order in (
         (b"abcd", b"abcd", 4, 0),
         (b"abcd", b"abce", 3, 0),
         (b"abcd", b"abce", 4, -1),
@@ -95,8 +95,8 @@ def test_memcmp_orders_bytes_by_the_first_that_differs(idle: Board) -> None:
         (b"azzz", b"baaa", 4, -1),
         (b"x", b"y", 0, 0),
     ):
-        put(idle, left)
-        put(idle, right, SCRATCH + 0x101)
+        put(idle, first)
+        put(idle, second, SCRATCH + 0x101)
         result = call(idle, "memcmp", SCRATCH, SCRATCH + 0x101, count)
         assert struct.unpack("<i", struct.pack("<I", result)) == (order,)
 

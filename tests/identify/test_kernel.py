@@ -71,18 +71,18 @@ def test_compiled_and_interpreted_loops_agree(name: str, substeps: int) -> None:
     drive = inputs(substeps, ("input_delay_s", "dead_zone") if name == "late" else ())
     given = drive, start(equations), equations.parameter_values(RIG)
     measured = np.random.default_rng(5).normal(0.0, 0.1, (drive.rows, 3))
-    for one, other in zip(
+    for of_compiled, of_interpreted in zip(
         (*compiled.jacobian(*given), *compiled.predict(*given)),
         (*interpreted.jacobian(*given), *interpreted.predict(*given)),
         strict=True,
     ):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)
-    for one, other in zip(
+        np.testing.assert_allclose(of_compiled, of_interpreted, rtol=1e-9, atol=1e-11)
+    for of_compiled, of_interpreted in zip(
         compiled.products(*given, measured, SIGMA_RAD),
         interpreted.products(*given, measured, SIGMA_RAD),
         strict=True,
     ):
-        np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-6)
+        np.testing.assert_allclose(of_compiled, of_interpreted, rtol=1e-8, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["multibody", "late"])
@@ -91,7 +91,7 @@ def test_derivatives_are_those_of_the_free_run(name: str) -> None:
     runner, drive = kernel(equations, free), inputs(2, ())
     states, values = start(equations), equations.parameter_values(RIG)
     _, jacobian = runner.jacobian(drive, states, values)
-    places = [equations.parameter_names.index(one) for one in free]
+    places = [equations.parameter_names.index(parameter) for parameter in free]
     for column in range(states.shape[1] + len(free)):
         both = []
         for sign in (-1.0, 1.0):

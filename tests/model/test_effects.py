@@ -98,7 +98,7 @@ def test_derivatives_to_an_effects_numbers_are_those_of_finite_differences(
     model: type[Model], kind: EffectSpec
 ) -> None:
     extended = model((kind.make(kind.typical),))
-    names = [quantity.name for quantity in extended.parameters]
+    names = extended.parameter_names
     random = np.random.default_rng(2)
     x = np.append(states(random), random.uniform(0.05, 0.1, len(extended.states) - 6))
     numbers, volts_V, t = extended.parameter_values(load_rig("makki2024")), np.array([1.9, 2.3]), 20.004

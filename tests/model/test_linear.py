@@ -41,7 +41,7 @@ def test_jacobians_are_those_of_finite_differences(model: Model) -> None:
         down[column] -= step
         slope = derivatives(model, rig, up, volts_V).rates - derivatives(model, rig, down, volts_V).rates
         np.testing.assert_allclose(exact.A[:, column], slope / (2 * step), atol=1e-7)
-    for column, name in enumerate(quantity.name for quantity in model.parameters):
+    for column, name in enumerate(model.parameter_names):
         if name == "rotor_lag_s":
             continue
         number = rig[name].value

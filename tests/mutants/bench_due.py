@@ -79,11 +79,11 @@ class DueBench:
             looked = session.call_in_fork(lambda: _look(elf, sorted(functions)))
             if looked["failed"]:
                 raise BuildError(f"{looked['failed'][0]} fails without a mutant; make it pass first")
-            found = reach_of(looked, functions)
-            every = frozenset(found.costs_s)
-            lines = {f: {line: tests or every for line, tests in of.items()} for f, of in found.lines.items()}
+            seen = reach_of(looked, functions)
+            every = frozenset(seen.costs_s)
+            lines = {f: {line: tests or every for line, tests in of.items()} for f, of in seen.lines.items()}
             files = [name for name in self._tree.includes if name.startswith(FOLDER)]
-            reach = Reach(found.costs_s, lines, dict.fromkeys(files, every))
+            reach = Reach(seen.costs_s, lines, dict.fromkeys(files, every))
             self._check_original(reach)
             reach.save(kept)
         return Reach.load([kept])

@@ -84,7 +84,7 @@ def with_numbers(plant: Plant, rig: Rig, **effects: float) -> Plant:
     """
     other = copy.copy(plant)
     other.rig = rig
-    names = [quantity.name for quantity in plant.model.parameters]
+    names = plant.model.parameter_names
     other.parameters = plant.parameters.copy()
     other.parameters[: len(names)] = plant.model.parameter_values(rig)
     for name, value in effects.items():

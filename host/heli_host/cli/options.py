@@ -22,6 +22,15 @@ JsonOption = Annotated[
     Path | None,
     typer.Option("--json", metavar="FILE", help="Write the result as JSON, to standard output for -."),
 ]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Use a Dask cluster, such as tcp://10.0.0.1:8786.  [default: this machine]",
+        show_default=False,
+    ),
+]
 DurationOption = Annotated[
     float | None,
     typer.Option(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import queue
 import tempfile
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -77,8 +75,7 @@ def run_on_cluster(
     if not cases:
         return
     # Only a run on a cluster needs Dask.
-    from heli_lab.campaign import Campaign, Case, JobResult, Store, run_campaign
-    from heli_lab.campaign.run import State
+    from heli_lab.campaign import Campaign, Case, Store, campaign_results
     from heli_lab.campaign.worker_process import Limits
 
     settings = {
@@ -92,30 +89,7 @@ def run_on_cluster(
         tuple(Case(case.name, _WORK, {"case": str(case.resolve()), **settings}) for case in cases),
         Limits(wait_s=WALL_FACTOR * limits.cpu_s + _MARGIN_s),
     )
-    ended: queue.SimpleQueue[JobResult | BaseException | None] = queue.SimpleQueue()
     with tempfile.TemporaryDirectory() as folder:
-        store = Store(Path(folder))
-
-        def report(state: State) -> None:
-            if state.newest is not None:
-                ended.put(state.newest)
-
-        def work() -> None:
-            try:
-                run_campaign(campaign, store, scheduler=scheduler, on_progress=report)
-                ended.put(None)
-            except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
-                ended.put(error)
-
-        threading.Thread(target=work, daemon=True).start()
-        while (result := ended.get()) is not None:
-            if isinstance(result, BaseException):
-                raise result
-            # A worker that sees the store leaves the details there.
-            stored = store.read([result.key]).get(result.key, result)
-            yield (
-                result.name,
-                stored.detail
-                if not result.failure
-                else {"answer": None, "failure": result.failure, "cpu_s": None, "peak_MB": None},
-            )
+        for result in campaign_results(campaign, Store(Path(folder)), scheduler=scheduler):
+            unanswered = {"answer": None, "failure": result.failure, "cpu_s": None, "peak_MB": None}
+            yield result.name, unanswered if result.failure else result.detail

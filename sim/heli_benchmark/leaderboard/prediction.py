@@ -152,7 +152,7 @@ class _Predictor:
 
     def __init__(self, model: Model, rig: Rig) -> None:
         self._parameters = model.parameter_values(rig)
-        names = [quantity.name for quantity in model.parameters]
+        names = model.parameter_names
         self._delay_s = float(self._parameters[names.index(model.delay)]) if model.delay else 0.0
         x, u, t = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2), ca.SX.sym("t")
         p = ca.SX(ca.DM(self._parameters))

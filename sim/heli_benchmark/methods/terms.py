@@ -208,7 +208,7 @@ class _Model:
     """Accelerations of a model along a flight, and their derivatives by parameters."""
 
     def __init__(self, model: Model, rig: Rig) -> None:
-        self.names = [quantity.name for quantity in model.parameters]
+        self.names = model.parameter_names
         self._values = np.array(model.parameter_values(rig))
         self._states = len(model.states)
         x, u = ca.SX.sym("x", self._states), ca.SX.sym("u", 2)

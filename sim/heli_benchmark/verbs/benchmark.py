@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from heli_host.cli.options import JsonOption
+from heli_host.cli.options import JsonOption, SchedulerOption
 from heli_host.cli.say import data_on_stdout, say, say_files, say_progress, write_result
 from heli_host.cli.verb import Verb
 
@@ -102,15 +102,7 @@ def run(
         int, typer.Option("--memory-limit", metavar="MB", min=200, help="Limit the memory of a case.")
     ] = 6000,
     workers: WorkersOption = 1,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="Use a Dask cluster, such as tcp://10.0.0.1:8786.  [default: this machine]",
-            show_default=False,
-        ),
-    ] = None,
+    scheduler: SchedulerOption = None,
 ) -> None:
     """Run a method on each case of a split, in a process with limits.
 

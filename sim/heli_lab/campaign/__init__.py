@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from heli_lab.campaign.campaign import Campaign
 from heli_lab.campaign.case import Case, JobResult
+from heli_lab.campaign.results import campaign_results
 from heli_lab.campaign.run import run_campaign
 from heli_lab.campaign.store import Store
 
-__all__ = ["Campaign", "Case", "JobResult", "Store", "run_campaign"]
+__all__ = ["Campaign", "Case", "JobResult", "Store", "campaign_results", "run_campaign"]

@@ -196,6 +196,9 @@ class _GaussNewton:
         log_likelihoods = innovations.log_likelihoods
         log_prior = -0.5 * float(np.sum(((theta - vector.mean) / vector.std) ** 2))
         log_posterior = float(log_likelihoods.sum()) + log_prior
+        if not np.isfinite(log_posterior):
+            # A model without a likelihood at its parameters is the worst one, in each comparison.
+            log_posterior = -np.inf
         return _Iterate(theta, disturbances, filtered, step, log_posterior, log_likelihoods)
 
     def first(self, theta: Floats, disturbances: DisturbanceModel | None) -> _Iterate:
@@ -243,7 +246,7 @@ class _GaussNewton:
         """Search from an `iterate`; return the last one, and whether a further step would gain nothing."""
         last_log_posterior = -np.inf
         for _ in range(_MAX_MOVES):
-            if not np.isfinite(iterate.log_posterior):
+            if iterate.log_posterior == -np.inf:
                 return iterate, False
             if iterate.step.promised_nats > _CONVERGED_NATS:
                 after = self.with_next_parameters(iterate)
@@ -298,8 +301,7 @@ def estimate(
         parameter_vector=parameter_vector,
         theta=last.theta,
         covariance=last.step.covariance,
-        # A model without a likelihood at its parameters is the worst one, in each comparison.
-        log_likelihood=last.log_posterior if np.isfinite(last.log_posterior) else -np.inf,
+        log_likelihood=last.log_posterior,
         disturbances=last.disturbances,
         converged=converged,
         references=tuple(references),

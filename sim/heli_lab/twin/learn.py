@@ -81,7 +81,7 @@ def at_least_rounding(
     """
     model_without_effects = type(model)()
     hover = trim(model_without_effects, rig)
-    names = [quantity.name for quantity in model_without_effects.parameters]
+    names = model_without_effects.parameter_names
     torques = [names.index(f"torque_{axis}") for axis in AXES]
     by_torque = derivatives(model_without_effects, rig, hover.state, hover.volts_V).P[3:6, torques]
     rounding_rad = count_rad / 12.0**0.5
@@ -130,7 +130,7 @@ def learn_rig(
     references = [filter_record(record) for record in records]
     # First the disturbances and constants of each flight, with the rig's parameters fixed.
     all_parameters = RigParameters(twin_model, rig, records)
-    names = [quantity.name for quantity in twin_model.parameters]
+    names = twin_model.parameter_names
     rig_values = dict(zip(names, twin_model.parameter_values(rig), strict=True))
     shared = [parameter.quantity for parameter in all_parameters.free if parameter.record is None]
     fixed = {name: float(rig_values[name]) for name in shared}

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.options import JsonOption
+from heli_host.cli.options import JsonOption, SchedulerOption
 from heli_host.cli.say import data_on_stdout, say, say_dropped, say_files, write_result
 from heli_host.cli.verb import Verb
 
@@ -24,15 +24,7 @@ def campaign(
             metavar="CAMPAIGN.toml", help="Read the task and the settings of its cases from this file."
         ),
     ],
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="Use a Dask cluster, such as tcp://10.0.0.1:8786.  [default: this machine]",
-            show_default=False,
-        ),
-    ] = None,
+    scheduler: SchedulerOption = None,
     output: Annotated[
         Path | None,
         typer.Option(

@@ -224,7 +224,7 @@ class _Axes:
         x, p, locked = ca.SX.sym("x", 6), ca.SX.sym("p", len(model.parameters)), ca.SX.sym("l", 3)
         acceleration = model.dynamics(x, ca.SX.zeros(2), p, ca.SX(0), locked)[3:6]
         self._of = ca.Function("axes", [x, p, locked], [acceleration, ca.jacobian(acceleration, x)])
-        self.names = [quantity.name for quantity in model.parameters]
+        self.names = model.parameter_names
         self.values: Floats = model.parameter_values(rig)
 
     def _at(self, p: Floats, axis: int, angles_rad: Floats) -> tuple[float, float, float]:

@@ -33,7 +33,7 @@ def test_a_moment_is_that_of_its_flight_in_every_parameter_vector() -> None:
     effect = replace(KIND.make(KIND.typical), flight="a", other_moments_s={"b": 6.0})
     model = MultibodyModel((effect,))
     vector, problem = RigParameters(model, RIG, records), Problem(model, RIG, records)
-    place = [quantity.name for quantity in model.parameters].index("counterweight_shift_at_s")
+    place = model.parameter_names.index("counterweight_shift_at_s")
     for parameters in (vector, problem.parameter_vector):
         theta = parameters.started_from({"counterweight_shift_at_s": 11.0})
         source = vector if parameters is vector else problem

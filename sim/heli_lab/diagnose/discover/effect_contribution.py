@@ -34,7 +34,7 @@ def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats
     model = linear.model.source
     reduced_model = type(model)(tuple(effect for effect in model.effects if effect.name != name))
     states = [state.name for state in model.states]
-    names = [quantity.name for quantity in model.parameters]
+    names = model.parameter_names
 
     def change_rad_s2(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> list[ca.SX]:
         reduced_x = ca.vertcat(*(x[states.index(state.name)] for state in reduced_model.states))

@@ -231,7 +231,7 @@ def calibration_s(record: Record, requested_s: float | None = None) -> float:
 
 def _mean_by_name(model: Model, parameters: Sequence[Floats]) -> dict[str, float]:
     """Return the mean of parameter vectors of a model, shape (p,) each, by name."""
-    names = (quantity.name for quantity in model.parameters)
+    names = model.parameter_names
     return dict(zip(names, np.mean(parameters, axis=0).tolist(), strict=True))
 
 

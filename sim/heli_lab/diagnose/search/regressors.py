@@ -191,7 +191,7 @@ class ExtendedModel:
         effect = effect.with_measured_angles()
         self.effect, self.linear_parameters = effect, linear
         self.extended_model = type(model)((*model.effects, effect))
-        names = [quantity.name for quantity in self.extended_model.parameters]
+        names = self.extended_model.parameter_names
         self.model_parameters = [names.index(quantity.name) for quantity in model.parameters]
         self.effect_parameters = {quantity.name: names.index(quantity.name) for quantity in effect.parameters}
         state_names = [state.name for state in self.extended_model.states]

@@ -263,7 +263,7 @@ class EffectSpec:
         """
         if self.models and model.name not in self.models:
             return False
-        return {*self.needs, *self.override} <= {quantity.name for quantity in model.parameters}
+        return {*self.needs, *self.override} <= set(model.parameter_names)
 
     def compatible_with(self, other: EffectSpec) -> bool:
         """Whether one model may have this and the `other` effect.
