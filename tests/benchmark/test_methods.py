@@ -6,9 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from heli_benchmark.methods import base_rates, ours, stepwise
+from heli_benchmark.methods.equation_torques import torques_of_accelerations
 from heli_benchmark.methods.evidence import TermEvidence
 from heli_benchmark.methods.stepwise import selected
-from heli_benchmark.methods.terms import ResidualRegression, Term
+from heli_benchmark.methods.terms import ResidualRegression, Standardisation, Term
 from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, Estimate
 from heli_benchmark.task.answer import check_answer
 from heli_host.arrays import Floats
@@ -17,6 +18,7 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.model.linear import trim
 from heli_sim.rig import load_rig
+from heli_sim.rig.inertia import inertias_kg_m2
 
 from tests.benchmark.tuning import TUNED
 
@@ -32,6 +34,7 @@ CAUSES = Causes(
     },
 )
 RIG = load_rig("makki2024")
+SCALES = Standardisation(np.ones(3), np.zeros(8), np.ones(8))
 NO_EXTRA = "skipped: the extra `benchmark` is not installed"
 
 
@@ -65,6 +68,7 @@ def test_stepwise_regression_names_a_spring_if_there_is_one(stiffness: float) ->
     flight = flown(stiffness)
     case = BenchmarkCase("case", RIG, (flight,), (flight,), CAUSES)
     answer = check_answer(stepwise.diagnose(case), CAUSES, "stepwise")
+    assert answer.equation_torques == {}
     if stiffness:
         assert answer.probabilities[SPRING] > 0.9
         estimate = answer.parameters[STIFFNESS]
@@ -74,15 +78,48 @@ def test_stepwise_regression_names_a_spring_if_there_is_one(stiffness: float) ->
         assert STIFFNESS not in answer.parameters
 
 
+@pytest.mark.medium
+def test_the_terms_of_an_unlisted_cause_give_its_torques() -> None:
+    flight = flown(0.5)
+    rates = {name: rate for name, rate in RATES.items() if name != SPRING}
+    unaware = Causes(rates, {name: of for name, of in CAUSES.parameters.items() if name != SPRING})
+    case = BenchmarkCase("case", RIG, (flight,), (flight,), unaware)
+    answer = check_answer(stepwise.diagnose(case), unaware, "stepwise")
+    assert answer.probabilities[UNLISTED] > 0.9
+    assert answer.equation.startswith("travel torque: -")
+    torques = answer.equation_torques["validation-1"]
+    true_Nm = -0.5 * np.interp(torques.t_s, flight.t_s, flight.travel_rad)
+    assert np.corrcoef(torques.values[:, 2], true_Nm)[0, 1] > 0.99
+    assert np.ptp(torques.values[:, 2]) == pytest.approx(np.ptp(true_Nm), rel=0.2)
+    assert not torques.values[:, :2].any()
+
+
+@pytest.mark.medium
+def test_an_equation_of_an_acceleration_becomes_a_torque_by_the_inertia() -> None:
+    flight = flown(0.0)
+    case = BenchmarkCase("case", RIG, (flight,), (flight,), CAUSES)
+    none = np.zeros((1, 3))
+    # The feature is travel in units of 0.1 rad, and the residual has the unit 2 rad/s2.
+    scales = Standardisation(np.full(3, 2.0), np.zeros(8), np.full(8, 0.1))
+    regression = ResidualRegression(none[0], none, [], none, none, {}, scales)
+    content = torques_of_accelerations(case, regression, {2: lambda features: -features[:, 2]})
+    of = content["equation_torques"]["validation-1"]
+    accelerations = -20.0 * np.interp(of["t_s"], flight.t_s, flight.travel_rad)
+    travel_kg_m2 = np.median(np.array(of["travel_Nm"]) / accelerations)
+    stated = inertias_kg_m2({name: RIG[name].value for name in RIG})
+    assert travel_kg_m2 == pytest.approx(stated["J_psi"], rel=0.1)
+    assert torques_of_accelerations(case, regression, {}) == {}
+
+
 def test_a_term_is_selected_only_if_it_explains_the_residuals() -> None:
     rng = np.random.default_rng(1)
     columns = rng.standard_normal((300, 3))
     terms = [Term(name, (name,), columns[:, [i]]) for i, name in enumerate("abc")]
     noise, nuisance = rng.standard_normal(300), rng.standard_normal((300, 2))
     none = np.zeros((1, 3))
-    with_b = ResidualRegression(noise + 0.8 * columns[:, 1], nuisance, terms, none, none, {})
+    with_b = ResidualRegression(noise + 0.8 * columns[:, 1], nuisance, terms, none, none, {}, SCALES)
     assert [term.cause for term in selected(with_b)[0]] == ["b"]
-    assert selected(ResidualRegression(noise, nuisance, terms, none, none, {}))[0] == []
+    assert selected(ResidualRegression(noise, nuisance, terms, none, none, {}, SCALES))[0] == []
 
 
 @pytest.mark.medium
@@ -102,7 +139,7 @@ def test_lisdd_names_the_term_that_acts_in_one_regime(size: float, monkeypatch: 
     priors = {name: Estimate(1.0, 0.1) for name in ("thrust_gain", "dead_zone")}
     names = (SPRING, "travel_drag_quadratic", "rotor_lag")
     terms = [Term(name, (), columns[:, [i]]) for i, name in enumerate(names)]
-    regression = ResidualRegression(target, nuisance, terms, np.zeros((1, 3)), features, priors)
+    regression = ResidualRegression(target, nuisance, terms, np.zeros((1, 3)), features, priors, SCALES)
     monkeypatch.setattr(lisdd, "residual_regression", lambda case: regression)
     answer = lisdd.diagnose(BenchmarkCase("case", RIG, (), (), CAUSES))
     named = [name for name, p in answer["probabilities"].items() if p > 0.5 and name != NOTHING]
@@ -116,7 +153,9 @@ def test_evidence_of_simulated_causes_is_highest_for_the_cause_that_was_drawn() 
     names = (SPRING, "travel_drag_quadratic", "rotor_lag")
     terms = [Term(name, (), columns[:, [i]]) for i, name in enumerate(names)]
     none = np.zeros((1, 3))
-    evidence = TermEvidence(ResidualRegression(nuisance[:, 0], nuisance, terms, none, none, {}), CAUSES)
+    evidence = TermEvidence(
+        ResidualRegression(nuisance[:, 0], nuisance, terms, none, none, {}, SCALES), CAUSES
+    )
     targets, hidden = evidence.simulated(400, rng)
     gains = evidence.features(targets)[:, : len(CAUSES.listed)]
     share = np.mean([NOTHING in of for of in hidden])

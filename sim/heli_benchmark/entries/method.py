@@ -15,7 +15,11 @@ from typing import Any, Final
 from heli_benchmark.errors import BenchmarkError
 
 _METHODS: Final = Path(__file__).parents[1] / "methods"
-_SHARED: Final = (_METHODS / "terms.py", _METHODS / "evidence.py")
+_SHARED: Final = tuple(
+    # A file comes before those that it imports.
+    _METHODS / f"{stem}.py"
+    for stem in ("equation_torques", "evidence", "terms", "motion")
+)
 _FUNCTION: Final = "diagnose"
 _TRAIN: Final = "train"
 

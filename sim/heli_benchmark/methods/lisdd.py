@@ -14,6 +14,7 @@ from scipy.stats import chi2, f
 from sklearn.cluster import KMeans
 from statsmodels.stats.multitest import multipletests
 
+from heli_benchmark.methods.equation_torques import torques_of_terms
 from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regression
 from heli_benchmark.task import NOTHING, BenchmarkCase, answer_with
 
@@ -43,7 +44,8 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     confirmed = multipletests(p_values, _FALSE_DISCOVERIES, "fdr_bh")[0] if terms else []
     chosen = {term.cause: term for term, sure in zip(terms, confirmed, strict=True) if sure}
     named = dict.fromkeys(chosen, _CONFIRMED) or {NOTHING: 0.5}
-    return answer_with(case.causes, named, regression.parameters([*chosen.values()]))
+    answer = answer_with(case.causes, named, regression.parameters([*chosen.values()]))
+    return answer | torques_of_terms(case, regression, [*chosen.values()])
 
 
 def _clean_residual(regression: ResidualRegression, regimes: np.ndarray) -> Floats:

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from pysindy.optimizers import STLSQ, EnsembleOptimizer
 
+from heli_benchmark.methods.equation_torques import torques_of_terms
 from heli_benchmark.methods.terms import Term, residual_regression
 from heli_benchmark.task import BenchmarkCase, Estimate, answer_with
 
@@ -37,12 +38,13 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     coefficients = np.array(ensemble.coef_list)[:, 0, :]
     named: dict[str, float] = {}
     parameters: dict[str, Estimate] = {}
-    place = 0
+    kept_terms, place = [], 0
     for term in terms:
         width = term.columns.shape[1]
         of = coefficients[:, place : place + width]
         share = float((of != 0.0).any(axis=1).mean())
         named[term.cause] = max(named.get(term.cause, 0.0), min(share, 0.98))
+        kept_terms += [term] if share >= 0.5 else []
         values = of * target.std() / scale[place : place + width]
         for name, value in zip(term.parameters, values.T, strict=False):
             if share >= 0.5 and value.std() > 0.0:
@@ -50,4 +52,4 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         place += width
     kept = {name: share for name, share in named.items() if share > 0.1}
     rig = regression.parameters([term for term in terms if named[term.cause] >= 0.5])
-    return answer_with(case.causes, kept, rig | parameters)
+    return answer_with(case.causes, kept, rig | parameters) | torques_of_terms(case, regression, kept_terms)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
+from heli_benchmark.methods.equation_torques import torques_of_terms
 from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regression
 from heli_benchmark.task import UNLISTED, BenchmarkCase, answer_with
 
@@ -24,7 +25,8 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         for term, gain in zip(chosen, gains_nats, strict=True)
     }
     named.setdefault(UNLISTED, 0.5 * case.causes.base_rates[UNLISTED])
-    return answer_with(case.causes, named, regression.parameters(chosen))
+    answer = answer_with(case.causes, named, regression.parameters(chosen))
+    return answer | torques_of_terms(case, regression, chosen)
 
 
 def selected(regression: ResidualRegression) -> tuple[list[Term], list[float]]:

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from pyoperon.sklearn import SymbolicRegressor
 
+from heli_benchmark.methods.equation_torques import torques_of_accelerations
 from heli_benchmark.methods.terms import ResidualRegression, residual_regression
 from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, answer_with
 
@@ -21,19 +22,22 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     """Search an equation for the residual acceleration of each axis."""
     regression = residual_regression(case)
     named: dict[str, float] = {}
-    equations = []
-    for axis, (r2, predicted, equation) in enumerate(searched(regression)):
+    equations, unlisted = [], {}
+    for axis, (r2, predicted, search) in enumerate(searched(regression)):
         if r2 < _MIN_R2 or not np.isfinite(r2):
             continue
         name, similarity = _most_similar(regression, predicted, axis)
         named[name] = max(named.get(name, 0.0), 0.6 * similarity + 0.3)
-        equations.append(equation)
+        equations.append(str(search.get_model_string(search.model_, 3)))
+        if name == UNLISTED:
+            unlisted[axis] = search.predict
     answer = answer_with(case.causes, named or {NOTHING: 0.7}, regression.parameters([]))
-    return answer | {"equation": "; ".join(equations)}
+    torques = torques_of_accelerations(case, regression, unlisted)
+    return answer | {"equation": "; ".join(equations)} | torques
 
 
-def searched(regression: ResidualRegression) -> list[tuple[float, np.ndarray, str]]:
-    """Return the held-out share of the variance, the prediction and the text of an equation of each axis."""
+def searched(regression: ResidualRegression) -> list[tuple[float, np.ndarray, SymbolicRegressor]]:
+    """Return the held-out share of the variance, the prediction and the equation of each axis."""
     features, count = regression.features, len(regression.residuals)
     first = slice(0, round((1.0 - _HELD_OUT) * count))
     last = slice(first.stop, count)
@@ -51,7 +55,7 @@ def searched(regression: ResidualRegression) -> list[tuple[float, np.ndarray, st
         predicted = np.asarray(search.predict(features)).ravel()
         error = target[last] - predicted[last]
         r2 = 1.0 - float(error @ error) / float(target[last] @ target[last])
-        equations.append((r2, predicted, str(search.get_model_string(search.model_, 3))))
+        equations.append((r2, predicted, search))
     return equations
 
 

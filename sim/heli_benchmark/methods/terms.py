@@ -9,27 +9,18 @@ one: the derivative of the voltages.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
-import casadi as ca
 import numpy as np
 from heli_host.arrays import Floats
-from heli_host.flight import Flight
 from heli_sim.model import MultibodyModel
-from heli_sim.model.base import Model
 from heli_sim.model.effects import catalogue
 from heli_sim.model.parts import AXES
-from heli_sim.rig import Rig
-from scipy.signal import savgol_coeffs
 
+from heli_benchmark.methods.motion import AccelerationModel, SmoothedFlight
 from heli_benchmark.task import UNLISTED, BenchmarkCase, Estimate
 
-GRID_s: Final = 0.1
-"""Step of the regression. The disturbances are correlated over 0.3 s and more."""
-_WINDOW_s: Final = 0.4
-"""Length of the smoothing filter. Shorter: the counts of the encoders dominate at 100 Hz. Longer: it removes
-the excitation, which ends at 4 Hz. By judgement, not tuned."""
 _MOMENTS: Final = (15.0, 17.0, 19.0, 21.0, 23.0, 25.0, 27.0)
 _FREQUENCIES_Hz: Final = tuple(np.arange(0.3, 2.51, 0.1))
 _SAME_SHAPE: Final = 0.98
@@ -50,11 +41,32 @@ class Term:
         Parameters whose estimates are the coefficients; empty for a term of an unlisted cause.
     columns : ndarray (n, k)
         Changes of the accelerations per unit of each parameter, whitened.
+    axis, shape : str
+        Axis and shape of the torque of an unlisted cause; its coefficient is in N m.
     """
 
     cause: str
     parameters: tuple[str, ...]
     columns: Floats
+    axis: str = ""
+    shape: str = ""
+
+
+@dataclass(frozen=True)
+class Standardisation:
+    """Scales of residuals and features.
+
+    Parameters
+    ----------
+    residual_std : ndarray (3,)
+        Standard deviations of the residuals by axis, rad/s2.
+    feature_mean, feature_std : ndarray (8,)
+        Means and standard deviations of the features.
+    """
+
+    residual_std: Floats
+    feature_mean: Floats
+    feature_std: Floats
 
 
 @dataclass(frozen=True)
@@ -75,6 +87,8 @@ class ResidualRegression:
         Residuals after a fit of the nuisance parameters, before they are whitened, by axis.
     features : ndarray (k, 8)
         Angles, rates and voltages at the same moments, each with mean 0 and variance 1.
+    standardisation : Standardisation
+        How `residuals` and `features` were scaled.
     """
 
     target: Floats
@@ -83,6 +97,7 @@ class ResidualRegression:
     residuals: Floats
     features: Floats
     rig_priors: Mapping[str, Estimate]
+    standardisation: Standardisation
 
     def parameters(self, terms: Sequence[Term]) -> dict[str, Estimate]:
         """Estimate the parameters of the rig and of some terms together.
@@ -153,8 +168,8 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
         Whether integrals with test functions replace smoothed accelerations.
     """
     rig = case.rig
-    smooth = [_Smoothed(flight, weak_form) for flight in case.training]
-    plain = _Model(MultibodyModel(), rig)
+    smooth = [SmoothedFlight(flight, weak_form) for flight in case.training]
+    plain = AccelerationModel(MultibodyModel(), rig)
     nuisance_names = [name for name in plain.names if name in rig and rig[name].tolerance]
     target = _stack([motion.acceleration - motion.filtered(plain.acceleration(motion)) for motion in smooth])
     stds = np.array([0.5 * rig[name].tolerance for name in nuisance_names])
@@ -169,91 +184,22 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
         scaled = (values.swapaxes(1, -1) * scale).swapaxes(1, -1)
         return np.asarray((scaled[1:] - lag * scaled[:-1]).reshape(-1, *values.shape[2:]))
 
-    terms = [Term(cause, names, white(columns)) for cause, names, columns in drafts]
+    terms = [replace(term, columns=white(term.columns)) for term in drafts]
     useful = [term for term in terms if np.isfinite(term.columns).all() and term.columns.std() > 1e-9]
     listed = [term for term in useful if term.parameters]
     useful = listed + [term for term in useful if not term.parameters and not _is_listed(term, listed)]
     features = np.concatenate([motion.features for motion in smooth])
-    features = (features - features.mean(axis=0)) / features.std(axis=0)
+    scales = Standardisation(fitted.std(axis=0), features.mean(axis=0), features.std(axis=0))
+    features = (features - scales.feature_mean) / scales.feature_std
     priors = {name: Estimate(rig[name].value, 0.5 * rig[name].tolerance) for name in nuisance_names}
-    residuals = fitted / fitted.std(axis=0)
-    return ResidualRegression(white(target), white(nuisance), useful, residuals, features, priors)
+    residuals = fitted / scales.residual_std
+    return ResidualRegression(white(target), white(nuisance), useful, residuals, features, priors, scales)
 
 
-class _Smoothed:
-    """A flight, smoothed, with all times on the grid of the regression."""
-
-    def __init__(self, flight: Flight, weak_form: bool) -> None:
-        step_s = float(flight.t_s[-1] - flight.t_s[0]) / (len(flight) - 1)
-        half = round(_WINDOW_s / 2.0 / step_s)
-        self._kernels = _weak_kernels(half, step_s) if weak_form else _smoothing_kernels(half, step_s)
-        self.angles_rad = _through(flight.angles_rad, _smoothing_kernels(half, step_s)[0])
-        self.rates_rad_s = _through(flight.angles_rad, _smoothing_kernels(half, step_s)[1])
-        self.volts_V = flight.voltages_V[half : len(flight) - half]
-        self.t_s = flight.t_s[half : len(flight) - half] - flight.t_s[0]
-        self._pick = slice(half, len(self.t_s) - half, max(1, round(GRID_s / step_s)))
-        self._half = half
-        self.volt_rates_V_s = np.gradient(self.volts_V, step_s, axis=0)
-        self.acceleration = _through(flight.angles_rad, self._kernels[2])[self._pick]
-        self.features = np.hstack([self.angles_rad, self.rates_rad_s, self.volts_V])[self._pick]
-
-    def filtered(self, values: Floats) -> Floats:
-        """Pass values along the flight through the filter of the accelerations."""
-        flat = values.reshape(len(values), -1)
-        padded = np.pad(_through(flat, self._kernels[0]), ((self._half, self._half), (0, 0)))
-        return padded[self._pick].reshape(-1, *values.shape[1:])
-
-
-class _Model:
-    """Accelerations of a model along a flight, and their derivatives by parameters."""
-
-    def __init__(self, model: Model, rig: Rig) -> None:
-        self.names = model.parameter_names
-        self._values = np.array(model.parameter_values(rig))
-        self._states = len(model.states)
-        x, u = ca.SX.sym("x", self._states), ca.SX.sym("u", 2)
-        self._p, t = ca.SX.sym("p", len(self.names)), ca.SX.sym("t")
-        self._out = model.dynamics(x, u, self._p, t)[3:6]
-        self._arguments, self._u = [x, u, self._p, t], u
-        self._functions: dict[tuple[str, ...], ca.Function] = {}
-
-    def acceleration(self, flight: _Smoothed) -> Floats:
-        return self._evaluated(flight, ("acceleration",), self._out)[:, :, 0]
-
-    def jacobian(
-        self, flight: _Smoothed, names: Sequence[str], place: Mapping[str, float] | None = None
-    ) -> Floats:
-        """Return the derivatives by parameters at the parameters in `place`, shape (n, 3, names)."""
-        by = ca.vertcat(*(self._p[self.names.index(name)] for name in names))
-        return self._evaluated(flight, tuple(names), ca.jacobian(self._out, by), place)
-
-    def by_volts(self, flight: _Smoothed) -> Floats:
-        return self._evaluated(flight, ("volts",), ca.jacobian(self._out, self._u))
-
-    def _evaluated(
-        self,
-        flight: _Smoothed,
-        key: tuple[str, ...],
-        expression: ca.SX,
-        place: Mapping[str, float] | None = None,
-    ) -> Floats:
-        if key not in self._functions:
-            self._functions[key] = ca.Function("f", self._arguments, [ca.densify(expression)])
-        n, values = len(flight.t_s), self._values.copy()
-        for name, value in (place or {}).items():
-            values[self.names.index(name)] = value
-        states = np.zeros((self._states, n))
-        states[:3], states[3:6] = flight.angles_rad.T, flight.rates_rad_s.T
-        result = self._functions[key](states, flight.volts_V.T, values, flight.t_s[None])
-        return np.asarray(result).reshape(3, n, -1).transpose(1, 0, 2)
-
-
-Draft = tuple[str, tuple[str, ...], Floats]
-
-
-def _listed(case: BenchmarkCase, smooth: Sequence[_Smoothed]) -> list[Draft]:
+def _listed(case: BenchmarkCase, smooth: Sequence[SmoothedFlight]) -> list[Term]:
     """Terms of the causes of the catalogue that act as forces without a state of their own."""
-    kinds, drafts = catalogue(), []
+    kinds = catalogue()
+    drafts: list[Term] = []
     for cause in case.causes.listed:
         spec = kinds[cause]
         if spec.states or spec.acts_on.startswith("measurement") or not spec.suits(MultibodyModel()):
@@ -265,38 +211,52 @@ def _listed(case: BenchmarkCase, smooth: Sequence[_Smoothed]) -> list[Draft]:
             places = [{f"{spec.prefix}_at_s": at_s} for at_s in _MOMENTS]
         elif f"{spec.prefix}_Hz" in names:
             places = [{f"{spec.prefix}_Hz": float(Hz)} for Hz in _FREQUENCIES_Hz]
-        of = _Model(MultibodyModel((spec.make(),)), case.rig)
+        of = AccelerationModel(MultibodyModel((spec.make(),)), case.rig)
         for place in places:
             columns = [motion.filtered(of.jacobian(motion, sizes, place)) for motion in smooth]
-            drafts.append((cause, sizes, _stack(columns)))
+            drafts.append(Term(cause, sizes, _stack(columns)))
     return drafts
 
 
-def _late(case: BenchmarkCase, smooth: Sequence[_Smoothed], plain: _Model) -> list[Draft]:
+def _late(case: BenchmarkCase, smooth: Sequence[SmoothedFlight], plain: AccelerationModel) -> list[Term]:
     """Terms of a lag or a delay: thrust is late by a time that multiplies the voltages' derivative."""
     late = [
         motion.filtered(-np.einsum("nij,nj->ni", plain.by_volts(motion), motion.volt_rates_V_s)[:, :, None])
         for motion in smooth
     ]
-    return [(cause, (name,), _stack(late)) for cause, name in _LATE.items() if cause in case.causes.listed]
+    return [
+        Term(cause, (name,), _stack(late)) for cause, name in _LATE.items() if cause in case.causes.listed
+    ]
 
 
-def _generic(smooth: Sequence[_Smoothed], plain: _Model) -> list[Draft]:
+def _generic(smooth: Sequence[SmoothedFlight], plain: AccelerationModel) -> list[Term]:
     """Torques that are products of angles and rates: what an unlisted cause may look like."""
-    drafts: list[Draft] = []
-    pushes = [plain.jacobian(motion, [f"torque_{axis}" for axis in AXES]) for motion in smooth]
-    for i in range(3):
-        for shapes in zip(*(_shapes(motion) for motion in smooth), strict=True):
-            parts = [push[:, :, i] * shape[:, None] for push, shape in zip(pushes, shapes, strict=True)]
-            columns = [motion.filtered(part[:, :, None]) for motion, part in zip(smooth, parts, strict=True)]
-            drafts.append((UNLISTED, (), _stack(columns)))
-    return drafts
+    terms: list[Term] = []
+    pushes, shapes = [plain.by_torques(motion) for motion in smooth], [shapes_of(motion) for motion in smooth]
+    for i, axis in enumerate(AXES):
+        for shape in shapes[0]:
+            columns = [
+                motion.filtered(push[:, :, [i]] * of[shape][:, None, None])
+                for motion, push, of in zip(smooth, pushes, shapes, strict=True)
+            ]
+            terms.append(Term(UNLISTED, (), _stack(columns), axis, shape))
+    return terms
 
 
-def _shapes(flight: _Smoothed) -> list[Floats]:
-    q, w = flight.angles_rad.T, flight.rates_rad_s.T
-    singles = [*q, *w, *(np.sin(2.0 * x) for x in q), *(x * np.abs(x) for x in w)]
-    return [*singles, *(x**2 for x in (*q, *w)), q[0] * q[1], q[0] * w[2], q[1] * w[0]]
+def shapes_of(flight: SmoothedFlight) -> dict[str, Floats]:
+    """Return products of angles and rates along a flight by their text, each of shape (n,)."""
+    signals = dict(zip(AXES, flight.angles_rad.T, strict=True)) | {
+        f"{axis}_rate": rate for axis, rate in zip(AXES, flight.rates_rad_s.T, strict=True)
+    }
+    rates = [name for name in signals if name not in AXES]
+    pairs = (("elevation", "pitch"), ("elevation", "travel_rate"), ("pitch", "elevation_rate"))
+    return {
+        **signals,
+        **{f"sin(2 {axis})": np.sin(2.0 * signals[axis]) for axis in AXES},
+        **{f"{rate} |{rate}|": signals[rate] * np.abs(signals[rate]) for rate in rates},
+        **{f"{name}^2": values**2 for name, values in signals.items()},
+        **{f"{first} {second}": signals[first] * signals[second] for first, second in pairs},
+    }
 
 
 def _is_listed(term: Term, listed: Sequence[Term]) -> bool:
@@ -311,28 +271,6 @@ def _is_listed(term: Term, listed: Sequence[Term]) -> bool:
 
 def _stack(parts: Sequence[Floats]) -> Floats:
     return np.concatenate(parts)
-
-
-def _smoothing_kernels(half: int, step_s: float) -> tuple[Floats, Floats, Floats]:
-    window = 2 * half + 1
-    zero, first, second = (savgol_coeffs(window, 3, deriv=d, delta=step_s) for d in range(3))
-    return zero, first, second
-
-
-def _weak_kernels(half: int, step_s: float) -> tuple[Floats, Floats, Floats]:
-    """Test function, and its derivatives, which take the place of derivatives of the angles."""
-    place = np.arange(-half, half + 1) / (half + 1.0)
-    unit = 1.0 / ((half + 1.0) * step_s)
-    test = (1.0 - place**2) ** 4
-    second = 8.0 * (1.0 - place**2) ** 2 * (7.0 * place**2 - 1.0)
-    total = test.sum()
-    return test / total, np.zeros_like(test), second * unit**2 / total
-
-
-def _through(values: Floats, kernel: Floats) -> Floats:
-    from scipy.signal import fftconvolve
-
-    return np.asarray(fftconvolve(values, kernel[:, None], mode="valid", axes=0))
 
 
 def _fitted(target: Floats, nuisance: Floats) -> Floats:

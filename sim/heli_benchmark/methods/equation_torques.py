@@ -1,0 +1,95 @@
+"""Torques of an unlisted cause along the validation flights, as keys of an answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from heli_host.arrays import Floats
+from heli_sim.model import MultibodyModel
+from heli_sim.model.parts import AXES
+
+from heli_benchmark.methods.motion import AccelerationModel, SmoothedFlight
+from heli_benchmark.methods.terms import ResidualRegression, Term, shapes_of
+from heli_benchmark.task import AxisSeries, BenchmarkCase
+from heli_benchmark.task.axis_series import flight_name, series_content
+
+_STEP_s: Final = 0.02
+"""Step of the torques; the smoothing leaves nothing that is faster."""
+
+
+def torques_of_terms(
+    case: BenchmarkCase, regression: ResidualRegression, terms: Sequence[Term]
+) -> dict[str, Any]:
+    """Return the equation of the terms of unlisted causes in a fit, and its torques.
+
+    Parameters
+    ----------
+    regression : ResidualRegression
+        Regression of the case.
+    terms : sequence of Term
+        All terms of the fit.
+
+    Returns
+    -------
+    dict
+        Keys of an answer; empty if no term belongs to an unlisted cause.
+    """
+    coefficients = list(regression.fit(terms)[1])
+    sizes = [(term, coefficients[sum(t.columns.shape[1] for t in terms[:i])]) for i, term in enumerate(terms)]
+    unlisted = [(term, float(size)) for term, size in sizes if term.shape]
+    if not unlisted:
+        return {}
+
+    def torque_Nm(motion: SmoothedFlight) -> Floats:
+        shapes = shapes_of(motion)
+        torques = np.zeros((len(motion.t_s), 3))
+        for term, size in unlisted:
+            torques[:, AXES.index(term.axis)] += size * shapes[term.shape]
+        return torques
+
+    text = "; ".join(f"{term.axis} torque: {size:.3g} {term.shape}" for term, size in unlisted)
+    return {"equation": text, "equation_torques": _along(case, torque_Nm)}
+
+
+def torques_of_accelerations(
+    case: BenchmarkCase, regression: ResidualRegression, equations: Mapping[int, Callable[[Floats], Floats]]
+) -> dict[str, Any]:
+    """Return the torques of equations that predict the residual accelerations of a regression.
+
+    Parameters
+    ----------
+    regression : ResidualRegression
+        Regression of the case.
+    equations : Mapping[int, callable]
+        By axis: a function of features that returns the scaled residuals.
+
+    Returns
+    -------
+    dict
+        A key of an answer; empty if there is no equation.
+    """
+    scales, model = regression.standardisation, AccelerationModel(MultibodyModel(), case.rig)
+
+    def torque_Nm(motion: SmoothedFlight) -> Floats:
+        features = (motion.signals - scales.feature_mean) / scales.feature_std
+        accelerations = np.zeros((len(motion.t_s), 3))
+        for axis, equation in equations.items():
+            accelerations[:, axis] = scales.residual_std[axis] * np.asarray(equation(features)).ravel()
+        return np.asarray(np.linalg.solve(model.by_torques(motion), accelerations[:, :, None])[:, :, 0])
+
+    return {"equation_torques": _along(case, torque_Nm)} if equations else {}
+
+
+def _along(case: BenchmarkCase, torque_Nm: Callable[[SmoothedFlight], Floats]) -> dict[str, Any]:
+    series = {}
+    for number, flight in enumerate(case.validation):
+        motion = SmoothedFlight(flight)
+        step_s = float(motion.t_s[-1] - motion.t_s[0]) / (len(motion.t_s) - 1)
+        rows = slice(None, None, max(1, round(_STEP_s / step_s)))
+        torques = AxisSeries(flight.t_s[0] + motion.t_s[rows], torque_Nm(motion)[rows])
+        # An equation can leave the range of numbers outside of the motions that it was found in.
+        if np.isfinite(torques.values).all():
+            series[flight_name(number)] = torques
+    return series_content(series, "Nm")

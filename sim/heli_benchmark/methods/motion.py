@@ -1,0 +1,129 @@
+"""Smoothed flights, and the accelerations of a model along them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import casadi as ca
+import numpy as np
+from heli_host.arrays import Floats
+from heli_host.flight import Flight
+from heli_sim.model.base import Model
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Rig
+from scipy.signal import fftconvolve, savgol_coeffs
+
+GRID_s: Final = 0.1
+"""Step of the regression. The disturbances are correlated over 0.3 s and more."""
+_WINDOW_s: Final = 0.4
+"""Length of the smoothing filter. Shorter: the counts of the encoders dominate at 100 Hz. Longer: it removes
+the excitation, which ends at 4 Hz. By judgement, not tuned."""
+
+
+class SmoothedFlight:
+    """A flight, smoothed.
+
+    Parameters
+    ----------
+    flight : Flight
+        The flight; its first and last 0.2 s are lost.
+    weak_form : bool
+        Whether integrals with test functions replace smoothed accelerations.
+
+    Attributes
+    ----------
+    t_s, signals : ndarray (n,), (n, 8)
+        Times since the start of the flight; angles, rates and voltages then.
+    acceleration, features : ndarray (k, 3), (k, 8)
+        Accelerations and signals on the grid of the regression.
+    """
+
+    def __init__(self, flight: Flight, weak_form: bool = False) -> None:
+        step_s = float(flight.t_s[-1] - flight.t_s[0]) / (len(flight) - 1)
+        half = round(_WINDOW_s / 2.0 / step_s)
+        self._kernels = _weak_kernels(half, step_s) if weak_form else _smoothing_kernels(half, step_s)
+        self.angles_rad = _through(flight.angles_rad, _smoothing_kernels(half, step_s)[0])
+        self.rates_rad_s = _through(flight.angles_rad, _smoothing_kernels(half, step_s)[1])
+        self.volts_V = flight.voltages_V[half : len(flight) - half]
+        self.t_s = flight.t_s[half : len(flight) - half] - flight.t_s[0]
+        self._pick = slice(half, len(self.t_s) - half, max(1, round(GRID_s / step_s)))
+        self._half = half
+        self.volt_rates_V_s = np.gradient(self.volts_V, step_s, axis=0)
+        self.acceleration = _through(flight.angles_rad, self._kernels[2])[self._pick]
+        self.signals = np.hstack([self.angles_rad, self.rates_rad_s, self.volts_V])
+        self.features = self.signals[self._pick]
+
+    def filtered(self, values: Floats) -> Floats:
+        """Pass values along the flight through the filter of the accelerations."""
+        flat = values.reshape(len(values), -1)
+        padded = np.pad(_through(flat, self._kernels[0]), ((self._half, self._half), (0, 0)))
+        return padded[self._pick].reshape(-1, *values.shape[1:])
+
+
+class AccelerationModel:
+    """Accelerations of a model along a flight, and their derivatives by parameters."""
+
+    def __init__(self, model: Model, rig: Rig) -> None:
+        self.names = model.parameter_names
+        self._values = np.array(model.parameter_values(rig))
+        self._states = len(model.states)
+        x, u = ca.SX.sym("x", self._states), ca.SX.sym("u", 2)
+        self._p, t = ca.SX.sym("p", len(self.names)), ca.SX.sym("t")
+        self._out = model.dynamics(x, u, self._p, t)[3:6]
+        self._arguments, self._u = [x, u, self._p, t], u
+        self._functions: dict[tuple[str, ...], ca.Function] = {}
+
+    def acceleration(self, flight: SmoothedFlight) -> Floats:
+        return self._evaluated(flight, ("acceleration",), self._out)[:, :, 0]
+
+    def jacobian(
+        self, flight: SmoothedFlight, names: Sequence[str], place: Mapping[str, float] | None = None
+    ) -> Floats:
+        """Return the derivatives by parameters at the parameters in `place`, shape (n, 3, names)."""
+        by = ca.vertcat(*(self._p[self.names.index(name)] for name in names))
+        return self._evaluated(flight, tuple(names), ca.jacobian(self._out, by), place)
+
+    def by_torques(self, flight: SmoothedFlight) -> Floats:
+        """Return the derivatives by torques about the three axes, shape (n, 3, 3)."""
+        return self.jacobian(flight, [f"torque_{axis}" for axis in AXES])
+
+    def by_volts(self, flight: SmoothedFlight) -> Floats:
+        return self._evaluated(flight, ("volts",), ca.jacobian(self._out, self._u))
+
+    def _evaluated(
+        self,
+        flight: SmoothedFlight,
+        key: tuple[str, ...],
+        expression: ca.SX,
+        place: Mapping[str, float] | None = None,
+    ) -> Floats:
+        if key not in self._functions:
+            self._functions[key] = ca.Function("f", self._arguments, [ca.densify(expression)])
+        n, values = len(flight.t_s), self._values.copy()
+        for name, value in (place or {}).items():
+            values[self.names.index(name)] = value
+        states = np.zeros((self._states, n))
+        states[:3], states[3:6] = flight.angles_rad.T, flight.rates_rad_s.T
+        result = self._functions[key](states, flight.volts_V.T, values, flight.t_s[None])
+        return np.asarray(result).reshape(3, n, -1).transpose(1, 0, 2)
+
+
+def _smoothing_kernels(half: int, step_s: float) -> tuple[Floats, Floats, Floats]:
+    window = 2 * half + 1
+    zero, first, second = (savgol_coeffs(window, 3, deriv=d, delta=step_s) for d in range(3))
+    return zero, first, second
+
+
+def _weak_kernels(half: int, step_s: float) -> tuple[Floats, Floats, Floats]:
+    """Test function, and its derivatives, which take the place of derivatives of the angles."""
+    place = np.arange(-half, half + 1) / (half + 1.0)
+    unit = 1.0 / ((half + 1.0) * step_s)
+    test = (1.0 - place**2) ** 4
+    second = 8.0 * (1.0 - place**2) ** 2 * (7.0 * place**2 - 1.0)
+    total = test.sum()
+    return test / total, np.zeros_like(test), second * unit**2 / total
+
+
+def _through(values: Floats, kernel: Floats) -> Floats:
+    return np.asarray(fftconvolve(values, kernel[:, None], mode="valid", axes=0))
