@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -208,7 +209,11 @@ def test_the_command_scores_reports_and_explains_an_error(
     assert [row.split(" | ")[0] for row in rows if "---" not in row] == ["| method", "| theirs"]
     assert run(["benchmark", "report", str(scores_file), "-o", str(tmp_path / "report")]) == 0
     assert (tmp_path / "report" / "table.md").read_text().splitlines()[2] == rows[2]
+    assert (tmp_path / "report" / "table.md").read_text().endswith("\nCases: 2, of one split.\n")
     assert (tmp_path / "report" / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads((tmp_path / "report" / "scores.json").read_text()) == json.loads(
+        scores_file.read_text()
+    )
     (folder / "case-002.json").write_text('{"schema": 1, "probabilities": {"lag": 1.0}}')
     capsys.readouterr()
     assert run(score) != 0
@@ -222,5 +227,5 @@ def test_a_report_of_another_file_is_one_line(tmp_path: Path, capsys: pytest.Cap
     assert run(["benchmark", "report", str(tmp_path / "scores.json"), "-o", str(tmp_path / "report")]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and error.count("\n") == 1
-    assert "scores.json has no 'methods'; give a file of `heli-host benchmark score --json`" in error
+    assert "scores.json has no 'splits'; give a file of `heli-host benchmark score --json`" in error
     assert not (tmp_path / "report").exists()

@@ -63,6 +63,20 @@ def pair_lines(summary: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def report_text(summary: Mapping[str, Any]) -> str:
+    """Return the table, the comparisons by pairs and the number of cases as Markdown.
+
+    Parameters
+    ----------
+    summary : Mapping[str, Any]
+        Return value of `pooled_scores`.
+    """
+    pairs = "\n".join(f"- {line}" for line in pair_lines(summary))
+    splits = len(summary["splits"])
+    of = "one split" if splits == 1 else f"{splits} splits"
+    return f"{comparison_table(summary)}\n\n{pairs}\n\nCases: {summary['cases']}, of {of}.\n"
+
+
 def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
     """Draw the skill, the named causes and the false alarms of each method with their intervals.
 

@@ -153,7 +153,7 @@ def score(
     """
     from heli_host.cli.outputs import check_result_places
 
-    from heli_benchmark.leaderboard import score_runs, summarise_runs
+    from heli_benchmark.leaderboard import score_runs, scores_content
     from heli_benchmark.leaderboard.report import comparison_table, pair_lines
     from heli_benchmark.task import read_split
 
@@ -161,7 +161,7 @@ def score(
     data_on_stdout(json)
     split = read_split(folder, truth)
     names = [run.name for run in runs]
-    summary = summarise_runs(dict(zip(names, score_runs(split, runs), strict=True)))
+    summary = scores_content(split, dict(zip(names, score_runs(split, runs), strict=True)))
     say(*comparison_table(summary).splitlines(), *pair_lines(summary))
     if write_result(json, summary):
         return
@@ -171,7 +171,8 @@ def score(
 @app.command("report")
 def report(
     scores: Annotated[
-        Path, typer.Argument(metavar="SCORES.json", help="Read this file of benchmark score --json.")
+        list[Path],
+        typer.Argument(metavar="SCORES.json...", help="Read these files of benchmark score --json."),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="DIR", help="Write table and figure into this folder.")
@@ -179,19 +180,20 @@ def report(
 ) -> None:
     """Write the table and the figure of a comparison.
 
-    Writes table.md and figure.png.
+    Writes table.md, figure.png and scores.json. Files of several splits are pooled: the result is that of one
+    split with all their cases. Each file needs the same methods.
 
     Example: `heli-host benchmark report scores.json -o report`
     """
-    from heli_benchmark.leaderboard.report import comparison_table, draw_comparison, pair_lines
-    from heli_benchmark.task.json_file import read_json
+    from heli_benchmark.leaderboard import pooled_scores
+    from heli_benchmark.leaderboard.report import draw_comparison, report_text
 
-    summary = read_json(scores, "give a file of `heli-host benchmark score --json`", ("methods", "pairs"))
+    summary = pooled_scores(scores)
     output.mkdir(parents=True, exist_ok=True)
-    pairs = "\n".join(f"- {line}" for line in pair_lines(summary))
-    (output / "table.md").write_text(f"{comparison_table(summary)}\n\n{pairs}\n", encoding="utf-8")
+    (output / "table.md").write_text(report_text(summary), encoding="utf-8")
     draw_comparison(summary, output / "figure.png")
-    say_files([output / "table.md", output / "figure.png"])
+    write_result(output / "scores.json", summary)
+    say_files([output / name for name in ("table.md", "figure.png", "scores.json")])
 
 
 VERB = Verb(app, "Laboratory")
