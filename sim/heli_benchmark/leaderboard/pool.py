@@ -24,9 +24,15 @@ def scores_content(split: Split, runs: Mapping[str, Sequence[CaseScore]]) -> dic
     Parameters
     ----------
     split : Split
-        The split.
+        Its digest makes sure that a pool counts each split once.
     runs : Mapping[str, sequence of CaseScore]
         Scores by method.
+
+    Returns
+    -------
+    dict
+        ``splits``: the digest of the split. ``case_scores``: fields of each `CaseScore` by method. All keys
+        of `summarise_runs`.
     """
     return _content([split_digest(split)], runs)
 
@@ -39,10 +45,15 @@ def pooled_scores(files: Sequence[Path]) -> dict[str, Any]:
     files : sequence of Path
         Files with content of `scores_content` or `pooled_scores`.
 
+    Returns
+    -------
+    dict
+        As of `scores_content`, with the digests of all splits.
+
     Raises
     ------
     BenchmarkError
-        If a file is invalid, a split occurs twice, or a method lacks in a file.
+        If a file is invalid, a split occurs twice, or a file lacks a method.
     """
     pooled: dict[str, list[CaseScore]] = {}
     origin: dict[str, Path] = {}

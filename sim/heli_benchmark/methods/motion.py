@@ -55,14 +55,33 @@ class SmoothedFlight:
         self.features = self.signals[self._pick]
 
     def filtered(self, values: Floats) -> Floats:
-        """Pass values along the flight through the filter of the accelerations."""
+        """Pass values along the flight through the filter of the accelerations.
+
+        Parameters
+        ----------
+        values : ndarray (n, ...)
+            Values at the times `t_s`.
+
+        Returns
+        -------
+        ndarray (k, ...)
+            Values on the grid of the regression.
+        """
         flat = values.reshape(len(values), -1)
         padded = np.pad(_through(flat, self._kernels[0]), ((self._half, self._half), (0, 0)))
         return padded[self._pick].reshape(-1, *values.shape[1:])
 
 
 class AccelerationModel:
-    """Accelerations of a model along a flight, and their derivatives by parameters."""
+    """Accelerations of a model along a flight, and their derivatives by parameters.
+
+    Parameters
+    ----------
+    model : Model
+        Its states beyond angles and rates stay 0.
+    rig : Rig
+        Its values replace those of the model.
+    """
 
     def __init__(self, model: Model, rig: Rig) -> None:
         self.names = model.parameter_names
@@ -75,20 +94,37 @@ class AccelerationModel:
         self._functions: dict[tuple[str, ...], ca.Function] = {}
 
     def acceleration(self, flight: SmoothedFlight) -> Floats:
+        """Return the accelerations of the three axes along a `flight`, rad/s2, shape (n, 3)."""
         return self._evaluated(flight, ("acceleration",), self._out)[:, :, 0]
 
     def jacobian(
         self, flight: SmoothedFlight, names: Sequence[str], place: Mapping[str, float] | None = None
     ) -> Floats:
-        """Return the derivatives by parameters at the parameters in `place`, shape (n, 3, names)."""
+        """Return the derivatives of the accelerations by some parameters.
+
+        Parameters
+        ----------
+        flight : SmoothedFlight
+            Measured angles, rates and voltages.
+        names : sequence of str
+            Names of the parameters.
+        place : Mapping[str, float], optional
+            Parameters that differ from those of the model.
+
+        Returns
+        -------
+        ndarray (n, 3, names)
+            Derivatives along the flight.
+        """
         by = ca.vertcat(*(self._p[self.names.index(name)] for name in names))
         return self._evaluated(flight, tuple(names), ca.jacobian(self._out, by), place)
 
     def by_torques(self, flight: SmoothedFlight) -> Floats:
-        """Return the derivatives by torques about the three axes, shape (n, 3, 3)."""
+        """Return the derivatives along a `flight` by torques about the three axes, shape (n, 3, 3)."""
         return self.jacobian(flight, [f"torque_{axis}" for axis in AXES])
 
     def by_volts(self, flight: SmoothedFlight) -> Floats:
+        """Return the derivatives along a `flight` by the two voltages, shape (n, 3, 2)."""
         return self._evaluated(flight, ("volts",), ca.jacobian(self._out, self._u))
 
     def _evaluated(
