@@ -37,10 +37,14 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         # Disturbances alone are no hidden cause.
         verdict = "cause_found" if causes else "explained"
     named: dict[str, float] = {UNLISTED: probability(UNLISTED, verdict, case.causes)}
-    parameters: dict[str, Estimate] = {}
-    for name, estimate in (result["rig"] or {"numbers": {}})["numbers"].items():
-        if name in case.rig and estimate["std"] and math.isfinite(estimate["std"]):
-            parameters[name] = Estimate(float(estimate["value"]), float(estimate["std"]))
+    # A fit without a cause imitates it with parameters of the rig, so this rig is fitted with all named ones.
+    # Unlike the JSON's parameters, it also has the constant torques and encoder zeros.
+    unconfirmed = any(c["confidence"] >= 0.5 and not c.get("confirmed", True) for c in causes)
+    parameters = {
+        name: Estimate(number.value, 0.5 * number.tolerance)
+        for name, number in diagnosis.rig("extended", with_unconfirmed=unconfirmed).numbers.items()
+        if number != case.rig[name] and number.tolerance > 0.0
+    }
     for cause in causes:
         confidence, effect = float(cause["confidence"]), cause["effect"]
         for name in _PARTS.get(effect, (effect,)):
