@@ -13,6 +13,7 @@ from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, Estima
 from heli_benchmark.task.answer import check_answer
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
+from heli_lab.diagnose import to_json
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.model.linear import trim
@@ -167,3 +168,23 @@ def test_our_answer_has_the_rig_that_predicts_with_the_torques_of_its_flights(
     for name in parameters.keys() & extended.numbers.keys():
         assert parameters[name].value == extended[name].value
     assert "rotor_lag_s" in parameters
+
+
+@pytest.mark.diagnosis
+def test_our_answer_gives_the_sizes_of_both_parts_of_a_lag_with_delay(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    diagnosis, (fit, held_out) = diagnosed("rotor_lag=0.06"), flights("rotor_lag=0.06")
+    result = to_json(diagnosis)
+    (lag,) = result["causes"]
+    sizes = {"lag_s": {"value": 0.05, "std": 0.01}, "delay_s": {"value": 0.01, "std": 0.005}}
+    both = {f"rotor_lag_with_delay_{name}": size for name, size in sizes.items()}
+    lag = {**lag, "effect": "rotor_lag_with_delay", "parameters": both}
+    monkeypatch.setattr(ours, "lab_diagnose", lambda *args, **kwargs: diagnosis)
+    monkeypatch.setattr(ours, "to_json", lambda _: {**result, "causes": [lag]})
+    causes = Causes(
+        {**RATES, "input_delay": 0.1}, {**CAUSES.parameters, "input_delay": {"input_delay_s": "s"}}
+    )
+    answer = ours.diagnose(BenchmarkCase("case", RIG, (fit,), (held_out,), causes))
+    parameters = check_answer(answer, causes, "ours").parameters
+    assert (parameters["rotor_lag_s"].value, parameters["input_delay_s"].value) == (0.05, 0.01)

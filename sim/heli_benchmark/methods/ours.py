@@ -22,6 +22,11 @@ the rule of succession."""
 _REFITS: Final = 80
 """Maximum number of refits, the default of the command line."""
 _PARTS: Final = {"rotor_lag_with_delay": ("rotor_lag", "input_delay")}
+_PART_NAMES: Final = {
+    "rotor_lag_with_delay_lag_s": "rotor_lag_s",
+    "rotor_lag_with_delay_delay_s": "input_delay_s",
+}
+"""Names that the parts' parameters have in the list of causes."""
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
@@ -55,7 +60,8 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         for other in cause["ambiguous_with"]:
             if other in case.causes.listed:
                 named.setdefault(other, 1.0 - confidence)
-        for name, estimate in cause["parameters"].items():
+        for full_name, estimate in cause["parameters"].items():
+            name = _PART_NAMES.get(full_name, full_name)
             if name in case.causes.parameter_names and estimate["std"] and math.isfinite(estimate["std"]):
                 parameters[name] = Estimate(float(estimate["value"]), float(estimate["std"]))
     if verdict == "explained" and len(named) == 1:
