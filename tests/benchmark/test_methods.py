@@ -14,13 +14,17 @@ from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, Estima
 from heli_benchmark.task.answer import check_answer
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
+from heli_lab.diagnose import to_json
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.model.linear import trim
+from heli_sim.model.parts import AXES
 from heli_sim.rig import load_rig
 from heli_sim.rig.inertia import inertias_kg_m2
 
 from tests.benchmark.tuning import TUNED
+from tests.diagnose.hidden import flights
+from tests.diagnose.test_causes import diagnosed
 
 SPRING = "cable_spring.travel"
 STIFFNESS = "cable_spring_travel_Nm_per_rad"
@@ -187,3 +191,39 @@ def test_our_probabilities_of_a_verdict_follow_from_base_rates_and_its_shares() 
 def test_base_rates_are_the_answer_without_a_look_at_the_flights() -> None:
     case = BenchmarkCase("case", RIG, (), (), CAUSES)
     assert base_rates.diagnose(case)["probabilities"] == RATES
+
+
+@pytest.mark.diagnosis
+def test_our_answer_has_the_rig_that_predicts_with_the_torques_of_its_flights(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    diagnosis, (fit, held_out) = diagnosed("rotor_lag=0.06"), flights("rotor_lag=0.06")
+    monkeypatch.setattr(ours, "lab_diagnose", lambda *args, **kwargs: diagnosis)
+    case = BenchmarkCase("case", RIG, (fit,), (held_out,), CAUSES)
+    parameters = check_answer(ours.diagnose(case), CAUSES, "ours").parameters
+    extended = diagnosis.rig("extended")
+    constants = {f"torque_{axis}" for axis in AXES} | {"offset_elevation", "offset_pitch"}
+    assert constants <= parameters.keys()
+    for name in parameters.keys() & extended.numbers.keys():
+        assert parameters[name].value == extended[name].value
+    assert "rotor_lag_s" in parameters
+
+
+@pytest.mark.diagnosis
+def test_our_answer_gives_the_sizes_of_both_parts_of_a_lag_with_delay(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    diagnosis, (fit, held_out) = diagnosed("rotor_lag=0.06"), flights("rotor_lag=0.06")
+    result = to_json(diagnosis)
+    (lag,) = result["causes"]
+    sizes = {"lag_s": {"value": 0.05, "std": 0.01}, "delay_s": {"value": 0.01, "std": 0.005}}
+    both = {f"rotor_lag_with_delay_{name}": size for name, size in sizes.items()}
+    lag = {**lag, "effect": "rotor_lag_with_delay", "parameters": both}
+    monkeypatch.setattr(ours, "lab_diagnose", lambda *args, **kwargs: diagnosis)
+    monkeypatch.setattr(ours, "to_json", lambda _: {**result, "causes": [lag]})
+    causes = Causes(
+        {**RATES, "input_delay": 0.1}, {**CAUSES.parameters, "input_delay": {"input_delay_s": "s"}}
+    )
+    answer = ours.diagnose(BenchmarkCase("case", RIG, (fit,), (held_out,), causes))
+    parameters = check_answer(answer, causes, "ours").parameters
+    assert (parameters["rotor_lag_s"].value, parameters["input_delay_s"].value) == (0.05, 0.01)

@@ -23,7 +23,10 @@ def conforms(numbers: dict[str, Any], silent: bool = False) -> None:
     assert len(confidences) == len({cause["effect"] for cause in numbers["causes"]})
 
     if not silent:
-        assert numbers["rig"].keys() == {"name", "model", "numbers"}
+        assert numbers["rig"].keys() == {"name", "model", "numbers", "constants"}
+        for number in numbers["rig"]["constants"].values():
+            assert number.keys() == {"value", "std", "unit"}
+            assert number["std"] > 0.0
         for number in numbers["rig"]["numbers"].values():
             assert number.keys() == {"value", "std", "prior", "unit"}
             assert 0.0 < number["std"] <= number["prior"]["std"] * 1.001

@@ -1,4 +1,4 @@
-"""Standard errors of the extended rig."""
+"""The extended rig: standard errors, and what flights have for themselves."""
 
 from __future__ import annotations
 
@@ -8,8 +8,13 @@ from typing import cast
 import numpy as np
 import pytest
 from heli_lab.diagnose.evaluate import reported_std
-from heli_lab.identify import Fit
+from heli_lab.diagnose.extended_rig import extended_rig
+from heli_lab.identify import Fit, Problem
+from heli_lab.identify.flight_model import RigParameters
+from heli_lab.identify.record import Record
+from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
+from heli_sim.rig import load_rig
 
 pytestmark = pytest.mark.medium
 
@@ -44,3 +49,33 @@ def test_no_standard_error_is_finer_than_steps_samples_and_counts_resolve() -> N
         assert std == pytest.approx(0.5 * count_rad, rel=1e-3)
     spring = stds_of("cable_spring.travel", cable_spring_travel_rest_rad=("rad", 0.3, 1e-6))
     assert spring["cable_spring_travel_rest_rad"] == 1e-6
+
+
+def test_extended_rig_of_several_flights_has_the_means_of_their_zeros_and_torques() -> None:
+    rig, model = load_rig("makki2024"), MultibodyModel()
+    records = [cast(Record, SimpleNamespace(label=label)) for label in "ab"]
+    vector = RigParameters(model, rig, records)
+    own = {"offset_pitch[a]": 0.5, "offset_pitch[b]": 0.3, "torque_pitch[a]": 0.01, "torque_pitch[b]": 0.03}
+    problem = SimpleNamespace(
+        rig=rig, model=model, records=records, free=vector.free, names=vector.names, parameter_vector=vector
+    )
+    fit = Fit(
+        problem=cast(Problem, problem),
+        theta=vector.started_from(own),
+        covariance=1e-8 * np.eye(len(vector.free)),
+        information=1e8 * np.eye(len(vector.free)),
+        states=(),
+        variance=(),
+        weights=(),
+        cost=0.0,
+        at_bound=(),
+        evaluations=0,
+        seconds=0.0,
+        converged=True,
+    )
+    numbers = extended_rig("extended", fit, {}, {}, None).numbers
+    assert numbers["offset_pitch"].value == pytest.approx(0.4)
+    assert numbers["torque_pitch"].value == pytest.approx(0.02)
+    # The next flight has other zeros: the scatter of two, and never less than the rig file states.
+    assert numbers["offset_pitch"].tolerance == pytest.approx(2.0 * np.std([0.5, 0.3], ddof=1))
+    assert numbers["offset_elevation"].tolerance == rig["offset_elevation"].tolerance

@@ -22,6 +22,11 @@ the rule of succession."""
 _REFITS: Final = 80
 """Maximum number of refits, the default of the command line."""
 _PARTS: Final = {"rotor_lag_with_delay": ("rotor_lag", "input_delay")}
+_PART_NAMES: Final = {
+    "rotor_lag_with_delay_lag_s": "rotor_lag_s",
+    "rotor_lag_with_delay_delay_s": "input_delay_s",
+}
+"""Names that the parts' parameters have in the list of causes."""
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
@@ -37,10 +42,14 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         # Disturbances alone are no hidden cause.
         verdict = "cause_found" if causes else "explained"
     named: dict[str, float] = {UNLISTED: probability(UNLISTED, verdict, case.causes)}
-    parameters: dict[str, Estimate] = {}
-    for name, estimate in (result["rig"] or {"numbers": {}})["numbers"].items():
-        if name in case.rig and estimate["std"] and math.isfinite(estimate["std"]):
-            parameters[name] = Estimate(float(estimate["value"]), float(estimate["std"]))
+    # A fit without a cause imitates it with parameters of the rig, so this rig is fitted with all named ones.
+    # Unlike the JSON's parameters, it also has the constant torques and encoder zeros.
+    unconfirmed = any(c["confidence"] >= 0.5 and not c.get("confirmed", True) for c in causes)
+    parameters = {
+        name: Estimate(number.value, 0.5 * number.tolerance)
+        for name, number in diagnosis.rig("extended", with_unconfirmed=unconfirmed).numbers.items()
+        if number != case.rig[name] and number.tolerance > 0.0
+    }
     for cause in causes:
         confidence, effect = float(cause["confidence"]), cause["effect"]
         for name in _PARTS.get(effect, (effect,)):
@@ -51,7 +60,8 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         for other in cause["ambiguous_with"]:
             if other in case.causes.listed:
                 named.setdefault(other, 1.0 - confidence)
-        for name, estimate in cause["parameters"].items():
+        for full_name, estimate in cause["parameters"].items():
+            name = _PART_NAMES.get(full_name, full_name)
             if name in case.causes.parameter_names and estimate["std"] and math.isfinite(estimate["std"]):
                 parameters[name] = Estimate(float(estimate["value"]), float(estimate["std"]))
     if verdict == "explained" and len(named) == 1:

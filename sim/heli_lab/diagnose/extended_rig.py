@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 from heli_sim.model.effects import EffectSpec, effect_numbers
 from heli_sim.rig import Number, Rig
 
 from heli_lab.diagnose.discover import ProposedTerm
 from heli_lab.diagnose.evaluate import CauseParameter
 from heli_lab.identify import Fit
+from heli_lab.identify.free import PER_FLIGHT
 from heli_lab.identify.results import Identification
 
 
@@ -50,4 +52,28 @@ def extended_rig(
             what: Number(value, unit, 2.0 * error, source)
             for what, (value, error, unit) in term.discovery.values.items()
         }
-    return Rig(rig.name, rig.description, rig.numbers, effects, rig.model)
+    return Rig(rig.name, rig.description, {**rig.numbers, **_mean_zeros(fit)}, effects, rig.model)
+
+
+def _mean_zeros(fit: Fit) -> dict[str, Number]:
+    """Return the means of the encoder zeros of several flights, by name; empty for a single flight, whose
+    zeros the rig has.
+
+    Zeros and constant torques of a flight compensate each other, so the mean of the torques predicts worse
+    without the mean of the zeros. The tolerance is at least that of the rig file, because encoders are zeroed
+    again before the next flight.
+    """
+    problem, zeros = fit.problem, dict[str, list[float]]()
+    if len(problem.records) == 1:
+        return {}
+    for parameter, value in zip(problem.free, fit.theta, strict=True):
+        if parameter.quantity in PER_FLIGHT:
+            zeros.setdefault(parameter.quantity, []).append(float(value))
+    labels = ", ".join(record.label for record in problem.records)
+    numbers = {}
+    for name, values in zeros.items():
+        before = problem.rig[name]
+        tolerance = max(before.tolerance, 2.0 * float(np.std(values, ddof=1)))
+        source = f"mean of {labels}; before: {before.value:g} +- {before.tolerance:g}"
+        numbers[name] = Number(float(np.mean(values)), before.unit, tolerance, source)
+    return numbers

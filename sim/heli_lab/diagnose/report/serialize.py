@@ -102,9 +102,13 @@ def _insufficient_excitation_json(result: InsufficientExcitation) -> dict[str, A
 
 
 def rig_numbers(result: Diagnosis) -> dict[str, Any]:
-    """Write the parameters of the extended rig that all flights share, each with its prior."""
+    """Write the parameters of the extended rig: those that all flights share, each with its prior, and the
+    means of those that each flight has for itself.
+    """
     estimate = result.replication.model.estimate
     std = estimate.covariance.diagonal() ** 0.5
+    rig = result.rig("extended")
+    own = {p.quantity for p in estimate.parameter_vector.free if p.record is not None}
     return {
         "name": estimate.parameter_vector.rig.name,
         "model": estimate.parameter_vector.model.name,
@@ -119,6 +123,11 @@ def rig_numbers(result: Diagnosis) -> dict[str, Any]:
                 estimate.parameter_vector.free, estimate.theta, std, strict=True
             )
             if parameter.record is None
+        },
+        "constants": {
+            # A tolerance in a rig file is two standard deviations.
+            name: {"value": rig[name].value, "std": 0.5 * rig[name].tolerance, "unit": rig[name].unit}
+            for name in sorted(own)
         },
     }
 
