@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from heli_benchmark.leaderboard.prediction import WORST_RATIO, prediction_ratio, true_errors
-from heli_benchmark.task import Answer, AxisSeries, BenchmarkCase, Estimate
+from heli_benchmark.task import Answer, AxisSeries, BenchmarkCase, Causes, Estimate
 from heli_host.arrays import Floats
 
 from tests.benchmark.test_methods import CAUSES, RIG, SPRING, STIFFNESS, flown
@@ -72,6 +72,26 @@ def test_a_predicted_flight_that_ends_early_or_is_missing_counts_as_a_wrong_mode
     assert ratio(predicted(FLIGHT.angles_rad[:half], FLIGHT.t_s[:half]), SPRING) == WORST_RATIO
     other = Answer({}, predicted_flights={"validation-2": AxisSeries(FLIGHT.t_s, FLIGHT.angles_rad)})
     assert ratio(other, SPRING) == WORST_RATIO
+
+
+@pytest.mark.medium
+def test_the_true_model_of_a_quadratic_thrust_has_the_thrust_of_the_generator() -> None:
+    size_per_V, share, pivot = 0.25, "thrust_quadratic_share", "thrust_quadratic_pivot_V"
+    truth = TRUTH | {"causes": {"thrust_quadratic": {"model_parameters": {share: 0.2}}}}
+    reference = true_errors(CASE, truth)
+    assert reference is not None
+    # k e (1 + 0.25 e), the thrust of the generator, about another voltage: at e = 2 V it is 1.5 k e.
+    answer = Answer(
+        {"thrust_quadratic": 1.0},
+        {
+            "thrust_gain": Estimate((1.0 + 2.0 * size_per_V) * RIG["thrust_gain"].value, 0.01),
+            share: Estimate(2.0 * size_per_V / (1.0 + 2.0 * size_per_V), 0.01),
+            pivot: Estimate(2.0, 0.01),
+        },
+    )
+    causes = Causes(CAUSES.base_rates, {"thrust_quadratic": {share: "1", pivot: "V"}})
+    case = BenchmarkCase("case", RIG, (FLIGHT,), (FLIGHT,), causes)
+    assert prediction_ratio(case, answer, ["thrust_quadratic"], reference) == pytest.approx(1.0)
 
 
 def test_a_case_without_a_true_model_in_the_catalogue_has_no_reference() -> None:

@@ -56,7 +56,19 @@ def true_errors(case: BenchmarkCase, truth: Mapping[str, Any]) -> Floats | None:
     if truth["unlisted"] or "rig" not in truth or any(c.startswith(_UNKNOWN_PHASE) for c in truth["causes"]):
         return None
     causes = {name: of["model_parameters"] for name, of in truth["causes"].items()}
-    return _errors(case, case.rig.replace(**truth["rig"]), causes)
+    return _errors(case, _true_rig(case.rig.replace(**truth["rig"]), causes), causes)
+
+
+def _true_rig(rig: Rig, causes: Mapping[str, Mapping[str, float]]) -> Rig:
+    """Rig whose thrust, with the model of the true causes, is that of the generator.
+
+    The generator multiplies the thrust by ``1 + s e`` at a voltage ``e`` above the dead zone. The model has
+    ``1 + q (e - 1)`` with ``q = s / (1 + s)``, so its gain must be ``1 + s = 1 / (1 - q)`` times as large.
+    """
+    if "thrust_quadratic" not in causes:
+        return rig
+    share = causes["thrust_quadratic"]["thrust_quadratic_share"]
+    return rig.replace(thrust_gain=rig["thrust_gain"].value / (1.0 - share))
 
 
 def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], reference: Floats) -> float:
