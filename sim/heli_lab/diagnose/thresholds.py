@@ -104,8 +104,8 @@ nats, 5.3 standard deviations. A grid is refined from half of it. Lower: unmodel
 names get high confidence. Higher: weak causes are lost, and right names are called `ambiguous`."""
 
 PLAY_NEXT_TO_FRICTION_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 20.0
-"""Margin that a play needs next to dry friction about the same axis: the play also fits what the equation of
-an axis at rest idealises (a false one had 8 nats in case 72 of the opened split, 2026-11). Lower: friction is
+"""Margin that a play needs next to dry friction about the same axis. The play also fits what the equation of
+an axis at rest idealises: a false one had 8 nats in case 72 of the opened split (2026-11). Lower: friction is
 named twice, with half of its size. Higher: plays about axes that stick are lost."""
 
 SIGNIFICANT_STD_ERRORS: Final[Annotated[float, "standard errors", THEORY]] = 2.0
