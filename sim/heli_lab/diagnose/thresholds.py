@@ -147,6 +147,11 @@ HELD_OUT_AGAINST: Final[Annotated[float, "nats", JUDGEMENT]] = -4.0
 Lower: peculiarities
 of one flight are named. Higher: true causes that a weakly excited flight hardly shows are lost."""
 
+SPLINE_HELD_OUT_NATS: Final[Annotated[float, "nats", THEORY]] = 0.0
+"""Log-likelihood ratio on held-out flights below which they contradict a spline: even odds. A smooth curve
+has no physics that would speak for it. Lower: splines that follow a peculiarity of one flight stay, and the
+verdict is `unexplained`. Higher: unlisted causes are lost that a weakly excited flight hardly shows."""
+
 # Terms of the baseline that are absent.
 
 ABSENT_MIN_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 15.0

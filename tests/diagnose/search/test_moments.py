@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -55,6 +55,7 @@ def hypothesis(candidates: list[Candidate]) -> Hypothesis:
             candidates=tuple(candidates),
             ids=tuple(candidate.id for candidate in candidates),
             values={candidate.id: float(n) for n, candidate in enumerate(candidates)},
+            log_likelihood=0.0,
         ),
     )
 
@@ -91,6 +92,29 @@ def test_effects_come_back_if_held_out_flights_contradict_a_spline() -> None:
     assert backward.restore_displaced(final, first.id, hypothesis([spline])).ids == (spline.id,)
     assert len(asked) == 1
     assert np.isfinite(list(restored.values.values())).all()
+
+
+@pytest.mark.parametrize(("ratio", "kept"), [(-1.0, ["rotor_lag"]), (1.0, ["rotor_lag", "spline:a:b"])])
+def test_a_spline_must_gain_on_held_out_flights_but_an_effect_need_not(
+    monkeypatch: pytest.MonkeyPatch, ratio: float, kept: list[str]
+) -> None:
+    def reduced(_: object, final: Hypothesis) -> tuple[Hypothesis, dict[str, Hypothesis]]:
+        return final, {"rotor_lag": final, "spline:a:b": hypothesis([typical_candidate(KINDS["rotor_lag"])])}
+
+    monkeypatch.setattr(BackwardElimination, "_remove_superfluous", reduced)
+    monkeypatch.setattr(
+        BackwardElimination,
+        "_held_out_ratios",
+        lambda _self, final, _reduced: {id_: -1.0 if id_ == "rotor_lag" else ratio for id_ in final.ids},
+    )
+    acceptance = SimpleNamespace(penalty=lambda _: 1.0, kinds=KINDS)
+    nothing: Any = None
+    backward = BackwardElimination(nothing, cast(Acceptance, acceptance), nothing, hypothesis([]), [])
+    spline = Candidate("spline:a:b", typical_candidate(KINDS["rotor_lag"]).effect, ())
+    final = hypothesis([typical_candidate(KINDS["rotor_lag"]), spline])
+    result, _ = backward.eliminate(final)
+    assert list(result.ids) == kept
+    assert backward.contradicted_ids == {"rotor_lag", "spline:a:b"} - set(kept)
 
 
 def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:

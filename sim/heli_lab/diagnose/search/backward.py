@@ -48,8 +48,9 @@ class BackwardElimination:
         """
         final, reduced_by_id = self._remove_superfluous(with_held_out_moments(self.comparison, final))
         held_out_ratios = self._held_out_ratios(final, reduced_by_id)
-        weakest = min(held_out_ratios, key=lambda id_: held_out_ratios[id_], default=None)
-        if weakest is not None and held_out_ratios[weakest] < thresholds.HELD_OUT_AGAINST:
+        contradicted = {id_ for id_, ratio in held_out_ratios.items() if ratio < _required_ratio(id_)}
+        weakest = min(contradicted, key=lambda id_: held_out_ratios[id_], default=None)
+        if weakest is not None:
             self.contradicted_ids.add(weakest)
             return self.eliminate(self.restore_displaced(final, weakest, reduced_by_id[weakest]))
         causes = [
@@ -197,3 +198,8 @@ class BackwardElimination:
             and not refit.candidate.is_spline
             and (not other_causes or may_join_other_causes(refit))
         ]
+
+
+def _required_ratio(id_: str) -> float:
+    """Return the log-likelihood ratio on held-out flights below which they contradict a cause, nats."""
+    return thresholds.SPLINE_HELD_OUT_NATS if id_.startswith("spline:") else thresholds.HELD_OUT_AGAINST
