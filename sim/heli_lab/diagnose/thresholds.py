@@ -103,11 +103,10 @@ and selects the disturbances that a report mentions. With the penalty of one par
 nats, 5.3 standard deviations. A grid is refined from half of it. Lower: unmodelled chance is named, and wrong
 names get high confidence. Higher: weak causes are lost, and right names are called `ambiguous`."""
 
-PLAY_MARGIN: Final[Annotated[float, "1", MEASUREMENT]] = 0.2
-"""Share of its own margin by which a play must beat dry friction about the same axis. The play also fits what
-the equation of an axis at rest idealises. With friction hidden, the play was ahead by 3 and 9 % in two
-development cases (case 72 of the opened split; case 9 of seed 90210, 2026-11). Lower: a play is named in the
-place of friction, or next to it. Higher: plays about axes that stick are lost."""
+PLAY_NEXT_TO_FRICTION_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 20.0
+"""Margin that a play needs next to dry friction about the same axis. The play also fits what the equation of
+an axis at rest idealises: a false one had 8 nats in case 72 of the opened split (2026-11). Lower: friction is
+named twice, with half of its size. Higher: plays about axes that stick are lost."""
 
 SIGNIFICANT_STD_ERRORS: Final[Annotated[float, "standard errors", THEORY]] = 2.0
 """Distance from its neutral value at which a parameter is significant: a 95 % interval. Higher: weak causes

@@ -7,8 +7,9 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Refit, Screening, forward, typical_candidate
-from heli_lab.diagnose.search.acceptance import Acceptance
+from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
 from heli_lab.diagnose.search.candidate import ScoredCandidate
 from heli_lab.diagnose.search.forward import RoundRefits, paused_play, resting_friction
 from heli_lab.diagnose.search.progress import Progress
@@ -88,35 +89,6 @@ def test_play_is_refitted_next_to_a_better_score_and_friction_if_the_play_is_bes
     assert round_refits.tried_ids == set(refitted_ids)
 
 
-@pytest.mark.parametrize(
-    ("play_margin", "best"), [(100.0, "coulomb_friction.pitch"), (120.0, "backlash.pitch")]
-)
-def test_friction_displaces_a_play_about_its_axis_that_is_hardly_better(
-    play_margin: float, best: str
-) -> None:
-    acceptance = SimpleNamespace(accepts=lambda _: True)
-    nothing: Any = None
-    round_refits = RoundRefits(nothing, cast(Acceptance, acceptance), nothing, 0, nothing, [])
-    margins = {"backlash.pitch": play_margin, "coulomb_friction.pitch": 90.0, "coulomb_friction.travel": 99.0}
-    round_refits.refits = cast(
-        "list[Refit]",
-        [
-            SimpleNamespace(candidate=SimpleNamespace(id=id_), margin=margin)
-            for id_, margin in margins.items()
-        ],
-    )
-    assert round_refits.best is not None
-    assert round_refits.best.candidate.id == best
-
-
-def test_no_play_is_tried_about_an_axis_that_has_friction_in_the_model() -> None:
-    acceptance = SimpleNamespace(kinds=KINDS)
-    nothing: Any = None
-    selection = forward.ForwardSelection(nothing, cast(Acceptance, acceptance), nothing, ())
-    model = cast(Hypothesis, SimpleNamespace(ids=("coulomb_friction.pitch", "rotor_lag")))
-    assert selection._excluded_ids(model) == {"backlash.pitch"}
-
-
 def test_a_clear_log_likelihood_ratio_overrides_the_wald_test() -> None:
     kind = KINDS["coulomb_friction.elevation"]
     size = kind.size[0]
@@ -125,3 +97,9 @@ def test_a_clear_log_likelihood_ratio_overrides_the_wald_test() -> None:
     acceptance = Acceptance(cast(ModelComparison, None), KINDS)
     assert acceptance.is_significant(Refit(hypothesis, 1300.0, 11.0, 0.0), candidate)
     assert not acceptance.is_significant(Refit(hypothesis, 30.0, 11.0, 0.0), candidate)
+
+
+def test_a_play_needs_more_evidence_next_to_friction_about_its_axis() -> None:
+    assert min_margin("backlash.pitch", ["coulomb_friction.pitch"]) == thresholds.PLAY_NEXT_TO_FRICTION_NATS
+    assert min_margin("backlash.pitch", ["coulomb_friction.travel"]) == thresholds.MIN_MARGIN
+    assert min_margin("coulomb_friction.pitch", ["backlash.pitch"]) == thresholds.MIN_MARGIN

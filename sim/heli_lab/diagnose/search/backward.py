@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.search.acceptance import Acceptance, friction_of_play
+from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
 from heli_lab.diagnose.search.candidate import Candidate, may_join
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
@@ -126,7 +126,7 @@ class BackwardElimination:
                 reduced = self.comparison.refit(other_causes, None, final) if other_causes else self.baseline
                 gain = final.log_likelihood - reduced.log_likelihood
                 refit = Refit(final, gain, penalty=self.acceptance.penalty(candidate), score=0.0)
-                exceeds_penalty = refit.margin > thresholds.MIN_MARGIN
+                exceeds_penalty = refit.margin > min_margin(candidate.id, final.ids)
                 if not exceeds_penalty or not self.acceptance.is_significant(refit, candidate):
                     break
                 reduced_by_id[candidate.id] = reduced
@@ -194,7 +194,6 @@ class BackwardElimination:
             refit
             for refit in sorted(round_.refits, key=lambda refit: -refit.score)
             if refit.candidate.id not in final.ids
-            and friction_of_play(refit.candidate.id) not in final.ids
             and not refit.candidate.is_spline
             and (not other_causes or may_join_other_causes(refit))
         ]

@@ -13,7 +13,7 @@ from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.search.acceptance import Acceptance, friction_of_play
+from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.baseline_terms import RemovedTerm, tightly_specified_terms
 from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate, may_join, typical_candidate
 from heli_lab.diagnose.search.concentrated_score import with_concentrated_scores
@@ -73,23 +73,20 @@ class ForwardSelection:
                 [] if is_full else tightly_specified_terms(self.comparison, self.removable, screening)
             )
             screening.release()
-            excluded_ids = self._excluded_ids(hypothesis)
             round_refits = RoundRefits(
                 self.comparison,
                 self.acceptance,
                 self.progress,
                 number,
                 hypothesis,
-                [scored for scored in screened if scored.candidate.id not in excluded_ids],
-                tried_ids=excluded_ids,
+                self._not_excluded(screened),
+                tried_ids=set(self.excluded_ids),
             )
             accepted = None
             if not is_full:
                 round_refits.refit_effects(screening)
                 round_refits.refit_without_terms(absent_terms)
-                accepted = round_refits.best_after_splines(
-                    [spline for spline in splines if spline.candidate.id not in excluded_ids]
-                )
+                accepted = round_refits.best_after_splines(self._not_excluded(splines))
             refits = sorted(round_refits.refits, key=lambda refit: -refit.margin)
             accepted_id = accepted.candidate.id if accepted else ""
             self.rounds.append(Round(hypothesis, tuple(screened), tuple(splines), tuple(refits), accepted_id))
@@ -98,12 +95,8 @@ class ForwardSelection:
             self.progress.accepted += 1
             hypothesis = accepted.hypothesis
 
-    def _excluded_ids(self, hypothesis: Hypothesis) -> set[str]:
-        """Return the ids that are not tried next to a `hypothesis`: with them, plays about axes that have dry
-        friction in it, because a play also fits what friction idealises.
-        """
-        plays = {id_ for id_ in self.acceptance.kinds if friction_of_play(id_) in hypothesis.ids}
-        return {*self.excluded_ids, *plays}
+    def _not_excluded(self, scored: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
+        return [candidate for candidate in scored if candidate.candidate.id not in self.excluded_ids]
 
 
 @dataclass
@@ -136,16 +129,9 @@ class RoundRefits:
 
     @property
     def best(self) -> Refit | None:
-        """The refit of the largest margin among those that are accepted; None without one.
-
-        Dry friction displaces a play about its axis that is hardly better.
-        """
-        accepted = {refit.candidate.id: refit for refit in self.refits if self.acceptance.accepts(refit)}
-        best = max(accepted.values(), key=lambda refit: refit.margin, default=None)
-        friction = accepted.get(friction_of_play(best.candidate.id)) if best else None
-        if best and friction and friction.margin > (1.0 - thresholds.PLAY_MARGIN) * best.margin:
-            return friction
-        return best
+        """The refit of the largest margin among those that are accepted; None without one."""
+        accepted = [refit for refit in self.refits if self.acceptance.accepts(refit)]
+        return max(accepted, key=lambda refit: refit.margin, default=None)
 
     def refit_effects(self, screening: Screening) -> None:
         """Refit the effects with the best scores, then those that a score cannot show; `screening` is about
@@ -170,8 +156,8 @@ class RoundRefits:
         and its score is too low for the same reason.
         """
         best = self.best
-        friction_id = friction_of_play(best.candidate.id) if best else ""
-        is_proposed = np.array([friction_id == f"coulomb_friction.{axis}" for axis in AXES])
+        family, _, axis = best.candidate.id.partition(".") if best else ("", "", "")
+        is_proposed = np.array([family == "backlash" and name == axis for name in AXES])
         return _typical_proposals(
             "coulomb_friction", is_proposed, self.acceptance.kinds, self.base, self.tried_ids
         )
