@@ -139,3 +139,13 @@ def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
     assert asked == [2.0, 1.0]
     assert best.candidate.effect.values[order] == 1.0
     assert best.gain == 182.0
+
+
+def test_a_model_that_was_estimated_in_another_order_keeps_the_added_candidate() -> None:
+    play, friction = (typical_candidate(KINDS[f"{name}.pitch"]) for name in ("backlash", "coulomb_friction"))
+    before = hypothesis([play, friction])
+    comparison = cast(ModelComparison, SimpleNamespace(refit=lambda *_: before))
+    acceptance = cast(Acceptance, SimpleNamespace(kinds=KINDS, penalty=lambda *_: 7.0))
+    scored = ScoredCandidate(play, 0.0, np.zeros(1), np.ones(1), 1)
+    refit = refit_on_grid(comparison, acceptance, hypothesis([friction]), scored)
+    assert refit.candidate.id == "backlash.pitch"

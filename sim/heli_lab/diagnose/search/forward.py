@@ -175,7 +175,7 @@ class RoundRefits:
                 reduced = self.comparison.refit(candidates, term.start, self.base)
                 gain = reduced.log_likelihood - self.base.log_likelihood
                 penalty = self.acceptance.penalty(term.candidate)
-                self.refits.append(Refit(reduced, gain, penalty, term.log_likelihood_gain))
+                self.refits.append(Refit(reduced, gain, penalty, term.log_likelihood_gain, term.candidate.id))
 
     def best_after_splines(self, splines: Sequence[ScoredCandidate]) -> Refit | None:
         """Let the best of the `splines` compete with the best effect; return the refit to accept.
@@ -245,7 +245,7 @@ def refit_on_grid(
             best = hypothesis
     gain = best.log_likelihood - base.log_likelihood
     penalty = acceptance.penalty(scored.candidate, scored.tried)
-    return Refit(best, gain, penalty, scored.log_likelihood_gain)
+    return Refit(best, gain, penalty, scored.log_likelihood_gain, scored.candidate.id)
 
 
 def resting_friction(
