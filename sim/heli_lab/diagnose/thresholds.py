@@ -103,6 +103,11 @@ and selects the disturbances that a report mentions. With the penalty of one par
 nats, 5.3 standard deviations. A grid is refined from half of it. Lower: unmodelled chance is named, and wrong
 names get high confidence. Higher: weak causes are lost, and right names are called `ambiguous`."""
 
+PLAY_NEXT_TO_FRICTION_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 20.0
+"""Margin that a play needs next to dry friction about the same axis. The play also fits what the equation of
+an axis at rest idealises: a false one had 8 nats in case 72 of the opened split (2026-11). Lower: friction is
+named twice, with half of its size. Higher: plays about axes that stick are lost."""
+
 SIGNIFICANT_STD_ERRORS: Final[Annotated[float, "standard errors", THEORY]] = 2.0
 """Distance from its neutral value at which a parameter is significant: a 95 % interval. Higher: weak causes
 are lost. Lower: causes are named whose interval contains nothing."""
@@ -140,6 +145,11 @@ HELD_OUT_AGAINST: Final[Annotated[float, "nats", JUDGEMENT]] = -4.0
 """Log-likelihood ratio on held-out flights below which they contradict a cause, and it is removed: 50 to 1.
 Lower: peculiarities
 of one flight are named. Higher: true causes that a weakly excited flight hardly shows are lost."""
+
+SPLINE_HELD_OUT_NATS: Final[Annotated[float, "nats", THEORY]] = 0.0
+"""Log-likelihood ratio on held-out flights below which they contradict a spline: even odds. A smooth curve
+has no physics that would speak for it. Lower: splines that follow a peculiarity of one flight stay, and the
+verdict is `unexplained`. Higher: unlisted causes are lost that a weakly excited flight hardly shows."""
 
 # Terms of the baseline that are absent.
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Refit, Screening, forward, typical_candidate
-from heli_lab.diagnose.search.acceptance import Acceptance
+from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
 from heli_lab.diagnose.search.candidate import ScoredCandidate
 from heli_lab.diagnose.search.forward import RoundRefits, paused_play, resting_friction
 from heli_lab.diagnose.search.progress import Progress
@@ -53,7 +54,16 @@ def test_play_is_proposed_for_axes_whose_count_pauses(there: tuple[str, ...]) ->
     assert [scored.candidate.id for scored in proposed] == ([] if there else ["backlash.pitch"])
 
 
-def test_play_is_refitted_next_to_a_better_score(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("play_margin", "refitted_ids"),
+    [
+        (5.0, ["rotor_lag", "backlash.pitch"]),
+        (9.0, ["rotor_lag", "backlash.pitch", "coulomb_friction.pitch"]),
+    ],
+)
+def test_play_is_refitted_next_to_a_better_score_and_friction_if_the_play_is_best(
+    monkeypatch: pytest.MonkeyPatch, play_margin: float, refitted_ids: list[str]
+) -> None:
     reference = SimpleNamespace(
         pause_s=np.tile([0.1, 0.3, 0.1], (9, 1)), at_rest=np.zeros((9, 3), bool), rows=np.arange(9)
     )
@@ -62,17 +72,21 @@ def test_play_is_refitted_next_to_a_better_score(monkeypatch: pytest.MonkeyPatch
     )
     acceptance = SimpleNamespace(kinds=KINDS, worth_a_refit=list, accepts=lambda _: True)
     progress = SimpleNamespace(refits_left=lambda: True, trial=lambda *_: None)
-    monkeypatch.setattr(
-        forward, "refit_on_grid", lambda *given: SimpleNamespace(candidate=given[3].candidate, margin=9.0)
-    )
+    margins = {"rotor_lag": 7.0, "backlash.pitch": play_margin, "coulomb_friction.pitch": 11.0}
+
+    def refit(*given: Any) -> SimpleNamespace:
+        candidate = given[3].candidate
+        return SimpleNamespace(candidate=candidate, margin=margins[candidate.id])
+
+    monkeypatch.setattr(forward, "refit_on_grid", refit)
     lag = ScoredCandidate(typical_candidate(KINDS["rotor_lag"]), 90.0, np.zeros(1), np.ones(1), 1)
     base = cast(Hypothesis, SimpleNamespace(ids=()))
     round_refits = RoundRefits(
         cast(ModelComparison, None), cast(Acceptance, acceptance), cast(Progress, progress), 0, base, [lag]
     )
     round_refits.refit_effects(cast(Screening, screening))
-    assert [refit.candidate.id for refit in round_refits.refits] == ["rotor_lag", "backlash.pitch"]
-    assert round_refits.tried_ids == {"rotor_lag", "backlash.pitch"}
+    assert [refit.candidate.id for refit in round_refits.refits] == refitted_ids
+    assert round_refits.tried_ids == set(refitted_ids)
 
 
 def test_a_clear_log_likelihood_ratio_overrides_the_wald_test() -> None:
@@ -83,3 +97,9 @@ def test_a_clear_log_likelihood_ratio_overrides_the_wald_test() -> None:
     acceptance = Acceptance(cast(ModelComparison, None), KINDS)
     assert acceptance.is_significant(Refit(hypothesis, 1300.0, 11.0, 0.0), candidate)
     assert not acceptance.is_significant(Refit(hypothesis, 30.0, 11.0, 0.0), candidate)
+
+
+def test_a_play_needs_more_evidence_next_to_friction_about_its_axis() -> None:
+    assert min_margin("backlash.pitch", ["coulomb_friction.pitch"]) == thresholds.PLAY_NEXT_TO_FRICTION_NATS
+    assert min_margin("backlash.pitch", ["coulomb_friction.travel"]) == thresholds.MIN_MARGIN
+    assert min_margin("coulomb_friction.pitch", ["backlash.pitch"]) == thresholds.MIN_MARGIN

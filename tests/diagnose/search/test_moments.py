@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -55,6 +55,7 @@ def hypothesis(candidates: list[Candidate]) -> Hypothesis:
             candidates=tuple(candidates),
             ids=tuple(candidate.id for candidate in candidates),
             values={candidate.id: float(n) for n, candidate in enumerate(candidates)},
+            log_likelihood=0.0,
         ),
     )
 
@@ -93,6 +94,29 @@ def test_effects_come_back_if_held_out_flights_contradict_a_spline() -> None:
     assert np.isfinite(list(restored.values.values())).all()
 
 
+@pytest.mark.parametrize(("ratio", "kept"), [(-1.0, ["rotor_lag"]), (1.0, ["rotor_lag", "spline:a:b"])])
+def test_a_spline_must_gain_on_held_out_flights_but_an_effect_need_not(
+    monkeypatch: pytest.MonkeyPatch, ratio: float, kept: list[str]
+) -> None:
+    def reduced(_: object, final: Hypothesis) -> tuple[Hypothesis, dict[str, Hypothesis]]:
+        return final, {"rotor_lag": final, "spline:a:b": hypothesis([typical_candidate(KINDS["rotor_lag"])])}
+
+    monkeypatch.setattr(BackwardElimination, "_remove_superfluous", reduced)
+    monkeypatch.setattr(
+        BackwardElimination,
+        "_held_out_ratios",
+        lambda _self, final, _reduced: {id_: -1.0 if id_ == "rotor_lag" else ratio for id_ in final.ids},
+    )
+    acceptance = SimpleNamespace(penalty=lambda _: 1.0, kinds=KINDS)
+    nothing: Any = None
+    backward = BackwardElimination(nothing, cast(Acceptance, acceptance), nothing, hypothesis([]), [])
+    spline = Candidate("spline:a:b", typical_candidate(KINDS["rotor_lag"]).effect, ())
+    final = hypothesis([typical_candidate(KINDS["rotor_lag"]), spline])
+    result, _ = backward.eliminate(final)
+    assert list(result.ids) == kept
+    assert backward.contradicted_ids == {"rotor_lag", "spline:a:b"} - set(kept)
+
+
 def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
     kind = KINDS["encoder_eccentricity.travel"]
     order = kind.full("order")
@@ -115,3 +139,13 @@ def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
     assert asked == [2.0, 1.0]
     assert best.candidate.effect.values[order] == 1.0
     assert best.gain == 182.0
+
+
+def test_a_model_that_was_estimated_in_another_order_keeps_the_added_candidate() -> None:
+    play, friction = (typical_candidate(KINDS[f"{name}.pitch"]) for name in ("backlash", "coulomb_friction"))
+    before = hypothesis([play, friction])
+    comparison = cast(ModelComparison, SimpleNamespace(refit=lambda *_: before))
+    acceptance = cast(Acceptance, SimpleNamespace(kinds=KINDS, penalty=lambda *_: 7.0))
+    scored = ScoredCandidate(play, 0.0, np.zeros(1), np.ones(1), 1)
+    refit = refit_on_grid(comparison, acceptance, hypothesis([friction]), scored)
+    assert refit.candidate.id == "backlash.pitch"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from heli_sim.model.effects.spec import EffectSpec
@@ -18,7 +18,7 @@ from heli_lab.diagnose.search.model_comparison import ModelComparison
 class Acceptance:
     """Decides whether a refitted candidate belongs into the model.
 
-    A candidate is accepted if its log-likelihood ratio exceeds its penalty by `MIN_MARGIN`, its size is
+    A candidate is accepted if its log-likelihood ratio exceeds its penalty by `min_margin`, its size is
     significant, and the moment at which it acts, if it has one, is within the free flight.
     """
 
@@ -38,7 +38,7 @@ class Acceptance:
 
     def accepts(self, refit: Refit) -> bool:
         """Whether a refitted candidate may be added to the model."""
-        if refit.margin <= thresholds.MIN_MARGIN:
+        if refit.margin <= min_margin(refit.candidate.id, refit.hypothesis.ids):
             return False
         if refit.candidate.is_spline:
             return True
@@ -60,6 +60,22 @@ class Acceptance:
             if thresholds.EXPECTED_REFIT_GAIN * scored.log_likelihood_gain
             > self.penalty(scored.candidate, scored.tried) + thresholds.MIN_MARGIN
         ]
+
+
+def min_margin(id_: str, present: Collection[str]) -> float:
+    """Return the log-likelihood ratio by which an effect must exceed its penalty, nats.
+
+    Parameters
+    ----------
+    id_ : str
+        Id of the effect.
+    present : collection of str
+        Ids of the effects of the model.
+    """
+    family, _, axis = id_.partition(".")
+    if family == "backlash" and f"coulomb_friction.{axis}" in present:
+        return thresholds.PLAY_NEXT_TO_FRICTION_NATS
+    return thresholds.MIN_MARGIN
 
 
 def is_significant(

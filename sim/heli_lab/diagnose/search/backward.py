@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.search.acceptance import Acceptance
+from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
 from heli_lab.diagnose.search.candidate import Candidate, may_join
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
@@ -25,6 +25,8 @@ class BackwardElimination:
         The model without any cause.
     rounds : sequence of Round
         The rounds of the forward selection.
+    contradicted_ids : set of str
+        Ids of the causes so far that held-out flights contradict.
     """
 
     comparison: ModelComparison
@@ -32,6 +34,7 @@ class BackwardElimination:
     progress: Progress
     baseline: Hypothesis
     rounds: Sequence[Round]
+    contradicted_ids: set[str] = field(default_factory=set)
 
     def eliminate(self, final: Hypothesis) -> tuple[Hypothesis, list[Cause]]:
         """Remove causes from the model `final` that are not significant or that held-out flights contradict.
@@ -45,8 +48,10 @@ class BackwardElimination:
         """
         final, reduced_by_id = self._remove_superfluous(with_held_out_moments(self.comparison, final))
         held_out_ratios = self._held_out_ratios(final, reduced_by_id)
-        weakest = min(held_out_ratios, key=lambda id_: held_out_ratios[id_], default=None)
-        if weakest is not None and held_out_ratios[weakest] < thresholds.HELD_OUT_AGAINST:
+        contradicted = {id_ for id_, ratio in held_out_ratios.items() if ratio < _required_ratio(id_)}
+        weakest = min(contradicted, key=lambda id_: held_out_ratios[id_], default=None)
+        if weakest is not None:
+            self.contradicted_ids.add(weakest)
             return self.eliminate(self.restore_displaced(final, weakest, reduced_by_id[weakest]))
         causes = [
             Cause(
@@ -98,8 +103,8 @@ class BackwardElimination:
         return self.comparison.refit([*reduced.candidates, *restored], start, reduced)
 
     def _round_of(self, cause_id: str) -> Round | None:
-        """Return the round of the forward selection that accepted a cause."""
-        return next((round_ for round_ in self.rounds if round_.accepted_id == cause_id), None)
+        """Return the last round of the forward selection that accepted a cause."""
+        return next((round_ for round_ in reversed(self.rounds) if round_.accepted_id == cause_id), None)
 
     def _remove_superfluous(self, final: Hypothesis) -> tuple[Hypothesis, dict[str, Hypothesis]]:
         """Remove causes one by one until all are significant.
@@ -121,7 +126,7 @@ class BackwardElimination:
                 reduced = self.comparison.refit(other_causes, None, final) if other_causes else self.baseline
                 gain = final.log_likelihood - reduced.log_likelihood
                 refit = Refit(final, gain, penalty=self.acceptance.penalty(candidate), score=0.0)
-                exceeds_penalty = refit.margin > thresholds.MIN_MARGIN
+                exceeds_penalty = refit.margin > min_margin(candidate.id, final.ids)
                 if not exceeds_penalty or not self.acceptance.is_significant(refit, candidate):
                     break
                 reduced_by_id[candidate.id] = reduced
@@ -192,3 +197,8 @@ class BackwardElimination:
             and not refit.candidate.is_spline
             and (not other_causes or may_join_other_causes(refit))
         ]
+
+
+def _required_ratio(id_: str) -> float:
+    """Return the log-likelihood ratio on held-out flights below which they contradict a cause, nats."""
+    return thresholds.SPLINE_HELD_OUT_NATS if id_.startswith("spline:") else thresholds.HELD_OUT_AGAINST

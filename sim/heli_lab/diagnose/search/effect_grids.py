@@ -14,20 +14,20 @@ from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.search.candidate import Candidate, effect_candidates
-from heli_lab.estimation import DisturbanceModel, InnovationsModel, auxiliary_residuals, smoothed_disturbances
+from heli_lab.diagnose.search.spectral_peaks import peak_frequencies_Hz
+from heli_lab.estimation import (
+    AuxiliaryResiduals,
+    DisturbanceModel,
+    InnovationsModel,
+    auxiliary_residuals,
+    smoothed_disturbances,
+)
 
 _JUMP_WINDOW_s: Final = 1.0
 """Time before and after a moment over which torques are averaged to find a jump: longer than a step response
 of the filter, shorter than slow disturbances."""
 _MAX_JUMPS: Final = 3
 """Moments of jumps that are added to a grid. Fewer: of two steps the smaller is missed. More: time."""
-_MAX_PEAKS: Final = 4
-"""Frequencies that are tried on each axis: the highest peaks of the missing torque's spectrum. Fewer: a
-periodic torque is missed among larger disturbances. More: time."""
-_MIN_Hz, _MAX_Hz = 0.03, 12.0
-"""Below, a period is longer than half a minute of flight; above, the arm hardly moves."""
-_DEFAULT_Hz: Final = 0.5
-"""Frequency that is tried if the spectrum has no peak."""
 _MAX_GRID: Final = 16
 """Points of a parameter's grid before the neighbourhood of the best point is refined."""
 _SIZE_SHARES: Final = (0.2, 0.6, 1.2)
@@ -103,9 +103,8 @@ class EffectGrids:
         Penzer 1998).
         """
         result = []
-        residuals = auxiliary_residuals(self.filtered, self.disturbances)
         for flight, (t_s, torque_Nm), residual in zip(
-            self.filtered.linearised_flights, self._smoothed, residuals, strict=True
+            self.filtered.linearised_flights, self._smoothed, self._auxiliary_residuals, strict=True
         ):
             level_s, _ = residual.largest_level()
             jumps_s = [
@@ -115,27 +114,16 @@ class EffectGrids:
             result.append(_EventTimes(label, duration_s, (*jumps_s, level_s)))
         return result
 
-    def _peak_frequencies_Hz(self, axis: str) -> tuple[float, ...]:
-        """Return the frequencies of the highest peaks in the spectrum of the first flight's smoothed torque
-        about an axis.
+    @cached_property
+    def _auxiliary_residuals(self) -> list[AuxiliaryResiduals]:
+        """Scores of a shock at every instant of each flight."""
+        return auxiliary_residuals(self.filtered, self.disturbances)
 
-        The amplitudes are relative to the spectrum of a disturbance, which falls with frequency.
-        """
-        index = AXES.index(axis)
-        t_s, torques_Nm = self._smoothed[0]
-        torque_Nm = torques_Nm[:, index] - torques_Nm[:, index].mean()
-        rows = len(torque_Nm)
-        frequency_Hz = np.fft.rfftfreq(4 * rows, float(np.median(np.diff(t_s))))
-        amplitude = np.abs(np.fft.rfft(torque_Nm * np.hanning(rows), 4 * rows))
-        amplitude *= np.hypot(1.0, 2 * np.pi * frequency_Hz * self.disturbances.correlation_time_s[index])
-        amplitude[(frequency_Hz < _MIN_Hz) | (frequency_Hz > _MAX_Hz)] = 0.0
-        peaks = [
-            i
-            for i in range(1, len(amplitude) - 1)
-            if amplitude[i - 1] <= amplitude[i] and amplitude[i] > amplitude[i + 1]
-        ]
-        peaks.sort(key=lambda i: -amplitude[i])
-        return tuple(float(frequency_Hz[i]) for i in peaks[:_MAX_PEAKS]) or (_DEFAULT_Hz,)
+    def _peak_frequencies_Hz(self, axis: str) -> tuple[float, ...]:
+        """Return the frequencies at which a periodic torque about an axis is most significant."""
+        index, residuals = AXES.index(axis), self._auxiliary_residuals
+        step_s = float(np.median(np.diff(residuals[0].t_s)))
+        return peak_frequencies_Hz([flight.impulse.score[:, index] for flight in residuals], step_s)
 
 
 def _jump_times_s(t_s: Floats, torque_Nm: Floats) -> tuple[float, ...]:

@@ -33,6 +33,8 @@ class ForwardSelection:
     ----------
     removable : sequence of EffectSpec
         Terms of the baseline that may be removed.
+    excluded_ids : collection of str
+        Ids of candidates that are not tried.
     rounds : list of Round
         The rounds so far.
     """
@@ -41,6 +43,7 @@ class ForwardSelection:
     acceptance: Acceptance
     progress: Progress
     removable: Sequence[EffectSpec]
+    excluded_ids: Collection[str] = ()
     rounds: list[Round] = field(default_factory=list)
 
     def select(self, hypothesis: Hypothesis) -> tuple[Hypothesis, Screening, bool]:
@@ -71,13 +74,19 @@ class ForwardSelection:
             )
             screening.release()
             round_refits = RoundRefits(
-                self.comparison, self.acceptance, self.progress, number, hypothesis, screened
+                self.comparison,
+                self.acceptance,
+                self.progress,
+                number,
+                hypothesis,
+                self._not_excluded(screened),
+                tried_ids=set(self.excluded_ids),
             )
             accepted = None
             if not is_full:
                 round_refits.refit_effects(screening)
                 round_refits.refit_without_terms(absent_terms)
-                accepted = round_refits.best_after_splines(splines)
+                accepted = round_refits.best_after_splines(self._not_excluded(splines))
             refits = sorted(round_refits.refits, key=lambda refit: -refit.margin)
             accepted_id = accepted.candidate.id if accepted else ""
             self.rounds.append(Round(hypothesis, tuple(screened), tuple(splines), tuple(refits), accepted_id))
@@ -85,6 +94,9 @@ class ForwardSelection:
                 return hypothesis, screening, not is_full and self.progress.refits_left()
             self.progress.accepted += 1
             hypothesis = accepted.hypothesis
+
+    def _not_excluded(self, scored: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
+        return [candidate for candidate in scored if candidate.candidate.id not in self.excluded_ids]
 
 
 @dataclass
@@ -102,7 +114,8 @@ class RoundRefits:
     refits : list of Refit
         The refits so far.
     tried_ids : set of str
-        Ids of the effects whose turn has come, whether or not the limit of refits left them out.
+        Ids of the effects whose turn has come, whether or not the limit of refits left them out, and of
+        those that are excluded.
     """
 
     comparison: ModelComparison
@@ -136,6 +149,18 @@ class RoundRefits:
         if self.best is None:
             unscored += resting_friction(self.base, screening, self.acceptance.kinds, self.tried_ids)
         self._refit_each(unscored)
+        self._refit_each(self._friction_instead_of_play())
+
+    def _friction_instead_of_play(self) -> list[ScoredCandidate]:
+        """Propose dry friction about the axis of a play that would be accepted: it makes counts pause too,
+        and its score is too low for the same reason.
+        """
+        best = self.best
+        family, _, axis = best.candidate.id.partition(".") if best else ("", "", "")
+        is_proposed = np.array([family == "backlash" and name == axis for name in AXES])
+        return _typical_proposals(
+            "coulomb_friction", is_proposed, self.acceptance.kinds, self.base, self.tried_ids
+        )
 
     def refit_without_terms(self, absent: Sequence[RemovedTerm]) -> None:
         """Refit the model without each of the terms that the rig may lack, if its score is high enough."""
@@ -143,14 +168,14 @@ class RoundRefits:
         for term in absent:
             if (
                 self.progress.refits_left()
-                and term.candidate.id not in self.base.ids
+                and term.candidate.id not in {*self.base.ids, *self.tried_ids}
                 and term.log_likelihood_gain > thresholds.SHORTLIST_SHARE * best_score
             ):
                 candidates = [*self.base.candidates, term.candidate]
                 reduced = self.comparison.refit(candidates, term.start, self.base)
                 gain = reduced.log_likelihood - self.base.log_likelihood
                 penalty = self.acceptance.penalty(term.candidate)
-                self.refits.append(Refit(reduced, gain, penalty, term.log_likelihood_gain))
+                self.refits.append(Refit(reduced, gain, penalty, term.log_likelihood_gain, term.candidate.id))
 
     def best_after_splines(self, splines: Sequence[ScoredCandidate]) -> Refit | None:
         """Let the best of the `splines` compete with the best effect; return the refit to accept.
@@ -220,7 +245,7 @@ def refit_on_grid(
             best = hypothesis
     gain = best.log_likelihood - base.log_likelihood
     penalty = acceptance.penalty(scored.candidate, scored.tried)
-    return Refit(best, gain, penalty, scored.log_likelihood_gain)
+    return Refit(best, gain, penalty, scored.log_likelihood_gain, scored.candidate.id)
 
 
 def resting_friction(

@@ -57,24 +57,29 @@ class Refit:
     Parameters
     ----------
     hypothesis : Hypothesis
-        The model with the candidate as its last one.
+        The model with the candidate.
     gain : float
         Log-likelihood ratio over the model without it, each with its own estimate of the disturbances, nats.
     penalty : float
         BIC penalty of its parameters and of the number of tests, nats.
     score : float
         Gain that the score test predicted, nats.
+    added_id : str
+        Id of the candidate that was added, if it may not be the last one: the same model may have been
+        estimated before, with its candidates in another order.
     """
 
     hypothesis: Hypothesis
     gain: float
     penalty: float
     score: float
+    added_id: str = ""
 
     @property
     def candidate(self) -> Candidate:
         """The candidate that was added."""
-        return self.hypothesis.candidates[-1]
+        candidates = self.hypothesis.candidates
+        return next((candidate for candidate in candidates if candidate.id == self.added_id), candidates[-1])
 
     @property
     def margin(self) -> float:

@@ -31,12 +31,15 @@ class Progress:
         the elimination needs.
     accepted : int
         Causes that were accepted so far.
+    reached : float
+        Largest share that was reported so far; a second turn of the search does not report less.
     """
 
     comparison: ModelComparison
     say: Callable[[str, float], None]
     max_refits: float
     accepted: int = 0
+    reached: float = 0.0
 
     def refits_left(self) -> bool:
         """Whether another candidate may be refitted."""
@@ -60,7 +63,9 @@ class Progress:
 
     def _report(self, step: str, share: float) -> None:
         # A search that runs into its limit ends there: the time left is no longer than the work left.
-        self.say(step, max(share, _END * min(1.0, self.comparison.fits / max(self.max_refits, 1.0))))
+        work = _END * min(1.0, self.comparison.fits / max(self.max_refits, 1.0))
+        self.reached = max(self.reached, share, work)
+        self.say(step, self.reached)
 
 
 def _forward_share(rounds: float) -> float:

@@ -1,4 +1,5 @@
-"""Stepwise search for causes: forward selection on the fitted flights, then exchange and elimination.
+"""Stepwise search for causes: forward selection on the fitted flights, then exchange and elimination, and
+once more if a cause was removed.
 
 Each round scores all candidates about the current estimate, refits the best, and accepts one whose
 log-likelihood ratio exceeds its BIC penalty. A spline term (`splines.py`) competes in every round. If it
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from heli_sim.model.effects.spec import EffectSpec
 
@@ -22,6 +24,10 @@ from heli_lab.diagnose.search.hypothesis import Cause, Hypothesis, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.progress import Progress
 from heli_lab.diagnose.search.screening import Screening
+
+_MAX_TURNS: Final = 2
+"""Turns of selection and elimination. Fewer: causes are missed that a false one hid until it was removed.
+More: time."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +87,18 @@ def search(
     progress.baseline()
     baseline = comparison.refit([])
     forward = ForwardSelection(comparison, acceptance, progress, removable)
-    selected, screening, complete = forward.select(baseline)
-    exchanged = exchange(comparison, acceptance, progress, selected)
     backward = BackwardElimination(comparison, acceptance, progress, baseline, forward.rounds)
-    final, causes = backward.eliminate(exchanged)
+    forward.excluded_ids = backward.contradicted_ids
+    final, causes = baseline, list[Cause]()
+    for _ in range(_MAX_TURNS):
+        progress.accepted = len(final.candidates)
+        selected, screening, complete = forward.select(final)
+        if selected is final:
+            break
+        exchanged = exchange(comparison, acceptance, progress, selected)
+        final, causes = backward.eliminate(exchanged)
+        if set(exchanged.ids) <= set(final.ids):
+            break
     if final is not selected:
         screening = Screening(final.estimate)
     return Search(baseline, final, tuple(causes), tuple(forward.rounds), screening, complete)

@@ -1,0 +1,56 @@
+"""Frequencies at which a periodic torque is most significant, from the scores of impulses of torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Floats
+
+_MAX_PEAKS: Final = 4
+"""Frequencies that are tried on each axis. Fewer: a periodic torque is missed in large disturbances. More:
+time."""
+_MIN_Hz, _MAX_Hz = 0.03, 12.0
+"""Below, a period is longer than half a minute of flight; above, the arm hardly moves."""
+_DEFAULT_Hz: Final = 0.5
+"""Frequency that is tried if the spectrum has no peak."""
+_PADDING: Final = 4
+"""Points of a spectrum for each frequency that a flight distinguishes."""
+_NEIGHBOURS: Final = 10
+"""Frequencies on either side of a peak that standardise it. Fewer: a peak, which is four wide, standardises
+itself. More: the slope of the spectrum makes false peaks."""
+
+
+def peak_frequencies_Hz(impulse_scores: Sequence[Floats], step_s: float) -> tuple[float, ...]:
+    """Return the frequencies at which a periodic torque is most significant, the most significant first.
+
+    The score of a periodic torque is the Fourier transform of the scores of an impulse at every instant.
+    Disturbances and quantisation give it a smooth spectrum. The median of neighbouring frequencies estimates
+    this spectrum and standardises the score.
+
+    Parameters
+    ----------
+    impulse_scores : sequence of ndarray (k,)
+        For each flight, derivative of the log-likelihood to an impulse of torque at every instant.
+    step_s : float
+        Time between two instants [s].
+    """
+    points = _PADDING * max(map(len, impulse_scores))
+    windowed = [(score - score.mean()) * np.hanning(len(score)) for score in impulse_scores]
+    # The phase of a periodic torque may differ from flight to flight.
+    power = np.sum([np.abs(np.fft.rfft(score, points)) ** 2 for score in windowed], axis=0)
+    power /= np.maximum(_local_median(power), np.finfo(float).tiny)
+    frequency_Hz = np.fft.rfftfreq(points, step_s)
+    power[(frequency_Hz < _MIN_Hz) | (frequency_Hz > _MAX_Hz)] = 0.0
+    peaks = 1 + np.flatnonzero((power[:-2] <= power[1:-1]) & (power[1:-1] > power[2:]))
+    highest = peaks[np.argsort(-power[peaks], kind="stable")][:_MAX_PEAKS]
+    return tuple(map(float, frequency_Hz[highest])) or (_DEFAULT_Hz,)
+
+
+def _local_median(power: Floats) -> Floats:
+    """Return the median of a spectrum over the neighbouring frequencies of each of its points, shape (k,)."""
+    reach = _PADDING * _NEIGHBOURS
+    padded = np.pad(power, reach, mode="reflect")
+    neighbours = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)[:, ::_PADDING]
+    return np.asarray(np.median(neighbours, axis=1))
