@@ -31,7 +31,7 @@ def import_(
         typer.Option(
             "--profile",
             metavar="FILE",
-            help="Assign the columns by this TOML file. With --guess, guess only what it leaves out.",
+            help="Assign the columns by this TOML file, and guess the rest with --guess.",
         ),
     ] = None,
     guess: Annotated[
