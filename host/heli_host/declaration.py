@@ -346,7 +346,7 @@ class Param(IntEnum):
     TRAVEL_GAIN = 60  # 1/s2: acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by
     LAW_JUMP_MAX_V = 61  # V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
     LAW_ENVELOPE = 62  # : share of the angle and rate limits, and of the following errors, beyond which it takes over
-    ARM_RATE_MAX_DEG_S = 63  # deg/s: arming needs every axis slower than this
+    ARM_RATE_MAX_DEG_S = 63  # deg/s: arming needs every axis to turn no faster than this
     ARM_ELEVATION_TOLERANCE_DEG = 64  # deg: arming needs the elevation this close to rest
     ARM_PITCH_TOLERANCE_DEG = 65  # deg: arming needs the pitch this close to level
     SETPOINT_HOLD_S = 66  # s: time without a recent setpoint after which the board holds level
@@ -566,7 +566,7 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(60, "travel_gain", "1/s2", 0.05, 100.0, 0.5, False, False, False, 47475, "acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by"),
     ParamSpec(61, "law_jump_max_V", "V", 0.1, 48.0, 2.5, False, False, True, 49258, "change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link"),
     ParamSpec(62, "law_envelope", "", 0.2, 1.0, 0.8, False, False, True, 51186, "share of the angle and rate limits, and of the following errors, beyond which it takes over"),
-    ParamSpec(63, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, 43912, "arming needs every axis slower than this"),
+    ParamSpec(63, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, 43912, "arming needs every axis to turn no faster than this"),
     ParamSpec(64, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, 4074, "arming needs the elevation this close to rest"),
     ParamSpec(65, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, 2930, "arming needs the pitch this close to level"),
     ParamSpec(66, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, 62867, "time without a recent setpoint after which the board holds level"),

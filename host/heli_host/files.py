@@ -1,4 +1,4 @@
-"""Reading of files from other people, within bounds.
+"""Reading of files from other people, within bounds, and strings for files of our own.
 
 The functions refuse pipes, files above a given size, and TOML that would exhaust the parser.
 """
@@ -100,6 +100,15 @@ def parse_toml(text: str) -> dict[str, Any]:
     except ValueError:
         raise ValueError(_TOO_MANY_DIGITS) from None
     return content
+
+
+def toml_string(text: str) -> str:
+    """Return a text as a string of TOML, with its quotation marks, such that `parse_toml` reads it back.
+
+    Characters that are not printable are escaped, because they may control a terminal that shows the file.
+    """
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'
 
 
 def _check_numbers(value: object) -> None:

@@ -14,7 +14,7 @@ from heli_host.cli.progress import LiveLine
 from heli_host.cli.progress_bar import WorkBar
 from heli_host.cli.say import say, say_files
 from heli_host.errors import FlightDataError, LogError, PlanError, printable
-from heli_host.files import parse_toml, read_file
+from heli_host.files import parse_toml, read_file, toml_string
 from heli_host.fly.plan import Plan
 from heli_host.log import scan, table
 from heli_host.log.flight_file import read_flight
@@ -37,6 +37,15 @@ ESCAPES = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202e"
 def raw(text: str) -> set[str]:
     """Return the characters that do something to a terminal."""
     return {one for one in text if not one.isprintable()} - {"\n"}
+
+
+@pytest.mark.parametrize(
+    "text", ["", 'a "quoted" C:\\new', "two\nlines\tand a tab", ESCAPES, "\x7f\U000e0001é"]
+)
+def test_a_written_string_is_read_back_and_controls_no_terminal(text: str) -> None:
+    written = toml_string(text)
+    assert parse_toml(f"text = {written}") == {"text": text}
+    assert not raw(written) and "\n" not in written
 
 
 def test_text_for_a_terminal_has_no_control_characters() -> None:

@@ -20,8 +20,8 @@ PLAIN = Distortion(
 )
 
 
-def guessed(how: Distortion, folder: Path) -> tuple[object, ...]:
-    flight, rig = simulated(1)
+def guessed(how: Distortion, folder: Path, number: int = 1) -> tuple[object, ...]:
+    flight, rig = simulated(number)
     path = folder / "flight.csv"
     write(flight, rig, how, path)
     guess_result = guess(read_table(path), rig)
@@ -32,6 +32,18 @@ def guessed(how: Distortion, folder: Path) -> tuple[object, ...]:
 def test_nothing_wrong_is_sure(tmp_path: Path) -> None:
     guess_result, ambiguities = guessed(PLAIN, tmp_path)
     assert guess_result.sure, ambiguities  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("number", "late_s", "is_doubted"),
+    [(0, 0.0, False), (0, 0.1, True), (1, 0.0, False), (1, 0.1, True), (2, 0.08, True)],
+)
+def test_late_voltages_are_doubted_and_rotors_without_a_lag_are_not(
+    number: int, late_s: float, is_doubted: bool, tmp_path: Path
+) -> None:
+    _, ambiguities = guessed(replace(PLAIN, late=("voltages", late_s)), tmp_path, number)
+    assert ambiguities == ({"the voltages' time"} if is_doubted else set())
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -16,6 +17,7 @@ from heli_lab.identify.estimation_problem.residual_noise import (
     window_weights,
 )
 from heli_lab.identify.estimation_problem.uncertainty import timing_variance
+from heli_lab.identify.html_report.page import verdict
 from heli_lab.identify.results import Identification
 from heli_lab.identify.run import identify
 from heli_sim.model import MultibodyModel
@@ -52,6 +54,22 @@ def test_a_sum_that_is_identified_leaves_a_difference_that_is_not() -> None:
     assert set(unidentifiable[0].change) == {"a", "b"}
     assert unidentifiable[0].change["a"] == pytest.approx(-unidentifiable[0].change["b"])
     assert combinations(("a", "b"), 1e4 * np.eye(2), np.ones(2)) == []
+
+
+def test_a_verdict_says_which_axis_did_not_move_and_what_is_uninformed() -> None:
+    moving = identified("M_w", "torque_elevation", "friction_elevation")
+    assert "did not move" not in verdict(moving)
+    (flight,) = moving.training_traces
+    still = flight.measured_rad * [1.0, 0.0, 1.0]
+    without_pitch = replace(moving, training_traces=(replace(flight, measured_rad=still),))
+    assert "pitch did not move there, so the error shows nothing about pitch" in verdict(without_pitch)
+    nothing = replace(
+        moving,
+        training=(replace(moving.training[0], normalised=0.9),),
+        training_traces=(replace(flight, measured_rad=0.0 * still),),
+    )
+    assert "No axis moves on the fitted flights" in verdict(nothing)
+    assert "Only the encoders' quantisation" not in verdict(nothing)
 
 
 def test_counterweight_and_constant_torque_are_inseparable_near_level() -> None:

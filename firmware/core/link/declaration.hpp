@@ -298,7 +298,7 @@ enum class Param : std::uint8_t {
   travel_gain = 60,  // 1/s2: acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by
   law_jump_max_V = 61,  // V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
   law_envelope = 62,  // : share of the angle and rate limits, and of the following errors, beyond which it takes over
-  arm_rate_max_deg_s = 63,  // deg/s: arming needs every axis slower than this
+  arm_rate_max_deg_s = 63,  // deg/s: arming needs every axis to turn no faster than this
   arm_elevation_tolerance_deg = 64,  // deg: arming needs the elevation this close to rest
   arm_pitch_tolerance_deg = 65,  // deg: arming needs the pitch this close to level
   setpoint_hold_s = 66,  // s: time without a recent setpoint after which the board holds level

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError, file_remedy
-from heli_host.files import TOML_BYTES, parse_toml, read_file
+from heli_host.files import TOML_BYTES, parse_toml, read_file, toml_string
 from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, TIME_UNITS, VOLTAGE_UNITS
 
 MOTORS: Final = ("front", "back")
@@ -341,14 +341,14 @@ class _Reader:
 
 def profile_text(profile: Profile) -> str:
     """Write a profile as TOML, which `read_profile` reads."""
-    lines = [f"about = {_quoted(profile.about)}"]
+    lines = [f"about = {toml_string(profile.about)}"]
     lines += [
         f"mirrored = {str(profile.mirrored).lower()}  # true: the other rotor is the front one",
         "",
         "[time]",
     ]
     if profile.time:
-        lines += [f"column = {_quoted(profile.time)}", f'unit = "{profile.time_unit}"']
+        lines += [f"column = {toml_string(profile.time)}", f'unit = "{profile.time_unit}"']
     if profile.rate_Hz:
         lines += [f"rate_Hz = {profile.rate_Hz!r}"]
     for axis in AXES:
@@ -359,16 +359,16 @@ def profile_text(profile: Profile) -> str:
     lines += shared
     lines += [f"clip_V = {list(profile.clip_V)}"] if profile.clip_V else []
     for name, voltage in profile.voltages.items():
-        lines += ["", f"[{name}]", f"column = {_quoted(voltage.column)}", f"sign = {voltage.sign:g}"]
+        lines += ["", f"[{name}]", f"column = {toml_string(voltage.column)}", f"sign = {voltage.sign:g}"]
         lines += [] if shared else _scale_lines(voltage)
         lines += [f"offset_V = {voltage.offset_V!r}"] if voltage.offset_V else []
         lines += [f"delay_s = {voltage.delay_s!r}"] if voltage.delay_s else []
     for axis, angle in profile.setpoints.items():
         lines += ["", f"[{axis}_setpoint]", *_angle_lines(angle)]
     for file, part in profile.parts.items():
-        lines += ["", "[[flight]]", f"file = {_quoted(file)}"]
+        lines += ["", "[[flight]]", f"file = {toml_string(file)}"]
         lines += [f"leave_out_s = {[list(span) for span in part.leave_out_s]}"] if part.leave_out_s else []
-        lines += [f"group = {_quoted(part.group)}"] if part.group else []
+        lines += [f"group = {toml_string(part.group)}"] if part.group else []
     return "\n".join(lines) + "\n"
 
 
@@ -380,14 +380,9 @@ def _scale_lines(voltage: Voltage) -> list[str]:
 
 
 def _angle_lines(angle: Angle) -> list[str]:
-    lines = [f"column = {_quoted(angle.column)}", f'unit = "{angle.unit}"']
+    lines = [f"column = {toml_string(angle.column)}", f'unit = "{angle.unit}"']
     lines += [f"counts = {angle.counts!r}"] if angle.unit == COUNT else []
     lines += [f"sign = {angle.sign:g}"]
     lines += [f"offset_deg = {angle.offset_deg!r}"] if angle.offset_deg else []
     lines += [f"delay_s = {angle.delay_s!r}"] if angle.delay_s else []
     return lines
-
-
-def _quoted(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'

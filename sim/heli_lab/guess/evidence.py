@@ -226,7 +226,8 @@ def pooled_fits(files: Sequence[Mapping[str, RegressionFit]]) -> dict[str, Regre
         shortest_s, longest_s = np.average([fit.lag_range_s for fit in fits], axis=0, weights=weights)
         gain = abs(strongest.gain) * (1.0 if nats >= 0.0 else -1.0)
         lag_range_s = float(shortest_s), float(longest_s)
-        pooled[axis] = RegressionFit(abs(float(nats)), gain, lag_s, lag_range_s)
+        no_rotor_lag_nats = sum(fit.no_rotor_lag_nats for fit in fits)
+        pooled[axis] = RegressionFit(abs(float(nats)), gain, lag_s, lag_range_s, no_rotor_lag_nats)
     return pooled
 
 

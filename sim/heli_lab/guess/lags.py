@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from heli_lab.guess import thresholds
 from heli_lab.guess.regression.assignment import RegressionFit
+from heli_lab.guess.regression.axis_regression import responds_without_lag
 from heli_lab.guess.regression.scales import AXES
 from heli_lab.guess.result import Ambiguity
 
@@ -50,10 +51,12 @@ def lag_ambiguities(regressions: dict[str, RegressionFit]) -> tuple[list[Ambigui
             )
         )
     low, high = thresholds.PLAUSIBLE_LAGS_S
-    if not low <= lag["pitch"] <= high:
+    without_lag = responds_without_lag(lag["pitch"])
+    is_certain = without_lag and regressions["pitch"].no_rotor_lag_nats >= thresholds.DECISIVE_NATS
+    if not low <= lag["pitch"] <= high and not is_certain:
         reason = (
             "pitch responds without a lag, as only a simulation without rotor lag does"
-            if 0.0 <= round(lag["pitch"], 3) < low
+            if without_lag
             else "no rotor responds with such a lag"
         )
         ambiguities.append(

@@ -87,7 +87,12 @@ PLAUSIBLE_LAGS_S: Final = (0.02, 0.28)
 """Plausible lags from voltages to angles [s]: rotors of 0.05 to 0.2 s, and the error of the estimate.
 Outside, the voltages were logged at other times than the angles, and the guess reports an ambiguity. Voltages
 that are delayed by as much as slow rotors lag are just below the lower end, and so are flights of simulations
-without a rotor lag."""
+without a rotor lag; `no_rotor_lag_nats` distinguishes the two."""
+ROTOR_LAG_CUTOFF_Hz: Final = 5.0
+"""Corner of the low-pass filter of the test for a rotor lag [Hz]. At `CUTOFF_Hz`, a lag looks like a delay.
+On four simulated flights, this corner separates flights with and without a lag by 12 nats; 3 Hz by 5."""
+ROTOR_LAGS_s: Final = (0.05, 0.07, 0.1, 0.15)
+"""Time constants of rotors that this test compares with rotors without a lag [s]."""
 SIMULATED_S: Final = 20.0
 """Longest time of a flight that is simulated for each choice of signs [s], from the parts in which pitch
 moves most. Set by judgement: simulating all of it takes longer and gives the same result."""

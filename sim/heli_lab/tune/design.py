@@ -26,7 +26,7 @@ from heli_sim.rig.board import encoder_parameters
 from heli_sim.rig.encoders import direction_is_known
 
 from heli_lab.tune import loops
-from heli_lab.tune.loops import CascadeGains, Margin, Pid
+from heli_lab.tune.loops import CascadeGains, ComplexArray, Margin, Pid
 from heli_lab.tune.objective import (
     UNSTABLE_COST,
     MIN_DECAY_1_s,
@@ -274,6 +274,27 @@ class _TiltDesign:
     parameters: dict[str, float]
 
 
+def _tilt_loops(
+    pitch: Pid, travel: Pid, pitch_hold: float, to_pitch: ComplexArray, to_travel: ComplexArray
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Open loops of pitch, of travel, and of the differential voltage that both loops share.
+
+    Parameters
+    ----------
+    pitch, travel : Pid
+        Controllers. Travel demands a pitch, which the pitch loop and the feed-forward turn into a voltage.
+    pitch_hold : float
+        Feed-forward that holds a tilt [V/rad].
+    to_pitch, to_travel : ndarray (plants, frequencies)
+        Responses of both angles to the differential voltage.
+    """
+    pitch_loop = pitch.response(loops.FREQUENCY_rad_s) * to_pitch
+    volts_per_demand = pitch.kp + pitch_hold + pitch.ki / (1j * loops.FREQUENCY_rad_s)
+    travel_path = travel.response(loops.FREQUENCY_rad_s) * volts_per_demand * to_travel
+    # The pitch loop is closed inside of the travel loop.
+    return pitch_loop, travel_path / (1.0 + pitch_loop), pitch_loop + travel_path
+
+
 def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensitivity: float) -> _TiltDesign:
     """Design the loops of pitch and travel together."""
     nominal, nominal_count = plants[0], count_nominal(plants)
@@ -303,14 +324,11 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
         pole_1_s = slowest_pole_1_s(closed)
         if pole_1_s > -MIN_DECAY_1_s:
             return UNSTABLE_COST + pole_1_s
-        inner = pitch.response(loops.FREQUENCY_rad_s) * to_pitch
-        forward = pitch.kp + pitch_hold + pitch.ki / (1j * loops.FREQUENCY_rad_s)
-        outer = travel.response(loops.FREQUENCY_rad_s) * forward * to_travel
-        peaks = map(loops.peak_sensitivity, (inner, outer / (1.0 + inner), inner + outer))
+        open_loops = _tilt_loops(pitch, travel, pitch_hold, to_pitch, to_travel)
+        peaks = [loops.peak_sensitivity(open_loop) for open_loop in open_loops]
         squares, largest_V = travel_step.simulate(pitch, travel, acceleration_ff, closed)
-        penalty = sum(bound_penalty(peak, sensitivity) for peak in peaks) + bound_penalty(
-            largest_V, differential_max_V
-        )
+        penalty = sum(bound_penalty(peak, sensitivity) for peak in peaks)
+        penalty += bound_penalty(largest_V, differential_max_V)
         return log_cost(squares, nominal_count) + penalty
 
     start = _initial_tilt_gains(nominal, initial_crossover_rad_s(plants))

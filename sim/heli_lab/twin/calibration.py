@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 from heli_host.arrays import Floats
+from heli_host.files import toml_string
 
 from heli_lab.errors import TwinError
 from heli_lab.estimation import DisturbanceModel
@@ -68,8 +69,8 @@ def calibration_text(calibration: Calibration, rig: str) -> str:
     return (
         "# A twin: a rig, its disturbances, and the tail of the evidence without a change.\n"
         "# Written by heli-host twin; order of the axes: elevation, pitch, travel.\n"
-        f"rig = {_quoted(rig)}\n"
-        f"source = {_quoted(calibration.source)}\n\n"
+        f"rig = {toml_string(rig)}\n"
+        f"source = {toml_string(calibration.source)}\n\n"
         "[disturbances]\n"
         f"{disturbance_lines}\n"
         "[tail]\n"
@@ -81,7 +82,7 @@ def _uncertainty_text(uncertainty: ParameterUncertainty) -> str:
     """Return the table [parameters] of a twin file; empty for exact parameters."""
     if not uncertainty.names and not uncertainty.supply_std:
         return ""
-    names = ", ".join(map(_quoted, uncertainty.names))
+    names = ", ".join(map(toml_string, uncertainty.names))
     rows = "".join(f"  {_listed(row, 9)},\n" for row in uncertainty.covariance)
     return (
         "\n[parameters]\n"
@@ -196,7 +197,3 @@ def _is_positive(value: Any) -> bool:
 def _listed(values: Floats, digits: int = 6) -> str:
     """Write values, (n,), as a list of TOML with so many significant digits."""
     return "[" + ", ".join(f"{value:.{digits}g}" for value in values) + "]"
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

@@ -31,7 +31,7 @@ def import_(
         typer.Option(
             "--profile",
             metavar="FILE",
-            help="Assign the columns by this TOML file, or keep its entries with --guess.",
+            help="Assign the columns by this TOML file, and guess the rest with --guess.",
         ),
     ] = None,
     guess: Annotated[

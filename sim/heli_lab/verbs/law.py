@@ -73,8 +73,8 @@ def check(
 ) -> None:
     """Report a control law's cost and stability margins, and fly it in simulation.
 
-    The simulated rigs have random thrust and rotor lag. The file's code is run. No real board is used, and no
-    file is written without --json.
+    The simulated rigs have random thrust and rotor lag. The code of the file runs with your rights. No real
+    board is used, and no file is written without --json.
 
     Example: `heli-host law check lqi.py --rigs 5`
     """
@@ -135,7 +135,8 @@ def fly(
     """Fly a control law on the board, along a travel step and sines.
 
     The board takes off and lands with its own control law. If the flight fails, that law takes over. Options
-    and files are those of `heli-host fly`. --duration applies without --plan. The file's code is run.
+    and files are those of `heli-host fly`. --duration applies without --plan. The code
+    of the file runs with your rights.
 
     Example: `heli-host law fly lqi.py --sil --board due --log lqi.mcap`
     """

@@ -38,8 +38,8 @@ def pool(
     """Combine diagnoses of several rigs and estimate how their parameters vary.
 
     The rigs must be of one type. Prints each parameter's mean, its standard error and its standard deviation
-    between rigs. Also prints the share of rigs with each cause. --save-rig writes the prior for another rig,
-    to identify or diagnose it with --rig.
+    between rigs. Also prints the share of rigs with each cause. --save-rig writes a rig file for
+    the next rig of this type: give it to identify or diagnose as --rig.
 
     Example: `heli-host pool lab1.json lab2.json lab3.json --save-rig type.toml`
     """

@@ -63,9 +63,9 @@ def tune(
 ) -> None:
     """Design gains for a rig, print stability margins, and test them in simulation.
 
-    One set of gains must fly the rig within its uncertainty. Thrust may be 20 % off, and counterweight 3 %.
-    The rotor lag may be 0 to 0.15 s, or 25 % off a stated rotor_lag. Without --save-params the gains are only
-    tested.
+    One set of gains must fly rigs that differ from the rig file: by 20 % in thrust, 3 % in counterweight, and
+    with rotor lags from 0 to 0.15 s. If the rig file states a rotor_lag, the lags are within 25 % of it.
+    Without --save-params the gains are only tested.
 
     Example: `heli-host tune --rig mine.toml --save-params gains.toml`
     """

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 from pathlib import Path
+
+from heli_host.files import toml_string
 
 from heli_sim.rig.rig import Number, Rig
 
@@ -16,14 +17,14 @@ def rig_text(rig: Rig, comment: str = "", digits: int = _DIGITS) -> str:
     exactly.
     """
     lines = [f"# {line}" for line in textwrap.wrap(comment, 108)]
-    lines += [f"name = {_quoted(rig.name)}", f"description = {_quoted(rig.description)}"]
+    lines += [f"name = {toml_string(rig.name)}", f"description = {toml_string(rig.description)}"]
     if rig.model:
-        lines.append(f"model = {_quoted(rig.model)}")
+        lines.append(f"model = {toml_string(rig.model)}")
     for name, number in rig.items():
         lines += _table(name, number, digits)
     for effect, numbers in rig.effects.items():
         for what, number in numbers.items():
-            lines += _table(f"effects.{_quoted(effect)}.{what}", number, digits)
+            lines += _table(f"effects.{toml_string(effect)}.{what}", number, digits)
     return "\n".join(lines) + "\n"
 
 
@@ -32,17 +33,12 @@ def _table(name: str, number: Number, digits: int) -> list[str]:
         "",
         f"[{name}]",
         f"value = {number.value:.{digits}g}",
-        f"unit = {_quoted(number.unit)}",
+        f"unit = {toml_string(number.unit)}",
         f"tolerance = {number.tolerance:.{digits}g}",
-        f"source = {_quoted(number.source)}",
+        f"source = {toml_string(number.source)}",
     ]
 
 
 def write_rig(rig: Rig, path: str | Path, comment: str = "") -> None:
     """Write a rig into the file at `path`, under a `comment`."""
     Path(path).write_text(rig_text(rig, comment), encoding="utf-8")
-
-
-def _quoted(text: str) -> str:
-    # A JSON string without escaped slashes is a TOML basic string, but for DEL.
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -415,8 +415,8 @@ def weigh_rig(
 ) -> None:
     """Estimate a rig's parameters from bench tests.
 
-    The tests are thrust on a scale, the angle of balance, and swings of a pendulum. Without --save-rig the
-    result is only printed.
+    The tests are thrust on a scale, the elevation at which the arm balances, and swings of the short arm.
+    Without --save-rig the result is only printed.
 
     Example: `heli-host rig weigh mine.toml bench.toml --save-rig weighed.toml`
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import casadi as ca
@@ -38,6 +39,11 @@ OF_EACH_SORT = (
 
 def state_of(size: int, seed: int) -> list[float]:
     return list(np.random.default_rng(seed).uniform(-0.6, 0.6, size))
+
+
+def test_no_product_is_tried_twice() -> None:
+    products = [(term.channel, frozenset(term.term.factors)) for group in EVERY for term in group.terms]
+    assert [product for product, count in Counter(products).items() if count > 1] == []
 
 
 @given(st.tuples(*(st.integers(-3, 3) for _ in range(5))))

@@ -59,7 +59,7 @@ def test_a_caption_says_when_disturbances_hide_a_term() -> None:
     for shown, hides in ((term(), False), (hidden, True)):
         section = missing_section("cause", [shown], lambda *_: None)
         assert section is not None
-        assert ("Disturbances hide it" in section["caption"]) == hides
+        assert ("disturbances hide it" in section["caption"]) == hides
 
 
 def test_every_symbol_of_every_equation_is_explained() -> None:

@@ -87,9 +87,7 @@ def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
 
 
 def check_packages(is_installed: Callable[[str], bool] | None = None) -> Finding:
-    """Check that every package this one depends on is installed, as `is_installed` says of a distribution's
-    name.
-    """
+    """Check that all packages that heli-host needs are installed; `is_installed` takes a package's name."""
     is_installed = is_installed or _is_installed
     required = importlib.metadata.requires("heli-host") or []
     names = [re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in required if "extra ==" not in line]

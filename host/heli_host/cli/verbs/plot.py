@@ -31,8 +31,8 @@ def plot(
     """Draw a log, or compare several logs in one figure.
 
     The figure shows setpoints, angles, voltages and events. For several logs it also prints metrics. For each
-    axis with setpoints these are rise time, overshoot, settling time and RMS tracking error. The effort of a
-    flight is the RMS voltage of its motors about their mean.
+    axis with setpoints these are rise time, overshoot, settling time and RMS tracking error. The effort is
+    the RMS deviation of the motor voltages from their mean.
 
     Example: `heli-host plot pid.mcap lqr.mcap --figure both.pdf`
     """

@@ -147,10 +147,8 @@ def _three_factor_products() -> Iterator[_GroupProducts]:
         if {"thrust", "thrust_difference"} <= set(quantities):
             continue
         yield (tuple(_factor("linear", quantity) for quantity in quantities),)
-    for quantity in _RATES:
-        for angle in ("elevation", "pitch"):
-            for other in (q for q in ("elevation", "pitch") if q != angle):
-                yield ((_factor("square", quantity), _factor("linear", angle), _factor("linear", other)),)
+    for rate in _RATES:
+        yield ((_factor("square", rate), _factor("linear", "elevation"), _factor("linear", "pitch")),)
 
 
 def _rotor_products(channel: str, singles: Sequence[_GroupProducts]) -> Iterator[_GroupProducts]:

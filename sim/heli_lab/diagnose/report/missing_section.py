@@ -59,5 +59,5 @@ def _caption(term: MissingTerm) -> str:
     name, kind = term.id, "equation"
     if term.is_spline:
         name, kind = capital(readable_id(name)), "curve"
-    hidden_text = " Disturbances hide it in these dots." if term.share < _FAINT else ""
+    hidden_text = " In this figure, disturbances hide it." if term.share < _FAINT else ""
     return f"{name}: the {kind} explains {100 * max(term.share, 0.0):.0f} % of the variance.{hidden_text}"

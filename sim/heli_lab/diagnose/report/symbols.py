@@ -129,7 +129,8 @@ def legend(effect: str, equation: str, parameters: Sequence[str] = ()) -> list[M
 
 def explained_by(symbol: str, meanings: Sequence[str]) -> bool:
     """Whether one of the `meanings` of parameters contains a `symbol`."""
-    word = re.compile(rf"(?<![\w]){re.escape(symbol.removeprefix(chr(92)))}(?![\w'])")
+    without_backslash = symbol.removeprefix("\\")
+    word = re.compile(rf"(?<!\w){re.escape(without_backslash)}(?![\w'])")
     return any(word.search(meaning) for meaning in meanings)
 
 

@@ -35,12 +35,15 @@ class RegressionFit:
         Delay from the signal to the acceleration [s].
     lag_range_s : tuple of (float, float)
         Shortest and longest delay that are not decisively less likely [s].
+    no_rotor_lag_nats : float
+        Log-likelihood without a rotor lag minus log-likelihood with the best lag [nats]; 0 if not computed.
     """
 
     log_likelihood_ratio: float
     gain: float
     lag_s: float = 0.0
     lag_range_s: tuple[float, float] = (-math.inf, math.inf)
+    no_rotor_lag_nats: float = 0.0
 
 
 @dataclass(frozen=True)

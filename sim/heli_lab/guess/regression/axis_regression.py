@@ -19,7 +19,7 @@ from heli_lab.guess.regression.assignment import (
 )
 from heli_lab.guess.regression.reference import Reference
 from heli_lab.guess.regression.scales import AXES
-from heli_lab.guess.regression.signals import Signals, delay, filtered_signal
+from heli_lab.guess.regression.signals import Signals, delay, filtered_signal, lagged
 
 NO_LIMITS: Final = (-math.inf, math.inf)
 """Limits of the voltages if no command is beyond what the amplifier gives."""
@@ -56,7 +56,54 @@ def axis_regressions(
             causes["travel"] = np.sin(pitch_rad) / rad["pitch"] * np.clip(relative_thrust, 0.0, 2.0)
     columns = {"elevation": assignment.elevation, "pitch": assignment.pitch, "travel": assignment.travel}
     low = {axis: filtered_signal(cause).value for axis, cause in causes.items()}
-    return {axis: _best(signals, columns[axis], axis, low[axis], reference) for axis in AXES}
+    fits = {axis: _best(signals, columns[axis], axis, low[axis], reference) for axis in AXES}
+    if responds_without_lag(fits["pitch"].lag_s):
+        nats = _no_rotor_lag_nats(signals, columns["pitch"], difference, reference)
+        fits["pitch"] = replace(fits["pitch"], no_rotor_lag_nats=nats)
+    return fits
+
+
+def responds_without_lag(lag_s: float) -> bool:
+    """Whether pitch follows the voltages after a lag, `lag_s` [s], that only rotors without a lag have."""
+    return 0.0 <= round(lag_s, 3) < thresholds.PLAUSIBLE_LAGS_S[0]
+
+
+def _no_rotor_lag_nats(signals: Signals, column: str, difference: Floats, reference: Reference) -> float:
+    """Compare rotors without a lag with lagging rotors whose lag a delay of the voltages hides.
+
+    Both respond at the same time on average, but lagging rotors smooth the voltages.
+
+    Parameters
+    ----------
+    column : str
+        Column of pitch.
+    difference : ndarray (n,)
+        Difference of the motors' voltages.
+
+    Returns
+    -------
+    float
+        Log-likelihood without a rotor lag minus log-likelihood with the best lag and delay [nats].
+    """
+    pitch = filtered_signal(signals.raw[column], thresholds.ROTOR_LAG_CUTOFF_Hz)
+    axis_terms = (pitch.value - pitch.value.mean(), pitch.rate)
+    stiffness = reference.stiffness.get("pitch", (0.0, 0.1))
+
+    def most_nats(voltage: Floats, delays_s: Floats) -> float:
+        cause = filtered_signal(voltage, thresholds.ROTOR_LAG_CUTOFF_Hz).value
+        fits = (
+            regress_acceleration(
+                pitch.acceleration, axis_terms, delay(cause, delay_s), stiffness, signals.inner
+            )
+            for delay_s in delays_s
+        )
+        return max(fit.log_likelihood_ratio for fit in fits)
+
+    with_lag = max(
+        most_nats(lagged(difference, lag_s), np.arange(-1.6 * lag_s, 0.0, thresholds.SAMPLE_STEP_s))
+        for lag_s in thresholds.ROTOR_LAGS_s
+    )
+    return most_nats(difference, np.zeros(1)) - with_lag
 
 
 def sum_and_difference(

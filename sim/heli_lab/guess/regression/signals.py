@@ -84,28 +84,29 @@ def column_signals(
     return Signals(even_s, raw, filtered, inner, tuple(counts_per_turn))
 
 
-def filtered_signal(values: Floats) -> Signal:
+def filtered_signal(values: Floats, cutoff_Hz: float = CUTOFF_Hz) -> Signal:
     """Low-pass evenly sampled `values` with zero phase, and differentiate the result twice."""
     extended = np.pad(values, _EXTENDED_ROWS, mode="reflect", reflect_type="odd")
-    low = _butterworth(_butterworth(extended)[::-1])[::-1][_EXTENDED_ROWS:-_EXTENDED_ROWS]
+    once = _butterworth(extended, cutoff_Hz)
+    low = _butterworth(once[::-1], cutoff_Hz)[::-1][_EXTENDED_ROWS:-_EXTENDED_ROWS]
     rate = np.gradient(low, SAMPLE_STEP_s)
     return Signal(low, rate, np.gradient(rate, SAMPLE_STEP_s))
 
 
-def _butterworth(values: Floats) -> Floats:
+def _butterworth(values: Floats, cutoff_Hz: float) -> Floats:
     """Apply a fourth-order Butterworth low-pass that is settled at the first value.
 
     The result equals that of scipy.signal.sosfilt, but importing scipy.signal takes longer than a guess.
     """
     count = 1 << (values.size + _SETTLED_ROWS - 1).bit_length()
-    moved: Floats = np.fft.irfft(np.fft.rfft(values - values[0], count) * _response(count), count)
+    moved: Floats = np.fft.irfft(np.fft.rfft(values - values[0], count) * _response(count, cutoff_Hz), count)
     low: Floats = moved[: values.size] + values[0]
     return low
 
 
 @cache
-def _response(count: int) -> NDArray[np.complex128]:
-    warped = np.tan(np.pi * np.fft.rfftfreq(count)) / np.tan(np.pi * CUTOFF_Hz * SAMPLE_STEP_s)
+def _response(count: int, cutoff_Hz: float) -> NDArray[np.complex128]:
+    warped = np.tan(np.pi * np.fft.rfftfreq(count)) / np.tan(np.pi * cutoff_Hz * SAMPLE_STEP_s)
     poles = np.exp(1j * np.pi * np.array([5.0, 7.0, 9.0, 11.0]) / 8.0)
     response: NDArray[np.complex128] = 1.0 / np.prod(1j * warped[:, None] - poles, axis=1)
     return response
@@ -156,4 +157,12 @@ def delay(values: Floats, lag_s: float) -> Floats:
         result[:rows] = values[0]
     elif rows < 0:
         result[rows:] = values[-1]
+    return result
+
+
+def lagged(values: Floats, time_constant_s: float) -> Floats:
+    """Pass evenly sampled `values` through a first-order lag that is settled at the first value."""
+    age_s = np.arange(0.0, 10.0 * time_constant_s, SAMPLE_STEP_s)
+    weight = np.exp(-age_s / time_constant_s)
+    result: Floats = np.convolve(values - values[0], weight / weight.sum())[: values.size] + values[0]
     return result

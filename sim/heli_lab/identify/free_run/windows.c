@@ -34,8 +34,7 @@ INLINE void chain_rates(const double* fx, const double* fp, const double* fu, do
 }
 
 INLINE void chain_angles(const double* fx, const double* fp, const double* fu, double (*du)[2],
-                         double (*s)[NP], double* target) {
-  double (*out)[NP] = (double (*)[NP])target;
+                         double (*s)[NP], double (*out)[NP]) {
   CHAIN_ANGLES;
 }
 
@@ -53,40 +52,43 @@ INLINE void input(const Row* row, double c, double* u, double (*du)[2]) {
   }
 }
 
-/* Rates k of the states, with their sensitivities ks unless that is null. */
-INLINE void evaluate(const Row* row, double c, double t, const double* p, double* x,
-                     double (*s)[NP], double* k, double (*ks)[NP]) {
+typedef int (*Function)(const double**, double**, long long*, double*, int);
+typedef void (*ChainRule)(const double*, const double*, const double*, double (*)[2],
+                          double (*)[NP], double (*)[NP]);
+
+/* Value of a function that CasADi wrote, at the share c of a step and the state x. If derivatives
+   is not null, also its derivatives: those of x are s, and the chain rule combines them. */
+INLINE void apply(Function function, Function jacobian, ChainRule chain, const Row* row, double c,
+                  double t, const double* p, const double* x, double (*s)[NP], double* value,
+                  double (*derivatives)[NP]) {
   double u[2], du[NS][2], fx[SIZE_FX], fp[SIZE_FP], fu[SIZE_FU], w[SIZE_W];
   long long iw[SIZE_IW];
   const double* arg[SIZE_ARG] = {x, u, &t, p};
-  double* res[SIZE_RES] = {k, fx, fp, fu};
+  double* res[SIZE_RES] = {value, fx, fp, fu};
   input(row, c, u, du);
-  if (ks) {
-    heli_rates_jacobian(arg, res, iw, w, 0);
-    chain_rates(fx, fp, fu, du, s, ks);
+  if (derivatives) {
+    jacobian(arg, res, iw, w, 0);
+    chain(fx, fp, fu, du, s, derivatives);
   } else {
-    heli_rates(arg, res, iw, w, 0);
+    function(arg, res, iw, w, 0);
   }
 }
 
-/* Measured angles, with their derivatives in target unless that is null. */
-INLINE void measure(const Row* row, double t, const double* p, double* x, double (*s)[NP],
-                    double* angles, double* target) {
-  double u[2], du[NS][2], fx[SIZE_FX], fp[SIZE_FP], fu[SIZE_FU], w[SIZE_W];
-  long long iw[SIZE_IW];
-  const double* arg[SIZE_ARG] = {x, u, &t, p};
-  double* res[SIZE_RES] = {angles, fx, fp, fu};
+/* Rates k of the states, with their sensitivities ks unless that is null. */
+INLINE void evaluate(const Row* row, double c, double t, const double* p, const double* x,
+                     double (*s)[NP], double* k, double (*ks)[NP]) {
+  apply(heli_rates, heli_rates_jacobian, chain_rates, row, c, t, p, x, s, k, ks);
+}
+
+/* Measured angles, with their derivatives unless that is null. */
+INLINE void measure(const Row* row, double t, const double* p, const double* x, double (*s)[NP],
+                    double* angles, double (*derivatives)[NP]) {
   if (ANGLES_ARE_STATES) {
     memcpy(angles, x, 3 * sizeof(double));
-    if (target) memcpy(target, s, 3 * NP * sizeof(double));
-    return;
-  }
-  input(row, 0.0, u, du);
-  if (target) {
-    heli_angles_jacobian(arg, res, iw, w, 0);
-    chain_angles(fx, fp, fu, du, s, target);
+    if (derivatives) memcpy(derivatives, s, 3 * NP * sizeof(double));
   } else {
-    heli_angles(arg, res, iw, w, 0);
+    apply(heli_angles, heli_angles_jacobian, chain_angles, row, 0.0, t, p, x, s, angles,
+          derivatives);
   }
 }
 
@@ -96,20 +98,13 @@ INLINE void chain_reset_map(const double* fx, const double* fp, const double* fu
   CHAIN_RESET_MAP;
 }
 
+/* Replaces x, and s unless that is null, by the states after the reset of a step. */
 INLINE void reset(const Row* row, double c, double t, const double* p, double* x, double (*s)[NP]) {
-  double u[2], du[NS][2], fx[SIZE_FX], fp[SIZE_FP], fu[SIZE_FU], w[SIZE_W], y[NX], ys[NX][NP];
-  long long iw[SIZE_IW];
-  const double* arg[SIZE_ARG] = {x, u, &t, p};
-  double* res[SIZE_RES] = {y, fx, fp, fu};
-  input(row, c, u, du);
-  if (s) {
-    heli_reset_map_jacobian(arg, res, iw, w, 0);
-    chain_reset_map(fx, fp, fu, du, s, ys);
-    memcpy(s, ys, sizeof(ys));
-  } else {
-    heli_reset_map(arg, res, iw, w, 0);
-  }
+  double y[NX], ys[NX][NP];
+  apply(heli_reset_map, heli_reset_map_jacobian, chain_reset_map, row, c, t, p, x, s, y,
+        s ? ys : 0);
   memcpy(x, y, sizeof(y));
+  if (s) memcpy(s, ys, sizeof(ys));
 }
 #endif
 
@@ -180,7 +175,7 @@ WIDE void heli_windows(long long windows, const long long* first, const long lon
         row.change_by[j] = change_by[j] ? change_by[j] + 2 * r : 0;
       }
       const double t = start_s[w] + (double)k * step_s;
-      measure(&row, t, p, x, s, angles + 3 * r, differentiate ? derivatives[0] : 0);
+      measure(&row, t, p, x, s, angles + 3 * r, differentiate ? derivatives : 0);
       for (int axis = 0; jacobian && axis < 3; ++axis) {
         memcpy(jacobian + (3 * r + axis) * NZ, derivatives[axis], NZ * sizeof(double));
       }

@@ -1,7 +1,8 @@
-"""A report for someone who looks before reading: one HTML page that needs nothing else, and its figures."""
+"""The report of an identification: one HTML page that needs no other file, and its figures."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from heli_lab.identify.html_report.figures import (
     figure_of_parameters,
     identification_figure,
 )
-from heli_lab.identify.results import Identification, rounded
+from heli_lab.identify.results import Identification, axes_at_rest, rounded
 from heli_lab.identify.thresholds import QUANTISATION_ONLY
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing
@@ -60,21 +61,41 @@ def write_identification_report(
 
 
 def verdict(identification: Identification) -> str:
-    """Summarise in two sentences how good the model is."""
+    """Summarise how good the model is, and what the flights do not show."""
     numbers = identification.json()
     role = numbers["free_run_of"]
     judged = numbers["normalised_residual"][role]
     where = "the fitted flights" if role == "train" else "the validation flights"
     window_s = identification.fit.problem.grids.window_s
     errors = ", ".join(f"{axis} {numbers['free_run_rms_deg'][axis]:.3g}" for axis in AXES)
-    if judged <= QUANTISATION_ONLY:
-        first = f"Only the encoders' quantisation remains on {where}: normalised error {judged:.3f}."
-    else:
+    at_rest = axes_at_rest(identification.validation_traces or identification.training_traces)
+    if judged > QUANTISATION_ONLY:
         first = (
             f"The model has an error of {judged:.3g} times the encoders' quantisation on {where}: it lacks "
             "something, and its parameters are biased."
         )
-    return f"{first} Free-run error over {window_s:g} s, rms in degrees: {errors}."
+    elif len(at_rest) == len(AXES):
+        first = f"No axis moves on {where}, so the small error, {judged:.3f} when normalised, shows nothing."
+    else:
+        first = f"Only the encoders' quantisation remains on {where}: normalised error {judged:.3f}."
+    not_shown = _not_shown(identification, at_rest)
+    return " ".join([first, *not_shown, f"Free-run error over {window_s:g} s, rms in degrees: {errors}."])
+
+
+def _not_shown(identification: Identification, at_rest: Sequence[str]) -> list[str]:
+    """Sentences on what flights do not show if the axes `at_rest` do not move: at most two."""
+    if not at_rest:
+        return []
+    sentences = []
+    if len(at_rest) < len(AXES):
+        axes = " and ".join(at_rest)
+        sentences.append(f"But {axes} did not move there, so the error shows nothing about {axes}.")
+    uninformed = identification.uninformed_parameters
+    if uninformed:
+        sentences.append(
+            f"The fitted flights do not inform {', '.join(uninformed)}; the plan `identify` moves every axis."
+        )
+    return sentences
 
 
 def _free_run_table(identification: Identification) -> dict[str, Any]:

@@ -6,6 +6,8 @@ of a rig's motion follows its voltages, also under a model that is wrong by a fa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
@@ -42,6 +44,12 @@ def unexplained_shares(flight: Trace) -> tuple[Floats, Floats]:
     # A free run that diverged to nan explains nothing.
     correlation = np.clip(np.nan_to_num(correlation), 0.0, 1.0)
     return np.sqrt(1.0 - correlation**2), np.sqrt(measured / len(flight.t_s)) / flight.sigma_rad
+
+
+def axes_at_rest(flights: Sequence[Trace]) -> list[str]:
+    """Axes that no flight moves by more than its encoder's quantisation: they show nothing about a model."""
+    motion = np.array([unexplained_shares(flight)[1] for flight in flights])
+    return [axis for axis, rests in zip(AXES, np.all(motion <= MIN_MOTION, axis=0), strict=True) if rests]
 
 
 def refuse_unexplained(flight: Trace) -> None:
