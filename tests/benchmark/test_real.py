@@ -119,6 +119,26 @@ def test_another_lag_of_the_same_family_is_no_new_name() -> None:
     assert judged(delay, answer(named, cause("rotor_lag") | lags)).new_names == (("rotor_lag", 0.6),)
 
 
+def test_a_new_name_that_the_unchanged_flights_support_is_marked() -> None:
+    play = KnownEffect("backlash.pitch", 0.02)
+    named = answer(cause("backlash.pitch", backlash_pitch_rad=(0.02, 0.001)), cause("flywheel"))
+
+    def refitted(*gains: float | None) -> dict[str, Any]:
+        rows = [{"candidate": "flywheel", "train": gain, "penalty": 7.0} for gain in gains]
+        return answer() | {"ranking": rows}
+
+    supported, early, weak, unscored = (
+        judged(play, named, refitted(*gains)) for gains in ((3.0, 9.0), (9.0, 3.0), (3.0,), (None,))
+    )
+    assert supported.supported_names == ("flywheel",)
+    for row in (early, weak, unscored, judged(play, named)):
+        assert row.new_names and not row.supported_names
+    assert summary([supported, weak])[3:5] == [
+        "no new name: 0 of 2",
+        "no new name without support in the unchanged flights: 1 of 2",
+    ]
+
+
 def test_a_miss_counts_unless_the_flights_could_not_show_the_effect() -> None:
     play = KnownEffect("backlash.pitch", 0.02)
     missed, unseen = judged(play, answer()), judged(play, answer(undetectable=("backlash.pitch",)))
