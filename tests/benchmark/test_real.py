@@ -135,7 +135,7 @@ def test_a_new_name_that_the_unchanged_flights_support_is_marked() -> None:
         assert row.new_names and not row.supported_names
     assert summary([supported, weak])[3:5] == [
         "no new name: 0 of 2",
-        "no new name without support in the unchanged flights: 1 of 2",
+        "no new name that the unchanged flights do not support: 1 of 2",
     ]
 
 

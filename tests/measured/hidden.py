@@ -136,16 +136,17 @@ def summary(results: Sequence[HiddenResult]) -> list[str]:
     named = [row for row in detectable if row.named]
     sized = [row for row in named if row.std > 0.0]
     quiet = [row for row in results if not row.new_names]
+    total = len(results)
     caused = [row for row in results if len(row.new_names) > len(row.supported_names)]
     bins = [(0.0, 0.5), (0.5, 0.8), (0.8, 1.01)]
     answers = [(row.confidence, True) for row in named]
     answers += [(sure, False) for row in results for _, sure in row.new_names]
     lines = [
         f"detectable and named: {len(named)} of {len(detectable)}",
-        f"declared undetectable: {len(results) - len(detectable)} of {len(results)}",
+        f"declared undetectable: {total - len(detectable)} of {total}",
         f"sizes within two standard errors: {sum(row.size_is_right for row in sized)} of {len(sized)}",
-        f"no new name: {len(quiet)} of {len(results)}",
-        f"no new name without support in the unchanged flights: {len(results) - len(caused)} of {len(results)}",
+        f"no new name: {len(quiet)} of {total}",
+        f"no new name that the unchanged flights do not support: {total - len(caused)} of {total}",
     ]
     for low, high in bins:
         inside = [right for sure, right in answers if low <= sure < high]
