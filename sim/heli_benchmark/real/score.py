@@ -114,11 +114,16 @@ def score(
 
 
 def _is_supported(name: str, reference: Mapping[str, Any]) -> bool:
-    """Whether an effect's last refit in a diagnosis gained more than its penalty: the flights support it,
-    although it may be below the level from which it is named.
+    """Whether the flights support an effect, although it may be below the level from which it is named: its
+    last refit, together with all causes that are named, gained more than its penalty.
     """
+    causes = {cause["effect"] for cause in reference["causes"]}
+    rows = reference.get("ranking", ())
+    last_named = max((row["round"] for row in rows if row["taken"] and row["candidate"] in causes), default=0)
     refits = [
-        row for row in reference.get("ranking", ()) if row["candidate"] == name and row["train"] is not None
+        row
+        for row in rows
+        if row["candidate"] == name and row["train"] is not None and row["round"] > last_named
     ]
     return bool(refits) and bool(refits[-1]["train"] > refits[-1]["penalty"])
 
