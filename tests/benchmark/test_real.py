@@ -119,6 +119,30 @@ def test_another_lag_of_the_same_family_is_no_new_name() -> None:
     assert judged(delay, answer(named, cause("rotor_lag") | lags)).new_names == (("rotor_lag", 0.6),)
 
 
+def test_a_new_name_that_the_unchanged_flights_support_is_marked() -> None:
+    play = KnownEffect("backlash.pitch", 0.02)
+    named = answer(cause("backlash.pitch", backlash_pitch_rad=(0.02, 0.001)), cause("flywheel"))
+
+    def refitted(*gains: float | None) -> dict[str, Any]:
+        taken = {"round": 1, "candidate": "rotor_speed_lag", "train": 90.0, "penalty": 7.0, "taken": True}
+        rows = [
+            {"round": round_, "candidate": "flywheel", "train": gain, "penalty": 7.0, "taken": False}
+            for round_, gain in enumerate(gains, 1)
+        ]
+        return answer(SQUARE) | {"ranking": [taken, *rows]}
+
+    supported, early, weak, unscored = (
+        judged(play, named, refitted(*gains)) for gains in ((3.0, 9.0), (9.0,), (3.0, 3.0), (9.0, None))
+    )
+    assert supported.supported_names == ("flywheel",)
+    for row in (early, weak, unscored, judged(play, named)):
+        assert row.new_names and not row.supported_names
+    assert summary([supported, weak])[3:5] == [
+        "no new name: 0 of 2",
+        "no new name that the unchanged flights do not support: 1 of 2",
+    ]
+
+
 def test_a_miss_counts_unless_the_flights_could_not_show_the_effect() -> None:
     play = KnownEffect("backlash.pitch", 0.02)
     missed, unseen = judged(play, answer()), judged(play, answer(undetectable=("backlash.pitch",)))

@@ -7,8 +7,15 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_lab.estimation import BLOCK_s, Derivatives, LinearisedFlight, ModelFunctions, ReferenceTrajectory
-from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.estimation import (
+    BLOCK_s,
+    Derivatives,
+    InnovationsModel,
+    LinearisedFlight,
+    ModelFunctions,
+    ReferenceTrajectory,
+)
+from heli_lab.identify.flight_model import DISTURBANCE_START, RigParameters, filter_record, model_functions
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 
@@ -155,6 +162,25 @@ def test_all_measurements_of_one_crossing_of_a_play_are_worth_one() -> None:
         expected = half_rad**2 * reference.direction_variance[rows, 1] * measurements
         assert np.allclose(added[:, 1], expected, rtol=1e-9, atol=0.0)
         assert added[:, 1].any()
+
+
+def test_one_crossing_of_a_play_is_one_measurement_of_the_encoders_error() -> None:
+    effect = "backlash.pitch=0.01"
+    linear = changed(effect, "backlash_pitch_rad", 0.0)
+    filtered = InnovationsModel([linear], parts(effect)[2].columns, len(parts(effect)[2].names))
+    silent = [
+        (np.zeros_like(blocks.drive[:, :, :1]), np.zeros_like(blocks.measured[:, :, :1]))
+        for blocks in linear.blocks
+    ]
+    # So large that only errors of the encoders, and none of the state, are in the innovations.
+    large = [replace(DISTURBANCE_START, quantisation=np.full(3, size)) for size in (1e9, np.e * 1e9)]
+    first, second = filtered.log_likelihoods(large, [silent])
+    measurements = np.zeros(3)
+    for blocks in linear.blocks:
+        crosses = blocks.variance > linear.variance[blocks.rows] * (1.0 + 1e-9)
+        measurements += np.where(crosses, 1.0 / linear.repeats[blocks.rows], 1.0).sum(axis=0)
+    assert measurements[1] < 0.95 * measurements[0]
+    assert np.allclose(first - second, 0.5 * measurements, rtol=5e-3)
 
 
 def test_an_axis_that_friction_holds_needs_no_torque_and_the_others_theirs() -> None:

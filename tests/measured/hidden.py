@@ -52,7 +52,7 @@ def diagnosed(pair: str, effect: KnownEffect | None, records: tuple[Record, Reco
         train, held_out = records
         labels = list(PAIRS[pair])
         result = to_json(diagnose(MultibodyModel(), load_rig(RIG), [train], [held_out], labels=labels))
-        return {key: result[key] for key in ("verdict", "causes", "rig", "undetectable")}
+        return {key: result[key] for key in ("verdict", "causes", "rig", "undetectable", "ranking")}
 
     what = f"{effect.id} {effect.size:.4g}" if effect else "nothing"
     return KEPT(f"hidden in {pair}: {what}", diagnosis, made_by=MADE_BY)
@@ -110,10 +110,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _line(pair: str, row: HiddenResult) -> str:
     state = "named" if row.named else "undetectable" if row.undetectable else "MISSED"
-    new = ", ".join(f"{name} {confidence:.2f}" for name, confidence in row.new_names)
+    new = ", ".join(
+        f"{name} {confidence:.2f}{' (supported before)' if name in row.supported_names else ''}"
+        for name, confidence in row.new_names
+    )
+    wrong = ""
+    if row.std > 0.0 and not row.size_is_right:
+        wrong = f", WRONG by {abs(row.size - row.truth) / row.std:.1f} standard errors"
     return (
         f"{pair:13} {row.effect.id:28} {row.effect.size:7.4g}  {state:12} {row.confidence:5.2f} "
-        f"{row.size:9.4g} ± {row.std:.2g}, truth {row.truth:.4g}{'; new: ' + new if new else ''}"
+        f"{row.size:9.4g} ± {row.std:.2g}, truth {row.truth:.4g}{wrong}"
+        f"{'; new: ' + new if new else ''}"
     )
 
 
@@ -129,14 +136,17 @@ def summary(results: Sequence[HiddenResult]) -> list[str]:
     named = [row for row in detectable if row.named]
     sized = [row for row in named if row.std > 0.0]
     quiet = [row for row in results if not row.new_names]
+    total = len(results)
+    caused = [row for row in results if len(row.new_names) > len(row.supported_names)]
     bins = [(0.0, 0.5), (0.5, 0.8), (0.8, 1.01)]
     answers = [(row.confidence, True) for row in named]
     answers += [(sure, False) for row in results for _, sure in row.new_names]
     lines = [
         f"detectable and named: {len(named)} of {len(detectable)}",
-        f"declared undetectable: {len(results) - len(detectable)} of {len(results)}",
+        f"declared undetectable: {total - len(detectable)} of {total}",
         f"sizes within two standard errors: {sum(row.size_is_right for row in sized)} of {len(sized)}",
-        f"no new name: {len(quiet)} of {len(results)}",
+        f"no new name: {len(quiet)} of {total}",
+        f"no new name that the unchanged flights do not support: {total - len(caused)} of {total}",
     ]
     for low, high in bins:
         inside = [right for sure, right in answers if low <= sure < high]

@@ -1,7 +1,8 @@
 """Judge a diagnosis of a real flight in which one known effect was hidden.
 
 A real machine has causes of its own. The diagnosis of the *unchanged* flights is therefore the reference: a
-name that it has already is not a false name, and a size that it has already is added to the hidden one.
+name that it has already is not a false name, and a size that it has already is added to the hidden one. A new
+name is counted separately if the unchanged flights support it just below the level from which it is named.
 """
 
 from __future__ import annotations
@@ -46,6 +47,8 @@ class HiddenResult:
         Confidence of the cause; NaN if it is not named.
     new_names : tuple of (str, float)
         Other causes that the unchanged flights do not have, with their confidence.
+    supported_names : tuple of str
+        Those of the new names that the unchanged flights support too, although not enough to be named there.
     """
 
     effect: KnownEffect
@@ -56,6 +59,7 @@ class HiddenResult:
     truth: float
     confidence: float
     new_names: tuple[tuple[str, float], ...]
+    supported_names: tuple[str, ...] = ()
 
     @property
     def size_is_right(self) -> bool:
@@ -103,7 +107,25 @@ def score(
                 reference, names, t_s
             )
     undetectable = bool({*names} & {*result["undetectable"]})
-    return HiddenResult(effect, cause is not None, undetectable, size, std, truth, confidence, new_names)
+    supported_names = tuple(name for name, _ in new_names if _is_supported(name, reference))
+    return HiddenResult(
+        effect, cause is not None, undetectable, size, std, truth, confidence, new_names, supported_names
+    )
+
+
+def _is_supported(name: str, reference: Mapping[str, Any]) -> bool:
+    """Whether the flights support an effect, although it may be below the level from which it is named: its
+    last refit, together with all causes that are named, gained more than its penalty.
+    """
+    causes = {cause["effect"] for cause in reference["causes"]}
+    rows = reference.get("ranking", ())
+    last_named = max((row["round"] for row in rows if row["taken"] and row["candidate"] in causes), default=0)
+    refits = [
+        row
+        for row in rows
+        if row["candidate"] == name and row["train"] is not None and row["round"] > last_named
+    ]
+    return bool(refits) and bool(refits[-1]["train"] > refits[-1]["penalty"])
 
 
 def _means(cause: Mapping[str, Any], names: tuple[str, ...]) -> bool:

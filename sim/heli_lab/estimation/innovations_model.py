@@ -93,7 +93,7 @@ class InnovationsModel:
             for blocks in linearised.blocks:
                 innovations, window_log_variances = next(filtered)
                 window_innovations.append(innovations)
-                log_variances += window_log_variances - 2.0 * _repeated_nats(linearised, blocks)
+                log_variances += window_log_variances - 2.0 * _repeated_nats(linearised, blocks, disturbances)
             flights.append(np.concatenate(window_innovations))
         return Innovations(tuple(flights), self.columns, self.size, log_variances)
 
@@ -245,7 +245,7 @@ class InnovationsModel:
                 self.model.initial_std**2,
                 *window_errors,
             )
-            return nats + _repeated_nats(linearised, blocks)
+            return nats + np.stack([_repeated_nats(linearised, blocks, model) for model in models])
 
         total = np.zeros((len(disturbance_models), self._outputs))
         for job, nats in zip(jobs, parallel_map(window_nats, jobs), strict=True):
@@ -253,12 +253,15 @@ class InnovationsModel:
         return total
 
 
-def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks) -> Floats:
+def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks, disturbances: DisturbanceModel) -> Floats:
     """Correction of a window's log-likelihood for repeated measurements, shape (m,) [nats].
 
     The N measurements while an axis crosses its play have the same error, of variance v. For the filter they
     are N measurements with independent errors of variance N v, which add the same information. But together
-    they have one normal density, not N: the other N - 1 have the density of a sensor without play.
+    they have one normal density, not N: the other N - 1 have the density of a sensor without play, that of
+    independent, uniform rounding errors. If their density had the estimated variance instead, a smaller
+    variance would be more likely the longer the count stays the same, whatever the measurements are.
     """
-    factor = blocks.variance / linearised.variance[blocks.rows]
+    rounding = linearised.variance[blocks.rows]
+    factor = 1.0 + disturbances.quantisation * (blocks.variance / rounding - 1.0)
     return np.asarray(0.5 * (np.log(factor) * (1.0 - 1.0 / linearised.repeats[blocks.rows])).sum(axis=0))
