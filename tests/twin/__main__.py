@@ -102,6 +102,7 @@ def of_healthy(rig: Known, count: int, seconds: float = 60.0) -> dict[str, Any]:
                 "max_evidence_nats": seen.max_evidence_nats,
                 "free_s": seen.free_s,
                 "alarms": len(seen.alarms),
+                "glitches": sum(event.kind == "glitch" for event in seen.events),
                 "maxima": [round(maximum_nats, 2) for maximum_nats in segment_maxima(seen.evidence_nats)],
             }
         )
@@ -155,7 +156,11 @@ def healthy_table(results: dict[str, Any]) -> list[str]:
     """Alarms in healthy flights against what was stated."""
     flown = [entry for rig in results.values() for entry in rig["healthy"]]
     hours = sum(entry["free_s"] for entry in flown) / 3600.0
-    lines = [f"{len(flown)} healthy flights of {len(results)} rigs, {hours:.2f} h free"]
+    glitches = sum(entry.get("glitches", 0) for entry in flown)
+    lines = [
+        f"{len(flown)} healthy flights of {len(results)} rigs, {hours:.2f} h free; "
+        f"{glitches} jumps of encoders reported"
+    ]
     for stated in (HOURS, 1.0, 0.2):
         expected = alarms = 0.0
         chance = []
