@@ -67,8 +67,11 @@ def fly_missing(options: argparse.Namespace, results: dict[str, Any]) -> None:
         if str(seed) not in results:
             results[str(seed)] = of_healthy(rig_of(seed), options.healthy, options.seconds)
             keep(f"rig {seed} flown healthy")
-    part = slice(1, 2) if options.middle_sizes else slice(None)
-    cases = [(name, size) for name, sizes in SIZES.items() for size in sizes[part]]
+    cases = [
+        (name, size)
+        for name, sizes in SIZES.items()
+        for size in (sizes[1:2] if options.middle_sizes else sizes)
+    ]
     for repeat in range(options.changed):
         for number, (name, size) in enumerate(cases):
             # Each change and size flies on different rigs.
