@@ -34,12 +34,13 @@ class _Filter:
 
 def decisions(pitch_counts: list[float], settled: int = 20) -> list[str]:
     """State after each measurement whether nothing happens, it is open, or the encoder has returned."""
-    watch, kalman, ratio = GlitchWatch(COUNT_rad), _Filter(), _Filter()
+    watch: GlitchWatch[_Filter] = GlitchWatch(COUNT_rad)
+    kalman, ratio = _Filter(), _Filter()
     result = []
     for counts in settled * [0.0] + pitch_counts:
         before = watch.copies(kalman, ratio)  # type: ignore[arg-type]
         kalman.differences_rad[1] = counts
-        watch.begin_jump(kalman, before)  # type: ignore[arg-type]
+        watch.begin_jump(kalman, before)
         if watch.alternative is None:
             result.append("-")
             continue

@@ -26,7 +26,7 @@ class AngleHistory:
         self._scales = scales
 
     def remember(self, block: int, angles_rad: Floats) -> None:
-        """Keep the angles [rad], (3,), at the end of a `block`."""
+        """Keep the angles `angles_rad` [rad], (3,), at the end of a `block`."""
         self._angles_rad[block % len(self._angles_rad)] = angles_rad
 
     def at_onsets(self, ratio: LikelihoodRatio) -> Floats:

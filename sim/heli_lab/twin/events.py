@@ -62,3 +62,11 @@ def ranked_event(
     """
     text = f"alarm at {alarm_s:.1f} s. Most likely: {format_ranking(ranking, onset_s)}."
     return TwinEvent(kind, t_s, text, ranking, onset_s)
+
+
+def contradiction_event(t_s: float, calibration_s: float, reason: str) -> TwinEvent:
+    """Return the event at `t_s` that the first `calibration_s` of a flight contradict the model (times in s);
+    `reason` states how.
+    """
+    text = f"{NOT_THIS_MODEL}: in the first {calibration_s:g} s, {reason}; no change is named"
+    return TwinEvent("contradicts", t_s, text)

@@ -8,13 +8,12 @@ Otherwise the second filter is discarded, so that no evidence of a real change i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
-from heli_lab.twin.kalman_filter import KalmanFilter
 from heli_lab.twin.likelihood_ratio import LikelihoodRatio
 
 JUMP_STD: Final = 5.0
@@ -39,23 +38,37 @@ _ARMING_BLOCKS: Final = MAX_BLOCKS
 then. Fewer: a filter that has not settled takes its own errors for jumps."""
 
 
+class AngleFilter(Protocol):
+    """A filter of measured angles, as far as jumps concern it; see `KalmanFilter`."""
+
+    left_out: int | None
+    differences_rad: Floats
+    stds_rad: Floats
+
+    def copy(self) -> Self:
+        """Return a filter with the same state."""
+
+
+F = TypeVar("F", bound=AngleFilter)
+
+
 @dataclass
-class WithoutEncoder:
+class WithoutEncoder(Generic[F]):
     """A filter with its likelihood ratio, for which the measurements of a jumping encoder do not exist.
 
     Parameters
     ----------
-    kalman : KalmanFilter
+    kalman : AngleFilter
         The filter; its `left_out` is the axis of the encoder.
     ratio : LikelihoodRatio
         The evidence of changes in its innovations.
     """
 
-    kalman: KalmanFilter
+    kalman: F
     ratio: LikelihoodRatio
 
 
-class GlitchWatch:
+class GlitchWatch(Generic[F]):
     """Watches for jumps of the encoders that return.
 
     Parameters
@@ -71,19 +84,19 @@ class GlitchWatch:
 
     def __init__(self, count_rad: Floats) -> None:
         self._count_rad = count_rad
-        self.alternative: WithoutEncoder | None = None
+        self.alternative: WithoutEncoder[F] | None = None
         self._budget = float(MAX_BLOCKS)
         self._near_blocks = 0
         self._differences_rad: list[float] = []
 
-    def copies(self, kalman: KalmanFilter, ratio: LikelihoodRatio) -> WithoutEncoder | None:
-        """Return copies of a filter before a measurement; None if no jump can begin with it."""
+    def copies(self, kalman: F, ratio: LikelihoodRatio) -> WithoutEncoder[F] | None:
+        """Return copies of `kalman` and `ratio` before a measurement; None if no jump can begin with it."""
         self._budget = min(self._budget + REFILL, float(MAX_BLOCKS))
         if self.alternative is not None or self._near_blocks < _ARMING_BLOCKS or self._budget < 1.0:
             return None
         return WithoutEncoder(kalman.copy(), ratio.copy())
 
-    def begin_jump(self, kalman: KalmanFilter, before: WithoutEncoder | None) -> None:
+    def begin_jump(self, kalman: F, before: WithoutEncoder[F] | None) -> None:
         """Begin a jump if the measurement that `kalman` has just used is one.
 
         Its copies `before` that measurement then become the second filter.
@@ -121,7 +134,7 @@ class GlitchWatch:
         self._differences_rad.append(size_rad)
         return False
 
-    def end_jump(self, t_s: float, block_s: float) -> tuple[WithoutEncoder, str]:
+    def end_jump(self, t_s: float, block_s: float) -> tuple[WithoutEncoder[F], str]:
         """End a jump that returned at `t_s` [s]; return the second filter, and what happened.
 
         Measurements are `block_s` [s] apart.

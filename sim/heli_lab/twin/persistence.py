@@ -27,6 +27,6 @@ class PersistentEvidence:
         self._recent_nats.extend([-math.inf] * PERSISTENCE_BLOCKS)
 
     def add(self, nats: float) -> float:
-        """Add the evidence of a measurement [nats], and return what persists."""
+        """Add the evidence `nats` of a measurement, and return what persists [nats]."""
         self._recent_nats.append(nats)
         return min(self._recent_nats)

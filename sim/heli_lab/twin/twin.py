@@ -12,14 +12,14 @@ from heli_host.arrays import Floats
 from heli_lab.estimation import BLOCK_s
 from heli_lab.twin.angle_history import AngleHistory
 from heli_lab.twin.calibration import Calibration
-from heli_lab.twin.events import NOT_THIS_MODEL, TwinEvent, ranked_event
+from heli_lab.twin.events import TwinEvent, contradiction_event, ranked_event
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
 from heli_lab.twin.glitches import GlitchWatch, WithoutEncoder
 from heli_lab.twin.input_history import InputHistory
 from heli_lab.twin.kalman_filter import KalmanFilter
 from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, Innovation, LikelihoodRatio
-from heli_lab.twin.model_check import ModelCheck
+from heli_lab.twin.model_check import MIN_SCALE_ERROR, ModelCheck
 from heli_lab.twin.persistence import CUT_OFF_STD, PersistentEvidence
 from heli_lab.twin.samples import Samples, Step, Stepper
 from heli_lab.twin.twin_model import TwinModel, start_state
@@ -35,12 +35,84 @@ CALIBRATION_s: Final = 8.0
 and the parameters within their covariance. `diagnose` takes the same. A model that is contradicted so early
 was wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken for a
 change."""
-MIN_SCALE_ERROR: Final = 0.25
-"""Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
-edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
 
 
-class Twin:
+_Second = WithoutEncoder[KalmanFilter]
+
+
+class _FilteredFlight:
+    """Filter of a flight with its likelihood ratio; also without an encoder that may return from a jump."""
+
+    watches_glitches: ClassVar = True  # False: jumps of encoders that return are evidence as any other
+
+    def __init__(self, model: TwinModel, count_rad: Floats, step_s: float) -> None:
+        self._kalman: KalmanFilter | None = None
+        self._ratio = LikelihoodRatio(model.changes, count_rad, draws=2)
+        self._persistent = PersistentEvidence()
+        self._glitches: GlitchWatch[KalmanFilter] = GlitchWatch(count_rad)
+        self._angles = AngleHistory(WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) + 1, model.scales)
+        self._range, self._step = VoltageRange(model.uncertainty, step_s), 0
+        self._block_count, self._steps_per_block = 0, max(1, round(BLOCK_s / step_s))
+        self.block_s = self._steps_per_block * step_s
+
+    @property
+    def judges(self) -> bool:
+        """True unless it ignores measurements because of voltages that the nominal flights do not contain."""
+        return self._range.is_known(self._step)
+
+    def _use_measurement(
+        self, kalman: KalmanFilter, ratio: LikelihoodRatio, step: Step, since_s: float, volts_V: Floats
+    ) -> Innovation | None:
+        """Update a filter with a measurement; return its innovation, None without a measurement.
+
+        The innovation is empty after voltages that the nominal flights do not contain.
+        """
+        ages_s = ratio.ages(self._block_count) * self.block_s
+        kalman.propagate_sensitivity(ages_s, ratio.is_ramp)
+        if step.measured_rad is None:
+            return None
+        has_begun = np.where(ages_s > 0.0, 1.0, 0.0)
+        onset_rad = self._angles.at_onsets(ratio)
+        innovation = kalman.update(since_s, step.measured_rad, step.samples, volts_V, has_begun, onset_rad)
+        if self.judges:
+            return innovation
+        return Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
+
+    def _encoder_returned(
+        self,
+        kalman: KalmanFilter,
+        before: _Second | None,
+        step: Step,
+        since_s: float,
+        volts_V: Floats,
+    ) -> bool:
+        """Update the filter without the encoder that jumped; return whether that encoder has returned."""
+        glitches = self._glitches
+        if step.measured_rad is not None and self.watches_glitches:
+            glitches.begin_jump(kalman, before)
+        if (second := glitches.alternative) is None:
+            return False
+        innovation = self._use_measurement(second.kalman, second.ratio, step, since_s, volts_V)
+        if innovation is not None:
+            second.ratio.update_cut(innovation, CUT_OFF_STD)
+        return innovation is not None and glitches.returned()
+
+    def _continue_without_glitch(self, t_s: float) -> TwinEvent:
+        """Replace the filter by the one without the jump, and return the event that describes the jump."""
+        second, text = self._glitches.end_jump(t_s, self.block_s)
+        self._kalman, self._ratio = second.kalman, second.ratio
+        self._persistent.clear()
+        return TwinEvent("glitch", t_s, text)
+
+    def _filters(self) -> Iterator[tuple[KalmanFilter, LikelihoodRatio]]:
+        """Yield the filter and, while an encoder may return from a jump, the filter without that encoder."""
+        if self._kalman is not None:
+            yield self._kalman, self._ratio
+        if (second := self._glitches.alternative) is not None:
+            yield second.kalman, second.ratio
+
+
+class Twin(_FilteredFlight):
     """Compares a flight with a model of the rig and raises an alarm when the rig changes.
 
     Parameters
@@ -77,9 +149,6 @@ class Twin:
         Time [s] and evidence [nats] of each measurement, recorded if `records_evidence` is set.
     """
 
-    watches_glitches: ClassVar = True
-    """False: jumps of encoders that return are evidence as any other."""
-
     def __init__(
         self,
         model: TwinModel,
@@ -94,33 +163,21 @@ class Twin:
         self.model, self.calibration = model, calibration
         self.threshold_nats = calibration.threshold_nats(false_alarm_interval_h)
         self.evidence_nats = -math.inf
-        self.free = self.contradicts = False
-        self.records_evidence = False
+        self.free = self.contradicts = self.records_evidence = False
         self.unjudged_blocks = 0
         self.evidence_history: list[tuple[float, float]] = []
         self._count_rad, self._zero_s = count_rad, zero_s
         self._stepper = Stepper(sample_s)
         self.step_s = self._stepper.step_s
-        self._steps_per_block = max(1, round(BLOCK_s / self.step_s))
-        self.block_s = self._steps_per_block * self.step_s
+        super().__init__(model, count_rad, self.step_s)
         self._free_flight = FreeFlight(model.rig, self.step_s)
         self._ghost = Ghost(model, self.step_s) if with_ghost else None
         self._inputs = InputHistory(model, self.step_s)
-        self._kalman: KalmanFilter | None = None
         self._ratio = self._new_ratio()
-        self._persistent = PersistentEvidence()
-        self._angles = AngleHistory(WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) + 1, model.scales)
-        # First step of the comparison, and number of its measurements.
-        self._first_step = self._block_count = 0
+        self._first_step = 0  # of the comparison
         self._alarm_block: int | None = None
         self._is_diagnosed = self._recalibrates = self._is_early = False
-        self._check, self._glitches = ModelCheck(), GlitchWatch(count_rad)
-        self._range, self._step = VoltageRange(model.uncertainty, self.step_s), 0
-
-    @property
-    def judges(self) -> bool:
-        """True unless it ignores measurements because of voltages that the nominal flights do not contain."""
-        return self._range.is_known(self._step)
+        self._check = ModelCheck()
 
     @property
     def ghost_rad(self) -> Floats | None:
@@ -139,8 +196,7 @@ class Twin:
         """
         if self._kalman is None:
             return None
-        onset_step = (onset_s + self._zero_s) / self.step_s
-        onset_block = (onset_step - self._first_step) / self._steps_per_block
+        onset_block = ((onset_s + self._zero_s) / self.step_s - self._first_step) / self._steps_per_block
         return self._ratio.standard_error(change, onset_block)
 
     def update(self, samples: Samples) -> list[TwinEvent]:
@@ -210,14 +266,9 @@ class Twin:
 
         After an alarm (`changed`), each possible change is an unknown constant of the flight.
         """
+        disturbances, steps = self.calibration.disturbances, self._steps_per_block
         self._kalman = KalmanFilter(
-            self.model,
-            self.calibration.disturbances,
-            self._count_rad,
-            self.step_s,
-            self._steps_per_block,
-            state,
-            is_changed=changed,
+            self.model, disturbances, self._count_rad, self.step_s, steps, state, is_changed=changed
         )
         self._ratio = self._new_ratio()
         self._persistent.clear()
@@ -231,8 +282,7 @@ class Twin:
     ) -> Iterator[TwinEvent]:
         """Compare the measurement with the prediction, raise alarms, and add an onset."""
         self._block_count += 1
-        block = self._block_count
-        t_s = step.index * self.step_s - self._zero_s
+        block, t_s = self._block_count, step.index * self.step_s - self._zero_s
         before = self._process_measurement(kalman, step, since_s, volts_V)
         if self._encoder_returned(kalman, before, step, since_s, volts_V):
             yield self._continue_without_glitch(t_s)
@@ -272,14 +322,13 @@ class Twin:
 
     def _process_measurement(
         self, kalman: KalmanFilter, step: Step, since_s: float, volts_V: Floats
-    ) -> WithoutEncoder | None:
+    ) -> _Second | None:
         """Update the filter with a measurement, and the evidence with its innovation.
 
         Returns copies of filter and ratio before that measurement if a jump of an encoder can begin with it.
         """
-        before = None
-        if self.watches_glitches and step.measured_rad is not None:
-            before = self._glitches.copies(kalman, self._ratio)
+        watches = self.watches_glitches and step.measured_rad is not None
+        before = self._glitches.copies(kalman, self._ratio) if watches else None
         innovation = self._use_measurement(kalman, self._ratio, step, since_s, volts_V)
         if innovation is not None:
             if not self.judges:
@@ -289,47 +338,6 @@ class Twin:
             self._update_evidence(innovation)
         self._angles.remember(self._block_count, kalman.state[:3])
         return before
-
-    def _use_measurement(
-        self, kalman: KalmanFilter, ratio: LikelihoodRatio, step: Step, since_s: float, volts_V: Floats
-    ) -> Innovation | None:
-        """Update a filter with a measurement; return its innovation, None without a measurement.
-
-        The innovation is empty after voltages that the nominal flights do not contain.
-        """
-        ages_s = ratio.ages(self._block_count) * self.block_s
-        kalman.propagate_sensitivity(ages_s, ratio.is_ramp)
-        if step.measured_rad is None:
-            return None
-        has_begun = np.where(ages_s > 0.0, 1.0, 0.0)
-        onset_rad = self._angles.at_onsets(ratio)
-        innovation = kalman.update(since_s, step.measured_rad, step.samples, volts_V, has_begun, onset_rad)
-        if self.judges:
-            return innovation
-        return Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
-
-    def _encoder_returned(
-        self, kalman: KalmanFilter, before: WithoutEncoder | None, step: Step, since_s: float, volts_V: Floats
-    ) -> bool:
-        """Update the filter without the encoder that jumped; return whether that encoder has returned."""
-        glitches = self._glitches
-        if step.measured_rad is not None and self.watches_glitches:
-            glitches.begin_jump(kalman, before)
-        second = glitches.alternative
-        if second is None:
-            return False
-        innovation = self._use_measurement(second.kalman, second.ratio, step, since_s, volts_V)
-        if innovation is None:
-            return False
-        second.ratio.update_cut(innovation, CUT_OFF_STD)
-        return glitches.returned()
-
-    def _continue_without_glitch(self, t_s: float) -> TwinEvent:
-        """Replace the filter by the one without the jump, and return the event that describes the jump."""
-        second, text = self._glitches.end_jump(t_s, self.block_s)
-        self._kalman, self._ratio = second.kalman, second.ratio
-        self._persistent.clear()
-        return TwinEvent("glitch", t_s, text)
 
     def _block_end_s(self, block: int) -> float:
         """Time of the measurement at the end of a `block` [s]."""
@@ -343,13 +351,6 @@ class Twin:
         if self._glitches.alternative is None:
             self.evidence_nats = persistent_nats
 
-    def _filters(self) -> Iterator[tuple[KalmanFilter, LikelihoodRatio]]:
-        """Yield the filter and, while an encoder may return from a jump, the filter without that encoder."""
-        if self._kalman is not None:
-            yield self._kalman, self._ratio
-        if (second := self._glitches.alternative) is not None:
-            yield second.kalman, second.ratio
-
     def _check_model_once(self, block: int, t_s: float) -> Iterator[TwinEvent]:
         """Compare the innovations' mean square with the stated one, once, at the end of `CALIBRATION_s`."""
         is_due = block == math.floor(CALIBRATION_s / self.block_s)
@@ -360,8 +361,7 @@ class Twin:
         """Stop naming changes, and return the event that states why."""
         self.contradicts = True
         self._alarm_block = None
-        text = f"{NOT_THIS_MODEL}: in the first {CALIBRATION_s:g} s, {reason}; no change is named"
-        return TwinEvent("contradicts", t_s, text)
+        return contradiction_event(t_s, CALIBRATION_s, reason)
 
     def _stop_comparison(self, index: int, reason: str) -> Iterator[TwinEvent]:
         """Rank an open alarm, and stop the comparison."""

@@ -33,7 +33,7 @@ class VoltageRange:
         self._last_unknown_step: int | None = None
 
     def update(self, index: int, volts_V: Floats) -> str:
-        """Take the acting voltages, (2,), of the step `index`.
+        """Take the acting voltages `volts_V` [V], (2,), of the step `index`.
 
         Returns the reason why the twin does not judge them if these voltages are the first outside the range;
         otherwise the empty string.
