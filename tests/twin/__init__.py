@@ -6,3 +6,8 @@ fly a small share. `rigs.py` draws the rigs and what a user knows of them, `chan
 `__main__.py` counts. `python -m tests.twin.measured` watches flights of real machines, if the shared data
 is available.
 """
+
+from tests.running.alone import one_thread_each
+
+# Before numpy is imported: on the small matrices of the filter, more threads only wait for each other.
+one_thread_each()

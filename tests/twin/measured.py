@@ -69,12 +69,15 @@ class Watched:
         Time from the loss to its alarm [s]; None without an alarm.
     name : str
         Change that the final ranking of that alarm puts first.
+    is_judged : bool
+        Whether the twin judged at least half of the flight.
     """
 
     loss: Loss
     early: bool
     delay_s: float | None
     name: str
+    is_judged: bool
 
     @property
     def is_named(self) -> bool:
@@ -129,17 +132,27 @@ def watched(twin: TwinRig, flight: Flight, loss: Loss) -> Watched:
     """Watch a flight with a loss from its middle on."""
     at_s = 0.5 * float(flight.t_s[0] + flight.t_s[-1])
     report = monitor_flight(twin, lost(flight, loss, at_s), loss.text, FALSE_ALARM_INTERVAL_h)
-    alarms = [event.t_s for event in report.events if event.kind == "alarm"]
-    delays_s = [t_s - at_s for t_s in alarms if t_s >= at_s]
-    names = [event.ranking[0].change.id for event in report.alarms if event.t_s >= alarms[0] >= at_s]
+    alarms_s = [event.t_s for event in report.events if event.kind == "alarm" and event.t_s >= at_s]
+    # The final ranking comes after its alarm; an alarm just before the loss may still get its own.
+    names = [event.ranking[0].change.id for event in report.alarms if alarms_s and event.t_s >= alarms_s[0]]
     early = any(event.kind in ("alarm", "contradicts") and event.t_s < at_s for event in report.events)
-    return Watched(loss, early, delays_s[0] if delays_s else None, names[0] if names else "")
+    return Watched(
+        loss,
+        early,
+        alarms_s[0] - at_s if alarms_s else None,
+        names[0] if names else "",
+        report.unjudged_s < 0.5 * report.free_s,
+    )
 
 
 def healthy_words(report: TwinReport) -> str:
     """Describe what a twin reports about a flight in which nothing changed."""
     said = [event.text for event in report.events if event.kind in ("alarm", "contradicts")]
-    return f"most {report.max_evidence_nats:.1f} nats; {said[0] if said else 'quiet'}"
+    jumps = [event.text for event in report.events if event.kind == "glitch"]
+    words = [said[0] if said else "quiet", *jumps]
+    if report.unjudged_s:
+        words.append(f"not judged {report.unjudged_s:.1f} s of {report.free_s:.1f} s")
+    return f"most {report.max_evidence_nats:.1f} nats; {'; '.join(words)}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -169,14 +182,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 case = watched(twin, flight, loss)
                 cases.append(case)
                 delay = "none" if case.delay_s is None else f"{case.delay_s:.1f} s {case.name}"
-                print(f"  {loss.text}: {'an alarm before; ' if case.early else ''}{delay}", flush=True)
+                before = "an alarm before; " if case.early else ""
+                unjudged = "" if case.is_judged else "; most of the flight is not judged"
+                print(f"  {loss.text}: {before}{delay}{unjudged}", flush=True)
     found_s = [case.delay_s for case in cases if case.delay_s is not None and not case.early]
     named = sum(case.is_named for case in cases if case.delay_s is not None and not case.early)
+    unjudged_count = sum(case.delay_s is None and not case.is_judged for case in cases)
+    later = [case for case in cases if case.early and case.delay_s is not None]
     print(
         f"healthy: {quiet} quiet, {contradicted} not this model from the start, of {len(thresholds_nats)}; "
         f"highest alarm level {max(thresholds_nats):.1f} nats\n"
         f"losses: {len(found_s)} of {len(cases)} found, {named} named; "
-        f"median delay {np.median(found_s) if found_s else np.nan:.1f} s"
+        f"median delay {np.median(found_s) if found_s else np.nan:.1f} s\n"
+        f"{unjudged_count} losses missed in flights that are mostly not judged; "
+        f"{len(later)} found after an earlier alarm, {sum(case.is_named for case in later)} of them named"
     )
     return 0
 

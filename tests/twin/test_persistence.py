@@ -15,9 +15,10 @@ from heli_lab.twin.changes import Change, all_changes
 from heli_lab.twin.files import DEFAULT_CALIBRATION
 from heli_lab.twin.likelihood_ratio import ONSETS, ChangeCandidate, Innovation, LikelihoodRatio
 from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
+from heli_lab.twin.persistence import PERSISTENCE_BLOCKS
 from heli_lab.twin.samples import Samples
 from heli_lab.twin.tail import Tail
-from heli_lab.twin.twin import PERSISTENCE_BLOCKS, DIAGNOSIS_DELAY_s, Twin
+from heli_lab.twin.twin import DIAGNOSIS_DELAY_s, Twin
 from heli_sim.rig import load_rig
 
 CHANGES = all_changes()
@@ -69,6 +70,7 @@ def reported_events(
     first = ChangeCandidate(change, 0, size, 0.01, THRESHOLD_nats)
     monkeypatch.setattr(twin_module, "CALIBRATION_s", calibration_s)
     monkeypatch.setattr(twin_module, "KalmanFilter", _Filter)
+    monkeypatch.setattr(Twin, "watches_glitches", False)
     monkeypatch.setattr(twin_module, "start_state", lambda *_: np.zeros(6))
     monkeypatch.setattr(LikelihoodRatio, "update_cut", lambda *_: next(remaining_evidence, 0.0))
     monkeypatch.setattr(LikelihoodRatio, "ranking", lambda _: [first, first])
@@ -176,4 +178,4 @@ def test_a_voltage_that_no_nominal_flight_had_carries_no_evidence(monkeypatch: p
     monkeypatch.setattr(_Filter, "value", np.array([0.0, 2.0, 0.0]))
     gentle = replace(EXACT, low_V=np.full(2, 1.5))
     events = reported_events(monkeypatch, 300 * LITTLE, calibration_s=8.0, uncertainty=gentle)
-    assert [kind for kind, _ in events] == ["free"]
+    assert [kind for kind, _ in events] == ["unjudged", "free"]

@@ -16,8 +16,9 @@ from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.likelihood_ratio import Innovation, LikelihoodRatio, WINDOW_s
+from heli_lab.twin.persistence import CUT_OFF_STD, PERSISTENCE_BLOCKS
 from heli_lab.twin.tail import Tail
-from heli_lab.twin.twin import CUT_OFF_STD, PERSISTENCE_BLOCKS, Twin
+from heli_lab.twin.twin import Twin
 from heli_lab.twin.twin_model import TwinModel
 
 PIECE: Final = 25
@@ -79,6 +80,8 @@ def _near_kicks(innovations: Floats) -> npt.NDArray[np.bool_]:
 class _RecordingTwin(Twin):
     """A twin that keeps its innovations."""
 
+    watches_glitches = False
+
     def __init__(
         self, model: TwinModel, calibration: Calibration, count_rad: Floats, sample_s: float
     ) -> None:
@@ -98,6 +101,8 @@ class _RecordingTwin(Twin):
 
 class _DrawnTwin(Twin):
     """A twin that follows a flight and computes the evidence of drawn innovations."""
+
+    watches_glitches = False
 
     def __init__(
         self, model: TwinModel, calibration: Calibration, count_rad: Floats, sample_s: float, draws: Draws

@@ -13,6 +13,7 @@ sensitivity s of the state to a parameter p is propagated with it: s+ = F s + Ga
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Final
 
 import numpy as np
@@ -76,6 +77,10 @@ class KalmanFilter:
     state_sensitivity : ndarray (order, columns, onsets)
         Error of the filter's state per unit of each change from each onset. `LikelihoodRatio.begin_onset`
         overwrites the columns of replaced onsets.
+    differences_rad, stds_rad : ndarray (3,)
+        Measured minus predicted angles of the latest measurement, and their standard deviations [rad].
+    left_out : int or None
+        Axis whose measurements are left out.
     """
 
     def __init__(
@@ -101,6 +106,8 @@ class KalmanFilter:
             self._scale_errors = [
                 (first_change + column, axis, twin.prior_sizes[column]) for column, axis in twin.scales
             ]
+        self.differences_rad, self.stds_rad = np.zeros(3), np.ones(3)
+        self.left_out: int | None = None
         self._start_rad: Floats = state[:3].copy()
         # Parts of z: model's state, gusts, drift and constant torques about three axes, zeros, errors.
         nx = self._nx = twin.states
@@ -138,6 +145,14 @@ class KalmanFilter:
         self._transition: Floats = np.eye(order)
         self._parameter_sensitivity: Floats = np.zeros((order, twin.weights.shape[0]))
         self.state_sensitivity: Floats = np.zeros((order, twin.weights.shape[1], ONSETS))
+
+    def copy(self) -> KalmanFilter:
+        """Return a filter with the same state, which develops independently."""
+        other = copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                setattr(other, name, value.copy())
+        return other
 
     @property
     def covariance(self) -> Floats:
@@ -324,7 +339,12 @@ class KalmanFilter:
             covariance = self._root @ root_row
             innovation_variance = float(root_row @ root_row) + variance_rad2[axis]
             scale = innovation_variance**-0.5
-            value[axis] = (residual_rad[axis] - output_row @ correction) * scale
+            self.differences_rad[axis] = residual_rad[axis] - output_row @ correction
+            self.stds_rad[axis] = 1.0 / scale
+            if axis == self.left_out:
+                sensitivity[axis] = 0.0
+                continue
+            value[axis] = self.differences_rad[axis] * scale
             sensitivity[axis] = (output_row @ state_sensitivity).reshape(columns, onsets)
             sensitivity[axis] += direct_changes[axis]
             sensitivity[axis] *= scale

@@ -161,6 +161,8 @@ def learn_rig(
     )
     lowest_V, highest_V = free_V.min(axis=0), free_V.max(axis=0)
     low_V = lowest_V - _BEYOND * (highest_V - lowest_V)
+    # A rotor that reverses for the first time is unknown, however slowly it turned before.
+    low_V = np.where(lowest_V >= 0.0, np.maximum(low_V, 0.0), low_V)
     high_V = (1.0 + _BEYOND) * highest_V
     return disturbances, ParameterUncertainty(tuple(shared), covariance, SUPPLY_STD, low_V, high_V)
 

@@ -12,6 +12,7 @@ so that hypotheses with more, or with vaguer, numbers do not win by having them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -149,6 +150,14 @@ class LikelihoodRatio:
         self._kept_count = 0
         self.evidence: Floats = np.full(shape, -np.inf)
         self._last_evidence = self._first_evidence = self.evidence  # of the last and the first draw
+
+    def copy(self) -> LikelihoodRatio:
+        """Return a ratio with the same sums, which develops independently."""
+        other = copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                setattr(other, name, value.copy())
+        return other
 
     def ages(self, block: int) -> Floats:
         """Return the age of each onset at the end of `block`, in blocks, (columns, onsets); negative for

@@ -21,6 +21,7 @@ from heli_lab.twin.twin_model import TwinModel
 
 _WAITS: Final = "The twin waits for free flight."
 _COMPARES: Final = "The twin compares: no change of the rig."
+_DOES_NOT_JUDGE: Final = "The twin does not judge these voltages, because no nominal flight has them."
 
 
 class TickTwin:
@@ -50,12 +51,14 @@ class TickTwin:
         return None if ghost is None else (float(ghost[0]), float(ghost[1]), float(ghost[2]))
 
     def words(self) -> str:
-        """Return the twin's status in one line: the newest alarm or contradiction, or whether it compares
-        or waits.
+        """Return the twin's status in one line: the newest alarm or contradiction, or whether it compares,
+        does not judge or waits.
         """
         if self._alarm_text:
             return f"Twin: {self._alarm_text}"
-        return _COMPARES if self._twin.free else _WAITS
+        if not self._twin.free:
+            return _WAITS
+        return _COMPARES if self._twin.judges else _DOES_NOT_JUDGE
 
 
 def open_twin(name: str) -> Callable[[Mapping[str, float], float], TickTwin]:

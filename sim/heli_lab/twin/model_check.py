@@ -13,6 +13,9 @@ MAX_MEAN_SQUARE: Final = 2.0
 rig's; 1 is what the model states. 175 innovations with the outliers of real flights (kurtosis 6) have a
 standard error of 0.17, so chance needs six of them. Larger: flights that no model here explains raise alarms
 later. Smaller: a day with gusts 1.4 times as large contradicts the rig."""
+MIN_SCALE_ERROR: Final = 0.25
+"""Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
+edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
 
 
 class ModelCheck:

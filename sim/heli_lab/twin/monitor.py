@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -15,11 +16,15 @@ from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
 
 from heli_lab.errors import TwinError
+from heli_lab.twin.events import TwinEvent
 from heli_lab.twin.files import TwinRig
 from heli_lab.twin.flights import count_rad_of, samples_of, samples_of_log
 from heli_lab.twin.samples import Samples
-from heli_lab.twin.twin import Twin, TwinEvent
+from heli_lab.twin.twin import Twin
 from heli_lab.twin.twin_model import TwinModel
+
+_MIN_JUDGED_s: Final = 2.0
+"""Judged time below which a flight is not called unchanged [s]: most changes need longer to show."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,8 @@ class TwinReport:
         Evidence above which an alarm is raised [nats].
     free_s : float
         Length of the flight that was compared [s].
+    unjudged_s : float
+        Part of it with voltages that the nominal flights do not contain, in which no alarm can begin [s].
     flown_rig : str
         Name of the rig in the flight's file; empty if it has none.
     """
@@ -47,6 +54,7 @@ class TwinReport:
     evidence_nats: tuple[tuple[float, float], ...]
     threshold_nats: float
     free_s: float
+    unjudged_s: float = 0.0
     flown_rig: str = ""
 
     @property
@@ -62,16 +70,29 @@ class TwinReport:
         return tuple(event for event in self.events if event.kind == "diagnosed")
 
     def sentences(self) -> list[str]:
-        """Describe the result for people, one sentence per alarm."""
+        """Describe the result for people: the alarms, then what was not judged, then jumps of encoders."""
         if not self.free_s:
             return ["no free flight to compare"]
         contradictions = [event.text for event in self.events if event.kind == "contradicts"]
-        if contradictions:
-            return [*contradictions, *(event.text for event in self.alarms)]
-        if not self.alarms:
-            evidence = f"evidence: {self.max_evidence_nats:.1f} nats at most"
-            return [f"no change of the rig in {self.free_s:.0f} s ({evidence})"]
-        return [event.text for event in self.alarms]
+        alarms = [event.text for event in self.alarms]
+        glitches = [event.text for event in self.events if event.kind == "glitch"]
+        return [*(contradictions + alarms or self._no_change()), *self._unjudged(), *glitches]
+
+    def _no_change(self) -> list[str]:
+        """State for how long no change was detected."""
+        judged_s = self.free_s - self.unjudged_s
+        if judged_s < _MIN_JUDGED_s:
+            return []
+        return [
+            f"no change of the rig in {judged_s:.0f} s (evidence: {self.max_evidence_nats:.1f} nats at most)"
+        ]
+
+    def _unjudged(self) -> list[str]:
+        """State which part was not judged, and why."""
+        reasons = [event.text for event in self.events if event.kind == "unjudged"]
+        if not reasons:
+            return []
+        return [f"{self.unjudged_s:.1f} s of {self.free_s:.1f} s are not judged: {reasons[0]}"]
 
 
 def monitor_flight(
@@ -168,4 +189,7 @@ def _monitor_samples(
     twin.records_evidence = True
     events = twin.update(part) + twin.finish()
     free_s = len(twin.evidence_history) * twin.block_s
-    return TwinReport(label, tuple(events), tuple(twin.evidence_history), twin.threshold_nats, free_s)
+    unjudged_s = twin.unjudged_blocks * twin.block_s
+    return TwinReport(
+        label, tuple(events), tuple(twin.evidence_history), twin.threshold_nats, free_s, unjudged_s
+    )

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Iterator
+from typing import ClassVar, Final
 
 import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.estimation import BLOCK_s
+from heli_lab.twin.angle_history import AngleHistory
 from heli_lab.twin.calibration import Calibration
+from heli_lab.twin.events import TwinEvent, contradiction_event, ranked_event
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
+from heli_lab.twin.glitches import GlitchWatch, WithoutEncoder
 from heli_lab.twin.input_history import InputHistory
 from heli_lab.twin.kalman_filter import KalmanFilter
-from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, ChangeCandidate, Innovation, LikelihoodRatio
-from heli_lab.twin.model_check import ModelCheck
+from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, Innovation, LikelihoodRatio
+from heli_lab.twin.model_check import MIN_SCALE_ERROR, ModelCheck
+from heli_lab.twin.persistence import CUT_OFF_STD, PersistentEvidence
 from heli_lab.twin.samples import Samples, Step, Stepper
 from heli_lab.twin.twin_model import TwinModel, start_state
+from heli_lab.twin.voltage_range import VoltageRange
 
 DIAGNOSIS_DELAY_s: Final = 3.0
 """Time from the alarm to the final ranking of changes, s. Longer: the ranking is more certain but less
@@ -32,53 +35,84 @@ CALIBRATION_s: Final = 8.0
 and the parameters within their covariance. `diagnose` takes the same. A model that is contradicted so early
 was wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken for a
 change."""
-PERSISTENCE_BLOCKS: Final = 6
-"""Number of measurements, 40 ms apart, over which evidence must persist before it counts: 0.24 s. Fewer:
-rounding that a gust makes larger raises an alarm. More: sudden changes are reported that much later."""
-UNKNOWN_s: Final = FILTER_SETTLING_s
-"""Time after a voltage that no nominal flight shows for which measurements carry no evidence, s: the filter
-has to settle again. Longer: aggressive flights hide changes. Shorter: what an unknown voltage does is taken
-for a change."""
-CUT_OFF_STD: Final = 4.0
-"""Size at which an innovation is cut off for the alarm (Huber), in standard deviations: 8 nats, below every
-threshold. The jump of an encoder is seen uncut. Larger: a single kick of a real rig raises an alarm, and
-those of nominal flights set the threshold: 38 nats at 5, 15 at 4. Smaller: large changes count little."""
-MIN_SCALE_ERROR: Final = 0.25
-"""Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
-edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
-NOT_THIS_MODEL: Final = "not this model from the start"
-_MAX_REPORTED_ODDS: Final = 1000.0
-"""Odds above which no number is reported: such odds hold only if the catalogue contains the true cause."""
 
 
-@dataclass(frozen=True)
-class TwinEvent:
-    """A message of the twin.
-
-    Parameters
-    ----------
-    kind : str
-        ``free`` when it begins to compare, ``waits`` when it pauses, ``alarm`` when the rig has changed,
-        ``diagnosed`` with the final ranking. ``contradicts`` when the flight contradicts the model from the
-        start, so that no change is named.
-    t_s : float
-        Time of the message on the clock of the samples minus its zero [s].
-    text : str
-        Message for people.
-    ranking : tuple of ChangeCandidate
-        For ``alarm`` and ``diagnosed``: possible changes, the most likely first.
-    onset_s : float
-        Time at which the most likely change began [s]; nan for the other kinds.
-    """
-
-    kind: str
-    t_s: float
-    text: str
-    ranking: tuple[ChangeCandidate, ...] = ()
-    onset_s: float = math.nan
+_Second = WithoutEncoder[KalmanFilter]
 
 
-class Twin:
+class _FilteredFlight:
+    """Filter of a flight with its likelihood ratio; also without an encoder that may return from a jump."""
+
+    watches_glitches: ClassVar = True  # False: jumps of encoders that return are evidence as any other
+
+    def __init__(self, model: TwinModel, count_rad: Floats, step_s: float) -> None:
+        self._kalman: KalmanFilter | None = None
+        self._ratio = LikelihoodRatio(model.changes, count_rad, draws=2)
+        self._persistent = PersistentEvidence()
+        self._glitches: GlitchWatch[KalmanFilter] = GlitchWatch(count_rad)
+        self._angles = AngleHistory(WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) + 1, model.scales)
+        self._range, self._step = VoltageRange(model.uncertainty, step_s), 0
+        self._block_count, self._steps_per_block = 0, max(1, round(BLOCK_s / step_s))
+        self.block_s = self._steps_per_block * step_s
+
+    @property
+    def judges(self) -> bool:
+        """True unless it ignores measurements because of voltages that the nominal flights do not contain."""
+        return self._range.is_known(self._step)
+
+    def _use_measurement(
+        self, kalman: KalmanFilter, ratio: LikelihoodRatio, step: Step, since_s: float, volts_V: Floats
+    ) -> Innovation | None:
+        """Update a filter with a measurement; return its innovation, None without a measurement.
+
+        The innovation is empty after voltages that the nominal flights do not contain.
+        """
+        ages_s = ratio.ages(self._block_count) * self.block_s
+        kalman.propagate_sensitivity(ages_s, ratio.is_ramp)
+        if step.measured_rad is None:
+            return None
+        has_begun = np.where(ages_s > 0.0, 1.0, 0.0)
+        onset_rad = self._angles.at_onsets(ratio)
+        innovation = kalman.update(since_s, step.measured_rad, step.samples, volts_V, has_begun, onset_rad)
+        if self.judges:
+            return innovation
+        return Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
+
+    def _encoder_returned(
+        self,
+        kalman: KalmanFilter,
+        before: _Second | None,
+        step: Step,
+        since_s: float,
+        volts_V: Floats,
+    ) -> bool:
+        """Update the filter without the encoder that jumped; return whether that encoder has returned."""
+        glitches = self._glitches
+        if step.measured_rad is not None and self.watches_glitches:
+            glitches.begin_jump(kalman, before)
+        if (second := glitches.alternative) is None:
+            return False
+        innovation = self._use_measurement(second.kalman, second.ratio, step, since_s, volts_V)
+        if innovation is not None:
+            second.ratio.update_cut(innovation, CUT_OFF_STD)
+        return innovation is not None and glitches.returned()
+
+    def _continue_without_glitch(self, t_s: float) -> TwinEvent:
+        """Replace the filter by the one without the jump, and return the event that describes the jump."""
+        second, text = self._glitches.end_jump(t_s, self.block_s)
+        self._kalman, self._ratio = second.kalman, second.ratio
+        self._persistent.clear()
+        return TwinEvent("glitch", t_s, text)
+
+    def _filters(self) -> Iterator[tuple[KalmanFilter, LikelihoodRatio]]:
+        """Yield the filter and, while an encoder may return from a jump, the filter without that encoder."""
+        if self._kalman is not None:
+            yield self._kalman, self._ratio
+        if (second := self._glitches.alternative) is not None:
+            yield second.kalman, second.ratio
+
+
+class Twin(_FilteredFlight):
     """Compares a flight with a model of the rig and raises an alarm when the rig changes.
 
     Parameters
@@ -109,6 +143,8 @@ class Twin:
         True while the twin compares; False while it waits for free flight.
     contradicts : bool
         True if this flight contradicted the model from the start; the twin then names no change of it.
+    unjudged_blocks : int
+        Number of measurements without evidence, because of voltages that the nominal flights do not contain.
     evidence_history : list of (float, float)
         Time [s] and evidence [nats] of each measurement, recorded if `records_evidence` is set.
     """
@@ -127,29 +163,21 @@ class Twin:
         self.model, self.calibration = model, calibration
         self.threshold_nats = calibration.threshold_nats(false_alarm_interval_h)
         self.evidence_nats = -math.inf
-        self.free = self.contradicts = False
-        self.records_evidence = False
+        self.free = self.contradicts = self.records_evidence = False
+        self.unjudged_blocks = 0
         self.evidence_history: list[tuple[float, float]] = []
         self._count_rad, self._zero_s = count_rad, zero_s
         self._stepper = Stepper(sample_s)
         self.step_s = self._stepper.step_s
-        self._steps_per_block = max(1, round(BLOCK_s / self.step_s))
-        self.block_s = self._steps_per_block * self.step_s
+        super().__init__(model, count_rad, self.step_s)
         self._free_flight = FreeFlight(model.rig, self.step_s)
         self._ghost = Ghost(model, self.step_s) if with_ghost else None
         self._inputs = InputHistory(model, self.step_s)
-        self._kalman: KalmanFilter | None = None
         self._ratio = self._new_ratio()
-        self._recent_evidence_nats: deque[float] = deque([-math.inf] * PERSISTENCE_BLOCKS, PERSISTENCE_BLOCKS)
-        self._angles_rad: Floats = np.zeros((WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) + 1, 3))
-        """Angles [rad] at the ends of the latest blocks; block k is in row k modulo the number of rows."""
-        # First step of the comparison, and number of its measurements.
-        self._first_step = self._block_count = 0
+        self._first_step = 0  # of the comparison
         self._alarm_block: int | None = None
         self._is_diagnosed = self._recalibrates = self._is_early = False
         self._check = ModelCheck()
-        self._last_unknown_step = -1
-        """Last step after voltages that no nominal flight shows."""
 
     @property
     def ghost_rad(self) -> Floats | None:
@@ -168,8 +196,7 @@ class Twin:
         """
         if self._kalman is None:
             return None
-        onset_step = (onset_s + self._zero_s) / self.step_s
-        onset_block = (onset_step - self._first_step) / self._steps_per_block
+        onset_block = ((onset_s + self._zero_s) / self.step_s - self._first_step) / self._steps_per_block
         return self._ratio.standard_error(change, onset_block)
 
     def update(self, samples: Samples) -> list[TwinEvent]:
@@ -188,6 +215,7 @@ class Twin:
             yield from self._stop_comparison(step.index, "samples are missing")
             self._inputs.restart()
         t_s = step.index * self.step_s - self._zero_s
+        self._step = step.index
         inputs = self._inputs
         inputs.update(step, t_s)
         since_s, acting_V = inputs.since_s, inputs.acting_V
@@ -201,8 +229,8 @@ class Twin:
         if not is_free or (step.landing and (self._alarm_block is None or self._is_diagnosed)):
             yield from self._stop_comparison(step.index, "landing, on the table, at a stop, or motors off")
             return
-        if np.any(self.model.uncertainty.outside_V(acting_V) > 0.0):
-            self._last_unknown_step = step.index + round(UNKNOWN_s / self.step_s)
+        if reason := self._range.update(step.index, acting_V):
+            yield TwinEvent("unjudged", t_s, reason)
         kalman = self._kalman
         if kalman is None:
             if step.measured_rad is None:
@@ -216,7 +244,8 @@ class Twin:
         if self._ghost is not None:
             zero_rad = kalman.zero_rad
             self._ghost.step(since_s, acting_V, kalman.state, kalman.steady_torque_Nm, zero_rad)
-        kalman.predict(since_s, acting_V)
+        for filter_, _ in self._filters():
+            filter_.predict(since_s, acting_V)
 
     def _new_ratio(self) -> LikelihoodRatio:
         # The first draw, with outliers cut off, raises alarms; the second, as measured, ranks the changes.
@@ -237,20 +266,15 @@ class Twin:
 
         After an alarm (`changed`), each possible change is an unknown constant of the flight.
         """
+        disturbances, steps = self.calibration.disturbances, self._steps_per_block
         self._kalman = KalmanFilter(
-            self.model,
-            self.calibration.disturbances,
-            self._count_rad,
-            self.step_s,
-            self._steps_per_block,
-            state,
-            is_changed=changed,
+            self.model, disturbances, self._count_rad, self.step_s, steps, state, is_changed=changed
         )
         self._ratio = self._new_ratio()
-        self._recent_evidence_nats.extend([-math.inf] * PERSISTENCE_BLOCKS)
+        self._persistent.clear()
         self._first_step, self._block_count = index, 0
         self._alarm_block, self._is_diagnosed, self._recalibrates = None, False, changed
-        self._check = ModelCheck()
+        self._check, self._glitches = ModelCheck(), GlitchWatch(self._count_rad)
         return self._kalman
 
     def _end_block(
@@ -258,9 +282,10 @@ class Twin:
     ) -> Iterator[TwinEvent]:
         """Compare the measurement with the prediction, raise alarms, and add an onset."""
         self._block_count += 1
-        ratio, block = self._ratio, self._block_count
-        t_s = step.index * self.step_s - self._zero_s
-        self._process_measurement(kalman, step, since_s, volts_V)
+        block, t_s = self._block_count, step.index * self.step_s - self._zero_s
+        before = self._process_measurement(kalman, step, since_s, volts_V)
+        if self._encoder_returned(kalman, before, step, since_s, volts_V):
+            yield self._continue_without_glitch(t_s)
         if self.records_evidence:
             self.evidence_history.append((t_s, self.evidence_nats))
         if self._alarm_block is None:
@@ -268,13 +293,15 @@ class Twin:
         elif (block - self._alarm_block) * self.block_s >= DIAGNOSIS_DELAY_s:
             yield from self._final_ranking(step.index)
             if not self.contradicts:
-                self._restart(step.index, kalman.state, changed=True)
+                assert self._kalman is not None
+                self._restart(step.index, self._kalman.state, changed=True)
             return
         # A sudden change raises the alarm before its true onset is in the window: onsets are added for half a
         # second more, then the window stays fixed.
         adds_onsets = self._alarm_block is None or block - self._alarm_block < RECENT
         if adds_onsets and block * self.block_s >= FILTER_SETTLING_s:
-            ratio.begin_onset(block, kalman.state_sensitivity)
+            for filter_, ratio in self._filters():
+                ratio.begin_onset(block, filter_.state_sensitivity)
 
     def _raise_alarm(self, t_s: float) -> Iterator[TwinEvent]:
         """Raise an alarm if the evidence is above the threshold.
@@ -286,27 +313,31 @@ class Twin:
         is_early = not self._recalibrates and block * self.block_s <= CALIBRATION_s
         if is_early:
             yield from self._check_model_once(block, t_s)
-        if self.evidence_nats > self.threshold_nats and not self.contradicts:
+        # Whether an encoder that jumped returns is decided first.
+        is_open = self._glitches.alternative is not None
+        if self.evidence_nats > self.threshold_nats and not self.contradicts and not is_open:
             self._alarm_block, self._is_early = block, is_early
             if not is_early:
-                yield self._ranked_event("alarm", t_s)
+                yield self._ranked("alarm", t_s)
 
-    def _process_measurement(self, kalman: KalmanFilter, step: Step, since_s: float, volts_V: Floats) -> None:
-        """Update the filter with a measurement, and the evidence with its innovation."""
-        block = self._block_count
-        ages_s = self._ratio.ages(block) * self.block_s
-        kalman.propagate_sensitivity(ages_s, self._ratio.is_ramp)
-        if step.measured_rad is not None:
-            has_begun = np.where(ages_s > 0.0, 1.0, 0.0)
-            innovation = kalman.update(
-                since_s, step.measured_rad, step.samples, volts_V, has_begun, self._onset_angles_rad()
-            )
-            if step.index <= self._last_unknown_step:
-                innovation = Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
-            elif block * self.block_s > FILTER_SETTLING_s:
+    def _process_measurement(
+        self, kalman: KalmanFilter, step: Step, since_s: float, volts_V: Floats
+    ) -> _Second | None:
+        """Update the filter with a measurement, and the evidence with its innovation.
+
+        Returns copies of filter and ratio before that measurement if a jump of an encoder can begin with it.
+        """
+        watches = self.watches_glitches and step.measured_rad is not None
+        before = self._glitches.copies(kalman, self._ratio) if watches else None
+        innovation = self._use_measurement(kalman, self._ratio, step, since_s, volts_V)
+        if innovation is not None:
+            if not self.judges:
+                self.unjudged_blocks += 1
+            elif self._block_count * self.block_s > FILTER_SETTLING_s:
                 self._check.add(innovation.value)
             self._update_evidence(innovation)
-        self._angles_rad[block % len(self._angles_rad)] = kalman.state[:3]
+        self._angles.remember(self._block_count, kalman.state[:3])
+        return before
 
     def _block_end_s(self, block: int) -> float:
         """Time of the measurement at the end of a `block` [s]."""
@@ -314,10 +345,11 @@ class Twin:
 
     def _update_evidence(self, innovation: Innovation) -> None:
         """Add an innovation to the evidence, which counts as far as it persists: the least of the latest
-        `PERSISTENCE_BLOCKS` measurements.
+        `PERSISTENCE_BLOCKS` measurements. It does not count while an encoder may still return from a jump.
         """
-        self._recent_evidence_nats.append(self._ratio.update_cut(innovation, CUT_OFF_STD))
-        self.evidence_nats = min(self._recent_evidence_nats)
+        persistent_nats = self._persistent.add(self._ratio.update_cut(innovation, CUT_OFF_STD))
+        if self._glitches.alternative is None:
+            self.evidence_nats = persistent_nats
 
     def _check_model_once(self, block: int, t_s: float) -> Iterator[TwinEvent]:
         """Compare the innovations' mean square with the stated one, once, at the end of `CALIBRATION_s`."""
@@ -329,14 +361,7 @@ class Twin:
         """Stop naming changes, and return the event that states why."""
         self.contradicts = True
         self._alarm_block = None
-        text = f"{NOT_THIS_MODEL}: in the first {CALIBRATION_s:g} s, {reason}; no change is named"
-        return TwinEvent("contradicts", t_s, text)
-
-    def _onset_angles_rad(self) -> Floats:
-        """Return for each encoder scale the angle of its axis [rad] at each onset, (scales, onsets)."""
-        rows = len(self._angles_rad)
-        onset_rows = ((self._ratio.onset_blocks(column) % rows, axis) for column, axis in self.model.scales)
-        return np.array([self._angles_rad[place] for place in onset_rows])
+        return contradiction_event(t_s, CALIBRATION_s, reason)
 
     def _stop_comparison(self, index: int, reason: str) -> Iterator[TwinEvent]:
         """Rank an open alarm, and stop the comparison."""
@@ -363,25 +388,12 @@ class Twin:
                     t_s, f"the flight contradicts the rig by {self.evidence_nats:.0f} nats"
                 )
                 return
-            yield self._ranked_event("alarm", t_s)
+            yield self._ranked("alarm", t_s)
         self._is_diagnosed = True
-        yield self._ranked_event("diagnosed", t_s)
+        yield self._ranked("diagnosed", t_s)
 
-    def _ranked_event(self, kind: str, t_s: float) -> TwinEvent:
-        """Return an event with the ranking of the changes, such as ``alarm``."""
+    def _ranked(self, kind: str, t_s: float) -> TwinEvent:
+        """Return an event with the present ranking of the changes."""
         ranking = tuple(self._ratio.ranking())
         onset_s, alarm_s = map(self._block_end_s, (ranking[0].onset_block, self._alarm_block or 0))
-        text = f"alarm at {alarm_s:.1f} s. Most likely: {format_ranking(ranking, onset_s)}."
-        return TwinEvent(kind, t_s, text, ranking, onset_s)
-
-
-def format_ranking(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
-    """Describe the first change of a `ranking`, its onset (`onset_s`, s), and its odds against the second."""
-    first, second = ranking[:2]
-    odds = math.exp(min(first.log_evidence - second.log_evidence, 50.0))
-    odds_text = f"{odds:.0f} times" if odds < _MAX_REPORTED_ODDS else f"over {_MAX_REPORTED_ODDS:.0f} times"
-    if odds < 1.5:
-        second_text = f"equally likely: {second.change.words(second.size, second.std)}"
-    else:
-        second_text = f"{odds_text} more likely than the next change ({second.change.id})"
-    return f"{first.change.words(first.size, first.std)} since {onset_s:.1f} s; {second_text}"
+        return ranked_event(kind, t_s, alarm_s, ranking, onset_s)

@@ -170,6 +170,7 @@ def _numbers(twin_rig: TwinRig, flights: list[TwinReport], false_alarm_interval_
             {
                 "flight": flight.label,
                 "free_s": flight.free_s,
+                "unjudged_s": flight.unjudged_s,
                 "max_evidence_nats": flight.max_evidence_nats,
                 "events": [
                     {
