@@ -106,6 +106,16 @@ def toml_string(text: str) -> str:
     """Return a text as a string of TOML, with its quotation marks, such that `parse_toml` reads it back.
 
     Characters that are not printable are escaped, because they may control a terminal that shows the file.
+
+    Parameters
+    ----------
+    text : str
+        Any text, also with line breaks and quotation marks.
+
+    Returns
+    -------
+    str
+        The string between quotation marks.
     """
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'

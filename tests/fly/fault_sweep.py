@@ -259,8 +259,8 @@ def _judged(
 
 
 HEAD: Final = (
-    "| fails in flight | flights | reported | within, at worst | axis off by, at worst | stop touched "
-    "| never reported, off by at most |"
+    "| fails in flight | flights | reported | longest time | largest error | flights that touched a stop "
+    "| never reported, largest error |"
 )
 
 

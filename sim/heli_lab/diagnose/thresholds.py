@@ -143,13 +143,11 @@ basis functions leave about half of them free. Lower: splines beat effects. High
 
 HELD_OUT_AGAINST: Final[Annotated[float, "nats", JUDGEMENT]] = -4.0
 """Log-likelihood ratio on held-out flights below which they contradict a cause, and it is removed: 50 to 1.
-Lower: peculiarities
-of one flight are named. Higher: true causes that a weakly excited flight hardly shows are lost."""
+Lower: peculiarities of one flight are named. Higher: causes are lost that a weak flight hardly shows."""
 
 SPLINE_HELD_OUT_NATS: Final[Annotated[float, "nats", THEORY]] = 0.0
-"""Log-likelihood ratio on held-out flights below which they contradict a spline: even odds. A smooth curve
-has no physics that would speak for it. Lower: splines that follow a peculiarity of one flight stay, and the
-verdict is `unexplained`. Higher: unlisted causes are lost that a weakly excited flight hardly shows."""
+"""The same for a spline: even odds, because no physics supports a smooth curve. Lower: splines that follow a
+peculiarity of one flight stay, and the verdict is `unexplained`. Higher: unlisted causes are lost."""
 
 # Terms of the baseline that are absent.
 
