@@ -124,12 +124,12 @@ def test_a_new_name_that_the_unchanged_flights_support_is_marked() -> None:
     named = answer(cause("backlash.pitch", backlash_pitch_rad=(0.02, 0.001)), cause("flywheel"))
 
     def refitted(*gains: float | None) -> dict[str, Any]:
-        taken = {"round": 1, "candidate": "rotor_speed_lag", "train": 90.0, "penalty": 7.0, "taken": True}
+        accepted = {"round": 1, "candidate": "rotor_speed_lag", "train": 90.0, "penalty": 7.0, "taken": True}
         rows = [
             {"round": round_, "candidate": "flywheel", "train": gain, "penalty": 7.0, "taken": False}
             for round_, gain in enumerate(gains, 1)
         ]
-        return answer(SQUARE) | {"ranking": [taken, *rows]}
+        return answer(SQUARE) | {"ranking": [accepted, *rows]}
 
     supported, early, weak, unscored = (
         judged(play, named, refitted(*gains)) for gains in ((3.0, 9.0), (9.0,), (3.0, 3.0), (9.0, None))

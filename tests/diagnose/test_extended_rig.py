@@ -55,13 +55,18 @@ def test_extended_rig_of_several_flights_has_the_means_of_their_zeros_and_torque
     rig, model = load_rig("makki2024"), MultibodyModel()
     records = [cast(Record, SimpleNamespace(label=label)) for label in "ab"]
     vector = RigParameters(model, rig, records)
-    own = {"offset_pitch[a]": 0.5, "offset_pitch[b]": 0.3, "torque_pitch[a]": 0.01, "torque_pitch[b]": 0.03}
+    per_flight = {
+        "offset_pitch[a]": 0.5,
+        "offset_pitch[b]": 0.3,
+        "torque_pitch[a]": 0.01,
+        "torque_pitch[b]": 0.03,
+    }
     problem = SimpleNamespace(
         rig=rig, model=model, records=records, free=vector.free, names=vector.names, parameter_vector=vector
     )
     fit = Fit(
         problem=cast(Problem, problem),
-        theta=vector.started_from(own),
+        theta=vector.started_from(per_flight),
         covariance=1e-8 * np.eye(len(vector.free)),
         information=1e8 * np.eye(len(vector.free)),
         states=(),

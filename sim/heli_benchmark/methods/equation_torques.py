@@ -36,9 +36,12 @@ def torques_of_terms(
     dict
         Keys of an answer; empty if no term belongs to an unlisted cause.
     """
-    coefficients = list(regression.fit(terms)[1])
-    sizes = [(term, coefficients[sum(t.columns.shape[1] for t in terms[:i])]) for i, term in enumerate(terms)]
-    unlisted = [(term, float(size)) for term, size in sizes if term.shape]
+    coefficients = regression.fit(terms)[1]
+    # A term of an unlisted cause has one column, the last of its slice; other terms may have several.
+    ends = np.cumsum([term.columns.shape[1] for term in terms])
+    unlisted = [
+        (term, float(coefficients[end - 1])) for term, end in zip(terms, ends, strict=True) if term.shape
+    ]
     if not unlisted:
         return {}
 

@@ -13,7 +13,6 @@ sensitivity s of the state to a parameter p is propagated with it: s+ = F s + Ga
 
 from __future__ import annotations
 
-from copy import copy
 from typing import Final
 
 import numpy as np
@@ -24,6 +23,7 @@ from scipy.special import erf
 
 from heli_lab.estimation import DisturbanceModel, _kalman
 from heli_lab.identify.flight_model import TORQUE_STD_Nm
+from heli_lab.twin.independent_copy import independent_copy
 from heli_lab.twin.likelihood_ratio import ONSETS, Innovation
 from heli_lab.twin.twin_model import ZEROS, TwinModel
 
@@ -148,11 +148,7 @@ class KalmanFilter:
 
     def copy(self) -> KalmanFilter:
         """Return a filter with the same state, which develops independently."""
-        other = copy(self)
-        for name, value in vars(self).items():
-            if isinstance(value, np.ndarray):
-                setattr(other, name, value.copy())
-        return other
+        return independent_copy(self)
 
     @property
     def covariance(self) -> Floats:

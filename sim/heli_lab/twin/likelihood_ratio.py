@@ -12,7 +12,6 @@ so that hypotheses with more, or with vaguer, numbers do not win by having them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -24,6 +23,7 @@ from scipy.special import log_ndtr, logsumexp
 
 from heli_lab.estimation import BLOCK_s
 from heli_lab.twin.changes import Change
+from heli_lab.twin.independent_copy import independent_copy
 
 RECENT: Final = 12
 """Number of recent onsets that are all kept: one per block over the last half second. A jump of an encoder
@@ -153,11 +153,7 @@ class LikelihoodRatio:
 
     def copy(self) -> LikelihoodRatio:
         """Return a ratio with the same sums, which develops independently."""
-        other = copy(self)
-        for name, value in vars(self).items():
-            if isinstance(value, np.ndarray):
-                setattr(other, name, value.copy())
-        return other
+        return independent_copy(self)
 
     def ages(self, block: int) -> Floats:
         """Return the age of each onset at the end of `block`, in blocks, (columns, onsets); negative for

@@ -108,7 +108,7 @@ def rig_numbers(result: Diagnosis) -> dict[str, Any]:
     estimate = result.replication.model.estimate
     std = estimate.covariance.diagonal() ** 0.5
     rig = result.rig("extended")
-    own = {p.quantity for p in estimate.parameter_vector.free if p.record is not None}
+    per_flight_names = {p.quantity for p in estimate.parameter_vector.free if p.record is not None}
     return {
         "name": estimate.parameter_vector.rig.name,
         "model": estimate.parameter_vector.model.name,
@@ -127,7 +127,7 @@ def rig_numbers(result: Diagnosis) -> dict[str, Any]:
         "constants": {
             # A tolerance in a rig file is two standard deviations.
             name: {"value": rig[name].value, "std": 0.5 * rig[name].tolerance, "unit": rig[name].unit}
-            for name in sorted(own)
+            for name in sorted(per_flight_names)
         },
     }
 

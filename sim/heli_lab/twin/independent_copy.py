@@ -1,0 +1,30 @@
+"""Copies of filters that develop independently."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+
+
+def independent_copy(original: T) -> T:
+    """Return a copy with separate arrays; it shares everything else, which no update changes.
+
+    Parameters
+    ----------
+    original : object
+        A filter whose updates change its arrays in place, or assign new values.
+
+    Returns
+    -------
+    object
+        The copy, of the same type.
+    """
+    other = copy(original)
+    for name, value in vars(original).items():
+        if isinstance(value, np.ndarray):
+            setattr(other, name, value.copy())
+    return other
