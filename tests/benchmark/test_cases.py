@@ -9,8 +9,9 @@ from heli_benchmark.cases.disturbed import disturbed_cases
 from heli_benchmark.effects.listed import LISTED, MORE_LISTED, OTHER_FORMS, RandomTorque
 from heli_benchmark.effects.measured import MEASURED_EFFECTS
 from heli_benchmark.engine.plant import Moment, MujocoPlant
-from heli_benchmark.reference.truth import PARTS, hidden_in
+from heli_benchmark.reference.truth import hidden_in
 from heli_benchmark.simulation.flight_code import plan
+from heli_benchmark.task.combined_causes import PARTS
 from heli_sim.model.effects import catalogue
 
 from tests.model.effect_list import COMMON, MEASURED

@@ -23,8 +23,8 @@ from unittest.mock import patch
 
 import numpy as np
 from heli_benchmark.effects.disturbances import STRENGTHS_Nm
-from heli_benchmark.reference.truth import PARTS
 from heli_benchmark.scoring.reliability import BINS
+from heli_benchmark.task.combined_causes import PARTS
 
 from tests.diagnose.calibration import LACKING, DURATIONS_s, kept_rows
 from tests.running.alone import one_thread_each

@@ -10,6 +10,7 @@ from heli_lab.diagnose import to_json
 from heli_sim.model import MultibodyModel
 
 from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, Estimate, answer_with
+from heli_benchmark.task.combined_causes import of_parts
 
 _LISTED: Final = "listed"
 _SHARES: Final = {
@@ -21,12 +22,6 @@ _SHARES: Final = {
 the rule of succession."""
 _REFITS: Final = 80
 """Maximum number of refits, the default of the command line."""
-_PARTS: Final = {"rotor_lag_with_delay": ("rotor_lag", "input_delay")}
-_PART_NAMES: Final = {
-    "rotor_lag_with_delay_lag_s": "rotor_lag_s",
-    "rotor_lag_with_delay_delay_s": "input_delay_s",
-}
-"""Names that the parts' parameters have in the list of causes."""
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
@@ -52,7 +47,8 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     }
     for cause in causes:
         confidence, effect = float(cause["confidence"]), cause["effect"]
-        for name in _PARTS.get(effect, (effect,)):
+        parts = of_parts(effect, cause["parameters"])
+        for name in parts:
             if name in case.causes.listed:
                 named[name] = max(named.get(name, 0.0), confidence)
             else:
@@ -60,8 +56,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         for other in cause["ambiguous_with"]:
             if other in case.causes.listed:
                 named.setdefault(other, 1.0 - confidence)
-        for full_name, estimate in cause["parameters"].items():
-            name = _PART_NAMES.get(full_name, full_name)
+        for name, estimate in (item for estimates in parts.values() for item in estimates.items()):
             if name in case.causes.parameter_names and estimate["std"] and math.isfinite(estimate["std"]):
                 parameters[name] = Estimate(float(estimate["value"]), float(estimate["std"]))
     if verdict == "explained" and len(named) == 1:

@@ -16,8 +16,8 @@ from heli_host.arrays import Floats
 from heli_sim.rig import Rig
 
 from heli_benchmark.real.hide import KnownEffect
-from heli_benchmark.reference.truth import PARTS
 from heli_benchmark.scoring.judge import MAX_STD, RANDOM_TORQUE
+from heli_benchmark.task.combined_causes import PARTS
 
 Curve = Callable[[Floats], Floats]
 

@@ -5,14 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from heli_benchmark.cases.clean import Case
 
 ParameterValues = Mapping[str, float]
-
-PARTS: Mapping[str, tuple[str, ...]] = {"rotor_lag_with_delay": ("rotor_lag", "input_delay")}
-"""Effects of the catalogue that combine others; the generator hides the parts."""
 
 
 @dataclass(frozen=True)
@@ -51,31 +47,6 @@ def hidden_in(case: Case, motors_on_s: float) -> tuple[TrueEffect, ...]:
         One per listed effect.
     """
     return tuple(translated(id_, numbers, motors_on_s) for id_, numbers in case.truth().items())
-
-
-def of_parts(id_: str, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Split a cause that combines several effects.
-
-    Parameters
-    ----------
-    id_ : str
-        The effect.
-    parameters : Mapping[str, Any]
-        Estimates by full name.
-
-    Returns
-    -------
-    dict of dict
-        Estimates by part and full name; any other effect is returned as it is.
-    """
-    if id_ not in PARTS:
-        return {id_: dict(parameters)}
-    of = {"rotor_lag": "lag_s", "input_delay": "delay_s"}
-    return {
-        part: {f"{part}_s": parameters[f"{id_}_{of[part]}"]}
-        for part in PARTS[id_]
-        if f"{id_}_{of[part]}" in parameters
-    }
 
 
 def translated(id_: str, of: ParameterValues, motors_on_s: float) -> TrueEffect:

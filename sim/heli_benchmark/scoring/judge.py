@@ -11,7 +11,8 @@ import numpy as np
 
 from heli_benchmark.cases.clean import Case
 from heli_benchmark.reference.informed_fit import InformedFit
-from heli_benchmark.reference.truth import PARTS, TrueEffect, of_parts
+from heli_benchmark.reference.truth import TrueEffect
+from heli_benchmark.task.combined_causes import PARTS, of_parts
 
 MIN_SIGNIFICANCE = 3.0
 """Size in standard errors, in the fit with the true causes, from which an effect must be named."""
