@@ -48,8 +48,10 @@ class Acceptance:
         """Whether the size of a candidate of `refit` differs from zero: by its standard error (Wald test),
         or, where a likelihood is one-sided and the Wald test fails, by the log-likelihood ratio.
         """
-        if candidate.is_spline or refit.margin > thresholds.WALD_OVERRIDE_NATS:
+        if candidate.is_spline:
             return True
+        if refit.margin > thresholds.WALD_OVERRIDE_NATS:
+            return not is_neutral(refit.hypothesis, candidate, self.kinds)
         return is_significant(refit.hypothesis, candidate, self.kinds)
 
     def worth_a_refit(self, screened: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
@@ -99,4 +101,27 @@ def is_significant(
     sizes = [size for size in ([name] if name else kind.size) if size in values]
     return not sizes or any(
         abs(values[size] - neutral[size]) > thresholds.SIGNIFICANT_STD_ERRORS * std[size] for size in sizes
+    )
+
+
+def is_neutral(hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectSpec]) -> bool:
+    """Whether all sizes of an effect ended at their neutral values.
+
+    What a refit with it gains then comes from better estimates of the other parameters.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+        The model with the effect.
+    candidate : Candidate
+        The effect; one that the catalogue lacks has no neutral values.
+    """
+    kind = kinds.get(candidate.id)
+    if kind is None or not kind.size:
+        return False
+    values, neutral, typical = hypothesis.values, kind.neutral, kind.typical
+    return all(
+        abs(values[size] - neutral[size]) < thresholds.NEUTRAL_SHARE * abs(typical[size])
+        for size in kind.size
+        if size in values
     )
