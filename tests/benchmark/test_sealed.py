@@ -157,7 +157,7 @@ def test_a_secret_that_can_be_guessed_is_refused(content: str, words: str, tmp_p
     ("options", "words"),
     [
         (["--secret", "no.txt", "--seed", "1"], "--seed and --secret exclude each other"),
-        (["--secret", "no.txt"], "a sealed split needs a place for its truths"),
+        (["--secret", "no.txt"], "a sealed split stores its true answers in another folder"),
         (["--secret", "no.txt", "--truth", "t"], "cannot read no.txt"),
     ],
 )

@@ -64,7 +64,9 @@ def make(
     if seed is not None and secret is not None:
         raise BenchmarkError("--seed and --secret exclude each other", "give one of them")
     if secret is not None and truth is None:
-        raise BenchmarkError("a sealed split needs a place for its truths", "give a folder with --truth")
+        raise BenchmarkError(
+            "a sealed split stores its true answers in another folder", "name the folder with --truth"
+        )
     make_split(
         folder,
         split,
