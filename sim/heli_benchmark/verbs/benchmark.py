@@ -183,7 +183,7 @@ def report(
     """Write the table and the figure of a comparison.
 
     Writes table.md, figure.png and scores.json. Files of several splits are pooled: the result is that of one
-    split with all their cases. Each file needs the same methods.
+    split with all their cases. All files must score the same methods.
 
     Example: `heli-host benchmark report scores.json -o report`
     """
