@@ -67,7 +67,7 @@ def refuse_unexplained(flight: Trace) -> None:
     best = int(np.argmin(np.where(moving, shares, np.inf)))
     if shares[best] > UNEXPLAINED:
         raise NotExcited(
-            f"{flight.label}: the voltages do not explain the motion: they leave {100 * shares[best]:.0f} % of "
-            f"{AXES[best]}, the best axis, unexplained (at most {100 * UNEXPLAINED:.0f} % in a real flight)",
+            f"{flight.label}: the voltages do not explain the motion: they leave {100 * shares[best]:.0f} % "
+            f"of {AXES[best]}, the best axis, unexplained (at most {100 * UNEXPLAINED:.0f} % in a real flight)",
             "check that angles and voltages are of one flight of this rig (or fit it with --skip-sign-check)",
         )
