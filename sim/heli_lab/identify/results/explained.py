@@ -68,6 +68,7 @@ def refuse_unexplained(flight: Trace) -> None:
     if shares[best] > UNEXPLAINED:
         raise NotExcited(
             f"{flight.label}: the voltages do not explain the motion: they leave {100 * shares[best]:.0f} % "
-            f"of {AXES[best]}, the best axis, unexplained (at most {100 * UNEXPLAINED:.0f} % in a real flight)",
+            f"of {AXES[best]}, the best axis, unexplained (in a real flight at most "
+            f"{100 * UNEXPLAINED:.0f} %)",
             "check that angles and voltages are of one flight of this rig (or fit it with --skip-sign-check)",
         )
