@@ -60,7 +60,7 @@ def test_our_frames_without_an_answer_are_not_called_a_wrong_device() -> None:
     board.answers_hello = False
     line = FakeLine(board)
     board.open = True
-    with Session(line) as session, pytest.raises(HandshakeTimeout, match="hello was not answered"):
+    with Session(line) as session, pytest.raises(HandshakeTimeout, match="sends data, but did not answer"):
         session.connect()
 
 

@@ -30,8 +30,7 @@ BoardOption = Annotated[
     typer.Option(
         "--board",
         metavar="native|due|auto",
-        help="Run the flight code natively, on an emulated Due, or on the Due if its firmware is built "
-        "(auto).  [default: native]",
+        help="Run the flight code natively, on an emulated Due, or choose automatically.  [default: native]",
         show_default=False,
     ),
 ]
