@@ -368,7 +368,7 @@ class BackgroundFile:
             pass
         except Exception as error:  # noqa: BLE001 - a thread that dies must say so, whatever killed it
             self._given_up = LogWriteError(
-                f"cannot write the log {self._path}: {type(error).__name__}: {error}", "report this error"
+                f"cannot write the log {self._path}: {type(error).__name__}: {error}", "report it"
             )
         finally:
             self._file.close()
