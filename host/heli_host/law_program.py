@@ -149,7 +149,7 @@ class LawProgram:
             )
         if len(self.words) > LAW_WORDS:
             raise BadLaw(
-                f"the law is {len(self.words)} words long ({len(self.instructions)} operations), the board "
+                f"the law has {len(self.words)} words ({len(self.instructions)} operations), but the board "
                 f"holds {LAW_WORDS}",
                 "simplify it: fewer states, fewer unrolled iterations",
             )

@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(prog="python -m heli_benchmark", description=__doc__)
     add_choice(parser)
-    parser.add_argument("--keep", action="store_true", help="use results that exist, whatever code made them")
+    parser.add_argument("--keep", action="store_true", help="use results of any version of the code")
     parser.add_argument("--budget", type=int, default=REFITS, help="maximum number of refits of a search")
     parser.add_argument("--processes", type=int, default=_PROCESSES)
     parser.add_argument("--json", type=Path, default=Path("blind.json"))

@@ -11,11 +11,12 @@ from heli_host.cli.simulated import DEFAULT_RIG
 DEFAULT_MODEL = "multibody"
 
 FlightsArgument = Annotated[
-    list[Path], typer.Argument(metavar="FLIGHT...", help="Fit these flights: .mcap, .csv or .csv.gz.")
+    list[Path],
+    typer.Argument(metavar="FLIGHT...", help="Fit the model to these: .mcap, .csv or .csv.gz."),
 ]
 ValidateOption = Annotated[
     list[Path] | None,
-    typer.Option("--validate", metavar="FLIGHT...", help="Evaluate the result on these flights."),
+    typer.Option("--validate", metavar="FLIGHT...", help="Check the result on these other flights."),
 ]
 KnownRigOption = Annotated[
     str,

@@ -126,9 +126,9 @@ def test_an_open_split_grows_and_a_sealed_one_does_not(sealed: tuple[Path, Path]
     for count in (1, 3):
         make_split(tmp_path / "open", "public", 7, count)
     assert [case.name for case in read_split(tmp_path / "open").cases] == [*NAMES, "case-003"]
-    with pytest.raises(BenchmarkError, match="has another split"):
+    with pytest.raises(BenchmarkError, match="contains another split"):
         make_split(tmp_path / "open", "public", 7, 2)
-    with pytest.raises(BenchmarkError, match="has another split"):
+    with pytest.raises(BenchmarkError, match="contains another split"):
         make_split(sealed[0], "sealed", Seal(SECRET), 3, truth_folder=sealed[1])
 
 
@@ -157,7 +157,7 @@ def test_a_secret_that_can_be_guessed_is_refused(content: str, words: str, tmp_p
     ("options", "words"),
     [
         (["--secret", "no.txt", "--seed", "1"], "--seed and --secret exclude each other"),
-        (["--secret", "no.txt"], "a sealed split needs a place for its truths"),
+        (["--secret", "no.txt"], "a sealed split stores its true answers in another folder"),
         (["--secret", "no.txt", "--truth", "t"], "cannot read no.txt"),
     ],
 )

@@ -204,7 +204,7 @@ HOLD = '[[segment]]\nkind = "hold"\nduration_s = 5\n'
             "[[segment]]\nkind='excite'\nsignal='prbs'\nduration_s=3\nfront_V=0.2\nstop_Hz=9\nseed=0\n",
             "seed is 0",
         ),
-        ('[[segment]]\nkind = "land"\n' + HOLD, "segment 1 (land): a segment follows it"),
+        ('[[segment]]\nkind = "land"\n' + HOLD, "segment 1 (land): another segment follows"),
     ],
 )
 def test_a_mistake_is_named_with_its_segment_key_and_remedy(text: str, message: str) -> None:

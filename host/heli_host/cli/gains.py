@@ -13,7 +13,7 @@ GainsOption = Annotated[
     typer.Option(
         "--gains",
         metavar="paper|paper-printed",
-        help="Fly with Table 6 of the paper, in simulation only.",
+        help="Use the gains of the paper's Table 6, in simulation only.",
         show_default=False,
     ),
 ]

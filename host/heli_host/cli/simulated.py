@@ -30,7 +30,7 @@ BoardOption = Annotated[
     typer.Option(
         "--board",
         metavar="native|due|auto",
-        help="Run the flight code on this machine, on an emulated Due, or choose.  [default: native]",
+        help="Run the flight code natively, on an emulated Due, or choose automatically.  [default: native]",
         show_default=False,
     ),
 ]

@@ -178,7 +178,8 @@ def _failure(bossac: Bossac, port: str, code: int, output: str) -> FlashError:
     last_line = lines[-1] if lines else "nothing"
     if "No device found" in output:
         return FlashError(
-            f"the chip's loader does not answer on {port}: not erased, or another program has the port",
+            f"the chip's loader does not answer on {port}: the chip is not erased, or another program uses "
+            "the port",
             "press the board's ERASE button for a second, then RESET, and flash again; "
             "heli-host doctor checks whether ModemManager occupies the port",
         )

@@ -157,7 +157,7 @@ class Plan:
         )
         for segment in segments[:-1]:
             if segment.kind == "land":
-                raise PlanError(f"{segment.where}: a segment follows it", "put land last, or leave it out")
+                raise PlanError(f"{segment.where}: another segment follows", "put land last, or leave it out")
         tolerance = Tolerance.read(bounds, f"{source}, tolerance")
         return Plan(name, source, table.text("title", name), closed, start, segments, text, tolerance)
 

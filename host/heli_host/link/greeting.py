@@ -20,12 +20,12 @@ def no_welcome(parser: FrameParser, url: str, timeout_s: float) -> LinkError:
     """
     if parser.frames_ok:
         return HandshakeTimeout(
-            f"frames come from {url}, but hello was not answered in {timeout_s:g} s",
+            f"a board on {url} sends data, but did not answer within {timeout_s:g} s",
             "press the board's reset button; if it stays, flash the firmware of this release",
         )
     if parser.bytes_received == 0:
         return HandshakeTimeout(
-            f"nothing was heard from {url} in {timeout_s:g} s",
+            f"no data came from {url} within {timeout_s:g} s",
             "check power and cable, that it is the programming port, and that the firmware is flashed",
         )
     everything = parser.excerpt + parser.pending

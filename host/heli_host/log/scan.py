@@ -195,7 +195,7 @@ class Scan:
         missing = [name for name in _NEEDED_FIELDS if name not in (layout.dtype.names or ())]
         if missing:
             raise LogError(
-                f"{self.path} has no field {missing[0]} in its ticks",
+                f"{self.path} has no column {missing[0]}",
                 "read it with the heli-host version that wrote it",
             )
         self.layout = layout

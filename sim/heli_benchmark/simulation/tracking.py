@@ -110,7 +110,7 @@ def tracked(
             after, measured = plant.millisecond(state.tolist(), volts.tolist())
             state, encoder_rad = np.array(after), np.array(measured)
         if abs(state[1]) > _MAX_PITCH_rad or abs(state[0]) > _MAX_ELEVATION_rad:
-            raise FlightAborted(f"at {times_s[k]:.1f} s the rig leaves its angles", "draw another seed")
+            raise FlightAborted(f"at {times_s[k]:.1f} s an angle leaves its range", "draw another seed")
     return Flight(times_s, *np.ascontiguousarray(rows.T))
 
 

@@ -83,7 +83,8 @@ def make_split(
     mark = folder / CAUSES_FILE
     if mark.exists() and not _continues(read_json(mark, "choose another folder"), content):
         raise BenchmarkError(
-            f"{folder} has another split, or one of another release", "choose another folder, or delete it"
+            f"{folder} contains another split, or the split of another release",
+            "choose another folder, or delete it",
         )
     for place in (folder / "cases", truth_folder):
         place.mkdir(parents=True, exist_ok=True)

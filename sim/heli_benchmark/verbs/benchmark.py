@@ -64,7 +64,9 @@ def make(
     if seed is not None and secret is not None:
         raise BenchmarkError("--seed and --secret exclude each other", "give one of them")
     if secret is not None and truth is None:
-        raise BenchmarkError("a sealed split needs a place for its truths", "give a folder with --truth")
+        raise BenchmarkError(
+            "a sealed split stores its true answers in another folder", "name the folder with --truth"
+        )
     make_split(
         folder,
         split,
@@ -181,7 +183,7 @@ def report(
     """Write the table and the figure of a comparison.
 
     Writes table.md, figure.png and scores.json. Files of several splits are pooled: the result is that of one
-    split with all their cases. Each file needs the same methods.
+    split with all their cases. All files must score the same methods.
 
     Example: `heli-host benchmark report scores.json -o report`
     """

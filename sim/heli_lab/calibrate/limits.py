@@ -51,8 +51,8 @@ def _stop_and_restore(heli: Heli, previous_values: Mapping[str, float]) -> None:
             refused.append(name)
     if refused:
         raise CalibrationError(
-            f"the board still has the calibration's {', '.join(refused)}",
-            "restart the board: they were not saved",
+            f"the board still has the limits of the calibration in {', '.join(refused)}",
+            "restart the board to get its saved limits back",
         )
 
 

@@ -286,7 +286,7 @@ class _Pulser:
                 if sample.fault:
                     raise FlightAborted(f"the board switched the motors off: {fault_text(sample.fault)}")
                 raise FlightAborted(
-                    "the board stopped hearing the host and switched the motors off",
+                    "the board got no more messages from the host and switched the motors off",
                     "check the USB cable, then calibrate again",
                 )
             moved_deg = np.abs(sample_angles_deg(sample) - start_deg)

@@ -93,7 +93,7 @@ class Marking:
         mark, submission = Mark(folder.name), None
         try:
             if folder.is_symlink():
-                raise HeliError("the folder is a link", "submit the folder itself")
+                raise HeliError("the folder is a symbolic link", "submit the folder itself")
             with returned_files(folder) as files:
                 try:
                     submission = read_submission(folder, self.limits, self.options.rig)

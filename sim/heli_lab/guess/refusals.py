@@ -31,7 +31,7 @@ def too_few_columns(source: str, columns: Sequence[str], dropped: Mapping[str, s
         return FlightDataError(f"{source}: no column is a motor voltage{detail}", _FIX)
     shown = ", ".join(columns) or "none"
     return FlightDataError(
-        f"{source}: the columns that can be an angle or a voltage are fewer than five: {shown}{detail}", _FIX
+        f"{source}: fewer than five columns can be an angle or a voltage: {shown}{detail}", _FIX
     )
 
 

@@ -42,8 +42,8 @@ def even_step_s(flight: Flight, label: str) -> float:
     worst = int(np.argmax(stray_steps))
     if stray_steps[worst] > _MAX_STRAY_STEPS:
         raise IdentifyError(
-            f"{label}: t_s differs by {stray_steps[worst]:.0f} steps of {step_s:.4g} s from even steps at "
-            f"data row {worst + 2}",
+            f"{label}: the times t_s are uneven: data row {worst + 2} is {stray_steps[worst]:.0f} steps of "
+            f"{step_s:.4g} s early or late",
             "log with an even clock, or resample the flight",
         )
     return step_s

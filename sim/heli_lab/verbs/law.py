@@ -178,8 +178,8 @@ def compare(
     """Compare flight logs, or control laws along the same path.
 
     Prints the metrics of `heli-host plot`, and draws a figure. From nine flights on, it draws several
-    figures, each with the first flight. The code of a law's file is run. Control laws need --sil or --port,
-    logs do not.
+    figures, each with the first flight. Runs the code in the files of laws. Control laws need --sil or
+    --port, logs do not.
 
     Example: `heli-host law compare lqi.mcap lqr.mcap --figure both.png`
     """

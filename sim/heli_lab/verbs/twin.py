@@ -71,8 +71,8 @@ def twin(
 ) -> None:
     """Detect when a rig diverges from its model, and report what changed.
 
-    Compares finished flights with the model. The alarms are at the same ticks as live with `heli-host fly
-    --twin`. --learn writes a twin file for --rig and --twin. Without --learn, --json and --figure the result
+    Compares finished flights with the model. During a flight, `heli-host fly --twin` raises the same alarms.
+    --learn writes a twin file for --rig and --twin. Without --learn, --json and --figure the result
     is only printed.
 
     Example: `heli-host twin flight.mcap --rig my-rig.toml --nominal monday.mcap`

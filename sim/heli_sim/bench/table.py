@@ -84,7 +84,7 @@ def _thrust_from(table: Mapping[str, Any]) -> Thrust:
     known = {"volts_V", "front_g", "back_g", "scale_g"}
     if set(table) - known or "volts_V" not in table or not {"front_g", "back_g"} & set(table):
         raise RigError(
-            "[thrust] needs volts_V, and front_g or back_g or both", f"it may have {', '.join(sorted(known))}"
+            "[thrust] needs volts_V, and front_g or back_g or both", f"give only {', '.join(sorted(known))}"
         )
     volts = _list("volts_V", table["volts_V"])
     sides = [_list(name, table[name]) for name in ("front_g", "back_g") if name in table]
@@ -149,7 +149,7 @@ def _numbers(
             raise RigError(f"{where} lacks {name}", "add it")
     for name, value in table.items():
         if name not in (*needed, *optional):
-            raise RigError(f"{where} has no {name}", f"it may have {', '.join((*needed, *optional))}")
+            raise RigError(f"{where} has no {name}", f"give only {', '.join((*needed, *optional))}")
         if not _is_number(value):
             raise RigError(f"{where} {name} = {value!r} is not a number", "give a number")
     return {name: float(value) for name, value in table.items()}

@@ -255,7 +255,7 @@ def _effects(path: Path, table: object) -> dict[str, dict[str, Number]]:
     for name, numbers in table.items():
         if not isinstance(numbers, dict) or any(field in numbers for field in _FIELDS):
             raise RigError(
-                f"rig file {path}: effect {name} holds no tables",
+                f"rig file {path}: effect {name} has no tables",
                 f'write [effects."{name}".NUMBER] for each number of it',
             )
     return {

@@ -31,8 +31,9 @@ def fly(
 ) -> None:
     """Take off, fly plans one after the other, and land.
 
-    Writes the log, a summary and a figure into a new folder, flights/TIME/. If you give --log, --json or
-    --figure, it writes only those, and always a log. Ctrl-C lands. A second Ctrl-C stops the motors.
+    Writes the log, a summary and a figure into a new folder, flights/TIME/. With --log, --json or --figure,
+    it writes a log, and the other files only if you name them. Ctrl-C lands. A second Ctrl-C stops the
+    motors.
 
     --blind leaves rig, effects and seed out of the log, and seals them by a salted digest. The truth goes to
     LOG.truth.json next to the log. Keep it, and share the other files. `heli-host info LOG --truth

@@ -13,14 +13,14 @@ from heli_lab.diagnose.wording import capital, readable_id
 _DOTS: Final = "Each grey dot is 40 ms of the fitted flights; black dots are means."
 _OVER_TIME: Final = "Each dot is 40 ms of the seconds in which the cause acts most."
 _SMOOTHED: Final = (
-    "A Kalman smoother estimates the missing torque after the {0} was removed from the model, with all other "
-    "parameters unchanged: the {1} has no part in that estimate. Means are subtracted, because a constant "
-    "torque is a parameter."
+    "A Kalman smoother estimates the torque that the model lacks without the {0}; all other parameters stay "
+    "the same. It does not use the {1}. Means are subtracted, because a constant torque is a parameter of "
+    "the model."
 )
-_STEADY: Final = "A cause that also changes the steady thrust shows that change too."
+_STEADY: Final = "If the cause also changes the steady thrust, the dots contain this change."
 _POINTS: Final = (
-    "Points are a smooth curve that is estimated in the place of the cause, with two standard errors. The "
-    "equation of the cause has no part in that estimate."
+    "The points are of a smooth curve that is estimated instead of the cause, with two standard errors. This "
+    "estimate does not use the equation of the cause."
 )
 _FAINT: Final = 0.3
 """Share of the variance below which a caption says that the dots hardly show a term."""

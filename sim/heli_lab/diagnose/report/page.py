@@ -45,8 +45,9 @@ from heli_lab.page.drawing import Drawing, Picture
 _PAGE: Final = Path(__file__).with_name("report.html")
 _EQUATION_SYMBOLS: Final = (
     "The angles θ, φ, ψ are elevation, pitch and travel, and a dot is a rate. F is a thrust (f front, b "
-    "back), and τ a torque. A number as a subscript is a time constant in s: the quantity after a "
-    "first-order lag. washout(x, T) is the lagged quantity less the quantity itself."
+    "back), and τ a torque. If a quantity has a number as its subscript, it has passed a "
+    "first-order lag with this time constant in s. washout(x, T) is the lagged quantity minus the quantity "
+    "itself."
 )
 _MIN_SHOWN_NATS: Final = 3.0
 """Score above which a candidate without a refit is in the table of the ranking."""

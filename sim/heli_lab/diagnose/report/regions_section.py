@@ -52,8 +52,8 @@ def _regions_note(diagnosis: Diagnosis, two: bool) -> str:
     if diagnosis.label == "unexplained" and not test.fails.any():
         x, y = quantity_in_words(first.x), quantity_in_words(first.y)
         return (
-            f"No cell of {x} and {y} fails about {first.axis}, although something is missing there: it is "
-            "spread over many cells, or depends on other quantities."
+            f"No cell of {x} and {y} fails about {first.axis}, although the model lacks a torque: this "
+            "torque is spread over many cells, or depends on other quantities."
         )
     if diagnosis.label != "unexplained" and test.fails.any():
         return (

@@ -38,11 +38,11 @@ def residual_section(residual: dict[str, Any]) -> dict[str, Any]:
     )
     return {
         "rows": rows,
-        "note": "Root mean square error in the fitted flight in standard deviations of the quantisation: 1 "
-        f"if nothing is missing. Autocorrelation over 0.1 s in the {flight_role} flight; white if it is "
-        "within "
-        "three standard deviations of that of white noise. Innovations (one-step prediction errors) have an "
-        f"autocorrelation of at most {max_autocorrelation:.2f} over "
+        "note": "The error is the root mean square in the fitted flight, in standard deviations of the "
+        "quantisation: 1 if nothing is missing. The autocorrelation is over 0.1 s in the "
+        f"{flight_role} flight; it is white if it is within three standard deviations of that of white "
+        "noise. Innovations (one-step prediction errors) have an autocorrelation of at most "
+        f"{max_autocorrelation:.2f} over "
         f"{innovations['lags_s'][0]:.2g} to {innovations['lags_s'][-1]:.2g} s; white noise would stay below "
         f"{innovations['bound']:.2f}.",
     }

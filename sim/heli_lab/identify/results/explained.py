@@ -67,8 +67,8 @@ def refuse_unexplained(flight: Trace) -> None:
     best = int(np.argmin(np.where(moving, shares, np.inf)))
     if shares[best] > UNEXPLAINED:
         raise NotExcited(
-            f"{flight.label}: the voltages do not explain the motion: even on {AXES[best]}, the best axis, "
-            f"{100 * shares[best]:.0f} % of it are unexplained, and in a real flight at most "
-            f"{100 * UNEXPLAINED:.0f} %",
+            f"{flight.label}: the voltages do not explain the motion: they leave {100 * shares[best]:.0f} % "
+            f"of {AXES[best]}, the best axis, unexplained (in a real flight at most "
+            f"{100 * UNEXPLAINED:.0f} %)",
             "check that angles and voltages are of one flight of this rig (or fit it with --skip-sign-check)",
         )
