@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
-from heli_lab.diagnose.search.candidate import Candidate, may_join
+from heli_lab.diagnose.search.candidate import Candidate, may_join, typical_candidate
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.moments import with_held_out_moments
@@ -151,7 +151,8 @@ class BackwardElimination:
     def _alternatives(
         self, final: Hypothesis, candidate: Candidate, reduced: Hypothesis
     ) -> tuple[Alternative, ...]:
-        """Refit other effects of the cause's round in its place; return them, the closest first.
+        """Refit other effects in the place of a cause: those of its round, and those of its family, which a
+        low score may have kept out of the round. Return them, the closest first.
 
         `reduced` is the model without the cause.
         """
@@ -162,21 +163,44 @@ class BackwardElimination:
             return ()
         other_causes = [other for other in final.candidates if other is not candidate]
         alternatives: list[Alternative] = []
+
+        def compare(other: Candidate, refit: Hypothesis | None) -> None:
+            """Compare an effect with the cause; `refit` is its refit in the round."""
+            candidates = [*other_causes, other]
+            replaced = refit
+            # The round may have begun with causes that were removed since, or without those of later rounds.
+            if replaced is None or {*replaced.ids} != {candidate.id for candidate in candidates}:
+                replaced = self.comparison.refit(candidates, replaced.values if replaced else None, reduced)
+            if self.comparison.in_flight(replaced):
+                ratio = final.log_likelihood - replaced.log_likelihood
+                ratio = ratio + self.acceptance.penalty(other) - self.acceptance.penalty(candidate)
+                alternatives.append(Alternative(other.id, ratio))
+
         for refit in self._likely_alternatives(final, other_causes, round_):
             is_exhausted = bool(other_causes) and not self.progress.refits_left()
             if len(alternatives) >= thresholds.ALTERNATIVES or is_exhausted:
                 break
-            replaced = refit.hypothesis
-            if other_causes:
-                replaced = self.comparison.refit(
-                    [*other_causes, refit.candidate], refit.hypothesis.values, reduced
-                )
-            if not self.comparison.in_flight(replaced):
-                continue
-            ratio = final.log_likelihood - replaced.log_likelihood
-            ratio = ratio + self.acceptance.penalty(refit.candidate) - self.acceptance.penalty(candidate)
-            alternatives.append(Alternative(refit.candidate.id, ratio))
+            compare(refit.candidate, refit.hypothesis)
+        compared_ids = {alternative.id for alternative in alternatives}
+        for member in self._family(candidate, other_causes):
+            if member.id not in compared_ids and self.progress.refits_left():
+                refits = (refit for refit in round_.refits if refit.candidate.id == member.id)
+                tried = next(refits, None)
+                compare(tried.candidate if tried else member, tried.hypothesis if tried else None)
         return tuple(sorted(alternatives, key=lambda alternative: alternative.log_likelihood_ratio))
+
+    def _family(self, candidate: Candidate, other_causes: Sequence[Candidate]) -> list[Candidate]:
+        """Return the other effects of a cause's family that may join the other causes, with typical sizes."""
+        kinds, present_ids = self.acceptance.kinds, [other.id for other in other_causes]
+        family = kinds[candidate.id].family if candidate.id in kinds else None
+        return [
+            typical_candidate(kind)
+            for kind in kinds.values()
+            if family is not None
+            and kind.family == family
+            and kind.id not in {candidate.id, *present_ids}
+            and may_join(kind.id, present_ids, kinds)
+        ]
 
     def _likely_alternatives(
         self, final: Hypothesis, other_causes: Sequence[Candidate], round_: Round
