@@ -234,15 +234,20 @@ class BackwardElimination:
         return sorted(compared, key=lambda pair: pair[0].log_likelihood_ratio)
 
     def _family(self, candidate: Candidate, other_causes: Sequence[Candidate]) -> list[Candidate]:
-        """Return the other effects of a cause's family that may join the other causes, with typical sizes."""
+        """Return the other effects of a cause's family that may join the other causes, with typical sizes.
+
+        Effects that contain the cause, or are contained in it, are left out: `exchange` chooses among them.
+        """
         kinds, present_ids = self.acceptance.kinds, [other.id for other in other_causes]
-        family = kinds[candidate.id].family if candidate.id in kinds else None
+        if candidate.id not in kinds or kinds[candidate.id].family is None:
+            return []
+        cause = kinds[candidate.id]
         return [
             typical_candidate(kind)
             for kind in kinds.values()
-            if family is not None
-            and kind.family == family
-            and kind.id not in {candidate.id, *present_ids}
+            if kind.family == cause.family
+            and kind.id not in {cause.id, *cause.contains, *present_ids}
+            and cause.id not in kind.contains
             and may_join(kind.id, present_ids, kinds)
         ]
 
