@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,7 +81,11 @@ class FamilyNumber:
 
 
 def family_number(
-    fit: Fit, kind: EffectSpec, kinds: Mapping[str, EffectSpec], parameters: Mapping[str, CauseParameter]
+    fit: Fit,
+    kind: EffectSpec,
+    kinds: Mapping[str, EffectSpec],
+    parameters: Mapping[str, CauseParameter],
+    ambiguous_with: Collection[str] = (),
 ) -> FamilyNumber | None:
     """Compute the number of an effect's family, with the covariance of its parts; None without one.
 
@@ -93,9 +97,13 @@ def family_number(
         The effect's entry in the catalogue `kinds`.
     parameters : Mapping[str, CauseParameter]
         What `cause_parameters` returns.
+    ambiguous_with : collection of str
+        Ids of the effects that the flights do not distinguish from it: members that are alike in part only
+        have no number in common without them.
     """
     family = kind.family
-    if family is None or not family.sentence:
+    members = tuple(other.id for other in kinds.values() if other.family == family)
+    if family is None or not family.sentence or (family.in_part and not {*members} & {*ambiguous_with}):
         return None
     divisor = _value_of(kind.family_divisor, fit) if kind.family_divisor else 1.0
     weights = {kind.full(name): weight / divisor for name, weight in kind.family_numbers.items()}
@@ -117,7 +125,7 @@ def family_number(
         unit=family.unit,
         sentence=family.sentence.format(format_estimate(value, std, family.unit)),
         unclear=family.unclear,
-        members=tuple(other.id for other in kinds.values() if other.family == family),
+        members=members,
     )
 
 

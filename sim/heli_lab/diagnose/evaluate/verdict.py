@@ -186,16 +186,13 @@ def _named_cause(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexpl
         {name: parameter.value for name, parameter in parameters.items()},
         {name: parameter.std for name, parameter in parameters.items()},
     )
-    family = kind.family
-    others = {kinds[id_].family for id_ in cause.ambiguous_with if id_ in kinds}
-    has_number = family is not None and (not family.in_part or family in others)
     return NamedCause(
         **vars(cause),
         parameters=parameters,
         confidence=confidence(cause, unexplained),
         sentence=description + _moments_text(cause.candidate.effect),
         equation=kind.equation,
-        family=family_number(fit, kind, kinds, parameters) if has_number else None,
+        family=family_number(fit, kind, kinds, parameters, cause.ambiguous_with),
     )
 
 
