@@ -32,7 +32,15 @@ from heli_lab.diagnose.evaluate import (
 )
 from heli_lab.diagnose.experiment import propose_experiment
 from heli_lab.diagnose.result import Diagnosis, Effort, Proposal
-from heli_lab.diagnose.search import EstimateCache, ModelComparison, Search, fingerprint, may_join, search
+from heli_lab.diagnose.search import (
+    EstimateCache,
+    ModelComparison,
+    Search,
+    fingerprint,
+    may_join,
+    search,
+    with_remainder,
+)
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import Record, prepare
 from heli_lab.threads import using_threads
@@ -182,7 +190,16 @@ def _search_and_assess(
     def attempt(removable: Iterable[EffectSpec]) -> tuple[Search, Assessment]:
         result = search(comparison, tried, removable=tuple(removable), say=say, refits=refits)
         say("analysing what remains", 0.9)
-        return result, assess(comparison, result, every)
+        assessment = assess(comparison, result, every)
+        verdict = assessment.verdict
+        if verdict.label != "unexplained" or verdict.unlisted:
+            return result, assessment
+        # Held-out flights may show a listed effect that the fitted ones hardly show.
+        wider = with_remainder(comparison, result, tried)
+        explained = assess(comparison, wider, every) if wider else assessment
+        if wider is None or explained.verdict.label == "unexplained":
+            return result, assessment
+        return wider, explained
 
     result, assessment = attempt(every.values())
     ids = {cause.candidate.id for cause in assessment.verdict.causes}

@@ -6,6 +6,7 @@ from heli_lab.diagnose.search.folds import split
 from heli_lab.diagnose.search.hypothesis import Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidate, spline_candidates
+from heli_lab.diagnose.search.remainder import with_remainder
 from heli_lab.diagnose.search.replication import Direction, direction
 from heli_lab.diagnose.search.screening import ScoreStatistics, Screening, coefficient_std, score_of
 from heli_lab.diagnose.search.splines import (
@@ -50,4 +51,5 @@ __all__ = [
     "spline_term",
     "split",
     "typical_candidate",
+    "with_remainder",
 ]

@@ -30,6 +30,8 @@ class BackwardElimination:
         The rounds of the forward selection.
     contradicted_ids : set of str
         Ids of the causes so far that held-out flights contradict.
+    replaced_ids : set of str
+        Ids of the causes so far in whose place another effect is more probable.
     """
 
     comparison: ModelComparison
@@ -38,7 +40,7 @@ class BackwardElimination:
     baseline: Hypothesis
     rounds: Sequence[Round]
     contradicted_ids: set[str] = field(default_factory=set)
-    _replaced_ids: set[str] = field(default_factory=set, init=False)
+    replaced_ids: set[str] = field(default_factory=set)
     _round_ids: dict[str, str] = field(default_factory=dict, init=False)
     """The cause that was accepted in a round, by the id of the cause that took its place."""
 
@@ -91,7 +93,7 @@ class BackwardElimination:
             (alternative.log_likelihood_ratio, id_, alternative.id, hypothesis)
             for id_, compared in compared_by_id.items()
             for alternative, hypothesis in compared
-            if alternative.log_likelihood_ratio < 0.0 and alternative.id not in self._replaced_ids
+            if alternative.log_likelihood_ratio < 0.0 and alternative.id not in self.replaced_ids
         )
         for _, id_, other_id, hypothesis in better:
             reduced = reduced_by_id[id_]
@@ -103,7 +105,7 @@ class BackwardElimination:
             held_out = self._held_out_ratios(hypothesis, {other_id: reduced})
             if held_out.get(other_id, 0.0) < _required_ratio(other_id):
                 continue
-            self._replaced_ids.add(id_)
+            self.replaced_ids.add(id_)
             self._round_ids[other_id] = self._round_ids.get(id_, id_)
             return hypothesis
         return None

@@ -97,7 +97,7 @@ def search(
             break
         exchanged = exchange(comparison, acceptance, progress, selected)
         final, causes = backward.eliminate(exchanged)
-        if set(exchanged.ids) <= set(final.ids):
+        if set(exchanged.ids) <= {*final.ids, *backward.replaced_ids}:
             break
     if final is not selected:
         screening = Screening(final.estimate)
