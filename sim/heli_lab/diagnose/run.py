@@ -151,6 +151,7 @@ def diagnose(
             again = _search_and_assess(noisy, tried, available, report, refits)
             if again[1].verdict.label != "unexplained":
                 comparison, (result, assessment) = noisy, again
+        result, assessment = _with_listed_remainder(comparison, result, assessment, tried, available)
         undetectable = undetectable_effects(result.rounds[-1].screened, available)
         evaluation = evaluate_held_out(comparison, result, assessment, calibrate_s)
         report("judging the causes in the reverse direction", 0.91)
@@ -190,16 +191,7 @@ def _search_and_assess(
     def attempt(removable: Iterable[EffectSpec]) -> tuple[Search, Assessment]:
         result = search(comparison, tried, removable=tuple(removable), say=say, refits=refits)
         say("analysing what remains", 0.9)
-        assessment = assess(comparison, result, every)
-        verdict = assessment.verdict
-        if verdict.label != "unexplained" or verdict.unlisted:
-            return result, assessment
-        # Held-out flights may show a listed effect that the fitted ones hardly show.
-        wider = with_remainder(comparison, result, tried)
-        explained = assess(comparison, wider, every) if wider else assessment
-        if wider is None or explained.verdict.label == "unexplained":
-            return result, assessment
-        return wider, explained
+        return result, assess(comparison, result, every)
 
     result, assessment = attempt(every.values())
     ids = {cause.candidate.id for cause in assessment.verdict.causes}
@@ -207,6 +199,25 @@ def _search_and_assess(
     if removed and assessment.verdict.label == "unexplained":
         # An unlisted cause may imitate the absence of a tightly specified term: with one, none is removed.
         return attempt(())
+    return result, assessment
+
+
+def _with_listed_remainder(
+    comparison: ModelComparison,
+    result: Search,
+    assessment: Assessment,
+    tried: Mapping[str, EffectSpec],
+    every: Mapping[str, EffectSpec],
+) -> tuple[Search, Assessment]:
+    """Return a search with one more listed effect and its assessment, if it explains what would otherwise be
+    `unexplained`: validation flights may show an effect that the fitted ones hardly show.
+    """
+    if assessment.verdict.label == "unexplained" and not assessment.verdict.unlisted:
+        wider = with_remainder(comparison, result, tried)
+        if wider is not None:
+            explained = assess(comparison, wider, every)
+            if explained.verdict.label != "unexplained":
+                return wider, explained
     return result, assessment
 
 
