@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.evaluate.reported import CauseParameter, family_number
+from heli_lab.diagnose.evaluate.reported import CauseParameter, FamilyNumber, family_number
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
 
@@ -33,8 +33,10 @@ def test_lag_and_dead_time_add_up_with_their_covariance() -> None:
 TILT_rad = 0.1
 
 
-def fitted(id_: str, arm_m: float, **sizes: float) -> tuple[Any, dict[str, CauseParameter]]:
-    """A fit of an effect with these sizes, and the sizes. Each has a standard error of 1 % of the arm."""
+def number(id_: str, arm_m: float, *ambiguous_with: str, **sizes: float) -> FamilyNumber | None:
+    """Return the family's number of an effect with these sizes; the standard error of each is 1 % of the
+    arm.
+    """
     kind = KINDS[id_]
     values = {kind.full(name): value for name, value in sizes.items()}
     std = dict.fromkeys(values, 0.01 * arm_m)
@@ -44,15 +46,16 @@ def fitted(id_: str, arm_m: float, **sizes: float) -> tuple[Any, dict[str, Cause
         values={**values, "L_a": arm_m},
         std=std,
     )
-    return fit, {name: CauseParameter(value, std[name], "") for name, value in values.items()}
+    parameters = {name: CauseParameter(value, std[name], "") for name, value in values.items()}
+    return family_number(cast(Any, fit), kind, KINDS, parameters, ambiguous_with)
 
 
 def test_zero_error_of_pitch_and_reaction_torque_have_the_same_tilt() -> None:
     arm_m = 0.7
     zero, torque = KINDS["zero_offset.pitch"], KINDS["rotor_reaction_torque"]
-    of_zero = family_number(*_given(zero.id, 1.0, rad=TILT_rad), (torque.id,))
+    of_zero = number(zero.id, 1.0, torque.id, rad=TILT_rad)
     q = -TILT_rad * arm_m
-    of_torque = family_number(*_given(torque.id, arm_m, front_m=q, back_m=q), (zero.id,))
+    of_torque = number(torque.id, arm_m, zero.id, front_m=q, back_m=q)
     assert of_zero is not None
     assert of_torque is not None
     assert of_zero.value == pytest.approx(TILT_rad)
@@ -64,17 +67,11 @@ def test_zero_error_of_pitch_and_reaction_torque_have_the_same_tilt() -> None:
 
 
 def test_a_tilt_has_no_number_where_flights_distinguish_its_causes() -> None:
-    given = _given("rotor_reaction_torque", 0.7, front_m=0.05, back_m=-0.05)
-    assert family_number(*given) is None
-    assert family_number(*given, ("encoder_eccentricity.pitch",)) is None
+    id_ = "rotor_reaction_torque"
+    assert number(id_, 0.7, front_m=0.05, back_m=-0.05) is None
+    assert number(id_, 0.7, "encoder_eccentricity.pitch", front_m=0.05, back_m=-0.05) is None
 
 
 def test_a_zero_error_of_elevation_has_no_family() -> None:
     assert KINDS["zero_offset.elevation"].family is None
     assert KINDS["zero_offset.pitch"].family == KINDS["rotor_reaction_torque"].family is not None
-
-
-def _given(id_: str, arm_m: float, **sizes: float) -> tuple[Any, ...]:
-    """Arguments of `family_number`."""
-    fit, parameters = fitted(id_, arm_m, **sizes)
-    return fit, KINDS[id_], KINDS, parameters

@@ -7,7 +7,14 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.search import Hypothesis, ScoreStatistics, remainder, typical_candidate, with_remainder
+from heli_lab.diagnose.search import (
+    Hypothesis,
+    ScoreStatistics,
+    Search,
+    remainder,
+    typical_candidate,
+    with_remainder,
+)
 from heli_lab.diagnose.search.candidate import ScoredCandidate
 from heli_sim.model.effects import catalogue
 
@@ -73,7 +80,7 @@ def explained(
         held_out_estimate=lambda of: SimpleNamespace(log_likelihood=3.0 * of.log_likelihood),
     )
     final = hypothesis("axis_tilt")
-    search = remainder.Search(final, final, (), (), cast(Any, Scores(fitted)), complete=True)
+    search = Search(final, final, (), (), cast(Any, Scores(fitted)), complete=True)
     return with_remainder(comparison, search, TRIED)
 
 
