@@ -29,6 +29,7 @@ from heli_lab.diagnose.evaluate import (
     replicate,
     undetectable_effects,
     unidentifiable_parameters,
+    with_listed_remainder,
 )
 from heli_lab.diagnose.experiment import propose_experiment
 from heli_lab.diagnose.result import Diagnosis, Effort, Proposal
@@ -39,7 +40,6 @@ from heli_lab.diagnose.search import (
     fingerprint,
     may_join,
     search,
-    with_remainder,
 )
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import Record, prepare
@@ -151,7 +151,7 @@ def diagnose(
             again = _search_and_assess(noisy, tried, available, report, refits)
             if again[1].verdict.label != "unexplained":
                 comparison, (result, assessment) = noisy, again
-        result, assessment = _with_listed_remainder(comparison, result, assessment, tried, available)
+        result, assessment = with_listed_remainder(comparison, result, assessment, tried, available)
         undetectable = undetectable_effects(result.rounds[-1].screened, available)
         evaluation = evaluate_held_out(comparison, result, assessment, calibrate_s)
         report("judging the causes in the reverse direction", 0.91)
@@ -199,25 +199,6 @@ def _search_and_assess(
     if removed and assessment.verdict.label == "unexplained":
         # An unlisted cause may imitate the absence of a tightly specified term: with one, none is removed.
         return attempt(())
-    return result, assessment
-
-
-def _with_listed_remainder(
-    comparison: ModelComparison,
-    result: Search,
-    assessment: Assessment,
-    tried: Mapping[str, EffectSpec],
-    every: Mapping[str, EffectSpec],
-) -> tuple[Search, Assessment]:
-    """Return a search with one more listed effect and its assessment, if it explains what would otherwise be
-    `unexplained`: validation flights may show an effect that the fitted ones hardly show.
-    """
-    if assessment.verdict.label == "unexplained" and not assessment.verdict.unlisted:
-        wider = with_remainder(comparison, result, tried)
-        if wider is not None:
-            explained = assess(comparison, wider, every)
-            if explained.verdict.label != "unexplained":
-                return wider, explained
     return result, assessment
 
 

@@ -7,13 +7,12 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from heli_lab.diagnose.evaluate import listed_remainder
 from heli_lab.diagnose.search import (
     Hypothesis,
     ScoreStatistics,
     Search,
-    remainder,
     typical_candidate,
-    with_remainder,
 )
 from heli_lab.diagnose.search.candidate import ScoredCandidate
 from heli_sim.model.effects import catalogue
@@ -67,7 +66,7 @@ def explained(
     used_s: float = 30.0,
 ) -> Any:
     """Return the wider search; a negative gain is that of a size with the opposite sign."""
-    monkeypatch.setattr(remainder, "Screening", lambda _: Scores(held_out))
+    monkeypatch.setattr(listed_remainder, "Screening", lambda _: Scores(held_out))
 
     def refit(candidates: Any, *_: object) -> Hypothesis:
         return hypothesis(*(candidate.id for candidate in candidates), nats=5.0)
@@ -81,7 +80,7 @@ def explained(
     )
     final = hypothesis("axis_tilt")
     search = Search(final, final, (), (), cast(Any, Scores(fitted)), complete=True)
-    return with_remainder(comparison, search, TRIED)
+    return listed_remainder.with_remainder(comparison, search, TRIED)
 
 
 def test_an_effect_that_all_flights_show_together_is_a_cause_with_little_evidence(

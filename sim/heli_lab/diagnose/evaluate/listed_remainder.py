@@ -14,12 +14,20 @@ import numpy as np
 from heli_sim.model.effects.spec import EffectSpec
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
-from heli_lab.diagnose.search.candidate import ScoredCandidate, may_join
-from heli_lab.diagnose.search.hypothesis import Alternative, Cause
-from heli_lab.diagnose.search.model_comparison import ModelComparison
-from heli_lab.diagnose.search.screening import Screening, coefficient_std, score_of
-from heli_lab.diagnose.search.stepwise import Search
+from heli_lab.diagnose.evaluate.assessment import Assessment, assess
+from heli_lab.diagnose.search import (
+    Acceptance,
+    Alternative,
+    Cause,
+    ModelComparison,
+    ScoredCandidate,
+    Screening,
+    Search,
+    coefficient_std,
+    may_join,
+    min_margin,
+    score_of,
+)
 
 
 class _Joint(NamedTuple):
@@ -27,6 +35,35 @@ class _Joint(NamedTuple):
 
     scored: ScoredCandidate
     margin: float
+
+
+def with_listed_remainder(
+    comparison: ModelComparison,
+    search: Search,
+    assessment: Assessment,
+    tried: Mapping[str, EffectSpec],
+    kinds: Mapping[str, EffectSpec],
+) -> tuple[Search, Assessment]:
+    """Add one more listed effect to a search if it explains what would otherwise be `unexplained`.
+
+    Parameters
+    ----------
+    comparison : ModelComparison
+        The flights.
+    search, assessment : Search and Assessment
+        Result of the search, and its assessment; they are returned if no listed effect explains the rest.
+    tried : Mapping[str, EffectSpec]
+        Effects that may be added, by id.
+    kinds : Mapping[str, EffectSpec]
+        Catalogue by effect id.
+    """
+    if assessment.verdict.label == "unexplained" and not assessment.verdict.unlisted:
+        wider = with_remainder(comparison, search, tried)
+        if wider is not None:
+            explained = assess(comparison, wider, kinds)
+            if explained.verdict.label != "unexplained":
+                return wider, explained
+    return search, assessment
 
 
 def with_remainder(
