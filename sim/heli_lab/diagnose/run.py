@@ -151,7 +151,8 @@ def diagnose(
             again = _search_and_assess(noisy, tried, available, report, refits)
             if again[1].verdict.label != "unexplained":
                 comparison, (result, assessment) = noisy, again
-        result, assessment = with_listed_remainder(comparison, result, assessment, tried, available)
+        if comparison.fits < refits:
+            result, assessment = with_listed_remainder(comparison, result, assessment, tried, available)
         undetectable = undetectable_effects(result.rounds[-1].screened, available)
         evaluation = evaluate_held_out(comparison, result, assessment, calibrate_s)
         report("judging the causes in the reverse direction", 0.91)
