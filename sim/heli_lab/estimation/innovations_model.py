@@ -262,6 +262,9 @@ def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks, disturbances: D
     independent, uniform rounding errors. If their density had the estimated variance instead, a smaller
     variance would be more likely the longer the count stays the same, whatever the measurements are.
     """
+    if not linearised.model.known_directions:
+        # Without a play the variance is that of rounding, and each logarithm below is 0.
+        return np.zeros(blocks.variance.shape[1])
     rounding = linearised.variance[blocks.rows]
     factor = 1.0 + disturbances.quantisation * (blocks.variance / rounding - 1.0)
     return np.asarray(0.5 * (np.log(factor) * (1.0 - 1.0 / linearised.repeats[blocks.rows])).sum(axis=0))

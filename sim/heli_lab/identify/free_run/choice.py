@@ -1,11 +1,11 @@
 """Free runs of a model over many windows, with exact derivatives: the inner loop of every fit.
 
-CasADi writes the rates of the state and their Jacobians as C. A short loop around them, also in C, takes
-Runge-Kutta steps of fourth order. It propagates the state and its sensitivities to the window's initial state
-and to the free parameters. Both are compiled together and kept in the user's cache. Without a compiler
-the same loop runs in NumPy around the expression programs of `heli_lab.estimation`. These alone, without any
-sensitivities, take longer than the compiled kernel takes for everything: 13 to 31 ms against 11 to 13 ms for
-20 windows of 2 s, 21 free parameters (2026-11).
+The rates of the state and their Jacobians, which CasADi derives, are written as C (`lanes.py`). A short loop
+around them, also in C, takes Runge-Kutta steps of fourth order in four windows at once. It propagates the
+state and its sensitivities to the window's initial state and to the free parameters. Both are compiled
+together and kept in the user's cache. Without a compiler the same loop runs in NumPy around the expression
+programs of `heli_lab.estimation`. These alone, without any sensitivities, take longer than the compiled
+kernel takes for everything: 13 to 31 ms against 11 ms for 20 windows of 2 s, 21 free parameters (2026-11).
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from heli_lab.threads import parallel_map
 _WORTH_THREADS_ROWS: Final = 500
 """Steps from which on a second thread saves more than it costs to start."""
 
-_LOOP: Final = Path(__file__).with_name("windows.c")
+LOOP: Final = Path(__file__).with_name("windows.c")
 """The loop around these functions; its head describes the macros that it needs."""
 _FUNCTIONS: Final = "/* The functions of the model end here. */"
 """Line of the loop before which these functions are inserted."""
@@ -66,7 +66,7 @@ def kernel_source(functions: Functions) -> str:
         "CHAIN_ANGLES": _chain(functions, functions.angles_jacobian),
         "CHAIN_RESET_MAP": _chain(functions, functions.reset_map_jacobian),
     }
-    loop = _LOOP.read_text(encoding="utf-8")
+    loop = LOOP.read_text(encoding="utf-8")
     head, mark, rest = loop.partition(_FUNCTIONS)
     defines = "".join(f"#define {name} {value}\n" for name, value in macros.items())
     written = "\n".join(c_function(function) for function in functions.all)
