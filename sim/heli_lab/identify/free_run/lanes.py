@@ -62,10 +62,14 @@ _EXPRESSIONS: Final = {
 
 
 def c_function(function: ca.Function) -> str:
-    """Write a CasADi function of state, inputs, time and parameters in C, with the name of the function.
+    """Write a CasADi function in C.
 
-    Each window has its own state, inputs and time, as elements of type ``Lanes``; all windows share the
-    parameters, of type ``double``. The results are the nonzeros of each output, of type ``Lanes``.
+    Parameters
+    ----------
+    function : casadi.Function
+        Function of state, inputs, time and parameters, whose name the C function has. Each window has its own
+        state, inputs and time, in arrays of ``Lanes``. All windows share the parameters, an array of
+        ``double``. The C function writes the nonzeros of each output into an array of ``Lanes``.
 
     Raises
     ------
