@@ -262,8 +262,12 @@ def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks, disturbances: D
     independent, uniform rounding errors. If their density had the estimated variance instead, a smaller
     variance would be more likely the longer the count stays the same, whatever the measurements are.
     """
+    at_rest = linearised.at_rest[blocks.rows]
+    if not (linearised.model.known_directions or at_rest.any()):
+        # Without play and rest the variance is that of rounding, and each logarithm below is 0.
+        return np.zeros(blocks.variance.shape[1])
     rounding, repeats = linearised.variance[blocks.rows], linearised.repeats[blocks.rows]
     factor = 1.0 + disturbances.quantisation * (blocks.variance / rounding - 1.0)
     at_rest_factor = disturbances.quantisation * blocks.variance / rounding
-    factor = np.where(linearised.at_rest[blocks.rows], at_rest_factor, factor)
+    factor = np.where(at_rest, at_rest_factor, factor)
     return np.asarray(0.5 * (np.log(factor) * (1.0 - 1.0 / repeats)).sum(axis=0))
