@@ -118,11 +118,6 @@ holds an axis describes more friction, not less (Hauck and Donner, J. Am. Stat. 
 standard errors if both tests are valid. Lower: sizes are named whose interval contains nothing. Higher: held
 axes are missed."""
 
-NEUTRAL_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 0.01
-"""Share of its typical size below which an effect counts as absent: sizes that end at their bounds are ten
-times smaller. Higher: small causes without disturbances are lost. Lower: a better estimate of the other
-parameters is taken for a cause, such as a play of 0.000 degrees that gained 289 nats (2026-11)."""
-
 ALTERNATIVES: Final[Annotated[int, "effects, groups of terms", JUDGEMENT]] = 2
 """Rivals for one place that are refitted. They are other effects in the place of a cause, effects on a
 spline's channel before the spline may displace them, and groups of terms with the same channel and

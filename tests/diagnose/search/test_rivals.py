@@ -1,5 +1,5 @@
-"""Dry friction and play of one axis: the more likely one on all flights is accepted. A refit that ends without
-its candidate gives a better estimate of the base, and no cause.
+"""Dry friction and play of one axis: the more likely one on all flights is accepted. A refit that ends
+without its candidate gives a better estimate of the base, and no cause.
 """
 
 from __future__ import annotations
