@@ -1,4 +1,4 @@
-"""Functions in C for several windows at once: each lane has the numbers of CasADi."""
+"""Functions in C for several windows together: each lane has the numbers of CasADi."""
 
 from __future__ import annotations
 

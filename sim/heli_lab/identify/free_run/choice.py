@@ -1,7 +1,7 @@
 """Free runs of a model over many windows, with exact derivatives: the inner loop of every fit.
 
 The rates of the state and their Jacobians, which CasADi derives, are written as C (`lanes.py`). A short loop
-around them, also in C, takes Runge-Kutta steps of fourth order in four windows at once. It propagates the
+around them, also in C, takes Runge-Kutta steps of fourth order in four windows together. It propagates the
 state and its sensitivities to the window's initial state and to the free parameters. Both are compiled
 together and kept in the user's cache. Without a compiler the same loop runs in NumPy around the expression
 programs of `heli_lab.estimation`. These alone, without any sensitivities, take longer than the compiled

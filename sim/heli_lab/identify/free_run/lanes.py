@@ -1,4 +1,4 @@
-"""CasADi functions written as C that evaluates several windows at once, one in each lane of a vector.
+"""CasADi functions written as C that evaluates several windows together, one in each lane of a vector.
 
 CasADi's own C evaluates one window. Its operations depend on each other, and a compiler cannot vectorise
 them. Windows are independent: the same operation of four windows is one operation of a vector. Each lane
