@@ -1,4 +1,4 @@
-"""What remains after a search is explained by a listed effect if all flights together show it."""
+"""A listed effect explains the remainder of a search if all flights together show it."""
 
 from __future__ import annotations
 
