@@ -154,7 +154,7 @@ class SampleRing:
         """Return at most `count` newest samples, oldest first; None for all that are kept."""
         with self._lock:
             capacity = len(self._tick)
-            kept = min(self._written, capacity)
-            count = kept if count is None else min(max(count, 0), kept)
+            available = min(self._written, capacity)
+            count = available if count is None else min(max(count, 0), available)
             index = (self._written - count + np.arange(count)) % capacity
             return Ticks(self._tick[index], self._raw[index])

@@ -94,10 +94,10 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
 
 def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> None:
     degrees = "looks like degrees", "multiply the angles by pi/180"
-    for name, most in _MAX_ANGLE_RAD.items():
+    for name, max_angle_rad in _MAX_ANGLE_RAD.items():
         column = getattr(flight, name)
         row = int(np.argmax(np.abs(column)))
-        if abs(column[row]) > most:
+        if abs(column[row]) > max_angle_rad:
             raise FlightDataError(
                 f"{source}: {name} is {column[row]:.4g} in {where(row)}, which {degrees[0]}", degrees[1]
             )

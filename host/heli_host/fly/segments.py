@@ -194,15 +194,15 @@ def _read_sine(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
         table.fail("it moves no axis", f"add {commanded[-1]}_amplitude_deg = 5")
     period_s = np.ones(len(AXES))
     for index, axis in enumerate(AXES):
-        own = _period(table, f"{axis}_")
-        if amplitude_deg[index] == 0.0 and own is not None:
+        axis_period_s = _period(table, f"{axis}_")
+        if amplitude_deg[index] == 0.0 and axis_period_s is not None:
             table.fail(
                 f"{axis} has a period but no amplitude", f"add {axis}_amplitude_deg, or remove the period"
             )
-        shared = _period(table, "")
+        shared_period_s = _period(table, "")
         if amplitude_deg[index] == 0.0:
             continue
-        chosen = own if own is not None else shared
+        chosen = axis_period_s if axis_period_s is not None else shared_period_s
         if chosen is None:
             table.fail(f"{axis}_period_s is missing", f"add {axis}_period_s or {axis}_frequency_Hz")
         period_s[index] = chosen

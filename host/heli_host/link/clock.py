@@ -191,13 +191,13 @@ class ClockFit:
         if len(bins) <= _STEP_BINS or self._estimate is None:
             return
         late = [host_s - self._estimate.host_s_at(tick) > _STEP_S for tick, host_s in bins]
-        kept = len(bins)
+        kept_count = len(bins)
         if all(late[-_STEP_BINS:]):
-            kept = _STEP_BINS
+            kept_count = _STEP_BINS
         elif 4 * sum(late) > len(late):
             # Faster than before: the line then runs below the bend, which the newest bins do not show.
-            kept = max(len(bins) // 2, _STEP_BINS)
-        for _ in range(len(bins) - kept):
+            kept_count = max(len(bins) // 2, _STEP_BINS)
+        for _ in range(len(bins) - kept_count):
             bins.popleft()
 
 

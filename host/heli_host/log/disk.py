@@ -158,16 +158,17 @@ class DirectFile:
         self._bytes_written += len(data)
         if self.nearly_full is not None:
             return
-        left = free_bytes(self._path.parent)
-        if left is not None and left < RESERVED_BYTES:
+        free = free_bytes(self._path.parent)
+        if free is not None and free < RESERVED_BYTES:
             self.nearly_full = LogWriteError(
-                f"the disk of the log {self._path} is almost full, {_megabytes(left)} are left",
+                f"the disk of the log {self._path} is almost full, {_megabytes(free)} are left",
                 "free some disk space",
             )
-        most = most_file_bytes()
-        if most is not None and most - self._bytes_written < RESERVED_BYTES:
+        max_bytes = max_file_bytes()
+        if max_bytes is not None and max_bytes - self._bytes_written < RESERVED_BYTES:
             self.nearly_full = LogWriteError(
-                f"the log {self._path} has almost the size that a file may have here, {_megabytes(most)}",
+                f"the log {self._path} has almost the size that a file may have here, "
+                f"{_megabytes(max_bytes)}",
                 "raise the limit (ulimit -f), or fly for a shorter time",
             )
 
@@ -428,30 +429,30 @@ def check_free_space(path: Path, duration_s: float) -> None:
         If less is free than its ticks can need.
     """
     needed = RESERVED_BYTES + max(_MIN_FLIGHT_S, duration_s) * MAX_BYTES_PER_S
-    left = free_bytes(path.parent)
-    if left is not None and left < needed:
+    free = free_bytes(path.parent)
+    if free is not None and free < needed:
         raise LogWriteError(
-            f"the disk of the log {path} has {_megabytes(left)} left, but the flight can need "
+            f"the disk of the log {path} has {_megabytes(free)} left, but the flight can need "
             f"{_megabytes(needed)}",
             "free disk space, or choose another disk with --log",
         )
-    most = most_file_bytes()
-    if most is not None and most < needed:
+    max_bytes = max_file_bytes()
+    if max_bytes is not None and max_bytes < needed:
         raise LogWriteError(
-            f"this system allows files of {_megabytes(most)}, but the log {path} can need "
+            f"this system allows files of {_megabytes(max_bytes)}, but the log {path} can need "
             f"{_megabytes(needed)}",
             "raise the limit (ulimit -f), or fly for a shorter time",
         )
 
 
-def most_file_bytes() -> int | None:
+def max_file_bytes() -> int | None:
     """Return the largest size to which this process may write a file; None where there is no such limit."""
     try:
         import resource
     except ImportError:  # Windows has no limits of a process
         return None
-    most = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
-    return None if most == resource.RLIM_INFINITY else most
+    soft_limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    return None if soft_limit == resource.RLIM_INFINITY else soft_limit
 
 
 def free_bytes(folder: Path) -> int | None:

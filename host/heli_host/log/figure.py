@@ -92,11 +92,11 @@ def draw(flight: Flight, summary: FlightSummary) -> Figure:
     heights = [0.62, *(3.0 for _ in AXES), *(2.2 for _ in signals[:1]), 2.2]
     rows = figure.subplots(len(heights), 1, sharex=True, gridspec_kw={"height_ratios": heights})
     band, *panels, volts = rows
-    own = panels[len(AXES) :]
+    signal_panels = panels[len(AXES) :]
     t_s = flight.t_s - flight.t_s[0] if len(flight) else flight.t_s
     for index, panel in enumerate(panels[: len(AXES)]):
         _draw_axis(panel, flight, t_s, index, summary)
-    for panel in own:
+    for panel in signal_panels:
         _draw_signals(panel, flight, t_s, signals)
     _draw_voltages(volts, flight, t_s)
     _draw_strips(band, (*panels, volts), flight, t_s)
@@ -276,11 +276,11 @@ def _label(panel: Axes, at_s: float, text: str, colour: str) -> None:
 
 def _spread(events: Sequence[FlightEvent], flight: Flight) -> list[FlightEvent]:
     """Keep events whose labels do not fall onto each other."""
-    kept: list[FlightEvent] = []
+    spread: list[FlightEvent] = []
     for event in events:
-        if not kept or event.t_s - kept[-1].t_s > 0.09 * max(flight.duration_s, 1e-9):
-            kept.append(event)
-    return kept
+        if not spread or event.t_s - spread[-1].t_s > 0.09 * max(flight.duration_s, 1e-9):
+            spread.append(event)
+    return spread
 
 
 def _moment_s(event: FlightEvent, flight: Flight) -> float:

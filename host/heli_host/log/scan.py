@@ -128,12 +128,12 @@ class Scan:
             try:
                 position = self._step(position)
             except _OutOfStep:
-                found = _next_record(self.data, position, self._index)
-                if found is None:
+                next_position = _next_record(self.data, position, self._index)
+                if next_position is None:
                     self._note_break(position)
                     break
-                self._lost.append((position, found))
-                position = found
+                self._lost.append((position, next_position))
+                position = next_position
         if not self.closed and position == len(self.data):
             self._note_break(position)
         self._judge_head()

@@ -239,17 +239,17 @@ def _take_apart(data: bytes, path: Path) -> _Lines:
     names = tuple(name.strip().strip('"') for name in header.split(","))
     if b"#" not in body and b"\n\n" not in body:
         return _Lines(tuple(notes), names, body, number + 1, ())
-    kept: list[bytes] = []
+    row_lines: list[bytes] = []
     note_lines: list[int] = []
     for offset, raw in enumerate(body.split(b"\n")):
         if raw.lstrip().startswith(b"#"):
             notes.append(raw.lstrip()[1:].decode("utf-8", errors="replace").strip())
             note_lines.append(number + 1 + offset)
         elif raw.strip():
-            kept.append(raw)
+            row_lines.append(raw)
         else:
             note_lines.append(number + 1 + offset)
-    return _Lines(tuple(notes), names, b"\n".join(kept), number + 1, tuple(note_lines))
+    return _Lines(tuple(notes), names, b"\n".join(row_lines), number + 1, tuple(note_lines))
 
 
 def _check_names(names: tuple[str, ...], path: Path) -> None:

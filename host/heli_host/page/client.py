@@ -115,7 +115,7 @@ class PageClient:
             Length of the history in device time [s].
         """
         count = round(min(max(finite("last_s", last_s), 0.0), KEPT_S) / TICK_S)
-        cut = self._buffer.cut(max(self._buffer.end - count, 0), round(KEPT_S / TICK_S))
+        cut = self._buffer.rows_since(max(self._buffer.end - count, 0), round(KEPT_S / TICK_S))
         return Scales(self._values).samples(cut.tick, cut.raw)
 
     def set(self, name: str, value: float) -> float:

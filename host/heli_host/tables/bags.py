@@ -112,12 +112,12 @@ def _numbers(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
     elif depth < _DEEPEST and hasattr(value, "__dataclass_fields__"):
         names = getattr(value, "name", None)
         for key in value.__dataclass_fields__:
-            one = getattr(value, key)
-            if key in {"header", "__msgtype__"} or isinstance(one, str):
+            field = getattr(value, key)
+            if key in {"header", "__msgtype__"} or isinstance(field, str):
                 continue
             # Joint states and their like name their elements.
-            if isinstance(names, list) and key != "name" and len(one) == len(names):
-                for label, element in zip(names, one, strict=True):
+            if isinstance(names, list) and key != "name" and len(field) == len(names):
+                for label, element in zip(names, field, strict=True):
                     yield from _numbers(f"{name}.{label}.{key}", element, depth + 1)
             else:
-                yield from _numbers(f"{name}.{key}", one, depth + 1)
+                yield from _numbers(f"{name}.{key}", field, depth + 1)

@@ -122,21 +122,21 @@ def check_workbook(path: Path) -> None:
 def check_bag(path: Path) -> None:
     """Refuse a bag (.bag, .mcap) at `path` whose chunks unpack to more than a bag of this size can hold."""
     size = path.stat().st_size
-    most = max(MAX_BYTES, MAX_RATIO * size)
+    max_bytes = max(MAX_BYTES, MAX_RATIO * size)
     total, seen = 0, set()
     for offset, codec, data in _chunks(path, size):
         if data is None:
             # An index may name a chunk again and again, and have it unpacked each time.
             if offset in seen:
-                raise too_large(path, f"{most >> 20} MiB")
+                raise too_large(path, f"{max_bytes >> 20} MiB")
             seen.add(offset)
             continue
         count = unpacked_bytes(codec, data, MAX_CHUNK_BYTES)
         if count > MAX_CHUNK_BYTES:
             raise too_large(path, f"{MAX_CHUNK_BYTES >> 20} MiB in a chunk")
         total += count
-        if total > most:
-            raise too_large(path, f"{most >> 20} MiB")
+        if total > max_bytes:
+            raise too_large(path, f"{max_bytes >> 20} MiB")
 
 
 def _chunks(path: Path, size: int) -> Iterator[tuple[int, str, bytes | None]]:

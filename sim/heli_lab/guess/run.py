@@ -17,8 +17,8 @@ from heli_lab.guess.ambiguities import (
     SignChanges,
     assignment_ambiguities,
     sign_ambiguities,
-    sum_ambiguities,
     unit_ambiguities,
+    voltage_ambiguities,
 )
 from heli_lab.guess.elevation_zero import RestElevation, elevation_zero, rest_elevation
 from heli_lab.guess.evidence import (
@@ -111,7 +111,7 @@ def propose(
     regressions = flights.regressions()
     if not names_state_voltages(assignment) and not known.voltages:
         check_voltages(source, regressions, assignment)
-        ambiguities += sum_ambiguities(regressions, assignment, columns, dropped)
+        ambiguities += voltage_ambiguities(regressions, assignment, columns, dropped)
     signs = fewest_sign_changes(regressions, flights.feedback(), known)
     torque_nats = flights.torque_nats(signs)
     mirrored = prefers_mirror(signs, torque_nats) if known.mirrored is None else known.mirrored
@@ -219,7 +219,7 @@ class _FlightsInUnits:
         """Elevation at rest, of the first file that begins at rest at its lowest point."""
         unit_deg = float(np.degrees(signs.elevation * self.rad["elevation"]))
         rests = [rest_elevation(file.signals, self.assignment.elevation, unit_deg) for file in self.files]
-        return next((rest for rest in rests if rest.deg is not None and rest.lowest), rests[0])
+        return next((rest for rest in rests if rest.deg is not None and rest.begins_lowest), rests[0])
 
 
 def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]]:

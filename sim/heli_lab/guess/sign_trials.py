@@ -82,7 +82,7 @@ def _error_deg(record: Record, rig: Rig) -> Floats:
     """
     problem = Problem(MultibodyModel(), rig, [record], window_s=TRIAL_WINDOW_S, step_s=0.02)
     try:
-        fit = solve(problem, budget=Budget(evaluations=EVALUATIONS), fine=False, scatter=False)
+        fit = solve(problem, budget=Budget(max_evaluations=EVALUATIONS), fine=False, scatter=False)
     except IdentifyError:
         return np.full(3, 180.0)
     with np.errstate(all="ignore"):

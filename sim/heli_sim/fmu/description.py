@@ -155,9 +155,9 @@ def describe(plant: Plant, identifier: str, token: str) -> bytes:
     )
     _add_units(root, listed)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="60.0", stepSize=repr(STEP_s))
-    own = ElementTree.SubElement(root, "ModelVariables")
+    model_variables = ElementTree.SubElement(root, "ModelVariables")
     for variable in listed:
-        ElementTree.SubElement(own, "Float64", _attributes(variable))
+        ElementTree.SubElement(model_variables, "Float64", _attributes(variable))
     structure = ElementTree.SubElement(root, "ModelStructure")
     outputs = [variable.reference for variable in listed if variable.causality == "output"]
     rates = [variable.reference for variable in listed if variable.derivative_of]

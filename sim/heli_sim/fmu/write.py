@@ -74,7 +74,9 @@ def write_fmu(plant: Plant, path: str | Path) -> str:
 
 def _token(plant: Plant) -> str:
     """Identify this FMU: a digest of its variables and equations."""
-    text = "\n".join([*(repr(one) for one in variables(plant)), *generate(plant, "").files.values()])
+    text = "\n".join(
+        [*(repr(variable) for variable in variables(plant)), *generate(plant, "").files.values()]
+    )
     return "{" + hashlib.sha256(text.encode()).hexdigest()[:32] + "}"
 
 

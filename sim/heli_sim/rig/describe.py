@@ -82,8 +82,12 @@ def described(name: str, description: str, like: Rig, given: Mapping[str, Number
             # Wiring is no property that rigs of one type share.
             numbers[quantity] = Number(0.0, known.unit, 0.0, UNSTATED[quantity].source)
             continue
-        own = bool(known.tolerance) and quantity not in _ALIKE
-        wide = max(known.tolerance, UNSTATED_SHARE * abs(known.value)) if own else known.tolerance
+        differs_between_rigs = bool(known.tolerance) and quantity not in _ALIKE
+        wide = (
+            max(known.tolerance, UNSTATED_SHARE * abs(known.value))
+            if differs_between_rigs
+            else known.tolerance
+        )
         numbers[quantity] = replace(known, tolerance=wide, source=f"not stated: as {like.name}")
     return Rig(name, description, numbers)
 

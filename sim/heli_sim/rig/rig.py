@@ -306,11 +306,11 @@ def _check_inertias(rig: Rig, stated: Mapping[str, Number]) -> None:
             raise RigError(
                 f"{where} = {number.value} +- {number.tolerance} must be finite", "give finite numbers"
             )
-        least, most = possible[name]
-        if not least - number.tolerance <= number.value <= most + number.tolerance:
+        min_kg_m2, max_kg_m2 = possible[name]
+        if not min_kg_m2 - number.tolerance <= number.value <= max_kg_m2 + number.tolerance:
             raise RigError(
                 f"{where} = {number.value:g} kg m2 is impossible: with all masses within their tolerances, "
-                f"they give {least:.4g} to {most:.4g}",
+                f"they give {min_kg_m2:.4g} to {max_kg_m2:.4g}",
                 "correct this inertia, a mass or a length",
             )
 

@@ -239,15 +239,15 @@ def parse_times(key: str, texts: Sequence[str]) -> tuple[Interval, ...]:
     OptionError
         When one cannot be read.
     """
-    found = []
+    intervals = []
     for text in texts:
         start, _, duration = text.partition(":")
         start_s, duration_s = _number(key, start), _number(key, duration) if duration else math.inf
         try:
-            found.append(Interval(start_s, duration_s))
+            intervals.append(Interval(start_s, duration_s))
         except OptionError as error:
             raise OptionError(f"{key}={text}: {error.cause}", error.remedy) from None
-    return tuple(found)
+    return tuple(intervals)
 
 
 def parse_encoders_out(key: str, texts: Sequence[str]) -> tuple[tuple[str, Interval], ...]:
@@ -270,9 +270,9 @@ def parse_encoders_out(key: str, texts: Sequence[str]) -> tuple[tuple[str, Inter
     OptionError
         When one cannot be read.
     """
-    found = []
+    unplugged = []
     for text in texts:
         axis, _, times = text.partition(":")
         (interval,) = parse_times(key, [times or "0"])
-        found.append((axis, interval))
-    return tuple(found)
+        unplugged.append((axis, interval))
+    return tuple(unplugged)

@@ -67,7 +67,7 @@ class SilServer:
         for change in endpoint.take_lines():
             if self._resets:
                 world.control_lines(dtr=change.dtr, baud=change.baud)
-        ticks = self._clock.due(now_s, world.tick)
+        ticks = self._clock.ticks_due(now_s, world.tick)
         if ticks == 0:
             return self._clock.wait_s(now_s, world.tick)
         endpoint.send(b"")

@@ -199,12 +199,12 @@ def _fly_plans(cockpit: Cockpit, names: Sequence[str], ended: threading.Event) -
     from heli_host.errors import HeliError
 
     try:
-        found = cockpit.fly_when_watched(names, ended.is_set)
+        result = cockpit.fly_when_watched(names, ended.is_set)
     except HeliError as error:
         say(f"not flown: {error}")
     else:
-        if found:
-            say(f"flown: {', '.join(names)}: {found['outcome']}")
+        if result:
+            say(f"flown: {', '.join(names)}: {result['outcome']}")
 
 
 def _wait(heli: Heli) -> None:

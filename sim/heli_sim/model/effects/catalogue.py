@@ -61,14 +61,14 @@ def _built_in() -> tuple[EffectSpec, ...]:
 
 def _kinds_of(path: Path) -> list[EffectSpec]:
     module = _module(path)
-    found = list(_kinds_in(module))
-    if not found:
+    kinds = list(_kinds_in(module))
+    if not kinds:
         raise EffectError(
             f"effect file {path} has no EffectSpec at its top level", "see docs/reference/effects.md"
         )
-    for kind in found:
+    for kind in kinds:
         _try(path, kind)
-    return found
+    return kinds
 
 
 def _module(path: Path) -> ModuleType:
