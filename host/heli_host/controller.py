@@ -162,6 +162,9 @@ def run_controller(
 
 
 def _loop(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
+    """Call a control law at its rate, and send its voltages, until the duration has passed. A takeover by the
+    board is retried a few times, if it then holds level.
+    """
     session = heli.session
     low_V, high_V = heli.params["motor_min_V"], heli.params["motor_max_V"]
     heli.stream()
@@ -204,6 +207,7 @@ def _loop(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
 
 
 def _two_voltages(law: ControlLaw, sample: Sample) -> tuple[float, float]:
+    """Call a control law, and check that it returns two finite voltages."""
     try:
         front_V, back_V = (float(value) for value in law(sample))
     except Exception as error:
@@ -222,6 +226,9 @@ def _two_voltages(law: ControlLaw, sample: Sample) -> tuple[float, float]:
 def _report(
     run: _Run, counted_on: Callable[[Ticks], npt.NDArray[np.int64]], acted: list[Ticks]
 ) -> ControllerReport:
+    """Summarise a run: calls, misses, and percentiles of latency and of the law's computing time. `acted` has
+    the telemetry with the voltages that acted, `counted_on` its ticks without wrap-around.
+    """
     latency_ms = np.array([math.nan])
     count = 0
     if acted and run.tick:

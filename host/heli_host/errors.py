@@ -236,6 +236,9 @@ class CommandRefused(LinkError):
         super().__init__(f"the board refused {_message_name(command)}: {cause}", remedy)
 
     def _explain(self) -> tuple[str, str]:
+        """Return cause and remedy of a refused command in words, and set the state, fault or parameter that
+        it concerns.
+        """
         detail = self.detail
         if self.result == Result.BAD_STATE:
             if detail in State._value2member_map_:
@@ -391,6 +394,7 @@ def range_text(param: Param) -> str:
 
 
 def _law_text(code: int, value: float) -> tuple[str, str]:
+    """Return cause and remedy of a refused law; the meaning of `value` depends on the error `code`."""
     if code not in LawError._value2member_map_:
         return f"law error {code}", "update heli_host: it does not know this error"
     error = LawError(code)

@@ -109,6 +109,9 @@ def read_repeat(log: Log, effect_files: Mapping[str, Path]) -> Repeat:
 
 
 def _check(log: Log, record: Mapping[str, str]) -> None:
+    """Refuse a log that cannot be flown again, with the fact that it lacks. `record` has the commands of the
+    flight; it is empty in logs of real boards and of older versions.
+    """
     from heli_host.log.blind import SEALED
 
     session = log.metadata.get("session", {})

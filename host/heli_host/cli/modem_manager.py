@@ -37,6 +37,7 @@ def _process_runs(name: str) -> bool:
 
 
 def _udev_ignores_arduino() -> bool:
+    """Whether a udev rule tells ModemManager to ignore the ports of Arduino boards."""
     vendor = f"{ARDUINO_VID:04x}"
     for folder in UDEV_FOLDERS:
         for rules in folder.glob("*.rules"):

@@ -108,6 +108,9 @@ def _candidates() -> Iterable[str]:
 
 
 def _ask(path: str) -> Bossac:
+    """Run a bossac with --help, and return it with its version and its USB option. An UploaderError reports a
+    program that does not run, or is not bossac.
+    """
     try:
         # Its --help ends with 1.
         done = subprocess.run(

@@ -214,6 +214,9 @@ def rms(values: Floats) -> float:
 
 
 def _response(flight: Flight, axis: str) -> Response:
+    """Return the metrics of the largest step of an axis, and its RMS tracking error; nan where a flight has
+    none.
+    """
     led, nan = led_rows(flight, axis), math.nan
     if not led.any():
         return Response(axis, nan, nan, nan, nan, nan, nan)

@@ -225,6 +225,7 @@ class Plan:
         return at_deg
 
     def _check_start(self, limits: Limits) -> None:
+        """Refuse a take-off height or rate that the board's limits do not permit."""
         low, high = limits.low_deg[Axis.ELEVATION], limits.high_deg[Axis.ELEVATION]
         if not low <= self.start.elevation_deg <= high:
             raise PlanError(
@@ -348,6 +349,7 @@ def _end(segment: Segment, at_deg: Floats) -> Floats:
 
 
 def _read_axes(table: PlanTable) -> tuple[str, ...]:
+    """Return the axes whose loops a plan closes, in the order of the declaration; all if it states none."""
     given = table.values.get("axes", list(AXES))
     if (
         not isinstance(given, list)

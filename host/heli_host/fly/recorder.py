@@ -229,6 +229,9 @@ class Recorder:
             self._writer.write_ticks(ticks.tick, ticks.raw)
 
     def _take_event(self, event: LinkEvent) -> None:
+        """Write an event of the link; an urgent one immediately to the disk. A restart of the board begins a
+        new stretch of device time.
+        """
         with self._guard():
             if event.kind == BOARD_RESTARTED:
                 self._writer.skip(
@@ -320,6 +323,7 @@ def plan_texts(plans: Sequence[Plan]) -> dict[str, str]:
 
 
 def _counts(counters: LinkCounters) -> dict[str, float]:
+    """Return the counters of the host, and those of the board with the prefix ``board_``, by name."""
     counted: dict[str, float] = {}
     for entry in fields(counters):
         value = getattr(counters, entry.name)

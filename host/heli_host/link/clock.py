@@ -173,6 +173,9 @@ class ClockFit:
         return self._estimate
 
     def _fit(self, newest: _Point) -> ClockEstimate:
+        """Fit the line from device tick to host time below all arrivals, because a message can arrive late
+        but not early. Half of the shortest round trip is the delay of the earliest ones.
+        """
         (tick, host_s), tick_s = newest, TICK_S
         if self._estimate is not None:
             tick_s = self._estimate.tick_s
@@ -187,6 +190,9 @@ class ClockFit:
         return ClockEstimate(tick, host_s - round_trip_s / 2.0, tick_s, max(jitter_s, 0.0), round_trip_s)
 
     def _forget_before_a_step(self) -> None:
+        """Discard arrivals from before a step of the device clock or of the delay, so that the line follows
+        the newer ones.
+        """
         bins = self._bins
         if len(bins) <= _STEP_BINS or self._estimate is None:
             return

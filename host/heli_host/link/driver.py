@@ -178,6 +178,7 @@ class Driver:
             self._changed.notify_all()
 
     def _reopen(self, error: LinkLost) -> None:
+        """Open a lost port again, with growing pauses; the session fails if it does not come back in time."""
         transport = self.transport
         with self.lock:
             event = self._engine.cut(transport.now_s(), transport.wall_ns(), error.cause)

@@ -215,6 +215,7 @@ class Engine:
         return self._event(LINK_LOST, reason, wall_ns)
 
     def _take(self, frame: Frame, now_s: float, wall_ns: int, received: Received) -> None:
+        """Process a frame from the board. A frame with a payload of wrong length is counted, and ignored."""
         try:
             match frame.id:
                 case MessageId.WELCOME:
@@ -238,6 +239,9 @@ class Engine:
             self._malformed += 1
 
     def _take_welcome(self, message: WelcomeMessage, now_s: float, wall_ns: int, received: Received) -> None:
+        """Process a welcome: the first one, one after a lost link, or one after a restart of the board, which
+        makes all unanswered commands fail.
+        """
         is_behind = self.telemetry.is_behind(message.tick)
         welcome = self.handshake.take_welcome(message, is_behind=is_behind)
         if welcome is Welcome.IGNORED:

@@ -480,6 +480,9 @@ def set_read_interval(transport: Transport, interval_s: float) -> None:
 
 
 def _open_serial(url: str, baud: int) -> serial.SerialBase:
+    """Open a serial port or a pyserial address without waiting reads. Errors are translated to LinkErrors
+    with a remedy.
+    """
     is_file = os.name == "posix" and "://" not in url
     options: dict[str, Any] = {"exclusive": True} if is_file else {}
     if url.lower().startswith("rfc2217://"):
@@ -503,6 +506,7 @@ def _open_serial(url: str, baud: int) -> serial.SerialBase:
 
 
 def _port_error(url: str, error: Exception) -> PortError:
+    """Return the PortError for an error of the operating system: no permission, in use, or not there."""
     number = getattr(error, "errno", None)
     text = str(error).lower()
     if number in (errno.EACCES, errno.EPERM) or "permission" in text or "access is denied" in text:

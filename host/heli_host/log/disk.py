@@ -497,6 +497,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def _create(path: Path, overwrite: bool) -> io.FileIO:
+    """Create the log file and its folder; an existing log is an error unless `overwrite` is set."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if overwrite and path.is_file():

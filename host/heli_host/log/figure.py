@@ -119,6 +119,9 @@ def _headline(summary: FlightSummary) -> str:
 
 
 def _subtitle(summary: FlightSummary) -> str:
+    """Write duration, lost ticks, counts of the link, board and remarks below the headline; an abort with its
+    reason first.
+    """
     lost = f"{summary.ticks_lost:,} lost" if summary.ticks_lost else "none lost"
     link = summary.link
     parts = [
@@ -142,6 +145,7 @@ def _count(link: Mapping[str, int], name: str, noun: str) -> str:
 def _draw_axis(
     panel: Axes, flight: Flight, t_s: NDArray[np.float64], index: int, summary: FlightSummary
 ) -> None:
+    """Draw angle and setpoint of an axis [deg] over time [s], with the tracking error as its title."""
     axis = AXES[index]
     measured_deg = np.rad2deg(flight.angles_rad[:, index])
     setpoints_rad = flight.setpoints_rad
@@ -187,6 +191,7 @@ def _draw_signals(panel: Axes, flight: Flight, t_s: NDArray[np.float64], signals
 
 
 def _finish(panel: Axes) -> None:
+    """Give a panel its grid, margins and legend."""
     panel.grid(True, color="#bbbbbb", lw=0.5, alpha=0.6)
     panel.margins(y=0.12)
     for side in ("top", "right"):
@@ -243,6 +248,9 @@ def _block(band: Axes, place: tuple[float, float, float], text: str, colour: str
 
 
 def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
+    """Mark phases, gaps and serious events of a flight in all panels; the last panel has the names of the
+    events.
+    """
     if not len(flight):
         return
     phases = [event for event in flight.events if event.name == PHASE_EVENT]
@@ -262,6 +270,7 @@ def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
 
 
 def _label(panel: Axes, at_s: float, text: str, colour: str) -> None:
+    """Write a label at the lower end of a panel, at a time [s]."""
     panel.annotate(
         text,
         (at_s, 0.03),

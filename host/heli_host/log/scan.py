@@ -183,6 +183,7 @@ class Scan:
             self._add_channel(_whole(Channel, body))
 
     def _add_channel(self, channel: Channel) -> None:
+        """Note a channel of the log; that of the ticks determines the layout of their records."""
         self._channels[channel.id] = channel
         if channel.topic != TICK_TOPIC or channel.id == self._tick.channel:
             return
@@ -222,6 +223,7 @@ class Scan:
         return [channel.topic for channel in self._channels.values()]
 
     def _end(self, record: DataEnd, position: int) -> None:
+        """Process the end of the data section: compare its CRC, and note an index that is missing."""
         if self._index is not None and position != self._index.data_end:
             raise _OutOfStep
         self.closed = True
@@ -271,6 +273,9 @@ class Scan:
             self.notes.append(f"{written} ticks were written, {read} are readable")
 
     def _read_chunk(self, chunk: Chunk) -> None:
+        """Add ticks and messages of a chunk. A damaged chunk adds nothing, because its content is checked
+        before.
+        """
         # A chunk that claims more is damaged, which `unpacked` finds: its claim does not count.
         if chunk.uncompressed_size <= LARGEST_CHUNK_BYTES:
             self._unpacked_bytes += chunk.uncompressed_size
@@ -295,6 +300,7 @@ class Scan:
         self.ticks += ticks
 
     def _add_json(self, record: memoryview) -> None:
+        """Add the JSON message of an event or of the link counters; messages of other topics are ignored."""
         channel_id, *_ = _MESSAGE_HEADER.unpack_from(record)
         topic = self._channels[channel_id].topic if channel_id in self._channels else ""
         if topic not in (EVENT_TOPIC, LINK_TOPIC):

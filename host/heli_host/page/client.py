@@ -327,6 +327,7 @@ class PageClient:
 
 
 def _as_json(request: Mapping[str, Any]) -> str:
+    """Return a request as JSON; a PageError reports one that JSON cannot hold or that is too long."""
     try:
         words = json.dumps(request)
     except (TypeError, ValueError, RecursionError) as error:

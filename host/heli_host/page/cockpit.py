@@ -314,6 +314,7 @@ class Cockpit:
 
 
 def _link_status(session: Session) -> dict[str, Any]:
+    """Return counters, latency and jitter of the link [ms] for the page."""
     counters, clock = session.counters, session.clock
     return {
         "frames": counters.frames_ok,

@@ -289,6 +289,7 @@ def parameter_rows() -> list[dict[str, Any]]:
 
 
 def _parameter_row(spec: ParamSpec) -> dict[str, Any]:
+    """Return the declaration of a parameter for the page."""
     from heli_host.declaration import Param
 
     return {

@@ -103,6 +103,9 @@ def _stamp_s(message: Any) -> float:
 
 
 def _numbers(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
+    """Yield all numbers of a ROS message with their names, such as ``pose.position.x``; `depth` is the number
+    of messages around it.
+    """
     if isinstance(value, (bool, int, float, np.number)):
         yield name, float(value)
     elif isinstance(value, (list, tuple, np.ndarray)):

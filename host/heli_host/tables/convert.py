@@ -148,6 +148,9 @@ def _column(table: Table, name: str) -> Floats:
 
 
 def _angle(table: Table, angle: Angle, t_s: Floats, travels: bool) -> Floats:
+    """Return an angle [rad], shape (n,), from its column: unit, sign, offset, wrapped words and turns. Only
+    an axis that `travels` may turn all the way round.
+    """
     raw = _earlier(_column(table, angle.column), t_s, angle.delay_s)
     known = np.isfinite(raw)
     turned: Floats = np.full(raw.shape, np.nan)

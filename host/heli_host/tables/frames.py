@@ -39,6 +39,7 @@ def read_excel(path: Path) -> Table:
 
 
 def _parquet(path: Path) -> pandas.DataFrame:
+    """Read a Parquet file after its size in memory was checked."""
     import pyarrow.parquet
 
     with pyarrow.parquet.ParquetFile(path) as file:
@@ -83,6 +84,7 @@ def _is_text(kind: pyarrow.DataType) -> bool:
 
 
 def _excel(path: Path) -> pandas.DataFrame:
+    """Read the longest sheet of a workbook after its number of cells was checked."""
     import openpyxl
     import pandas
 
@@ -151,6 +153,7 @@ def _names(head: tuple[object, ...], width: int) -> list[str]:
 
 
 def _read(path: Path, reader: Callable[[Path], pandas.DataFrame], kind: str) -> Table:
+    """Read a file by `reader`, and translate all errors to FlightDataErrors with a remedy."""
     if not path.is_file():
         raise FlightDataError(f"cannot read {path}: there is no such file", "check the path")
     with within_memory(path):
@@ -169,6 +172,9 @@ def _read(path: Path, reader: Callable[[Path], pandas.DataFrame], kind: str) -> 
 
 
 def _table(path: Path, frame: pandas.DataFrame) -> Table:
+    """Convert a data frame to a table of numbers; dates become seconds since the first row, and columns of
+    text are left out.
+    """
     import pandas
 
     columns: dict[str, Column] = {}

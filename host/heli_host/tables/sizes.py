@@ -66,6 +66,7 @@ def check_mat(path: Path) -> None:
 
 
 def _check_hdf(path: Path) -> None:
+    """Refuse an HDF5 file (MATLAB 7.3) with too many numbers, by the sizes that its data sets state."""
     import h5py
 
     numbers = objects = 0
@@ -150,6 +151,9 @@ def _chunks(path: Path, size: int) -> Iterator[tuple[int, str, bytes | None]]:
 
 
 def _mcap_chunks(file: Any, size: int) -> Iterator[tuple[int, str, bytes | None]]:
+    """Yield offset, codec and packed bytes of each chunk of an MCAP file, and None instead of bytes for each
+    entry of its index.
+    """
     offset = len(_MCAP_MAGIC)
     while offset + 9 <= size:
         file.seek(offset)
@@ -167,6 +171,9 @@ def _mcap_chunks(file: Any, size: int) -> Iterator[tuple[int, str, bytes | None]
 
 
 def _rosbag_chunks(file: Any, size: int) -> Iterator[tuple[int, str, bytes | None]]:
+    """Yield offset, codec and packed bytes of each chunk of a ROS 1 bag, and None instead of bytes for each
+    entry of its index.
+    """
     offset = 13
     while offset + 8 <= size:
         file.seek(offset)

@@ -139,6 +139,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def _text(path: Path) -> str:
+    """Return the text of a file, unpacked if its name ends in .gz, by the encoding that its bytes suggest."""
     try:
         data = read_file(path, MAX_BYTES)
         if path.name.lower().endswith(".gz"):

@@ -93,6 +93,7 @@ def propose(
         The longest part of each table with rising times, to which the guess applies.
     """
     reference = reference_of(rig)
+    # Which column is which: by names, and by how well each assignment explains the motion.
     files = [prepare_file(known.with_units(table.aligned()), reference, rate_Hz) for table in tables]
     source = files[0].table.source
     clock, clock_ambiguities = _common_clock(files)
@@ -103,10 +104,12 @@ def propose(
     assignment = ranked[0]
     ambiguities, evidence = assignment_ambiguities(ranked)
     ambiguities += clock_ambiguities
+    # Units: those with which the gains of the motion are most like the rig's.
     ranked_scales = pooled_scales(motions, reference)
     scale = ranked_scales[0]
     ambiguities += unit_ambiguities(ranked_scales, motions[0], reference, rig)
     limits = supply_limits(scale, motions, reference)
+    # Signs: the axes have to accelerate in the direction of their causes.
     flights = _FlightsInUnits(files, assignment, scale, reference, limits)
     regressions = flights.regressions()
     if not names_state_voltages(assignment) and not known.voltages:
@@ -116,6 +119,7 @@ def propose(
     torque_nats = flights.torque_nats(signs)
     mirrored = prefers_mirror(signs, torque_nats) if known.mirrored is None else known.mirrored
     ambiguities += sign_ambiguities(regressions, signs, assignment, torque_nats, mirrored, rig)
+    # Zero of the elevation, from the rest on the table, and delays between columns.
     offset_deg, zero_ambiguities = elevation_zero(flights.rest(signs), reference)
     timing_ambiguities, lag_sentence = lag_ambiguities(regressions)
     ambiguities += zero_ambiguities + timing_ambiguities
@@ -138,6 +142,7 @@ def propose(
         f"{reference.hover_V:.2f} V in the rig file"
     )
     parts = [file.table for file in files]
+    # Programs log commands that the motors cannot follow: voltages above the supply were limited to it.
     if profile.clip_V is None:
 
         def regress(limits: tuple[float, float]) -> Mapping[str, RegressionFit]:

@@ -78,6 +78,9 @@ def variables(plant: Plant) -> list[Variable]:
 
 
 def _variables(plant: Plant) -> Iterator[Variable]:
+    """Yield the variables of an FMU in the order of its reference: time, inputs, outputs, distances to the
+    stops, states, their rates, and parameters.
+    """
     yield Variable("time", 0, "s", "simulated time", "independent", "continuous")
     for place, quantity in enumerate(plant.model.inputs):
         yield Variable(
@@ -175,6 +178,7 @@ def describe(plant: Plant, identifier: str, token: str) -> bytes:
 
 
 def _attributes(variable: Variable) -> dict[str, str]:
+    """Return the attributes of a variable in modelDescription.xml."""
     attributes = {
         "name": variable.name,
         "valueReference": str(variable.reference),

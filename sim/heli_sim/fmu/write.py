@@ -91,6 +91,7 @@ def _build_description(identifier: str, compiled: list[str]) -> bytes:
 
 
 def _compile(sources: dict[str, bytes], compiled: list[str]) -> bytes | None:
+    """Compile the C sources of an FMU, and return the shared library; None without a compiler."""
     cc = compiler()
     if cc is None:
         return None

@@ -127,6 +127,9 @@ def _thrust(at: Operands) -> list[Equation]:
 def _multibody(
     model: MultibodyModel, at: Operands, F: ca.SX, torque: ca.SX, rates: ca.SX, writer: _Writer
 ) -> list[Equation]:
+    """Return the equations of the multibody model: Lagrange's equation, then the inertias, the potential
+    energy and the generalised forces that it contains.
+    """
     inertia = model.inertia_kg_m2(at)
     potential = ca.substitute(model.energy_J(at), rates, ca.SX.zeros(3))
     forces = model.thrust_torque_Nm(at, F) + torque

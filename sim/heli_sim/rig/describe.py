@@ -180,6 +180,9 @@ def _quantity(name: str) -> Quantity:
 
 
 def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, source: str) -> Number:
+    """Return a stated number in the unit of rig files; without a tolerance it gets that of a ruler or a
+    kitchen scale.
+    """
     units = _FACTORS.get(quantity.unit, {quantity.unit: 1.0})
     factor = units.get(unit or quantity.unit)
     if factor is None and unit.startswith(","):

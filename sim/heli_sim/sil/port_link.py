@@ -81,6 +81,9 @@ class PortLink:
             self._lock = -1
 
     def _take_lock(self) -> int:
+        """Lock the path of the port against other simulated boards, and return the file descriptor of the
+        lock.
+        """
         while True:
             try:
                 lock = os.open(self._lock_path, os.O_RDWR | os.O_CREAT, 0o644)

@@ -146,6 +146,9 @@ class PtyEndpoint(Endpoint):
             self._link.release()
 
     def _hang_up(self) -> None:
+        """Process that the host has closed the port: drop what is not sent, and switch DTR off if the host
+        asked for it.
+        """
         self._open, self._unsent = False, b""
         if termios.tcgetattr(self._master)[_CFLAG] & termios.HUPCL:
             self._set_dtr(False)

@@ -529,6 +529,7 @@ def export_rig(
 
 
 def _export_mjcf(rig: str, output: Path | None) -> None:
+    """Write a rig as a MuJoCo model, and print what that model leaves out."""
     from heli_host.cli.outputs import check_place
 
     from heli_sim.model.mjcf import left_out, mjcf
@@ -547,6 +548,7 @@ def _export_mjcf(rig: str, output: Path | None) -> None:
 
 
 def _export_fmu(rig: str, effects: list[str], model: str, seed: int, out: Path | None) -> None:
+    """Write a rig as an FMU, and print what it contains."""
     from heli_sim.fmu import write_fmu
     from heli_sim.sil.options import SilOptions
     from heli_sim.sil.plant_factory import plant_of

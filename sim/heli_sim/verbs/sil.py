@@ -113,6 +113,7 @@ def sil(
     )
 
     def tell(url: str) -> None:
+        """Print the address of the board, what it simulates, and how fast."""
         pace = "as fast as the host keeps up" if options.speed is None else f"{options.speed:g} x real time"
         what = "simulated board" if not choice.elf else choice.text
         flown = " with ".join(filter(None, (options.rig, ", ".join(options.effects))))

@@ -141,6 +141,9 @@ def _fly(
     http_port: int,
     foxglove: int | None,
 ) -> None:
+    """Serve the page of a board until Ctrl-C; fly the plans `begun` as soon as a page watches. `twin` has the
+    maker of the twin, and whether its alarm lands.
+    """
     from heli_host.cli.board import board_text, check_board_rig, open_board
     from heli_host.fly.recorder import Recorder
     from heli_host.foxglove_feed import foxglove_feed
@@ -196,6 +199,7 @@ def _fly(
 
 
 def _fly_plans(cockpit: Cockpit, names: Sequence[str], ended: threading.Event) -> None:
+    """Fly plans when a page watches, in a thread of its own, and print the outcome."""
     from heli_host.errors import HeliError
 
     try:
@@ -220,6 +224,7 @@ def _wait(heli: Heli) -> None:
 
 
 def _replay(log: Path, rig: str | None, host: str, http_port: int) -> None:
+    """Serve the page of a log until Ctrl-C, drawn with the `rig` given or else with that of the log."""
     from heli_host.log.reader import read_log
     from heli_host.page.replay import Replay
     from heli_host.page.serve import serving

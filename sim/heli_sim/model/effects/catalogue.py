@@ -60,6 +60,7 @@ def _built_in() -> tuple[EffectSpec, ...]:
 
 
 def _kinds_of(path: Path) -> list[EffectSpec]:
+    """Return the effects that a user's file defines, after each was tried in a model."""
     module = _module(path)
     kinds = list(_kinds_in(module))
     if not kinds:
@@ -72,6 +73,7 @@ def _kinds_of(path: Path) -> list[EffectSpec]:
 
 
 def _module(path: Path) -> ModuleType:
+    """Import a user's effect file; an EffectError names the line that fails."""
     name = f"heli_sim_user_effects_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None or not path.is_file():
