@@ -14,7 +14,8 @@ from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison
 from heli_lab.diagnose.thresholds import MIN_MARGIN, NEAR_REST_NATS, SIGNIFICANT_STD_ERRORS
 
 _MIN_PERIOD_TOLERANCE = 0.02
-"""Difference from a whole number of periods per turn that counts as none at any standard error; by judgement."""
+"""Difference from a whole number of periods per turn that counts as none at any standard error; by
+judgement."""
 
 
 @dataclass(frozen=True)
