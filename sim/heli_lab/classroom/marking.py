@@ -37,7 +37,7 @@ class MarkedSubmission:
     Parameters
     ----------
     folder : Path
-        Its folder.
+        Place of its files; log, figure and mark are returned into it.
     mark : Mark
         Its mark, or why it has none.
     submission : Submission or None

@@ -13,12 +13,13 @@ from heli_lab.guess.regression.signals import Signals
 from heli_lab.guess.result import Ambiguity
 
 _STILL_deg: Final = 0.5
-"""Largest range of the elevation at rest [deg]: a few encoder counts; by judgement."""
+"""Largest range of the elevation at rest [deg]: five counts of an encoder with 4096 per turn."""
 _MIN_RISE_deg: Final = 5.0
 """Smallest difference between the median of a flight and its beginning [deg] for the beginning to be a rest
-on the table, not a hover; by judgement."""
+on the table. Rest and level differ by some 25 deg, so values up to 20 distinguish a rest from a hover."""
 _LOWEST_deg: Final = 3.0
-"""Largest elevation above the lowest of a flight [deg] that still counts as the lowest; by judgement."""
+"""Largest elevation above the lowest of a flight [deg] that still counts as the lowest. Flights are some
+25 deg above their rest, so values up to 20 distinguish them."""
 
 
 @dataclass(frozen=True)

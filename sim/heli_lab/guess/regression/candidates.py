@@ -19,9 +19,8 @@ _DUPLICATE_CORRELATION: Final = 0.99999
 _RATE_SCALES: Final = (1.0, 180.0 / np.pi, np.pi / 180.0)
 """Factors between the units of an angle and of its logged rate: equal units, or radians and degrees."""
 _UNIT_SLOPE_RANGE: Final = (0.6, 1.5)
-"""Range of the measured slope divided by a factor between units; by judgement. The filters of logging
-programs change the slope of a rate, and the
-factors 1 and 57.3 are much further apart than this range is wide."""
+"""Range of the measured slope divided by a factor between units. It is wide enough for a rate that the
+logging program has filtered, and far narrower than the ratio of two factors, 57.3."""
 
 
 def candidates(
