@@ -69,7 +69,7 @@ class Samples(AngleViews, ChannelArrays):
 
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """Return every channel by name, time first."""
-        return {"t_s": self.t_s} | {one.name: getattr(self, one.name) for one in fields(self)}
+        return {"t_s": self.t_s} | {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __repr__(self) -> str:
         if not len(self):

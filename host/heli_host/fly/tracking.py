@@ -81,7 +81,10 @@ class Tolerance:
             The largest of each number.
         """
         return Tolerance(
-            *(max(getattr(one, key) for one in tolerances) for key in Tolerance.__dataclass_fields__)
+            *(
+                max(getattr(tolerance, key) for tolerance in tolerances)
+                for key in Tolerance.__dataclass_fields__
+            )
         )
 
 

@@ -196,12 +196,15 @@ class McapBytes:
         return data
 
     def chunk(self, parts: Iterable[TickBatch | JsonMessage], file_offset: int) -> bytes:
-        """Return a compressed chunk and its message indexes.
+        """Return a compressed chunk, followed by one index record per channel with the time and the offset of
+        each of its messages.
 
         Parameters
         ----------
+        parts : iterable of TickBatch or JsonMessage
+            Messages of the chunk, in order; at least one.
         file_offset : int
-            Offset of the record in the file.
+            Offset at which the chunk will be written to the file [bytes].
         """
         blocks: list[bytes] = []
         index: dict[int, list[NDArray[Any]]] = {}
@@ -233,7 +236,9 @@ class McapBytes:
         index_offsets: dict[int, int] = {}
         for channel, entries in indexes.items():
             index_offsets[channel] = file_offset + len(data)
-            data += _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, 6 + entries.nbytes, channel, entries.nbytes)
+            # The record's length counts the channel (2 bytes) and the length of the entries (4 bytes) too.
+            length = 2 + 4 + entries.nbytes
+            data += _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, length, channel, entries.nbytes)
             data += entries.tobytes()
             self._message_counts[channel] = self._message_counts.get(channel, 0) + len(entries)
         self._chunk_indexes.append(

@@ -52,7 +52,7 @@ def write_fmu(plant: Plant, path: str | Path) -> str:
     token = _token(plant)
     files = {"modelDescription.xml": describe(plant, identifier, token)}
     sources = {name: text.encode() for name, text in generate(plant, token).files.items()}
-    sources |= {one.name: one.read_bytes() for one in sorted(_SOURCES.glob("*.[ch]"))}
+    sources |= {path.name: path.read_bytes() for path in sorted(_SOURCES.glob("*.[ch]"))}
     compiled = sorted(name for name in sources if name.endswith(".c"))
     files |= {f"sources/{name}": data for name, data in sorted(sources.items())}
     files["sources/buildDescription.xml"] = _build_description(identifier, compiled)

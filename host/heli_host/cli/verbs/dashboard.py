@@ -108,10 +108,11 @@ def dashboard(
         _replay(replay, rig, host, http_port)
         return
     check_target(port, sil)
-    named = [one for one in (*(plans or ()), *(flown or ())) if one not in plan_names()]
-    offered = [load_plan(name) for name in (*plan_names(), *dict.fromkeys(named))]
-    begun = [load_plan(name).name for name in flown or ()]
-    tapes = [read_law(path, rig) for path in laws or ()]
+    files = [name for name in (*(plans or ()), *(flown or ())) if name not in plan_names()]
+    offered_plans = [load_plan(name) for name in (*plan_names(), *dict.fromkeys(files))]
+    # The page names a plan by its title, not by its file.
+    first_plans = [load_plan(name).name for name in flown or ()]
+    programs = [read_law(path, rig) for path in laws or ()]
     address = simulated.sil_address(
         rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effect_file
     )
@@ -119,9 +120,9 @@ def dashboard(
         port,
         address if sil else None,
         rig,
-        offered,
-        begun,
-        tapes,
+        offered_plans,
+        first_plans,
+        programs,
         (read_twin(twin), lands),
         host,
         http_port,
@@ -134,14 +135,14 @@ def _fly(
     address: str | None,
     rig: str | None,
     plans: Sequence[Plan],
-    begun: Sequence[str],
+    first_plans: Sequence[str],
     laws: Sequence[LawProgram],
     twin: tuple[TwinMaker | None, bool],
     host: str,
     http_port: int,
     foxglove: int | None,
 ) -> None:
-    """Serve the page of a board until Ctrl-C; fly the plans `begun` as soon as a page watches. `twin` has the
+    """Serve the page of a board until Ctrl-C; fly `first_plans` as soon as a page watches. `twin` has the
     maker of the twin, and whether its alarm lands.
     """
     from heli_host.cli.board import board_text, check_board_rig, open_board
@@ -184,9 +185,9 @@ def _fly(
             with serving(cockpit, host, http_port) as served:
                 _say(served)
                 ended = threading.Event()
-                if begun:
+                if first_plans:
                     threading.Thread(
-                        target=_fly_plans, args=(cockpit, begun, ended), name="plans", daemon=True
+                        target=_fly_plans, args=(cockpit, first_plans, ended), name="plans", daemon=True
                     ).start()
                 try:
                     _wait(heli)

@@ -107,7 +107,7 @@ def _content(path: Path) -> dict[str, Any]:
             "step_s": flight.step_s,
             "columns": list(flight.columns()),
             "gaps": len(flight.gaps),
-            "events": [{"t_s": one.t_s, "name": one.name, "text": one.text} for one in flight.events],
+            "events": [{"t_s": event.t_s, "name": event.name, "text": event.text} for event in flight.events],
             "parameters": dict(flight.parameters),
             "plan": flight.plan,
             "notes": dict(flight.meta),
