@@ -122,6 +122,7 @@ def toml_string(text: str) -> str:
 
 
 def _check_numbers(value: object) -> None:
+    """Refuse whole numbers anywhere in a value that have too many digits for a float."""
     if isinstance(value, dict):
         for element in value.values():
             _check_numbers(element)

@@ -145,6 +145,7 @@ def _json(record: Mapping[str, str], name: str) -> dict[str, Any]:
 
 
 def _plans(log: Log, record: Mapping[str, str]) -> Iterator[Plan]:
+    """Yield the plans of a flight in the order in which they were flown."""
     from heli_host.fly.plan import Plan
 
     texts = log.metadata["plan"]

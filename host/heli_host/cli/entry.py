@@ -42,6 +42,7 @@ app = typer.Typer(
 
 
 def _say_version(wanted: bool) -> None:
+    """Print the version of the program and of the link, and exit."""
     if wanted:
         from heli_host.cli.say import say
         from heli_host.declaration import LINK_VERSION

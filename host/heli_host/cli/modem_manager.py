@@ -27,6 +27,7 @@ def check_modem_manager(due_is_present: bool) -> Finding:
 
 
 def _process_runs(name: str) -> bool:
+    """Whether a process of this name runs; only Linux lists processes there."""
     for entry in Path("/proc").glob("[0-9]*/comm"):
         try:
             if entry.read_text().strip() == name:

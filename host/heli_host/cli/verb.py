@@ -89,6 +89,7 @@ def _order(entry: EntryPoint) -> tuple[bool, str]:
 
 
 def _verbs_in(package_name: str) -> Iterator[tuple[str, Verb]]:
+    """Yield the verbs of a package and of its modules, each with the name of its module."""
     package = importlib.import_module(package_name)
     modules = [package]
     for info in pkgutil.iter_modules(getattr(package, "__path__", ())):

@@ -327,6 +327,7 @@ def _meanwhile(table: PlanTable, duration_s: float) -> PlannedExcitation | None:
 
 
 def _excitation(table: PlanTable, duration_s: float) -> PlannedExcitation:
+    """Read an excitation: a signal for one or both motors, and the frequencies that it needs."""
     signal = table.choice("signal", SIGNALS)
     front_V = table.number("front_V", VOLTAGE, 0.0)
     back_V = table.number("back_V", VOLTAGE, 0.0)

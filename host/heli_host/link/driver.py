@@ -163,6 +163,7 @@ class Driver:
             self._fail(LinkLost("the board does not answer any more", "check its supply, then connect again"))
 
     def _run(self) -> None:
+        """Read and send until the end, in a thread of its own."""
         try:
             while not self._stop.is_set() and self.fatal is None:
                 self.pump(READ_TIMEOUT_S)

@@ -268,6 +268,7 @@ class Engine:
             self.telemetry.clock.observe_pong(sent_s, tick, now_s)
 
     def _take_event(self, message: EventMessage, now_s: float, wall_ns: int, received: Received) -> None:
+        """Process an event of the board; one of a new start begins the handshake again."""
         event = LinkEvent(message.tick, wall_ns, event_kind(message), event_text(message), message)
         received.events.append(event)
         self.telemetry.take_event(message)
@@ -277,6 +278,7 @@ class Engine:
             self._greet(now_s)
 
     def _accept_telemetry(self, now_s: float, wall_ns: int, received: Received) -> None:
+        """Accept the telemetry of a reading, with the events that it shows to be lost."""
         accepted = self.telemetry.accept_held(now_s)
         if accepted is None:
             return
@@ -299,6 +301,7 @@ class Engine:
         return encode_frame(message.ID, self._seq, message.pack())
 
     def _parser_counts(self) -> tuple[int, int, int, int, int]:
+        """Return the counters of frames and bytes, from which those of the session are differences."""
         parser = self.parser
         return (
             parser.frames_ok,

@@ -264,6 +264,7 @@ class SerialTransport:
         return SerialTransport(self._stable_url, self._baud, min_read_interval_s=self.min_read_interval_s)
 
     def _drain(self) -> bytes:
+        """Return the bytes that wait."""
         # A terminal hands out at most 4096 bytes a call, however many wait.
         first: bytes = self._serial.read(_READ_SIZE)
         if len(first) < 4095:
@@ -275,6 +276,7 @@ class SerialTransport:
 
     @contextlib.contextmanager
     def _lost_when_it_fails(self) -> Iterator[None]:
+        """Translate errors of the port in this ``with`` block to LinkLost."""
         try:
             yield
         # TypeError and AttributeError: pyserial uses a handle that its own close has set to None.
@@ -535,6 +537,7 @@ def _port_error(url: str, error: Exception) -> PortError:
 
 
 def _keep_dtr_on_close(fd: int) -> None:
+    """Keep the line DTR as it is when the port is closed: its edge resets the board."""
     # Sockets have no such flag, and Windows no termios at all.
     try:
         import termios

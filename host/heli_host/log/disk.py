@@ -200,6 +200,7 @@ class DirectFile:
             self._file.close()
 
     def _fail(self, error: OSError) -> LogWriteError:
+        """Note that the log cannot be written, cut it to its last complete record, and return the error."""
         remedy = "the log is readable up to here"
         if error.errno in _FULL:
             remedy = f"free some disk space; {remedy}"
@@ -333,6 +334,7 @@ class BackgroundFile:
         self._wait_while(lambda: self._queued_bytes > 0)
 
     def _wait_while(self, busy: Callable[[], bool]) -> None:
+        """Wait while the disk is `busy`, as long as it takes some bytes now and then."""
         left_bytes, since_s = self._queued_bytes, self._now_s()
         while busy() and self.failed is None:
             with self._changed:

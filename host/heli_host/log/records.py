@@ -259,6 +259,9 @@ class McapBytes:
         return data
 
     def _tick_messages(self, batch: TickBatch, offset: int) -> tuple[NDArray[Any], bytes]:
+        """Return ticks as MCAP messages: their entries in the index, and their bytes. `offset` is that of the
+        first in its chunk.
+        """
         records = np.zeros(batch.tick.size, _TICK_RECORD)
         records["opcode"] = int(Opcode.MESSAGE)
         records["length"] = _TICK_RECORD.itemsize - _RECORD_HEADER_BYTES
@@ -275,6 +278,7 @@ class McapBytes:
         return entries, records.tobytes()
 
     def _json_message(self, message: JsonMessage, offset: int) -> tuple[NDArray[Any], bytes]:
+        """Return a JSON message: its entry in the index, and its bytes, at `offset` in the chunk."""
         wall_ns = self.wall_ns(message.time_us)
         head = _MESSAGE_HEADER.pack(
             Opcode.MESSAGE,
@@ -362,6 +366,7 @@ def _joined(parts: Iterable[TickBatch | JsonMessage]) -> list[TickBatch | JsonMe
     run: list[TickBatch] = []
 
     def close_run() -> None:
+        """Join the batches of ticks that follow each other into one."""
         if run:
             joined.append(
                 TickBatch(

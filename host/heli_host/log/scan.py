@@ -172,6 +172,9 @@ class Scan:
         return start + int(length)
 
     def _visit_head(self, opcode: int, body: memoryview) -> None:
+        """Process a header, schema or channel. The index has all channels, so those of the data are then
+        ignored.
+        """
         if opcode == Opcode.HEADER:
             _whole(Header, body)
         elif self._index is not None and self._index.channels:
@@ -236,6 +239,7 @@ class Scan:
             self.notes.append(f"the index at its end is damaged or missing{whole}")
 
     def _note_break(self, position: int) -> None:
+        """Note that the log ends at `position`, because it was cut short or because its end is damaged."""
         rest = len(self.data) - position
         if self.data[-len(_MAGIC) :] == _MAGIC and rest:
             self.notes.append(f"its last {rest} bytes are damaged and were left out")
@@ -263,6 +267,9 @@ class Scan:
             self.notes.append(f"metadata is damaged and was left out: {names}")
 
     def _note_damage(self) -> None:
+        """Note what is missing: damaged chunks, damaged bytes, and ticks that were written but are not
+        readable.
+        """
         if self._damaged_chunks:
             self.notes.append(f"{self._damaged_chunks} chunks are damaged and were left out")
         for start, stop in self._lost:

@@ -318,6 +318,7 @@ def _read_numbers(lines: _Lines, path: Path) -> tuple[NDArray[np.float64], tuple
 
 
 def _load(body: bytes, width: int, keep: list[int]) -> NDArray[np.float64]:
+    """Parse the columns `keep` of a table of `width` columns, shape (n, len(keep))."""
     usecols = None if len(keep) == width else keep
     table = np.loadtxt(
         io.BytesIO(body), delimiter=",", comments=None, ndmin=2, usecols=usecols, encoding="latin-1"

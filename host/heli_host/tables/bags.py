@@ -86,6 +86,7 @@ def _is_log(path: Path) -> bool:
 
 
 def _table(path: Path, series: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Table:
+    """Return a table of signals, each with its own times [s] since the first of all."""
     columns = {}
     first_s = min((times[0] for times, _ in series.values()), default=0.0)
     for name, (times, values) in series.items():

@@ -72,6 +72,7 @@ def _longest(chunk: pyarrow.DictionaryArray) -> int:
 
 
 def _is_text(kind: pyarrow.DataType) -> bool:
+    """Whether a column of Parquet contains text or bytes."""
     import pyarrow
 
     text: bool = (

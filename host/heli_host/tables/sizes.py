@@ -195,6 +195,7 @@ def _rosbag_chunks(file: Any, size: int) -> Iterator[tuple[int, str, bytes | Non
 
 
 def _rosbag_fields(head: bytes) -> dict[bytes, bytes]:
+    """Return the fields of a record of a ROS 1 bag, by name."""
     fields, offset = {}, 0
     while offset + 4 <= len(head):
         length = struct.unpack_from("<I", head, offset)[0]

@@ -334,6 +334,7 @@ def _with_masses(
 
 
 def _readings(balance: Balance | None, swings: Sequence[Swing]) -> list[tuple[str, str, float, float]]:
+    """Return name, unit, value and tolerance of each reading."""
     readings = (
         []
         if balance is None

@@ -81,6 +81,7 @@ def _token(plant: Plant) -> str:
 
 
 def _build_description(identifier: str, compiled: list[str]) -> bytes:
+    """Return buildDescription.xml, which names the C sources to compile."""
     root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
     group = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")

@@ -174,6 +174,7 @@ def parse_options(values: dict[str, str]) -> SilOptions:
 
 
 def _scales(key: str, texts: Sequence[str]) -> tuple[float, float, float]:
+    """Read the scales of the encoders, 1 for those that are not named."""
     scales = dict.fromkeys(AXES, 1.0)
     for text in texts:
         axis, _, scale = text.partition(":")
@@ -184,6 +185,7 @@ def _scales(key: str, texts: Sequence[str]) -> tuple[float, float, float]:
 
 
 def _motor_signs(key: str, texts: Sequence[str]) -> tuple[int, int]:
+    """Read the directions of the motors, 1 for those that are not named."""
     signs = {"front": 1, "back": 1}
     for text in texts:
         motor, _, sign = text.partition(":")

@@ -128,6 +128,7 @@ class SilProcess:
 
 
 def _port(path: Path, rfc2217: str | None) -> tuple[str, str]:
+    """Return option and value of the port that a board in its own process serves."""
     if rfc2217 is not None:
         return "--rfc2217", rfc2217
     try:

@@ -169,6 +169,7 @@ class TcpEndpoint(Endpoint):
             self._drop_gone()
 
     def _accept(self) -> None:
+        """Accept a waiting client."""
         if self._listener is None:
             return
         with contextlib.suppress(OSError):

@@ -164,6 +164,7 @@ def _fly(
         check_board_rig(heli, rig)
 
         def new_recorder(flown: Sequence[Plan], duration_s: float) -> Recorder:
+            """Return the recorder of a flight in a new folder."""
             return Recorder(
                 heli,
                 flight_folder() / "flight.mcap",
@@ -249,6 +250,7 @@ def _outline(rig: str | None, *, simulated_board: bool) -> dict[str, float]:
 
 
 def _outline_of_log(rig: str | None) -> dict[str, float]:
+    """Return the lengths with which the page draws a rig; empty without its file."""
     from heli_host.errors import HeliError
     from heli_host.page.rigs import outline
 
@@ -259,6 +261,7 @@ def _outline_of_log(rig: str | None) -> dict[str, float]:
 
 
 def _say(served: Address) -> None:
+    """Print the addresses of the page, and a warning if other computers can reach it."""
     import sys
 
     if not served.is_local:
