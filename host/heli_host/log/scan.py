@@ -230,13 +230,14 @@ class Scan:
         if self._index is not None and position != self._index.data_end:
             raise _OutOfStep
         self.closed = True
-        carries = record.data_section_crc != 0 or self._has_crcs
-        fits = carries and record.data_section_crc == zlib.crc32(self.data[:position])
-        if carries and not fits:
+        # A CRC of 0 means that the writer computed none, unless the log states that it has CRCs.
+        has_crc = record.data_section_crc != 0 or self._has_crcs
+        is_intact = has_crc and record.data_section_crc == zlib.crc32(self.data[:position])
+        if has_crc and not is_intact:
             self.notes.append("the CRC of the whole file does not fit: it is not as it was written")
         if self._index is None:
-            whole = "; all data before it is whole" if fits else ""
-            self.notes.append(f"the index at its end is damaged or missing{whole}")
+            data_text = "; all data before it is whole" if is_intact else ""
+            self.notes.append(f"the index at its end is damaged or missing{data_text}")
 
     def _note_break(self, position: int) -> None:
         """Note that the log ends at `position`, because it was cut short or because its end is damaged."""

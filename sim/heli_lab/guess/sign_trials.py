@@ -37,7 +37,7 @@ def try_sign_choices(flight: Flight, rig: Rig) -> tuple[SignChoice, ...]:
 
     Returns
     -------
-    tuple of Choice
+    tuple of SignChoice
         The unchanged flight is the first element. Empty if too little of the flight is in the air.
     """
     try:
@@ -51,10 +51,13 @@ def try_sign_choices(flight: Flight, rig: Rig) -> tuple[SignChoice, ...]:
     unchanged = errors[1.0, 1.0, 1.0]
     choices = []
     for signs, error in errors.items():
-        travel_nats = [f"{axis}" for axis, sign in zip(AXES, signs, strict=True) if sign < 0.0]
+        inverted_axes = [axis for axis, sign in zip(AXES, signs, strict=True) if sign < 0.0]
+        # Product of the ratios of the three axes; the bound keeps a perfect fit from dividing by 0.
         ratio = float(np.exp(np.sum(np.log(np.maximum(error, 1e-6) / np.maximum(unchanged, 1e-6)))))
         choices.append(
-            SignChoice(" and ".join(travel_nats), (float(error[0]), float(error[1]), float(error[2])), ratio)
+            SignChoice(
+                " and ".join(inverted_axes), (float(error[0]), float(error[1]), float(error[2])), ratio
+            )
         )
     return tuple(choices)
 

@@ -226,7 +226,7 @@ class _Writer:
         return f"{letter}_{{{taken + 1}}}"
 
     def _text(self, of: ca.SX) -> tuple[str, int]:
-        """Return an expression in LaTeX, and how strongly it binds, which decides on parentheses around it."""
+        """Return an expression in LaTeX, and how strongly it binds, for the parentheses around it."""
         if of.element_hash() in self._named:
             return self._named[of.element_hash()], _ATOM
         if of.is_constant():

@@ -224,7 +224,7 @@ class EquationRefits:
     def with_whole_periods(self, refitted: RefittedEquation, signals: TermSignals) -> RefittedEquation:
         """Hold periods per turn at whole numbers, if the equation is then about as likely as before.
 
-        What repeats with a turn of the rig, such as the error of an encoder, has a whole number of periods
+        Effects that repeat with each turn, such as the error of an encoder, have a whole number of periods
         per turn.
 
         Parameters
