@@ -155,8 +155,8 @@ class _TiltPlant:
     def pitch_per_unit(self, reading: Reading) -> float:
         """Return the pitch setpoint [rad] per radian of travel error at a travel gain of 1.
 
-        The paper does not state the unit of the travel controller's output U_3, so its gains have two readings:
-        degrees of pitch per degree of travel, or volts per degree.
+        The paper does not state the unit of the travel controller's output U_3, so its gains have two
+        readings: degrees of pitch per degree of travel, or volts per degree.
         """
         # In volts, the paper has sin(phi) U+ = U_3 with the sum of the voltages U+. Near level, one volt is
         # then 1 / U+ rad of pitch, and a radian of travel is 57.3 degrees.
