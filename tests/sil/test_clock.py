@@ -59,6 +59,12 @@ def test_lockstep_runs_40_ms_ahead_of_the_host_and_no_further() -> None:
     assert tick == 80
 
 
+def test_lockstep_simulates_at_most_20_ms_in_one_slice() -> None:
+    clock = LockstepClock()
+    assert [clock.ticks_due(5.0, tick) for tick in (0, 20, 37)] == [20, 20, 0]
+    assert clock.ticks_due(7.0, 20) == 20
+
+
 def test_lockstep_never_runs_slower_than_real_time() -> None:
     clock = LockstepClock()
     assert run(clock, 5.0) == pytest.approx(5040, abs=4)
