@@ -85,7 +85,7 @@ def test_less_than_five_standard_deviations_are_no_jump() -> None:
     assert decisions([5.1, 5.1, 0.0], std_counts=1.0) == ["open", "open", "returned"]
 
 
-def test_a_jump_can_begin_only_after_the_filter_has_settled_for_half_a_second() -> None:
+def test_no_jump_begins_before_the_filter_has_settled_for_half_a_second() -> None:
     assert set(decisions([6.0, 6.0, 0.0], settled=MAX_BLOCKS - 1)) == {"-"}
     assert decisions([6.0, 6.0, 0.0], settled=MAX_BLOCKS) == ["open", "open", "returned"]
 
