@@ -60,7 +60,8 @@ class Sum {
     const std::uint64_t shifted = size << zeros;
     const auto high = static_cast<std::uint32_t>(shifted >> 32U);
     const bool lost = static_cast<std::uint32_t>(shifted) != 0U;
-    // 1 times 1 is 2^53, at twice the bias.
+    // 1 times 1 is 2^53 at an exponent of twice the bias. It has 10 zeros in front, and as a float
+    // its exponent is the bias.
     constexpr std::int32_t kOneAt = 2 * kBias - 10 - kBias;
     const std::int32_t exponent = exponent_ - static_cast<std::int32_t>(zeros) - kOneAt;
     return rounded(sign, exponent, high | (lost ? 1U : 0U));
