@@ -162,6 +162,9 @@ def run_controller(
 
 
 def _loop(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
+    """Call a control law at its rate, and send its voltages, until the duration has passed. A takeover by the
+    board is retried a few times, if it then holds level.
+    """
     session = heli.session
     low_V, high_V = heli.params["motor_min_V"], heli.params["motor_max_V"]
     heli.stream()
@@ -204,6 +207,7 @@ def _loop(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
 
 
 def _two_voltages(law: ControlLaw, sample: Sample) -> tuple[float, float]:
+    """Call a control law, and check that it returns two finite voltages."""
     try:
         front_V, back_V = (float(value) for value in law(sample))
     except Exception as error:
@@ -222,33 +226,36 @@ def _two_voltages(law: ControlLaw, sample: Sample) -> tuple[float, float]:
 def _report(
     run: _Run, counted_on: Callable[[Ticks], npt.NDArray[np.int64]], acted: list[Ticks]
 ) -> ControllerReport:
+    """Summarise a run: calls, misses, and percentiles of latency and of the law's computing time. `acted` has
+    the telemetry with the voltages that acted, `counted_on` its ticks without wrap-around.
+    """
     latency_ms = np.array([math.nan])
     count = 0
     if acted and run.tick:
         tick = np.concatenate([counted_on(ticks) for ticks in acted])
         raw = np.concatenate([ticks.raw for ticks in acted])
         volts = np.column_stack([physical(raw, motor) for motor in (Channel.FRONT, Channel.BACK)])
-        found = _latencies_ticks(run, tick, volts)
-        count = len(found)
+        latencies_ticks = _latencies_ticks(run, tick, volts)
+        count = len(latencies_ticks)
         if count:
-            latency_ms = found * (TICK_S * 1e3)
+            latency_ms = latencies_ticks * (TICK_S * 1e3)
     law_ms = np.array(run.law_s or [math.nan]) * 1e3
     span_s = (run.tick[-1] - run.tick[0]) * TICK_S if len(run.tick) > 1 else 0.0
-    latency = [float(value) for value in np.percentile(latency_ms, (50, 95, 100))]
-    took = [float(value) for value in np.percentile(law_ms, (50, 95, 100))]
+    latency_percentiles_ms = [float(value) for value in np.percentile(latency_ms, (50, 95, 100))]
+    law_percentiles_ms = [float(value) for value in np.percentile(law_ms, (50, 95, 100))]
     return ControllerReport(
         calls=len(run.tick),
         rate_Hz=(len(run.tick) - 1) / span_s if span_s > 0.0 else 0.0,
         misses=run.misses,
         takeovers=run.takeovers,
         clipped=run.clipped,
-        latency_p50_ms=latency[0],
-        latency_p95_ms=latency[1],
-        latency_max_ms=latency[2],
+        latency_p50_ms=latency_percentiles_ms[0],
+        latency_p95_ms=latency_percentiles_ms[1],
+        latency_max_ms=latency_percentiles_ms[2],
         latency_count=count,
-        law_p50_ms=took[0],
-        law_p95_ms=took[1],
-        law_max_ms=took[2],
+        law_p50_ms=law_percentiles_ms[0],
+        law_p95_ms=law_percentiles_ms[1],
+        law_max_ms=law_percentiles_ms[2],
     )
 
 
@@ -259,13 +266,13 @@ def _latencies_ticks(
 
     ``volts`` (n, 2) acted at ``tick`` (n,).
     """
-    sent = np.column_stack([run.front_V, run.back_V])  # (calls, 2)
-    found = []
-    for call in range(1, len(sent)):
-        if np.abs(sent[call] - sent[call - 1]).max() < _DIFFERENT_V:
+    sent_V = np.column_stack([run.front_V, run.back_V])  # (calls, 2)
+    latencies = []
+    for call in range(1, len(sent_V)):
+        if np.abs(sent_V[call] - sent_V[call - 1]).max() < _DIFFERENT_V:
             continue
         start = int(np.searchsorted(tick, run.tick[call], side="right"))
-        same = np.abs(volts[start : start + _LOOK_TICKS] - sent[call]).max(axis=1) < _SAME_V
+        same = np.abs(volts[start : start + _LOOK_TICKS] - sent_V[call]).max(axis=1) < _SAME_V
         if same.any():
-            found.append(float(tick[start + int(np.argmax(same))] - run.tick[call]))
-    return np.array(found)
+            latencies.append(float(tick[start + int(np.argmax(same))] - run.tick[call]))
+    return np.array(latencies)

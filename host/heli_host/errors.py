@@ -99,7 +99,10 @@ def printable(text: str) -> str:
         text = f"{text[:half]} ... {text[-half:]}"
     if text.isprintable():
         return text
-    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)
+    return "".join(
+        character if character.isprintable() else character.encode("unicode_escape").decode("ascii")
+        for character in text
+    )
 
 
 class HeliError(Exception):
@@ -233,6 +236,9 @@ class CommandRefused(LinkError):
         super().__init__(f"the board refused {_message_name(command)}: {cause}", remedy)
 
     def _explain(self) -> tuple[str, str]:
+        """Return cause and remedy of a refused command in words, and set the state, fault or parameter that
+        it concerns.
+        """
         detail = self.detail
         if self.result == Result.BAD_STATE:
             if detail in State._value2member_map_:
@@ -388,6 +394,7 @@ def range_text(param: Param) -> str:
 
 
 def _law_text(code: int, value: float) -> tuple[str, str]:
+    """Return cause and remedy of a refused law; the meaning of `value` depends on the error `code`."""
     if code not in LawError._value2member_map_:
         return f"law error {code}", "update heli_host: it does not know this error"
     error = LawError(code)

@@ -122,11 +122,12 @@ def toml_string(text: str) -> str:
 
 
 def _check_numbers(value: object) -> None:
+    """Refuse whole numbers anywhere in a value that have too many digits for a float."""
     if isinstance(value, dict):
-        for one in value.values():
-            _check_numbers(one)
+        for element in value.values():
+            _check_numbers(element)
     elif isinstance(value, list):
-        for one in value:
-            _check_numbers(one)
+        for element in value:
+            _check_numbers(element)
     elif isinstance(value, int) and not -_MAX_WHOLE <= value < _MAX_WHOLE:
         raise ValueError(_TOO_MANY_DIGITS)

@@ -129,6 +129,7 @@ class FoxgloveFeed:
             self._server.stdin.flush()
 
     def _end(self) -> None:
+        """End the server: close its input, which it obeys, and kill it if it does not end."""
         with contextlib.suppress(OSError):
             if self._server.stdin is not None:
                 self._server.stdin.close()

@@ -103,7 +103,7 @@ def set_parameter(session: Session, program: LawProgram, name: str, value: float
     CommandRefused
         The board has no such law.
     """
-    names = [one for one, _ in program.parameters]
+    names = [parameter_name for parameter_name, _ in program.parameters]
     if name not in names:
         known = ", ".join(names) or "none"
         raise BadLaw(f"control law {program.name} has no parameter {name}", f"choose from: {known}")

@@ -105,7 +105,7 @@ class OpenLoopCommands(TelemetryView):
         """
         if isinstance(kind, str):
             if kind.upper() not in Excitation.__members__:
-                names = ", ".join(one.name.lower() for one in Excitation if one)
+                names = ", ".join(member.name.lower() for member in Excitation if member)
                 raise ParameterError(f"unknown excitation {kind}", f"choose from {names}")
             kind = Excitation[kind.upper()]
         message = ExciteMessage(0, int(kind), front_V, back_V, start_Hz, stop_Hz, duration_s, seed)

@@ -129,6 +129,7 @@ def parameter_set(content: Mapping[str, object], file: Path) -> ParameterSet:
 
 
 def _values(content: Mapping[str, object], file: Path) -> dict[str, float]:
+    """Return the numbers of a parameter file by name."""
     table = content.get(TABLE)
     if not isinstance(table, dict) or not table:
         raise ParameterError(f"{file} has no table [{TABLE}]", _REMEDY)

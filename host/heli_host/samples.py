@@ -69,7 +69,7 @@ class Samples(AngleViews, ChannelArrays):
 
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """Return every channel by name, time first."""
-        return {"t_s": self.t_s} | {one.name: getattr(self, one.name) for one in fields(self)}
+        return {"t_s": self.t_s} | {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __repr__(self) -> str:
         if not len(self):
@@ -154,7 +154,7 @@ class SampleRing:
         """Return at most `count` newest samples, oldest first; None for all that are kept."""
         with self._lock:
             capacity = len(self._tick)
-            kept = min(self._written, capacity)
-            count = kept if count is None else min(max(count, 0), kept)
+            available = min(self._written, capacity)
+            count = available if count is None else min(max(count, 0), available)
             index = (self._written - count + np.arange(count)) % capacity
             return Ticks(self._tick[index], self._raw[index])

@@ -221,6 +221,7 @@ class TelemetryView:
         found: list[Sample] = []
 
         def looked_at() -> bool:
+            """Whether the newest sample fulfils the condition, or the time has passed."""
             if self.session.latest is None:
                 return False
             sample = self.latest

@@ -180,6 +180,7 @@ class TwinWatch:
             self._thread = None
 
     def _take_ticks(self, ticks: Ticks) -> None:
+        """Pass ticks to the twin, in its thread if it has one; it skips some if it falls behind."""
         tick = self._session.ticks_counted_on(ticks)
         if self._thread is None:
             self._feed(tick, ticks.raw)
@@ -202,6 +203,7 @@ class TwinWatch:
             self._fed_ticks += len(part[0])
 
     def _feed(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> None:
+        """Update the twin, and pass its news on; its first alarm may end the flight."""
         if self.trouble:
             return
         try:

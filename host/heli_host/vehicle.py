@@ -307,6 +307,7 @@ class Vehicle(OpenLoopCommands):
             self._abort_on_fault(sample)
 
     def _target_here(self) -> SetpointMessage:
+        """Return a setpoint at the present angles, within the limits, with level pitch."""
         sample, limits = self.latest, self.setpoint_limits_deg()
 
         def within(axis: str, angle_deg: float) -> float:

@@ -13,23 +13,23 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Found:
-    """Results that follow from the parameters of a rig together.
+class RigFindings:
+    """Results that follow from all parameters of a rig together.
 
     Parameters
     ----------
-    words : tuple of str
+    phrases : tuple of str
         Inertias, voltages at hover, and parameters that no rig on a table has; one phrase each.
     can_fly : bool
         Whether the rig's supply is sufficient for a hover.
     """
 
-    words: tuple[str, ...]
+    phrases: tuple[str, ...]
     can_fly: bool
 
 
-def found_of(rig: Rig) -> Found:
-    """Return the results that the parameters of a `rig` give together."""
+def rig_findings(rig: Rig) -> RigFindings:
+    """Derive inertias, hover voltage and implausible parameters of a `rig`."""
     from heli_sim.errors import PlantError
     from heli_sim.model import MultibodyModel
     from heli_sim.model.linear import trim
@@ -39,20 +39,20 @@ def found_of(rig: Rig) -> Found:
     can_fly = True
     values = {name: number.value for name, number in rig.items()}
     inertias = inertias_kg_m2(values)
-    found = [
+    phrases = [
         f"{len(rig)} numbers",
         ", ".join(f"{name} {value:.4g}" for name, value in inertias.items()) + " kg m2",
     ]
     try:
         front_V, back_V = trim(MultibodyModel(), rig).volts_V
-        found.append(f"hovers at {front_V:.2f} and {back_V:.2f} V")
+        phrases.append(f"hovers at {front_V:.2f} and {back_V:.2f} V")
         if max(front_V, back_V) > rig["supply"].value:
-            found.append(f"more than its supply of {rig['supply'].value:g} V: it cannot fly")
+            phrases.append(f"more than its supply of {rig['supply'].value:g} V: it cannot fly")
             can_fly = False
     except PlantError as error:
-        found.append(f"does not hover: {error}")
+        phrases.append(f"does not hover: {error}")
         can_fly = False
-    return Found((*found, *beyond_a_table(values)), can_fly)
+    return RigFindings((*phrases, *beyond_a_table(values)), can_fly)
 
 
 def half_width(number: Number) -> str:

@@ -141,8 +141,9 @@ def end_of_step(
     speeds = ca.if_else(angles <= low, ca.fmax(speeds, 0.0), speeds)
     speeds = ca.if_else(angles >= high, ca.fmin(speeds, 0.0), speeds)
     on_table = angles[0] <= low[0]
-    kept = ca.if_else(on_table, ca.exp(-STEP_s * limits[4]), 1.0)
-    speeds = ca.vertcat(speeds[0], kept * speeds[1], kept * speeds[2]) * (1 - locked)
+    # By table_damping [1/s], pitch and travel rates die out while the arm rests on the table.
+    speed_factor = ca.if_else(on_table, ca.exp(-STEP_s * limits[4]), 1.0)
+    speeds = ca.vertcat(speeds[0], speed_factor * speeds[1], speed_factor * speeds[2]) * (1 - locked)
     after = ca.vertcat(ca.fmin(ca.fmax(angles, low), high), speeds, after[6:])
 
     normal, chance = _drawn(chance, model.noise_inputs)

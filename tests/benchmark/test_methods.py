@@ -227,3 +227,20 @@ def test_our_answer_gives_the_sizes_of_both_parts_of_a_lag_with_delay(
     answer = ours.diagnose(BenchmarkCase("case", RIG, (fit,), (held_out,), causes))
     parameters = check_answer(answer, causes, "ours").parameters
     assert (parameters["rotor_lag_s"].value, parameters["input_delay_s"].value) == (0.05, 0.01)
+
+
+@pytest.mark.diagnosis
+@pytest.mark.parametrize(("confidence", "of_other"), [(0.7, 0.3), (0.4, 0.4)])
+def test_an_alternative_is_never_more_probable_in_our_answer_than_the_cause(
+    monkeypatch: pytest.MonkeyPatch, confidence: float, of_other: float
+) -> None:
+    diagnosis, (fit, held_out) = diagnosed("rotor_lag=0.06"), flights("rotor_lag=0.06")
+    result = to_json(diagnosis)
+    (lag,) = result["causes"]
+    lag = {**lag, "confidence": confidence, "ambiguous_with": ["input_delay"]}
+    monkeypatch.setattr(ours, "lab_diagnose", lambda *args, **kwargs: diagnosis)
+    monkeypatch.setattr(ours, "to_json", lambda _: {**result, "causes": [lag]})
+    causes = Causes({**RATES, "input_delay": 0.1}, CAUSES.parameters)
+    probabilities = ours.diagnose(BenchmarkCase("case", RIG, (fit,), (held_out,), causes))["probabilities"]
+    assert probabilities["rotor_lag"] == pytest.approx(confidence)
+    assert probabilities["input_delay"] == pytest.approx(of_other)

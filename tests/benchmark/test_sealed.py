@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from heli_benchmark.cases.published import published_cases
 from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.splits import Seal, make, make_split, read_seal
 from heli_benchmark.task import read_split, write_answer
@@ -132,9 +133,19 @@ def test_an_open_split_grows_and_a_sealed_one_does_not(sealed: tuple[Path, Path]
         make_split(sealed[0], "sealed", Seal(SECRET), 3, truth_folder=sealed[1])
 
 
-def test_another_secret_draws_other_cases() -> None:
-    assert Seal(SECRET).seed != Seal(SECRET[::-1]).seed
-    assert Seal(SECRET).salt("case-001") != Seal(SECRET).salt("case-002")
+@pytest.mark.parametrize("place", range(len(SECRET)))
+def test_each_digit_of_the_secret_changes_the_cases_and_their_salts(place: int) -> None:
+    digit = "0" if SECRET[place] == "f" else "f"
+    other = Seal(SECRET[:place] + digit + SECRET[place + 1 :])
+    drawn, drawn_by_other = (
+        [case.seed for case in published_cases(seal.seed, 4)] for seal in (Seal(SECRET), other)
+    )
+    assert not set(drawn) & set(drawn_by_other)
+    assert Seal(SECRET).salt("case-001") != other.salt("case-001")
+
+
+def test_each_case_has_a_salt_of_its_own() -> None:
+    assert len({Seal(SECRET).salt(f"case-{number:03d}") for number in range(1, 100)}) == 99
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def test_a_fit_predicts_what_it_predicted() -> None:
     record = prepare(thinned(flights("rotor_lag=0.08")[0], 4), rig, "a", stop_s=16.0)
     fit = solve(
         Problem(MultibodyModel(), rig, [record], free=["thrust_gain"], threads=1),
-        budget=Budget(evaluations=4),
+        budget=Budget(max_evaluations=4),
         scatter=False,
     )
     other = copied(fit)

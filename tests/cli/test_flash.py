@@ -23,7 +23,7 @@ from heli_host.flash.image import FLASH_START, RAM_START, VECTORS, read_image
 from heli_host.flash.touch import ERASE_S, ERASING_BAUD, erase_chip, restart_chip
 from heli_host.parameter_file import read_parameter_set
 from heli_sim.sil.process import SilProcess
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from serial.tools import list_ports
 
@@ -378,6 +378,10 @@ def test_a_file_that_is_no_firmware_of_ours_erases_nothing(
 
 @pytest.mark.medium
 @given(st.binary(max_size=2048))
+@example(bytes(4 * VECTORS - 1))
+@example(struct.pack("<I", RAM_START + 1024))
+@example(struct.pack("<II", RAM_START + 1024, FLASH_START + 1))
+@example(struct.pack("<II", RAM_START + 1024, FLASH_START + 1) + bytes(4 * (VECTORS - 2) - 1))
 def test_no_bytes_crash_the_check_of_an_image(
     tmp_path_factory: pytest.TempPathFactory, content: bytes
 ) -> None:

@@ -164,7 +164,7 @@ def test_a_full_disk_lands_and_keeps_what_was_logged(terminal: Terminal, tmp_pat
     assert refused.returncode == 5 and "raise the limit (ulimit -f)" in refused.stderr
     assert not (tmp_path / "f.mcap").exists()
     # Quotas and file systems have limits that no program knows beforehand.
-    unknown = "import heli_host.log.disk as disk; disk.most_file_bytes = lambda: None; "
+    unknown = "import heli_host.log.disk as disk; disk.max_file_bytes = lambda: None; "
     done = fly([python, option, unknown + main, *words])
     assert done.returncode == 4, done.stderr
     assert done.stderr.startswith("error: ")

@@ -201,7 +201,7 @@ def test_a_page_says_why_no_region_fails_although_something_is_missing() -> None
     diagnosis = replace(diagnosis)
     diagnosis.__dict__["failing"] = replace(diagnosis.failing, after=quiet)
     section = regions_section(diagnosis, lambda *_: None)
-    assert "although something is missing there" in section["note"]
+    assert "although the model lacks a torque" in section["note"]
 
 
 def test_models_that_are_the_same_are_drawn_once() -> None:

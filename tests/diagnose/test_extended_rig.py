@@ -75,7 +75,7 @@ def test_extended_rig_of_several_flights_has_the_means_of_their_zeros_and_torque
         cost=0.0,
         at_bound=(),
         evaluations=0,
-        seconds=0.0,
+        elapsed_s=0.0,
         converged=True,
     )
     numbers = extended_rig("extended", fit, {}, {}, None).numbers

@@ -144,3 +144,17 @@ def test_a_play_of_three_degrees_does_not_pass_for_disturbances() -> None:
     assert abs(estimate.theta[place] - size_rad) < 3.0 * std_rad
     # It is 0.004 N m in the flight. With exact measurements within the play the estimate is 0.069 N m.
     assert estimate.disturbances.fast_std[0] < 2.0 * GUST_Nm["elevation"]
+
+
+def test_a_zero_error_of_an_encoder_is_not_paid_for_at_the_start_of_a_flight() -> None:
+    # The reference trajectory has the angles that the encoder shows, 5.7 degrees off.
+    comparison = ModelComparison(MultibodyModel(), RIG, [flown_with("zero_offset.pitch=0.1")], [])
+    baseline = comparison.refit([])
+    zero, torque = (
+        comparison.refit([typical_candidate(KINDS[id_])], None, baseline)
+        for id_ in ("zero_offset.pitch", "rotor_reaction_torque")
+    )
+    name = "zero_offset_pitch_rad"
+    assert abs(zero.values[name] - 0.1) < 3.0 * zero.std[name]
+    # A reaction torque of both rotors is almost equivalent, and has one parameter more.
+    assert zero.log_likelihood > torque.log_likelihood - 1.0

@@ -183,6 +183,30 @@ def test_one_crossing_of_a_play_is_one_measurement_of_the_encoders_error() -> No
     assert np.allclose(first - second, 0.5 * measurements, rtol=5e-3)
 
 
+def test_the_measurements_of_a_rest_are_one_measurement_of_the_encoders_error() -> None:
+    reference, functions, parameter_vector = parts()
+    rest = slice(reference.windows[0].start + 200, reference.windows[0].start + 300)
+    at_rest, pause_s = reference.at_rest.copy(), reference.pause_s.copy()
+    at_rest[rest, 2], pause_s[rest, 2] = True, 100 * reference.step_s
+    linear = LinearisedFlight(
+        replace(reference, at_rest=at_rest, pause_s=pause_s),
+        functions,
+        parameter_vector.parameters(parameter_vector.start, 0),
+    )
+    filtered = InnovationsModel([linear], parameter_vector.columns, len(parameter_vector.names))
+    silent = [
+        (np.zeros_like(blocks.drive[:, :, :1]), np.zeros_like(blocks.measured[:, :, :1]))
+        for blocks in linear.blocks
+    ]
+    large = [replace(DISTURBANCE_START, quantisation=np.full(3, size)) for size in (1e9, np.e * 1e9)]
+    first, second = filtered.log_likelihoods(large, [silent])
+    block_count = sum(len(blocks.rows) for blocks in linear.blocks)
+    rest_blocks = 100 // linear.block
+    measurements = np.array([block_count, block_count, block_count - rest_blocks + 1.0])
+    assert rest_blocks > 20
+    assert np.allclose(first - second, 0.5 * measurements, rtol=5e-3)
+
+
 def test_an_axis_that_friction_holds_needs_no_torque_and_the_others_theirs() -> None:
     linear = changed("", "thrust_gain", 0.0)
     wanted = np.random.default_rng(3).normal(size=(linear.rows, 3))

@@ -161,7 +161,7 @@ TRAPS = (
         "startup.cpp",
         "CCR_STKALIGN | ",
         "",
-        records.test_divisions_by_zero_and_unaligned_words_are_traps_and_stacks_aligned,
+        records.test_zero_division_and_unaligned_access_trap_and_stacks_are_aligned,
     ),
     recording("kFramePc = 6", "kFramePc = 5"),
     recording("kFrameLr = 5", "kFrameLr = 4"),

@@ -158,6 +158,6 @@ def test_a_register_without_a_record_reports_nothing(board: Board) -> None:
     assert hang(board) is Fault.WATCHDOG
 
 
-def test_divisions_by_zero_and_unaligned_words_are_traps_and_stacks_aligned(board: Board) -> None:
+def test_zero_division_and_unaligned_access_trap_and_stacks_are_aligned(board: Board) -> None:
     board.advance(20)
     assert board.register(SCB_CCR) == 1 << 9 | 1 << 4 | 1 << 3

@@ -73,20 +73,22 @@ class Struck:
         world.advance = self.advance  # type: ignore[method-assign]
         world.to_host.pass_through = self._listen  # type: ignore[method-assign]
 
-    def advance(self, ticks: int, rx: bytes = b"", *, until_output: bool = False, least: int = 1) -> bytes:
+    def advance(
+        self, ticks: int, rx: bytes = b"", *, until_output: bool = False, min_ticks: int = 1
+    ) -> bytes:
         """Stand in for the world's own."""
         received = b""
-        while ticks > 0 and not (until_output and received and least <= 0):
+        while ticks > 0 and not (until_output and received and min_ticks <= 0):
             begin_tick = self.world.tick
-            stretch = min(ticks, max(1, least)) if until_output and received else ticks
+            stretch = min(ticks, max(1, min_ticks)) if until_output and received else ticks
             if begin_tick < self._at_tick:
                 stretch = min(stretch, self._at_tick - begin_tick)
-                received += self._advance(stretch, rx, until_output=until_output, least=least)
+                received += self._advance(stretch, rx, until_output=until_output, min_ticks=min_ticks)
             else:
                 received += self._one_ms(rx)
             rx = b""
             ticks -= self.world.tick - begin_tick
-            least -= self.world.tick - begin_tick
+            min_ticks -= self.world.tick - begin_tick
         return received
 
     def alone(self, milliseconds: int) -> None:

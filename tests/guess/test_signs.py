@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from heli_host.flight import Flight
-from heli_lab.guess.signs import wrong_signs
+from heli_lab.guess.elevation_zero import RestElevation
+from heli_lab.guess.regression.reference import Reference
+from heli_lab.guess.signs import _zeroed_at_rest, wrong_signs
 
 from tests.guess.flights import EFFECTS, measured, measured_flight, simulated
 from tests.running.long import samples
@@ -61,3 +63,18 @@ def test_measured_flights_are_sound_and_their_wrong_copies_are_not() -> None:
         assert item.inverted_axes == ("travel",), path.name
         at_rest = replace(flight, elevation_rad=flight.elevation_rad - math.radians(-30.0))
         assert any("zeroed there" in item.description for item in wrong_signs(at_rest, rig)), path.name
+
+
+@pytest.mark.parametrize(
+    ("table_deg", "is_reported"), [(-25.0, True), (-11.0, True), (-9.0, False), (9.0, False)]
+)
+def test_a_rest_at_0_is_no_wrong_zero_on_a_rig_that_rests_near_level(
+    table_deg: float, is_reported: bool
+) -> None:
+    # Its tolerance of 1 deg and the 4 deg of the check reach 5 deg to both sides.
+    reference = Reference({}, {}, 6.0, table_deg, 1.0, {}, 12.0)
+    rest = RestElevation(deg=0.5, median_deg=20.0, begins_lowest=True)
+    assert (_zeroed_at_rest(rest, reference) is not None) == is_reported
+    assert _zeroed_at_rest(replace(rest, begins_lowest=False), reference) is None
+    assert _zeroed_at_rest(replace(rest, deg=None), reference) is None
+    assert _zeroed_at_rest(replace(rest, deg=-5.5), reference) is None

@@ -166,7 +166,7 @@ def test_a_disturbed_window_does_not_decide() -> None:
 
 
 def test_a_budget_that_runs_out_is_reported() -> None:
-    fit = solve(Problem(MultibodyModel(), known(), [changed_flight(3)]), budget=Budget(evaluations=2))
+    fit = solve(Problem(MultibodyModel(), known(), [changed_flight(3)]), budget=Budget(max_evaluations=2))
     assert not fit.converged
     assert check(fit).normalised > 1.0
 

@@ -86,6 +86,34 @@ def test_compiled_and_interpreted_loops_agree(name: str, substeps: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["multibody", "late"])
+def test_a_window_alone_and_among_others_has_the_same_bits(name: str) -> None:
+    equations, free = model(name)
+    runner = kernel(equations, free)
+    random = np.random.default_rng(6)
+    steps = np.array([9, 5, 12, 1, 7, 30], np.int64)
+    rows = int(steps.sum())
+    volts_V = 1.75 + 0.2 * random.standard_normal((rows, 2))
+    slope_V = 0.05 * random.standard_normal((rows, 2))
+    start_s, values = np.arange(6.0), equations.parameter_values(RIG)
+    states = 0.1 * random.standard_normal((6, len(equations.states)))
+    measured_rad = random.normal(0.0, 0.1, (rows, 3))
+
+    def results(windows: slice, of_rows: slice) -> list[Floats]:
+        drive = Inputs(steps[windows], start_s[windows], 0.01, volts_V[of_rows], slope_V[of_rows])
+        given = drive, states[windows], values
+        products = runner.products(*given, measured_rad[of_rows], SIGMA_RAD)
+        return [*runner.predict(*given), *runner.jacobian(*given), *products]
+
+    together = results(slice(6), slice(rows))
+    for window, first in enumerate(np.cumsum(steps) - steps):
+        own = slice(window, window + 1), slice(int(first), int(first + steps[window]))
+        alone = results(*own)
+        by_row = (True, False, True, True, True, False)
+        for one, all_, is_by_row in zip(alone, together, by_row, strict=True):
+            np.testing.assert_array_equal(one, all_[own[is_by_row]])
+
+
+@pytest.mark.parametrize("name", ["multibody", "late"])
 def test_derivatives_are_those_of_the_free_run(name: str) -> None:
     equations, free = model(name)
     runner, drive = kernel(equations, free), inputs(2, ())

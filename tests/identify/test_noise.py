@@ -62,7 +62,7 @@ def test_noise_is_no_flight(kind: str, rig: str) -> None:
     for seed in (101, 102):
         made = noise(kind, seed, in_counts=seed == 102)
         with pytest.raises(NotExcited, match="the voltages do not explain the motion"):
-            identify(MultibodyModel(), load_rig(rig), [made], seconds=20.0)
+            identify(MultibodyModel(), load_rig(rig), [made], max_fit_s=20.0)
 
 
 @pytest.mark.medium

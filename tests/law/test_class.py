@@ -18,9 +18,10 @@ import pytest
 from heli_host.cli import run
 from heli_host.errors import HeliError
 from heli_lab.classroom.grade import FlightScore
-from heli_lab.classroom.mark import WEIGHTS, mark_of, points_of
+from heli_lab.classroom.mark import WEIGHTS, Mark, mark_of, points_of
 from heli_lab.classroom.submission import MARKED, new_rig_log, read_submission, returned_files
 from heli_lab.law.limits import FileLimits
+from heli_lab.verbs.class_ import _write_marks
 
 from tests.law.class_of_thirty import HOSTILE, digest, make_class, mark_class, problems
 
@@ -154,8 +155,16 @@ def test_a_mark_is_the_mean_of_the_flights_and_names_each_reason() -> None:
     assert (mark.points, mark.reason) == (5.0, "voltage_jump")
 
 
-def test_no_cell_of_the_marks_is_a_formula(tmp_path: Path, in_process: Any) -> None:
+def test_a_folder_named_like_a_formula_is_quoted_in_the_marks(tmp_path: Path, in_process: Any) -> None:
     (tmp_path / "class" / "=1+1").mkdir(parents=True)
     code, text = in_process(["class", str(tmp_path / "class"), "--duration", "5"])
     assert code == 0, text
     assert (tmp_path / "class" / "marks.csv").read_text().splitlines()[1].startswith("'=1+1,0.0,")
+
+
+@pytest.mark.parametrize("sign", ["=", "+", "-", "@"])
+def test_no_text_of_the_marks_is_a_formula(sign: str, tmp_path: Path) -> None:
+    formula = f"{sign}cmd|' /C calc'!A0"
+    _write_marks([Mark(formula, reason=formula, rig=formula)], tmp_path / "marks.csv")
+    [row] = csv.DictReader((tmp_path / "marks.csv").read_text().splitlines())
+    assert [row[name] for name in ("submission", "reason", "rig")] == 3 * [f"'{formula}"]

@@ -109,6 +109,12 @@ def test_a_payload_longer_than_the_board_takes_is_refused_before_it_is_sent() ->
         encode_frame(133, 0, bytes(MAX_TELEMETRY_PAYLOAD + 1))
 
 
+@pytest.mark.parametrize(("message_id", "size"), [(1, MAX_COMMAND_PAYLOAD), (133, MAX_TELEMETRY_PAYLOAD)])
+def test_the_longest_payload_passes(message_id: int, size: int) -> None:
+    payload = bytes(k % 251 for k in range(size))
+    assert [frame.payload for frame in FrameParser().feed(encode_frame(message_id, 0, payload))] == [payload]
+
+
 @pytest.mark.medium
 @pytest.mark.parametrize("damage", ["flip", "drop", "double"])
 def test_no_damaged_frame_passes_and_every_loss_is_counted(damage: str) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from heli_host.declaration import Channel, Event, EventMessage, Fault, State, Trigger
 from heli_host.link.events import LinkEvent, event_text
-from heli_host.link.missed_events import MissedEvents
+from heli_host.link.missed_events import MissedEvents, insert_missed
 from heli_host.link.session import Session
 from heli_host.link.telemetry import CHANNEL_COUNT, Ticks
 
@@ -51,6 +51,26 @@ def test_a_change_with_a_lost_event_is_reported_with_trigger_and_tick() -> None:
         event(104, State.LANDING, Trigger.STALE_LAND),
     ]
     assert missed.take_ticks(ticks(105, LANDING, LANDING)) == []
+
+
+def link_event(tick: int, message: EventMessage | None) -> LinkEvent:
+    return LinkEvent(tick, 0, "any", "", message)
+
+
+@pytest.mark.parametrize("base", [1000, 2**32 - 150], ids=["usual", "counter overflows"])
+def test_a_reconstructed_event_stands_after_earlier_and_before_later_ones(base: int) -> None:
+    earlier, lost, later = ((base + ticks) % 2**32 for ticks in (0, 100, 200))
+    events = [
+        link_event(earlier, event(earlier, *FLYING)),
+        # An event of the link has no tick of its own.
+        link_event(later, None),
+        link_event(later, event(later, *LANDING)),
+    ]
+    insert_missed(event(lost, *HOLDING), 5, events)
+    assert [entry.tick for entry in events] == [earlier, later, lost, later]
+    assert events[2].message == event(lost, *HOLDING) and events[2].wall_ns == 5
+    insert_missed(event((later + 1) % 2**32, *LANDED), 5, events)
+    assert events[-1].message == event((later + 1) % 2**32, *LANDED)
 
 
 def test_a_change_that_an_event_reported_is_not_reported_again() -> None:

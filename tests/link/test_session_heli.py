@@ -9,6 +9,7 @@ import heli_host
 import numpy as np
 import pytest
 from heli_host.declaration import (
+    AXES,
     PARAMS,
     Channel,
     Excitation,
@@ -56,13 +57,18 @@ def test_samples_are_the_raw_channels_in_units() -> None:
     assert (np.diff(samples.tick) == 1).all()
     np.testing.assert_allclose(samples.t_s, samples.tick * 1e-3)
     raw = np.array([truth(int(tick)) for tick in samples.tick])
-    np.testing.assert_allclose(samples.elevation_rad, raw[:, Channel.ELEVATION_COUNT] * RAD_PER_COUNT)
-    np.testing.assert_allclose(samples.travel_rad, raw[:, Channel.TRAVEL_COUNT] * RAD_PER_COUNT)
-    np.testing.assert_allclose(samples.pitch_setpoint_rad, raw[:, Channel.PITCH_SETPOINT] * 1e-5)
+    for axis in AXES:
+        counts = raw[:, Channel[f"{axis}_count".upper()]]
+        np.testing.assert_allclose(getattr(samples, f"{axis}_rad"), counts * RAD_PER_COUNT)
+        setpoints_raw = raw[:, Channel[f"{axis}_setpoint".upper()]]
+        np.testing.assert_allclose(getattr(samples, f"{axis}_setpoint_rad"), setpoints_raw * 1e-5)
+    np.testing.assert_allclose(samples.front_V, raw[:, Channel.FRONT] * 1e-3)
     np.testing.assert_allclose(samples.back_V, raw[:, Channel.BACK] * 1e-3)
     latest = heli.latest
     assert latest.tick == samples.tick[-1]
-    assert latest.elevation_deg == pytest.approx(math.degrees(samples.elevation_rad[-1]))
+    for axis in AXES:
+        angle_rad = getattr(samples, f"{axis}_rad")[-1]
+        assert getattr(latest, f"{axis}_deg") == pytest.approx(math.degrees(angle_rad))
     assert latest.state is State.IDLE
 
 

@@ -285,7 +285,7 @@ def test_a_reason_without_room_is_left_out_whole(tmp_path: Path, monkeypatch: py
 def test_a_limit_of_size_ends_a_flight_while_its_landing_fits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(disk, "most_file_bytes", lambda: disk.RESERVED_BYTES + 100_000)
+    monkeypatch.setattr(disk, "max_file_bytes", lambda: disk.RESERVED_BYTES + 100_000)
     writer = open_log(tmp_path / "a.mcap", background=False)
     tick, raw = make_samples(6000)
     write_all(writer, tick[:1000], raw[:1000])
@@ -299,7 +299,7 @@ def test_a_limit_of_size_ends_a_flight_while_its_landing_fits(
 def test_a_flight_beyond_the_limit_of_size_does_not_begin(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(disk, "most_file_bytes", lambda: 20_000_000)
+    monkeypatch.setattr(disk, "max_file_bytes", lambda: 20_000_000)
     check_free_space(tmp_path / "a.mcap", 60.0)
     with pytest.raises(LogWriteError, match=r"allows files of 20\.0 MB, .* can need 79\.2 MB; .*ulimit -f"):
         check_free_space(tmp_path / "a.mcap", 600.0)

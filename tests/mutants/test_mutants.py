@@ -145,7 +145,7 @@ def test_alone(): pass
 """
 
 
-def test_each_test_may_have_to_pay_for_what_it_shares(tmp_path: Path) -> None:
+def test_the_cost_of_a_fixture_counts_for_each_test_that_uses_it(tmp_path: Path) -> None:
     """A limit of CPU time that does not include a fixture would kill every mutant that meets it."""
     file = tmp_path / "test_shared.py"
     file.write_text(SHARED, encoding="utf-8")

@@ -46,7 +46,7 @@ def test_what_is_played_is_what_the_log_holds(log: Log) -> None:
     position, tick, raw = 0, [], []
     while replay.status()["playing"]:
         played(replay, 333)
-        cut = replay.buffer.cut(position, 10_000)
+        cut = replay.buffer.rows_since(position, 10_000)
         position = cut.end
         tick.append(cut.tick)
         raw.append(cut.raw)
@@ -58,11 +58,11 @@ def test_it_goes_on_from_where_it_was_put_and_shows_what_was_before(log: Log) ->
     replay = Replay(log, {})
     played(replay, 10)
     replay.actions["seek"].run({"t_s": float(log.ticks["t_s"][4000])})
-    cut = replay.buffer.cut(10, 10_000)
+    cut = replay.buffer.rows_since(10, 10_000)
     assert cut.reset
     np.testing.assert_array_equal(cut.raw, log.raw[:4000])
     played(replay, 100)
-    np.testing.assert_array_equal(replay.buffer.cut(cut.end, 10_000).raw, log.raw[4000:4100])
+    np.testing.assert_array_equal(replay.buffer.rows_since(cut.end, 10_000).raw, log.raw[4000:4100])
 
 
 def test_it_ends_at_the_end_and_begins_again_when_it_is_played(log: Log) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from heli_host.errors import LinkError
 from heli_host.link.telemetry import CHANNEL_COUNT
-from heli_host.page.telemetry_buffer import Cut, TelemetryBuffer
+from heli_host.page.telemetry_buffer import BufferRows, TelemetryBuffer
 from heli_host.page.wire import RESET, THINNED, pack, unpack
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,7 +18,7 @@ def rows(first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     return tick, raw
 
 
-def check_rows(cut: Cut) -> None:
+def check_rows(cut: BufferRows) -> None:
     np.testing.assert_array_equal(
         cut.raw, (cut.tick[:, None] * (1 + np.arange(CHANNEL_COUNT))).astype(np.int32)
     )
@@ -31,13 +31,13 @@ def test_a_reader_that_keeps_up_gets_each_row_once(counts: list[int], reads: lis
         buffer.append(*rows(written, count))
         written += count
         if read:
-            cut = buffer.cut(position, 1000)
+            cut = buffer.rows_since(position, 1000)
             position = cut.end
             got += cut.tick.tolist()
             assert not cut.reset
             assert not cut.thinned
             check_rows(cut)
-    got += buffer.cut(position, 1000).tick.tolist()
+    got += buffer.rows_since(position, 1000).tick.tolist()
     assert got == list(range(written))
 
 
@@ -46,7 +46,7 @@ def test_a_reader_that_fell_behind_gets_some_rows_and_the_newest(written: int, m
     buffer = TelemetryBuffer(100)
     for first in range(0, written, 7):
         buffer.append(*rows(first, min(7, written - first)))
-    cut = buffer.cut(0, most)
+    cut = buffer.rows_since(0, most)
     assert 0 < len(cut.tick) <= most
     assert cut.tick[-1] == written - 1
     assert cut.reset == (written > 100)
@@ -59,7 +59,7 @@ def test_a_reader_that_fell_behind_gets_some_rows_and_the_newest(written: int, m
 def test_more_than_fits_keeps_the_newest() -> None:
     buffer = TelemetryBuffer(10)
     buffer.append(*rows(0, 25))
-    cut = buffer.cut(0, 100)
+    cut = buffer.rows_since(0, 100)
     assert cut.tick.tolist() == list(range(15, 25))
     assert buffer.end == 25
     check_rows(cut)
@@ -70,7 +70,7 @@ def test_cleared_rows_are_not_read_and_the_reader_is_informed() -> None:
     buffer.append(*rows(0, 20))
     buffer.clear()
     buffer.append(*rows(5, 3))
-    cut = buffer.cut(10, 100)
+    cut = buffer.rows_since(10, 100)
     assert cut.tick.tolist() == [5, 6, 7]
     assert cut.reset
 
@@ -79,7 +79,7 @@ def test_cleared_rows_are_not_read_and_the_reader_is_informed() -> None:
 def test_a_frame_holds_what_was_packed(first: int, count: int, reset: bool, thinned: bool) -> None:
     tick = np.arange(first, first + count, dtype=np.int64)
     raw = np.random.default_rng(1).integers(-(2**31), 2**31, (count, CHANNEL_COUNT)).astype(np.int32)
-    got = unpack(pack(Cut(tick, raw, count, reset, thinned), 7, (4, 12)))
+    got = unpack(pack(BufferRows(tick, raw, count, reset, thinned), 7, (4, 12)))
     assert got.tick.tolist() == tick.tolist()
     np.testing.assert_array_equal(got.raw, raw)
     assert (got.number, got.state, got.fault) == (7, 4, 12)
@@ -92,4 +92,4 @@ def test_a_frame_holds_what_was_packed(first: int, count: int, reset: bool, thin
 def test_bytes_that_are_no_frame_are_recognised(damage: object) -> None:
     assert callable(damage)
     with pytest.raises(LinkError):
-        unpack(damage(pack(Cut(*rows(3, 4), 4, False, False), 1, (4, 12))))
+        unpack(damage(pack(BufferRows(*rows(3, 4), 4, False, False), 1, (4, 12))))

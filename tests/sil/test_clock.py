@@ -10,7 +10,7 @@ def run(clock: Clock, until_s: float, tick: int = 0, start_s: float = 0.0, late_
     """Ask as a server does, waking up late each time; the tick reached."""
     now_s = start_s
     while now_s < until_s:
-        ticks = clock.due(now_s, tick)
+        ticks = clock.ticks_due(now_s, tick)
         tick += ticks
         if ticks == 0:
             now_s += max(clock.wait_s(now_s, tick), 1e-9) + late_s
@@ -29,9 +29,9 @@ def test_a_timed_clock_does_not_drift_however_late_it_wakes(speed: float, late_s
 
 def test_real_time_wakes_up_every_4_ms() -> None:
     clock = TimedClock(1.0)
-    assert clock.due(10.0, 0) == 0
+    assert clock.ticks_due(10.0, 0) == 0
     assert clock.wait_s(10.0, 0) == pytest.approx(0.004)
-    assert clock.due(10.0041, 0) == 4
+    assert clock.ticks_due(10.0041, 0) == 4
     assert clock.wait_s(10.0041, 4) == pytest.approx(0.0039)
 
 
@@ -49,14 +49,20 @@ def test_a_short_hold_up_is_caught_up_and_a_long_one_is_given_up() -> None:
 def test_lockstep_runs_40_ms_ahead_of_the_host_and_no_further() -> None:
     clock = LockstepClock()
     tick = 0
-    while ticks := clock.due(5.0, tick):
+    while ticks := clock.ticks_due(5.0, tick):
         tick += ticks
     assert tick == 40
-    assert clock.due(5.0, tick) == 0
+    assert clock.ticks_due(5.0, tick) == 0
     clock.heard(5.0, tick)
-    while ticks := clock.due(5.0, tick):
+    while ticks := clock.ticks_due(5.0, tick):
         tick += ticks
     assert tick == 80
+
+
+def test_lockstep_simulates_at_most_20_ms_in_one_slice() -> None:
+    clock = LockstepClock()
+    assert [clock.ticks_due(5.0, tick) for tick in (0, 20, 37)] == [20, 20, 0]
+    assert clock.ticks_due(7.0, 20) == 20
 
 
 def test_lockstep_never_runs_slower_than_real_time() -> None:
@@ -67,7 +73,7 @@ def test_lockstep_never_runs_slower_than_real_time() -> None:
 def test_lockstep_waits_no_longer_than_real_time_needs() -> None:
     clock = LockstepClock()
     tick = 0
-    while ticks := clock.due(0.0, tick):
+    while ticks := clock.ticks_due(0.0, tick):
         tick += ticks
     assert clock.wait_s(0.0, tick) == pytest.approx(0.004)
 

@@ -116,7 +116,7 @@ def identified(pair: str, back: bool = False) -> TwinRig:
 
 def trained(twin: TwinRig, name: str, drawn_s: float = DRAWN_s) -> TwinRig:
     """Train a twin on a flight, as `heli-host twin --learn` does."""
-    calibration = learn(twin.model, twin.rig, [part(name)], [name], seconds=drawn_s)
+    calibration = learn(twin.model, twin.rig, [part(name)], [name], drawn_s=drawn_s)
     return replace(twin, calibration=calibration)
 
 

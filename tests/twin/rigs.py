@@ -79,7 +79,7 @@ def known(seed: int, drawn: int) -> Known:
     training_flights = flights(model, rig, 10_000 * seed, TEACHING)
     fitted, numbers = identified(calm, training_flights)
     labels = [f"teaching {i}" for i in range(TEACHING)]
-    calibration = learn(fitted, numbers, training_flights, labels, seconds=60.0 * drawn, seed=seed)
+    calibration = learn(fitted, numbers, training_flights, labels, drawn_s=60.0 * drawn, seed=seed)
     return Known(seed, rig, model, TwinRig(numbers, fitted, calibration, f"rig {seed}"))
 
 

@@ -25,17 +25,21 @@ class _Filter:
 
     left_out: int | None = None
 
-    def __init__(self) -> None:
-        self.differences_rad, self.stds_rad = np.zeros(3), np.full(3, 0.3)
+    def __init__(self, std_rad: float) -> None:
+        self.differences_rad, self.stds_rad = np.zeros(3), np.full(3, std_rad)
 
     def copy(self) -> _Filter:
-        return _Filter()
+        return _Filter(float(self.stds_rad[0]))
 
 
-def decisions(pitch_counts: list[float], settled: int = 20) -> list[str]:
-    """State after each measurement whether nothing happens, it is open, or the encoder has returned."""
+def decisions(pitch_counts: list[float], settled: int = 20, std_counts: float = 0.3) -> list[str]:
+    """State after each measurement whether nothing happens, it is open, or the encoder has returned.
+
+    Before it, `settled` measurements agreed with their predictions; `std_counts` is the standard deviation of
+    a prediction.
+    """
     watch: GlitchWatch[_Filter] = GlitchWatch(COUNT_rad)
-    kalman, ratio = _Filter(), _Filter()
+    kalman, ratio = _Filter(std_counts), _Filter(std_counts)
     result = []
     for counts in settled * [0.0] + pitch_counts:
         before = watch.copies(kalman, ratio)  # type: ignore[arg-type]
@@ -72,9 +76,18 @@ def test_a_loose_contact_is_soon_followed() -> None:
     assert jumps.count("open") <= MAX_BLOCKS + 0.04 * 300
 
 
-def test_neither_two_counts_nor_a_filter_that_settles_are_jumps() -> None:
+def test_two_counts_are_no_jump() -> None:
     assert set(decisions([2.0, 2.0, 0.0])) == {"-"}
-    assert set(decisions([6.0, 6.0, 0.0], settled=5)) == {"-"}
+
+
+def test_less_than_five_standard_deviations_are_no_jump() -> None:
+    assert set(decisions([4.9, 4.9, 0.0], std_counts=1.0)) == {"-"}
+    assert decisions([5.1, 5.1, 0.0], std_counts=1.0) == ["open", "open", "returned"]
+
+
+def test_no_jump_begins_before_the_filter_has_settled_for_half_a_second() -> None:
+    assert set(decisions([6.0, 6.0, 0.0], settled=MAX_BLOCKS - 1)) == {"-"}
+    assert decisions([6.0, 6.0, 0.0], settled=MAX_BLOCKS) == ["open", "open", "returned"]
 
 
 @cache

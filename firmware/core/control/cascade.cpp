@@ -39,6 +39,7 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
     return all_open(in, c, changed != 0U);
   }
 
+  // A loop that closes starts without the integral of the time before.
   if ((closing & axes::elevation) != 0U) {
     state_.elevation.reset();
   }
@@ -55,6 +56,8 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
   const Quantity pitch_error_rad = pitch_setpoint_rad - in.angle_rad[kPitch];
   const Quantity elevation_error_rad = in.setpoint_rad[kElevation] - in.angle_rad[kElevation];
 
+  // Elevation commands the sum of the voltages, pitch their difference; for an open axis they are
+  // those that the host commands. Each changes over gradually when its loop closes or opens.
   const Quantity open_front_V = lift_from_motor_V(in.open_front_V, c.dead_zone);
   const Quantity open_back_V = lift_from_motor_V(in.open_back_V, c.dead_zone);
   const bool elevation_closed = (in.axes & axes::elevation) != 0U;
@@ -69,6 +72,8 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
                    : open_front_V - open_back_V,
       state_.differential_V, (changed & axes::pitch) != 0U, c.bumpless_keep);
 
+  // The mixer limits both to what the motors can do. The state leaves the excitation out, so that a
+  // change-over starts from the voltages of the loops alone.
   const Quantity excitation_sum_V = in.excitation_front_V + in.excitation_back_V;
   const Quantity excitation_difference_V = in.excitation_front_V - in.excitation_back_V;
   const Quantity wanted_collective_V = collective_V + excitation_sum_V;
@@ -77,6 +82,7 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
   state_.collective_V = mixed.collective_V - excitation_sum_V;
   state_.differential_V = mixed.differential_V - excitation_difference_V;
 
+  // What the motors cannot do keeps the integrals from winding up.
   const Quantity collective_excess_V = wanted_collective_V - mixed.collective_V;
   const Quantity differential_excess_V = wanted_differential_V - mixed.differential_V;
   if (elevation_closed) {

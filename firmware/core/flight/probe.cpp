@@ -41,10 +41,13 @@ Answer Probe::update(const Asked& axis, const ProbeLimits& limits) {
 }
 
 Answer Probe::listen(const Asked& axis, const ProbeLimits& limits) {
+  // Counts long after the last probe are no consequence of it: the encoder works, so the next
+  // silence is again short.
   ++calm_updates_;
   if (axis.moved && calm_updates_ > kAftermath_updates) {
     patience_ = 0;
   }
+  // Silence only counts while pitch counts: without any motion, a working encoder is silent too.
   still_updates_ = axis.stirred ? 0U : still_updates_ + 1U;
   if (axis.moved || !axis.held) {
     silent_updates_ = 0;

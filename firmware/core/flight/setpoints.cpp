@@ -122,6 +122,8 @@ Setpoint Setpoints::of(std::size_t axis) const {
           product<24>(a.smooth_change_rad, kTickRateSquared)};
 }
 
+// Sets a target that the path reaches at `apply_tick` in a straight line; false if it lies outside
+// the limits or too far ahead. A target in the past is reached immediately.
 bool Setpoints::aim(const Quantity (&target_rad)[kAxisCount], std::uint32_t apply_tick,
                     std::uint32_t now_tick, const SetpointLimits& limits) {
   const auto ahead = static_cast<std::int32_t>(apply_tick - now_tick);
@@ -142,7 +144,10 @@ bool Setpoints::aim(const Quantity (&target_rad)[kAxisCount], std::uint32_t appl
   return true;
 }
 
+// Moves the setpoint of an axis one tick towards its path, within the limits of its rate and of its
+// acceleration (`change_max_rad`, change of the step per tick).
 void Setpoints::follow(Axis& axis, Step step_max_rad, Step change_max_rad, Quantity near_rad) {
+  // The rate of the path itself, so that the setpoint does not lag behind a moving path.
   const Step slope_rad = clamp(Place{}.towards(axis.slope), -step_max_rad, step_max_rad);
   const Step wanted_rad =
       clamp(slope_rad + approach(axis.place, axis.path, change_max_rad, near_rad), -step_max_rad,
@@ -155,6 +160,7 @@ void Setpoints::follow(Axis& axis, Step step_max_rad, Step change_max_rad, Quant
   axis.smooth_change_rad += product<44>(kSmoothing, fine_rad - axis.smooth_change_rad);
 }
 
+// Moves the path of each axis by a tick, and the setpoint along it.
 void Setpoints::advance(const SetpointLimits& limits) {
   if (ramp_ticks_ > 0U) {
     --ramp_ticks_;
@@ -168,6 +174,7 @@ void Setpoints::advance(const SetpointLimits& limits) {
       axis.slope = Place{};
     }
     if (i == kPitch) {
+      // Pitch has no limit of acceleration: its setpoint comes from the travel loop or a pilot.
       const Step max_rad = limits.step_max_rad[i];
       axis.place.add(clamp(axis.place.towards(axis.path), -max_rad, max_rad));
     } else {

@@ -180,6 +180,7 @@ TrackingLimits tracking_limits_of(const params::Params& params) {
 
 Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   const Observation& seen = tracked.seen;
+  // One axis per tick, in turn: this spreads the work; see kTrackingSlots.
   const std::size_t i = seen.tick % kTrackingSlots;
   const auto bit = static_cast<std::uint8_t>(1U << i);
   Axis& axis = axes_[i];
@@ -194,6 +195,7 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   // A tilt turns the arm only by the lift that it tilts.
   const bool lifts = !on_table && (i == kElevation || lift_V > limits.hover_V.half());
   const bool driven = (tracked.driven & bit) != 0U;
+  // What drives the axis: lift beyond hover [V], difference of the lifts [V], or pitch [rad].
   const Quantity drive = i == kElevation ? lift_V - limits.hover_V
                          : i == kPitch   ? front_V - back_V
                                          : seen.angle_rad[kPitch];

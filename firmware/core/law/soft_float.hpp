@@ -51,6 +51,8 @@ constexpr Bits rounded(Bits sign, std::int32_t exponent, std::uint32_t mantissa)
   return sign + ((below << 23U) + (mantissa >> 8U) + (behind >> 8U));
 }
 
+// `a` becomes the operand of greater size. Both mantissas get 7 bits more below them: enough to
+// round correctly, while the sum of two still fits into 32 bits.
 constexpr Bits add(Bits a, Bits b) {
   if ((a << 1U) < (b << 1U)) {
     const Bits greater = b;
@@ -63,12 +65,15 @@ constexpr Bits add(Bits a, Bits b) {
     const bool opposed = other == 0xffU && a != b;
     return is_no_number(a) || opposed ? kNoNumber : a;
   }
+  // -0 and -0 give -0; any other two zeros give 0.
   if (other == 0U) {
     return exponent == 0U ? a & b & kSign : a;
   }
   const std::uint32_t greater = mantissa_of(a) << 7U;
   std::uint32_t lesser = mantissa_of(b) << 7U;
   const std::uint32_t shift = exponent - other;
+  // Bits that are shifted out only have to say that they were there: in the last bit. Beyond 26
+  // places that is all that can reach the result.
   if (shift > 26U) {
     lesser = 1U;
   } else if (shift != 0U) {
@@ -89,6 +94,7 @@ constexpr Bits multiply(Bits a, Bits b) {
   const Bits sign = (a ^ b) & kSign;
   const std::uint32_t first = exponent_of(a);
   const std::uint32_t second = exponent_of(b);
+  // One comparison for both: exponent 0 is zero, exponent 255 is infinity or "no number".
   if (first - 1U >= 254U || second - 1U >= 254U) {
     if (first == 0xffU || second == 0xffU) {
       const bool nothing = is_no_number(a) || is_no_number(b) || first == 0U || second == 0U;
@@ -195,6 +201,7 @@ constexpr Bits maximum(Bits a, Bits b) {
   return rank(b) > rank(a) ? b : a;
 }
 
+// Exponent 127 is that of 1; from 150 = 127 + 23 on, all bits of a number are whole.
 constexpr Bits floor(Bits a) {
   const std::uint32_t exponent = exponent_of(a);
   if (exponent >= 150U) {
@@ -224,7 +231,8 @@ constexpr Bits from_fixed(std::int32_t raw, std::int32_t fraction) {
 
 constexpr Bits from_quantity(control::Quantity value) { return from_fixed(value.raw(), 24); }
 
-// The nearest whole number, or the end of the range; 0 for "no number".
+// The nearest whole number, halves away from zero, or the end of the range; 0 for "no number".
+// Exponents: 126 is that of 1/2, from 150 on all bits are whole, 158 is that of 2^31.
 constexpr std::int32_t to_whole(Bits a) {
   const std::uint32_t exponent = exponent_of(a);
   if (is_no_number(a) || exponent < 126U) {

@@ -14,10 +14,11 @@ namespace heli::law {
 // bits: it is right to about 2^-30 of the largest product.
 class Sum {
  public:
-  // `flip` is kSign where the product is taken away.
+  // Adds the product of two floats; `flip` is kSign where it is subtracted, otherwise 0.
   void add(Bits a, Bits b, Bits flip) {
     const std::uint32_t first = exponent_of(a);
     const std::uint32_t second = exponent_of(b);
+    // One comparison for both: exponent 0 is zero, exponent 255 is infinity or "no number".
     if (first - 1U >= 254U || second - 1U >= 254U) {
       if (first == 0xffU || second == 0xffU) {
         exponent_ = kNotFinite;
@@ -25,6 +26,8 @@ class Sum {
       return;
     }
     const auto exponent = static_cast<std::int32_t>(first + second);
+    // Positive: this product is smaller than the largest so far, and its first factor loses bits.
+    // Negative: it is the largest so far, and the sum loses bits instead.
     const std::int32_t below = exponent_ - exponent;
     std::uint32_t size = ((a << 8U) | kSign) >> 1U;
     if (below < 0) {
@@ -33,6 +36,7 @@ class Sum {
     } else if (below < 31) {
       size >>= static_cast<std::uint32_t>(below);
     } else {
+      // No bit of 31 is left.
       return;
     }
     const std::uint64_t product = static_cast<std::uint64_t>(size) * mantissa_of(b);
@@ -56,7 +60,8 @@ class Sum {
     const std::uint64_t shifted = size << zeros;
     const auto high = static_cast<std::uint32_t>(shifted >> 32U);
     const bool lost = static_cast<std::uint32_t>(shifted) != 0U;
-    // 1 times 1 is 2^53, at twice the bias.
+    // 1 times 1 is 2^53 at an exponent of twice the bias. It has 10 zeros in front, and as a float
+    // its exponent is the bias.
     constexpr std::int32_t kOneAt = 2 * kBias - 10 - kBias;
     const std::int32_t exponent = exponent_ - static_cast<std::int32_t>(zeros) - kOneAt;
     return rounded(sign, exponent, high | (lost ? 1U : 0U));

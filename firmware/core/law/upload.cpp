@@ -175,6 +175,9 @@ class Schedule {
 
 }  // namespace
 
+// Begins an upload, which erases the law that is stored. The tick interrupts this function and may
+// begin to fly the stored law at any point. So the law is first made unavailable; only then the
+// board checks whether it flies already.
 UploadCheck Tape::begin(const link::LawBeginMessage& message) {
   const LawState before = stored();
   store(LawState::none);
@@ -194,6 +197,7 @@ UploadCheck Tape::begin(const link::LawBeginMessage& message) {
   return {};
 }
 
+// Stores a part, whether it is the next one or a repeated one; returns the words received so far.
 UploadCheck Tape::receive(const link::LawPartMessage& message) {
   const std::uint32_t first = message.first;
   // The host repeats a part whose answer was lost.
@@ -213,6 +217,7 @@ UploadCheck Tape::receive(const link::LawPartMessage& message) {
   return {LawError::none, received_};
 }
 
+// Ends an upload: checks the whole law, and makes it available. Repeating the command is harmless.
 UploadCheck Tape::end() {
   if (stored() == LawState::ready) {
     return {LawError::none, cost_};
@@ -228,6 +233,7 @@ UploadCheck Tape::end() {
   return found.error == LawError::none ? UploadCheck{LawError::none, cost_} : found;
 }
 
+// The first reason why the law cannot fly, or its cost. Each check relies on those before it.
 UploadCheck Tape::check() {
   std::uint32_t crc = 0;
   for (std::uint32_t k = 0; k < expected_; ++k) {

@@ -236,11 +236,14 @@ void UploadedLaw::limit(ControlOutput& out, const Limits& limits) const {
 bool UploadedLaw::update(const ControlInput& in, Bank bank, ControlOutput& out) {
   const Limits& limits = limits_[bank];
   read_inputs(in, limits);
+  // A call of the law is spread over several ticks; its outputs change when it ends.
   GuardVerdict judgement{};
   fresh_ = false;
   if (phase_ < tape_.ticks() && tape_.run(phase_)) {
     judgement = read_outputs(limits);
   }
+  // For the log. Before the first call has ended, and on axes whose setpoint the law passes on
+  // unchanged, the setpoint is the one that the law is given.
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     if (!called_ || follows_given_[axis]) {
       setpoint_raw_[axis] = given_raw_[axis];
@@ -266,6 +269,7 @@ bool UploadedLaw::update(const ControlInput& in, Bank bank, ControlOutput& out) 
   out = {};
   out.front_V = front_fade_.apply(output_.front_V, before_.front_V, fresh_, limits.bumpless_keep);
   out.back_V = back_fade_.apply(output_.back_V, before_.back_V, fresh_, limits.bumpless_keep);
+  // Until the first call has ended, the motors keep their voltages.
   if (!called_) {
     out.front_V = before_.front_V;
     out.back_V = before_.back_V;

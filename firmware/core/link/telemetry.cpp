@@ -51,13 +51,17 @@ std::size_t measure(const Sample* samples, std::size_t count, std::uint32_t* wid
   return bytes;
 }
 
+// Packs the differences of a channel, `bits` each, lowest bit first, and fills the last byte with
+// zeros; returns the position behind them.
 std::uint8_t* put_deltas(const Sample* samples, std::size_t count, std::size_t channel,
                          std::uint32_t bits, std::uint8_t* to) {
+  // A shift by 32 bits, as the mask below would need, is undefined.
   if (bits == 32) {
     for (std::size_t k = 1; k < count; ++k, to += 4) put_u32(to, delta(samples, k, channel));
     return to;
   }
   const std::uint32_t mask = (1U << bits) - 1U;
+  // Bits that do not fill a byte yet: at most 7, and 16 of a new difference.
   std::uint32_t waiting = 0;
   std::uint32_t waiting_bits = 0;
   for (std::size_t k = 1; k < count; ++k) {

@@ -109,6 +109,9 @@ def read_repeat(log: Log, effect_files: Mapping[str, Path]) -> Repeat:
 
 
 def _check(log: Log, record: Mapping[str, str]) -> None:
+    """Refuse a log that cannot be flown again, with the fact that it lacks. `record` has the commands of the
+    flight; it is empty in logs of real boards and of older versions.
+    """
     from heli_host.log.blind import SEALED
 
     session = log.metadata.get("session", {})
@@ -142,6 +145,7 @@ def _json(record: Mapping[str, str], name: str) -> dict[str, Any]:
 
 
 def _plans(log: Log, record: Mapping[str, str]) -> Iterator[Plan]:
+    """Yield the plans of a flight in the order in which they were flown."""
     from heli_host.fly.plan import Plan
 
     texts = log.metadata["plan"]

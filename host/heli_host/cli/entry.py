@@ -42,6 +42,7 @@ app = typer.Typer(
 
 
 def _say_version(wanted: bool) -> None:
+    """Print the version of the program and of the link, and exit."""
     if wanted:
         from heli_host.cli.say import say
         from heli_host.declaration import LINK_VERSION
@@ -134,10 +135,10 @@ def command_line(verb: str | None = None) -> Callable[..., object]:
     quiet = next(option for option in whole.params if option.name == "quiet")
     behind = copy.copy(quiet)
     behind.expose_value = False
-    left = list(getattr(whole, "commands", {}).values())
-    while left:
-        command = left.pop()
-        left += getattr(command, "commands", {}).values()
+    commands = list(getattr(whole, "commands", {}).values())
+    while commands:
+        command = commands.pop()
+        commands += getattr(command, "commands", {}).values()
         if not any("--quiet" in known.opts or "-q" in known.opts for known in command.params):
             command.params.append(behind)
     return whole

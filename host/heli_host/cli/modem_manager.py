@@ -27,6 +27,7 @@ def check_modem_manager(due_is_present: bool) -> Finding:
 
 
 def _process_runs(name: str) -> bool:
+    """Whether a process of this name runs; only Linux lists processes there."""
     for entry in Path("/proc").glob("[0-9]*/comm"):
         try:
             if entry.read_text().strip() == name:
@@ -37,6 +38,7 @@ def _process_runs(name: str) -> bool:
 
 
 def _udev_ignores_arduino() -> bool:
+    """Whether a udev rule tells ModemManager to ignore the ports of Arduino boards."""
     vendor = f"{ARDUINO_VID:04x}"
     for folder in UDEV_FOLDERS:
         for rules in folder.glob("*.rules"):

@@ -29,6 +29,9 @@ def with_option_groups(*, without: Collection[str] = ()) -> Callable[[_Verb], _V
     """
 
     def decorate(verb: _Verb) -> _Verb:
+        """Return a command that has the options of all groups as parameters, for typer, and passes them to
+        the verb as one dataclass per group.
+        """
         parameters: list[inspect.Parameter] = []
         groups: dict[str, tuple[type[Any], list[str]]] = {}
         for parameter in inspect.signature(verb, eval_str=True).parameters.values():

@@ -94,6 +94,7 @@ def say_data(text: str) -> None:
 
 
 def _finite(content: Any) -> Any:
+    """Return content for JSON, with null for each number that is not finite."""
     if isinstance(content, Mapping):
         return {str(name): _finite(value) for name, value in content.items()}
     if isinstance(content, list | tuple):

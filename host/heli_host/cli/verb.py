@@ -64,17 +64,17 @@ def installed_verbs() -> dict[str, Verb]:
     name. A package that cannot be imported is named in one line on stderr and left out, so that it takes no
     other verb with it.
     """
-    found: dict[str, Verb] = {}
+    verbs: dict[str, Verb] = {}
     for entry in sorted(plugins(ENTRY_POINT_GROUP), key=_order):
         try:
             for name, verb in _verbs_in(entry.value):
-                if found.setdefault(name, verb) is not verb:
+                if verbs.setdefault(name, verb) is not verb:
                     _warn(f"{entry.value} has another verb '{name}'")
         except Exception as error:  # noqa: BLE001  -- whatever a stranger's package raises when it is imported
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             _warn(f"the verbs of {entry.value} do not load ({reason})")
     rank = {panel: place for place, panel in enumerate(PANELS)}
-    return dict(sorted(found.items(), key=lambda item: (rank.get(item[1].panel, len(rank)), item[0])))
+    return dict(sorted(verbs.items(), key=lambda item: (rank.get(item[1].panel, len(rank)), item[0])))
 
 
 def _warn(cause: str) -> None:
@@ -89,6 +89,7 @@ def _order(entry: EntryPoint) -> tuple[bool, str]:
 
 
 def _verbs_in(package_name: str) -> Iterator[tuple[str, Verb]]:
+    """Yield the verbs of a package and of its modules, each with the name of its module."""
     package = importlib.import_module(package_name)
     modules = [package]
     for info in pkgutil.iter_modules(getattr(package, "__path__", ())):

@@ -85,7 +85,7 @@ def find_bossac(named: Path | None = None) -> Bossac:
     """
     if named is not None:
         return _ask(str(named))
-    found = []
+    doubtful = []
     for path in _candidates():
         try:
             bossac = _ask(path)
@@ -93,10 +93,10 @@ def find_bossac(named: Path | None = None) -> Bossac:
             continue
         if not bossac.doubtful:
             return bossac
-        found.append(bossac)
-    if not found:
+        doubtful.append(bossac)
+    if not doubtful:
         raise UploaderError("bossac, which writes the Due's flash, is not installed", GET_BOSSAC)
-    return found[0]
+    return doubtful[0]
 
 
 def _candidates() -> Iterable[str]:
@@ -108,6 +108,9 @@ def _candidates() -> Iterable[str]:
 
 
 def _ask(path: str) -> Bossac:
+    """Run a bossac with --help, and return it with its version and its USB option. An UploaderError reports a
+    program that does not run, or is not bossac.
+    """
     try:
         # Its --help ends with 1.
         done = subprocess.run(

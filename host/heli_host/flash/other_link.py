@@ -57,6 +57,7 @@ def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]
         The board has saved parameters that this host cannot read.
     """
     board = _Asker(transport, timeout_s)
+    # The first hello asks for the hash of the board's link; a second one with that hash opens the session.
     welcome = WelcomeMessage.unpack(board.ask(HelloMessage(0, _NO_HASH, 0)))
     if welcome.params_source not in _STORED:
         return {}
@@ -68,6 +69,7 @@ def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]
         raise _unreadable(
             f"it saved them under the schema {origin.schema:08x}, this host's is {PARAMS_HASH:08x}"
         )
+    # Under the same schema, the parameters have the names and the order of this host's declaration.
     values: list[float] = []
     while len(values) < len(PARAMS):
         first = len(values)

@@ -67,6 +67,9 @@ def check(
 
 
 def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int], str]) -> None:
+    """Refuse times that do not increase, are in another unit than seconds, or have gaps. `where` names a row
+    of the file.
+    """
     step_s = np.diff(t_s)
     back = np.flatnonzero(step_s <= 0.0)
     if back.size:
@@ -93,11 +96,14 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
 
 
 def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> None:
+    """Refuse angles that are probably in degrees, by their size, rate or encoder step, and voltages that are
+    probably no volts. `where` names a row of the file.
+    """
     degrees = "looks like degrees", "multiply the angles by pi/180"
-    for name, most in _MAX_ANGLE_RAD.items():
+    for name, max_angle_rad in _MAX_ANGLE_RAD.items():
         column = getattr(flight, name)
         row = int(np.argmax(np.abs(column)))
-        if abs(column[row]) > most:
+        if abs(column[row]) > max_angle_rad:
             raise FlightDataError(
                 f"{source}: {name} is {column[row]:.4g} in {where(row)}, which {degrees[0]}", degrees[1]
             )

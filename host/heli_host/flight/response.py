@@ -131,13 +131,13 @@ def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
         return ()
     angle_deg, wanted_deg = np.rad2deg(getattr(flight, f"{axis}_rad")), np.rad2deg(setpoint_rad)
     count_deg = float(np.rad2deg(count_rad(flight)[AXES.index(axis)]))
-    found = []
+    responses = []
     for first, stop in _moves(flight, wanted_deg, led_rows(flight, axis)):
         start_deg, end_deg, t_s = wanted_deg[first - 1], wanted_deg[stop - 1], flight.t_s[first:stop]
         moved_deg = angle_deg[first:stop]
         metrics = step_metrics(t_s - t_s[0], moved_deg, float(start_deg), float(end_deg), count_deg)
-        found.append(Step(float(t_s[0]), float(end_deg - start_deg), metrics))
-    return tuple(found)
+        responses.append(Step(float(t_s[0]), float(end_deg - start_deg), metrics))
+    return tuple(responses)
 
 
 def step_metrics(
@@ -214,6 +214,9 @@ def rms(values: Floats) -> float:
 
 
 def _response(flight: Flight, axis: str) -> Response:
+    """Return the metrics of the largest step of an axis, and its RMS tracking error; nan where a flight has
+    none.
+    """
     led, nan = led_rows(flight, axis), math.nan
     if not led.any():
         return Response(axis, nan, nan, nan, nan, nan, nan)

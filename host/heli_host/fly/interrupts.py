@@ -49,7 +49,7 @@ class Interrupts:
     def __init__(self) -> None:
         self._names: list[str] = []
         self._raised = 0
-        self._left = 1
+        self._raises_left = 1
         self._shielded = False
         self._before: dict[signal.Signals, Callable[[int, FrameType | None], Any]] = {}
 
@@ -77,12 +77,12 @@ class Interrupts:
 
     def allow_one_more(self) -> None:
         """Let the next signal raise KeyboardInterrupt; raise immediately if one has arrived meanwhile."""
-        self._left = 1
+        self._raises_left = 1
         self._catch_up()
 
     def allow_no_more(self) -> None:
         """Only record the signals that arrive from now on."""
-        self._left = 0
+        self._raises_left = 0
 
     @contextlib.contextmanager
     def shielded(self) -> Iterator[None]:
@@ -103,7 +103,7 @@ class Interrupts:
             self._catch_up()
 
     def _catch_up(self) -> None:
-        if self._left and self.remembered:
-            self._left -= 1
+        if self._raises_left and self.remembered:
+            self._raises_left -= 1
             self._raised += 1
             raise KeyboardInterrupt(self._names[self._raised - 1])

@@ -88,6 +88,9 @@ class Landing:
         return trouble
 
     def _descend(self) -> str:
+        """Land, wait until the motors are off, and return the reason if that failed; an empty text otherwise.
+        A board that does not land in time is stopped.
+        """
         begin_tick = newest_tick(self._session)
         emergency = self._session.state is State.EMERGENCY_LANDING
         if self._session.state is not State.LANDING and not emergency:

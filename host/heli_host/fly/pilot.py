@@ -130,6 +130,9 @@ class Pilot:
             raise self._reports.error
 
     def _fly_route(self) -> None:
+        """Arm, close the loops, stream the route, and return when it has ended. Any reason to end it earlier
+        raises FlightAborted.
+        """
         stream, monitor, session = self._stream, self._monitor, self._session
         stream.warm_up()
         wait_ticks(session, _BEFORE_TICKS)
@@ -162,6 +165,7 @@ class Pilot:
         monitor.check(stream.t_s)
 
     def _excite(self) -> None:
+        """Start the excitations that are due."""
         while self._excitations and newest_tick(self._session) >= self._stream.tick_of(self._excitations[0]):
             excitation = self._excitations.pop(0).excitation
             if excitation is not None:

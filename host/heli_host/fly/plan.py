@@ -225,6 +225,7 @@ class Plan:
         return at_deg
 
     def _check_start(self, limits: Limits) -> None:
+        """Refuse a take-off height or rate that the board's limits do not permit."""
         low, high = limits.low_deg[Axis.ELEVATION], limits.high_deg[Axis.ELEVATION]
         if not low <= self.start.elevation_deg <= high:
             raise PlanError(
@@ -330,6 +331,7 @@ def extend(route: Route, plan: Plan) -> Route:
 
 
 def _reach(route: Route, plan: Plan, phase: str, *, settle: bool) -> Route:
+    """Add the way from the end of a route to the first elevation of a plan, and the time to settle there."""
     from_deg = route.end_deg
     to_deg = from_deg.copy()
     to_deg[Axis.ELEVATION] = plan.start.elevation_deg
@@ -348,6 +350,7 @@ def _end(segment: Segment, at_deg: Floats) -> Floats:
 
 
 def _read_axes(table: PlanTable) -> tuple[str, ...]:
+    """Return the axes whose loops a plan closes, in the order of the declaration; all if it states none."""
     given = table.values.get("axes", list(AXES))
     if (
         not isinstance(given, list)
@@ -364,6 +367,7 @@ def _read_axes(table: PlanTable) -> tuple[str, ...]:
 
 
 def _read_start(values: Any, source: str) -> Start:
+    """Read the table ``[start]`` of a plan: elevation, rate and settling time of the take-off."""
     if not isinstance(values, dict):
         raise PlanError(f"{source}: [start] is not a table", "write [start] above its keys")
     table = PlanTable(values, f"{source}, start", ("elevation_deg", "rate_deg_s", "settle_s"))

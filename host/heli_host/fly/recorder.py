@@ -101,7 +101,7 @@ class Recorder:
             start_wall_ns=heli.session.transport.wall_ns(),
             metadata={
                 **({} if sealed else _simulation(heli, setup)),
-                "session": self._said(self._session(heli, rig_name, plans, board_name)),
+                "session": self._session_notes(self._session(heli, rig_name, plans, board_name)),
                 "parameters": {name: repr(value) for name, value in parameters.items()},
                 "plan": plan_texts(plans),
             },
@@ -208,7 +208,8 @@ class Recorder:
         with self._guard():
             self._writer.close(last)
 
-    def _said(self, session: dict[str, str]) -> dict[str, str]:
+    def _session_notes(self, session: dict[str, str]) -> dict[str, str]:
+        """Return the notes of a session; those of a blind flight without what reveals its rig."""
         return blind_notes(session, self._sealed) if self._sealed else session
 
     def _text(self, text: str) -> str:
@@ -228,6 +229,9 @@ class Recorder:
             self._writer.write_ticks(ticks.tick, ticks.raw)
 
     def _take_event(self, event: LinkEvent) -> None:
+        """Write an event of the link; an urgent one immediately to the disk. A restart of the board begins a
+        new stretch of device time.
+        """
         with self._guard():
             if event.kind == BOARD_RESTARTED:
                 self._writer.skip(
@@ -319,6 +323,7 @@ def plan_texts(plans: Sequence[Plan]) -> dict[str, str]:
 
 
 def _counts(counters: LinkCounters) -> dict[str, float]:
+    """Return the counters of the host, and those of the board with the prefix ``board_``, by name."""
     counted: dict[str, float] = {}
     for entry in fields(counters):
         value = getattr(counters, entry.name)

@@ -246,9 +246,9 @@ def waypoints(at_s: Sequence[Floats], points_deg: Sequence[Floats], smooth: bool
             if not smooth or times.size < 2:
                 columns.append(np.interp(t_s, times, values))
                 continue
-            left = np.clip(np.searchsorted(times, t_s, side="right") - 1, 0, times.size - 2)
-            share = np.clip((t_s - times[left]) / (times[left + 1] - times[left]), 0.0, 1.0)
-            columns.append(values[left] + _blend(share) * (values[left + 1] - values[left]))
+            segment = np.clip(np.searchsorted(times, t_s, side="right") - 1, 0, times.size - 2)
+            share = np.clip((t_s - times[segment]) / (times[segment + 1] - times[segment]), 0.0, 1.0)
+            columns.append(values[segment] + _blend(share) * (values[segment + 1] - values[segment]))
         return np.column_stack(columns)
 
     return shape

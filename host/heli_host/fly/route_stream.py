@@ -135,6 +135,7 @@ class RouteStream:
                 self._send(tick)
 
     def _send(self, tick: int) -> None:
+        """Stream the setpoint that is due some ticks after `tick`, so that it arrives in time."""
         # Where samples come in larger portions than setpoints are due, the lead covers the time to the next
         # one.
         lead_ticks = min(max(LEAD_TICKS, tick - self._sent_tick + INTERVAL_TICKS), _LONGEST_LEAD_TICKS)

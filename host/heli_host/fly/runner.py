@@ -147,6 +147,7 @@ def fly(
                     twin.close()
                 recorder.close(pilot.outcome)
         log = _written(path, recorder)
+    # From here on the motors are off: what fails now loses no flight.
     outcome = hide(pilot.outcome) if sealed else pilot.outcome
     summary = replace(summarise(log), outcome=outcome, log=str(log_path) if log_path else "")
     if recorder.error is not None and str(recorder.error) not in summary.outcome:

@@ -26,10 +26,12 @@ from heli_host.fly.keys import (
     PlanTable,
 )
 from heli_host.fly.route import PlannedExcitation, Shape
+from heli_host.link.clock import TICK_S
 
 SIGNALS = tuple(signal.name.lower() for signal in Signal if signal is not Signal.NONE)
 _SHAPES_OF_PATH = ("smooth", "straight")
-_SMOOTH_PEAK = 1.5  # steepest slope of the cubic blend, as a multiple of the mean one
+_SMOOTH_PEAK = 1.5
+"""Steepest slope of the cubic blend, as a multiple of the mean slope."""
 
 
 @dataclass(frozen=True)
@@ -113,23 +115,28 @@ def read_segment(values: Mapping[str, Any], where: str, commanded: tuple[str, ..
 
 
 def _axis_of(key: str) -> str | None:
+    """Return the axis with whose name a key begins; None for a key of all axes."""
     return next((axis for axis in AXES if key.startswith(axis + "_")), None)
 
 
 def _why_not(axis: str) -> str:
+    """Explain why a plan does not command an axis, for a message."""
     if axis == "pitch":
         return "closes travel, whose loop commands pitch"
     return f"does not close {axis}"
 
 
 def _motion(duration_s: float, shape: Shape, *points_deg: Floats, rate_deg_s: Floats | None = None) -> Motion:
+    """Return a motion that stays within the range of some points [deg]; `rate_deg_s` has the greatest rate of
+    each axis, 0 for a jump.
+    """
     points = np.array(points_deg)
     rate = np.zeros(len(AXES)) if rate_deg_s is None else rate_deg_s
     return Motion(duration_s, shape, points.min(axis=0), points.max(axis=0), rate)
 
 
 def _targets(table: PlanTable, commanded: tuple[str, ...]) -> Callable[[Floats], Floats]:
-    """Return what fills in the axes that the table names."""
+    """Return a function that replaces setpoints [deg], shape (3,), by the targets that a table states."""
     given = {axis: table.optional(f"{axis}_deg", ANGLE) for axis in AXES}
     if all(value is None for value in given.values()):
         names = " or ".join(f"{axis}_deg" for axis in commanded)
@@ -147,6 +154,7 @@ def _targets(table: PlanTable, commanded: tuple[str, ...]) -> Callable[[Floats],
 
 
 def _read_hold(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
+    """Read a segment that keeps the setpoints of its beginning."""
     duration_s = table.number("duration_s", DURATION)
     return Segment(
         "hold",
@@ -157,6 +165,7 @@ def _read_hold(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
 
 
 def _read_step(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
+    """Read a segment whose setpoints jump to the target, and stay there."""
     duration_s = table.number("duration_s", DURATION)
     fill = _targets(table, commanded)
     return Segment(
@@ -168,6 +177,7 @@ def _read_step(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
 
 
 def _read_ramp(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
+    """Read a segment whose setpoints go to the target at a constant rate, or within a given time."""
     given_s = table.optional("duration_s", DURATION)
     rate_deg_s = table.optional("rate_deg_s", RATE)
     if (given_s is None) == (rate_deg_s is None):
@@ -175,12 +185,17 @@ def _read_ramp(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     fill = _targets(table, commanded)
 
     def motion(at: Floats) -> Motion:
-        to = fill(at)
-        distance_deg = np.abs(to - at)
+        target_deg = fill(at)
+        distance_deg = np.abs(target_deg - at)
         duration_s = given_s if given_s is not None else float(distance_deg.max()) / (rate_deg_s or 1.0)
-        duration_s = max(duration_s, 1e-3)
+        # A ramp to the present setpoint still takes a tick, so that its rate is finite.
+        duration_s = max(duration_s, TICK_S)
         return _motion(
-            duration_s, route.ramp(at, to, duration_s), at, to, rate_deg_s=distance_deg / duration_s
+            duration_s,
+            route.ramp(at, target_deg, duration_s),
+            at,
+            target_deg,
+            rate_deg_s=distance_deg / duration_s,
         )
 
     rate_key = "duration_s" if given_s is not None else "rate_deg_s"
@@ -188,21 +203,24 @@ def _read_ramp(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
 
 
 def _read_sine(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
+    """Read a segment whose setpoints oscillate about those of its beginning, each axis with its amplitude and
+    period.
+    """
     duration_s = table.number("duration_s", DURATION)
     amplitude_deg = np.array([table.number(f"{axis}_amplitude_deg", ANGLE, 0.0) for axis in AXES])
     if not amplitude_deg.any():
         table.fail("it moves no axis", f"add {commanded[-1]}_amplitude_deg = 5")
     period_s = np.ones(len(AXES))
     for index, axis in enumerate(AXES):
-        own = _period(table, f"{axis}_")
-        if amplitude_deg[index] == 0.0 and own is not None:
+        axis_period_s = _period(table, f"{axis}_")
+        if amplitude_deg[index] == 0.0 and axis_period_s is not None:
             table.fail(
                 f"{axis} has a period but no amplitude", f"add {axis}_amplitude_deg, or remove the period"
             )
-        shared = _period(table, "")
+        shared_period_s = _period(table, "")
         if amplitude_deg[index] == 0.0:
             continue
-        chosen = own if own is not None else shared
+        chosen = axis_period_s if axis_period_s is not None else shared_period_s
         if chosen is None:
             table.fail(f"{axis}_period_s is missing", f"add {axis}_period_s or {axis}_frequency_Hz")
         period_s[index] = chosen
@@ -220,6 +238,9 @@ def _read_sine(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
 
 
 def _period(table: PlanTable, prefix: str) -> float | None:
+    """Return a period [s], stated as such or as a frequency; None if neither is stated. `prefix` is that of
+    an axis, or empty for all axes.
+    """
     period_s = table.optional(f"{prefix}period_s", PERIOD)
     frequency_Hz = table.optional(f"{prefix}frequency_Hz", FREQUENCY)
     if period_s is not None and frequency_Hz is not None:
@@ -228,6 +249,9 @@ def _period(table: PlanTable, prefix: str) -> float | None:
 
 
 def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
+    """Read a segment through points in time. Each axis has its own points; an axis without any keeps its
+    setpoint.
+    """
     smooth = table.choice("path", _SHAPES_OF_PATH, "smooth") == "smooth"
     rows = table.values.get("points")
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
@@ -258,16 +282,17 @@ def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     def motion(at: Floats) -> Motion:
         times, values = [], []
         for index, column in enumerate(columns):
-            own = column if column and column[0][0] == 0.0 else [(0.0, float(at[index])), *column]
-            times.append(np.array([moment for moment, _ in own]))
-            values.append(np.array([value for _, value in own]))
+            has_start = bool(column) and column[0][0] == 0.0
+            points = column if has_start else [(0.0, float(at[index])), *column]
+            times.append(np.array([at_s for at_s, _ in points]))
+            values.append(np.array([value for _, value in points]))
         low = np.array([min(value.min(), start) for value, start in zip(values, at, strict=True)])
         high = np.array([max(value.max(), start) for value, start in zip(values, at, strict=True)])
         factor = _SMOOTH_PEAK if smooth else 1.0
         rate_deg_s = np.array(
             [
-                factor * float(np.max(np.abs(np.diff(value) / np.diff(moment)), initial=0.0))
-                for moment, value in zip(times, values, strict=True)
+                factor * float(np.max(np.abs(np.diff(value) / np.diff(time_s)), initial=0.0))
+                for time_s, value in zip(times, values, strict=True)
             ]
         )
         return Motion(duration_s, route.waypoints(times, values, smooth), low, high, rate_deg_s)
@@ -278,6 +303,7 @@ def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
 
 
 def _read_excite(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
+    """Read a segment that keeps the setpoints, while the board adds an excitation to the voltages."""
     duration_s = table.number("duration_s", DURATION)
     return Segment(
         "excite",
@@ -301,6 +327,7 @@ def _meanwhile(table: PlanTable, duration_s: float) -> PlannedExcitation | None:
 
 
 def _excitation(table: PlanTable, duration_s: float) -> PlannedExcitation:
+    """Read an excitation: a signal for one or both motors, and the frequencies that it needs."""
     signal = table.choice("signal", SIGNALS)
     front_V = table.number("front_V", VOLTAGE, 0.0)
     back_V = table.number("back_V", VOLTAGE, 0.0)

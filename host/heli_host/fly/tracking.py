@@ -81,7 +81,10 @@ class Tolerance:
             The largest of each number.
         """
         return Tolerance(
-            *(max(getattr(one, key) for one in tolerances) for key in Tolerance.__dataclass_fields__)
+            *(
+                max(getattr(tolerance, key) for tolerance in tolerances)
+                for key in Tolerance.__dataclass_fields__
+            )
         )
 
 
@@ -147,6 +150,9 @@ class TrackingMonitor:
     def _follow(
         self, index: int, tick: NDArray[np.int64], error_deg: NDArray[np.float64], beyond: NDArray[np.bool_]
     ) -> None:
+        """Update the time for which the error of axis `index` has been beyond its tolerance, and the longest
+        such time with its largest error. `beyond` states it for each tick, (n,).
+        """
         # Of each stretch of equal answers, its first row.
         edges = np.flatnonzero(np.diff(beyond)) + 1
         for first, after in zip((0, *edges), (*edges, len(tick)), strict=True):

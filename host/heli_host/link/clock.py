@@ -173,6 +173,9 @@ class ClockFit:
         return self._estimate
 
     def _fit(self, newest: _Point) -> ClockEstimate:
+        """Fit the line from device tick to host time below all arrivals, because a message can arrive late
+        but not early. Half of the shortest round trip is the delay of the earliest ones.
+        """
         (tick, host_s), tick_s = newest, TICK_S
         if self._estimate is not None:
             tick_s = self._estimate.tick_s
@@ -187,17 +190,20 @@ class ClockFit:
         return ClockEstimate(tick, host_s - round_trip_s / 2.0, tick_s, max(jitter_s, 0.0), round_trip_s)
 
     def _forget_before_a_step(self) -> None:
+        """Discard arrivals from before a step of the device clock or of the delay, so that the line follows
+        the newer ones.
+        """
         bins = self._bins
         if len(bins) <= _STEP_BINS or self._estimate is None:
             return
         late = [host_s - self._estimate.host_s_at(tick) > _STEP_S for tick, host_s in bins]
-        kept = len(bins)
+        kept_count = len(bins)
         if all(late[-_STEP_BINS:]):
-            kept = _STEP_BINS
+            kept_count = _STEP_BINS
         elif 4 * sum(late) > len(late):
             # Faster than before: the line then runs below the bend, which the newest bins do not show.
-            kept = max(len(bins) // 2, _STEP_BINS)
-        for _ in range(len(bins) - kept):
+            kept_count = max(len(bins) // 2, _STEP_BINS)
+        for _ in range(len(bins) - kept_count):
             bins.popleft()
 
 

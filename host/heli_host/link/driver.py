@@ -163,6 +163,7 @@ class Driver:
             self._fail(LinkLost("the board does not answer any more", "check its supply, then connect again"))
 
     def _run(self) -> None:
+        """Read and send until the end, in a thread of its own."""
         try:
             while not self._stop.is_set() and self.fatal is None:
                 self.pump(READ_TIMEOUT_S)
@@ -178,6 +179,7 @@ class Driver:
             self._changed.notify_all()
 
     def _reopen(self, error: LinkLost) -> None:
+        """Open a lost port again, with growing pauses; the session fails if it does not come back in time."""
         transport = self.transport
         with self.lock:
             event = self._engine.cut(transport.now_s(), transport.wall_ns(), error.cause)

@@ -215,6 +215,7 @@ class Engine:
         return self._event(LINK_LOST, reason, wall_ns)
 
     def _take(self, frame: Frame, now_s: float, wall_ns: int, received: Received) -> None:
+        """Process a frame from the board. A frame with a payload of wrong length is counted, and ignored."""
         try:
             match frame.id:
                 case MessageId.WELCOME:
@@ -238,6 +239,9 @@ class Engine:
             self._malformed += 1
 
     def _take_welcome(self, message: WelcomeMessage, now_s: float, wall_ns: int, received: Received) -> None:
+        """Process a welcome: the first one, one after a lost link, or one after a restart of the board, which
+        makes all unanswered commands fail.
+        """
         is_behind = self.telemetry.is_behind(message.tick)
         welcome = self.handshake.take_welcome(message, is_behind=is_behind)
         if welcome is Welcome.IGNORED:
@@ -264,6 +268,7 @@ class Engine:
             self.telemetry.clock.observe_pong(sent_s, tick, now_s)
 
     def _take_event(self, message: EventMessage, now_s: float, wall_ns: int, received: Received) -> None:
+        """Process an event of the board; one of a new start begins the handshake again."""
         event = LinkEvent(message.tick, wall_ns, event_kind(message), event_text(message), message)
         received.events.append(event)
         self.telemetry.take_event(message)
@@ -273,6 +278,7 @@ class Engine:
             self._greet(now_s)
 
     def _accept_telemetry(self, now_s: float, wall_ns: int, received: Received) -> None:
+        """Accept the telemetry of a reading, with the events that it shows to be lost."""
         accepted = self.telemetry.accept_held(now_s)
         if accepted is None:
             return
@@ -295,6 +301,7 @@ class Engine:
         return encode_frame(message.ID, self._seq, message.pack())
 
     def _parser_counts(self) -> tuple[int, int, int, int, int]:
+        """Return the counters of frames and bytes, from which those of the session are differences."""
         parser = self.parser
         return (
             parser.frames_ok,

@@ -138,6 +138,7 @@ def _name(
     value: int,
     prefix: str = "",
 ) -> str:
+    """Return the name of an enumerated value in small letters; `prefix` and the number for an unknown one."""
     try:
         return kind(value).name.lower()
     except ValueError:

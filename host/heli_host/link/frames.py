@@ -168,6 +168,9 @@ class FrameParser:
         self._expected_seq = -1
 
     def _count_gap(self, seq: int) -> None:
+        """Count the frames that are missing before the number `seq`, which has 8 bits; one less than expected
+        is a repetition.
+        """
         if self._expected_seq < 0:
             return
         gap = (seq - self._expected_seq) & 0xFF

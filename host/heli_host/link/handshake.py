@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import Enum, auto
 
 from heli_host.declaration import LINK_HASH, LINK_VERSION, HelloMessage, Result, WelcomeMessage
@@ -61,7 +62,8 @@ class Handshake:
         self._session_number = session_number
         self._numbers = numbers
         self._hello_request = numbers.take()
-        self._next_hello_s = -1e9
+        # Before any host time: the first greeting is due immediately.
+        self._next_hello_s = -math.inf
 
     @property
     def unreachable(self) -> bool:

@@ -18,17 +18,19 @@ from heli_host.link.channels import MODES
 from heli_host.link.events import LinkEvent, event_kind, event_text
 from heli_host.link.telemetry import Ticks
 
-# The board queues at most 16 events.
-_ARRIVED = 64
+_MAX_ARRIVED_EVENTS = 64
+"""Number of arrived events that are remembered; the board queues at most 16."""
 _TICK_MODULUS = 1 << 32
-_WATCHED = [channel - MODES.start for channel in (Channel.STATE, Channel.TRIGGER, Channel.FAULT)]
+"""The board's tick counter has 32 bits, and starts again at 0 after 2^32 ticks of 1 ms."""
+_WATCHED_COLUMNS = [channel - MODES.start for channel in (Channel.STATE, Channel.TRIGGER, Channel.FAULT)]
+"""Columns of state, trigger and fault among the channels `MODES`."""
 
 
 class MissedEvents:
     """Compares telemetry with the events that arrived."""
 
     def __init__(self) -> None:
-        self._arrived: deque[EventMessage] = deque(maxlen=_ARRIVED)
+        self._arrived: deque[EventMessage] = deque(maxlen=_MAX_ARRIVED_EVENTS)
         self._tick: int | None = None
         self._row: npt.NDArray[np.int32] = np.zeros(MODES.stop - MODES.start, np.int32)
 
@@ -63,27 +65,28 @@ class MissedEvents:
         if (modes == self._row).all():
             self._tick = int(ticks.tick[-1])
             return []
-        rows = modes[:, _WATCHED]  # (n, watched)
-        before = np.vstack((self._row[_WATCHED], rows[:-1]))
+        rows = modes[:, _WATCHED_COLUMNS]  # (n, 3)
+        before = np.vstack((self._row[_WATCHED_COLUMNS], rows[:-1]))
         missed: list[EventMessage] = []
         for index in np.flatnonzero((rows != before).any(axis=1)).tolist():
             tick = int(ticks.tick[index])
-            since = int(ticks.tick[index - 1]) if index else self._tick or 0
+            tick_before = int(ticks.tick[index - 1]) if index else self._tick or 0
             state, trigger, fault = rows[index].tolist()
             state_before, trigger_before, fault_before = before[index].tolist()
             entered = (state, trigger) != (state_before, trigger_before)
-            if entered and not self._has_arrived(Event.STATE, state, since, tick):
+            if entered and not self._has_arrived(Event.STATE, state, tick_before, tick):
                 missed.append(EventMessage(tick, Event.STATE, state, trigger, 0.0))
             tripped = fault not in (fault_before, Fault.NONE)
-            if tripped and not self._has_arrived(Event.FAULT, fault, since, tick):
+            if tripped and not self._has_arrived(Event.FAULT, fault, tick_before, tick):
                 missed.append(EventMessage(tick, Event.FAULT, fault, trigger, math.nan))
         self._tick, self._row = int(ticks.tick[-1]), modes[-1]
         return missed
 
-    def _has_arrived(self, kind: Event, detail: int, since: int, tick: int) -> bool:
-        span = (tick - since) % _TICK_MODULUS
+    def _has_arrived(self, kind: Event, detail: int, tick_before: int, tick: int) -> bool:
+        """Whether such an event arrived whose tick is after `tick_before`, and not after `tick`."""
+        span_ticks = (tick - tick_before) % _TICK_MODULUS
         return any(
-            event.kind == kind and event.detail == detail and (tick - event.tick) % _TICK_MODULUS < span
+            event.kind == kind and event.detail == detail and (tick - event.tick) % _TICK_MODULUS < span_ticks
             for event in self._arrived
         )
 
@@ -96,16 +99,20 @@ def insert_missed(message: EventMessage, wall_ns: int, events: list[LinkEvent]) 
     message : EventMessage
         The event.
     wall_ns : int
-        Unix time [ns].
+        Unix time of the reading [ns].
     events : list of LinkEvent
         Events of one reading, in order; changed in place.
     """
     text = f"{event_text(message)}; from telemetry, its event was lost"
-    later = (
-        index
-        for index, other in enumerate(events)
-        if other.message is not None and 0 < (other.tick - message.tick) % _TICK_MODULUS < _TICK_MODULUS // 2
-    )
-    events.insert(
-        next(later, len(events)), LinkEvent(message.tick, wall_ns, event_kind(message), text, message)
-    )
+    event = LinkEvent(message.tick, wall_ns, event_kind(message), text, message)
+    for index, other in enumerate(events):
+        # An event without a message is one of the link itself; its tick is only the newest tick known.
+        if other.message is not None and _is_later(other.tick, message.tick):
+            events.insert(index, event)
+            return
+    events.append(event)
+
+
+def _is_later(tick: int, reference_tick: int) -> bool:
+    """Whether a tick is after another one, by less than half a turn of the 32-bit counter."""
+    return 0 < (tick - reference_tick) % _TICK_MODULUS < _TICK_MODULUS // 2

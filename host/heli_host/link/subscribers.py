@@ -74,6 +74,7 @@ class Subscribers:
         return error
 
     def _call(self, callback: Callable[[_T], None], value: _T) -> None:
+        """Call a subscriber; one that raises is removed, and its error becomes an event of the link."""
         try:
             callback(value)
         # Whatever a user's function raises, the link must live on: it keeps the arm in the air.

@@ -171,11 +171,17 @@ def _cut_out(
     left: npt.NDArray[np.uint32],
     right: npt.NDArray[np.int32],
 ) -> npt.NDArray[np.int32]:
+    """Cut numbers of some bits out of 32-bit words: a shift to the left removes the bits before, an
+    arithmetic shift to the right those behind, and extends the sign.
+    """
     # A shift by 32, for a delta of no bits, gives 0 in numpy: it is defined there.
     return np.asarray((words.take(index) << left).view(np.int32) >> right)
 
 
 def _unpack(words: npt.NDArray[np.uint32], plans: Sequence[_Plan], layout: _Layout) -> Ticks:
+    """Unpack batches of telemetry of one reading together: n samples in f batches. Each batch has the
+    absolute numbers of its first sample, then differences.
+    """
     size = np.array([plan.size for plan in plans])  # (f,)
     count = np.array([len(plan.index) for plan in plans])  # (f,)
     start = np.cumsum(size) - size  # (f,), first byte of each batch

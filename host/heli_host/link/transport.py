@@ -264,6 +264,7 @@ class SerialTransport:
         return SerialTransport(self._stable_url, self._baud, min_read_interval_s=self.min_read_interval_s)
 
     def _drain(self) -> bytes:
+        """Return the bytes that wait."""
         # A terminal hands out at most 4096 bytes a call, however many wait.
         first: bytes = self._serial.read(_READ_SIZE)
         if len(first) < 4095:
@@ -275,6 +276,7 @@ class SerialTransport:
 
     @contextlib.contextmanager
     def _lost_when_it_fails(self) -> Iterator[None]:
+        """Translate errors of the port in this ``with`` block to LinkLost."""
         try:
             yield
         # TypeError and AttributeError: pyserial uses a handle that its own close has set to None.
@@ -480,6 +482,9 @@ def set_read_interval(transport: Transport, interval_s: float) -> None:
 
 
 def _open_serial(url: str, baud: int) -> serial.SerialBase:
+    """Open a serial port or a pyserial address without waiting reads. Errors are translated to LinkErrors
+    with a remedy.
+    """
     is_file = os.name == "posix" and "://" not in url
     options: dict[str, Any] = {"exclusive": True} if is_file else {}
     if url.lower().startswith("rfc2217://"):
@@ -503,6 +508,7 @@ def _open_serial(url: str, baud: int) -> serial.SerialBase:
 
 
 def _port_error(url: str, error: Exception) -> PortError:
+    """Return the PortError for an error of the operating system: no permission, in use, or not there."""
     number = getattr(error, "errno", None)
     text = str(error).lower()
     if number in (errno.EACCES, errno.EPERM) or "permission" in text or "access is denied" in text:
@@ -531,6 +537,7 @@ def _port_error(url: str, error: Exception) -> PortError:
 
 
 def _keep_dtr_on_close(fd: int) -> None:
+    """Keep the line DTR as it is when the port is closed: its edge resets the board."""
     # Sockets have no such flag, and Windows no termios at all.
     try:
         import termios

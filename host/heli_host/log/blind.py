@@ -25,7 +25,7 @@ SEALED: Final = "sealed"
 TRUTH_END: Final = ".truth.json"
 TWIN_EVENT: Final = "twin"
 """Name of a twin's events, `heli_host.twins.EVENT`."""
-_SAID: Final = frozenset(
+_PERMITTED_NOTES: Final = frozenset(
     (
         *("axes", "board", "boot_fault", "firmware", "host", "host_link", "host_link_hash"),
         *("law_signals", "link", "link_hash", "params_source", "reset", "start", SEALED),
@@ -143,7 +143,7 @@ def hide(text: str) -> str:
 
 def blind_notes(session: Mapping[str, str], sealed: str) -> dict[str, str]:
     """Return the notes of `session` that a blind flight may contain, with its seal, `sealed`."""
-    return {name: hide(text) for name, text in session.items() if name in _SAID} | {SEALED: sealed}
+    return {name: hide(text) for name, text in session.items() if name in _PERMITTED_NOTES} | {SEALED: sealed}
 
 
 def blind(flight: Flight, sealed: str) -> Flight:
@@ -195,7 +195,7 @@ def sealed_truth(flight: Flight, log: Path) -> Truth | None:
     """
     if flight.meta.get(SEALED):
         return None
-    left_out = {name: text for name, text in flight.meta.items() if name not in _SAID}
+    left_out = {name: text for name, text in flight.meta.items() if name not in _PERMITTED_NOTES}
     flown = {
         "log_sha256": _log_digest(log),
         **{name: text for name, text in left_out.items() if not name.startswith(_RESULT)},

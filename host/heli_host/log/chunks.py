@@ -104,15 +104,15 @@ def _tick_run(body: bytes, position: int, tick: TickRecord) -> NDArray[Any] | No
     record = tick.layout
     if record is None:
         return None
-    most = (len(body) - position) // record.itemsize
-    if most == 0:
+    max_count = (len(body) - position) // record.itemsize
+    if max_count == 0:
         return None
-    rows = np.frombuffer(body, record, count=most, offset=position)
+    rows = np.frombuffer(body, record, count=max_count, offset=position)
     ours = (
         (rows["opcode"] == int(Opcode.MESSAGE))
         & (rows["length"] == record.itemsize - RECORD_HEADER.size)
         & (rows["channel"] == tick.channel)
         & (rows["cdr"] == int.from_bytes(CDR_LITTLE_ENDIAN, "little"))
     )
-    count = most if ours.all() else int(np.argmin(ours))
+    count = max_count if ours.all() else int(np.argmin(ours))
     return rows[:count] if count else None

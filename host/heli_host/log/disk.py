@@ -158,16 +158,17 @@ class DirectFile:
         self._bytes_written += len(data)
         if self.nearly_full is not None:
             return
-        left = free_bytes(self._path.parent)
-        if left is not None and left < RESERVED_BYTES:
+        free = free_bytes(self._path.parent)
+        if free is not None and free < RESERVED_BYTES:
             self.nearly_full = LogWriteError(
-                f"the disk of the log {self._path} is almost full, {_megabytes(left)} are left",
+                f"the disk of the log {self._path} is almost full, {_megabytes(free)} are left",
                 "free some disk space",
             )
-        most = most_file_bytes()
-        if most is not None and most - self._bytes_written < RESERVED_BYTES:
+        max_bytes = max_file_bytes()
+        if max_bytes is not None and max_bytes - self._bytes_written < RESERVED_BYTES:
             self.nearly_full = LogWriteError(
-                f"the log {self._path} has almost the size that a file may have here, {_megabytes(most)}",
+                f"the log {self._path} has almost the size that a file may have here, "
+                f"{_megabytes(max_bytes)}",
                 "raise the limit (ulimit -f), or fly for a shorter time",
             )
 
@@ -199,6 +200,7 @@ class DirectFile:
             self._file.close()
 
     def _fail(self, error: OSError) -> LogWriteError:
+        """Note that the log cannot be written, cut it to its last complete record, and return the error."""
         remedy = "the log is readable up to here"
         if error.errno in _FULL:
             remedy = f"free some disk space; {remedy}"
@@ -332,6 +334,7 @@ class BackgroundFile:
         self._wait_while(lambda: self._queued_bytes > 0)
 
     def _wait_while(self, busy: Callable[[], bool]) -> None:
+        """Wait while the disk is `busy`, as long as it takes some bytes now and then."""
         left_bytes, since_s = self._queued_bytes, self._now_s()
         while busy() and self.failed is None:
             with self._changed:
@@ -428,30 +431,30 @@ def check_free_space(path: Path, duration_s: float) -> None:
         If less is free than its ticks can need.
     """
     needed = RESERVED_BYTES + max(_MIN_FLIGHT_S, duration_s) * MAX_BYTES_PER_S
-    left = free_bytes(path.parent)
-    if left is not None and left < needed:
+    free = free_bytes(path.parent)
+    if free is not None and free < needed:
         raise LogWriteError(
-            f"the disk of the log {path} has {_megabytes(left)} left, but the flight can need "
+            f"the disk of the log {path} has {_megabytes(free)} left, but the flight can need "
             f"{_megabytes(needed)}",
             "free disk space, or choose another disk with --log",
         )
-    most = most_file_bytes()
-    if most is not None and most < needed:
+    max_bytes = max_file_bytes()
+    if max_bytes is not None and max_bytes < needed:
         raise LogWriteError(
-            f"this system allows files of {_megabytes(most)}, but the log {path} can need "
+            f"this system allows files of {_megabytes(max_bytes)}, but the log {path} can need "
             f"{_megabytes(needed)}",
             "raise the limit (ulimit -f), or fly for a shorter time",
         )
 
 
-def most_file_bytes() -> int | None:
+def max_file_bytes() -> int | None:
     """Return the largest size to which this process may write a file; None where there is no such limit."""
     try:
         import resource
     except ImportError:  # Windows has no limits of a process
         return None
-    most = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
-    return None if most == resource.RLIM_INFINITY else most
+    soft_limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    return None if soft_limit == resource.RLIM_INFINITY else soft_limit
 
 
 def free_bytes(folder: Path) -> int | None:
@@ -496,6 +499,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def _create(path: Path, overwrite: bool) -> io.FileIO:
+    """Create the log file and its folder; an existing log is an error unless `overwrite` is set."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if overwrite and path.is_file():

@@ -92,11 +92,11 @@ def draw(flight: Flight, summary: FlightSummary) -> Figure:
     heights = [0.62, *(3.0 for _ in AXES), *(2.2 for _ in signals[:1]), 2.2]
     rows = figure.subplots(len(heights), 1, sharex=True, gridspec_kw={"height_ratios": heights})
     band, *panels, volts = rows
-    own = panels[len(AXES) :]
+    signal_panels = panels[len(AXES) :]
     t_s = flight.t_s - flight.t_s[0] if len(flight) else flight.t_s
     for index, panel in enumerate(panels[: len(AXES)]):
         _draw_axis(panel, flight, t_s, index, summary)
-    for panel in own:
+    for panel in signal_panels:
         _draw_signals(panel, flight, t_s, signals)
     _draw_voltages(volts, flight, t_s)
     _draw_strips(band, (*panels, volts), flight, t_s)
@@ -119,6 +119,9 @@ def _headline(summary: FlightSummary) -> str:
 
 
 def _subtitle(summary: FlightSummary) -> str:
+    """Write duration, lost ticks, counts of the link, board and remarks below the headline; an abort with its
+    reason first.
+    """
     lost = f"{summary.ticks_lost:,} lost" if summary.ticks_lost else "none lost"
     link = summary.link
     parts = [
@@ -142,6 +145,7 @@ def _count(link: Mapping[str, int], name: str, noun: str) -> str:
 def _draw_axis(
     panel: Axes, flight: Flight, t_s: NDArray[np.float64], index: int, summary: FlightSummary
 ) -> None:
+    """Draw angle and setpoint of an axis [deg] over time [s], with the tracking error as its title."""
     axis = AXES[index]
     measured_deg = np.rad2deg(flight.angles_rad[:, index])
     setpoints_rad = flight.setpoints_rad
@@ -187,6 +191,7 @@ def _draw_signals(panel: Axes, flight: Flight, t_s: NDArray[np.float64], signals
 
 
 def _finish(panel: Axes) -> None:
+    """Give a panel its grid, margins and legend."""
     panel.grid(True, color="#bbbbbb", lw=0.5, alpha=0.6)
     panel.margins(y=0.12)
     for side in ("top", "right"):
@@ -243,6 +248,9 @@ def _block(band: Axes, place: tuple[float, float, float], text: str, colour: str
 
 
 def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
+    """Mark phases, gaps and serious events of a flight in all panels; the last panel has the names of the
+    events.
+    """
     if not len(flight):
         return
     phases = [event for event in flight.events if event.name == PHASE_EVENT]
@@ -262,6 +270,7 @@ def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
 
 
 def _label(panel: Axes, at_s: float, text: str, colour: str) -> None:
+    """Write a label at the lower end of a panel, at a time [s]."""
     panel.annotate(
         text,
         (at_s, 0.03),
@@ -276,11 +285,11 @@ def _label(panel: Axes, at_s: float, text: str, colour: str) -> None:
 
 def _spread(events: Sequence[FlightEvent], flight: Flight) -> list[FlightEvent]:
     """Keep events whose labels do not fall onto each other."""
-    kept: list[FlightEvent] = []
+    spread: list[FlightEvent] = []
     for event in events:
-        if not kept or event.t_s - kept[-1].t_s > 0.09 * max(flight.duration_s, 1e-9):
-            kept.append(event)
-    return kept
+        if not spread or event.t_s - spread[-1].t_s > 0.09 * max(flight.duration_s, 1e-9):
+            spread.append(event)
+    return spread
 
 
 def _moment_s(event: FlightEvent, flight: Flight) -> float:

@@ -22,8 +22,10 @@ from heli_host.link.channels import ENCODERS, is_whole, rad_per_count
 from heli_host.log.scan import MAX_LOG_BYTES, Scan
 from heli_host.log.schema import TICK_TOPIC, MessageLayout, raw_ticks
 
-_SINGLE = 2.0**-23
+_ROUNDING_SHARE = 2.0**-23
 """Largest rounding error of single precision, as a share of the value."""
+_MAX_SHOWN_CHARACTERS = 24
+"""Longest text of a damaged parameter that a note shows; it can be any text."""
 _BY_FIELD = {spec.field: spec for spec in CHANNELS}
 _ANGLES = tuple(spec.column for spec in CHANNELS if spec.axis is not None)
 
@@ -73,11 +75,11 @@ class Log:
     def law_signals(self) -> dict[str, str]:
         """Names that a control law gave to its signals, by channel; empty if no such law flew."""
         named = self.metadata.get("law", {})
-        taken = {*OWN_COLUMNS, *(spec.column for spec in CHANNELS)}
+        reserved_names = {*OWN_COLUMNS, *(spec.column for spec in CHANNELS)}
         return {
             channel: name
             for channel, name in named.items()
-            if channel in _BY_FIELD and name.isidentifier() and name not in taken
+            if channel in _BY_FIELD and name.isidentifier() and name not in reserved_names
         }
 
     @property
@@ -137,7 +139,9 @@ class Log:
         )
 
     def _columns(self) -> dict[str, NDArray[Any]]:
-        """Every field but the time, in its unit, by the name that tables give it; an encoder's counts too."""
+        """Return each field except the times, in its unit, by its column name in tables; the counts of an
+        encoder are included under the name of the field.
+        """
         count_rad = rad_per_count(self.parameters)
         columns: dict[str, NDArray[Any]] = {}
         named = self.law_signals
@@ -152,14 +156,24 @@ class Log:
         return columns
 
     def _column(self, spec: ChannelSpec, count_rad: NDArray[np.float64]) -> NDArray[Any]:
+        """Return a channel in its unit, shape (n,); an angle from its counts.
+
+        Parameters
+        ----------
+        spec : ChannelSpec
+            Declaration of the channel.
+        count_rad : ndarray, shape (3,)
+            Angle of one count of each encoder [rad]; nan if the log does not state it.
+        """
         logged: NDArray[Any] = self.ticks[spec.field]
         if spec.axis is None and is_whole(spec):
             return np.ascontiguousarray(logged)
         if spec.axis is None:
             values = logged.astype(np.float64)
             exact = np.rint(values / spec.scale) * spec.scale
-            # Of a log by a version with a finer scale nothing is rounded away.
-            return np.where(np.abs(exact - values) <= _SINGLE * np.abs(values), exact, values)
+            # Single precision rounded the values; this restores them. A value further from the grid is from a
+            # log with a finer scale, and stays.
+            return np.where(np.abs(exact - values) <= _ROUNDING_SHARE * np.abs(values), exact, values)
         if np.isnan(count_rad[spec.axis]):
             return np.asarray(self.ticks[spec.column], np.float64)
         return np.asarray(logged * count_rad[spec.axis])
@@ -173,13 +187,18 @@ def read_log(path: str | Path) -> Log:
     path : str or Path
         An MCAP file of this package, complete or cut short at any byte.
 
+    Returns
+    -------
+    Log
+        Its whole content. Damaged parts are left out and listed in `Log.notes`.
+
     Raises
     ------
     LogError
-        If it cannot be read, is no MCAP file, has no ticks of a helicopter in it, or unpacks to more than a
-        gigabyte.
+        If the file cannot be read, is not an MCAP file, contains no telemetry of a helicopter, or unpacks to
+        more than a gigabyte.
     TruncatedLog
-        If it ends before the first record that says what it is.
+        If the file ends before its schema, which names the fields of a tick.
     """
     path = Path(path)
     try:
@@ -187,27 +206,20 @@ def read_log(path: str | Path) -> Log:
     except OSError as error:
         raise LogError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
     magic = bytes(MCAP0_MAGIC)
+    # A file that ends within the magic bytes counts as cut short, not as another format.
     if data[: len(magic)] != magic[: len(data)]:
         raise LogError(f"{path} is not an MCAP file", "give a log written by heli-host")
     scan = Scan(path, memoryview(data))
     scan.run()
     if scan.layout is None:
-        if scan.closed:
-            raise LogError(
-                f"{path} has no topic {TICK_TOPIC}",
-                "give a log written by heli-host; this MCAP file is from another program",
-            )
-        raise TruncatedLog(
-            f"{path} is cut short within its first {len(data)} bytes" if data else f"{path} is an empty file",
-            "record the flight again: it contains no data",
-        )
+        raise _no_ticks_error(path, len(data), is_complete=scan.closed)
     ticks = np.concatenate(scan.ticks) if scan.ticks else np.zeros(0, scan.layout.dtype)
     notes = scan.notes
-    untrue = _disagreeing(ticks, scan.metadata.get("parameters", {}))
-    for name in untrue:
+    for name in _damaged_encoder_parameters(ticks, scan.metadata.get("parameters", {})):
+        damaged_text = scan.metadata["parameters"].pop(name)[:_MAX_SHOWN_CHARACTERS]
         notes.append(
-            f"{name} {scan.metadata['parameters'].pop(name)[:24]} is damaged and was left out: by it, the "
-            "counts are not the angles logged beside them"
+            f"{name} {damaged_text} is damaged and was left out: it does not convert the logged counts to "
+            "the logged angles"
         )
     return Log(
         path=path,
@@ -221,7 +233,20 @@ def read_log(path: str | Path) -> Log:
     )
 
 
-def _disagreeing(ticks: NDArray[Any], parameters: Mapping[str, str]) -> list[str]:
+def _no_ticks_error(path: Path, size: int, *, is_complete: bool) -> LogError:
+    """Return the error for a file of `size` bytes without a schema of ticks."""
+    if is_complete:
+        return LogError(
+            f"{path} has no topic {TICK_TOPIC}",
+            "give a log written by heli-host; this MCAP file is from another program",
+        )
+    return TruncatedLog(
+        f"{path} is cut short within its first {size} bytes" if size else f"{path} is an empty file",
+        "record the flight again: it contains no data",
+    )
+
+
+def _damaged_encoder_parameters(ticks: NDArray[Any], parameters: Mapping[str, str]) -> list[str]:
     """Return the names of encoder parameters that do not convert the counts to the logged angles."""
     names: list[str] = []
     for axis, channel in zip(Axis, ENCODERS, strict=True):
@@ -237,6 +262,6 @@ def _disagreeing(ticks: NDArray[Any], parameters: Mapping[str, str]) -> list[str
             continue
         angles_rad = ticks[spec.column].astype(np.float64)
         error_rad = np.abs(ticks[spec.field] * count_rad - angles_rad)
-        if not np.all((error_rad <= _SINGLE * np.abs(angles_rad)) | np.isnan(angles_rad)):
+        if not np.all((error_rad <= _ROUNDING_SHARE * np.abs(angles_rad)) | np.isnan(angles_rad)):
             names.append(name)
     return names

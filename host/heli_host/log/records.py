@@ -196,12 +196,15 @@ class McapBytes:
         return data
 
     def chunk(self, parts: Iterable[TickBatch | JsonMessage], file_offset: int) -> bytes:
-        """Return a compressed chunk and its message indexes.
+        """Return a compressed chunk, followed by one index record per channel with the time and the offset of
+        each of its messages.
 
         Parameters
         ----------
+        parts : iterable of TickBatch or JsonMessage
+            Messages of the chunk, in order; at least one.
         file_offset : int
-            Offset of the record in the file.
+            Offset at which the chunk will be written to the file [bytes].
         """
         blocks: list[bytes] = []
         index: dict[int, list[NDArray[Any]]] = {}
@@ -233,7 +236,9 @@ class McapBytes:
         index_offsets: dict[int, int] = {}
         for channel, entries in indexes.items():
             index_offsets[channel] = file_offset + len(data)
-            data += _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, 6 + entries.nbytes, channel, entries.nbytes)
+            # The record's length counts the channel (2 bytes) and the length of the entries (4 bytes) too.
+            length = 2 + 4 + entries.nbytes
+            data += _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, length, channel, entries.nbytes)
             data += entries.tobytes()
             self._message_counts[channel] = self._message_counts.get(channel, 0) + len(entries)
         self._chunk_indexes.append(
@@ -254,6 +259,9 @@ class McapBytes:
         return data
 
     def _tick_messages(self, batch: TickBatch, offset: int) -> tuple[NDArray[Any], bytes]:
+        """Return ticks as MCAP messages: their entries in the index, and their bytes. `offset` is that of the
+        first in its chunk.
+        """
         records = np.zeros(batch.tick.size, _TICK_RECORD)
         records["opcode"] = int(Opcode.MESSAGE)
         records["length"] = _TICK_RECORD.itemsize - _RECORD_HEADER_BYTES
@@ -270,6 +278,7 @@ class McapBytes:
         return entries, records.tobytes()
 
     def _json_message(self, message: JsonMessage, offset: int) -> tuple[NDArray[Any], bytes]:
+        """Return a JSON message: its entry in the index, and its bytes, at `offset` in the chunk."""
         wall_ns = self.wall_ns(message.time_us)
         head = _MESSAGE_HEADER.pack(
             Opcode.MESSAGE,
@@ -357,6 +366,7 @@ def _joined(parts: Iterable[TickBatch | JsonMessage]) -> list[TickBatch | JsonMe
     run: list[TickBatch] = []
 
     def close_run() -> None:
+        """Join the batches of ticks that follow each other into one."""
         if run:
             joined.append(
                 TickBatch(

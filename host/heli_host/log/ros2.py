@@ -144,6 +144,7 @@ def _field_names(columns: Iterable[str]) -> dict[str, str]:
 
 
 def _tick_schema(flight: Flight, columns: dict[str, NDArray[Any]]) -> str:
+    """Return the ROS 2 message definition of a row, with the names of states and faults as constants."""
     lines = ["# One row of a flight: angles read at t_s, voltages that act from it until the next row."]
     for prefix, names in (("STATE", flight.state_names), ("FAULT", flight.fault_names)):
         lines += [

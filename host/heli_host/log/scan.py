@@ -128,12 +128,12 @@ class Scan:
             try:
                 position = self._step(position)
             except _OutOfStep:
-                found = _next_record(self.data, position, self._index)
-                if found is None:
+                next_position = _next_record(self.data, position, self._index)
+                if next_position is None:
                     self._note_break(position)
                     break
-                self._lost.append((position, found))
-                position = found
+                self._lost.append((position, next_position))
+                position = next_position
         if not self.closed and position == len(self.data):
             self._note_break(position)
         self._judge_head()
@@ -172,6 +172,9 @@ class Scan:
         return start + int(length)
 
     def _visit_head(self, opcode: int, body: memoryview) -> None:
+        """Process a header, schema or channel. The index has all channels, so those of the data are then
+        ignored.
+        """
         if opcode == Opcode.HEADER:
             _whole(Header, body)
         elif self._index is not None and self._index.channels:
@@ -183,6 +186,7 @@ class Scan:
             self._add_channel(_whole(Channel, body))
 
     def _add_channel(self, channel: Channel) -> None:
+        """Note a channel of the log; that of the ticks determines the layout of their records."""
         self._channels[channel.id] = channel
         if channel.topic != TICK_TOPIC or channel.id == self._tick.channel:
             return
@@ -222,18 +226,21 @@ class Scan:
         return [channel.topic for channel in self._channels.values()]
 
     def _end(self, record: DataEnd, position: int) -> None:
+        """Process the end of the data section: compare its CRC, and note an index that is missing."""
         if self._index is not None and position != self._index.data_end:
             raise _OutOfStep
         self.closed = True
-        carries = record.data_section_crc != 0 or self._has_crcs
-        fits = carries and record.data_section_crc == zlib.crc32(self.data[:position])
-        if carries and not fits:
+        # A CRC of 0 means that the writer computed none, unless the log states that it has CRCs.
+        has_crc = record.data_section_crc != 0 or self._has_crcs
+        is_intact = has_crc and record.data_section_crc == zlib.crc32(self.data[:position])
+        if has_crc and not is_intact:
             self.notes.append("the CRC of the whole file does not fit: it is not as it was written")
         if self._index is None:
-            whole = "; all data before it is whole" if fits else ""
-            self.notes.append(f"the index at its end is damaged or missing{whole}")
+            data_text = "; all data before it is whole" if is_intact else ""
+            self.notes.append(f"the index at its end is damaged or missing{data_text}")
 
     def _note_break(self, position: int) -> None:
+        """Note that the log ends at `position`, because it was cut short or because its end is damaged."""
         rest = len(self.data) - position
         if self.data[-len(_MAGIC) :] == _MAGIC and rest:
             self.notes.append(f"its last {rest} bytes are damaged and were left out")
@@ -261,6 +268,9 @@ class Scan:
             self.notes.append(f"metadata is damaged and was left out: {names}")
 
     def _note_damage(self) -> None:
+        """Note what is missing: damaged chunks, damaged bytes, and ticks that were written but are not
+        readable.
+        """
         if self._damaged_chunks:
             self.notes.append(f"{self._damaged_chunks} chunks are damaged and were left out")
         for start, stop in self._lost:
@@ -271,6 +281,9 @@ class Scan:
             self.notes.append(f"{written} ticks were written, {read} are readable")
 
     def _read_chunk(self, chunk: Chunk) -> None:
+        """Add ticks and messages of a chunk. A damaged chunk adds nothing, because its content is checked
+        before.
+        """
         # A chunk that claims more is damaged, which `unpacked` finds: its claim does not count.
         if chunk.uncompressed_size <= LARGEST_CHUNK_BYTES:
             self._unpacked_bytes += chunk.uncompressed_size
@@ -295,6 +308,7 @@ class Scan:
         self.ticks += ticks
 
     def _add_json(self, record: memoryview) -> None:
+        """Add the JSON message of an event or of the link counters; messages of other topics are ignored."""
         channel_id, *_ = _MESSAGE_HEADER.unpack_from(record)
         topic = self._channels[channel_id].topic if channel_id in self._channels else ""
         if topic not in (EVENT_TOPIC, LINK_TOPIC):

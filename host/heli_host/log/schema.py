@@ -201,22 +201,29 @@ class _Field:
 
 
 def _fields() -> Iterator[_Field]:
+    """Yield the fields of a tick: the times, each channel, and after each encoder's counts the angle.
+
+    The first field of an enumeration, such as the state, also declares the names of its values.
+    """
     yield _Field("<f8", "t_s", "seconds of device time since the first tick logged")
     yield _Field("<u4", "tick", "the board's tick counter, 1000 a second")
-    named: set[type] = set()
+    declared: set[type] = set()
     for spec in CHANNELS:
         constants = ""
-        if spec.kind is not None and spec.kind not in named:
-            named.add(spec.kind)
+        if spec.kind is not None and spec.kind not in declared:
+            declared.add(spec.kind)
+            # The unit of such a channel names its enumeration: "enum state" gives STATE_IDLE=0.
             prefix = spec.unit.partition(" ")[2].upper()
-            constants = "".join(f"uint8 {prefix}_{one.name}={one.value}\n" for one in spec.kind)
+            constants = "".join(f"uint8 {prefix}_{member.name}={member.value}\n" for member in spec.kind)
         yield _Field(_type_in_log(spec), spec.field, spec.meaning, constants)
         if spec.axis is not None:
             yield _Field("<f4", spec.column, f"{spec.field} by the parameters of the flight")
 
 
 def _type_in_log(spec: ChannelSpec) -> str:
-    """Whole numbers as they are; values in the smallest float from which the raw number comes back."""
+    """Return the numpy type of a channel in the log: that of the link for whole numbers, otherwise the
+    smallest float from which the raw number can be restored.
+    """
     number = np.dtype(spec.code)
     if is_whole(spec):
         return number.str.replace("|", "<")
@@ -224,10 +231,13 @@ def _type_in_log(spec: ChannelSpec) -> str:
 
 
 def _tick_schema() -> str:
-    fields = sorted(_fields(), key=lambda one: -np.dtype(one.code).itemsize)
+    """Return the ROS 2 message definition of a tick, with the widest fields first: so none needs padding."""
+    fields = sorted(_fields(), key=lambda field: -np.dtype(field.code).itemsize)
     return (
         "# One control tick: angles read at its start, voltages that act from it until the next tick.\n"
-        + "".join(f"{one.constants}{_WORDS[one.code]} {one.name}  # {one.meaning}\n" for one in fields)
+        + "".join(
+            f"{field.constants}{_WORDS[field.code]} {field.name}  # {field.meaning}\n" for field in fields
+        )
     )
 
 

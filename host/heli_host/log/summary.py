@@ -191,6 +191,7 @@ def _closed_axes(text: str) -> tuple[str, ...]:
 
 
 def _link(log: Log) -> dict[str, int]:
+    """Return the link counters of a log, the last of the flight or those at its end."""
     counted = {"frames_ok": 0, "frames_bad": 0, "retries": 0, "reconnects": 0}
     last = log.link[-1] if log.link else {}
     counted.update({name: int(value) for name, value in last.items() if name != "t_s" and _is_count(value)})

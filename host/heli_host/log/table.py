@@ -189,6 +189,7 @@ def _one_line(text: str) -> str:
 
 
 def _read_bytes(path: Path) -> bytes:
+    """Return the content of a CSV file, unpacked if its name ends in .gz."""
     try:
         data = read_file(path, MAX_TABLE_BYTES)
     except OSError as error:
@@ -214,6 +215,7 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _take_apart(data: bytes, path: Path) -> _Lines:
+    """Split a CSV file into notes (lines that begin with #), column names and rows of text."""
     data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if not data.strip():
         raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
@@ -239,17 +241,17 @@ def _take_apart(data: bytes, path: Path) -> _Lines:
     names = tuple(name.strip().strip('"') for name in header.split(","))
     if b"#" not in body and b"\n\n" not in body:
         return _Lines(tuple(notes), names, body, number + 1, ())
-    kept: list[bytes] = []
+    row_lines: list[bytes] = []
     note_lines: list[int] = []
     for offset, raw in enumerate(body.split(b"\n")):
         if raw.lstrip().startswith(b"#"):
             notes.append(raw.lstrip()[1:].decode("utf-8", errors="replace").strip())
             note_lines.append(number + 1 + offset)
         elif raw.strip():
-            kept.append(raw)
+            row_lines.append(raw)
         else:
             note_lines.append(number + 1 + offset)
-    return _Lines(tuple(notes), names, b"\n".join(kept), number + 1, tuple(note_lines))
+    return _Lines(tuple(notes), names, b"\n".join(row_lines), number + 1, tuple(note_lines))
 
 
 def _check_names(names: tuple[str, ...], path: Path) -> None:
@@ -262,6 +264,7 @@ def _check_names(names: tuple[str, ...], path: Path) -> None:
 
 
 def _missing_remedy(missing: str, names: tuple[str, ...]) -> str:
+    """Suggest a fix for a `missing` column by the columns that exist, the most probable mistake first."""
     if len(names) == 1:
         separator = next((mark for mark in ";\t" if mark in names[0]), None)
         if separator is not None:
@@ -286,6 +289,9 @@ def _is_number(text: str) -> bool:
 
 
 def _read_numbers(lines: _Lines, path: Path) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Parse the rows of a table; return the numbers and the names of their columns. A column that is not one
+    of a flight and contains text is left out.
+    """
     if not lines.body.strip():
         raise FlightDataError(f"{path}: no rows below the column names", "record a flight into it first")
     keep = list(range(len(lines.names)))
@@ -312,6 +318,7 @@ def _read_numbers(lines: _Lines, path: Path) -> tuple[NDArray[np.float64], tuple
 
 
 def _load(body: bytes, width: int, keep: list[int]) -> NDArray[np.float64]:
+    """Parse the columns `keep` of a table of `width` columns, shape (n, len(keep))."""
     usecols = None if len(keep) == width else keep
     table = np.loadtxt(
         io.BytesIO(body), delimiter=",", comments=None, ndmin=2, usecols=usecols, encoding="latin-1"
@@ -338,6 +345,9 @@ def _find_bad_cell(lines: _Lines, keep: list[int]) -> tuple[int, int, str]:
 
 
 def _build(columns: dict[str, NDArray[np.float64]], notes: tuple[str, ...]) -> Flight:
+    """Build a flight from columns and from the notes of the file: parameters, names of states, events and
+    plan.
+    """
     meta: dict[str, str] = {}
     free: list[str] = []
     plan: list[str] = []

@@ -295,6 +295,7 @@ class LogWriter:
                 self._file.close()
 
     def _tell_stalls(self) -> None:
+        """Write an event for each pause of the disk, and for ticks that had to be dropped in it."""
         for stall_s in self._file.take_stalls_s():
             self.write_event(
                 self._last_tick, DISK_BLOCKED, f"the disk blocked for {stall_s:.1f} s", LEVEL_WARNING

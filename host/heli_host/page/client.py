@@ -115,7 +115,7 @@ class PageClient:
             Length of the history in device time [s].
         """
         count = round(min(max(finite("last_s", last_s), 0.0), KEPT_S) / TICK_S)
-        cut = self._buffer.cut(max(self._buffer.end - count, 0), round(KEPT_S / TICK_S))
+        cut = self._buffer.rows_since(max(self._buffer.end - count, 0), round(KEPT_S / TICK_S))
         return Scales(self._values).samples(cut.tick, cut.raw)
 
     def set(self, name: str, value: float) -> float:
@@ -284,6 +284,7 @@ class PageClient:
             self._thread.join(_OPEN_S)
 
     def _wait(self, so: Any, timeout_s: float) -> bool:
+        """Wait until the condition `so` holds; return False if it does not in time, or the page is gone."""
         end_s = time.monotonic() + timeout_s
         with self._changed:
             while not so():
@@ -295,6 +296,7 @@ class PageClient:
         return True
 
     def _read(self) -> None:
+        """Read messages of the server until it closes, in a thread of its own."""
         with contextlib.suppress(WebSocketException, OSError):
             for message in self._socket:
                 if isinstance(message, bytes):
@@ -315,6 +317,7 @@ class PageClient:
         self._socket.send(rows.number.to_bytes(4, "little"))
 
     def _take_words(self, words: Mapping[str, Any]) -> None:
+        """Store what a JSON message of the server contains: an answer, status, control or values."""
         with self._changed:
             if "answer" in words and words["answer"] is not None:
                 self._answers[int(words["answer"])] = words
@@ -327,6 +330,7 @@ class PageClient:
 
 
 def _as_json(request: Mapping[str, Any]) -> str:
+    """Return a request as JSON; a PageError reports one that JSON cannot hold or that is too long."""
     try:
         words = json.dumps(request)
     except (TypeError, ValueError, RecursionError) as error:

@@ -265,6 +265,7 @@ class Cockpit:
         return {"value": after}
 
     def _record(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Run the request ``record``: begin or end a recording."""
         if arguments.get("on"):
             if self._recording.recorder is None:
                 self._recording.begin((), 0.0)
@@ -275,6 +276,7 @@ class Cockpit:
         return {}
 
     def _twin_status(self) -> dict[str, Any] | None:
+        """Return the twin's status for the page, with the predicted angles [rad]; None without a twin."""
         if self._twin is None:
             return None
         ghost = self._twin.ghost_rad()
@@ -293,6 +295,7 @@ class Cockpit:
         self.buffer.append(self._session.ticks_counted_on(ticks), ticks.raw)
 
     def _take_event(self, event: LinkEvent) -> None:
+        """Pass an event of the link to the page. A restart of the board clears the telemetry."""
         if event.kind == BOARD_RESTARTED:
             self.buffer.clear()
         self._law.take_event(event)
@@ -302,6 +305,7 @@ class Cockpit:
             self._feed.tell({"channels": channel_rows(self._parameters.values, self._signals)})
 
     def _tell_parameters(self) -> None:
+        """Send the parameters to all clients, with what depends on them: limits and units of channels."""
         values = self._parameters.values
         self._feed.tell(
             {
@@ -314,6 +318,7 @@ class Cockpit:
 
 
 def _link_status(session: Session) -> dict[str, Any]:
+    """Return counters, latency and jitter of the link [ms] for the page."""
     counters, clock = session.counters, session.clock
     return {
         "frames": counters.frames_ok,

@@ -48,14 +48,14 @@ def page_file(path: str, headers: Mapping[str, str]) -> Response:
 @cache
 def _stored() -> dict[str, Traversable]:
     """All files that are served, by their paths as a browser asks for them."""
-    found: dict[str, Traversable] = {}
+    served: dict[str, Traversable] = {}
     folders = [("", files(__package__) / "static")]
     while folders:
         prefix, folder = folders.pop()
-        for one in folder.iterdir():
-            name = f"{prefix}{one.name.removesuffix(_PACKED)}"
-            if one.is_dir():
-                folders.append((f"{name}/", one))
+        for file in folder.iterdir():
+            name = f"{prefix}{file.name.removesuffix(_PACKED)}"
+            if file.is_dir():
+                folders.append((f"{name}/", file))
             elif PurePosixPath(name).suffix in _TYPES:
-                found[name] = one
-    return found
+                served[name] = file
+    return served

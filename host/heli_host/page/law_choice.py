@@ -179,6 +179,7 @@ class LawChoice:
         return newest is not None and bool(int(newest[1][Channel.FLAGS]) & Flags.LAW)
 
     def _change_in_flight(self, name: str) -> None:
+        """Let the board fly a control law that it has already; it accepts no other one in the air."""
         has = loaded(self._heli.session)
         if has.hash != self._laws[name].hash or has.state not in (LawState.READY, LawState.FLYING):
             raise SetpointError(

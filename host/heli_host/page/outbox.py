@@ -13,7 +13,7 @@ from heli_host.page.wire import pack
 
 FRAME_S = 0.05
 """Interval between two frames to a client [s]: 20 frames per second look smooth."""
-MAX_CUT_ROWS = 5000
+MAX_MESSAGE_ROWS = 5000
 """Greatest number of rows in a frame. A client more than 5 s behind gets every second, third, ... row."""
 UNACKNOWLEDGED = 8
 """Greatest number of unacknowledged frames, 0.4 s. No more are sent until the client acknowledges."""
@@ -103,7 +103,7 @@ class Outbox:
             while self.sent - self.acknowledged >= UNACKNOWLEDGED:
                 self.may_send.clear()
                 await self.may_send.wait()
-            cut = source.buffer.cut(position, MAX_CUT_ROWS)
+            cut = source.buffer.rows_since(position, MAX_MESSAGE_ROWS)
             now_s = time.monotonic()
             # Without rows an empty frame asks for the sign of life: a board that is silent is no lost pilot.
             if len(cut.tick) or now_s - sent_s >= EMPTY_S:

@@ -182,6 +182,7 @@ class Replay:
         self._ended.set()
 
     def _advance(self, ticks: int) -> None:
+        """Pass the next `ticks` of the log to the page."""
         if not ticks or self._at >= len(self._tick):
             return
         until = int(np.searchsorted(self._tick, self._tick[max(self._at - 1, 0)] + ticks, side="right"))
@@ -200,6 +201,7 @@ class Replay:
         return {}
 
     def _seek(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Run the request ``seek``: continue at another time of the log, with some seconds before it."""
         first_s, last_s = float(self._tick[0]) * TICK_S, float(self._tick[-1]) * TICK_S
         # Any finite number may be asked for; far outside the log it would not fit into a tick.
         tick = round(min(max(number(arguments, "t_s"), first_s - 1.0), last_s + 1.0) / TICK_S)

@@ -110,10 +110,10 @@ def _parts(value: Any) -> Iterator[Any]:
     """All that is in a value of JSON; without recursion, because a message may be a thousand levels deep."""
     waiting = [value]
     while waiting:
-        one = waiting.pop()
-        if isinstance(one, dict):
-            waiting += [*one.keys(), *one.values()]
-        elif isinstance(one, list):
-            waiting += one
+        part = waiting.pop()
+        if isinstance(part, dict):
+            waiting += [*part.keys(), *part.values()]
+        elif isinstance(part, list):
+            waiting += part
         else:
-            yield one
+            yield part

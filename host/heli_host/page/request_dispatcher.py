@@ -89,6 +89,7 @@ class RequestDispatcher:
             self._broadcast.tell(client, _refused(message, cause, "see docs/reference/dashboard-protocol.md"))
 
     def _change_lease(self, client: Outbox, name: str, message: Mapping[str, Any]) -> None:
+        """Ask for control of the board, grant, refuse or share it; only the pilot decides."""
         now_s = time.monotonic()
         granted = True
         if name == "ask":

@@ -116,6 +116,7 @@ def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str =
 
 
 def _listen(host: str, port: int) -> socket.socket:
+    """Open the socket on which the page is served; a PortError names the fix if the port is taken."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -145,6 +145,7 @@ class Service:
             await client.socket.close(_FAILED)
 
     def _enter(self, socket: WebSocket) -> Outbox:
+        """Register a client with its own key, and return its queue of messages. Programs do not fly."""
         query = socket.query_params
         is_program = query.get("role") == "program"
         key = printable(query.get("client", ""))[:40] or secrets.token_hex(8)
@@ -197,6 +198,7 @@ class Service:
                 self._notes.warn(f"the status cannot be read: {type(error).__name__}: {error}")
 
     def _look(self) -> None:
+        """Send status and control to all clients if they have changed; the status also from time to time."""
         now_s = time.monotonic()
         lease = lease_news(self.lease)
         if lease != self._lease_status:

@@ -238,15 +238,15 @@ def finite(name: str, value: float) -> float:
     return converted
 
 
-def text(arguments: Mapping[str, Any], name: str, most: int = 200) -> str:
+def text(arguments: Mapping[str, Any], name: str, max_characters: int = 200) -> str:
     """Return the text argument `name` of a request without surrounding white space.
 
     Parameters
     ----------
     arguments : Mapping of str to object
         Arguments of the request, as parsed from JSON.
-    most : int
-        Greatest length in characters; a longer text is cut.
+    max_characters : int
+        Greatest length; a longer text is cut.
 
     Raises
     ------
@@ -256,7 +256,7 @@ def text(arguments: Mapping[str, Any], name: str, most: int = 200) -> str:
     value = arguments.get(name)
     if not isinstance(value, str) or not value.strip():
         raise ParameterError(f"{name} is missing", "give a text")
-    return value.strip()[:most]
+    return value.strip()[:max_characters]
 
 
 def channel_rows(
@@ -289,6 +289,7 @@ def parameter_rows() -> list[dict[str, Any]]:
 
 
 def _parameter_row(spec: ParamSpec) -> dict[str, Any]:
+    """Return the declaration of a parameter for the page."""
     from heli_host.declaration import Param
 
     return {

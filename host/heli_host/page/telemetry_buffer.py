@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import dataclass
 
@@ -12,7 +13,7 @@ from heli_host.link.telemetry import CHANNEL_COUNT
 
 
 @dataclass(frozen=True)
-class Cut:
+class BufferRows:
     """A copy of consecutive or thinned rows of a buffer.
 
     Parameters
@@ -22,7 +23,7 @@ class Cut:
     raw : ndarray of int32, shape (n, channels)
         Raw numbers in the order of the declaration's ``CHANNELS``.
     end : int
-        Position after the last row; the reader passes it to the next `TelemetryBuffer.cut`.
+        Position after the last row; the reader passes it to the next `TelemetryBuffer.rows_since`.
     reset : bool
         True if rows are missing between the reader's position and the first of these: the buffer was cleared,
         or overwrote them before they were read.
@@ -69,30 +70,38 @@ class TelemetryBuffer:
             Raw numbers in the order of the declaration's ``CHANNELS``.
         """
         capacity = len(self._tick)
-        kept_tick, kept_raw = tick[-capacity:], raw[-capacity:]
+        newest_tick, newest_raw = tick[-capacity:], raw[-capacity:]
         with self._lock:
-            self._written += len(tick) - len(kept_tick)
-            place = (self._written + np.arange(len(kept_tick))) % capacity
-            self._tick[place] = kept_tick
-            self._raw[place] = kept_raw
-            self._written += len(kept_tick)
+            # Rows that the buffer cannot hold count as written: readers see that they missed them.
+            self._written += len(tick) - len(newest_tick)
+            index = (self._written + np.arange(len(newest_tick))) % capacity
+            self._tick[index] = newest_tick
+            self._raw[index] = newest_raw
+            self._written += len(newest_tick)
             self._begin = max(self._begin, self._written - capacity)
 
-    def cut(self, position: int, most: int) -> Cut:
+    def rows_since(self, position: int, max_rows: int) -> BufferRows:
         """Return a copy of the rows from a position to the newest.
 
         Parameters
         ----------
         position : int
-            Position of the reader: `Cut.end` of its last cut, or 0.
-        most : int
+            Position of the reader: `BufferRows.end` of its last call, or 0.
+        max_rows : int
             Greatest number of rows. If there are more, every second, third, ... row is returned; the newest
             is always included.
         """
         with self._lock:
             start = max(position, self._begin)
             count = self._written - start
-            step = max(-(-count // most), 1)
+            step = max(math.ceil(count / max_rows), 1)
             # Counted from the newest back, so that the newest is always among them.
-            place = (self._written - 1 - np.arange(0, count, step)[::-1]) % len(self._tick)
-            return Cut(self._tick[place], self._raw[place], self._written, start > position, step > 1)
+            positions = self._written - 1 - np.arange(0, count, step)[::-1]
+            index = positions % len(self._tick)
+            return BufferRows(
+                tick=self._tick[index],
+                raw=self._raw[index],
+                end=self._written,
+                reset=start > position,
+                thinned=step > 1,
+            )

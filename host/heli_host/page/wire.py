@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heli_host.errors import LinkError
-from heli_host.page.telemetry_buffer import Cut
+from heli_host.page.telemetry_buffer import BufferRows
 
 THINNED, RESET = 1, 2
 
@@ -55,12 +55,12 @@ class Rows:
     raw: npt.NDArray[np.int32]
 
 
-def pack(cut: Cut, number: int, state: tuple[int, int]) -> bytes:
+def pack(cut: BufferRows, number: int, state: tuple[int, int]) -> bytes:
     """Encode a frame.
 
     Parameters
     ----------
-    cut : Cut
+    cut : BufferRows
         Rows of the frame; may be empty.
     number : int
         Number of the frame.

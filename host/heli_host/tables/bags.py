@@ -86,6 +86,7 @@ def _is_log(path: Path) -> bool:
 
 
 def _table(path: Path, series: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Table:
+    """Return a table of signals, each with its own times [s] since the first of all."""
     columns = {}
     first_s = min((times[0] for times, _ in series.values()), default=0.0)
     for name, (times, values) in series.items():
@@ -103,6 +104,9 @@ def _stamp_s(message: Any) -> float:
 
 
 def _numbers(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
+    """Yield all numbers of a ROS message with their names, such as ``pose.position.x``; `depth` is the number
+    of messages around it.
+    """
     if isinstance(value, (bool, int, float, np.number)):
         yield name, float(value)
     elif isinstance(value, (list, tuple, np.ndarray)):
@@ -112,12 +116,12 @@ def _numbers(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
     elif depth < _DEEPEST and hasattr(value, "__dataclass_fields__"):
         names = getattr(value, "name", None)
         for key in value.__dataclass_fields__:
-            one = getattr(value, key)
-            if key in {"header", "__msgtype__"} or isinstance(one, str):
+            field = getattr(value, key)
+            if key in {"header", "__msgtype__"} or isinstance(field, str):
                 continue
             # Joint states and their like name their elements.
-            if isinstance(names, list) and key != "name" and len(one) == len(names):
-                for label, element in zip(names, one, strict=True):
+            if isinstance(names, list) and key != "name" and len(field) == len(names):
+                for label, element in zip(names, field, strict=True):
                     yield from _numbers(f"{name}.{label}.{key}", element, depth + 1)
             else:
-                yield from _numbers(f"{name}.{key}", one, depth + 1)
+                yield from _numbers(f"{name}.{key}", field, depth + 1)

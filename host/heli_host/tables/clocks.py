@@ -47,5 +47,5 @@ def seconds_of(cells: pandas.Series) -> Floats | None:
         seconds = np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64)
     else:
         return None
-    found = seconds[np.isfinite(seconds)]
-    return seconds - found[0] if found.size else None
+    known_s = seconds[np.isfinite(seconds)]
+    return seconds - known_s[0] if known_s.size else None

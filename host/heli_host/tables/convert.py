@@ -25,6 +25,8 @@ WORD = 65536.0
 """Counts after which an encoder's counter of 16 bits begins again."""
 MAX_MISSING = 5.0
 """Steps without a row beyond which a flight ends and another begins; fewer missing rows are filled in."""
+_GAP_STEPS = 1.75
+"""Step in median steps from which rows are missing: one missing row doubles the step, and clocks jitter."""
 _JUMP_DEG = 8.0
 _JUMP_DEG_S = 600.0
 """A step of an angle above both limits ends a flight: the encoder was set to zero, or two logs were
@@ -114,7 +116,7 @@ def _filled(t_s: Floats, count: int) -> dict[str, str]:
     """Note of the rows that were filled in, if there are any."""
     steps_s = np.diff(t_s)
     step_s = float(np.median(steps_s))
-    gaps = np.flatnonzero(steps_s >= 1.75 * step_s)
+    gaps = np.flatnonzero(steps_s >= _GAP_STEPS * step_s)
     if not gaps.size or count == t_s.size:
         return {}
     widest = gaps[np.argmax(steps_s[gaps])]
@@ -137,6 +139,7 @@ def times_of(table: Table, profile: Profile) -> Floats:
 
 
 def _column(table: Table, name: str) -> Floats:
+    """Return the values of a column; an error suggests a name that is similar."""
     if name not in table.columns:
         close = difflib.get_close_matches(name, table.columns, n=1)
         hint = f"did you mean '{close[0]}'? " if close else ""
@@ -148,6 +151,9 @@ def _column(table: Table, name: str) -> Floats:
 
 
 def _angle(table: Table, angle: Angle, t_s: Floats, travels: bool) -> Floats:
+    """Return an angle [rad], shape (n,), from its column: unit, sign, offset, wrapped words and turns. Only
+    an axis that `travels` may turn all the way round.
+    """
     raw = _earlier(_column(table, angle.column), t_s, angle.delay_s)
     known = np.isfinite(raw)
     turned: Floats = np.full(raw.shape, np.nan)
@@ -193,7 +199,7 @@ def _even(
     """Bring rows of an uneven clock to even times: angles on straight lines, voltages held."""
     steps_s = np.diff(t_s)
     step_s = float(np.median(steps_s))
-    ordinary = steps_s[steps_s < 1.75 * step_s]
+    ordinary = steps_s[steps_s < _GAP_STEPS * step_s]
     strays = float(np.std(ordinary)) > UNEVEN * step_s
     # Times in whole milliseconds are even ones that were rounded.
     mean_s = float(ordinary.mean())

@@ -39,6 +39,7 @@ def read_excel(path: Path) -> Table:
 
 
 def _parquet(path: Path) -> pandas.DataFrame:
+    """Read a Parquet file after its size in memory was checked."""
     import pyarrow.parquet
 
     with pyarrow.parquet.ParquetFile(path) as file:
@@ -71,6 +72,7 @@ def _longest(chunk: pyarrow.DictionaryArray) -> int:
 
 
 def _is_text(kind: pyarrow.DataType) -> bool:
+    """Whether a column of Parquet contains text or bytes."""
     import pyarrow
 
     text: bool = (
@@ -83,6 +85,7 @@ def _is_text(kind: pyarrow.DataType) -> bool:
 
 
 def _excel(path: Path) -> pandas.DataFrame:
+    """Read the longest sheet of a workbook after its number of cells was checked."""
     import openpyxl
     import pandas
 
@@ -151,6 +154,7 @@ def _names(head: tuple[object, ...], width: int) -> list[str]:
 
 
 def _read(path: Path, reader: Callable[[Path], pandas.DataFrame], kind: str) -> Table:
+    """Read a file by `reader`, and translate all errors to FlightDataErrors with a remedy."""
     if not path.is_file():
         raise FlightDataError(f"cannot read {path}: there is no such file", "check the path")
     with within_memory(path):
@@ -169,6 +173,9 @@ def _read(path: Path, reader: Callable[[Path], pandas.DataFrame], kind: str) -> 
 
 
 def _table(path: Path, frame: pandas.DataFrame) -> Table:
+    """Convert a data frame to a table of numbers; dates become seconds since the first row, and columns of
+    text are left out.
+    """
     import pandas
 
     columns: dict[str, Column] = {}

@@ -117,6 +117,7 @@ def unpacked_bytes(codec: str, data: bytes | memoryview, most_bytes: int) -> int
 
 
 def _unpacker(codec: str) -> Any:
+    """Return the decompressor of a codec."""
     if codec == "zlib":
         return zlib.decompressobj()
     if codec == "bz2":

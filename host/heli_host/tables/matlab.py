@@ -38,6 +38,7 @@ def read_mat(path: Path) -> Table:
 
 
 def _read(path: Path) -> Table:
+    """Read all signals of a MATLAB file, also those in structures and time series."""
     import matio
 
     try:
@@ -110,7 +111,8 @@ def _signals(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column]]:
 
 
 def _structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tuple[str, Column]]:
-    t_s = _own_times(fields)
+    """Yield the signals of a structure, by name, with the times if the structure has some."""
+    t_s = _times_of(fields)
     if t_s is None:
         for key, field_value in fields.items():
             yield from _signals(f"{name}.{key}", field_value, depth + 1)
@@ -181,8 +183,12 @@ def _matrix(value: Any, rows: int | None = None) -> list[tuple[int, Floats, int]
     return [(i, np.ascontiguousarray(array[:, i]), array.shape[1]) for i in range(array.shape[1])]
 
 
-def _own_times(fields: Mapping[str, Any]) -> Floats | None:
-    """Times that a structure or a time series has for its data."""
+def _times_of(fields: Mapping[str, Any]) -> Floats | None:
+    """Return the times that a structure has for its data, in the unit of the file; None without times.
+
+    Structures with time have a field of times. A time series has a TimeInfo instead: such a structure
+    again, or start, step and number of even times.
+    """
     for key in _TIMES:
         if key in fields:
             signals = _matrix(_unpacked(fields[key]))
@@ -192,9 +198,9 @@ def _own_times(fields: Mapping[str, Any]) -> Floats | None:
     if info is None:
         return None
     unit_s = TIME_UNITS.get(unit_of(_word(info.get("Units"))), 1.0)
-    own = _own_times(info)
-    if own is not None:
-        return own * unit_s
+    listed_times = _times_of(info)
+    if listed_times is not None:
+        return listed_times * unit_s
     try:
         start, step, count = (
             float(np.ravel(_unpacked(info[key]))[0]) for key in ("Start", "Increment", "Length")

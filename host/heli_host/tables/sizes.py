@@ -66,6 +66,7 @@ def check_mat(path: Path) -> None:
 
 
 def _check_hdf(path: Path) -> None:
+    """Refuse an HDF5 file (MATLAB 7.3) with too many numbers, by the sizes that its data sets state."""
     import h5py
 
     numbers = objects = 0
@@ -122,21 +123,21 @@ def check_workbook(path: Path) -> None:
 def check_bag(path: Path) -> None:
     """Refuse a bag (.bag, .mcap) at `path` whose chunks unpack to more than a bag of this size can hold."""
     size = path.stat().st_size
-    most = max(MAX_BYTES, MAX_RATIO * size)
+    max_bytes = max(MAX_BYTES, MAX_RATIO * size)
     total, seen = 0, set()
     for offset, codec, data in _chunks(path, size):
         if data is None:
             # An index may name a chunk again and again, and have it unpacked each time.
             if offset in seen:
-                raise too_large(path, f"{most >> 20} MiB")
+                raise too_large(path, f"{max_bytes >> 20} MiB")
             seen.add(offset)
             continue
         count = unpacked_bytes(codec, data, MAX_CHUNK_BYTES)
         if count > MAX_CHUNK_BYTES:
             raise too_large(path, f"{MAX_CHUNK_BYTES >> 20} MiB in a chunk")
         total += count
-        if total > most:
-            raise too_large(path, f"{most >> 20} MiB")
+        if total > max_bytes:
+            raise too_large(path, f"{max_bytes >> 20} MiB")
 
 
 def _chunks(path: Path, size: int) -> Iterator[tuple[int, str, bytes | None]]:
@@ -150,6 +151,9 @@ def _chunks(path: Path, size: int) -> Iterator[tuple[int, str, bytes | None]]:
 
 
 def _mcap_chunks(file: Any, size: int) -> Iterator[tuple[int, str, bytes | None]]:
+    """Yield offset, codec and packed bytes of each chunk of an MCAP file, and None instead of bytes for each
+    entry of its index.
+    """
     offset = len(_MCAP_MAGIC)
     while offset + 9 <= size:
         file.seek(offset)
@@ -167,6 +171,9 @@ def _mcap_chunks(file: Any, size: int) -> Iterator[tuple[int, str, bytes | None]
 
 
 def _rosbag_chunks(file: Any, size: int) -> Iterator[tuple[int, str, bytes | None]]:
+    """Yield offset, codec and packed bytes of each chunk of a ROS 1 bag, and None instead of bytes for each
+    entry of its index.
+    """
     offset = 13
     while offset + 8 <= size:
         file.seek(offset)
@@ -188,6 +195,7 @@ def _rosbag_chunks(file: Any, size: int) -> Iterator[tuple[int, str, bytes | Non
 
 
 def _rosbag_fields(head: bytes) -> dict[bytes, bytes]:
+    """Return the fields of a record of a ROS 1 bag, by name."""
     fields, offset = {}, 0
     while offset + 4 <= len(head):
         length = struct.unpack_from("<I", head, offset)[0]

@@ -24,7 +24,7 @@ from heli_host.tables.units import unit_of
 
 _MAX_LINE_CHARACTERS: Final = 1 << 16
 """Longest line: a thousand columns have 20 thousand characters."""
-_LINE_ENDS: Final = tuple(bytes([one]) for one in b"\n\x0b\x0c\x1c\x1d\x1e\x85\xa8\xa9")
+_LINE_ENDS: Final = tuple(bytes([code]) for code in b"\n\x0b\x0c\x1c\x1d\x1e\x85\xa8\xa9")
 """Bytes in which the ends of a line end, those of Unicode too; a return counts by itself."""
 _COMMENTS: Final = ("#", "%", "//", '"#')
 _SEPARATORS: Final = (";", "\t", ",", "|", " ")
@@ -139,6 +139,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def _text(path: Path) -> str:
+    """Return the text of a file, unpacked if its name ends in .gz, by the encoding that its bytes suggest."""
     try:
         data = read_file(path, MAX_BYTES)
         if path.name.lower().endswith(".gz"):
@@ -150,7 +151,7 @@ def _text(path: Path) -> str:
         raise FlightDataError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
     if len(data) > MAX_BYTES:
         raise too_large(path, f"{MAX_BYTES >> 20} MiB")
-    if max(data.count(b"\r"), sum(data.count(one) for one in _LINE_ENDS)) > MAX_ROWS:
+    if max(data.count(b"\r"), sum(data.count(line_end) for line_end in _LINE_ENDS)) > MAX_ROWS:
         raise too_large(path, f"{MAX_ROWS // 1_000_000} million lines")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return data.decode("utf-16", errors="replace")

@@ -55,7 +55,9 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
                 named[UNLISTED] = max(named[UNLISTED], confidence)
         for other in cause["ambiguous_with"]:
             if other in case.causes.listed:
-                named.setdefault(other, 1.0 - confidence)
+                # The doubt is also about what no effect explains: no alternative is more probable than the
+                # cause.
+                named.setdefault(other, min(confidence, 1.0 - confidence))
         for name, estimate in (item for estimates in parts.values() for item in estimates.items()):
             if name in case.causes.parameter_names and estimate["std"] and math.isfinite(estimate["std"]):
                 parameters[name] = Estimate(float(estimate["value"]), float(estimate["std"]))

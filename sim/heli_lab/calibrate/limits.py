@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
+from typing import Final
 
 from heli_host.declaration import State
 from heli_host.errors import HeliError
@@ -56,8 +57,12 @@ def _stop_and_restore(heli: Heli, previous_values: Mapping[str, float]) -> None:
         )
 
 
+_PITCH_SETPOINT_MARGIN_deg: Final = 1.0
+"""The board accepts a limit of pitch only above the limit of its setpoint."""
+
+
 def pulse_limits(heli: Heli, *, max_V: float, max_angle_deg: float) -> dict[str, float]:
-    """Return the parameters by which the board itself bounds the pulses.
+    """Return the parameters by which the board itself bounds voltage and motion of the pulses.
 
     Parameters
     ----------
@@ -66,13 +71,22 @@ def pulse_limits(heli: Heli, *, max_V: float, max_angle_deg: float) -> dict[str,
     max_V : float
         Highest voltage of a pulse [V].
     max_angle_deg : float
-        Angle by which pitch, travel and elevation may differ from level, zero and the present angle [deg].
+        Largest angle [deg] of pitch from level, of elevation above its present value, and of travel beyond
+        its present value in both directions.
+
+    Returns
+    -------
+    dict of str to float
+        Values by name of the parameter, each within the range that the board permits.
     """
     spec_of = heli.params.spec
     values = {
         "excitation_max_V": max_V,
+        # The arm is blocked above its table, where the board would refuse to arm.
         "arm_elevation_tolerance_deg": spec_of("arm_elevation_tolerance_deg").max,
-        "pitch_setpoint_max_deg": min(heli.params["pitch_setpoint_max_deg"], max_angle_deg - 1.0),
+        "pitch_setpoint_max_deg": min(
+            heli.params["pitch_setpoint_max_deg"], max_angle_deg - _PITCH_SETPOINT_MARGIN_deg
+        ),
         "pitch_max_deg": max_angle_deg,
         "travel_max_deg": abs(heli.latest.travel_deg) + max_angle_deg,
         "elevation_max_deg": heli.latest.elevation_deg + max_angle_deg,

@@ -219,15 +219,18 @@ def _row_and_detail(work: str, returned: Any) -> tuple[dict[str, Any], Any]:
     from heli_lab.errors import CampaignError
 
     if not isinstance(returned, tuple) or len(returned) != 2:
-        what = f"{len(returned)} values" if isinstance(returned, tuple) else f"a {type(returned).__name__}"
+        wrong_form = (
+            f"{len(returned)} values" if isinstance(returned, tuple) else f"a {type(returned).__name__}"
+        )
     elif not isinstance(returned[0], Mapping):
-        what = f"a {type(returned[0]).__name__} for its row"
+        wrong_form = f"a {type(returned[0]).__name__} for its row"
     elif not all(isinstance(column, str) for column in returned[0]):
-        what = "a row with columns that are no texts"
+        wrong_form = "a row with columns that are no texts"
     else:
         return dict(returned[0]), returned[1]
     raise CampaignError(
-        f"{work} returned {what}", "return (row, detail): a dict by column, and anything that JSON holds"
+        f"{work} returned {wrong_form}",
+        "return (row, detail): a dict by column, and anything that JSON holds",
     )
 
 

@@ -31,11 +31,13 @@ LOG, FIGURE, MARK = "flight.mcap", "figure.png", "mark.json"
 
 
 @dataclass(frozen=True)
-class Answer:
-    """Answer to a submission.
+class MarkedSubmission:
+    """A submission after its flights in simulation.
 
     Parameters
     ----------
+    folder : Path
+        Place of its files; log, figure and mark are returned into it.
     mark : Mark
         Its mark, or why it has none.
     submission : Submission or None
@@ -82,7 +84,7 @@ class Marking:
         for seed in self.seeds:
             self._reference_score(self.plan, seed)
 
-    def answer(self, folder: Path) -> Answer:
+    def mark_submission(self, folder: Path) -> MarkedSubmission:
         """Read, fly and mark a submission, and write log, figure and mark into its folder.
 
         Parameters
@@ -103,7 +105,7 @@ class Marking:
                 write_result(files / MARK, mark.as_dict())
         except HeliError as error:
             mark = replace(mark, points=0.0, reason=mark.reason or str(error))
-        return Answer(folder, mark, submission)
+        return MarkedSubmission(folder, mark, submission)
 
     def _mark(self, submission: Submission, output_folder: Path) -> Mark:
         """Fly a submission once per seed, and write log and figure of the first flight."""

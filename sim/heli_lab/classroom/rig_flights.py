@@ -13,7 +13,7 @@ from heli_host.cli.say import say
 from heli_host.declaration import State
 from heli_host.errors import HeliError, LinkError, fault_text, printable
 
-from heli_lab.classroom.marking import Answer, scored_flight
+from heli_lab.classroom.marking import MarkedSubmission, scored_flight
 from heli_lab.classroom.submission import new_rig_log
 
 if TYPE_CHECKING:
@@ -25,16 +25,16 @@ NOT_FLOWN = "not flown"
 
 
 def fly_on_rig(
-    answers: Sequence[Answer], options: FlightOptions, plan: Plan, confirm: Confirm
-) -> Iterator[tuple[Answer, str]]:
-    """Yield each answer with the outcome of its flight on the rig.
+    submissions: Sequence[MarkedSubmission], options: FlightOptions, plan: Plan, confirm: Confirm
+) -> Iterator[tuple[MarkedSubmission, str]]:
+    """Yield each submission with the outcome of its flight on the rig.
 
     Each flight begins with the parameters that the rig had, and the gains of the submission. Afterwards the
     rig has its own parameters again.
 
     Parameters
     ----------
-    answers : sequence of Answer
+    submissions : sequence of MarkedSubmission
         Submissions that may fly.
     options : FlightOptions
         Port and rig.
@@ -49,8 +49,8 @@ def fly_on_rig(
         The board does not answer before the first flight.
     """
     with _parameters_restored(options.port) as rig_parameters:
-        for answer in answers:
-            submission = answer.submission
+        for marked in submissions:
+            submission = marked.submission
             assert submission is not None
             try:
                 is_confirmed, has_fault = _confirm_flight(options.port, submission.name, confirm)
@@ -58,7 +58,7 @@ def fly_on_rig(
                     return
                 outcome = NOT_FLOWN
                 if is_confirmed:
-                    log = new_rig_log(answer.folder)
+                    log = new_rig_log(marked.folder)
                     score = scored_flight(
                         submission,
                         replace(options, log=log, figure=log.with_suffix(".png"), clear_fault=has_fault),
@@ -67,12 +67,12 @@ def fly_on_rig(
                     )
                     outcome = score.ended or "completed"
             except HeliError as error:
-                yield answer, str(error)
+                yield marked, str(error)
                 if isinstance(error, LinkError):
                     # The board is in a state that a person has to look at.
                     return
             else:
-                yield answer, outcome
+                yield marked, outcome
 
 
 def _confirm_flight(port: str | None, name: str, confirm: Confirm) -> tuple[bool | None, bool]:
@@ -81,7 +81,7 @@ def _confirm_flight(port: str | None, name: str, confirm: Confirm) -> tuple[bool
     Returns
     -------
     bool or None
-            Answer; None ends the session.
+        Reply; None ends the session.
     bool
             Whether the board reports a fault of an earlier flight, which the flight has to clear.
     """

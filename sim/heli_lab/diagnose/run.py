@@ -29,10 +29,18 @@ from heli_lab.diagnose.evaluate import (
     replicate,
     undetectable_effects,
     unidentifiable_parameters,
+    with_listed_remainder,
 )
 from heli_lab.diagnose.experiment import propose_experiment
 from heli_lab.diagnose.result import Diagnosis, Effort, Proposal
-from heli_lab.diagnose.search import EstimateCache, ModelComparison, Search, fingerprint, may_join, search
+from heli_lab.diagnose.search import (
+    EstimateCache,
+    ModelComparison,
+    Search,
+    fingerprint,
+    may_join,
+    search,
+)
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import Record, prepare
 from heli_lab.threads import using_threads
@@ -143,6 +151,8 @@ def diagnose(
             again = _search_and_assess(noisy, tried, available, report, refits)
             if again[1].verdict.label != "unexplained":
                 comparison, (result, assessment) = noisy, again
+        if comparison.fits < refits:
+            result, assessment = with_listed_remainder(comparison, result, assessment, tried, available)
         undetectable = undetectable_effects(result.rounds[-1].screened, available)
         evaluation = evaluate_held_out(comparison, result, assessment, calibrate_s)
         report("judging the causes in the reverse direction", 0.91)

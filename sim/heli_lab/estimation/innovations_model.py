@@ -256,12 +256,18 @@ class InnovationsModel:
 def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks, disturbances: DisturbanceModel) -> Floats:
     """Correction of a window's log-likelihood for repeated measurements, shape (m,) [nats].
 
-    The N measurements while an axis crosses its play have the same error, of variance v. For the filter they
-    are N measurements with independent errors of variance N v, which add the same information. But together
-    they have one normal density, not N: the other N - 1 have the density of a sensor without play, that of
+    The N measurements while an axis crosses its play, or is at rest, have the same error, of variance v. For
+    the filter they are N measurements with independent errors of variance N v, which add the same
+    information. But together they have one normal density, not N: the other N - 1 have the density of
     independent, uniform rounding errors. If their density had the estimated variance instead, a smaller
     variance would be more likely the longer the count stays the same, whatever the measurements are.
     """
-    rounding = linearised.variance[blocks.rows]
+    at_rest = linearised.at_rest[blocks.rows]
+    if not (linearised.model.known_directions or at_rest.any()):
+        # Without play and rest the variance is that of rounding, and each logarithm below is 0.
+        return np.zeros(blocks.variance.shape[1])
+    rounding, repeats = linearised.variance[blocks.rows], linearised.repeats[blocks.rows]
     factor = 1.0 + disturbances.quantisation * (blocks.variance / rounding - 1.0)
-    return np.asarray(0.5 * (np.log(factor) * (1.0 - 1.0 / linearised.repeats[blocks.rows])).sum(axis=0))
+    at_rest_factor = disturbances.quantisation * blocks.variance / rounding
+    factor = np.where(at_rest, at_rest_factor, factor)
+    return np.asarray(0.5 * (np.log(factor) * (1.0 - 1.0 / repeats)).sum(axis=0))

@@ -19,7 +19,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.arrays import Booleans, Floats, Integers
 
 from heli_lab.estimation import _kalman
 from heli_lab.estimation.model_functions import ModelFunctions
@@ -157,6 +157,8 @@ class LinearisedFlight:
         Number of steps per measurement of the filter.
     variance : ndarray (n, m)
         Variance of the quantisation errors of each output.
+    at_rest : ndarray (n, m)
+        Whether each output is at rest.
     repeats : ndarray (n, m)
         Number of successive measurements, 1 at least, in which the count of each output stays the same.
     """
@@ -195,6 +197,7 @@ class LinearisedFlight:
         self._measured: Floats = reference.measured[rows]
         self.variance: Floats = reference.variance[rows]
         self._direction_variance: Floats = reference.direction_variance[rows]
+        self.at_rest: Booleans = reference.at_rest[rows]
         self.repeats: Floats = np.maximum(reference.pause_s[rows] / (self.block * h), 1.0)
         self._input_derivatives = [
             (functions.free.index(name), derivative[rows])
@@ -209,7 +212,8 @@ class LinearisedFlight:
         for number, derivative in self._input_derivatives:
             rates[:, :, 1 + number] -= np.einsum("nij,nj->ni", by_inputs, derivative[rows])
         rates[:, :followed, 0] -= self._change[rows]
-        variance = self.variance[rows]
+        # The measurements of a rest have one rounding error, so together they are worth one.
+        variance = self.variance[rows] * np.where(self.at_rest[rows], self.repeats[rows], 1.0)
         # A known direction is not corrected by the filter; its error is one of the measurement.
         for place, output in self.model.known_directions:
             noise = self._direction_variance[rows, output] * self.repeats[rows, output]

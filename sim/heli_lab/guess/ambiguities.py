@@ -16,7 +16,7 @@ from heli_lab.guess.regression.scales import AXES, MeasuredMotion, Scale
 from heli_lab.guess.result import Ambiguity
 
 _MAX_ALTERNATIVES: Final = 4
-"""Largest number of other units that a doubt lists."""
+"""Largest number of other units that an ambiguity lists."""
 
 
 @dataclass(frozen=True)
@@ -96,20 +96,25 @@ def _differences(best: ColumnAssignment, others: list[ColumnAssignment]) -> str:
 
 
 def _roles(assignment: ColumnAssignment) -> dict[str, str]:
+    """Return the column of each role: the angles, and the voltages or their sum and difference."""
     kind = ("sum", "difference") if assignment.summed else ("front", "back")
     return dict(zip((*AXES, *kind), assignment.columns, strict=True))
 
 
-def sum_ambiguities(
+def voltage_ambiguities(
     regressions: dict[str, RegressionFit],
     assignment: ColumnAssignment,
     columns: list[str],
     dropped: dict[str, str],
 ) -> list[Ambiguity]:
-    """List the ambiguity of the voltages' columns if they hardly explain elevation.
+    """List the ambiguity of the voltages' columns, if their sum hardly explains elevation.
 
     Parameters
     ----------
+    regressions : dict of str to RegressionFit
+        Fit of each axis with this assignment.
+    assignment : ColumnAssignment
+        The most likely assignment.
     columns : list of str
         Columns that may be an angle or a voltage.
     dropped : dict of str
@@ -134,6 +139,7 @@ def sum_ambiguities(
 
 
 def _describe(assignment: ColumnAssignment) -> str:
+    """Name the column of each role, for a message."""
     return ", ".join(f"{role} is {column}" for role, column in _roles(assignment).items())
 
 
@@ -146,8 +152,28 @@ def unit_ambiguities(
     ----------
     possible : list of Scale
         All choices of units, the most likely first.
+    motion : MeasuredMotion
+        Motion in the units of the file, and the units that its header states.
+    reference : Reference
+        Gains, voltages and table angle of the rig.
+    rig : Rig
+        Rig that the units are compared with, for messages.
     """
-    best, ambiguities = possible[0], []
+    best = possible[0]
+    return [
+        *_equally_likely_units(possible, motion, reference, rig),
+        *_implausible_scales(best, rig),
+        *_contradicted_headers(best, motion),
+        *_supply_ambiguities(possible, motion, reference),
+    ]
+
+
+def _equally_likely_units(
+    possible: list[Scale], motion: MeasuredMotion, reference: Reference, rig: Rig
+) -> list[Ambiguity]:
+    """Ambiguity between the best units and others that are nearly as likely."""
+    best = possible[0]
+    # The most likely choice of each other set of units: choices also differ in factors without a unit.
     others: dict[tuple[str, ...], Scale] = {}
     for scale in possible:
         if scale.units != best.units:
@@ -157,40 +183,54 @@ def unit_ambiguities(
         for scale in others.values()
         if best.log_likelihood - scale.log_likelihood < thresholds.DECISIVE_NATS
     ]
-    if close:
-        ambiguities.append(
-            Ambiguity(
-                "the units",
-                _describe_units(best),
-                ", or ".join(
-                    f"{_describe_units(scale)}{_clipping(scale, motion, reference)}"
-                    for scale in close[:_MAX_ALTERNATIVES]
-                ),
-                f"for rig {rig.name} they differ by only "
-                f"{best.log_likelihood - close[0].log_likelihood:.1f} nats; state the unit in the header or "
-                "the profile",
-            )
+    if not close:
+        return []
+    return [
+        Ambiguity(
+            "the units",
+            _describe_units(best),
+            ", or ".join(
+                f"{_describe_units(scale)}{_clipping(scale, motion, reference)}"
+                for scale in close[:_MAX_ALTERNATIVES]
+            ),
+            f"for rig {rig.name} they differ by only "
+            f"{best.log_likelihood - close[0].log_likelihood:.1f} nats; state the unit in the header or "
+            "the profile",
         )
-    for quantity, deviation_std in best.deviation_std.items():
-        if abs(deviation_std) > thresholds.MAX_DEVIATION_STD:
-            ambiguities.append(
-                Ambiguity(
-                    f"the scale of {quantity}",
-                    _describe_units(best),
-                    f"a much {'larger' if deviation_std < 0 else 'smaller'} unit",
-                    f"even the best unit is {abs(deviation_std):.1f} standard deviations from rig "
-                    f"{rig.name}; give your rig with --rig",
-                )
-            )
-    for name, what, unit in (
+    ]
+
+
+def _implausible_scales(best: Scale, rig: Rig) -> list[Ambiguity]:
+    """Ambiguity of each quantity that is far from the rig's even in the best unit."""
+    return [
+        Ambiguity(
+            f"the scale of {quantity}",
+            _describe_units(best),
+            f"a much {'larger' if deviation_std < 0 else 'smaller'} unit",
+            f"even the best unit is {abs(deviation_std):.1f} standard deviations from rig "
+            f"{rig.name}; give your rig with --rig",
+        )
+        for quantity, deviation_std in best.deviation_std.items()
+        if abs(deviation_std) > thresholds.MAX_DEVIATION_STD
+    ]
+
+
+def _contradicted_headers(best: Scale, motion: MeasuredMotion) -> list[Ambiguity]:
+    """Ambiguity of each unit that the header of the file states differently."""
+    chosen_units = (
         *((axis, f"{axis}'s unit", best.angles[axis]) for axis in AXES),
         ("voltage", "the voltages' unit", best.voltage),
-    ):
-        stated = motion.stated_units.get(name, "")
-        if stated and stated != unit:
-            reason = "the motion fits another unit than the header"
-            ambiguities.append(Ambiguity(what, unit, f"{stated}, as the header says", reason))
-    return ambiguities + _supply_ambiguities(possible, motion, reference)
+    )
+    return [
+        Ambiguity(
+            subject,
+            unit,
+            f"{motion.stated_units[name]}, as the header says",
+            "the motion fits another unit than the header",
+        )
+        for name, subject, unit in chosen_units
+        if motion.stated_units.get(name, "") not in ("", unit)
+    ]
 
 
 def _supply_ambiguities(

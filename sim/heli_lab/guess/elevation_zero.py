@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -10,6 +11,15 @@ from heli_lab.guess import thresholds
 from heli_lab.guess.regression.reference import Reference
 from heli_lab.guess.regression.signals import Signals
 from heli_lab.guess.result import Ambiguity
+
+_STILL_deg: Final = 0.5
+"""Largest range of the elevation at rest [deg]: five counts of an encoder with 4096 per turn."""
+_MIN_RISE_deg: Final = 5.0
+"""Smallest difference between the median of a flight and its beginning [deg] for the beginning to be a rest
+on the table. Rest and level differ by some 25 deg, so values up to 20 distinguish a rest from a hover."""
+_LOWEST_deg: Final = 3.0
+"""Largest elevation above the lowest of a flight [deg] that still counts as the lowest. Flights are some
+25 deg above their rest, so values up to 20 distinguish them."""
 
 
 @dataclass(frozen=True)
@@ -22,27 +32,40 @@ class RestElevation:
         Elevation at rest [deg], with its sign; None if the flight does not begin at rest.
     median_deg : float
         Median of the elevation in the flight [deg].
-    lowest : bool
+    begins_lowest : bool
         Whether the flight begins at its lowest elevation.
     """
 
     deg: float | None
     median_deg: float
-    lowest: bool
+    begins_lowest: bool
 
 
 def rest_elevation(signals: Signals, column: str, deg: float) -> RestElevation:
-    """Find the rest at the beginning of the elevation `column`; `deg` is its unit in degrees, with sign."""
-    elevation = deg * signals.raw[column]
+    """Find the rest at the beginning of the elevation `column`.
+
+    Parameters
+    ----------
+    signals : Signals
+        Columns of the flight.
+    column : str
+        Name of the elevation's column.
+    deg : float
+        Unit of the column in degrees, negative if its sign is wrong.
+    """
+    elevation_deg = deg * signals.raw[column]
     # An unsigned counter that starts below 0 has an offset of one turn.
-    elevation = elevation - 360.0 * np.round(np.median(elevation) / 360.0)
-    rows = round(thresholds.REST_DURATION_S / thresholds.SAMPLE_STEP_s)
-    begin = elevation[:rows]
-    typical = float(np.median(elevation))
-    start = float(np.median(begin))
-    still = float(np.ptp(begin)) < 0.5 and abs(typical - start) > 5.0
-    lowest = start < float(elevation.min()) + 3.0
-    return RestElevation(start if still else None, typical, lowest)
+    elevation_deg = elevation_deg - 360.0 * np.round(np.median(elevation_deg) / 360.0)
+    rest_rows = round(thresholds.REST_DURATION_S / thresholds.SAMPLE_STEP_s)
+    begin_deg = elevation_deg[:rest_rows]
+    median_deg = float(np.median(elevation_deg))
+    start_deg = float(np.median(begin_deg))
+    is_at_rest = float(np.ptp(begin_deg)) < _STILL_deg and abs(median_deg - start_deg) > _MIN_RISE_deg
+    return RestElevation(
+        deg=start_deg if is_at_rest else None,
+        median_deg=median_deg,
+        begins_lowest=start_deg < float(elevation_deg.min()) + _LOWEST_deg,
+    )
 
 
 def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, list[Ambiguity]]:
@@ -77,13 +100,15 @@ def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, li
         ]
     zero_at_level = abs(rest.deg - table_deg) < tolerance_deg
     zero_at_rest = abs(rest.deg) < tolerance_deg
-    if zero_at_level and rest.lowest and not zero_at_rest:
+    if zero_at_level and rest.begins_lowest and not zero_at_rest:
         return 0.0, []
-    if zero_at_rest and rest.lowest and not zero_at_level:
+    if zero_at_rest and rest.begins_lowest and not zero_at_level:
         return table_deg - rest.deg, []
     at_rest = f"{table_deg - rest.deg:.1f} deg to add, so that it rests at {table_deg:g} deg"
     # A log that begins in flight may be zeroed there, and most pilots fly near level.
-    in_flight = "" if rest.lowest else f", or {-rest.median_deg:.1f} deg to add, so that it flies at 0 deg"
+    in_flight = (
+        "" if rest.begins_lowest else f", or {-rest.median_deg:.1f} deg to add, so that it flies at 0 deg"
+    )
     return 0.0, [
         Ambiguity(
             "the elevation's zero",

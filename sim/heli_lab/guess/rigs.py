@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from heli_host.errors import HeliError
@@ -76,29 +76,56 @@ def guess_by_rigs(
             refusals[name] = error
     if not proposals or (rig is not None and rig.name not in proposals):
         raise refusals[rig.name if rig is not None else next(iter(refusals))]
-    nats = {name: proposal.log_likelihood for name, proposal in proposals.items()}
-    chosen = rig.name if rig is not None else max(nats, key=lambda name: nats[name])
+    best = max(proposals, key=lambda name: proposals[name].log_likelihood)
+    chosen = rig.name if rig is not None else best
     progress(1.0 - 1.0 / work_steps)
     guesses = check_by_simulation(proposals[chosen], parts[chosen], rigs[chosen])
-    others = [name for name in nats if name != chosen]
+    evidence, ambiguities = _compare_with_second(proposals, chosen, is_given=rig is not None)
+    guesses = [
+        replace(
+            guess,
+            evidence=(*evidence, *guess.evidence),
+            ambiguities=(*ambiguities, *guess.ambiguities),
+        )
+        for guess in guesses
+    ]
+    return RigMatch(rigs[chosen], tuple(guesses))
+
+
+def _compare_with_second(
+    proposals: Mapping[str, Guess], chosen: str, *, is_given: bool
+) -> tuple[list[str], list[Ambiguity]]:
+    """Compare the chosen rig with the one that fits best of all others.
+
+    Parameters
+    ----------
+    proposals : mapping of str to Guess
+        Proposed profile by name of the rig.
+    chosen : str
+        Name of the rig that is used.
+    is_given : bool
+        Whether the user gave this rig.
+
+    Returns
+    -------
+    evidence : list of str
+        One sentence on the comparison; empty without another rig.
+    ambiguities : list of Ambiguity
+        One if the other rig would give another profile, and the flights do not decide.
+    """
+    others = [name for name in proposals if name != chosen]
     # Rigs that give the same profile are not an ambiguity, but the better fit is reported.
     profile = profile_text(proposals[chosen].profile)
     differing = [name for name in others if profile_text(proposals[name].profile) != profile]
-    second = max(differing or others, key=lambda name: nats[name], default=None)
+    second = max(differing or others, key=lambda name: proposals[name].log_likelihood, default=None)
     if second is None:
-        return RigMatch(rigs[chosen], tuple(guesses))
-    lead_nats = nats[chosen] - nats[second]
+        return [], []
+    lead_nats = proposals[chosen].log_likelihood - proposals[second].log_likelihood
     comparison = f"{abs(lead_nats):.0f} nats {'worse' if lead_nats >= 0.0 else 'better'}"
-    sentence = f"rig: compared with {chosen}; {second} fits {comparison}"
-    guesses = [replace(guess, evidence=(sentence, *guess.evidence)) for guess in guesses]
+    evidence = [f"rig: compared with {chosen}; {second} fits {comparison}"]
     # A given rig is used unless another one fits clearly better; an automatic choice must win clearly.
-    required_nats = -thresholds.DECISIVE_NATS if rig is not None else thresholds.DECISIVE_NATS
-    if differing and lead_nats < required_nats:
-        ambiguity = Ambiguity(
-            "the rig",
-            chosen,
-            second,
-            f"it fits {comparison}, with other units or columns; if it is your rig, give --rig {second}",
-        )
-        guesses = [replace(guess, ambiguities=(ambiguity, *guess.ambiguities)) for guess in guesses]
-    return RigMatch(rigs[chosen], tuple(guesses))
+    required_nats = -thresholds.DECISIVE_NATS if is_given else thresholds.DECISIVE_NATS
+    if not differing or lead_nats >= required_nats:
+        return evidence, []
+    reason = f"it fits {comparison}, with other units or columns; if it is your rig, give --rig {second}"
+    return evidence, [Ambiguity("the rig", chosen, second, reason)]

@@ -17,8 +17,8 @@ from heli_lab.guess.ambiguities import (
     SignChanges,
     assignment_ambiguities,
     sign_ambiguities,
-    sum_ambiguities,
     unit_ambiguities,
+    voltage_ambiguities,
 )
 from heli_lab.guess.elevation_zero import RestElevation, elevation_zero, rest_elevation
 from heli_lab.guess.evidence import (
@@ -93,6 +93,7 @@ def propose(
         The longest part of each table with rising times, to which the guess applies.
     """
     reference = reference_of(rig)
+    # Which column is which: by names, and by how well each assignment explains the motion.
     files = [prepare_file(known.with_units(table.aligned()), reference, rate_Hz) for table in tables]
     source = files[0].table.source
     clock, clock_ambiguities = _common_clock(files)
@@ -103,19 +104,22 @@ def propose(
     assignment = ranked[0]
     ambiguities, evidence = assignment_ambiguities(ranked)
     ambiguities += clock_ambiguities
+    # Units: those with which the gains of the motion are most like the rig's.
     ranked_scales = pooled_scales(motions, reference)
     scale = ranked_scales[0]
     ambiguities += unit_ambiguities(ranked_scales, motions[0], reference, rig)
     limits = supply_limits(scale, motions, reference)
+    # Signs: the axes have to accelerate in the direction of their causes.
     flights = _FlightsInUnits(files, assignment, scale, reference, limits)
     regressions = flights.regressions()
     if not names_state_voltages(assignment) and not known.voltages:
         check_voltages(source, regressions, assignment)
-        ambiguities += sum_ambiguities(regressions, assignment, columns, dropped)
+        ambiguities += voltage_ambiguities(regressions, assignment, columns, dropped)
     signs = fewest_sign_changes(regressions, flights.feedback(), known)
     torque_nats = flights.torque_nats(signs)
     mirrored = prefers_mirror(signs, torque_nats) if known.mirrored is None else known.mirrored
     ambiguities += sign_ambiguities(regressions, signs, assignment, torque_nats, mirrored, rig)
+    # Zero of the elevation, from the rest on the table, and delays between columns.
     offset_deg, zero_ambiguities = elevation_zero(flights.rest(signs), reference)
     timing_ambiguities, lag_sentence = lag_ambiguities(regressions)
     ambiguities += zero_ambiguities + timing_ambiguities
@@ -138,6 +142,7 @@ def propose(
         f"{reference.hover_V:.2f} V in the rig file"
     )
     parts = [file.table for file in files]
+    # Programs log commands that the motors cannot follow: voltages above the supply were limited to it.
     if profile.clip_V is None:
 
         def regress(limits: tuple[float, float]) -> Mapping[str, RegressionFit]:
@@ -219,7 +224,7 @@ class _FlightsInUnits:
         """Elevation at rest, of the first file that begins at rest at its lowest point."""
         unit_deg = float(np.degrees(signs.elevation * self.rad["elevation"]))
         rests = [rest_elevation(file.signals, self.assignment.elevation, unit_deg) for file in self.files]
-        return next((rest for rest in rests if rest.deg is not None and rest.lowest), rests[0])
+        return next((rest for rest in rests if rest.deg is not None and rest.begins_lowest), rests[0])
 
 
 def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]]:

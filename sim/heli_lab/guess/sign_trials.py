@@ -37,7 +37,7 @@ def try_sign_choices(flight: Flight, rig: Rig) -> tuple[SignChoice, ...]:
 
     Returns
     -------
-    tuple of Choice
+    tuple of SignChoice
         The unchanged flight is the first element. Empty if too little of the flight is in the air.
     """
     try:
@@ -51,10 +51,13 @@ def try_sign_choices(flight: Flight, rig: Rig) -> tuple[SignChoice, ...]:
     unchanged = errors[1.0, 1.0, 1.0]
     choices = []
     for signs, error in errors.items():
-        travel_nats = [f"{axis}" for axis, sign in zip(AXES, signs, strict=True) if sign < 0.0]
+        inverted_axes = [axis for axis, sign in zip(AXES, signs, strict=True) if sign < 0.0]
+        # Product of the ratios of the three axes; the bound keeps a perfect fit from dividing by 0.
         ratio = float(np.exp(np.sum(np.log(np.maximum(error, 1e-6) / np.maximum(unchanged, 1e-6)))))
         choices.append(
-            SignChoice(" and ".join(travel_nats), (float(error[0]), float(error[1]), float(error[2])), ratio)
+            SignChoice(
+                " and ".join(inverted_axes), (float(error[0]), float(error[1]), float(error[2])), ratio
+            )
         )
     return tuple(choices)
 
@@ -82,7 +85,7 @@ def _error_deg(record: Record, rig: Rig) -> Floats:
     """
     problem = Problem(MultibodyModel(), rig, [record], window_s=TRIAL_WINDOW_S, step_s=0.02)
     try:
-        fit = solve(problem, budget=Budget(evaluations=EVALUATIONS), fine=False, scatter=False)
+        fit = solve(problem, budget=Budget(max_evaluations=EVALUATIONS), fine=False, scatter=False)
     except IdentifyError:
         return np.full(3, 180.0)
     with np.errstate(all="ignore"):

@@ -106,10 +106,16 @@ def _confirmed_by_simulation(suspects: list[WrongSign], flight: Flight, rig: Rig
 
 
 def _zeroed_at_rest(rest: RestElevation, reference: Reference) -> WrongSign | None:
-    """Report that the elevation is 0 at rest on the table instead of at level; None if it is not."""
+    """Report that the elevation is 0 at rest on the table instead of at level; None if it is not, or if the
+    flight does not show it.
+    """
+    if rest.deg is None or not rest.begins_lowest:
+        return None
     tolerance_deg = thresholds.REST_TOLERANCE_DEG + reference.rest_tolerance_deg
-    is_far_from_level = abs(reference.rest_deg) - tolerance_deg > tolerance_deg
-    if rest.deg is None or not rest.lowest or abs(rest.deg) >= tolerance_deg or not is_far_from_level:
+    is_zero = abs(rest.deg) < tolerance_deg
+    # An arm that rests near level is at 0 there by right: the tolerances about both angles must not overlap.
+    is_distinct = abs(reference.rest_deg) - tolerance_deg > tolerance_deg
+    if not is_zero or not is_distinct:
         return None
     return WrongSign(
         f"elevation is {rest.deg:.1f} deg while the flight rests: it was zeroed there, not at level",
@@ -120,15 +126,15 @@ def _zeroed_at_rest(rest: RestElevation, reference: Reference) -> WrongSign | No
 
 def _angles_in_degrees(regressions: dict[str, RegressionFit], reference: Reference) -> WrongSign | None:
     """Report that elevation and pitch are in degrees, if their gains are about 57 times those of the rig."""
-    times = [abs(regressions[axis].gain / reference.gain[axis]) for axis in ("elevation", "pitch")]
+    gain_ratios = [abs(regressions[axis].gain / reference.gain[axis]) for axis in ("elevation", "pitch")]
     is_decisive = all(
         regressions[axis].log_likelihood_ratio > thresholds.DECISIVE_NATS for axis in ("elevation", "pitch")
     )
-    if not is_decisive or not all(_DEGREES_RATIO[0] < ratio < _DEGREES_RATIO[1] for ratio in times):
+    if not is_decisive or not all(_DEGREES_RATIO[0] < ratio < _DEGREES_RATIO[1] for ratio in gain_ratios):
         return None
     return WrongSign(
-        f"elevation and pitch accelerate {times[0]:.0f} and {times[1]:.0f} times as fast as the rig can: "
-        "they are in degrees",
+        f"elevation and pitch accelerate {gain_ratios[0]:.0f} and {gain_ratios[1]:.0f} times as fast as the "
+        "rig can: they are in degrees",
         "multiply the angles by pi/180",
     )
 

@@ -17,10 +17,16 @@ from heli_lab.guess.regression.signals import unwrapped
 
 NO_RATE: Final = "give a column of times, or the sampling rate with --rate"
 """Fix of a file without times."""
+_MIN_TIMES: Final = 10
+"""Smallest number of values of a time column."""
 _MIN_RISING_SHARE: Final = 0.995
+"""Smallest share of rows in which a time column rises; a clock may be set back now and then."""
+_MAX_UNEVENNESS: Final = 0.5
+"""Largest deviation of an even step from the median step, as a share of it."""
 _MAX_STEP_S: Final = 0.15
 """Largest step of a log [s]: logs of such flights have at least 7 Hz."""
 _MIN_STEP_S: Final = 0.0002
+"""Smallest step of a log [s]."""
 _JUMP_STEPS: Final = 15.0
 """A step of an angle this many times above its usual largest one is a jump. Angles have up to 3; voltages
 have up to 15, when a setpoint moves. Lower values cut flights there, higher ones miss jumps of slow logs."""
@@ -56,23 +62,27 @@ class Clock:
 
 
 def clock_of(table: Table) -> Clock:
-    """Time column of a table, and its unit: the best of all columns that rise from row to row."""
-    clocks: list[tuple[float, Clock]] = []
+    """Find the time column of a table and its unit: the best of all columns that rise from row to row.
+
+    A column counts for its name (2 points), for even steps (up to 1), for a unit with which it has a
+    plausible step (1), and if column and unit are unambiguous (1).
+    """
+    scored_clocks: list[tuple[float, Clock]] = []
     for name, column in table.columns.items():
         values = column.values[np.isfinite(column.values)]
-        if values.size < 10:
+        if values.size < _MIN_TIMES:
             continue
         steps = np.diff(values)
         if float(np.mean(steps > 0.0)) < _MIN_RISING_SHARE:
             continue
-        typical = float(np.median(steps))
-        even_share = float(np.mean(np.abs(steps / typical - 1.0) < 0.5))
-        clock = _clock(name, column.unit, typical)
+        typical_step = float(np.median(steps))
+        even_share = float(np.mean(np.abs(steps / typical_step - 1.0) < _MAX_UNEVENNESS))
+        clock = _clock(name, column.unit, typical_step)
         score = 2.0 * names.is_time(name) + even_share + bool(clock.unit) + clock.sure
-        clocks.append((score, clock))
-    if not clocks:
+        scored_clocks.append((score, clock))
+    if not scored_clocks:
         return Clock("", "", False, "no column rises from row to row")
-    return max(clocks, key=lambda item: item[0])[1]
+    return max(scored_clocks, key=lambda scored: scored[0])[1]
 
 
 def _clock(name: str, stated: str, step: float) -> Clock:

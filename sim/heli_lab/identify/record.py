@@ -28,6 +28,17 @@ from heli_lab.identify.flight_checks import (
 ON_GROUND: Final = frozenset({"idle", "armed", "fault"})
 """States of the board's supervisor in which the motors are off."""
 
+_REST_s: Final = 0.2
+"""Time at the beginning of a flight in which a rest on the table is looked for [s]."""
+_REST_RANGE_deg: Final = 0.1
+"""Largest range of the elevation at rest [deg]: a count of an encoder with 4096 per turn."""
+_LOWEST_deg: Final = 1.0
+"""Largest elevation above the lowest of a flight [deg] that still counts as the lowest."""
+_RISEN_deg: Final = 10.0
+"""Smallest rise from the rest to the median of a flight [deg]. Rest and level differ by some 25 deg."""
+_FLIGHT_RANGE_deg: Final = 5.0
+"""A take-off ends this far below the median elevation of a flight [deg], and a landing begins there."""
+
 
 @dataclass(frozen=True)
 class Cut:
@@ -252,7 +263,7 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> Booleans:
     # A take-off ends, and a landing begins, at the elevation of the flight.
     clear = elevation_deg > table_deg + thresholds.TAKE_OFF_DEG
     typical_deg = float(np.median(elevation_deg[clear])) if clear.any() else 0.0
-    up = elevation_deg > max(table_deg + thresholds.TAKE_OFF_DEG, typical_deg - 5.0)
+    up = elevation_deg > max(table_deg + thresholds.TAKE_OFF_DEG, typical_deg - _FLIGHT_RANGE_deg)
     cut = in_contact.copy()
     settling_rows = round(thresholds.SETTLED_S / step_s)
     for edge in np.flatnonzero(np.diff(in_contact.astype(int))):
@@ -271,10 +282,12 @@ def _table_deg(elevation_deg: Floats, rig: Rig, step_s: float) -> float:
     begins at rest at its lowest point.
     """
     rig_deg = rig["elevation_min"].value
-    first_rows = elevation_deg[: round(0.2 / step_s)]
+    first_rows = elevation_deg[: round(_REST_s / step_s)]
     start_deg = float(np.median(first_rows))
-    at_rest = float(np.ptp(first_rows)) < 0.1
-    if at_rest and start_deg < elevation_deg.min() + 1.0 and start_deg < np.median(elevation_deg) - 10.0:
+    is_at_rest = float(np.ptp(first_rows)) < _REST_RANGE_deg
+    is_lowest = start_deg < elevation_deg.min() + _LOWEST_deg
+    has_risen = start_deg < np.median(elevation_deg) - _RISEN_deg
+    if is_at_rest and is_lowest and has_risen:
         return max(rig_deg, start_deg)
     return rig_deg
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from typing import Final
 
 import numpy as np
 from heli_host.flight import Flight
@@ -27,6 +28,10 @@ from heli_lab.identify.results import (
 from heli_lab.identify.shooting import solve
 from heli_lab.identify.thresholds import FAR_RAD, SHORT_WINDOW_S
 
+_SHORT_WINDOW_EVALUATIONS: Final = 30
+"""Largest number of predictions of all flights in the fit of short windows, which only supplies start
+values."""
+
 
 def identify(
     model: Model,
@@ -41,10 +46,10 @@ def identify(
     start_s: float | None = None,
     stop_s: float | None = None,
     window_s: float = 2.0,
-    seconds: float = float("inf"),
+    max_fit_s: float = float("inf"),
     threads: int | None = None,
     on_progress: Callable[[FitProgress], None] | None = None,
-    as_is: bool = False,
+    skip_sign_check: bool = False,
 ) -> Identification:
     """Estimate a model's parameters from flights, and validate them on others.
 
@@ -63,16 +68,16 @@ def identify(
     labels, validation_labels : sequence of str, optional
         Names of the flights.
     start_s, stop_s : float, optional
-        Fit only this part of each flight.
+        Fit only this part of each flight [s of its time column].
     window_s : float
-        Length of the windows of the open-loop simulation.
-    seconds : float
-        Most time for the fit.
+        Length of the windows of the open-loop simulation [s].
+    max_fit_s : float
+        Longest time on this computer for preparation and fit [s].
     threads : int, optional
         Threads of the predictions; see `Problem`.
     on_progress : callable, optional
         Called with the progress of the work.
-    as_is : bool
+    skip_sign_check : bool
         Accept flights whose motion the voltages do not explain, such as noise.
 
     Raises
@@ -89,26 +94,26 @@ def identify(
     held_out = prepare_all(validation, rig, validation_labels, "validation")
     if any(record is other or record.label == other.label for record in records for other in held_out):
         raise IdentifyError("a flight is both fitted and validated on", "give another flight to --validate")
-    report(FitProgress("compiling the model, once for each", 0.05, 0.0))
+    report(FitProgress("compiling the model", 0.05, 0.0))
     names = estimated_names(model, rig, free, fixed)
     problem = Problem(model, rig, records, free=names, window_s=window_s, threads=threads)
     fit = solve(
         problem,
         start=_start_values(problem),
-        budget=Budget(seconds=seconds - (time.perf_counter() - started_s)),
+        budget=Budget(max_time_s=max_fit_s - (time.perf_counter() - started_s)),
         on_progress=lambda p: report(FitProgress(p.stage, 0.1 + 0.7 * p.done, p.cost)),
     )
     report(FitProgress("checking", 0.85, fit.cost))
     training_traces, training = _free_runs(fit)
     validation_traces, validation_errors = _free_runs(validate(fit, held_out)) if held_out else ((), ())
-    if not as_is:
+    if not skip_sign_check:
         for flight in (*training_traces, *validation_traces):
             refuse_unexplained(flight)
     return Identification(fit, training, validation_errors, training_traces, validation_traces)
 
 
 def _free_runs(fit: Fit) -> tuple[tuple[Trace, ...], tuple[FreeRunErrors, ...]]:
-    """Free run of each flight of a fit, and its errors."""
+    """Return the free run (open-loop simulation) of each flight of a fit, and its errors."""
     flights = range(len(fit.problem.records))
     return tuple(trace(fit, index) for index in flights), tuple(check(fit, index) for index in flights)
 
@@ -126,5 +131,7 @@ def _start_values(problem: Problem) -> dict[str, float] | None:
         # An error that is not a number has diverged.
         if not np.all(error_rad < FAR_RAD):
             short_windows = problem.with_windows(SHORT_WINDOW_S)
-            return solve(short_windows, budget=Budget(evaluations=30), fine=False).values
+            return solve(
+                short_windows, budget=Budget(max_evaluations=_SHORT_WINDOW_EVALUATIONS), fine=False
+            ).values
     return None

@@ -136,7 +136,7 @@ def _assign_cells(
     instructions: list[Instruction] = []
     for index, value in enumerate(program.values):
         if value.kind in first_cell:
-            cell[index] = first_cell[value.kind] + value.place
+            cell[index] = first_cell[value.kind] + value.detail
             continue
         for operand in set(value.operands):
             if last_reader[operand] == index and program.values[operand].kind not in first_cell:
@@ -162,6 +162,6 @@ def _instruction(value: Value, target: int, operands: list[int]) -> Instruction:
         return Instruction(CODE[value.kind], target, first, second)
     terms = []
     for k, (first, second) in enumerate(zip(operands[::2], operands[1::2], strict=True)):
-        is_subtracted = bool(value.place >> k & 1)
+        is_subtracted = bool(value.detail >> k & 1)
         terms.append(Term(first, second, is_subtracted))
     return Instruction(CODE[SUM], target, terms=tuple(terms))

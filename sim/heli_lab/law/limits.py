@@ -68,8 +68,8 @@ def fence_process(limits: FileLimits) -> None:
     seconds = math.ceil(time.process_time() + limits.cpu_s)
     # SIGXCPU states the reason; a file that ignores it is killed a second later.
     limit_process("CPU", seconds, seconds + 1)
-    for kind, most in (("AS", limits.memory_MB << 20), ("FSIZE", 0), ("NOFILE", _OPEN_FILES), ("CORE", 0)):
-        limit_process(kind, most, most)
+    for kind, limit in (("AS", limits.memory_MB << 20), ("FSIZE", 0), ("NOFILE", _OPEN_FILES), ("CORE", 0)):
+        limit_process(kind, limit, limit)
     if sys.platform == "linux":
         _filter_system_calls()
     sys.addaudithook(_refuse)

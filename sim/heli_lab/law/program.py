@@ -42,15 +42,15 @@ class Value:
     ----------
     kind : str
         ``input``, ``constant``, ``parameter``, ``state``, or the operation's name.
-    place : int
-        For an input, constant, parameter or state, its index among them. For a sum of products, bit k is set
-        if product k is subtracted.
+    detail : int
+        For an input, constant, parameter or state, its index among those of its kind. For a sum of products,
+        bit k is set if product k is subtracted. For any other operation, 0.
     operands : tuple of int
         Indices of the values that it is computed from.
     """
 
     kind: str
-    place: int = 0
+    detail: int = 0
     operands: tuple[int, ...] = ()
 
 
@@ -104,7 +104,7 @@ class Program:
         """
         value = other.values[index]
         if value.kind == "constant":
-            new_index[index] = self.constant(other.constants[value.place])
+            new_index[index] = self.constant(other.constants[value.detail])
         else:
             operands = tuple(new_index[operand] for operand in value.operands)
             new_index[index] = self.put(replace(value, operands=operands))
@@ -139,8 +139,8 @@ class Program:
             self.constants.append(single)
         return self.put(Value("constant", self.constants.index(single)))
 
-    def number(self, index: int) -> float | None:
-        """Number of a constant; None if the value is not a constant.
+    def constant_number(self, index: int) -> float | None:
+        """Return the number of a value that is a constant; None for any other value.
 
         Parameters
         ----------
@@ -148,7 +148,7 @@ class Program:
             Index of the value in the program.
         """
         value = self.values[index]
-        return self.constants[value.place] if value.kind == "constant" else None
+        return self.constants[value.detail] if value.kind == "constant" else None
 
     def append(self, name: str, *operands: int) -> int:
         """Append an operation, or a cheaper one with the same result; return the index of its value.
@@ -160,7 +160,7 @@ class Program:
         *operands : int
             Indices of its operands.
         """
-        numbers = [self.number(operand) for operand in operands]
+        numbers = [self.constant_number(operand) for operand in operands]
         folded = _CONSTANT_FOLDING.get(name)
         if folded is not None and None not in numbers:
             result = folded(*numbers)
@@ -205,19 +205,20 @@ class Program:
 
     def _power(self, a: int, b: int) -> int:
         """Compose a power of the value `a` from products; the exponent `b` must be a whole number or 1/2."""
-        known = self.number(b)
-        number = math.nan if known is None else known
-        if number == 0.5:
+        constant = self.constant_number(b)
+        # nan is no whole number, so the test below refuses an exponent that is not a constant.
+        exponent = math.nan if constant is None else constant
+        if exponent == 0.5:
             return self.append("square_root", a)
-        if number != round(number) or not 0 < abs(number) <= _MAX_POWER:
+        if exponent != round(exponent) or not 0 < abs(exponent) <= _MAX_POWER:
             raise BadLaw(
                 f"the law {self.name} has a power that is not a whole number up to {_MAX_POWER}",
                 "use sqrt, exp or products",
             )
         power = a
-        for _ in range(int(abs(number)) - 1):
+        for _ in range(int(abs(exponent)) - 1):
             power = self.append("multiply", power, a)
-        return power if number > 0 else self.append("divide", self.constant(1.0), power)
+        return power if exponent > 0 else self.append("divide", self.constant(1.0), power)
 
 
 _COMMUTATIVE: Final = frozenset(("add", "multiply", "equal", "not_equal", "both", "either"))

@@ -107,7 +107,7 @@ def _products_of(
             *_products_of(program, readers, second, second_factor),
         ]
     for constant, other in ((first, second), (second, first)):
-        number = program.number(constant)
+        number = program.constant_number(constant)
         if number is not None:
             return _products_of(program, readers, other, factor * number)
     if abs(factor) == 1.0:
@@ -120,14 +120,14 @@ def _merged(program: Program, products: list[_Product]) -> list[_Product]:
     factors: dict[tuple[int, int | None], float] = {}
     offset, constant = 0.0, -1
     for product in products:
-        number = program.number(product.first)
+        number = program.constant_number(product.first)
         if number is not None and product.second is None:
             offset, constant = offset + product.factor * number, product.first
             continue
         key = (product.first, product.second)
         factors[key] = factors.get(key, 0.0) + product.factor
     merged = [_Product(factor, *key) for key, factor in factors.items() if factor != 0.0]
-    number = program.number(constant) if offset != 0.0 else None
+    number = program.constant_number(constant) if offset != 0.0 else None
     return [*merged, _Product(offset / number, constant)] if number else merged
 
 
@@ -159,7 +159,7 @@ def _simplified(program: Program, product: _Product) -> _Product:
     """Simplify a product: a constant and its factor become one constant, and a product of two values with a
     factor becomes one value with that factor.
     """
-    number = program.number(product.first)
+    number = program.constant_number(product.first)
     if number is not None and product.second is None:
         return _Product(1.0, program.constant(product.factor * number))
     if product.second is not None and abs(product.factor) != 1.0:

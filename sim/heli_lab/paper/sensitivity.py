@@ -65,6 +65,7 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
     constant_rad_s2 = p["P_1"] + p["P_5"] + p["P_6"] * sum_V
 
     def derivative(x: Floats, _: float) -> Floats:
+        """Return rate and acceleration of elevation from `x`, elevation [rad] and its rate [rad/s]."""
         elevation_rad, rate_rad_s = x
         acceleration_rad_s2 = (
             constant_rad_s2

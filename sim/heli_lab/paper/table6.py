@@ -153,8 +153,13 @@ class _TiltPlant:
         )
 
     def pitch_per_unit(self, reading: Reading) -> float:
-        """Pitch setpoint [rad] per radian of travel and unit of gain, which is an output unit per degree."""
-        # With sin(phi) U+ = U_3, one volt is asin(1 / U+), which is about 1 / U+ rad near level.
+        """Return the pitch setpoint [rad] per radian of travel error at a travel gain of 1.
+
+        The paper does not state the unit of the travel controller's output U_3, so its gains have two
+        readings: degrees of pitch per degree of travel, or volts per degree.
+        """
+        # In volts, the paper has sin(phi) U+ = U_3 with the sum of the voltages U+. Near level, one volt is
+        # then 1 / U+ rad of pitch, and a radian of travel is 57.3 degrees.
         return 1.0 if reading == "degrees" else _DEG / self.sum_V
 
     def closed(self, law: _TiltGains, lag_s: float) -> Floats:

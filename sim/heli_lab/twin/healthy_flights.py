@@ -26,6 +26,10 @@ _TORQUE_SHARE: Final = 0.5
 """Standard deviation of the constant torques of simulated flights as a share of `TORQUE_STD_Nm`: the torques
 of an identified rig are better known than their prior."""
 
+_OTHER_SEGMENTS_s: Final = 28.0
+"""Duration of a random plan without its sines [s]: take-off, settling, waypoints and hover."""
+_MIN_SINES_s: Final = 17.0
+"""Shortest duration of the sines [s]: a period of the fastest travel."""
 _PLAN: Final = """
 title = "Healthy {seed}"
 [start]
@@ -54,9 +58,9 @@ duration_s = 8
 """
 
 
-def random_plan(seed: int, seconds: float = 60.0) -> Plan:
-    """Return a random plan of about `seconds` in the air, drawn from a `seed`: sines, waypoints, hover, and
-    in half of the plans an excitation.
+def random_plan(seed: int, duration_s: float = 60.0) -> Plan:
+    """Return a random plan of about `duration_s` in the air, drawn from a `seed`: sines, waypoints, hover,
+    and in half of the plans an excitation.
     """
     rng = np.random.default_rng(seed)
     travel = round(float(rng.uniform(10, 40)), 1)
@@ -67,7 +71,7 @@ def random_plan(seed: int, seconds: float = 60.0) -> Plan:
         travel_s=round(max(16.0, 0.62 * travel), 1),
         elevation=round(float(rng.uniform(2, 9)), 1),
         elevation_s=round(float(rng.uniform(7, 12)), 1),
-        sines_s=round(max(seconds - 28.0, 17.0), 1),
+        sines_s=round(max(duration_s - _OTHER_SEGMENTS_s, _MIN_SINES_s), 1),
         up=round(float(rng.uniform(3, 10)), 1),
         corner=round(float(rng.uniform(10, 40))),
         excite=excite if rng.random() < 0.5 else "",

@@ -44,7 +44,7 @@ FLIGHTS: Final = 12
 _MIN_FREE_s: Final = 10.0
 """Shortest free flight along which evidence is drawn, s: an onset needs some seconds to show. Longer: short
 flights are refused. Shorter: the draws contain no whole excursion."""
-_BEYOND: Final = 0.1
+_VOLTAGE_MARGIN: Final = 0.1
 """Share by which voltages may exceed those of the nominal flights, for the model to count as known: of
 their range below, so that a rotor that brakes or reverses for the first time is noticed; of the voltage
 above, where a weaker supply leads. Larger: unknown physics is taken for a change. Smaller: little of
@@ -57,6 +57,11 @@ the correlation time of the gusts of a quiet room. Longer: the lower bound admit
 Shorter: the lower bound exceeds the gusts of a quiet room."""
 _FEW_SHARE: Final = 1.0 / 3.0
 """Share of a quiet room's gusts below which a warning is given."""
+_DRAWS_STREAM: Final = 32
+"""Second part of the seed of the draws. Any other number gives other draws, equally good; this one keeps them
+apart from flights that are simulated with the same seed."""
+_EVIDENCE_SHARE: Final = 0.3
+"""Share of the work before the draws, for the progress: the draws take most of the time."""
 Say = Callable[[str, float], None]
 
 
@@ -160,10 +165,10 @@ def learn_rig(
         [record.voltages_V[start:stop] for record in records for start, stop in record.segments]
     )
     lowest_V, highest_V = free_V.min(axis=0), free_V.max(axis=0)
-    low_V = lowest_V - _BEYOND * (highest_V - lowest_V)
+    low_V = lowest_V - _VOLTAGE_MARGIN * (highest_V - lowest_V)
     # A rotor that reverses for the first time is unknown, however slowly it turned before.
     low_V = np.where(lowest_V >= 0.0, np.maximum(low_V, 0.0), low_V)
-    high_V = (1.0 + _BEYOND) * highest_V
+    high_V = (1.0 + _VOLTAGE_MARGIN) * highest_V
     return disturbances, ParameterUncertainty(tuple(shared), covariance, SUPPLY_STD, low_V, high_V)
 
 
@@ -173,7 +178,7 @@ def learn(
     healthy: Sequence[Flight] = (),
     labels: Sequence[str] = (),
     *,
-    seconds: float = DRAWN_s,
+    drawn_s: float = DRAWN_s,
     seed: int = 1,
     say: Say = lambda _text, _share: None,
 ) -> Calibration:
@@ -190,7 +195,7 @@ def learn(
         room and the parameters count as exact.
     labels : sequence of str
         Names of these flights.
-    seconds : float
+    drawn_s : float
         Time of flight for which the evidence is drawn [s].
     seed : int
         Seed of the draws or of the simulated flights.
@@ -219,12 +224,15 @@ def learn(
             f"{healthy_s:.1f} s of free nominal flight are too short for a threshold",
             f"give flights with at least {_MIN_FREE_s:g} s in the air",
         )
+    # The filter starts with uncertain states, so its first innovations are not those of a settled filter.
     first_settled = round(FILTER_SETTLING_s / BLOCK_s)
     innovations = [flight.innovations[first_settled:] for flight in followed_flights]
     histories = [flight.history_without_kicks() for flight in followed_flights]
-    draws = Draws(innovations, math.ceil(seconds / healthy_s), np.random.default_rng([seed, 32]))
+    draws = Draws(innovations, math.ceil(drawn_s / healthy_s), np.random.default_rng([seed, _DRAWS_STREAM]))
     for number, flight in enumerate(healthy):
-        say(f"draws along {labels[number]}", 0.3 + 0.7 * number / len(healthy))
+        say(
+            f"draws along {labels[number]}", _EVIDENCE_SHARE + (1.0 - _EVIDENCE_SHARE) * number / len(healthy)
+        )
         histories += drawn_evidence(twin, disturbances, flight, draws)
     return Calibration(disturbances, fit_tail(histories, healthy_s), ", ".join(labels), uncertainty)
 

@@ -116,7 +116,7 @@ class Stepper:
     def _reset(self, first: int) -> None:
         """Discard all samples; `first` is the number of the next one."""
         # Samples that later steps need, the number of the first of them, and the number after the last.
-        self._kept = self._newest = _NO_SAMPLES
+        self._pending = self._newest = _NO_SAMPLES
         self._first = self._next = first
 
     def update(self, samples: Samples) -> Iterator[Step]:
@@ -154,27 +154,27 @@ class Stepper:
 
     def _append(self, samples: Samples) -> None:
         """Append samples, whose angles are nan where they are missing."""
-        self._kept = self._kept.followed_by(samples)
+        self._pending = self._pending.followed_by(samples)
         self._newest = samples.select(slice(-1, None))
         self._next += len(samples)
 
     def _complete_steps(self) -> Iterator[Step]:
         """Yield the complete steps, and discard samples that no later step needs."""
         step_rows, half_step = self.samples_per_step, self.samples_per_step // 2
-        kept = self._kept
+        pending = self._pending
         start = -self._first % step_rows
-        while start + step_rows <= len(kept):
+        while start + step_rows <= len(pending):
             width = min(half_step, start)
-            angles_rad = kept.angles_rad[start - width : start + width + 1]
+            angles_rad = pending.angles_rad[start - width : start + width + 1]
             angles_rad = angles_rad[~np.isnan(angles_rad[:, 0])]
             rows = slice(start, start + step_rows)
             yield Step(
                 index=(self._first + start) // step_rows,
                 measured_rad=angles_rad.mean(axis=0) if len(angles_rad) else None,
                 samples=len(angles_rad),
-                volts_V=kept.volts_V[rows],
-                flying=bool(kept.flying[rows].all()),
-                landing=bool(kept.landing[rows].any()),
+                volts_V=pending.volts_V[rows],
+                flying=bool(pending.flying[rows].all()),
+                landing=bool(pending.landing[rows].any()),
                 after_gap=self._after_gap,
             )
             self._after_gap = False
@@ -182,4 +182,4 @@ class Stepper:
         # The mean about the next step's beginning needs half a step before it.
         used = max(0, start - half_step)
         self._first += used
-        self._kept = kept.select(slice(used, None))
+        self._pending = pending.select(slice(used, None))

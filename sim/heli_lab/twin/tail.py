@@ -91,6 +91,7 @@ class Tail:
 
         Its precision is the Fisher information of the generalised Pareto distribution and the shape's prior.
         """
+        # The information is infinite at a shape of -1/2, where the tail ends too abruptly.
         xi = max(self.shape, -0.4)
         fisher = np.array([[2.0 / (1.0 + xi), 1.0 / (1.0 + xi)], [1.0 / (1.0 + xi), 1.0]]) / (1.0 + 2.0 * xi)
         precision = self.excesses * fisher + np.diag([_SHAPE_STD**-2.0, 0.0])

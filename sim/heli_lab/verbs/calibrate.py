@@ -21,7 +21,11 @@ if TYPE_CHECKING:
     from heli_lab.calibrate.calibration import BenchCalibration
     from heli_lab.calibrate.operator import Operator
 
-_WIRES: Final = ("elevation", "pitch", "travel", "front", "back", "swapped")
+_ENCODERS: Final = ("elevation", "pitch", "travel")
+_MOTORS: Final = ("front", "back")
+_SWAPPED: Final = "swapped"
+_WIRES: Final = (*_ENCODERS, *_MOTORS, _SWAPPED)
+"""Wires that a simulated rig can have wrong: reversed encoders, reversed motors, exchanged motors."""
 
 
 def calibrate(
@@ -193,9 +197,9 @@ def _simulated_board_address(rig: str | None, miswired: str) -> str:
         if wire not in _WIRES:
             raise typer.BadParameter(f"unknown --miswired '{wire}'; choose {', '.join(_WIRES)}")
     faults = {
-        "encoder_scale": ",".join(f"{wire}:-1" for wire in wires if wire in _WIRES[:3]),
-        "motor_sign": ",".join(f"{wire}:-1" for wire in wires if wire in _WIRES[3:5]),
-        "motors_swapped": "1" if "swapped" in wires else "",
+        "encoder_scale": ",".join(f"{wire}:-1" for wire in wires if wire in _ENCODERS),
+        "motor_sign": ",".join(f"{wire}:-1" for wire in wires if wire in _MOTORS),
+        "motors_swapped": "1" if _SWAPPED in wires else "",
     }
     query = urlencode({key: value for key, value in faults.items() if value})
     return "&".join(filter(None, (sil_address(rig=rig, speed=MAX_SPEED), query)))

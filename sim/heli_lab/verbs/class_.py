@@ -18,7 +18,10 @@ from heli_host.cli.verb import Verb
 from heli_lab.fit_options import SeedsOption
 
 if TYPE_CHECKING:
+    from heli_host.fly.plan import Plan
+
     from heli_lab.classroom.mark import Mark
+    from heli_lab.classroom.marking import MarkedSubmission
 
 _LOAD_s = 10.0
 """Processor time of a law's file [s]. The laws of the documents take under 2 s. With less, a law that solves
@@ -87,9 +90,8 @@ def class_(
     from heli_host.fly.plan import load_plan
     from heli_sim.rig import load_rig
 
-    from heli_lab.classroom.marking import MARK, Answer, Marking
-    from heli_lab.classroom.rig_flights import fly_on_rig
-    from heli_lab.classroom.submission import MARKED, submissions_in
+    from heli_lab.classroom.marking import Marking
+    from heli_lab.classroom.submission import submissions_in
     from heli_lab.law.limits import FileLimits
     from heli_lab.law.trial import trial_plan
 
@@ -98,36 +100,54 @@ def class_(
     data_on_stdout(json)
     class_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
     options = FlightOptions(sil=True, rig=rig, effect=effect, speed=MAX_SPEED)
-    # Nothing is marked with invalid options, or before a rig that is not there.
+    # Invalid options and a rig that does not answer are errors before the first submission flies.
     load_rig(rig or DEFAULT_RIG)
     if port is not None:
         with open_board(port):
             pass
     marking = Marking(options, class_plan, range(1, seeds + 1), FileLimits(load_timeout))
     marking.fly_references()
-    answers: list[Answer] = []
+    all_marked: list[MarkedSubmission] = []
     try:
         for submission_folder in folders:
-            answers.append(marking.answer(submission_folder))
-            say(str(answers[-1].mark))
+            all_marked.append(marking.mark_submission(submission_folder))
+            say(str(all_marked[-1].mark))
     finally:
-        _write_marks([answer.mark for answer in answers], folder / MARKS)
-    marks = {answer.folder: answer.mark for answer in answers}
+        # Marks that are complete are kept also if the teacher interrupts the rest.
+        _write_marks([marked.mark for marked in all_marked], folder / MARKS)
+    marks = [marked.mark for marked in all_marked]
     if port is not None:
-        flyable = [answer for answer in answers if answer.may_fly]
-        for answer, outcome in fly_on_rig(flyable, FlightOptions(port=port, rig=rig), class_plan, _confirm):
-            say(f"{answer.mark.name}: rig: {outcome}")
-            marks[answer.folder] = replace(answer.mark, rig=outcome)
-            write_result(answer.folder / MARKED / MARK, marks[answer.folder].as_dict())
-            _write_marks(list(marks.values()), folder / MARKS)
-    write_result(json, {"plan": class_plan.title, "marks": [mark.as_dict() for mark in marks.values()]})
-    refused_count = sum(mark.refused for mark in marks.values())
-    incomplete_count = sum(bool(mark.reason) for mark in marks.values())
+        marks = _fly_on_rig(all_marked, FlightOptions(port=port, rig=rig), class_plan, folder / MARKS)
+    write_result(json, {"plan": class_plan.title, "marks": [mark.as_dict() for mark in marks]})
+    refused_count = sum(mark.refused for mark in marks)
+    incomplete_count = sum(bool(mark.reason) for mark in marks)
     say(
         f"{len(marks)} submissions: {len(marks) - incomplete_count} flew to the end, "
         f"{incomplete_count - refused_count} ended early, {refused_count} refused"
     )
     say_files((folder / MARKS, json))
+
+
+def _fly_on_rig(
+    all_marked: Sequence[MarkedSubmission], options: FlightOptions, plan: Plan, table: Path
+) -> list[Mark]:
+    """Fly submissions on the rig, and return the marks of all with the outcome on the rig.
+
+    Only those fly that flew to the end of the simulation. After each flight its mark and the `table` of all
+    marks are written, so that a later accident does not lose them.
+    """
+    from heli_lab.classroom.marking import MARK
+    from heli_lab.classroom.rig_flights import fly_on_rig
+    from heli_lab.classroom.submission import MARKED
+
+    marks = {marked.folder: marked.mark for marked in all_marked}
+    flyable = [marked for marked in all_marked if marked.may_fly]
+    for marked, outcome in fly_on_rig(flyable, options, plan, _confirm):
+        say(f"{marked.mark.name}: rig: {outcome}")
+        marks[marked.folder] = replace(marked.mark, rig=outcome)
+        write_result(marked.folder / MARKED / MARK, marks[marked.folder].as_dict())
+        _write_marks(list(marks.values()), table)
+    return list(marks.values())
 
 
 def _confirm(question: str) -> bool | None:

@@ -96,7 +96,7 @@ def identify(
             validation_labels=inputs.labels[len(flights) :],
             window_s=window_s,
             on_progress=lambda progress: bar.show(progress.stage, progress.done),
-            as_is=skip_sign_check,
+            skip_sign_check=skip_sign_check,
         )
         page: Path | None = None
         if save_rig is not None:

@@ -81,6 +81,7 @@ def _refuse_blanks(table: Mapping[str, Any]) -> None:
 
 
 def _thrust_from(table: Mapping[str, Any]) -> Thrust:
+    """Read the thrust test: voltages [V] and readings of a scale [g] for one or both rotors."""
     known = {"volts_V", "front_g", "back_g", "scale_g"}
     if set(table) - known or "volts_V" not in table or not {"front_g", "back_g"} & set(table):
         raise RigError(
@@ -101,6 +102,7 @@ def _thrust_from(table: Mapping[str, Any]) -> Thrust:
 
 
 def _swing_from(table: Mapping[str, Any]) -> Swing:
+    """Read a swing test: the time of some swings [s], and the amplitudes before and after them [deg]."""
     axis = table.get("axis")
     if axis not in ("elevation", "pitch"):
         raise RigError(
@@ -144,6 +146,7 @@ def _list(name: str, value: object) -> list[float]:
 def _numbers(
     where: str, table: Mapping[str, Any], needed: Sequence[str], optional: Sequence[str]
 ) -> dict[str, float]:
+    """Return the numbers of a table by name; a RigError names a missing, unknown or invalid key."""
     for name in needed:
         if name not in table:
             raise RigError(f"{where} lacks {name}", "add it")

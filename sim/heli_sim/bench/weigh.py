@@ -185,6 +185,7 @@ def weigh(
 
 
 def _with_thrust(rig: Rig, thrust: Thrust) -> tuple[Rig, list[Tested]]:
+    """Set gain and dead zone of a rig by the thrust test; return the rig, and each reading as tested."""
     line = thrust.curve.line()
     volts = thrust.curve.volts_V
     source = f"bench: line through thrust on a scale at {np.unique(volts).size} voltages"
@@ -268,6 +269,10 @@ class _Axes:
 def _with_masses(
     rig: Rig, balance: Balance | None, swings: Sequence[Swing]
 ) -> tuple[Rig, list[str], list[Tested]]:
+    """Estimate masses and lengths of a rig from balance and swings, with its tolerances as priors (least
+    squares). Return the rig, the names of the parameters that the tests determine, and each reading with its
+    predictions.
+    """
     from scipy.optimize import least_squares
 
     axes = _Axes(rig)
@@ -329,6 +334,7 @@ def _with_masses(
 
 
 def _readings(balance: Balance | None, swings: Sequence[Swing]) -> list[tuple[str, str, float, float]]:
+    """Return name, unit, value and tolerance of each reading."""
     readings = (
         []
         if balance is None

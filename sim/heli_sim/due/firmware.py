@@ -69,16 +69,16 @@ def check_firmware(path: Path) -> Image:
 
     image = read_firmware(path)
     try:
-        board = _native.greet(new_board(image))
+        board_link = _native.greet(new_board(image))
     except Stop as stop:
         raise FirmwareError(f"{path} does not start on the emulated Due ({stop})", _MAKE) from stop
-    if board is None:
+    if board_link is None:
         raise FirmwareError(f"{path} does not answer a host", f"give the flight code's ELF, or {_MAKE}")
-    own = _native.identity()
-    if board[0] != own[0]:
+    host_link = _native.identity()
+    if board_link[0] != host_link[0]:
         raise FirmwareError(
-            f"{path} (firmware {board[3]}) has link version {board[1]}.{board[2]} ({board[0]:08x}), "
-            f"but this host has {own[1]}.{own[2]} ({own[0]:08x})",
+            f"{path} (firmware {board_link[3]}) has link version {board_link[1]}.{board_link[2]} "
+            f"({board_link[0]:08x}), but this host has {host_link[1]}.{host_link[2]} ({host_link[0]:08x})",
             f"build it again, {_MAKE}",
         )
     return image
@@ -88,9 +88,9 @@ def find_firmware() -> Path:
     """Return the newest of `candidates` with this host's version of the link. A FirmwareError states why the
     newest is unsuitable, and what to do.
     """
-    found = candidates()
+    newest_first = candidates()
     reason: FirmwareError | None = None
-    for path in found:
+    for path in newest_first:
         try:
             check_firmware(path)
         except FirmwareError as error:

@@ -78,6 +78,9 @@ def variables(plant: Plant) -> list[Variable]:
 
 
 def _variables(plant: Plant) -> Iterator[Variable]:
+    """Yield the variables of an FMU in the order of its reference: time, inputs, outputs, distances to the
+    stops, states, their rates, and parameters.
+    """
     yield Variable("time", 0, "s", "simulated time", "independent", "continuous")
     for place, quantity in enumerate(plant.model.inputs):
         yield Variable(
@@ -155,9 +158,9 @@ def describe(plant: Plant, identifier: str, token: str) -> bytes:
     )
     _add_units(root, listed)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="60.0", stepSize=repr(STEP_s))
-    own = ElementTree.SubElement(root, "ModelVariables")
+    model_variables = ElementTree.SubElement(root, "ModelVariables")
     for variable in listed:
-        ElementTree.SubElement(own, "Float64", _attributes(variable))
+        ElementTree.SubElement(model_variables, "Float64", _attributes(variable))
     structure = ElementTree.SubElement(root, "ModelStructure")
     outputs = [variable.reference for variable in listed if variable.causality == "output"]
     rates = [variable.reference for variable in listed if variable.derivative_of]
@@ -175,6 +178,7 @@ def describe(plant: Plant, identifier: str, token: str) -> bytes:
 
 
 def _attributes(variable: Variable) -> dict[str, str]:
+    """Return the attributes of a variable in modelDescription.xml."""
     attributes = {
         "name": variable.name,
         "valueReference": str(variable.reference),

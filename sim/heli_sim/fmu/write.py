@@ -52,7 +52,7 @@ def write_fmu(plant: Plant, path: str | Path) -> str:
     token = _token(plant)
     files = {"modelDescription.xml": describe(plant, identifier, token)}
     sources = {name: text.encode() for name, text in generate(plant, token).files.items()}
-    sources |= {one.name: one.read_bytes() for one in sorted(_SOURCES.glob("*.[ch]"))}
+    sources |= {path.name: path.read_bytes() for path in sorted(_SOURCES.glob("*.[ch]"))}
     compiled = sorted(name for name in sources if name.endswith(".c"))
     files |= {f"sources/{name}": data for name, data in sorted(sources.items())}
     files["sources/buildDescription.xml"] = _build_description(identifier, compiled)
@@ -74,11 +74,14 @@ def write_fmu(plant: Plant, path: str | Path) -> str:
 
 def _token(plant: Plant) -> str:
     """Identify this FMU: a digest of its variables and equations."""
-    text = "\n".join([*(repr(one) for one in variables(plant)), *generate(plant, "").files.values()])
+    text = "\n".join(
+        [*(repr(variable) for variable in variables(plant)), *generate(plant, "").files.values()]
+    )
     return "{" + hashlib.sha256(text.encode()).hexdigest()[:32] + "}"
 
 
 def _build_description(identifier: str, compiled: list[str]) -> bytes:
+    """Return buildDescription.xml, which names the C sources to compile."""
     root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
     group = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
@@ -89,6 +92,7 @@ def _build_description(identifier: str, compiled: list[str]) -> bytes:
 
 
 def _compile(sources: dict[str, bytes], compiled: list[str]) -> bytes | None:
+    """Compile the C sources of an FMU, and return the shared library; None without a compiler."""
     cc = compiler()
     if cc is None:
         return None

@@ -75,9 +75,15 @@ class Model(ABC):
         self.parameters: tuple[Quantity, ...] = tuple(_RIG[name] for name in names) + tuple(
             parameter for effect in effects for parameter in effect.parameters
         )
-        own = [q.name for q in self.parameters[len(names) :]]
-        every = [s.name for s in self.states] + own
-        twice = sorted({name for name in every if every.count(name) > 1 or (name in own and name in _RIG)})
+        effect_parameters = [q.name for q in self.parameters[len(names) :]]
+        all_names = [s.name for s in self.states] + effect_parameters
+        twice = sorted(
+            {
+                name
+                for name in all_names
+                if all_names.count(name) > 1 or (name in effect_parameters and name in _RIG)
+            }
+        )
         if twice:
             raise PlantError(
                 f"effects of '{self.name}' share the names {', '.join(twice)}", "give each another name"
@@ -290,5 +296,7 @@ class Model(ABC):
 
     def parameter_values(self, rig: Rig) -> Floats:
         """Values of `parameters` in their units, shape (len(parameters),), from the `rig` and the effects."""
-        own = {name: value for effect in self.effects for name, value in effect.values.items()}
-        return np.array([rig[q.name].value if q.name in rig else own[q.name] for q in self.parameters])
+        effect_values = {name: value for effect in self.effects for name, value in effect.values.items()}
+        return np.array(
+            [rig[q.name].value if q.name in rig else effect_values[q.name] for q in self.parameters]
+        )

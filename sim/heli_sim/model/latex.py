@@ -107,6 +107,7 @@ def equations(model: Model) -> list[Equation]:
 
 
 def _situation(model: Model) -> Operands:
+    """Return states, voltages and parameters of a model as symbols with their names in LaTeX."""
     names = {q.name: ca.SX.sym(symbol(q.name)) for q in (*model.states, *model.parameters)}
     volts = ca.vertcat(ca.SX.sym("V_{f}"), ca.SX.sym("V_{b}"))
     return Operands(
@@ -127,6 +128,9 @@ def _thrust(at: Operands) -> list[Equation]:
 def _multibody(
     model: MultibodyModel, at: Operands, F: ca.SX, torque: ca.SX, rates: ca.SX, writer: _Writer
 ) -> list[Equation]:
+    """Return the equations of the multibody model: Lagrange's equation, then the inertias, the potential
+    energy and the generalised forces that it contains.
+    """
     inertia = model.inertia_kg_m2(at)
     potential = ca.substitute(model.energy_J(at), rates, ca.SX.zeros(3))
     forces = model.thrust_torque_Nm(at, F) + torque
@@ -205,6 +209,7 @@ class _Writer:
         return out
 
     def _name_parts(self, of: ca.SX, out: list[Equation]) -> None:
+        """Give a name to each part of an expression that occurs again, with an equation for it in `out`."""
         for child in _below(of):
             key = child.element_hash()
             if key in self._named:
@@ -221,6 +226,7 @@ class _Writer:
         return f"{letter}_{{{taken + 1}}}"
 
     def _text(self, of: ca.SX) -> tuple[str, int]:
+        """Return an expression in LaTeX, and how strongly it binds, for the parentheses around it."""
         if of.element_hash() in self._named:
             return self._named[of.element_hash()], _ATOM
         if of.is_constant():
@@ -242,6 +248,7 @@ class _Writer:
         return text if binds >= least else rf"\left({text}\right)"
 
     def sum(self, of: ca.SX) -> tuple[str, int]:
+        """Return a sum or difference in LaTeX."""
         first, (second, binds) = self._text(of.dep(0))[0], self._text(of.dep(1))
         minus = of.op() == ca.OP_SUB
         if binds == _SIGNED or (not minus and second.startswith("-")):
@@ -251,6 +258,7 @@ class _Writer:
         return f"{first} {'-' if minus else '+'} {second}", _SUM
 
     def product(self, of: ca.SX) -> tuple[str, int]:
+        """Return a product in LaTeX: numbers first, then symbols, sums in parentheses, and functions."""
         negative, factors = False, []
         for factor in self._factors(of):
             text, binds = self._text(factor)
@@ -342,6 +350,7 @@ def _shared(roots: Iterable[ca.SX]) -> set[int]:
     signs: set[int] = set()  # a sign or a factor of 2 deserves no name
 
     def visit(of: ca.SX) -> int:
+        """Count the operations of an expression, and how often each of its parts occurs."""
         key = of.element_hash()
         parents[key] = parents.get(key, 0) + 1
         if not of.is_constant() and not of.is_symbolic() and of.op() in (ca.OP_NEG, ca.OP_TWICE):

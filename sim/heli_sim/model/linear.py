@@ -133,7 +133,7 @@ def linearise(model: Model, rig: Rig, at: Trim | None = None) -> control.StateSp
         first.C,
         first.D,
         states=[state.name for state in model.states],
-        inputs=[one.name for one in model.inputs],
+        inputs=[quantity.name for quantity in model.inputs],
         outputs=list(OUTPUTS),
         name=f"{model.name}_{rig.name}".replace(".", "_"),
     )

@@ -63,6 +63,7 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
         return f'<joint name="{name}" axis="{axis}" damping="{v[f"friction_{name}"]:.9g}"{ends}/>'
 
     def rotor(side: str) -> str:
+        """Return the actuator of a rotor: thrust on a line over the voltage, from the dead zone on."""
         zero_N = -v["thrust_gain"] * v["dead_zone"]
         most_N = v["thrust_gain"] * max(v["supply"] - v["dead_zone"], 1e-6)
         return (
@@ -73,6 +74,7 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
         )
 
     def torque(axis: str) -> str:
+        """Return an actuator for the constant torque about an axis; empty without one."""
         value = v[f"torque_{axis}"]
         if not value:
             return ""

@@ -136,6 +136,9 @@ class MultibodyModel(Model):
         )
 
     def _short_arm(self, at: Operands, pitch: ca.SX) -> _ShortArm:
+        """Return mass, first moments [kg m] and second moments [kg m2] of the pitched short arm about the end
+        of the long arm.
+        """
         p = at.parameter
         c, s = ca.cos(pitch), ca.sin(pitch)
         # Before it is pitched, every mass lies L_phi below the axis, the rotors L_h beside it.

@@ -101,4 +101,4 @@ def on_axis(axis: str, value: ca.SX) -> ca.SX:
     """Vector of shape (3, 1) with a scalar `value` at the place of an `axis`, elevation, pitch or travel, and
     0 otherwise.
     """
-    return ca.vertcat(*(value if axis == one else ca.SX(0) for one in AXES))
+    return ca.vertcat(*(value if axis == name else ca.SX(0) for name in AXES))

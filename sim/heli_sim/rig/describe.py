@@ -82,8 +82,12 @@ def described(name: str, description: str, like: Rig, given: Mapping[str, Number
             # Wiring is no property that rigs of one type share.
             numbers[quantity] = Number(0.0, known.unit, 0.0, UNSTATED[quantity].source)
             continue
-        own = bool(known.tolerance) and quantity not in _ALIKE
-        wide = max(known.tolerance, UNSTATED_SHARE * abs(known.value)) if own else known.tolerance
+        differs_between_rigs = bool(known.tolerance) and quantity not in _ALIKE
+        wide = (
+            max(known.tolerance, UNSTATED_SHARE * abs(known.value))
+            if differs_between_rigs
+            else known.tolerance
+        )
         numbers[quantity] = replace(known, tolerance=wide, source=f"not stated: as {like.name}")
     return Rig(name, description, numbers)
 
@@ -176,6 +180,9 @@ def _quantity(name: str) -> Quantity:
 
 
 def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, source: str) -> Number:
+    """Return a stated number in the unit of rig files; without a tolerance it gets that of a ruler or a
+    kitchen scale.
+    """
     units = _FACTORS.get(quantity.unit, {quantity.unit: 1.0})
     factor = units.get(unit or quantity.unit)
     if factor is None and unit.startswith(","):

@@ -45,6 +45,6 @@ def inertia_range_kg_m2(
         Half width for each.
     """
     names = [name for name in values if name.startswith(("M_", "L_"))]
-    least = inertias_kg_m2({name: max(abs(values[name]) - tolerances[name], 0.0) for name in names})
-    most = inertias_kg_m2({name: abs(values[name]) + tolerances[name] for name in names})
-    return {name: (least[name], most[name]) for name in least}
+    lowest = inertias_kg_m2({name: max(abs(values[name]) - tolerances[name], 0.0) for name in names})
+    highest = inertias_kg_m2({name: abs(values[name]) + tolerances[name] for name in names})
+    return {name: (lowest[name], highest[name]) for name in lowest}

@@ -79,12 +79,12 @@ def check_size(where: str, name: str, value: float, tolerance: float, unit: str)
     RigError
         The text names the number and its range.
     """
-    most = LARGEST.get(unit, LARGEST_OF_OTHER_UNITS)
+    largest = LARGEST.get(unit, LARGEST_OF_OTHER_UNITS)
     for what, size in (("value", value), ("tolerance", tolerance)):
-        if abs(size) > most or 0.0 < abs(size) < SMALLEST:
+        if abs(size) > largest or 0.0 < abs(size) < SMALLEST:
             raise RigError(
                 f"{where}: {name} has the {what} {size:g} {unit}",
-                f"give 0 or a size from {SMALLEST:g} to {most:g} {unit}",
+                f"give 0 or a size from {SMALLEST:g} to {largest:g} {unit}",
             )
 
 

@@ -228,6 +228,7 @@ def load_rig(name_or_path: str | Path) -> Rig:
 
 
 def _rig_from_table(path: Path, table: Mapping[str, Any]) -> Rig:
+    """Build a rig from the content of its file."""
     texts: dict[str, str] = {}
     for key in _TEXTS:
         value = table.get(key)
@@ -248,6 +249,7 @@ def _rig_from_table(path: Path, table: Mapping[str, Any]) -> Rig:
 
 
 def _effects(path: Path, table: object) -> dict[str, dict[str, Number]]:
+    """Read the effects of a rig file: numbers by effect and name."""
     if not isinstance(table, dict):
         raise RigError(
             f"rig file {path}: effects must hold one table for each effect", "write [effects.NAME.NUMBER]"
@@ -265,6 +267,7 @@ def _effects(path: Path, table: object) -> dict[str, dict[str, Number]]:
 
 
 def _number(path: Path, name: str, entry: object) -> Number:
+    """Read a number of a rig file: value, unit, tolerance and source."""
     where = f"rig file {path}: {name}"
     if not isinstance(entry, dict):
         raise RigError(f"{where} is not a table", f"write a table with {', '.join(_FIELDS)}")
@@ -306,16 +309,17 @@ def _check_inertias(rig: Rig, stated: Mapping[str, Number]) -> None:
             raise RigError(
                 f"{where} = {number.value} +- {number.tolerance} must be finite", "give finite numbers"
             )
-        least, most = possible[name]
-        if not least - number.tolerance <= number.value <= most + number.tolerance:
+        min_kg_m2, max_kg_m2 = possible[name]
+        if not min_kg_m2 - number.tolerance <= number.value <= max_kg_m2 + number.tolerance:
             raise RigError(
                 f"{where} = {number.value:g} kg m2 is impossible: with all masses within their tolerances, "
-                f"they give {least:.4g} to {most:.4g}",
+                f"they give {min_kg_m2:.4g} to {max_kg_m2:.4g}",
                 "correct this inertia, a mass or a length",
             )
 
 
 def _check(rig: str, numbers: Mapping[str, Number]) -> None:
+    """Refuse a rig whose numbers are incomplete, in other units, out of range or contradictory."""
     wanted = {quantity.name: quantity for quantity in RIG_QUANTITIES}
     for name in numbers:
         if name not in wanted:

@@ -29,6 +29,7 @@ def rig_text(rig: Rig, comment: str = "", digits: int = _DIGITS) -> str:
 
 
 def _table(name: str, number: Number, digits: int) -> list[str]:
+    """Return the lines of a number in a rig file."""
     return [
         "",
         f"[{name}]",

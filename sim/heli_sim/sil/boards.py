@@ -141,13 +141,13 @@ class EmulatedDue:
         self.sim.due.seed_random(boot_seed)
         self._file = Path(flash_file) if flash_file else None
         if self._file is not None and self._file.exists():
-            kept = self._file.read_bytes()
-            if len(kept) != _FILE_BYTES:
+            flash_content = self._file.read_bytes()
+            if len(flash_content) != _FILE_BYTES:
                 raise SimError(
                     f"the flash file {self._file} is not {_FILE_BYTES} bytes long",
                     "delete it; the simulated board creates it again",
                 )
-            self.sim.due.load(_PAGES_AT, kept[:_PAGES_BYTES])
+            self.sim.due.load(_PAGES_AT, flash_content[:_PAGES_BYTES])
         self._writes = self.sim.due.flash_writes
 
     @property

@@ -8,32 +8,44 @@ from typing import Final, Protocol
 
 from typing_extensions import override
 
-# A wake-up costs about 60 us of processor time whatever it simulates; 4 ms is also the rhythm in which the
-# bridge of a real Due hands over its bytes.
+# A tick is one control step of the board, 1 ms of simulated time. A slice is the ticks that are simulated in
+# one call.
 _SLICE_WALL_s: Final = 0.004
-_SLICE_TICKS: Final = (4, 20)
-# A machine that slept or was overloaded for longer than this goes on from where it is.
+"""Host time between two slices [s]. A wake-up costs about 60 us of processor time whatever it simulates; 4 ms
+is also the rhythm in which the bridge of a real Due hands over its bytes."""
+_MIN_SLICE_TICKS: Final = 4
+_MAX_SLICE_TICKS: Final = 20
 _MAX_BEHIND_s: Final = 0.5
+"""Host time [s]. A machine that slept or was overloaded for longer than this continues from the present tick
+instead of catching up."""
 
 
 class Clock(Protocol):
-    """Decides how many milliseconds to simulate now."""
+    """Decides how many ticks of 1 ms to simulate now. Host times are those of any monotonic clock."""
 
     follows_host: bool
     """Whether bytes from the host let time go on, so that waiting for them is worth while."""
 
-    def due(self, now_s: float, tick: int) -> int:
-        """Milliseconds to simulate at `now_s` of any monotonic clock, after `tick` simulated so far; 0 to
-        wait.
+    def ticks_due(self, now_s: float, tick: int) -> int:
+        """Return the number of ticks to simulate now; 0 if it is too early.
+
+        Parameters
+        ----------
+        now_s : float
+            Present host time [s].
+        tick : int
+            Number of ticks simulated so far.
         """
         ...
 
     def wait_s(self, now_s: float, tick: int) -> float:
-        """Seconds until `due` can return more than 0, from the same `now_s` and `tick`."""
+        """Return the host time [s] until `ticks_due` can return more than 0, from the same `now_s` and
+        `tick`.
+        """
         ...
 
     def heard(self, now_s: float, tick: int) -> None:
-        """Record that bytes came from the host at `now_s`, after `tick` simulated milliseconds."""
+        """Record that bytes came from the host at host time `now_s`, after `tick` simulated ticks."""
         ...
 
 
@@ -46,31 +58,33 @@ class TimedClock(Clock):
 
     def __init__(self, speed: float = 1.0) -> None:
         self._ticks_per_s = 1e3 * speed
-        least, most = _SLICE_TICKS
-        self._slice = max(least, min(most, round(_SLICE_WALL_s * self._ticks_per_s)))
+        self._slice_ticks = max(
+            _MIN_SLICE_TICKS, min(_MAX_SLICE_TICKS, round(_SLICE_WALL_s * self._ticks_per_s))
+        )
         self._start: tuple[float, int] | None = None
         self.slipped_s = 0.0
         """Time given up because the machine could not keep the pace, s."""
 
     @override
-    def due(self, now_s: float, tick: int) -> int:
+    def ticks_due(self, now_s: float, tick: int) -> int:
         start_s, start_tick = self._anchor(now_s, tick)
-        behind = (now_s - start_s) * self._ticks_per_s - (tick - start_tick)
-        if behind > _MAX_BEHIND_s * self._ticks_per_s + self._slice:
-            self.slipped_s += behind / self._ticks_per_s
+        behind_ticks = (now_s - start_s) * self._ticks_per_s - (tick - start_tick)
+        if behind_ticks > _MAX_BEHIND_s * self._ticks_per_s + self._slice_ticks:
+            self.slipped_s += behind_ticks / self._ticks_per_s
             self._start = (now_s, tick)
-        return self._slice if behind >= self._slice else 0
+        return self._slice_ticks if behind_ticks >= self._slice_ticks else 0
 
     @override
     def wait_s(self, now_s: float, tick: int) -> float:
         start_s, start_tick = self._anchor(now_s, tick)
-        return max(0.0, start_s + (tick - start_tick + self._slice) / self._ticks_per_s - now_s)
+        return max(0.0, start_s + (tick - start_tick + self._slice_ticks) / self._ticks_per_s - now_s)
 
     @override
     def heard(self, now_s: float, tick: int) -> None:
         pass
 
     def _anchor(self, now_s: float, tick: int) -> tuple[float, int]:
+        """Return host time and tick at which the schedule started: those of the first call."""
         if self._start is None:
             self._start = (now_s, tick)
         return self._start
@@ -92,32 +106,32 @@ class LockstepClock(Clock):
     follows_host = True
 
     def __init__(self, window_ms: int = 40) -> None:
-        self._window = window_ms
+        self._window_ticks = window_ms
         self._heard: tuple[float, int] | None = None
 
     @override
-    def due(self, now_s: float, tick: int) -> int:
-        least, most = _SLICE_TICKS
-        allowed = self._allowed(now_s, tick) - tick
-        return min(int(allowed), most) if allowed >= least else 0
+    def ticks_due(self, now_s: float, tick: int) -> int:
+        ahead_ticks = self._allowed_tick(now_s, tick) - tick
+        return min(int(ahead_ticks), _MAX_SLICE_TICKS) if ahead_ticks >= _MIN_SLICE_TICKS else 0
 
     @override
     def wait_s(self, now_s: float, tick: int) -> float:
-        return max(0.0, 1e-3 * (tick + _SLICE_TICKS[0] - self._allowed(now_s, tick)))
+        return max(0.0, 1e-3 * (tick + _MIN_SLICE_TICKS - self._allowed_tick(now_s, tick)))
 
     @override
     def heard(self, now_s: float, tick: int) -> None:
         self._heard = (now_s, tick)
 
-    def _allowed(self, now_s: float, tick: int) -> float:
+    def _allowed_tick(self, now_s: float, tick: int) -> float:
+        """Return the tick up to which time may run: the window after the last byte, and real time since."""
         if self._heard is None:
             self._heard = (now_s, tick)
         heard_s, heard_tick = self._heard
-        return heard_tick + self._window + 1e3 * (now_s - heard_s)
+        return heard_tick + self._window_ticks + 1e3 * (now_s - heard_s)
 
 
 def make_clock(speed: float | None) -> Clock:
     """Make a clock that passes `speed` simulated seconds per second, or as fast as the host keeps up if
-    `speed` is None. Its schedule starts with the first call of `due`.
+    `speed` is None. Its schedule starts with the first call of `ticks_due`.
     """
     return LockstepClock() if speed is None else TimedClock(speed)

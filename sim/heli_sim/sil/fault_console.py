@@ -125,6 +125,7 @@ class FaultConsole:
         return Interval(self._world.time_s)
 
     def _until_now(self, spans: tuple[Interval, ...]) -> tuple[Interval, ...]:
+        """End the intervals that last now."""
         tick = self._world.tick
         # One that begins with this very tick has not been noticed yet, and has no length.
         return tuple(

@@ -87,8 +87,8 @@ class InProcessTransport:
         ticks = max(1, round(1e3 * timeout_s))
         written = bytes(self._written)
         self._written.clear()
-        least = min(ticks, self.world.options.slice_ms)
-        received = self.world.advance(ticks, written, until_output=True, least=least)
+        min_ticks = min(ticks, self.world.options.slice_ms)
+        received = self.world.advance(ticks, written, until_output=True, min_ticks=min_ticks)
         if self._speed:
             ahead_s = self._start_s + self.world.time_s / self._speed - time.monotonic()
             if ahead_s > 0.0:

@@ -42,10 +42,11 @@ class Interval:
             raise self._refused("write start or start:length in seconds, at least 0.001 long")
 
     def _possible(self) -> bool:
+        """Whether the interval begins in the permitted time and lasts at least one tick."""
         if not (0.0 <= self.start_s <= LATEST_S and self.duration_s > 0.0):
             return False
-        first, after = self.edges()
-        return after > first
+        first_tick, end_tick = self.edges()
+        return end_tick > first_tick
 
     def _refused(self, remedy: str) -> OptionError:
         return OptionError(f"'{self.start_s}:{self.duration_s}' is not an interval of time", remedy)
@@ -58,8 +59,8 @@ class Interval:
 
     def holds(self, tick: int) -> bool:
         """Whether a `tick`, ms since the simulation started, is within the interval."""
-        first, after = self.edges()
-        return first <= tick < after
+        first_tick, end_tick = self.edges()
+        return first_tick <= tick < end_tick
 
 
 class Span(Interval):

@@ -174,6 +174,7 @@ def parse_options(values: dict[str, str]) -> SilOptions:
 
 
 def _scales(key: str, texts: Sequence[str]) -> tuple[float, float, float]:
+    """Read the scales of the encoders, 1 for those that are not named."""
     scales = dict.fromkeys(AXES, 1.0)
     for text in texts:
         axis, _, scale = text.partition(":")
@@ -184,6 +185,7 @@ def _scales(key: str, texts: Sequence[str]) -> tuple[float, float, float]:
 
 
 def _motor_signs(key: str, texts: Sequence[str]) -> tuple[int, int]:
+    """Read the directions of the motors, 1 for those that are not named."""
     signs = {"front": 1, "back": 1}
     for text in texts:
         motor, _, sign = text.partition(":")
@@ -239,15 +241,15 @@ def parse_times(key: str, texts: Sequence[str]) -> tuple[Interval, ...]:
     OptionError
         When one cannot be read.
     """
-    found = []
+    intervals = []
     for text in texts:
         start, _, duration = text.partition(":")
         start_s, duration_s = _number(key, start), _number(key, duration) if duration else math.inf
         try:
-            found.append(Interval(start_s, duration_s))
+            intervals.append(Interval(start_s, duration_s))
         except OptionError as error:
             raise OptionError(f"{key}={text}: {error.cause}", error.remedy) from None
-    return tuple(found)
+    return tuple(intervals)
 
 
 def parse_encoders_out(key: str, texts: Sequence[str]) -> tuple[tuple[str, Interval], ...]:
@@ -270,9 +272,9 @@ def parse_encoders_out(key: str, texts: Sequence[str]) -> tuple[tuple[str, Inter
     OptionError
         When one cannot be read.
     """
-    found = []
+    unplugged = []
     for text in texts:
         axis, _, times = text.partition(":")
         (interval,) = parse_times(key, [times or "0"])
-        found.append((axis, interval))
-    return tuple(found)
+        unplugged.append((axis, interval))
+    return tuple(unplugged)

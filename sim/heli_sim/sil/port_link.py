@@ -81,6 +81,9 @@ class PortLink:
             self._lock = -1
 
     def _take_lock(self) -> int:
+        """Lock the path of the port against other simulated boards, and return the file descriptor of the
+        lock.
+        """
         while True:
             try:
                 lock = os.open(self._lock_path, os.O_RDWR | os.O_CREAT, 0o644)
@@ -116,6 +119,7 @@ class PortLink:
         raise EndpointError(f"{self.path} is a {kind}, not a link", "choose another path for the port")
 
     def _refuse_the_link_of_others(self, terminal: str) -> None:
+        """Refuse a link that no simulated board made, so that no file of a user is replaced."""
         target = str(self.path.readlink())
         is_terminal = target.startswith(terminal.rstrip("0123456789"))
         if is_terminal and (target == self._terminal_before or not Path(target).exists()):

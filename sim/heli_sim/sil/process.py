@@ -110,6 +110,7 @@ class SilProcess:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _wait_for_port(self, timeout_s: float) -> str:
+        """Wait until the child process reports the address of its board, and return it."""
         # A child that hangs is killed, which ends the readline below.
         alarm = threading.Timer(timeout_s, self._process.kill)
         alarm.start()
@@ -127,6 +128,7 @@ class SilProcess:
 
 
 def _port(path: Path, rfc2217: str | None) -> tuple[str, str]:
+    """Return option and value of the port that a board in its own process serves."""
     if rfc2217 is not None:
         return "--rfc2217", rfc2217
     try:

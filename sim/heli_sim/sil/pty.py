@@ -46,7 +46,7 @@ class PtyEndpoint(Endpoint):
         self._open = False
         self._dtr = False
         self._changes: list[LineChange] = []
-        self._kept = b""
+        self._unsent = b""
         self.url = ""
         try:
             self.plug()
@@ -58,7 +58,7 @@ class PtyEndpoint(Endpoint):
     @property
     def ready(self) -> bool:
         """Whether a host has the port open and reads from it."""
-        return self._open and not self._kept
+        return self._open and not self._unsent
 
     @override
     def receive(self) -> bytes:
@@ -82,11 +82,11 @@ class PtyEndpoint(Endpoint):
     def send(self, data: bytes) -> None:
         if not self._open:
             return
-        self._kept += data
-        if not self._kept:
+        self._unsent += data
+        if not self._unsent:
             return
         try:
-            self._kept = self._kept[os.write(self._master, self._kept) :]
+            self._unsent = self._unsent[os.write(self._master, self._unsent) :]
         except BlockingIOError:
             pass
         except OSError:
@@ -110,7 +110,7 @@ class PtyEndpoint(Endpoint):
             self._link.remove()
         os.close(self._master)
         self._master = -1
-        self._open, self._dtr, self._kept = False, False, b""
+        self._open, self._dtr, self._unsent = False, False, b""
 
     @override
     def plug(self) -> None:
@@ -146,7 +146,10 @@ class PtyEndpoint(Endpoint):
             self._link.release()
 
     def _hang_up(self) -> None:
-        self._open, self._kept = False, b""
+        """Process that the host has closed the port: drop what is not sent, and switch DTR off if the host
+        asked for it.
+        """
+        self._open, self._unsent = False, b""
         if termios.tcgetattr(self._master)[_CFLAG] & termios.HUPCL:
             self._set_dtr(False)
         # Linux keeps up to 4095 unread bytes for the next host; only the other side can drop them.

@@ -67,7 +67,7 @@ class SilServer:
         for change in endpoint.take_lines():
             if self._resets:
                 world.control_lines(dtr=change.dtr, baud=change.baud)
-        ticks = self._clock.due(now_s, world.tick)
+        ticks = self._clock.ticks_due(now_s, world.tick)
         if ticks == 0:
             return self._clock.wait_s(now_s, world.tick)
         endpoint.send(b"")
@@ -84,6 +84,7 @@ class SilServer:
         return [fd] if self._clock.follows_host and fd >= 0 else []
 
     def _follow_cable(self) -> None:
+        """Plug or unplug the port as the simulated cable is."""
         if self._world.unplugged == self._plugged:
             self._plugged = not self._plugged
             if self._plugged:
@@ -185,6 +186,7 @@ def run_server(
 
 
 def _pseudo_terminal(path: str | Path | None) -> Endpoint:
+    """Open a pseudo-terminal with a link `path` to it; an error where the system has none."""
     # Windows has none, and so no module termios either.
     try:
         from heli_sim.sil.pty import PtyEndpoint

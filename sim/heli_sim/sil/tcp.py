@@ -63,7 +63,7 @@ class TcpEndpoint(Endpoint):
         self._listener: socket.socket | None = None
         self._peer: socket.socket | None = None
         self._changes: list[LineChange] = []
-        self._kept = b""
+        self._unsent = b""
         self.url = ""
         self.plug()
 
@@ -71,7 +71,7 @@ class TcpEndpoint(Endpoint):
     @property
     def ready(self) -> bool:
         """Whether a host is connected and reads."""
-        return self._peer is not None and not self._kept
+        return self._peer is not None and not self._unsent
 
     @override
     def receive(self) -> bytes:
@@ -94,11 +94,11 @@ class TcpEndpoint(Endpoint):
     def send(self, data: bytes) -> None:
         if self._peer is None:
             return
-        self._kept += data
-        if not self._kept:
+        self._unsent += data
+        if not self._unsent:
             return
         try:
-            self._kept = self._kept[self._peer.send(self._kept) :]
+            self._unsent = self._unsent[self._peer.send(self._unsent) :]
         except BlockingIOError:
             pass
         except OSError:
@@ -169,6 +169,7 @@ class TcpEndpoint(Endpoint):
             self._drop_gone()
 
     def _accept(self) -> None:
+        """Accept a waiting client."""
         if self._listener is None:
             return
         with contextlib.suppress(OSError):
@@ -193,7 +194,7 @@ class TcpEndpoint(Endpoint):
             self._next = None
 
     def _hang_up(self) -> None:
-        peer, self._peer, self._kept = self._peer, None, b""
+        peer, self._peer, self._unsent = self._peer, None, b""
         if peer is not None:
             peer.close()
             self._fall()

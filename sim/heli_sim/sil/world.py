@@ -126,19 +126,21 @@ class SilWorld:
     def state(self, state: Sequence[float] | Floats) -> None:
         self.native.state = [float(value) for value in state]
 
-    def advance(self, ticks: int, rx: bytes = b"", *, until_output: bool = False, least: int = 1) -> bytes:
+    def advance(
+        self, ticks: int, rx: bytes = b"", *, until_output: bool = False, min_ticks: int = 1
+    ) -> bytes:
         """Simulate some time and return the bytes that reached the host.
 
         Parameters
         ----------
         ticks : int
-            Most milliseconds to pass.
+            Largest number of ticks (1 ms each) to simulate.
         rx : bytes
             Bytes that the host writes now.
         until_output : bool
             Return as soon as bytes reached the host.
-        least : int
-            With `until_output`: milliseconds that pass in any case.
+        min_ticks : int
+            With `until_output`: number of ticks that are simulated in any case.
 
         Raises
         ------
@@ -148,7 +150,7 @@ class SilWorld:
         faults = self.options.faults
         self._held += self.to_board.pass_through(rx)
         received = b""
-        while ticks > 0 and not (until_output and received and least <= 0):
+        while ticks > 0 and not (until_output and received and min_ticks <= 0):
             tick = self.native.tick
             unplugged, stalled = faults.unplugged(tick), faults.stalled(tick)
             if unplugged or self._was_unplugged:
@@ -160,13 +162,13 @@ class SilWorld:
             write = b"" if stalled else self._held
             if write:
                 self._held = b""
-            most = min(ticks, least) if until_output and received else ticks
+            max_ticks = min(ticks, min_ticks) if until_output and received else ticks
             self.rig_faults.apply(tick, self.native, self.board.sim)
             edge = min(faults.next_edge(tick), self.rig_faults.next_edge(tick))
-            passed, data = self._pass(min(most, edge - tick), write, until_output, max(1, least))
+            passed, data = self._pass(min(max_ticks, edge - tick), write, until_output, max(1, min_ticks))
             received += data
             ticks -= passed
-            least -= passed
+            min_ticks -= passed
         return self.to_host.pass_through(received)
 
     def reset_board(self) -> None:
@@ -202,9 +204,9 @@ class SilWorld:
             "doubled_bytes": sum(counters.doubled for counters in both),
         }
 
-    def _pass(self, ticks: int, write: bytes, until_output: bool, least: int) -> tuple[int, bytes]:
+    def _pass(self, ticks: int, write: bytes, until_output: bool, min_ticks: int) -> tuple[int, bytes]:
         try:
-            passed = self.native.advance(ticks, write, until_output, least)
+            passed = self.native.advance(ticks, write, until_output, min_ticks)
         except self.board.stops as error:
             raise BoardStopped(
                 f"the emulated Due stopped: {error}", "correct the firmware; see docs/how-to/gdb.md"

@@ -11,7 +11,7 @@ from heli_host.cli.options import JsonOption
 from heli_host.cli.say import STDOUT, data_on_stdout, say, say_data, say_files, write_result
 from heli_host.cli.verb import Verb
 
-from heli_sim.formatting import found_of, half_width, plain, signed, with_tolerance
+from heli_sim.formatting import half_width, plain, rig_findings, signed, with_tolerance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -52,8 +52,8 @@ def list_rigs(json: JsonOption = None) -> None:
     from heli_sim.rig import load_rig, rig_names
 
     rigs = {name: load_rig(name).description for name in rig_names()}
-    listed = [{"name": name, "description": text} for name, text in rigs.items()]
-    if write_result(json, {"rigs": listed}):
+    entries = [{"name": name, "description": text} for name, text in rigs.items()]
+    if write_result(json, {"rigs": entries}):
         return
     say(*(f"{name}: {text}" for name, text in rigs.items()))
 
@@ -78,12 +78,12 @@ def show(
 
     shown = load_rig(rig)
     meanings = {quantity.name: quantity.meaning for quantity in RIG_QUANTITIES}
-    every = dict(shown.items()) | {
+    all_numbers = dict(shown.items()) | {
         f"{effect}.{name}": number
         for effect, numbers in shown.effects.items()
         for name, number in numbers.items()
     }
-    numbers_shown = {name: asdict(number) for name, number in every.items() if pattern in name}
+    numbers_shown = {name: asdict(number) for name, number in all_numbers.items() if pattern in name}
     content = {"name": shown.name, "description": shown.description, "numbers": numbers_shown}
     if write_result(json, content):
         return
@@ -137,40 +137,42 @@ def check(
 
     data_on_stdout(json)
     board = _board_parameters(params)
-    refused: list[RigError | EffectError] = []
-    checked: list[dict[str, Any]] = []
-    grounded = contradicted = 0
+    errors: list[RigError | EffectError] = []
+    entries: list[dict[str, Any]] = []
+    cannot_fly = contradicts_board = False
     for name in rigs:
         try:
             rig = load_rig(name)
             effects_of(rig)
         except (RigError, EffectError) as error:
-            checked.append({"rig": name, "is_valid": False, "error": str(error)})
+            entries.append({"rig": name, "is_valid": False, "error": str(error)})
+            # The error of a single rig is raised below, and printed then.
             if len(rigs) > 1:
                 say(f"{name}: {error}")
-            refused.append(error)
+            errors.append(error)
             continue
-        verdict = found_of(rig)
-        grounded += not verdict.can_fly
-        entry = {"rig": name, "is_valid": True, "can_fly": verdict.can_fly, "findings": list(verdict.words)}
-        say(f"{name}: {'; '.join(verdict.words)}")
+        findings = rig_findings(rig)
+        cannot_fly |= not findings.can_fly
+        entry = {
+            "rig": name,
+            "is_valid": True,
+            "can_fly": findings.can_fly,
+            "findings": list(findings.phrases),
+        }
+        say(f"{name}: {'; '.join(findings.phrases)}")
         if board is not None:
-            differences, undirected = _compared_with_board(name, board)
-            contradicted += any(difference.is_refused for difference in differences)
+            differences = _say_board_differences(name, board)
+            contradicts_board |= any(difference.is_refused for difference in differences)
             entry["board"] = [
                 asdict(difference) | {"part": difference.part.value} for difference in differences
             ]
-            texts = [str(difference) for difference in differences] or ["the board's parameters fit"]
-            say(*(f"{name}: {text}" for text in texts))
-            if undirected:
-                say(f"{name}: states no encoder direction of {', '.join(undirected)}: signs not compared")
-        checked.append(entry)
-    write_result(json, {"rigs": checked})
-    if len(rigs) > 1 and refused:
-        raise RigError(f"{len(refused)} of {len(rigs)} rig files are wrong, see above", "correct them")
-    if refused:
-        raise refused[0]
-    if grounded or contradicted:
+        entries.append(entry)
+    write_result(json, {"rigs": entries})
+    if len(rigs) > 1 and errors:
+        raise RigError(f"{len(errors)} of {len(rigs)} rig files are wrong, see above", "correct them")
+    if errors:
+        raise errors[0]
+    if cannot_fly or contradicts_board:
         raise typer.Exit(1)
 
 
@@ -181,14 +183,19 @@ def _board_parameters(params: Path | None) -> dict[str, float] | None:
     return None if params is None else read_parameter_set(params).values
 
 
-def _compared_with_board(rig: str, board: Mapping[str, float]) -> tuple[list[RigDifference], list[str]]:
-    """Differences of a board from a rig, and axes whose encoder's direction the rig does not state."""
+def _say_board_differences(rig: str, board: Mapping[str, float]) -> list[RigDifference]:
+    """Print the differences between the parameters of a `board` and a rig, and return them."""
     from heli_host.declaration import AXES
     from heli_host.rig_check import rig_differences, rig_parameters
 
     stated = rig_parameters(rig)
     differences = rig_differences(stated.values, board, simulated=False, directed=stated.directed)
-    return differences, [axis for axis in AXES if f"{axis}_counts_per_rev" not in stated.directed]
+    texts = [str(difference) for difference in differences] or ["the board's parameters fit"]
+    say(*(f"{rig}: {text}" for text in texts))
+    undirected = [axis for axis in AXES if f"{axis}_counts_per_rev" not in stated.directed]
+    if undirected:
+        say(f"{rig}: states no encoder direction of {', '.join(undirected)}: signs not compared")
+    return differences
 
 
 @app.command("from-board")
@@ -358,7 +365,7 @@ def new(
         given = numbers_from_table(read_text(table), str(table))
     given |= numbers_from_words(stated or ())
     if table is None and not stated:
-        given = _asked(base)
+        given = _ask_numbers(base)
     text = description or f"described by its builder, what is not stated as {base.name}"
     rig = described(out.stem, text, base, given)
     if not force and (beyond := beyond_a_table({name: rig[name].value for name in rig})):
@@ -368,12 +375,13 @@ def new(
     write_rig(
         rig, out, f"Written by heli-host rig new: {len(given)} numbers stated, the rest as {base.name}."
     )
-    say(f"{out}: {'; '.join(found_of(rig).words)}")
-    left = [name for name in rig if rig[name].source == f"not stated: as {base.name}"]
-    say(f"not stated, so as {base.name} and wide: {', '.join(left) or 'none'}")
+    say(f"{out}: {'; '.join(rig_findings(rig).phrases)}")
+    unstated = [name for name in rig if rig[name].source == f"not stated: as {base.name}"]
+    say(f"not stated, so as {base.name} and wide: {', '.join(unstated) or 'none'}")
 
 
-def _asked(like: Rig) -> dict[str, Number]:
+def _ask_numbers(like: Rig) -> dict[str, Number]:
+    """Ask for the numbers of a new rig on the terminal; return those that were answered, by name."""
     from heli_sim.errors import RigError
     from heli_sim.rig import RIG_QUANTITIES
     from heli_sim.rig.describe import ASKED, number_from
@@ -521,6 +529,7 @@ def export_rig(
 
 
 def _export_mjcf(rig: str, output: Path | None) -> None:
+    """Write a rig as a MuJoCo model, and print what that model leaves out."""
     from heli_host.cli.outputs import check_place
 
     from heli_sim.model.mjcf import left_out, mjcf
@@ -539,6 +548,7 @@ def _export_mjcf(rig: str, output: Path | None) -> None:
 
 
 def _export_fmu(rig: str, effects: list[str], model: str, seed: int, out: Path | None) -> None:
+    """Write a rig as an FMU, and print what it contains."""
     from heli_sim.fmu import write_fmu
     from heli_sim.sil.options import SilOptions
     from heli_sim.sil.plant_factory import plant_of

@@ -112,14 +112,15 @@ def sil(
         ),
     )
 
-    def tell(url: str) -> None:
+    def say_ready(url: str) -> None:
+        """Print the address of the board, what it simulates, and how fast."""
         pace = "as fast as the host keeps up" if options.speed is None else f"{options.speed:g} x real time"
-        what = "simulated board" if not choice.elf else choice.text
-        flown = " with ".join(filter(None, (options.rig, ", ".join(options.effects))))
-        say(f"{what} on {url}, rig {flown}, {pace}; Ctrl-C ends it")
+        board_text = "simulated board" if not choice.elf else choice.text
+        rig_text = " with ".join(filter(None, (options.rig, ", ".join(options.effects))))
+        say(f"{board_text} on {url}, rig {rig_text}, {pace}; Ctrl-C ends it")
         if set_parameters:
             say(set_parameters)
-        if words_fd is not None:
+        if console_fd is not None:
             say(f"to rehearse, type: {HELP}")
         if not is_local(url):
             print(
@@ -129,19 +130,19 @@ def sil(
                 flush=True,
             )
 
-    # Windows cannot wait for a terminal and a port at once: there nobody rehearses.
-    talks = sys.platform != "win32" and sys.stdin is not None and sys.stdin.isatty()
-    words_fd = sys.stdin.fileno() if talks else None
+    # Windows cannot wait for a terminal and a port at once, so it has no console of failures.
+    has_console = sys.platform != "win32" and sys.stdin is not None and sys.stdin.isatty()
+    console_fd = sys.stdin.fileno() if has_console else None
     counters = run_server(
         options,
         pty=pty,
         tcp=tcp,
         rfc2217=rfc2217,
-        words_fd=words_fd,
+        words_fd=console_fd,
         answer=say,
-        on_ready=tell,
+        on_ready=say_ready,
     )
-    # Whoever started this may have gone, and its pipe with it.
+    # The program that reads this output may have ended.
     if not sys.stdout.closed:
         say(
             f"simulated {counters['ticks'] / 1000:.1f} s; {counters['to_host_bytes']} bytes to the host, "

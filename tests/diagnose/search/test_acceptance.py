@@ -82,7 +82,12 @@ def test_play_is_refitted_next_to_a_better_score_and_friction_if_the_play_is_bes
     lag = ScoredCandidate(typical_candidate(KINDS["rotor_lag"]), 90.0, np.zeros(1), np.ones(1), 1)
     base = cast(Hypothesis, SimpleNamespace(ids=()))
     round_refits = RoundRefits(
-        cast(ModelComparison, None), cast(Acceptance, acceptance), cast(Progress, progress), 0, base, [lag]
+        cast(ModelComparison, SimpleNamespace(held_out=())),
+        cast(Acceptance, acceptance),
+        cast(Progress, progress),
+        0,
+        base,
+        [lag],
     )
     round_refits.refit_effects(cast(Screening, screening))
     assert [refit.candidate.id for refit in round_refits.refits] == refitted_ids

@@ -94,27 +94,27 @@ def test_effects_come_back_if_held_out_flights_contradict_a_spline() -> None:
     assert np.isfinite(list(restored.values.values())).all()
 
 
-@pytest.mark.parametrize(("ratio", "kept"), [(-1.0, ["rotor_lag"]), (1.0, ["rotor_lag", "spline:a:b"])])
+@pytest.mark.parametrize(("ratio", "kept"), [(-1.0, ["axis_tilt"]), (1.0, ["axis_tilt", "spline:a:b"])])
 def test_a_spline_must_gain_on_held_out_flights_but_an_effect_need_not(
     monkeypatch: pytest.MonkeyPatch, ratio: float, kept: list[str]
 ) -> None:
     def reduced(_: object, final: Hypothesis) -> tuple[Hypothesis, dict[str, Hypothesis]]:
-        return final, {"rotor_lag": final, "spline:a:b": hypothesis([typical_candidate(KINDS["rotor_lag"])])}
+        return final, {"axis_tilt": final, "spline:a:b": hypothesis([typical_candidate(KINDS["axis_tilt"])])}
 
     monkeypatch.setattr(BackwardElimination, "_remove_superfluous", reduced)
     monkeypatch.setattr(
         BackwardElimination,
         "_held_out_ratios",
-        lambda _self, final, _reduced: {id_: -1.0 if id_ == "rotor_lag" else ratio for id_ in final.ids},
+        lambda _self, final, _reduced: {id_: -1.0 if id_ == "axis_tilt" else ratio for id_ in final.ids},
     )
     acceptance = SimpleNamespace(penalty=lambda _: 1.0, kinds=KINDS)
     nothing: Any = None
     backward = BackwardElimination(nothing, cast(Acceptance, acceptance), nothing, hypothesis([]), [])
-    spline = Candidate("spline:a:b", typical_candidate(KINDS["rotor_lag"]).effect, ())
-    final = hypothesis([typical_candidate(KINDS["rotor_lag"]), spline])
+    spline = Candidate("spline:a:b", typical_candidate(KINDS["axis_tilt"]).effect, ())
+    final = hypothesis([typical_candidate(KINDS["axis_tilt"]), spline])
     result, _ = backward.eliminate(final)
     assert list(result.ids) == kept
-    assert backward.contradicted_ids == {"rotor_lag", "spline:a:b"} - set(kept)
+    assert backward.contradicted_ids == {"axis_tilt", "spline:a:b"} - set(kept)
 
 
 def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:

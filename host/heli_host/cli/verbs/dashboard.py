@@ -108,10 +108,11 @@ def dashboard(
         _replay(replay, rig, host, http_port)
         return
     check_target(port, sil)
-    named = [one for one in (*(plans or ()), *(flown or ())) if one not in plan_names()]
-    offered = [load_plan(name) for name in (*plan_names(), *dict.fromkeys(named))]
-    begun = [load_plan(name).name for name in flown or ()]
-    tapes = [read_law(path, rig) for path in laws or ()]
+    files = [name for name in (*(plans or ()), *(flown or ())) if name not in plan_names()]
+    offered_plans = [load_plan(name) for name in (*plan_names(), *dict.fromkeys(files))]
+    # The page names a plan by its title, not by its file.
+    first_plans = [load_plan(name).name for name in flown or ()]
+    programs = [read_law(path, rig) for path in laws or ()]
     address = simulated.sil_address(
         rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effect_file
     )
@@ -119,9 +120,9 @@ def dashboard(
         port,
         address if sil else None,
         rig,
-        offered,
-        begun,
-        tapes,
+        offered_plans,
+        first_plans,
+        programs,
         (read_twin(twin), lands),
         host,
         http_port,
@@ -134,13 +135,16 @@ def _fly(
     address: str | None,
     rig: str | None,
     plans: Sequence[Plan],
-    begun: Sequence[str],
+    first_plans: Sequence[str],
     laws: Sequence[LawProgram],
     twin: tuple[TwinMaker | None, bool],
     host: str,
     http_port: int,
     foxglove: int | None,
 ) -> None:
+    """Serve the page of a board until Ctrl-C; fly `first_plans` as soon as a page watches. `twin` has the
+    maker of the twin, and whether its alarm lands.
+    """
     from heli_host.cli.board import board_text, check_board_rig, open_board
     from heli_host.fly.recorder import Recorder
     from heli_host.foxglove_feed import foxglove_feed
@@ -160,6 +164,7 @@ def _fly(
         check_board_rig(heli, rig)
 
         def new_recorder(flown: Sequence[Plan], duration_s: float) -> Recorder:
+            """Return the recorder of a flight in a new folder."""
             return Recorder(
                 heli,
                 flight_folder() / "flight.mcap",
@@ -181,9 +186,9 @@ def _fly(
             with serving(cockpit, host, http_port) as served:
                 _say(served)
                 ended = threading.Event()
-                if begun:
+                if first_plans:
                     threading.Thread(
-                        target=_fly_plans, args=(cockpit, begun, ended), name="plans", daemon=True
+                        target=_fly_plans, args=(cockpit, first_plans, ended), name="plans", daemon=True
                     ).start()
                 try:
                     _wait(heli)
@@ -196,15 +201,16 @@ def _fly(
 
 
 def _fly_plans(cockpit: Cockpit, names: Sequence[str], ended: threading.Event) -> None:
+    """Fly plans when a page watches, in a thread of its own, and print the outcome."""
     from heli_host.errors import HeliError
 
     try:
-        found = cockpit.fly_when_watched(names, ended.is_set)
+        result = cockpit.fly_when_watched(names, ended.is_set)
     except HeliError as error:
         say(f"not flown: {error}")
     else:
-        if found:
-            say(f"flown: {', '.join(names)}: {found['outcome']}")
+        if result:
+            say(f"flown: {', '.join(names)}: {result['outcome']}")
 
 
 def _wait(heli: Heli) -> None:
@@ -220,6 +226,7 @@ def _wait(heli: Heli) -> None:
 
 
 def _replay(log: Path, rig: str | None, host: str, http_port: int) -> None:
+    """Serve the page of a log until Ctrl-C, drawn with the `rig` given or else with that of the log."""
     from heli_host.log.reader import read_log
     from heli_host.page.replay import Replay
     from heli_host.page.serve import serving
@@ -243,6 +250,7 @@ def _outline(rig: str | None, *, simulated_board: bool) -> dict[str, float]:
 
 
 def _outline_of_log(rig: str | None) -> dict[str, float]:
+    """Return the lengths with which the page draws a rig; empty without its file."""
     from heli_host.errors import HeliError
     from heli_host.page.rigs import outline
 
@@ -253,6 +261,7 @@ def _outline_of_log(rig: str | None) -> dict[str, float]:
 
 
 def _say(served: Address) -> None:
+    """Print the addresses of the page, and a warning if other computers can reach it."""
     import sys
 
     if not served.is_local:

@@ -97,7 +97,10 @@ def _format(csv: bool, mat: bool, parquet: bool) -> tuple[Callable[[Flight, Path
 
 
 def _blind(flight: Flight, log: Path) -> Flight:
-    """The flight without what says what flew; what was left out goes into the truth file of the log."""
+    """Return a flight without the facts that reveal its rig and effects; those go into the log's truth file.
+
+    The flight of a log that was recorded blind is sealed already, and its truth file exists.
+    """
     from heli_host.cli.say import say_error
     from heli_host.log.blind import SEALED, blind, sealed_truth, truth_path
 

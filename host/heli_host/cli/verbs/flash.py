@@ -143,6 +143,9 @@ def _keep_parameters_of_other_link(port: str, mismatch: LinkVersionMismatch, dis
 
 
 def _write_parameters(values: dict[str, float], origin: str) -> Path | None:
+    """Write a board's parameters to a file with the time in its name, and return the file; None if all are
+    defaults.
+    """
     from heli_host.parameter_file import parameters_text
     from heli_host.parameters import spec_of
 

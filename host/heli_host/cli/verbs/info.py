@@ -107,7 +107,7 @@ def _content(path: Path) -> dict[str, Any]:
             "step_s": flight.step_s,
             "columns": list(flight.columns()),
             "gaps": len(flight.gaps),
-            "events": [{"t_s": one.t_s, "name": one.name, "text": one.text} for one in flight.events],
+            "events": [{"t_s": event.t_s, "name": event.name, "text": event.text} for event in flight.events],
             "parameters": dict(flight.parameters),
             "plan": flight.plan,
             "notes": dict(flight.meta),
@@ -116,6 +116,7 @@ def _content(path: Path) -> dict[str, Any]:
 
 
 def _print_log(log: Log) -> None:
+    """Print the summary of a log, and the notes of its session."""
     from heli_host.cli.report import summary_lines
     from heli_host.log.summary import summarise
 
@@ -126,6 +127,7 @@ def _print_log(log: Log) -> None:
 
 
 def _print_table(flight: Flight, path: Path) -> None:
+    """Print size, rate, columns, gaps and notes of a flight from a table."""
     rate_Hz = 1.0 / flight.step_s if flight.step_s else 0.0
     say(f"{path}: {len(flight)} rows, {flight.duration_s:.3f} s at {rate_Hz:.6g} Hz")
     say(f"columns: {', '.join(flight.columns())}")

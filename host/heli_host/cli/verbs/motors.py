@@ -60,6 +60,9 @@ def motors(
 
 
 def _drive(heli: Heli, front_V: float, back_V: float, duration_s: float) -> None:
+    """Apply constant motor voltages for a time, by a command every `REFRESH_S`, because the board switches
+    the motors off without one.
+    """
     from heli_host.declaration import Axes, State
     from heli_host.errors import CommandRefused, FlightAborted, fault_text
 

@@ -48,13 +48,16 @@ def plot(
     from heli_host.log.summary import summarise
 
     (log,) = logs
-    read = read_log(log)
+    content = read_log(log)
     target = figure if figure is not None else log.with_name("figure.png")
-    write_figure(read.flight(), summarise(read), target)
-    say(f"{read.ticks.size} ticks -> {target}")
+    write_figure(content.flight(), summarise(content), target)
+    say(f"{content.ticks.size} ticks -> {target}")
 
 
 def _compare(logs: Sequence[Path], figure: Path | None, json: Path | None) -> None:
+    """Compare flights: metrics as JSON if requested, otherwise on the terminal; and a figure, unless only
+    JSON was requested.
+    """
     from heli_host.log.comparison import MAX_FLIGHTS, comparison_lines, comparison_numbers, write_comparison
     from heli_host.log.flight_file import read_flight
 
@@ -67,14 +70,14 @@ def _compare(logs: Sequence[Path], figure: Path | None, json: Path | None) -> No
         raise typer.BadParameter("the same log is given twice; give each log once")
     flights = {label: read_flight(log, allow_gaps=True) for label, log in zip(labels, logs, strict=True)}
     numbers = comparison_numbers(flights)
-    target = figure
-    if figure is not None or json is None:
-        target = figure if figure is not None else Path("comparison.png")
-        write_comparison(flights, target)
-    if write_result(json, {"flights": numbers, "figure": None if target is None else str(target)}):
+    if figure is None and json is None:
+        figure = Path("comparison.png")
+    if figure is not None:
+        write_comparison(flights, figure)
+    if write_result(json, {"flights": numbers, "figure": None if figure is None else str(figure)}):
         return
     say(*comparison_lines(numbers))
-    say_files([target])
+    say_files([figure])
 
 
 VERB = Verb(plot, "Logs")

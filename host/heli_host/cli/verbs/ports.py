@@ -22,8 +22,8 @@ def ports(json: JsonOption = None) -> None:
     from heli_host.errors import printable
     from heli_host.link.transport import available_ports
 
-    found = sorted(available_ports(), key=lambda port: not is_due(port))
-    listed = [
+    available = sorted(available_ports(), key=lambda port: not is_due(port))
+    entries = [
         {
             "device": port.device,
             "description": port.description,
@@ -31,23 +31,24 @@ def ports(json: JsonOption = None) -> None:
             "due": is_due(port),
             "due_native": is_due_native(port),
         }
-        for port in found
+        for port in available
     ]
-    if write_result(json, {"ports": listed}):
+    if write_result(json, {"ports": entries}):
         return
     console = Console(highlight=False)
-    if not found:
+    if not available:
         console.print("no serial port; plug the board in by its programming port, next to the power jack")
         return
     table = Table("port", "what", "name that stays", box=None, pad_edge=False)
-    for port in found:
-        what = port.description if port.description != "n/a" else "serial port"
+    for port in available:
+        # pyserial describes a port without a description as "n/a".
+        description = port.description if port.description != "n/a" else "serial port"
         if is_due(port):
-            what = "Arduino Due, programming port"
+            description = "Arduino Due, programming port"
         elif is_due_native(port):
-            what = "Arduino Due, native port: use the other one"
-        other = port.stable_name if port.stable_name != port.device else ""
-        table.add_row(*(Text(printable(cell)) for cell in (port.device, what, other)))
+            description = "Arduino Due, native port: use the other one"
+        stable_name = port.stable_name if port.stable_name != port.device else ""
+        table.add_row(*(Text(printable(cell)) for cell in (port.device, description, stable_name)))
     console.print(table)
 
 

@@ -126,6 +126,9 @@ def setpoint(
 
 
 def _start(heli: Heli, axes: Axes, take_off: bool) -> None:
+    """Bring the board under control of the host's setpoints for `axes`, by a take-off if it is permitted and
+    needed.
+    """
     from heli_host.declaration import State
     from heli_host.errors import SetpointError
 
@@ -140,6 +143,9 @@ def _start(heli: Heli, axes: Axes, take_off: bool) -> None:
 
 
 def _hold(heli: Heli, targets_deg: Mapping[str, float], duration_s: float, recorder: Recorder | None) -> None:
+    """Hold setpoints [deg] for a time [s of the device], with a status line; a FlightAborted reports that the
+    board switched the motors off.
+    """
     from heli_host.cli.progress import LiveLine
     from heli_host.declaration import State
     from heli_host.errors import FlightAborted, fault_text

@@ -50,6 +50,7 @@ def watch(
 
 
 def _look(heli: Heli, duration_s: float | None) -> None:
+    """Show the newest sample until `duration_s` has passed on the device; until Ctrl-C if it is None."""
     from heli_host.cli.live_display import LiveDisplay
 
     start_s = heli.latest.t_s
@@ -63,6 +64,9 @@ def _look(heli: Heli, duration_s: float | None) -> None:
 
 
 def _show(heli: Heli, live: LiveDisplay, passed_s: float) -> None:
+    """Show a sample: angles, encoder counts, illegal transitions and link. Without a terminal it is one line
+    of text.
+    """
     from math import tau
 
     from heli_host.cli.live_table import numbers_table

@@ -13,6 +13,10 @@ from heli_lab.diagnose.discover.scoring import ScoredTermGroup, TermSignals, ter
 from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison
 from heli_lab.diagnose.thresholds import MIN_MARGIN, NEAR_REST_NATS, SIGNIFICANT_STD_ERRORS
 
+_MIN_PERIOD_TOLERANCE = 0.02
+"""Difference from a whole number of periods per turn that counts as none at any standard error; by
+judgement."""
+
 
 @dataclass(frozen=True)
 class RefittedEquation:
@@ -218,24 +222,19 @@ class EquationRefits:
         return RefittedEquation(equation, hypothesis, penalty, group, frozenset(held))
 
     def with_whole_periods(self, refitted: RefittedEquation, signals: TermSignals) -> RefittedEquation:
-        """Hold periods per turn at whole numbers if an equation is as likely then; a sine and a cosine share
-        theirs. `signals` has its terms along the flights.
+        """Hold periods per turn at whole numbers, if the equation is then about as likely as before.
+
+        Effects that repeat with each turn, such as the error of an encoder, have a whole number of periods
+        per turn.
+
+        Parameters
+        ----------
+        refitted : RefittedEquation
+            Equation with estimated periods.
+        signals : TermSignals
+            Terms of the equation along the flights.
         """
-        estimates = refitted.estimates
-        # Names of the periods that a sine and a cosine share, by channel, quantity and value in the grammar.
-        waves = dict[tuple[str, str, float], list[str]]()
-        for inner in refitted.equation.inner_parameters():
-            if inner.name_in_factor == "k" and inner.name not in refitted.held:
-                term = refitted.equation.terms[inner.term]
-                quantity = term.term.factors[inner.factor].quantity
-                waves.setdefault((term.channel, quantity, inner.value), []).append(inner.name)
-        whole_periods = dict[str, float]()
-        for names in waves.values():
-            values, errors = np.array([estimates[name] for name in names]).T
-            weight = errors**-2.0
-            value, std = float(values @ weight / weight.sum()), float(weight.sum() ** -0.5)
-            if round(value) >= 1 and abs(value - round(value)) < max(SIGNIFICANT_STD_ERRORS * std, 0.02):
-                whole_periods |= dict.fromkeys(names, float(round(value)))
+        whole_periods = self._nearly_whole_periods(refitted)
         if not whole_periods:
             return refitted
         held = refitted.held | frozenset(whole_periods)
@@ -244,6 +243,30 @@ class EquationRefits:
         penalty = refitted.penalty - 0.5 * len(whole_periods) * math.log(self.comparison.rows)
         restricted = RefittedEquation(refitted.equation, hypothesis, penalty, refitted.group, held)
         return restricted if restricted.margin > refitted.margin - MIN_MARGIN else refitted
+
+    @staticmethod
+    def _nearly_whole_periods(refitted: RefittedEquation) -> dict[str, float]:
+        """Return the nearest whole number of each estimated number of periods per turn that is within its
+        standard errors of it, by name of the parameter.
+        """
+        estimates = refitted.estimates
+        # A sine and a cosine of the same channel and quantity are one wave, and share the number of periods.
+        waves: dict[tuple[str, str, float], list[str]] = {}
+        for inner in refitted.equation.inner_parameters():
+            if inner.name_in_factor == "k" and inner.name not in refitted.held:
+                term = refitted.equation.terms[inner.term]
+                quantity = term.term.factors[inner.factor].quantity
+                waves.setdefault((term.channel, quantity, inner.value), []).append(inner.name)
+        whole_periods: dict[str, float] = {}
+        for names in waves.values():
+            # Mean of the estimates, weighted by their inverse variances, and its standard error.
+            values, errors = np.array([estimates[name] for name in names]).T
+            weight = errors**-2.0
+            value, std = float(values @ weight / weight.sum()), float(weight.sum() ** -0.5)
+            max_difference = max(SIGNIFICANT_STD_ERRORS * std, _MIN_PERIOD_TOLERANCE)
+            if round(value) >= 1 and abs(value - round(value)) < max_difference:
+                whole_periods |= dict.fromkeys(names, float(round(value)))
+        return whole_periods
 
 
 def _on_own_rate(channel: str, key: str) -> bool:

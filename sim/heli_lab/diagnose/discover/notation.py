@@ -190,7 +190,10 @@ def _parameter_code(name: str, value: float, std: float, unit: str, prior: Prior
 
 
 def _methods_code(equation: Equation) -> Iterator[str]:
-    """Yield the Python code of the methods of the effect, by the kinds of its channels."""
+    """Yield the Python code of the methods of the effect, by the kinds of its channels.
+
+    A channel is a kind and an axis or a rotor, such as ``torque.pitch``; each kind is a method of `Effect`.
+    """
     kinds = {channel.partition(".")[0] for channel in equation.channels}
 
     def by_axis(kind: str) -> str:
@@ -212,6 +215,7 @@ def _methods_code(equation: Equation) -> Iterator[str]:
     if "measurement" in kinds:
         value = f"angles_rad + {by_axis('measurement')}"
         yield _method_code("measured_rad", "angles_rad", equation, "measurement", value)
+    # A lagged factor has a state that follows its quantity with the time constant "s".
     rates = [
         f"({SYMBOLS[factor.quantity].python} - {_lag_state_code(i, j, factor)})"
         f' / self.own(at, "{equation.inner_names(i, j)["s"]}")'

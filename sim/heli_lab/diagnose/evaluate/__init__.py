@@ -14,6 +14,7 @@ from heli_lab.diagnose.evaluate.held_out import (
     evaluate_hypothesis,
 )
 from heli_lab.diagnose.evaluate.kicks import Kicks
+from heli_lab.diagnose.evaluate.listed_remainder import with_listed_remainder
 from heli_lab.diagnose.evaluate.prediction import predict
 from heli_lab.diagnose.evaluate.prior_conflict import PriorConflict, prior_conflicts, tried_without
 from heli_lab.diagnose.evaluate.regions import FailingRegions, RegionTest, failing_regions
@@ -61,5 +62,6 @@ __all__ = [
     "undetectable_effects",
     "unidentifiable_parameters",
     "with_confirmation",
+    "with_listed_remainder",
     "worse_axis_sentence",
 ]

@@ -204,18 +204,14 @@ def _test_cells(
 
     `screening` gives the scores; the missing torque is smoothed with the disturbances of `estimate`.
     """
-    # It takes most of a second to import.
-    from scipy.stats import false_discovery_control
-
     values = _plane_values(screening)
     cell = _cell_number(values[x], edges[x]) * _CELLS + _cell_number(values[y], edges[y])
     z = _cell_scores(screening, axis, cell, _CELLS**2)
     tested = np.nonzero(np.isfinite(z))[0]
     fails = np.zeros(_CELLS**2, bool)
-    # Two-sided p-values of standard normal scores, by the procedure of Benjamini and Hochberg.
-    p_values = [math.erfc(abs(score) / math.sqrt(2.0)) for score in z[tested]]
-    if p_values:
-        fails[tested] = false_discovery_control(p_values) <= FALSE_DISCOVERY_RATE
+    # Two-sided p-values of standard normal scores.
+    p_values = np.array([math.erfc(abs(score) / math.sqrt(2.0)) for score in z[tested]])
+    fails[tested] = adjusted_p_values(p_values) <= FALSE_DISCOVERY_RATE
     trajectories = _plane_trajectories(screening, estimate, axis, x, y)
     missing_Nm = np.concatenate([trajectory.torque_Nm for trajectory in trajectories])
     return RegionTest(
@@ -225,6 +221,25 @@ def _test_cells(
         rms_Nm=float(np.sqrt(np.mean(missing_Nm**2))),
         flights=trajectories,
     )
+
+
+def adjusted_p_values(p_values: Floats) -> Floats:
+    """Adjust p-values so that a limit on them controls the false discovery rate (Benjamini and Hochberg).
+
+    The result equals that of ``scipy.stats.false_discovery_control``, but to import scipy.stats takes half a
+    second of CPU time.
+
+    Parameters
+    ----------
+    p_values : ndarray (k,)
+        p-values of k tests; k may be 0.
+    """
+    count = len(p_values)
+    order = np.argsort(p_values)
+    scaled = p_values[order] * (count / np.arange(1, count + 1))
+    adjusted = np.empty(count)
+    adjusted[order] = np.minimum.accumulate(scaled[::-1])[::-1]
+    return np.minimum(adjusted, 1.0)
 
 
 def _plane_trajectories(

@@ -199,7 +199,9 @@ class _CauseSubsets:
     def directions(self) -> tuple[Direction | None, Direction] | None:
         """Fits of the forward and the reverse direction.
 
-        The forward direction is None if the search has computed it. Both are None if a fold is too short.
+        With held-out flights, the forward direction is None: the search has estimated and evaluated it.
+        Without any, both directions use two folds, halves of the fitted flights; the result is None if a fold
+        is too short.
         """
         comparison, final = self.comparison, self.search.final
         if comparison.held_out:

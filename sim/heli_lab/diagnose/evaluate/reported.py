@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,9 +81,13 @@ class FamilyNumber:
 
 
 def family_number(
-    fit: Fit, kind: EffectSpec, kinds: Mapping[str, EffectSpec], parameters: Mapping[str, CauseParameter]
+    fit: Fit,
+    kind: EffectSpec,
+    kinds: Mapping[str, EffectSpec],
+    parameters: Mapping[str, CauseParameter],
+    ambiguous_with: Collection[str] = (),
 ) -> FamilyNumber | None:
-    """Compute the number of an effect's family, with the covariance of its parts; None without a family.
+    """Compute the number of an effect's family, with the covariance of its parts; None without one.
 
     Parameters
     ----------
@@ -93,26 +97,41 @@ def family_number(
         The effect's entry in the catalogue `kinds`.
     parameters : Mapping[str, CauseParameter]
         What `cause_parameters` returns.
+    ambiguous_with : collection of str
+        Ids of the effects that the flights do not distinguish from it: members that are alike in part only
+        have no number in common without them.
     """
     family = kind.family
-    if family is None:
+    members = tuple(other.id for other in kinds.values() if other.family == family)
+    if family is None or not family.sentence or (family.in_part and not {*members} & {*ambiguous_with}):
         return None
-    names = [kind.full(name) for name in kind.family_numbers]
-    indices = [fit.problem.names.index(name) for name in names if name in fit.problem.names]
+    divisor = _value_of(kind.family_divisor, fit) if kind.family_divisor else 1.0
+    weights = {kind.full(name): weight / divisor for name, weight in kind.family_numbers.items()}
+    free = [name for name in weights if name in fit.problem.names]
+    indices = [fit.problem.names.index(name) for name in free]
+    of_free = np.array([weights[name] for name in free])
     # Reported errors are at least as large as those of the fit; a time and a delay compensate each other.
-    variance = float(fit.covariance[np.ix_(indices, indices)].sum())
-    added_variance = sum(parameters[name].std ** 2 - fit.std.get(name, 0.0) ** 2 for name in names)
-    value, unit = sum(parameters[name].value for name in names), parameters[names[0]].unit
+    variance = float(of_free @ fit.covariance[np.ix_(indices, indices)] @ of_free)
+    added_variance = sum(
+        weight**2 * (parameters[name].std ** 2 - fit.std.get(name, 0.0) ** 2)
+        for name, weight in weights.items()
+    )
+    value = sum(weight * parameters[name].value for name, weight in weights.items())
     std = math.sqrt(max(variance + added_variance, 0.0))
     return FamilyNumber(
         name=family.name,
         value=value,
         std=std,
-        unit=unit,
-        sentence=family.sentence.format(format_estimate(value, std, unit)),
+        unit=family.unit,
+        sentence=family.sentence.format(format_estimate(value, std, family.unit)),
         unclear=family.unclear,
-        members=tuple(other.id for other in kinds.values() if other.family == family),
+        members=members,
     )
+
+
+def _value_of(name: str, fit: Fit) -> float:
+    """Return a rig parameter as it was estimated, or as the rig file has it."""
+    return float(fit.values.get(name, fit.problem.rig[name].value))
 
 
 def reported_std(fit: Fit, kind: EffectSpec) -> dict[str, float]:

@@ -192,7 +192,7 @@ def _named_cause(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexpl
         confidence=confidence(cause, unexplained),
         sentence=description + _moments_text(cause.candidate.effect),
         equation=kind.equation,
-        family=family_number(fit, kind, kinds, parameters),
+        family=family_number(fit, kind, kinds, parameters, cause.ambiguous_with),
     )
 
 

@@ -256,9 +256,9 @@ def figure_of_latex(latex: str) -> Figure | None:
     return figure
 
 
-def thinned(count: int, most: int) -> slice:
-    """Return evenly spaced rows of `count`, about `most`."""
-    return slice(None, None, max(1, count // most))
+def thinned(count: int, max_count: int) -> slice:
+    """Return a slice that selects evenly spaced rows of `count` rows: between `max_count` and twice that."""
+    return slice(None, None, max(1, count // max_count))
 
 
 def bin_means(quantity: Floats, value: Floats, bins: int) -> tuple[Floats, Floats]:

@@ -45,7 +45,7 @@ def _effect_causes(result: Diagnosis) -> list[dict[str, Any]]:
             },
             "ambiguous_with": list(cause.ambiguous_with),
             **_replication(cause, result),
-            **_moments(cause, result),
+            **_event_times(cause, result),
             **_family(cause),
         }
         for cause in result.verdict.causes
@@ -99,8 +99,10 @@ def _family(cause: NamedCause) -> dict[str, dict[str, Any]]:
     }
 
 
-def _moments(cause: NamedCause, result: Diagnosis) -> dict[str, dict[str, float | None]]:
-    """Return the moment of an event in each flight [s], by label; None in a flight without it."""
+def _event_times(cause: NamedCause, result: Diagnosis) -> dict[str, dict[str, float | None]]:
+    """Return the times of an effect that begins during a flight, as the entry ``moments_s`` of the cause:
+    time [s] by label of the flight, None in a flight in which it does not begin. Empty for other effects.
+    """
     effect = cause.candidate.effect
     if not effect.flight:
         return {}
@@ -110,8 +112,8 @@ def _moments(cause: NamedCause, result: Diagnosis) -> dict[str, dict[str, float 
         *(after.held_out_fit.problem.records if after.held_out_fit else ()),
     ]
     values = {name: number.value for name, number in cause.parameters.items()}
-    moments_s = {record.label: effect.values_in(record.label, values)[effect.moment] for record in records}
-    return {"moments_s": {label: None if at_s == NEVER_s else at_s for label, at_s in moments_s.items()}}
+    times_s = {record.label: effect.values_in(record.label, values)[effect.moment] for record in records}
+    return {"moments_s": {label: None if at_s == NEVER_s else at_s for label, at_s in times_s.items()}}
 
 
 def _random_torque_causes(result: Diagnosis) -> list[dict[str, Any]]:

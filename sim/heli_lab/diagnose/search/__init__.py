@@ -1,9 +1,10 @@
 """Search for the causes of what a model lacks: candidates, score tests, refits, stepwise selection."""
 
+from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
 from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate, may_join, typical_candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
 from heli_lab.diagnose.search.folds import split
-from heli_lab.diagnose.search.hypothesis import Cause, Hypothesis, Refit, Round
+from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidate, spline_candidates
 from heli_lab.diagnose.search.replication import Direction, direction
@@ -22,6 +23,8 @@ from heli_lab.diagnose.search.stepwise import Search, search
 __all__ = [
     "KNOTS",
     "QUANTITIES",
+    "Acceptance",
+    "Alternative",
     "Candidate",
     "Cause",
     "Direction",
@@ -42,6 +45,7 @@ __all__ = [
     "fingerprint",
     "knot_span",
     "may_join",
+    "min_margin",
     "quantity_values",
     "score_of",
     "search",

@@ -7,12 +7,15 @@ from dataclasses import dataclass, field
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
-from heli_lab.diagnose.search.candidate import Candidate, may_join
+from heli_lab.diagnose.search.candidate import Candidate, may_join, typical_candidate
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.moments import with_held_out_moments
 from heli_lab.diagnose.search.progress import Progress
 from heli_lab.threads import parallel_map
+
+Compared = tuple[Alternative, Hypothesis]
+"""Another effect in the place of a cause, and the model with it."""
 
 
 @dataclass
@@ -27,6 +30,8 @@ class BackwardElimination:
         The rounds of the forward selection.
     contradicted_ids : set of str
         Ids of the causes so far that held-out flights contradict.
+    replaced_ids : set of str
+        Ids of the causes so far in whose place another effect is more probable.
     """
 
     comparison: ModelComparison
@@ -35,6 +40,9 @@ class BackwardElimination:
     baseline: Hypothesis
     rounds: Sequence[Round]
     contradicted_ids: set[str] = field(default_factory=set)
+    replaced_ids: set[str] = field(default_factory=set)
+    _round_ids: dict[str, str] = field(default_factory=dict, init=False)
+    """The cause that was accepted in a round, by the id of the cause that took its place."""
 
     def eliminate(self, final: Hypothesis) -> tuple[Hypothesis, list[Cause]]:
         """Remove causes from the model `final` that are not significant or that held-out flights contradict.
@@ -53,17 +61,54 @@ class BackwardElimination:
         if weakest is not None:
             self.contradicted_ids.add(weakest)
             return self.eliminate(self.restore_displaced(final, weakest, reduced_by_id[weakest]))
+        compared_by_id = {
+            candidate.id: self._compared(final, candidate, reduced_by_id[candidate.id])
+            for candidate in final.candidates
+        }
+        more_probable = self._more_probable(compared_by_id, reduced_by_id)
+        if more_probable is not None:
+            return self.eliminate(more_probable)
         causes = [
             Cause(
                 candidate,
                 train=final.log_likelihood - reduced_by_id[candidate.id].log_likelihood,
                 held_out=held_out_ratios.get(candidate.id),
                 penalty=self.acceptance.penalty(candidate),
-                alternatives=self._alternatives(final, candidate, reduced_by_id[candidate.id]),
+                alternatives=tuple(alternative for alternative, _ in compared_by_id[candidate.id]),
             )
             for candidate in final.candidates
         ]
         return final, sorted(causes, key=lambda cause: -cause.train)
+
+    def _more_probable(
+        self, compared_by_id: Mapping[str, Sequence[Compared]], reduced_by_id: Mapping[str, Hypothesis]
+    ) -> Hypothesis | None:
+        """Return the most probable model with another effect in the place of a cause, if it is more probable
+        than the model with the cause, would be accepted, and held-out flights do not contradict it.
+
+        The selection adds one cause after the other, so a later cause may change which of two similar effects
+        fits better. An effect that was replaced does not return.
+        """
+        better = sorted(
+            (alternative.log_likelihood_ratio, id_, alternative.id, hypothesis)
+            for id_, compared in compared_by_id.items()
+            for alternative, hypothesis in compared
+            if alternative.log_likelihood_ratio < 0.0 and alternative.id not in self.replaced_ids
+        )
+        for _, id_, other_id, hypothesis in better:
+            reduced = reduced_by_id[id_]
+            gain = hypothesis.log_likelihood - reduced.log_likelihood
+            other = next(candidate for candidate in hypothesis.candidates if candidate.id == other_id)
+            refit = Refit(hypothesis, gain, self.acceptance.penalty(other), score=0.0, added_id=other_id)
+            if not self.acceptance.accepts(refit):
+                continue
+            held_out = self._held_out_ratios(hypothesis, {other_id: reduced})
+            if held_out.get(other_id, 0.0) < _required_ratio(other_id):
+                continue
+            self.replaced_ids.add(id_)
+            self._round_ids[other_id] = self._round_ids.get(id_, id_)
+            return hypothesis
+        return None
 
     def restore_displaced(self, final: Hypothesis, cause_id: str, reduced: Hypothesis) -> Hypothesis:
         """Return the model without a cause that held-out flights contradict, and with the causes that it had
@@ -103,8 +148,11 @@ class BackwardElimination:
         return self.comparison.refit([*reduced.candidates, *restored], start, reduced)
 
     def _round_of(self, cause_id: str) -> Round | None:
-        """Return the last round of the forward selection that accepted a cause."""
-        return next((round_ for round_ in reversed(self.rounds) if round_.accepted_id == cause_id), None)
+        """Return the last round of the forward selection that accepted a cause, or the one that it
+        replaced.
+        """
+        accepted_id = self._round_ids.get(cause_id, cause_id)
+        return next((round_ for round_ in reversed(self.rounds) if round_.accepted_id == accepted_id), None)
 
     def _remove_superfluous(self, final: Hypothesis) -> tuple[Hypothesis, dict[str, Hypothesis]]:
         """Remove causes one by one until all are significant.
@@ -148,42 +196,69 @@ class BackwardElimination:
             for id_, reduced in zip(reduced_by_id, reduced_estimates, strict=True)
         }
 
-    def _alternatives(
-        self, final: Hypothesis, candidate: Candidate, reduced: Hypothesis
-    ) -> tuple[Alternative, ...]:
-        """Refit other effects of the cause's round in its place; return them, the closest first.
+    def _compared(self, final: Hypothesis, candidate: Candidate, reduced: Hypothesis) -> list[Compared]:
+        """Refit other effects in the place of a cause: those of its round, and those of its family, which a
+        low score or the limit of refits may have kept out. Return them with their models, the closest first.
 
         `reduced` is the model without the cause.
         """
         if candidate.is_spline:
-            return ()
+            return []
         round_ = self._round_of(candidate.id)
-        if round_ is None:
-            return ()
+        round_refits = round_.refits if round_ else ()
         other_causes = [other for other in final.candidates if other is not candidate]
-        alternatives: list[Alternative] = []
-        for refit in self._likely_alternatives(final, other_causes, round_):
+        compared: list[Compared] = []
+
+        def compare(other: Candidate, refit: Hypothesis | None) -> None:
+            """Compare an effect with the cause; `refit` is its refit in the round."""
+            candidates = [*other_causes, other]
+            replaced = refit
+            # The round may have begun with causes that were removed since, or without those of later rounds.
+            if replaced is None or {*replaced.ids} != {present.id for present in candidates}:
+                replaced = self.comparison.refit(candidates, replaced.values if replaced else None, reduced)
+            if self.comparison.in_flight(replaced):
+                ratio = final.log_likelihood - replaced.log_likelihood
+                ratio = ratio + self.acceptance.penalty(other) - self.acceptance.penalty(candidate)
+                compared.append((Alternative(other.id, ratio), replaced))
+
+        for refit in self._likely_alternatives(final, other_causes, round_refits):
             is_exhausted = bool(other_causes) and not self.progress.refits_left()
-            if len(alternatives) >= thresholds.ALTERNATIVES or is_exhausted:
+            if len(compared) >= thresholds.ALTERNATIVES or is_exhausted:
                 break
-            replaced = refit.hypothesis
-            if other_causes:
-                replaced = self.comparison.refit(
-                    [*other_causes, refit.candidate], refit.hypothesis.values, reduced
-                )
-            if not self.comparison.in_flight(replaced):
-                continue
-            ratio = final.log_likelihood - replaced.log_likelihood
-            ratio = ratio + self.acceptance.penalty(refit.candidate) - self.acceptance.penalty(candidate)
-            alternatives.append(Alternative(refit.candidate.id, ratio))
-        return tuple(sorted(alternatives, key=lambda alternative: alternative.log_likelihood_ratio))
+            compare(refit.candidate, refit.hypothesis)
+        tried = {refit.candidate.id: refit for refit in round_refits}
+        compared_ids = {alternative.id for alternative, _ in compared}
+        for member in self._family(candidate, other_causes):
+            if member.id in tried and member.id not in compared_ids:
+                compare(tried[member.id].candidate, tried[member.id].hypothesis)
+            elif member.id not in compared_ids:
+                compare(member, None)
+        return sorted(compared, key=lambda pair: pair[0].log_likelihood_ratio)
+
+    def _family(self, candidate: Candidate, other_causes: Sequence[Candidate]) -> list[Candidate]:
+        """Return the other effects of a cause's family that may join the other causes, with typical sizes.
+
+        Effects that contain the cause, or are contained in it, are left out: `exchange` chooses among them.
+        """
+        kinds, present_ids = self.acceptance.kinds, [other.id for other in other_causes]
+        if candidate.id not in kinds or kinds[candidate.id].family is None:
+            return []
+        cause = kinds[candidate.id]
+        return [
+            typical_candidate(kind)
+            for kind in kinds.values()
+            if kind.family == cause.family
+            and kind.id not in {cause.id, *cause.contains, *present_ids}
+            and cause.id not in kind.contains
+            and may_join(kind.id, present_ids, kinds)
+        ]
 
     def _likely_alternatives(
-        self, final: Hypothesis, other_causes: Sequence[Candidate], round_: Round
+        self, final: Hypothesis, other_causes: Sequence[Candidate], round_refits: Sequence[Refit]
     ) -> list[Refit]:
         """Return refits of a round that may join the other causes, the best score first."""
         kinds = self.acceptance.kinds
-        best_score = max(refit.score for refit in round_.refits)
+        best_score = max((refit.score for refit in round_refits), default=0.0)
 
         def may_join_other_causes(refit: Refit) -> bool:
             if refit.score < thresholds.ALTERNATIVE_SHARE * best_score:
@@ -192,7 +267,7 @@ class BackwardElimination:
 
         return [
             refit
-            for refit in sorted(round_.refits, key=lambda refit: -refit.score)
+            for refit in sorted(round_refits, key=lambda refit: -refit.score)
             if refit.candidate.id not in final.ids
             and not refit.candidate.is_spline
             and (not other_causes or may_join_other_causes(refit))

@@ -13,13 +13,14 @@ from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.search.acceptance import Acceptance
+from heli_lab.diagnose.search.acceptance import Acceptance, is_neutral
 from heli_lab.diagnose.search.baseline_terms import RemovedTerm, tightly_specified_terms
 from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate, may_join, typical_candidate
 from heli_lab.diagnose.search.concentrated_score import with_concentrated_scores
 from heli_lab.diagnose.search.hypothesis import Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.progress import Progress
+from heli_lab.diagnose.search.rivals import better_rival
 from heli_lab.diagnose.search.screening import Screening
 from heli_lab.estimation import ReferenceTrajectory
 from heli_lab.estimation.reference_trajectory import RETURN_s
@@ -85,6 +86,10 @@ class ForwardSelection:
             accepted = None
             if not is_full:
                 round_refits.refit_effects(screening)
+                better_base = round_refits.better_base()
+                if better_base is not None:
+                    hypothesis = better_base
+                    continue
                 round_refits.refit_without_terms(absent_terms)
                 accepted = round_refits.best_after_splines(self._not_excluded(splines))
             refits = sorted(round_refits.refits, key=lambda refit: -refit.margin)
@@ -129,9 +134,33 @@ class RoundRefits:
 
     @property
     def best(self) -> Refit | None:
-        """The refit of the largest margin among those that are accepted; None without one."""
+        """The refit of the largest margin among those that are accepted, or its better rival; None without
+        one.
+        """
         accepted = [refit for refit in self.refits if self.acceptance.accepts(refit)]
-        return max(accepted, key=lambda refit: refit.margin, default=None)
+        if not accepted:
+            return None
+        largest = max(accepted, key=lambda refit: refit.margin)
+        return better_rival(self.comparison, largest, accepted)
+
+    def better_base(self) -> Hypothesis | None:
+        """Return a more likely estimate of the base; None without one.
+
+        A refit may end without its candidate and be more likely all the same. The other parameters had then
+        not reached their best values.
+        """
+        neutral = [
+            refit
+            for refit in self.refits
+            if refit.gain > thresholds.MIN_MARGIN
+            and is_neutral(refit.hypothesis, refit.candidate, self.acceptance.kinds)
+        ]
+        if not neutral or not self.base.candidates:
+            return None
+        warm_start = max(neutral, key=lambda refit: refit.gain).hypothesis
+        estimate = self.comparison.refit(self.base.candidates, None, warm_start)
+        is_better = estimate.log_likelihood > self.base.log_likelihood + thresholds.MIN_MARGIN
+        return estimate if is_better else None
 
     def refit_effects(self, screening: Screening) -> None:
         """Refit the effects with the best scores, then those that a score cannot show; `screening` is about

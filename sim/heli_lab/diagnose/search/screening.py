@@ -138,12 +138,9 @@ class Screening:
 
     def score(self, candidates: Sequence[Candidate]) -> list[Score]:
         """Score each of the `candidates` by itself, in their order."""
-        candidate_batches = batches(candidates, _regressor_count, self.batch)
-        statistics_by_batch = parallel_map(self._statistics, candidate_batches, self.threads)
-        statistics = itertools.chain.from_iterable(statistics_by_batch)
         return [
             score_of(*candidate_statistics, coefficient_std(candidate))
-            for candidate_statistics, candidate in zip(statistics, candidates, strict=True)
+            for candidate_statistics, candidate in zip(self.statistics(candidates), candidates, strict=True)
         ]
 
     def _statistics(self, candidates: Sequence[Candidate]) -> list[ScoreStatistics]:
@@ -215,15 +212,17 @@ class Screening:
         matrix, per_flight = self._normal_equations
         return solve_arrowhead(matrix, right, per_flight)
 
-    def spline_information(self, candidates: Sequence[Candidate]) -> list[ScoreStatistics]:
-        """Compute Fisher information and score of each of the spline terms `candidates`, as
-        `information` does.
-        """
-        self._precompute_influences(candidates)
+    def statistics(self, candidates: Sequence[Candidate]) -> list[ScoreStatistics]:
+        """Compute Fisher information and score of each of the `candidates`, as `information` does."""
         candidate_batches = batches(candidates, _regressor_count, self.batch)
         return list(
             itertools.chain.from_iterable(parallel_map(self._statistics, candidate_batches, self.threads))
         )
+
+    def spline_information(self, candidates: Sequence[Candidate]) -> list[ScoreStatistics]:
+        """Compute Fisher information and score of each of the spline terms `candidates`."""
+        self._precompute_influences(candidates)
+        return self.statistics(candidates)
 
     def _precompute_influences(self, candidates: Iterable[Candidate]) -> None:
         """Compute the influence of each channel of spline terms once, before threads share it."""

@@ -4,7 +4,8 @@ once more if a cause was removed.
 Each round scores all candidates about the current estimate, refits the best, and accepts one whose
 log-likelihood ratio exceeds its BIC penalty. A spline term (`splines.py`) competes in every round. If it
 beats every effect refitted over its grid, the cause is not in the catalogue: the spline stays in its place,
-and the search goes on. Held-out flights do not choose causes; they only remove what they contradict.
+and the search goes on. Held-out flights have a part in one choice only, between play and friction of an axis
+(`rivals.py`). Otherwise they only remove what they contradict.
 """
 
 from __future__ import annotations
@@ -97,7 +98,7 @@ def search(
             break
         exchanged = exchange(comparison, acceptance, progress, selected)
         final, causes = backward.eliminate(exchanged)
-        if set(exchanged.ids) <= set(final.ids):
+        if set(exchanged.ids) <= {*final.ids, *backward.replaced_ids}:
             break
     if final is not selected:
         screening = Screening(final.estimate)

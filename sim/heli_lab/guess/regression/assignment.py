@@ -17,6 +17,8 @@ from heli_lab.guess.regression.candidates import feedback_sign
 from heli_lab.guess.regression.reference import Reference
 from heli_lab.guess.regression.signals import Signal, Signals, delay
 
+_MIN_REGRESSION_ROWS: Final = 20
+"""Smallest number of rows of a regression; it has four coefficients."""
 _DECIMATION: Final = 10
 """The regressions use every tenth row: 10 Hz samples all that the low-pass filter leaves."""
 
@@ -114,9 +116,10 @@ def regress_acceleration(
         signal[rows][::_DECIMATION] for signal in (*axis_terms, acceleration, cause)
     )
     y = response - stiffness[0] * deflection
-    if len(y) < 20:
+    if len(y) < _MIN_REGRESSION_ROWS:
         return RegressionFit(0.0, 0.0)
     columns = np.column_stack([deflection, rate, np.ones(len(y)), regressor])
+    # Columns of unit deviation keep the normal equations well conditioned; the constant column has none.
     scale = np.maximum(columns.std(axis=0), 1e-12)
     scale[2] = 1.0
     columns = columns / scale
@@ -138,8 +141,8 @@ def regress_acceleration(
         solution, with_cause = solve(4)
         gain = float(solution[-1] / scale[3])
         noise_variance = max(with_cause, 1e-12 * float(y.var()) + 1e-300)
-    seconds = len(y) * _DECIMATION * thresholds.SAMPLE_STEP_s
-    independent_samples = seconds * thresholds.INDEPENDENT_SAMPLES_Hz
+    duration_s = len(y) * _DECIMATION * thresholds.SAMPLE_STEP_s
+    independent_samples = duration_s * thresholds.INDEPENDENT_SAMPLES_Hz
     log_ratio = float(np.log(max(without_cause, 1e-300) / max(with_cause, 1e-300)))
     return RegressionFit(0.5 * independent_samples * log_ratio, gain)
 
@@ -152,7 +155,11 @@ def free_rows(signals: Signals, name: str) -> Booleans:
     rest_rows = round(thresholds.REST_DURATION_S / thresholds.SAMPLE_STEP_s)
     start, typical = float(raw[0]), float(np.median(raw))
     span = float(np.ptp(raw))
-    if span == 0.0 or np.ptp(raw[:rest_rows]) > 0.01 * span or abs(typical - start) < 0.2 * span:
+    # The unit is not known yet, so each limit is a share of the column's range, or of the rise from the
+    # table.
+    begins_in_motion = np.ptp(raw[:rest_rows]) > 0.01 * span
+    stays_low = abs(typical - start) < 0.2 * span
+    if span == 0.0 or begins_in_motion or stays_low:
         return signals.inner
     is_off_table = (raw - start) * np.sign(typical - start) > 0.4 * abs(typical - start)
     result: Booleans = signals.inner & is_off_table

@@ -13,8 +13,14 @@ from heli_lab.guess import names, thresholds
 from heli_lab.guess.regression.signals import Signal, Signals
 
 _MAX_COLUMNS: Final = 14
+"""Largest number of columns of which assignments to angles and voltages are tried."""
 _DUPLICATE_CORRELATION: Final = 0.99999
+"""Absolute correlation above which two columns are the same signal, in another unit or with another sign."""
 _RATE_SCALES: Final = (1.0, 180.0 / np.pi, np.pi / 180.0)
+"""Factors between the units of an angle and of its logged rate: equal units, or radians and degrees."""
+_UNIT_SLOPE_RANGE: Final = (0.6, 1.5)
+"""Range of the measured slope divided by a factor between units. It is wide enough for a rate that the
+logging program has filtered, and far narrower than the ratio of two factors, 57.3."""
 
 
 def candidates(
@@ -56,7 +62,7 @@ def candidates(
     first_columns = [group[0] for group in groups]
     rates = {
         name: angle
-        for name, angle in _rates(signals, first_columns).items()
+        for name, angle in _derivatives(signals, first_columns).items()
         if name not in encoders and name not in known
     }
     columns = []
@@ -93,8 +99,8 @@ def _duplicates(signals: Signals, columns: list[str]) -> list[list[str]]:
 
 
 def _angle_of_feedback(signals: Signals, group: list[str], columns: list[str]) -> str | None:
-    """Column to whose rate a `group` of duplicates is proportional, as under state feedback; None for a group
-    of one column, or if there is no such column.
+    """Return the column to whose rate a `group` of duplicates is proportional, as under state feedback; None
+    for a group of one column, or if there is no such column.
     """
     if len(group) == 1:
         return None
@@ -108,48 +114,62 @@ def _angle_of_feedback(signals: Signals, group: list[str], columns: list[str]) -
 
 def _is_rate(name: str, rate: Floats, signals: Signals) -> bool:
     """Whether the column `name` is this `rate`, by its slope or by its name."""
-    has_unit_slope = _unit_slope(rate, signals.filtered[name].value, signals.counts_per_turn)
+    has_unit_slope = _has_unit_slope(rate, signals.filtered[name].value, signals.counts_per_turn)
     return has_unit_slope or names.is_derived_signal(name)
 
 
-def _rates(signals: Signals, columns: list[str]) -> dict[str, str]:
-    """Columns that are the time derivative of another column that is not itself a derivative: the other
-    column by name of the derivative.
+def _derivatives(signals: Signals, columns: list[str]) -> dict[str, str]:
+    """Find the columns that are the time derivative of a column that is not itself a derivative; return the
+    column of the original signal by name of its derivative.
 
-    The derivative of the travel rate resembles pitch, which drives it, and that of the pitch rate a voltage.
+    A column cannot be judged alone. Pitch drives travel, so the derivative of a logged travel rate resembles
+    pitch; likewise that of a logged pitch rate resembles a voltage. Neither pitch nor the voltage is a logged
+    rate. Therefore a column counts as a derivative only if a column that is not one explains it.
     """
-    # Correlation of each possible derivative with the derivative of the other column.
-    correlations: dict[tuple[str, str], float] = {}
-    for name, other in itertools.permutations(columns, 2):
-        rate, value = signals.filtered[other].rate, signals.filtered[name].value
-        correlation = _abs_correlation(rate, value)
-        if names.role_of(name) or correlation <= thresholds.RATE_MATCH**0.5:
-            continue
-        if _unit_slope(rate, value, signals.counts_per_turn):
-            correlations[name, other] = correlation
+    correlations = _derivative_correlations(signals, columns)
 
     def origins(name: str) -> list[str]:
         """Columns of which `name` may be the derivative."""
-        return [other for derivative, other in correlations if derivative == name]
+        return [origin for derivative, origin in correlations if derivative == name]
 
-    rates: set[str] = set()
+    derivatives: set[str] = set()
     decided: set[str] = set()
     remaining = set(columns)
     while remaining:
         # A column is decided after all columns of which it may be the derivative.
         ready = {name for name in remaining if decided.issuperset(origins(name))}
         if not ready:
-            # Sines form a cycle: the column with the lowest correlation is no derivative.
+            # Each remaining column may be the derivative of another one, as with sines, whose second
+            # derivative is a sine again. The column with the lowest correlation then counts as no derivative.
             weakest = min((value, name) for (name, _), value in correlations.items() if name in remaining)[1]
             ready = {weakest}
             correlations = {pair: value for pair, value in correlations.items() if pair[0] != weakest}
-        rates |= {name for name in ready if not rates.issuperset(origins(name))}
+        derivatives |= {name for name in ready if not derivatives.issuperset(origins(name))}
         decided |= ready
         remaining -= ready
-    return {name: next(other for other in origins(name) if other not in rates) for name in rates}
+    return {
+        name: next(origin for origin in origins(name) if origin not in derivatives) for name in derivatives
+    }
 
 
-def _unit_slope(rate: Floats, value: Floats, counts_per_turn: Collection[float]) -> bool:
+def _derivative_correlations(signals: Signals, columns: list[str]) -> dict[tuple[str, str], float]:
+    """Return the absolute correlation of a column with the time derivative of another one, by the names of
+    both, for all pairs in which the first may be the derivative. A column whose name states another role is
+    no derivative.
+    """
+    correlations: dict[tuple[str, str], float] = {}
+    for name, origin in itertools.permutations(columns, 2):
+        rate, value = signals.filtered[origin].rate, signals.filtered[name].value
+        correlation = _abs_correlation(rate, value)
+        # The threshold is a share of variance, the square of a correlation.
+        if names.role_of(name) or correlation <= thresholds.RATE_MATCH**0.5:
+            continue
+        if _has_unit_slope(rate, value, signals.counts_per_turn):
+            correlations[name, origin] = correlation
+    return correlations
+
+
+def _has_unit_slope(rate: Floats, value: Floats, counts_per_turn: Collection[float]) -> bool:
     """Whether `value` is about `rate` times 1 or a factor between angle units; one of them may be in counts
     of an encoder with these `counts_per_turn`.
 
@@ -158,7 +178,8 @@ def _unit_slope(rate: Floats, value: Floats, counts_per_turn: Collection[float])
     variance = float(rate.var())
     slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
     from_counts = (turn / counts for turn in (2.0 * np.pi, 360.0) for counts in counts_per_turn)
-    return any(0.6 < slope / scale < 1.5 for scale in (*_RATE_SCALES, *from_counts))
+    min_ratio, max_ratio = _UNIT_SLOPE_RANGE
+    return any(min_ratio < slope / scale < max_ratio for scale in (*_RATE_SCALES, *from_counts))
 
 
 def _abs_correlation(first: Floats, second: Floats) -> float:
@@ -183,7 +204,7 @@ def feedback_sign(voltage_sum: Floats, angle: Signal, counts_per_turn: Collectio
         Counts per turn of the encoders in which the rate may be logged.
     """
     is_constant = np.ptp(voltage_sum) == 0.0 or np.ptp(angle.rate) == 0.0
-    if is_constant or _unit_slope(angle.rate, voltage_sum, counts_per_turn):
+    if is_constant or _has_unit_slope(angle.rate, voltage_sum, counts_per_turn):
         return 0.0
     correlation = float(np.corrcoef(voltage_sum, angle.rate)[0, 1])
     return float(np.sign(correlation)) if abs(correlation) > thresholds.FEEDBACK_MATCH**0.5 else 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from heli_sim.errors import PlantError
@@ -14,6 +15,10 @@ from heli_sim.rig import Rig
 from heli_sim.rig.encoders import counts_per_turn
 
 from heli_lab.errors import IdentifyError
+
+_MIN_STIFFNESS_STD: Final = 1.0
+"""Smallest standard deviation of a stiffness [1/s^2]. Measured rigs have a pitch stiffness of -0.3 to -1.4,
+and their rig files state 0."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +60,10 @@ class Reference:
 
 
 def reference_of(rig: Rig) -> Reference:
-    """Linearise the baseline model of a rig.
+    """Linearise the baseline model of a rig at hover.
+
+    Rows and columns of the matrices: elevation, pitch and travel are the states 0 to 2, their rates 3 to 5;
+    the inputs are the front and the back voltage.
 
     Raises
     ------
@@ -70,9 +78,11 @@ def reference_of(rig: Rig) -> Reference:
             f"units cannot be checked with rig {rig.name}: {error.cause}", error.remedy
         ) from error
     linear = derivatives(model, rig, hover.state, hover.volts_V)
-    # Measured rigs have a pitch stiffness of -0.3 to -1.4 1/s^2; their rig files state 0.
     stiffness = {
-        axis: (float(linear.A[row, column]), float(max(1.0, 0.5 * abs(linear.A[row, column]))))
+        axis: (
+            float(linear.A[row, column]),
+            float(max(_MIN_STIFFNESS_STD, 0.5 * abs(linear.A[row, column]))),
+        )
         for axis, row, column in (("elevation", 3, 0), ("pitch", 4, 1))
     }
     torque, friction = rig["torque_travel"], rig["friction_travel"].value
@@ -82,18 +92,18 @@ def reference_of(rig: Rig) -> Reference:
     lean_rad_s2 = float(linear.A[5, 1]) * np.radians(rig["offset_pitch"].tolerance)
     std_rad_s2 = float(np.hypot(per_torque * 0.5 * torque.tolerance, lean_rad_s2)) if per_torque else 0.0
     return Reference(
-        stiffness,
-        {
+        stiffness=stiffness,
+        gain={
             "elevation": float(np.mean(linear.B[3])),
             "pitch": float(0.5 * (linear.B[4, 0] - linear.B[4, 1])),
             "travel": float(linear.A[5, 1]),
         },
-        float(hover.volts_V.sum()),
-        rig["elevation_min"].value,
-        rig["elevation_min"].tolerance,
-        dict(zip(AXES, counts_per_turn(rig).tolist(), strict=True)),
-        rig["supply"].value,
-        rig["reverse_thrust"].value != 0.0,
-        per_torque * torque.value,
-        std_rad_s2,
+        hover_V=float(hover.volts_V.sum()),
+        rest_deg=rig["elevation_min"].value,
+        rest_tolerance_deg=rig["elevation_min"].tolerance,
+        counts=dict(zip(AXES, counts_per_turn(rig).tolist(), strict=True)),
+        supply_V=rig["supply"].value,
+        reverses=rig["reverse_thrust"].value != 0.0,
+        travel_rad_s2=per_torque * torque.value,
+        travel_std_rad_s2=std_rad_s2,
     )

@@ -36,6 +36,9 @@ _MAX_SHARE: Final = 1.02
 _SATURATION_NATS: Final = 3.0
 """Penalty of a unit in which some commands exceed the supply [nats]. Set by judgement: such logs are
 rarer than those of limited voltages."""
+_COUNTS_TOLERANCE: Final = 0.01
+"""Largest relative difference between the counts per turn of a column and of an encoder; usual counts,
+powers of 2 and multiples of 100, differ by more."""
 _QUANTISATION_NATS: Final = 3.0
 """Reward of an angle quantised by the encoder; penalty of whole numbers that are not counts [nats]."""
 
@@ -288,7 +291,8 @@ def _quantisation_score(motion: MeasuredMotion, axis: str, unit: str, reference:
         return -_QUANTISATION_NATS
     step = motion.quantisation_step[axis] * rad_of(unit, axis, reference)
     turn = 2.0 * math.pi / step if step > 0.0 else 0.0
-    return _QUANTISATION_NATS if turn and abs(turn / reference.counts[axis] - 1.0) < 0.01 else 0.0
+    is_rigs_encoder = bool(turn) and abs(turn / reference.counts[axis] - 1.0) < _COUNTS_TOLERANCE
+    return _QUANTISATION_NATS if is_rigs_encoder else 0.0
 
 
 def is_encoder(values: Floats, reference: Reference) -> bool:
@@ -296,7 +300,9 @@ def is_encoder(values: Floats, reference: Reference) -> bool:
     step = quantisation_step(values)
     turns = (2.0 * math.pi, 360.0) if step > 0.0 else ()
     return any(
-        abs(turn / step / counts - 1.0) < 0.01 for turn in turns for counts in {*reference.counts.values()}
+        abs(turn / step / counts - 1.0) < _COUNTS_TOLERANCE
+        for turn in turns
+        for counts in {*reference.counts.values()}
     )
 
 
@@ -306,12 +312,14 @@ def quantisation_step(values: Floats) -> float:
     A column is quantised if over nine tenths of its small changes are multiples of the smallest one.
     """
     changes = np.abs(np.diff(values[np.isfinite(values)]))
+    # Without the rounding errors of floats.
     changes = changes[changes > 1e-9 * max(1.0, float(np.ptp(values)))]
     if not changes.size:
         return 0.0
     smallest = float(changes.min())
     # The mean of all single steps has less rounding than the smallest change.
     step = float(changes[changes < 1.5 * smallest].mean())
+    # In larger changes, the error of the estimated step adds up to more than the tolerance of 0.05 steps.
     multiples = changes[changes < 20.0 * step] / step
     is_multiple = np.abs(multiples - np.round(multiples)) < 0.05
     return step if float(np.mean(is_multiple)) > 0.9 else 0.0

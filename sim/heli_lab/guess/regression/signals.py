@@ -106,7 +106,11 @@ def _butterworth(values: Floats, cutoff_Hz: float) -> Floats:
 
 @cache
 def _response(count: int, cutoff_Hz: float) -> NDArray[np.complex128]:
+    """Frequency response of a digital Butterworth filter of fourth order (bilinear transform) at the
+    frequencies of a real FFT of `count` values, shape (count / 2 + 1,).
+    """
     warped = np.tan(np.pi * np.fft.rfftfreq(count)) / np.tan(np.pi * cutoff_Hz * SAMPLE_STEP_s)
+    # Poles of the analogue prototype, evenly spaced on the left half of the unit circle.
     poles = np.exp(1j * np.pi * np.array([5.0, 7.0, 9.0, 11.0]) / 8.0)
     response: NDArray[np.complex128] = 1.0 / np.prod(1j * warped[:, None] - poles, axis=1)
     return response
@@ -126,6 +130,7 @@ def unwrapped(values: Floats, counts_per_turn: Collection[float] = ()) -> Floats
         Counts per turn of the encoders that it may come from.
     """
     jumps = np.abs(np.diff(values))
+    # A wrap crosses almost the whole range of the column, and happens seldom.
     is_far = jumps > 0.5 * np.ptp(values)
     far = jumps[is_far]
     if not far.size or far.size > 0.02 * values.size:
@@ -133,6 +138,7 @@ def unwrapped(values: Floats, counts_per_turn: Collection[float] = ()) -> Floats
     smooth = _WRAP_STEPS * _steps_nearby(jumps, is_far)
     for turn in (2.0 * np.pi, 360.0, 1.0, *sorted(set(counts_per_turn)), _COUNTER):
         is_turn = np.all(np.abs(far / turn - 1.0) < 0.2) and np.median(np.abs(far - turn) - smooth) <= 0.0
+        # The range of a wrapped angle is at most a turn.
         if is_turn and np.ptp(values) < 1.05 * turn:
             result: Floats = np.unwrap(values, period=turn)
             return result

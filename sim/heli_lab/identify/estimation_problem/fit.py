@@ -13,10 +13,18 @@ from heli_lab.identify.estimation_problem.problem import Problem
 
 @dataclass(frozen=True)
 class Budget:
-    """How much a fit may cost: most `evaluations` of all flights with derivatives, and most `seconds`."""
+    """Limits of a fit.
 
-    evaluations: int = 80
-    seconds: float = math.inf
+    Parameters
+    ----------
+    max_evaluations : int
+        Largest number of predictions of all flights with derivatives.
+    max_time_s : float
+        Longest time on this computer [s].
+    """
+
+    max_evaluations: int = 80
+    max_time_s: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -63,8 +71,8 @@ class Fit:
         Names of parameters that lie on a bound.
     evaluations : int
         Predictions of all flights with derivatives.
-    seconds : float
-        Time taken.
+    elapsed_s : float
+        Time that the fit took [s].
     converged : bool
         False when the budget ran out first.
     """
@@ -79,7 +87,7 @@ class Fit:
     cost: float
     at_bound: tuple[str, ...]
     evaluations: int
-    seconds: float
+    elapsed_s: float
     converged: bool
 
     @property

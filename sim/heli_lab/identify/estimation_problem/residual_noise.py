@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.estimation.long_run_variance import autocovariance, newey_west_variance
 from heli_lab.identify.thresholds import GROSS, LONGEST_LAG_S, MIN_SHARE, OUTLIER
+
+_QUANTISATION_ONLY: Final = 2.0
+"""Mean square of the residuals, in variances of the quantisation, up to which nothing counts as model error.
+It is 1 for a true model; a count that stays for several samples gives more."""
 
 
 def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
@@ -47,13 +52,15 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
     variance : ndarray (..., 3)
         As `long_run_variance` returns it.
     mean_square : ndarray (..., 3)
-        Mean square of the residuals.
+        Mean square of the residuals, in variances of the quantisation.
     sigma_rad : ndarray (3,)
-        Standard deviation of the quantisation of each axis.
+        Standard deviation of the quantisation of each axis [rad].
     """
-    wrong = np.maximum(0.0, 1.0 - 2.0 / np.maximum(mean_square, 1e-12))
-    least_rad2 = MIN_SHARE * np.max(variance * wrong * sigma_rad**2, axis=-1, keepdims=True)
-    return np.asarray(np.maximum(variance, least_rad2 / sigma_rad**2))
+    # Share of an axis' variance that counts as model error: none up to twice the quantisation.
+    model_error_share = np.maximum(0.0, 1.0 - _QUANTISATION_ONLY / np.maximum(mean_square, 1e-12))
+    model_error_rad2 = variance * model_error_share * sigma_rad**2
+    min_variance_rad2 = MIN_SHARE * np.max(model_error_rad2, axis=-1, keepdims=True)
+    return np.asarray(np.maximum(variance, min_variance_rad2 / sigma_rad**2))
 
 
 def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""The kernel in C: rates and Jacobians that CasADi wrote, and a loop around them, compiled together."""
+"""The kernel in C: rates and Jacobians of a model, and a loop around them, compiled together."""
 
 from __future__ import annotations
 
@@ -11,19 +11,21 @@ from typing import Final
 import casadi as ca
 import numpy as np
 from heli_host.arrays import Floats, Integers
-from heli_sim.compiled import c_source
 from heli_sim.errors import PlantError
 from typing_extensions import override
 
 from heli_lab.identify.free_run.functions import Functions, Inputs
 from heli_lab.identify.free_run.interface import Kernel
+from heli_lab.identify.free_run.lanes import c_function
 from heli_lab.threads import parallel_map
 
 _WORTH_THREADS_ROWS: Final = 500
 """Steps from which on a second thread saves more than it costs to start."""
 
-_LOOP: Final = Path(__file__).with_name("windows.c")
+LOOP: Final = Path(__file__).with_name("windows.c")
 """The loop around these functions; its head describes the macros that it needs."""
+_FUNCTIONS: Final = "/* The functions of the model end here. */"
+"""Line of the loop before which these functions are inserted."""
 
 
 def _chain(functions: Functions, function: ca.Function) -> str:
@@ -32,7 +34,7 @@ def _chain(functions: Functions, function: ca.Function) -> str:
     fx = _nonzeros(function.sparsity_out(1))
     for row in range(function.size1_out(0)):
         terms = [f"fx[{k}] * s[{j}][z]" for k, (i, j) in enumerate(fx) if i == row]
-        lines.append(f"for (int z = 0; z < NP; ++z) out[{row}][z] = {' + '.join(terms) or '0.0'};")
+        lines.append(f"for (int z = 0; z < NZ; ++z) out[{row}][z] = {' + '.join(terms) or 'all(0.0)'};")
     for k, (i, j) in enumerate(_nonzeros(function.sparsity_out(2))):
         lines.append(f"out[{i}][{functions.state_count + j}] += fp[{k}];")
     for which, name in enumerate(functions.voltage_parameters):
@@ -58,18 +60,17 @@ def kernel_source(functions: Functions) -> str:
         "SIZE_FX": nonzeros[0],
         "SIZE_FP": nonzeros[1],
         "SIZE_FU": nonzeros[2],
-        "SIZE_ARG": max(4, *(function.sz_arg() for function in functions.all)),
-        "SIZE_RES": max(4, *(function.sz_res() for function in functions.all)),
-        "SIZE_IW": max(1, *(function.sz_iw() for function in functions.all)),
-        "SIZE_W": max(1, *(function.sz_w() for function in functions.all)),
         "ANGLES_ARE_STATES": int(functions.angles_are_states),
         "HAS_RESET": int(functions.has_reset),
         "CHAIN_RATES": _chain(functions, functions.rates_jacobian),
         "CHAIN_ANGLES": _chain(functions, functions.angles_jacobian),
         "CHAIN_RESET_MAP": _chain(functions, functions.reset_map_jacobian),
     }
-    defines = [f"#define {name} {value}\n" for name, value in macros.items()]
-    return "".join((c_source(*functions.all), *defines, _LOOP.read_text(encoding="utf-8")))
+    loop = LOOP.read_text(encoding="utf-8")
+    head, mark, rest = loop.partition(_FUNCTIONS)
+    defines = "".join(f"#define {name} {value}\n" for name, value in macros.items())
+    written = "\n".join(c_function(function) for function in functions.all)
+    return "".join((defines, head, written, mark, rest))
 
 
 def _address(array: Floats | Integers | None, row: int = 0) -> ctypes.c_void_p | None:

@@ -56,7 +56,7 @@ def write_identification_report(
         pairs=[[a, b, f"{value:.3f}"] for a, b, value in identification.strong_correlations],
         correlations_figure=drawing.add(figure_of_correlations(identification), folder / "correlations.png"),
         used=_used_flights(identification),
-        ended=f"The fit {end} in {fit.seconds:.1f} s and {fit.evaluations} evaluations.",
+        ended=f"The fit {end} in {fit.elapsed_s:.1f} s and {fit.evaluations} evaluations.",
     )
 
 

@@ -166,7 +166,7 @@ class Identification:
             "flights": [self._flight(check, "train") for check in self.training]
             + [self._flight(check, "validation") for check in self.validation],
             "seconds_used": sum(check.seconds_used for check in self.training),
-            "seconds_taken": fit.seconds,
+            "seconds_taken": fit.elapsed_s,
             "converged": fit.converged,
         }
 

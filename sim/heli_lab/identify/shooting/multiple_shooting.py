@@ -56,8 +56,9 @@ class MultipleShooting:
 
     def is_out_of_budget(self) -> bool:
         """Whether the fit has cost as much as it may."""
-        seconds = time.perf_counter() - self.started_s
-        return self.cost.evaluations >= self._budget.evaluations or seconds >= self._budget.seconds
+        elapsed_s = time.perf_counter() - self.started_s
+        budget = self._budget
+        return self.cost.evaluations >= budget.max_evaluations or elapsed_s >= budget.max_time_s
 
     def step(self, iterate: Iterate, damping: float) -> DampedStep[Iterate]:
         """Linearise at an `iterate` and solve for a step with this `damping`."""

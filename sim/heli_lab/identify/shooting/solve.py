@@ -232,6 +232,6 @@ def _result(shooting: MultipleShooting, iterate: Iterate, converged: bool, scatt
         cost=iterate.cost,
         at_bound=tuple(name for name, flag in zip(problem.names, is_at_bound, strict=True) if flag),
         evaluations=cost.evaluations,
-        seconds=time.perf_counter() - shooting.started_s,
+        elapsed_s=time.perf_counter() - shooting.started_s,
         converged=converged,
     )

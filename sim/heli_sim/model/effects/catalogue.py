@@ -60,18 +60,20 @@ def _built_in() -> tuple[EffectSpec, ...]:
 
 
 def _kinds_of(path: Path) -> list[EffectSpec]:
+    """Return the effects that a user's file defines, after each was tried in a model."""
     module = _module(path)
-    found = list(_kinds_in(module))
-    if not found:
+    kinds = list(_kinds_in(module))
+    if not kinds:
         raise EffectError(
             f"effect file {path} has no EffectSpec at its top level", "see docs/reference/effects.md"
         )
-    for kind in found:
+    for kind in kinds:
         _try(path, kind)
-    return found
+    return kinds
 
 
 def _module(path: Path) -> ModuleType:
+    """Import a user's effect file; an EffectError names the line that fails."""
     name = f"heli_sim_user_effects_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None or not path.is_file():

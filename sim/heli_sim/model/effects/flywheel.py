@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.gyroscopic_torque import wheel_torque_Nm
+from heli_sim.model.effects.gyroscopic_torque import MOMENTA, wheel_torque_Nm
 from heli_sim.model.effects.spec import EffectSpec, Parameter
 from heli_sim.model.parts import upright_torque_Nm
 from heli_sim.rig.quantity import Prior, Quantity
@@ -61,6 +61,7 @@ SPEC: Final = EffectSpec(
         Parameter("spin_up", "1", "share s of the torque of spinning up that turns the rig back", 0.0),
     ),
     states=(Quantity("both_V", "V", "sum of the rotors' speeds as the voltages that hold them"),),
+    family=MOMENTA,
     linearisable=True,
     rank=230,
     source="rigid-body mechanics, and a motor's first-order lag",

@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.spec import EffectSpec, Parameter
+from heli_sim.model.effects.spec import EffectFamily, EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior
 
 
@@ -42,6 +42,12 @@ def wheel_torque_Nm(at: Operands, momentum_Nms: ca.SX) -> ca.SX:
     )
 
 
+MOMENTA: Final = EffectFamily(
+    name="angular momentum of the rotors",
+    unclear="these flights do not show whether it goes with the thrust or with the voltage",
+)
+"""About a hover, thrust and voltage rise and fall together."""
+
 SPEC: Final = EffectSpec(
     id="gyroscopic_torque",
     effect=GyroscopicTorque,
@@ -65,6 +71,7 @@ SPEC: Final = EffectSpec(
             size=True,
         ),
     ),
+    family=MOMENTA,
     linearisable=True,
     rank=220,
     source="rigid-body mechanics; going with the thrust, it suits measured flights better than a constant",

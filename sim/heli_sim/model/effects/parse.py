@@ -135,6 +135,7 @@ def effect_numbers(
 
 
 def _each(texts: Sequence[str], kinds: Mapping[str, EffectSpec]) -> list[tuple[EffectSpec, dict[str, float]]]:
+    """Read texts such as ``rotor_lag=0.1`` to effects with their parameters by full name."""
     result: list[tuple[EffectSpec, dict[str, float]]] = []
     for text in texts:
         name, equals, rest = text.partition("=")
@@ -168,6 +169,9 @@ def _in_proportion(kind: EffectSpec, value: str) -> dict[str, str]:
 
 
 def _values(kind: EffectSpec, rest: str, text: str) -> dict[str, float]:
+    """Read what follows the equals sign: one value, with ``@`` and a time for an event, or pairs
+    ``name:value`` between commas.
+    """
     if ":" not in rest:
         value, at, moment = rest.partition("@")
         given = {kind.numbers[0].name: value, **_in_proportion(kind, value)}

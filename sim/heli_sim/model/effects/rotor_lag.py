@@ -70,8 +70,9 @@ class RotorLag(Effect):
 
 LAGS: Final = EffectFamily(
     name="lag of the rotors",
-    sentence="the rotors lag their voltage by {} in all",
     unclear="these flights do not show whether thrust or rotor speed lags, or whether a part is dead time",
+    sentence="the rotors lag their voltage by {} in all",
+    unit="s",
 )
 """All members delay the response of the thrust about a hover by the sum of their times."""
 
@@ -88,7 +89,7 @@ SPEC: Final = EffectSpec(
         Quantity("back_N", "N", "thrust that the back rotor has reached"),
     ),
     family=LAGS,
-    family_numbers=("s",),
+    family_numbers={"s": 1.0},
     linearisable=True,
     rank=10,
     source="first-order model of a motor with a propeller about an operating point",

@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.spec import EffectSpec, Parameter
+from heli_sim.model.effects.spec import EffectFamily, EffectSpec, Parameter
 from heli_sim.model.parts import upright_torque_Nm
 from heli_sim.rig.quantity import Prior
 
@@ -25,6 +25,18 @@ class RotorReactionTorque(Effect):
         torque = self.own(at, "front_m") * at.thrust_N[0] + self.own(at, "back_m") * at.thrust_N[1]
         return upright_torque_Nm(at.state, torque)
 
+
+TILTS: Final = EffectFamily(
+    name="tilt of the thrust",
+    unclear="these flights do not show whether it is a zero error or a reaction torque of both rotors",
+    sentence="the thrust points {} away from where the pitch encoder shows it",
+    unit="rad",
+    in_part=True,
+)
+"""A reaction torque q of both rotors turns the direction of the thrust about the long arm L_a by q / L_a. A
+zero error -q / L_a of the pitch encoder has the same torques about elevation and travel. Its constant torque
+about pitch cannot be distinguished from a short arm that is not balanced. If the torques of both rotors
+differ, no zero error is equivalent."""
 
 SPEC: Final = EffectSpec(
     id="rotor_reaction_torque",
@@ -51,6 +63,9 @@ SPEC: Final = EffectSpec(
             size=True,
         ),
     ),
+    family=TILTS,
+    family_numbers={"front_m": -0.5, "back_m": -0.5},
+    family_divisor="L_a",
     linearisable=True,
     rank=100,
     source="propeller theory: thrust and drag torque both go with the square of the speed",

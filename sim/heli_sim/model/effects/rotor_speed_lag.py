@@ -89,7 +89,7 @@ SPEC: Final = EffectSpec(
     # A second lag next to this one would be a second name for the same motor.
     excludes=("rotor_lag", "rotor_lag_with_delay"),
     family=LAGS,
-    family_numbers=("s",),
+    family_numbers={"s": 1.0},
     linearisable=True,
     rank=12,
     source="propeller theory: thrust is the square of the speed; a motor's speed lags its voltage",

@@ -100,21 +100,28 @@ class ChangeSpec:
 
 @dataclass(frozen=True)
 class EffectFamily:
-    """Effects that flights hardly distinguish, with one parameter that all have in common.
+    """Effects that flights hardly distinguish. A search compares each member that it names with the others.
 
     Parameters
     ----------
     name : str
         Name of the family.
-    sentence : str
-        The number in words, with ``{}`` in its place.
     unclear : str
         Statement that flights do not distinguish its members.
+    sentence : str
+        The number that all members have in common in words, with ``{}`` in its place; empty without one.
+    unit : str
+        Unit of the number.
+    in_part : bool
+        True if members are alike for some of their parameters only: the number then has a meaning only where
+        flights do not distinguish them.
     """
 
     name: str
-    sentence: str
     unclear: str
+    sentence: str = ""
+    unit: str = "1"
+    in_part: bool = False
 
 
 @dataclass(frozen=True)
@@ -160,8 +167,10 @@ class EffectSpec:
         Ids of further effects that no model may have together with this one; naming one side is enough.
     family : EffectFamily or None
         Family that it belongs to.
-    family_numbers : tuple of str
-        Parameters whose sum is the family's number, named without the effect's name.
+    family_numbers : Mapping[str, float]
+        Weights of the parameters whose sum is the family's number, by name without the effect's name.
+    family_divisor : str
+        Rig parameter by which that sum is divided; empty for none.
     linearisable : bool
         True if a linear model at hover contains the effect. False for what is not smooth there or biases a
         measurement only. The design of gains reports effects that its linear plants do not contain.
@@ -193,7 +202,8 @@ class EffectSpec:
     contains: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     excludes: tuple[str, ...] = ()
     family: EffectFamily | None = None
-    family_numbers: tuple[str, ...] = ()
+    family_numbers: Mapping[str, float] = field(default_factory=dict)
+    family_divisor: str = ""
     linearisable: bool = False
     time_varying: bool = False
     change: ChangeSpec | None = None

@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.spec import EffectSpec, Parameter
-from heli_sim.model.effects.thrust_fade import bends_per_s, share_left
+from heli_sim.model.effects.thrust_fade import FADES, bends_per_s, share_left
 from heli_sim.rig.quantity import Prior
 
 
@@ -51,6 +51,7 @@ SPEC: Final = EffectSpec(
             grid=bends_per_s,
         ),
     ),
+    family=FADES,
     time_varying=True,
     rank=72,
     source="discharge of a battery: steep at first and flat after, or nearly straight",

@@ -38,6 +38,7 @@ def _row(kind: EffectSpec) -> str:
 
 
 def _number(parameter: Parameter) -> str:
+    """Describe a parameter of an effect: meaning, unit, range and typical value."""
     low, high = (
         (parameter.prior.low, parameter.prior.high) if parameter.prior is not None else (math.nan, math.nan)
     )

@@ -8,7 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.effects.spec import ChangeSpec, EffectSpec, Parameter
+from heli_sim.model.effects.spec import ChangeSpec, EffectFamily, EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior
 
 
@@ -38,6 +38,12 @@ def bends_per_s(seconds: float) -> tuple[float, ...]:
     return (0.0, 0.5 / seconds, 1.0 / seconds, 3.0 / seconds)
 
 
+FADES: Final = EffectFamily(
+    name="fading thrust",
+    unclear="these flights do not show whether the supply fades or the thrust",
+)
+"""About a hover, both take a share of the thrust; only the dead zone and the thrust curve differ."""
+
 SPEC: Final = EffectSpec(
     id="thrust_fade",
     effect=ThrustFade,
@@ -56,6 +62,7 @@ SPEC: Final = EffectSpec(
             grid=bends_per_s,
         ),
     ),
+    family=FADES,
     time_varying=True,
     change=ChangeSpec(
         (0.01,),

@@ -8,6 +8,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
+from heli_sim.model.effects.rotor_reaction_torque import TILTS
 from heli_sim.model.effects.spec import ChangeSpec, EffectSpec, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
@@ -33,6 +34,8 @@ def _spec(axis: str) -> EffectSpec:
         change=ChangeSpec(
             (0.03,), f"the {axis} encoder shows {{}} too much", f"the {axis} encoder shows {{}} too little"
         ),
+        family=TILTS if axis == "pitch" else None,
+        family_numbers={"rad": 1.0} if axis == "pitch" else {},
         rank=180,
         source="definition; on travel it shows only beside a spring, a tilt or an eccentricity",
     )

@@ -1,0 +1,106 @@
+"""A listed effect explains the remainder of a search if all flights together show it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from heli_lab.diagnose.evaluate import listed_remainder
+from heli_lab.diagnose.search import (
+    Hypothesis,
+    ScoreStatistics,
+    Search,
+    typical_candidate,
+)
+from heli_lab.diagnose.search.candidate import ScoredCandidate
+from heli_sim.model.effects import catalogue
+
+pytestmark = pytest.mark.diagnosis
+
+KINDS = catalogue()
+DRAG, STEP = "travel_drag_quadratic", "thrust_step.front"
+TRIED = {id_: KINDS[id_] for id_ in (DRAG, "pitch_drag_quadratic", STEP)}
+
+
+def hypothesis(*ids: str, nats: float = 0.0) -> Hypothesis:
+    """A model with these causes."""
+    candidates = tuple(typical_candidate(KINDS[id_]) for id_ in ids)
+    return cast(
+        Hypothesis, SimpleNamespace(candidates=candidates, ids=ids, log_likelihood=nats, estimate=nats)
+    )
+
+
+class Scores:
+    """Scores on one set of flights: each effect has an information of 1e6, and the score of its gain."""
+
+    gains: dict[str, float]
+
+    def __init__(self, gains: dict[str, float]) -> None:
+        self.gains = gains
+
+    def effects(self, kinds: Any) -> list[ScoredCandidate]:
+        """Candidates of typical size."""
+        zeros = np.zeros(1)
+        return [ScoredCandidate(typical_candidate(kind), 0.0, zeros, zeros, 1) for kind in kinds]
+
+    def statistics(self, candidates: Any) -> list[ScoreStatistics]:
+        """Statistics whose score test has the gains."""
+        result = []
+        for candidate in candidates:
+            size = len(candidate.linear_parameters)
+            gain = self.gains.get(candidate.id, 0.0)
+            score = np.sign(gain) * np.sqrt(2.0 * abs(gain) * 1e6)
+            result.append(ScoreStatistics(np.eye(size) * 1e6, np.full(size, score)))
+        return result
+
+    def release(self) -> None:
+        """Nothing is kept."""
+
+
+def explained(
+    monkeypatch: pytest.MonkeyPatch,
+    fitted: dict[str, float],
+    held_out: dict[str, float],
+    used_s: float = 30.0,
+) -> Any:
+    """Return the wider search; a negative gain is that of a size with the opposite sign."""
+    monkeypatch.setattr(listed_remainder, "Screening", lambda _: Scores(held_out))
+
+    def refit(candidates: Any, *_: object) -> Hypothesis:
+        return hypothesis(*(candidate.id for candidate in candidates), nats=5.0)
+
+    comparison: Any = SimpleNamespace(
+        refit=refit,
+        rows=1000,
+        held_out=("flight",),
+        train=(SimpleNamespace(used_s=used_s),),
+        held_out_estimate=lambda of: SimpleNamespace(log_likelihood=3.0 * of.log_likelihood),
+    )
+    final = hypothesis("axis_tilt")
+    search = Search(final, final, (), (), cast(Any, Scores(fitted)), complete=True)
+    return listed_remainder.with_remainder(comparison, search, TRIED)
+
+
+def test_an_effect_that_all_flights_show_together_is_a_cause_with_little_evidence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wider = explained(monkeypatch, {DRAG: 8.0}, {DRAG: 12.0})
+    (cause,) = wider.causes
+    assert wider.final.ids == ("axis_tilt", DRAG)
+    assert (cause.effect, cause.train, cause.held_out) == (DRAG, 5.0, 15.0)
+    # Another effect is named with it if all flights together do not distinguish them.
+    other = "pitch_drag_quadratic"
+    (cause,) = explained(monkeypatch, {DRAG: 8.0, other: 7.0}, {DRAG: 12.0, other: 12.0}).causes
+    assert cause.ambiguous_with == (other,)
+
+
+def test_flights_that_contradict_each_other_show_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert explained(monkeypatch, {DRAG: 12.0}, {DRAG: -12.0}) is None
+    assert explained(monkeypatch, {DRAG: 3.0}, {DRAG: 2.0}) is None
+
+
+def test_an_event_and_a_short_flight_explain_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert explained(monkeypatch, {STEP: 90.0}, {STEP: 90.0}) is None
+    assert explained(monkeypatch, {DRAG: 20.0}, {DRAG: 20.0}, used_s=5.0) is None
