@@ -19,10 +19,10 @@ def better_rival(comparison: ModelComparison, best: Refit, accepted: Sequence[Re
     count pause.
 
     The fitted flights alone may prefer the wrong one, because it fits their peculiarities. While each
-    measurement of a rest counted, friction of 0.03 N m gained 207 nats more there than the play that was hidden
-    in a measured flight, and 516 nats less on the held-out flight. Since a rest counts once, the fitted flights
-    alone would have made the same choice in 16 simulated and measured flights; in one of them, it is wrong
-    (2026-11).
+    measurement of a rest counted, friction of 0.03 N m gained 207 nats more there than the play that was
+    hidden in a measured flight, and 516 nats less on the held-out flight. Since a rest counts once, the
+    fitted flights alone would have made the same choice in 16 simulated and measured flights; in one of
+    them, it is wrong (2026-11).
 
     Parameters
     ----------
