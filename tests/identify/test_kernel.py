@@ -106,11 +106,10 @@ def test_a_window_alone_and_among_others_has_the_same_bits(name: str) -> None:
 
     together = results(slice(6), slice(rows))
     for window, first in enumerate(np.cumsum(steps) - steps):
-        own = slice(window, window + 1), slice(int(first), int(first + steps[window]))
-        alone = results(*own)
+        of_window = slice(window, window + 1), slice(int(first), int(first + steps[window]))
         by_row = (True, False, True, True, True, False)
-        for one, all_, is_by_row in zip(alone, together, by_row, strict=True):
-            np.testing.assert_array_equal(one, all_[own[is_by_row]])
+        for alone, among_others, is_by_row in zip(results(*of_window), together, by_row, strict=True):
+            np.testing.assert_array_equal(alone, among_others[of_window[is_by_row]])
 
 
 @pytest.mark.parametrize("name", ["multibody", "late"])

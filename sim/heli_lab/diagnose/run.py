@@ -33,14 +33,7 @@ from heli_lab.diagnose.evaluate import (
 )
 from heli_lab.diagnose.experiment import propose_experiment
 from heli_lab.diagnose.result import Diagnosis, Effort, Proposal
-from heli_lab.diagnose.search import (
-    EstimateCache,
-    ModelComparison,
-    Search,
-    fingerprint,
-    may_join,
-    search,
-)
+from heli_lab.diagnose.search import EstimateCache, ModelComparison, Search, fingerprint, may_join, search
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import Record, prepare
 from heli_lab.threads import using_threads

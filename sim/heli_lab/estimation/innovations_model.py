@@ -93,7 +93,9 @@ class InnovationsModel:
             for blocks in linearised.blocks:
                 innovations, window_log_variances = next(filtered)
                 window_innovations.append(innovations)
-                log_variances += window_log_variances - 2.0 * _repeated_nats(linearised, blocks, disturbances)
+                log_variances += (
+                    window_log_variances - 2.0 * _repeated_nats(linearised, blocks, [disturbances])[0]
+                )
             flights.append(np.concatenate(window_innovations))
         return Innovations(tuple(flights), self.columns, self.size, log_variances)
 
@@ -245,7 +247,7 @@ class InnovationsModel:
                 self.model.initial_std**2,
                 *window_errors,
             )
-            return nats + np.stack([_repeated_nats(linearised, blocks, model) for model in models])
+            return nats + _repeated_nats(linearised, blocks, models)
 
         total = np.zeros((len(disturbance_models), self._outputs))
         for job, nats in zip(jobs, parallel_map(window_nats, jobs), strict=True):
@@ -253,8 +255,11 @@ class InnovationsModel:
         return total
 
 
-def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks, disturbances: DisturbanceModel) -> Floats:
-    """Correction of a window's log-likelihood for repeated measurements, shape (m,) [nats].
+def _repeated_nats(
+    linearised: LinearisedFlight, blocks: Blocks, models: Sequence[DisturbanceModel]
+) -> Floats:
+    """Correction of a window's log-likelihood under each of some models for repeated measurements, shape
+    (models, m) [nats].
 
     The N measurements while an axis crosses its play, or is at rest, have the same error, of variance v. For
     the filter they are N measurements with independent errors of variance N v, which add the same
@@ -265,9 +270,14 @@ def _repeated_nats(linearised: LinearisedFlight, blocks: Blocks, disturbances: D
     at_rest = linearised.at_rest[blocks.rows]
     if not (linearised.model.known_directions or at_rest.any()):
         # Without play and rest the variance is that of rounding, and each logarithm below is 0.
-        return np.zeros(blocks.variance.shape[1])
+        return np.zeros((len(models), blocks.variance.shape[1]))
     rounding, repeats = linearised.variance[blocks.rows], linearised.repeats[blocks.rows]
-    factor = 1.0 + disturbances.quantisation * (blocks.variance / rounding - 1.0)
-    at_rest_factor = disturbances.quantisation * blocks.variance / rounding
-    factor = np.where(at_rest, at_rest_factor, factor)
-    return np.asarray(0.5 * (np.log(factor) * (1.0 - 1.0 / repeats)).sum(axis=0))
+    excess, dependent_share = blocks.variance / rounding - 1.0, 1.0 - 1.0 / repeats
+
+    def nats(quantisation: Floats) -> Floats:
+        """Return the correction under an estimated factor of the rounding variance, shape (m,)."""
+        at_rest_factor = quantisation * blocks.variance / rounding
+        factor = np.where(at_rest, at_rest_factor, 1.0 + quantisation * excess)
+        return np.asarray(0.5 * (np.log(factor) * dependent_share).sum(axis=0))
+
+    return np.stack([nats(model.quantisation) for model in models])

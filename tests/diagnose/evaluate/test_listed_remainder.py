@@ -10,6 +10,7 @@ import pytest
 from heli_lab.diagnose.evaluate import listed_remainder
 from heli_lab.diagnose.search import (
     Hypothesis,
+    ModelComparison,
     ScoreStatistics,
     Search,
     typical_candidate,
@@ -71,12 +72,12 @@ def explained(
     def refit(candidates: Any, *_: object) -> Hypothesis:
         return hypothesis(*(candidate.id for candidate in candidates), nats=5.0)
 
-    comparison: Any = SimpleNamespace(
-        refit=refit,
-        rows=1000,
-        held_out=("flight",),
-        train=(SimpleNamespace(used_s=used_s),),
-        held_out_estimate=lambda of: SimpleNamespace(log_likelihood=3.0 * of.log_likelihood),
+    train, held_out_flight = SimpleNamespace(used_s=used_s), SimpleNamespace()
+    comparison = ModelComparison(*cast(Any, (None, None, [train], [held_out_flight])))
+    monkeypatch.setattr(comparison, "refit", refit)
+    comparison.__dict__["rows"] = 1000
+    monkeypatch.setattr(
+        comparison, "held_out_estimate", lambda of: SimpleNamespace(log_likelihood=3.0 * of.log_likelihood)
     )
     final = hypothesis("axis_tilt")
     search = Search(final, final, (), (), cast(Any, Scores(fitted)), complete=True)

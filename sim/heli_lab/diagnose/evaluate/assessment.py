@@ -13,7 +13,7 @@ from heli_lab.diagnose.evaluate.relevance import prediction_changes
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis, residual_analysis
 from heli_lab.diagnose.evaluate.verdict import Verdict, judge, small_effects
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Screening, Search
-from heli_lab.diagnose.thresholds import MATTERS_COUNTS, SHORT_s
+from heli_lab.diagnose.thresholds import MATTERS_COUNTS
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,9 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
         The result.
     """
     train, held_out = comparison.train, comparison.held_out
-    # Parameters from a few seconds are too uncertain for a residual analysis on another flight.
-    can_test_held_out = bool(held_out) and sum(record.used_s for record in train) > SHORT_s
-    held_out_screenings = [Screening(comparison.held_out_estimate(search.final))] if can_test_held_out else []
+    held_out_screenings = []
+    if comparison.can_test_held_out:
+        held_out_screenings = [Screening(comparison.held_out_estimate(search.final))]
     residual = residual_analysis([search.screening, *held_out_screenings])
     extended = without_splines(comparison, search)
     before = predict(search.baseline.estimate, train, held_out)

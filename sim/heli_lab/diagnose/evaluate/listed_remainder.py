@@ -87,7 +87,7 @@ def with_remainder(
         the fitted flights are too short for a test on others. The gain of the cause on the fitted flights is
         less than its penalty, so its confidence is about even odds.
     """
-    if not comparison.held_out or sum(record.used_s for record in comparison.train) <= thresholds.SHORT_s:
+    if not comparison.can_test_held_out:
         return None
     final, acceptance = search.final, Acceptance(comparison, kinds)
     screenings = [search.screening, Screening(comparison.held_out_estimate(final))]

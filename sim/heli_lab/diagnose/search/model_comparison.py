@@ -151,6 +151,13 @@ class ModelComparison:
         side = f"{self.side}{side} "
         return ModelComparison(model, self.rig, train, held_out, seed=self.seed, cache=self._cache, side=side)
 
+    @property
+    def can_test_held_out(self) -> bool:
+        """Whether a residual analysis of the held-out flights is possible: parameters from a few seconds are
+        too uncertain for one on another flight.
+        """
+        return bool(self.held_out) and sum(record.used_s for record in self.train) > SHORT_s
+
     @cached_property
     def rows(self) -> int:
         """Number of measurements of the fitted flights."""

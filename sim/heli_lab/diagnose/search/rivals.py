@@ -18,7 +18,7 @@ def better_rival(comparison: ModelComparison, best: Refit, accepted: Sequence[Re
     """Return the more likely one on all flights of `best` and its rival, the other effect that makes the same
     count pause.
 
-    The fitted flights alone may prefer the wrong one, because it fits their peculiarities. While each
+    The fitted flights alone may prefer the wrong effect, because it fits their peculiarities. While each
     measurement of a rest counted, friction of 0.03 N m gained 207 nats more there than the play that was
     hidden in a measured flight, and 516 nats less on the held-out flight. Since a rest counts once, the
     fitted flights alone would have made the same choice in 16 simulated and measured flights; in one of

@@ -55,7 +55,7 @@ _OF_NUMBERS: Final = {
 }
 """Operations that are carried out lane by lane."""
 _EXPRESSIONS: Final = {
-    getattr(ca, f"OP_{name}"): (text, text in _OF_VECTORS.values())
+    getattr(ca, f"OP_{name}"): (text, name in _OF_VECTORS)
     for name, text in {**_OF_VECTORS, **_OF_NUMBERS}.items()
 }
 """For each operation of CasADi its expression in C, and whether C has it for vectors."""
