@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import heli_benchmark
+import numpy as np
 import pytest
 from heli_benchmark.cases.clean import TRAIN_S, VALIDATE_S, clean_cases
 from heli_benchmark.runs.ask import diagnosis_json
+from heli_benchmark.simulation.flight_code import flown, plan
 from heli_host.log.flight_file import read_flight
 from heli_sim.rig import load_rig
 
@@ -63,6 +65,13 @@ def surely(result: dict[str, Any]) -> set[str]:
 def test_a_rig_with_other_numbers_and_nothing_hidden_raises_no_alarm(name: str) -> None:
     result = answer(name)
     assert (result["verdict"], result["causes"]) == ("explained", [])
+
+
+def test_a_flight_whose_arm_never_reaches_the_table_is_complete() -> None:
+    case = CASES["cable_spring.travel-large"]
+    flight = flown(case.rig(), case.hidden(), plan(str(case.seed), 32.0, np.random.default_rng(0)), case.seed)
+    assert any("landing" in event.text and event.name == "state" for event in flight.events)
+    assert np.degrees(flight.elevation_rad[-1]) > -25.0
 
 
 @pytest.mark.parametrize("name", apart(*list(ONE)[: samples(2, 1)]))

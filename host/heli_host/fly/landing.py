@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from heli_host.declaration import Channel, State, Trigger
 from heli_host.errors import fault_text
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from heli_host.fly.route_stream import RouteStream
     from heli_host.vehicle import Vehicle
 
+NOT_LANDED: Final = "it did not land"
+"""How the outcome of a flight begins whose board did not land in time."""
 _LOOK_S = 0.05
 # The log ends at rest: these rows show the encoders' offsets and noise.
 _AFTER_TICKS = 200
@@ -101,7 +103,7 @@ class Landing:
         while self._session.state not in _DOWN:
             if newest_tick(self._session) >= until_tick:
                 self._heli.stop()
-                return f"it did not land within {timeout_s:g} s; motors stopped"
+                return f"{NOT_LANDED} within {timeout_s:g} s; motors stopped"
             self._reports.report_landing(self._stream.t_s)
             self._session.wait_for(lambda: self._session.state in _DOWN, _LOOK_S)
         if self._session.state is not State.FAULT or emergency:
