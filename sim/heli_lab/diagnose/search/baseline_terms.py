@@ -38,7 +38,7 @@ class RemovedTerm:
     start : Mapping[str, float]
         Parameter values to refit from, by full name.
     log_likelihood_gain : float
-        Gain that the score test predicts, nats.
+        Gain that is expected of the refit, nats.
     """
 
     candidate: Candidate
@@ -64,7 +64,8 @@ def tightly_specified(kind: EffectSpec, rig: Rig) -> bool:
 def tightly_specified_terms(
     comparison: ModelComparison, kinds: Iterable[EffectSpec], screening: Screening
 ) -> list[RemovedTerm]:
-    """Find tightly specified terms that the score test removes nearly as a whole.
+    """Find tightly specified terms that the score test removes nearly as a whole, or whose parameters the fit
+    has made much smaller than their priors allow.
 
     Parameters
     ----------
@@ -90,11 +91,29 @@ def tightly_specified_terms(
     ]
     low, high = thresholds.ABSENT_SHARE_RANGE
     removed_terms = []
-    for kind, (gain, coefficients, _) in zip(removals, screening.score(share_candidates), strict=True):
-        if gain < thresholds.ABSENT_MIN_NATS or not low < coefficients[0] < high:
+    for kind, (score, coefficients, _) in zip(removals, screening.score(share_candidates), strict=True):
+        removed_by_score = score if low < coefficients[0] < high else 0.0
+        gain = max(removed_by_score, _shrunk_prior_nats(screening, kind))
+        if gain < thresholds.ABSENT_MIN_NATS:
             continue
         (name,) = kind.size
         candidate = Candidate(kind.id, replace(kind.make({name: 1.0}), priors={name: _ABSENT_PRIOR}), (name,))
         start = {parameter: comparison.rig[parameter].value for parameter in kind.override}
         removed_terms.append(RemovedTerm(candidate, {**start, name: _START_SHARE}, gain))
     return removed_terms
+
+
+def _shrunk_prior_nats(screening: Screening, kind: EffectSpec) -> float:
+    """Return the log-likelihood that the priors of a term's parameters cost, because the fit has made them
+    smaller than the rig file states, nats.
+
+    Without the term, the parameters return to their priors, so that a refit gains this much.
+    """
+    estimate, parameters = screening.estimate, screening.estimate.parameter_vector
+    deviations = (estimate.theta - parameters.mean) / parameters.std
+    shrunk = [
+        min(float(deviations[parameters.names.index(name)]), 0.0)
+        for name in kind.override
+        if name in parameters.names
+    ]
+    return 0.5 * sum(deviation**2 for deviation in shrunk)

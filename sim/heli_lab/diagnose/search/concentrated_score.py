@@ -1,8 +1,9 @@
 """Concentrated scores: the gain of a candidate if the disturbances were estimated again with it.
 
-A score holds the disturbances of the model without the candidate. A rare, large event inflates them so much
-that its own score is worth little: a slip of 30 mm that gains 320 nats had a score of 8. The likelihood of
-the event and of the disturbances is therefore maximised in turn, with all other parameters held.
+A score holds the disturbances of the model without the candidate. Where they stand in for a missing effect,
+its own score is worth little: a slip of 30 mm that gains 320 nats had a score of 8, and a spring that gains
+500 nats had a score of 5. The likelihood of the candidate and of the disturbances is therefore maximised in
+turn, with all other parameters held.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from heli_host.arrays import Floats
 
 from heli_lab.diagnose.search.candidate import ScoredCandidate
 from heli_lab.diagnose.search.screening import Screening, coefficient_std, signals_of
-from heli_lab.diagnose.thresholds import CHANCE_NATS
+from heli_lab.diagnose.thresholds import CHANCE_NATS, HIDDEN_NATS
 from heli_lab.estimation import DisturbanceModel, estimate_disturbances
 from heli_lab.estimation.innovations_model import FlightErrors, ModelErrors
 
@@ -58,6 +59,34 @@ def with_concentrated_scores(
     concentrated = {scored.candidate.id: scored for scored in concentrated_scores(screening, low_scores)}
     result = [concentrated.get(scored.candidate.id, scored) for scored in screened]
     return sorted(result, key=lambda scored: -scored.log_likelihood_gain)
+
+
+def hidden_in_disturbances(
+    screening: Screening,
+    worth_a_refit: Callable[[Sequence[ScoredCandidate]], Sequence[ScoredCandidate]],
+    low_scores: Sequence[ScoredCandidate],
+) -> list[ScoredCandidate]:
+    """Find effects that are worth a refit only if the disturbances are estimated again with them.
+
+    Parameters
+    ----------
+    screening : Screening
+        Scores about the present estimate.
+    worth_a_refit : callable
+        Returns those of some effects whose scores lead to a refit.
+    low_scores : sequence of ScoredCandidate
+        Effects whose plain score does not lead to a refit, the highest score first.
+
+    Returns
+    -------
+    list of ScoredCandidate
+        The effects that are worth a refit, the highest concentrated score first.
+    """
+    possible = [scored for scored in low_scores if scored.log_likelihood_gain > HIDDEN_NATS]
+    if not possible:
+        return []
+    concentrated = concentrated_scores(screening, possible)
+    return list(worth_a_refit(sorted(concentrated, key=lambda scored: -scored.log_likelihood_gain)))
 
 
 def concentrated_scores(screening: Screening, screened: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:

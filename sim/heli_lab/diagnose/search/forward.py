@@ -16,7 +16,7 @@ from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.acceptance import Acceptance, is_neutral
 from heli_lab.diagnose.search.baseline_terms import RemovedTerm, tightly_specified_terms
 from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate, may_join, typical_candidate
-from heli_lab.diagnose.search.concentrated_score import with_concentrated_scores
+from heli_lab.diagnose.search.concentrated_score import hidden_in_disturbances, with_concentrated_scores
 from heli_lab.diagnose.search.hypothesis import Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.progress import Progress
@@ -163,8 +163,8 @@ class RoundRefits:
         return estimate if is_better else None
 
     def refit_effects(self, screening: Screening) -> None:
-        """Refit the effects with the best scores, then those that a score cannot show; `screening` is about
-        the base.
+        """Refit the effects with the best scores, then those that the disturbances stand in for, then those
+        that a score cannot show; `screening` is about the base.
         """
         remaining = self.acceptance.worth_a_refit(self.screened)
         # A high score that no refit confirms, such as that of an encoder at rest, must not end the round.
@@ -174,6 +174,10 @@ class RoundRefits:
             shortlist = shortlist[: thresholds.SHORTLIST]
             self._refit_each(shortlist)
             remaining = remaining[len(shortlist) :]
+        if self.best is None:
+            untried = [scored for scored in self.screened if scored.candidate.id not in self.tried_ids]
+            hidden = hidden_in_disturbances(screening, self.acceptance.worth_a_refit, untried)
+            self._refit_each(hidden[: thresholds.SHORTLIST])
         unscored = paused_play(self.base, screening, self.acceptance.kinds, self.tried_ids)
         if self.best is None:
             unscored += resting_friction(self.base, screening, self.acceptance.kinds, self.tried_ids)
