@@ -11,7 +11,8 @@ from heli_sim.model.effects import EffectSpec
 from heli_sim.model.effects.spec import format_estimate
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.thresholds import MIN_STD_COUNTS, MIN_STD_SHARE, TIME_STD_FACTOR
+from heli_lab.diagnose.search import time_std_s
+from heli_lab.diagnose.thresholds import MIN_STD_COUNTS, MIN_STD_SHARE
 from heli_lab.identify import Fit
 
 
@@ -157,12 +158,11 @@ def reported_std(fit: Fit, kind: EffectSpec) -> dict[str, float]:
     part, _, axis = kind.acts_on.partition(".")
     std_by_name = {}
     for parameter in fit.problem.free:
-        resolution = 0.0
+        std, resolution = fit.std[parameter.name], 0.0
         if parameter.unit == "s":
-            resolution = 0.5 * record.step_s
+            std = time_std_s(std, record.step_s)
         elif parameter.unit == "rad" and part == "measurement" and axis in AXES:
             resolution = MIN_STD_COUNTS * float(record.count_rad[AXES.index(axis)])
-        std = fit.std[parameter.name] * (TIME_STD_FACTOR if parameter.unit == "s" else 1.0)
         size_error = MIN_STD_SHARE * fit.values[parameter.name] if parameter.name in kind.size else 0.0
         std_by_name[parameter.name] = math.hypot(std, resolution, size_error)
     return std_by_name

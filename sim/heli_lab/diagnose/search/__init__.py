@@ -1,6 +1,6 @@
 """Search for the causes of what a model lacks: candidates, score tests, refits, stepwise selection."""
 
-from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
+from heli_lab.diagnose.search.acceptance import Acceptance, min_margin, time_std_s
 from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate, may_join, typical_candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
 from heli_lab.diagnose.search.folds import split
@@ -53,5 +53,6 @@ __all__ = [
     "spline_candidates",
     "spline_term",
     "split",
+    "time_std_s",
     "typical_candidate",
 ]

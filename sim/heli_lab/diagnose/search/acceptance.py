@@ -110,6 +110,46 @@ def is_significant(
     )
 
 
+def is_resolved(hypothesis: Hypothesis, kind: EffectSpec, step_s: float) -> bool:
+    """Whether each size of an effect differs from its neutral value by two standard errors, if times are no
+    more certain than `time_std_s` states.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+        The model with the effect.
+    kind : EffectSpec
+        The effect's entry in the catalogue.
+    step_s : float
+        Sampling interval of the flights [s].
+    """
+    values, std, neutral = hypothesis.values, hypothesis.std, kind.neutral
+    units = {parameter.name: parameter.unit for parameter in kind.parameters}
+    return all(
+        abs(values[size] - neutral[size])
+        > thresholds.SIGNIFICANT_STD_ERRORS
+        * (time_std_s(std[size], step_s) if units[size] == "s" else std[size])
+        for size in kind.size
+        if size in values
+    )
+
+
+def time_std_s(std_s: float, step_s: float) -> float:
+    """Return the standard error of a time constant or delay that the flights support [s].
+
+    Voltages are held over a step, so a time is uncertain by a part of it, and by what a controller answers
+    within it.
+
+    Parameters
+    ----------
+    std_s : float
+        Standard error of the fit [s].
+    step_s : float
+        Sampling interval of the flights [s].
+    """
+    return math.hypot(thresholds.TIME_STD_FACTOR * std_s, 0.5 * step_s)
+
+
 def is_neutral(hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectSpec]) -> bool:
     """Whether all sizes of an effect ended at their neutral values.
 

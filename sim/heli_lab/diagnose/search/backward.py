@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
+from heli_lab.diagnose.search.acceptance import Acceptance, is_resolved, min_margin
 from heli_lab.diagnose.search.candidate import Candidate, may_join, typical_candidate
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
@@ -216,7 +216,7 @@ class BackwardElimination:
             # The round may have begun with causes that were removed since, or without those of later rounds.
             if replaced is None or {*replaced.ids} != {present.id for present in candidates}:
                 replaced = self.comparison.refit(candidates, replaced.values if replaced else None, reduced)
-            if self.comparison.in_flight(replaced):
+            if self.comparison.in_flight(replaced) and not self._adds_unresolved(candidate, other, replaced):
                 ratio = final.log_likelihood - replaced.log_likelihood
                 ratio = ratio + self.acceptance.penalty(other) - self.acceptance.penalty(candidate)
                 compared.append((Alternative(other.id, ratio), replaced))
@@ -234,6 +234,12 @@ class BackwardElimination:
             elif member.id not in compared_ids:
                 compare(member, None)
         return sorted(compared, key=lambda pair: pair[0].log_likelihood_ratio)
+
+    def _adds_unresolved(self, cause: Candidate, other: Candidate, replaced: Hypothesis) -> bool:
+        """Whether another effect is the cause with more sizes, of which the flights do not resolve each."""
+        kinds, step_s = self.acceptance.kinds, self.comparison.train[0].step_s
+        kind = kinds.get(other.id)
+        return kind is not None and cause.id in kind.contains and not is_resolved(replaced, kind, step_s)
 
     def _family(self, candidate: Candidate, other_causes: Sequence[Candidate]) -> list[Candidate]:
         """Return the other effects of a cause's family that may join the other causes, with typical sizes.
