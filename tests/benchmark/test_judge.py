@@ -59,6 +59,17 @@ def test_the_cause_named_first_is_right_and_another_is_not() -> None:
     assert not row("explained").right
 
 
+def test_a_hidden_effect_that_is_listed_as_too_small_is_right_and_counted_apart() -> None:
+    result = answer("explained") | {"too_small": [{"effect": "rotor_lag"}]}
+    informed = InformedFit(1.0, 1.0, 5.0, 5.5, {"rotor_lag": 50.0}, {}, {})
+    small = judge(LAG, hidden_in(LAG, 0.6), informed, result, 30.0)
+    assert small.right
+    assert count([small, row("cause_found", cause("rotor_lag"))], "clean: listed as too small") == (1, 2)
+    assert not replace(small, too_small=("input_delay",)).right
+    assert not replace(small, named=("input_delay",), confidence=(0.9,), alternatives=((),)).right
+    assert Row.read(json.loads(json.dumps(asdict(small)))) == small
+
+
 def test_ambiguous_counts_among_two_but_not_among_three() -> None:
     assert row("ambiguous", cause("input_delay", 0.5, "rotor_lag")).right
     assert not row("ambiguous", cause("input_delay", 0.5, "supply_sag", "rotor_lag")).right
@@ -75,7 +86,7 @@ def test_a_number_counts_as_found_within_two_standard_errors() -> None:
 
 def test_what_is_too_small_to_be_seen_is_left_out_of_the_goal() -> None:
     rows = [row("cause_found", cause("rotor_lag")), row("explained", significance=2.0)]
-    assert count(rows, "clean: named first") == (1, 1)
+    assert count(rows, "clean: named first, or listed as too small") == (1, 1)
     assert "explained (too small to be visible)" in confusion(rows)["rotor_lag"]
 
 
@@ -146,7 +157,7 @@ def test_a_diagnosis_that_fails_is_a_miss_and_is_reported() -> None:
     informed = InformedFit(1, 1, 5, 5, {"rotor_lag": 50.0}, {}, {})
     failed = judge(LAG, hidden_in(LAG, 0.6), informed, None, 3.0, "boom")
     assert count([failed], "diagnosis failed") == (1, 1)
-    assert count([failed], "clean: named first") == (0, 1)
+    assert count([failed], "clean: named first, or listed as too small") == (0, 1)
     assert "failed: boom" in text([failed])
 
 

@@ -37,7 +37,7 @@ def goals(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     false_names = [bool(row.false_names) for row in disturbed]
     bins = [holds(confidence_bin) for confidence_bin in reliability(rows) if confidence_bin["causes"]]
     return {
-        "clean: named first": _least(_right(clean, "one", "several"), 0.97),
+        "clean: named first, or listed as too small": _least(_right(clean, "one", "several"), 0.97),
         "clean: false alarms on nothing hidden": _most(alarms, 0.0),
         "disturbed: every cause named": _least(_right(with_causes), 0.95, _borderline(with_causes)),
         "disturbed: false names with confidence 0.7 or more": _most(
@@ -81,6 +81,7 @@ def further_counts(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     cause_found = [row.verdict == "cause_found" for row in visible_disturbed]
     return {
         "clean: unlisted called unexplained": _least(_right(clean, "off_list")),
+        "clean: listed as too small": _least([row.listed_as_too_small for row in fair]),
         "clean: every visible cause named": _least([not row.missed for row in fair]),
         "clean: nothing named that is not there": _least([not row.false_names for row in fair]),
         "clean: held-out error within 10 % of the fit with the true causes": _least(near),

@@ -67,6 +67,8 @@ class Row:
         Error that ended the diagnosis; empty when there was none.
     disturbances : Mapping[str, Any]
         Rig, rate, controller and disturbances; empty on clean flights.
+    too_small : tuple of str
+        Effects that the diagnosis lists as significant, but too small to matter.
     """
 
     case: str
@@ -84,12 +86,13 @@ class Row:
     cpu_seconds: float = 0.0
     failure: str = ""
     disturbances: Mapping[str, Any] = field(default_factory=dict)
+    too_small: tuple[str, ...] = ()
 
     @classmethod
     def read(cls, kept: Mapping[str, Any]) -> Row:
         """Create a row from its JSON form, `kept`."""
         given = {name: kept[name] for name in cls.__dataclass_fields__}
-        for name in ("hidden", "named", "confidence"):
+        for name in ("hidden", "named", "confidence", "too_small"):
             given[name] = tuple(given[name])
         given["alternatives"] = tuple(tuple(alternative) for alternative in given["alternatives"])
         given["parameters"] = {name: tuple(of) for name, of in given["parameters"].items()}
@@ -138,6 +141,11 @@ class Row:
         return bool(self.named) and any(self._means(0, name) for name in self.hidden)
 
     @property
+    def listed_as_too_small(self) -> bool:
+        """Whether no cause is named, and each hidden effect is listed as too small to matter."""
+        return not self.named and bool(self.hidden) and set(self.hidden) <= set(self.too_small)
+
+    @property
     def right(self) -> bool:
         """Whether the answer is the right one."""
         if self.kind == "nothing":
@@ -146,7 +154,7 @@ class Row:
             return self.verdict == "unexplained" or (self.first_right and self.named[0] in self._since)
         if self.disturbances:
             return set(self.named_correctly) == set(self.hidden)
-        return self.first_right
+        return self.first_right or self.listed_as_too_small
 
     @property
     def false_names(self) -> tuple[str, ...]:
@@ -265,6 +273,7 @@ def judge(
         cpu_seconds,
         failure,
         disturbances or {},
+        tuple(effect["effect"] for effect in result.get("too_small", ())),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
+import numpy as np
 import pytest
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
 from heli_lab.diagnose.evaluate import predict
@@ -11,6 +12,7 @@ from heli_lab.diagnose.evaluate.absent_terms import absence_probability, absent_
 from heli_lab.diagnose.evaluate.prediction import Prediction
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Screening
 from heli_lab.diagnose.search.baseline_terms import tightly_specified_terms
+from heli_lab.diagnose.search.screening import Score
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effects_of
@@ -71,6 +73,21 @@ def test_pendulum_that_the_rig_states_closely_scores_as_absent() -> None:
     assert best.log_likelihood_gain > 15.0
     less = comparison.refit([best.candidate], best.start, baseline)
     assert less.log_likelihood > baseline.log_likelihood + 100.0
+
+
+def test_pendulum_that_the_fit_shrank_against_its_prior_is_tried_as_absent_whatever_its_score(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    comparison, baseline = tried("removed.pendulum.elevation=1")
+    screening = Screening(baseline.estimate)
+    stated = comparison.rig["L_theta"]
+    # A tolerance is two standard deviations.
+    deviation = (baseline.values["L_theta"] - stated.value) / (0.5 * stated.tolerance)
+    score = Score(0.0, np.zeros(1), np.ones(1))
+    monkeypatch.setattr(screening, "score", lambda candidates: [score for _ in candidates])
+    found = tightly_specified_terms(comparison, KINDS.values(), screening)
+    assert [term.candidate.id for term in found] == ["removed.pendulum.elevation"]
+    assert found[0].log_likelihood_gain == pytest.approx(0.5 * deviation**2)
 
 
 def test_pendulum_that_is_plainly_absent_is_named_by_the_fit_however_closely_it_was_stated() -> None:

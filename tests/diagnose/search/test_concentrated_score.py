@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.search import ModelComparison, Screening
-from heli_lab.diagnose.search.concentrated_score import concentrated_scores, with_concentrated_scores
+from heli_lab.diagnose.search import ModelComparison, Screening, forward, typical_candidate
+from heli_lab.diagnose.search.candidate import ScoredCandidate
+from heli_lab.diagnose.search.concentrated_score import (
+    concentrated_scores,
+    hidden_in_disturbances,
+    with_concentrated_scores,
+)
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
@@ -55,3 +63,40 @@ def test_a_low_score_of_an_event_in_large_disturbances_still_leads_to_a_refit(
     by_id = {scored.candidate.id: scored.log_likelihood_gain for scored in found}
     assert by_id["axis_tilt"] == next(s for s in plain if s.candidate.id == "axis_tilt").log_likelihood_gain
     assert with_concentrated_scores(screening, lambda screened: screened, plain) == plain
+
+
+def test_effects_that_the_disturbances_stand_in_for_are_worth_a_refit(comparison: ModelComparison) -> None:
+    base = comparison.refit([])
+    own = base.estimate.disturbances
+    gusty = replace(own, fast_std=np.maximum(2.5 * own.fast_std, 0.01), curvature=None)
+    screening = Screening(replace(base.estimate, disturbances=gusty))
+    plain = screening.effects([KIND, catalogue()["thrust_step.front"], catalogue()["axis_tilt"]])
+    least_nats = 2.0 * plain[0].log_likelihood_gain
+
+    def worth_a_refit(scored: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
+        return [candidate for candidate in scored if candidate.log_likelihood_gain > least_nats]
+
+    assert worth_a_refit(plain) == []
+    hidden = hidden_in_disturbances(screening, worth_a_refit, plain)
+    assert [scored.candidate.id for scored in hidden] == [KIND.id]
+    faint = [replace(scored, log_likelihood_gain=1.9) for scored in plain]
+    assert hidden_in_disturbances(screening, worth_a_refit, faint) == []
+
+
+def test_a_round_without_a_cause_refits_what_the_disturbances_hide(monkeypatch: pytest.MonkeyPatch) -> None:
+    spring = ScoredCandidate(
+        typical_candidate(catalogue()["cable_spring.elevation"]), 4.8, np.zeros(1), np.ones(1), 1
+    )
+    hidden = replace(spring, log_likelihood_gain=183.0)
+    refitted: list[ScoredCandidate] = []
+    monkeypatch.setattr(forward, "hidden_in_disturbances", lambda screening, worth, scored: [hidden])
+    monkeypatch.setattr(forward, "paused_play", lambda *_: [])
+    monkeypatch.setattr(forward, "resting_friction", lambda *_: [])
+    acceptance = SimpleNamespace(worth_a_refit=lambda scored: [], accepts=lambda refit: False, kinds={})
+    progress = SimpleNamespace(refits_left=lambda: True)
+    round_refits = forward.RoundRefits(
+        cast(Any, None), cast(Any, acceptance), cast(Any, progress), 0, cast(Any, None), [spring]
+    )
+    monkeypatch.setattr(round_refits, "_refit", refitted.append)
+    round_refits.refit_effects(cast(Any, None))
+    assert refitted == [hidden]

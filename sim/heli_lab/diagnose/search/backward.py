@@ -237,9 +237,10 @@ class BackwardElimination:
 
     def _adds_unresolved(self, cause: Candidate, other: Candidate, replaced: Hypothesis) -> bool:
         """Whether another effect is the cause with more sizes, of which the flights do not resolve each."""
-        kinds, step_s = self.acceptance.kinds, self.comparison.train[0].step_s
-        kind = kinds.get(other.id)
-        return kind is not None and cause.id in kind.contains and not is_resolved(replaced, kind, step_s)
+        kind = self.acceptance.kinds.get(other.id)
+        if kind is None or cause.id not in kind.contains:
+            return False
+        return not is_resolved(replaced, kind, self.comparison.train[0].step_s)
 
     def _family(self, candidate: Candidate, other_causes: Sequence[Candidate]) -> list[Candidate]:
         """Return the other effects of a cause's family that may join the other causes, with typical sizes.

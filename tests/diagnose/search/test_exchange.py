@@ -1,0 +1,92 @@
+"""A lag with a delay gives way to the delay or the lag alone if the flights do not resolve the other."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, time_std_s, typical_candidate
+from heli_lab.diagnose.search.acceptance import Acceptance, is_resolved
+from heli_lab.diagnose.search.backward import BackwardElimination
+from heli_lab.diagnose.search.exchange import exchange
+from heli_sim.model.effects import catalogue
+
+pytestmark = pytest.mark.diagnosis
+
+KINDS = catalogue()
+STEP_s = 1e-3
+WIDE = "rotor_lag_with_delay"
+NATS = {WIDE: 2960.0, "input_delay": 2932.0, "rotor_lag": 1798.0}
+
+
+def hypothesis(id_: str, lag_s: float, delay_s: float, std_s: float = 3.5e-4) -> Hypothesis:
+    """Estimate of a model with one cause, and with the friction that stays."""
+    names = {WIDE: ("lag_s", "delay_s"), "input_delay": ("s",), "rotor_lag": ("s",)}[id_]
+    sizes = {WIDE: (lag_s, delay_s), "input_delay": (delay_s,), "rotor_lag": (lag_s,)}[id_]
+    values = {KINDS[id_].full(name): size for name, size in zip(names, sizes, strict=True)}
+    friction = typical_candidate(KINDS["coulomb_friction.travel"])
+    candidates = (friction, typical_candidate(KINDS[id_]))
+    stub = SimpleNamespace(
+        candidates=candidates,
+        ids=tuple(candidate.id for candidate in candidates),
+        values={**values, **friction.effect.values},
+        std={**dict.fromkeys(values, std_s), **dict.fromkeys(friction.effect.values, 1e-3)},
+        log_likelihood=NATS[id_],
+    )
+    return cast(Hypothesis, stub)
+
+
+def exchanged(final: Hypothesis, lag_s: float, delay_s: float) -> tuple[Hypothesis, list[dict[str, float]]]:
+    """Result of an exchange, and the start values of its refits; each refit ends at the given times."""
+    starts: list[dict[str, float]] = []
+
+    def refit(candidates: list[Candidate], start: dict[str, float], _warm: Hypothesis) -> Hypothesis:
+        starts.append(start)
+        return hypothesis(candidates[-1].id, lag_s, delay_s)
+
+    comparison = SimpleNamespace(refit=refit, train=[SimpleNamespace(step_s=STEP_s)], rows=30000)
+    progress = SimpleNamespace(refits_left=lambda: True)
+    acceptance = Acceptance(cast(ModelComparison, comparison), KINDS)
+    result = exchange(cast(ModelComparison, comparison), acceptance, cast(Any, progress), final)
+    return result, starts
+
+
+def test_a_lag_below_a_step_is_left_out_although_the_fit_finds_it_significant() -> None:
+    result, starts = exchanged(hypothesis(WIDE, 0.0008, 0.0283), 0.0008, 0.0283)
+    assert result.ids == ("coulomb_friction.travel", "input_delay")
+    assert {"input_delay_s": 0.0283} in starts
+    assert {"rotor_lag_s": 0.0008} in starts
+
+
+def test_a_lag_and_a_delay_that_are_both_resolved_stay() -> None:
+    final = hypothesis(WIDE, 0.02, 0.0283)
+    result, starts = exchanged(final, 0.02, 0.0283)
+    assert result is final
+    assert starts == []
+
+
+@pytest.mark.parametrize(("lag_s", "is_wide"), [(0.0008, False), (0.02, True)])
+def test_a_delay_becomes_a_lag_with_delay_only_if_the_lag_is_resolved(lag_s: float, is_wide: bool) -> None:
+    result, _ = exchanged(hypothesis("input_delay", 0.0, 0.0295), lag_s, 0.0283)
+    assert (WIDE in result.ids) is is_wide
+
+
+def test_effects_with_sizes_that_no_flight_resolves_are_no_alternatives() -> None:
+    comparison = SimpleNamespace(train=[SimpleNamespace(step_s=STEP_s)])
+    acceptance = SimpleNamespace(kinds=KINDS, comparison=comparison)
+    backward = BackwardElimination(
+        cast(Any, comparison), cast(Any, acceptance), cast(Any, None), cast(Any, None), []
+    )
+    delay, wide, lag = (typical_candidate(KINDS[id_]) for id_ in ("input_delay", WIDE, "rotor_speed_lag"))
+    assert backward._adds_unresolved(delay, wide, hypothesis(WIDE, 0.0008, 0.0283))
+    assert not backward._adds_unresolved(delay, wide, hypothesis(WIDE, 0.02, 0.0283))
+    assert not backward._adds_unresolved(wide, delay, hypothesis("input_delay", 0.0, 0.0))
+    assert not backward._adds_unresolved(delay, lag, hypothesis("rotor_lag", 0.0, 0.0))
+
+
+def test_a_time_is_no_more_certain_than_half_a_step() -> None:
+    assert time_std_s(0.0, STEP_s) == pytest.approx(0.5 * STEP_s)
+    assert time_std_s(0.01, STEP_s) == pytest.approx(0.014, rel=0.01)
+    assert not is_resolved(hypothesis("input_delay", 0.0, 0.00095, 1e-6), KINDS["input_delay"], STEP_s)
+    assert is_resolved(hypothesis("input_delay", 0.0, 0.00105, 1e-6), KINDS["input_delay"], STEP_s)
