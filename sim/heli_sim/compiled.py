@@ -41,11 +41,10 @@ def compile_function(function: ca.Function) -> Path | None:
     return compile_source(function.name(), c_source(function))
 
 
-def c_source(*functions: ca.Function) -> str:
-    """Write `functions` as C; their names are the symbols."""
-    generator = ca.CodeGenerator(functions[0].name(), {"with_header": False})
-    for function in functions:
-        generator.add(function)
+def c_source(function: ca.Function) -> str:
+    """Write a `function` as C; its name is the symbol."""
+    generator = ca.CodeGenerator(function.name(), {"with_header": False})
+    generator.add(function)
     source: str = generator.dump()
     return source
 

@@ -73,6 +73,8 @@ def test_a_refit_that_ends_without_its_candidate_is_no_cause_however_much_it_gai
         hypothesis = cast(Hypothesis, SimpleNamespace(values=values, std={size: 1e-5}))
         assert is_neutral(hypothesis, candidate, KINDS) is is_absent
         assert acceptance.is_significant(Refit(hypothesis, 289.0, 7.0, 0.0), candidate) is not is_absent
+    without_free_size = cast(Hypothesis, SimpleNamespace(values={}, std={}))
+    assert not is_neutral(without_free_size, candidate, KINDS)
 
 
 @pytest.mark.parametrize(("nats", "is_better"), [(1289.0, True), (1003.0, False)])

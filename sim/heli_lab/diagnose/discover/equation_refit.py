@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
@@ -13,9 +14,10 @@ from heli_lab.diagnose.discover.scoring import ScoredTermGroup, TermSignals, ter
 from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison
 from heli_lab.diagnose.thresholds import MIN_MARGIN, NEAR_REST_NATS, SIGNIFICANT_STD_ERRORS
 
-_MIN_PERIOD_TOLERANCE = 0.02
-"""Difference from a whole number of periods per turn that counts as none at any standard error; by
-judgement."""
+_MIN_PERIOD_TOLERANCE: Final = 0.02
+"""Least difference from a whole number that counts as one, periods per turn; by judgement. Lower: a wave
+whose period is known too well for the model's own errors keeps a broken number. Higher: a wave that does not
+repeat with each turn gets a whole one."""
 
 
 @dataclass(frozen=True)

@@ -160,14 +160,13 @@ def is_neutral(hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str,
     hypothesis : Hypothesis
         The model with the effect.
     candidate : Candidate
-        The effect; one that the catalogue lacks has no neutral values.
+        The effect; one that the catalogue lacks, or that has no free size, has no neutral values.
     """
     kind = kinds.get(candidate.id)
-    if kind is None or not kind.size:
+    if kind is None:
         return False
     values, neutral, typical = hypothesis.values, kind.neutral, kind.typical
-    return all(
-        abs(values[size] - neutral[size]) < _NEUTRAL_SHARE * abs(typical[size])
-        for size in kind.size
-        if size in values
+    free_sizes = [size for size in kind.size if size in values]
+    return bool(free_sizes) and all(
+        abs(values[size] - neutral[size]) < _NEUTRAL_SHARE * abs(typical[size]) for size in free_sizes
     )
