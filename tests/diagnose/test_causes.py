@@ -166,11 +166,11 @@ def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_p
     assert diagnosis.rig("extended").effects == {}
     page = write_report(diagnosis, tmp_path).read_text(encoding="utf-8")
     text = html.unescape(page)
-    assert "<h1>Something unknown is missing</h1>" in text
+    assert "<h1>The model lacks an effect that the catalogue does not list</h1>" in text
     # The same sentence on the page, on a terminal and in the numbers.
     assert text.count(summary(diagnosis)) == 1
     assert to_json(diagnosis)["sentence"] == summary(diagnosis)
-    assert "a torque about pitch that depends on elevation predicts" in text
+    assert "A torque about pitch that depends on elevation predicts" in text
     # The first part after the verdict is about what the headline names.
     assert text.index("<h2>The unexplained part") == text.index("<h2>")
     for axis in ("pitch", "elevation", "travel"):
@@ -236,10 +236,10 @@ def test_causes_next_to_something_unknown_are_never_stated_as_facts() -> None:
         replication=replace(diagnosis.replication, evaluation=other.held_out),
     )
     fact, perhaps = summary(unsure).split(" Together with it, perhaps: ")
-    assert fact.startswith("Something is missing that no effect of the catalogue explains")
+    assert fact.startswith("The model lacks an effect that the catalogue does not list")
     assert "lags" not in fact
     assert "(confidence 0." in perhaps
-    assert title(unsure) == "Something unknown is missing, perhaps with known causes"
+    assert title(unsure).endswith("that the catalogue does not list, perhaps besides listed ones")
 
 
 def test_parameter_far_from_its_prior_is_reported() -> None:

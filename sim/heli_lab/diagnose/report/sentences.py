@@ -26,10 +26,11 @@ def title(result: Diagnosis) -> str:
     is_certain = all(cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE for cause in causes)
     heading = f"Cause{plural} found" if is_certain else f"Probable cause{plural}"
     return {
-        "explained": "Nothing is missing that these flights show",
+        "explained": "The model explains these flights",
         "cause_found": f"{heading}: {', '.join(effects)}",
-        "ambiguous": "Something is missing; these flights do not distinguish its possible causes",
-        "unexplained": "Something unknown is missing" + (", perhaps with known causes" if effects else ""),
+        "ambiguous": "The model lacks an effect; these flights do not show which of several",
+        "unexplained": "The model lacks an effect that the catalogue does not list"
+        + (", perhaps besides listed ones" if effects else ""),
     }[result.label]
 
 
@@ -52,8 +53,8 @@ def _verdict_text(result: Diagnosis) -> str:
     disturbance_text = f" What remains are disturbances: {disturbances_in_words(result)}."
     if label == "explained":
         return (
-            "Nothing is missing that these flights could show: the errors of the refitted baseline on "
-            f"{flights_text} cannot be predicted.{disturbance_text}"
+            f"The refitted baseline explains these flights: its errors on {flights_text} cannot be "
+            f"predicted.{disturbance_text}"
         )
     if label in ("cause_found", "ambiguous"):
         text = "; ".join(stated(cause) for cause in causes)
@@ -66,9 +67,9 @@ def _verdict_text(result: Diagnosis) -> str:
         return f"{capital(text)}.{ambiguity_text}{disturbance_text}"
     missing = findings.unexplained(result) or {}
     text = (
-        "Something is missing that no effect of the catalogue explains: "
-        f"{dependence_in_words(missing['correlates_with'][0])} predicts the motion about {missing['axis']} "
-        f"with {evidence_in_words(missing['log_likelihood_gain'])}."
+        "The model lacks an effect that the catalogue does not list. "
+        f"{capital(dependence_in_words(missing['correlates_with'][0]))} predicts the motion about "
+        f"{missing['axis']}, with {evidence_in_words(missing['log_likelihood_gain'])}."
     )
     if causes:
         cause_text = "; ".join(
