@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from heli_lab.diagnose import to_json
 from heli_lab.diagnose.evaluate.relevance import prediction_changes
@@ -28,10 +29,23 @@ def test_lag_changes_the_prediction_by_many_counts() -> None:
     changes = prediction_changes(_NO_REFIT, diagnosis.search, diagnosis.assessment.extended, before, after)
     assert changes.keys() == {"rotor_lag"}
     # As much as the baseline's error: 11 standard deviations of the quantisation and more, on pitch.
-    assert changes["rotor_lag"] == pytest.approx(before.train.axes[1] / 12.0**0.5, rel=0.1)
+    largest = max(before.train.axes[1], before.held_out.axes[1])
+    assert changes["rotor_lag"] == pytest.approx(largest / 12.0**0.5, rel=0.1)
     # A model compared with itself changes nothing.
     same = prediction_changes(_NO_REFIT, diagnosis.search, diagnosis.assessment.extended, after, after)
     assert same == {"rotor_lag": 0.0}
+
+
+def test_cause_matters_if_only_the_held_out_flights_are_predicted_worse_without_it() -> None:
+    diagnosis = diagnosed("rotor_lag=0.06")
+    extended, after = diagnosis.assessment.extended, diagnosis.assessment.after
+    axes = np.sqrt(after.held_out.axes**2 + 12.0 * np.array([0.0, 0.0, 0.3**2]))
+    worse = replace(after, held_out=replace(after.held_out, axes=axes))
+    changes = prediction_changes(_NO_REFIT, diagnosis.search, extended, worse, after)
+    assert changes["rotor_lag"] == pytest.approx(0.3)
+    # A model that predicts these flights better without the cause adds no error.
+    changes = prediction_changes(_NO_REFIT, diagnosis.search, extended, after, worse)
+    assert changes["rotor_lag"] == 0.0
 
 
 def test_every_significant_cause_matters_under_disturbances() -> None:

@@ -1,4 +1,5 @@
-"""Relevance of causes: by how much each changes the open-loop prediction.
+"""Relevance of causes: by how much each changes the open-loop prediction, or reduces its error on held-out
+flights.
 
 Without disturbances, a flight shows effects far below an encoder count, as small as numerical errors of the
 method. A cause is named only if it is significant and matters.
@@ -19,10 +20,11 @@ from heli_lab.diagnose.thresholds import DISTURBED_STD, MATTERS_NATS_PER_ROW
 def prediction_changes(
     comparison: ModelComparison, search: Search, extended: Hypothesis, before: Prediction, after: Prediction
 ) -> Mapping[str, float]:
-    """Compute by how much each cause changes the 2 s open-loop prediction of the fitted flights.
+    """Compute by how much each cause changes the 2 s open-loop prediction.
 
-    The model with all causes is compared with the refitted model without the cause: root mean square of the
-    difference, on the axis where that is largest.
+    The model with all causes is compared with the refitted model without the cause: the root mean square of
+    their difference on the fitted flights, or the error that the model without the cause adds on the held-out
+    flights, whichever is larger, on the axis where it is largest.
 
     Parameters
     ----------
@@ -52,16 +54,20 @@ def prediction_changes(
         other_causes = [other for other in extended.candidates if other is not candidate]
         # The elimination has estimated this model: it is in the cache.
         reduced = (
-            predict(comparison.refit(other_causes, None, extended).estimate, comparison.train, ())
+            predict(
+                comparison.refit(other_causes, None, extended).estimate, comparison.train, comparison.held_out
+            )
             if other_causes
             else before
         )
-        changes[candidate.id] = _largest_rms_counts(samples_with_all - normalised_samples(reduced.fit))
+        difference = samples_with_all - normalised_samples(reduced.fit)
+        added_error = np.maximum(reduced.held_out.axes**2 - after.held_out.axes**2, 0.0)
+        changes[candidate.id] = max(map(_largest_counts, (np.mean(difference**2, axis=0), added_error)))
     return changes
 
 
-def _largest_rms_counts(difference: Floats) -> float:
-    """Root mean square in counts, on the axis where it is largest, of a difference in standard deviations of
-    the quantisation, which is count / sqrt(12).
+def _largest_counts(mean_squares: Floats) -> float:
+    """Return the largest root of mean squares (3,), in counts; they are in units of the quantisation's
+    variance, which is a twelfth of a squared count.
     """
-    return float(np.sqrt(np.mean(difference**2, axis=0) / 12.0).max())
+    return float(np.sqrt(mean_squares / 12.0).max())
