@@ -24,13 +24,13 @@ from heli_host.errors import LogWriteError
 from heli_host.log.schema import TICK_LAYOUT
 
 _OVERHEAD_BYTES = 21
-"""What the log adds to the values of a tick at most: 17 bytes were measured, of which 16 are the index."""
+"""Largest number of bytes that the log adds to the values of a tick. Measured: 17, of which 16 are the index."""
 MAX_BYTES_PER_S = 1000 * (TICK_LAYOUT.dtype.itemsize + _OVERHEAD_BYTES)
-"""A second of ticks that do not compress at all, with their index; a usual one is 15 to 20 kB."""
+"""Size of one second of ticks with their index, if it cannot be compressed; 15 to 20 kB are common."""
 QUEUED_BYTES = 32 * 1024 * 1024
 """Most data that may wait for the disk: half an hour of a usual flight, 4 minutes of incompressible ticks."""
 RESERVED_BYTES = 4 * 1024 * 1024
-"""Free space at which a flight ends: its landing, and summary and figure after it, still find room."""
+"""Free disk space at which a flight ends. The landing, the summary and the figure still have room."""
 
 _MIN_FLIGHT_S = 60.0
 _SYNC_S = 1.0

@@ -124,7 +124,7 @@ def parse(kind: Any, body: memoryview) -> Any:
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of each record of the index."""
+    """Yield opcode and content of each record of the index, in the order of the file."""
     position = 0
     while position < len(data):
         opcode, length = RECORD_HEADER.unpack_from(data, position)

@@ -61,7 +61,7 @@ class DisturbanceTorques(HiddenEffect):
 
 
 def wander(correlation_time_s: float, steps: int, rng: np.random.Generator) -> Floats:
-    """Draw three stationary Ornstein-Uhlenbeck processes of unit variance, shape (`steps`, 3)."""
+    """Draw three stationary Ornstein-Uhlenbeck processes of unit variance, shape (`steps`, 3), by `rng`."""
     from scipy.signal import lfilter
 
     decay = np.exp(-STEP_S / correlation_time_s)

@@ -99,7 +99,7 @@ def upright_torque_Nm(state: Mapping[str, ca.SX], torque_Nm: ca.SX) -> ca.SX:
 
 
 def smooth_step(time_s: ca.SX, moment_s: ca.SX) -> ca.SX:
-    """Return 0 before and 1 after `moment_s` [s], smoothed over about 20 ms.
+    """Return 0 before and 1 after `moment_s` as a function of `time_s` [s], smoothed over about 20 ms.
 
     The smoothing gives the step a derivative by the moment, which a fit needs.
     """

@@ -79,10 +79,10 @@ class PtyEndpoint(Endpoint):
         return received
 
     @override
-    def send(self, received: bytes) -> None:
+    def send(self, data: bytes) -> None:
         if not self._is_open:
             return
-        self._unsent += received
+        self._unsent += data
         if not self._unsent:
             return
         try:

@@ -91,10 +91,10 @@ class TcpEndpoint(Endpoint):
         return received
 
     @override
-    def send(self, received: bytes) -> None:
+    def send(self, data: bytes) -> None:
         if self._peer is None:
             return
-        self._unsent += received
+        self._unsent += data
         if not self._unsent:
             return
         try:

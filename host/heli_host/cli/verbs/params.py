@@ -216,12 +216,12 @@ def restore(
     """
     from heli_host.parameter_file import read_parameter_set
 
-    given = read_parameter_set(file)
-    values = given.values
+    parameter_set = read_parameter_set(file)
+    values = parameter_set.values
     data_on_stdout(json)
-    say_dropped(given.dropped)
+    say_dropped(parameter_set.dropped)
     with _board(port, sil) as heli:
-        for name in given.new:
+        for name in parameter_set.new:
             say(f"not in {file}: {name} stays {heli.params[name]:g}")
         changed = heli.params.restore(values)
         for name, value in changed.items():
@@ -230,8 +230,8 @@ def restore(
         say(f"{len(changed)} of {len(values)} changed{_saved(saved)}")
         result = {
             "changed": dict(changed),
-            "dropped": list(given.dropped),
-            "new": list(given.new),
+            "dropped": list(parameter_set.dropped),
+            "new": list(parameter_set.new),
             "saved": saved is not None,
         }
         write_result(json, result)
