@@ -207,6 +207,7 @@ class Image:
 
 
 def _run(cross: str, tool: str, *arguments: str | Path) -> str:
+    """Run a binary tool of the cross-compiler, and return its output."""
     try:
         done = subprocess.run([cross + tool, *arguments], capture_output=True, text=True, check=True)
     except FileNotFoundError:
@@ -237,6 +238,7 @@ def _pushed_bytes(mnemonic: str, operands: str) -> int:
 
 
 def _goes_to_pointer(mnemonic: str, operands: str) -> bool:
+    """Whether an instruction jumps to an address in a register or in memory."""
     if mnemonic.startswith(("blx", "bx")):
         return mnemonic.startswith("blx") or operands != "lr"
     return mnemonic.startswith(("ldr", "mov")) and operands.startswith("pc,") and "[sp]" not in operands
@@ -303,6 +305,7 @@ def _function(name: str, body: list[tuple[int, str, str]]) -> tuple[Function, se
 
 
 def _disassembled(text: str) -> Iterable[tuple[str, list[tuple[int, str, str]]]]:
+    """Yield each function's name with its instructions: address, mnemonic, operands."""
     name = ""
     body: list[tuple[int, str, str]] = []
     for line in text.splitlines():

@@ -114,6 +114,7 @@ class FoxgloveFeed:
         self._end()
 
     def _answer(self) -> dict[str, Any]:
+        """Read the first line of the server: its port, or an error."""
         assert self._server.stdout is not None
         try:
             answer = json.loads(self._server.stdout.readline())
@@ -122,6 +123,7 @@ class FoxgloveFeed:
         return answer if isinstance(answer, dict) else {}
 
     def _write(self, kind: int, content: bytes) -> None:
+        """Send a message of a `kind` to the server."""
         assert self._server.stdin is not None
         # A server that has ended must not end the flight.
         with contextlib.suppress(OSError, ValueError):
@@ -142,16 +144,19 @@ class FoxgloveFeed:
             self._server.stdout.close()
 
     def _run(self) -> None:
+        """Send queued messages until `None` ends the thread."""
         while (message := self._queue.get()) is not None:
             self._write(*message)
 
     def _enqueue(self, kind: int, content: bytes) -> None:
+        """Queue a message for the server, or drop it if too many wait."""
         try:
             self._queue.put_nowait((kind, content))
         except queue.Full:
             self.dropped += 1
 
     def _take_ticks(self, ticks: Ticks) -> None:
+        """Queue new samples."""
         if not len(ticks):
             return
         self._last_wall_ns = self._transport.wall_ns()
@@ -159,6 +164,7 @@ class FoxgloveFeed:
         self._enqueue(TICKS, tick.tobytes() + raw.tobytes())
 
     def _take_event(self, event: LinkEvent) -> None:
+        """Queue an event; after a restart of the board, with the time that has passed."""
         text = hide(event.text) if self._hidden else event.text
         body = {"tick": event.tick & 0xFFFFFFFF, "name": event.kind, "message": text}
         gap = {"gap_s": max(0, event.wall_ns - self._last_wall_ns) / 1e9}

@@ -86,19 +86,19 @@ class RigDifference:
         Name of the parameter.
     board, rig : float
         Its value on the board, and the value that the rig determines, in the parameter's unit.
-    board_property : BoardProperty
+    part : BoardProperty
         Property that the difference concerns.
     """
 
     parameter: str
     board: float
     rig: float
-    board_property: BoardProperty
+    part: BoardProperty
 
     @property
     def is_refused(self) -> bool:
         """Whether the difference forbids a flight, because the log and the limits would mean other angles."""
-        return self.board_property in (BoardProperty.SCALE, BoardProperty.DIRECTION)
+        return self.part in (BoardProperty.SCALE, BoardProperty.DIRECTION)
 
     def __str__(self) -> str:
         unit = spec_of(self.parameter).unit

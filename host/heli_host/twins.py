@@ -191,6 +191,7 @@ class TwinWatch:
             self._queue.put((tick, ticks.raw))
 
     def _skip(self) -> None:
+        """Discard the samples that wait, because the twin is too slow."""
         with contextlib.suppress(queue.Empty):
             while (batch := self._queue.get_nowait()) is not None:
                 self.skipped_ticks += len(batch[0])

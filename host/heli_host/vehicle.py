@@ -268,6 +268,7 @@ class Vehicle(OpenLoopCommands):
         near_since_s: list[float] = []
 
         def there_or_off(sample: Sample) -> bool:
+            """Whether the arm has stayed at its target for a while, or the motors are off."""
             if abs(sample.elevation_deg - elevation_deg) > _REACHED_DEG:
                 near_since_s.clear()
             elif not near_since_s:

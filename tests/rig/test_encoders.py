@@ -126,7 +126,7 @@ def test_on_hardware_only_a_stated_direction_is_compared(tmp_path: Path) -> None
         "travel_counts_per_rev": -4096.0,
     }
     differences = rig_differences(rig.values, board, simulated=False, directed=rig.directed)
-    assert [(difference.parameter, difference.board_property) for difference in differences] == [
+    assert [(difference.parameter, difference.part) for difference in differences] == [
         ("elevation_counts_per_rev", BoardProperty.DIRECTION),
         ("pitch_counts_per_rev", BoardProperty.SCALE),
     ]

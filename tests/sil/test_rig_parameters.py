@@ -132,7 +132,7 @@ def test_on_hardware_a_sign_is_wiring_and_each_part_is_named() -> None:
         "elevation_max_deg": BoardProperty.LIMIT,
     }
     simulated = rig_differences(stated, board, simulated=True)
-    assert simulated[0].parameter == "pitch_counts_per_rev" and simulated[0].board_property is BoardProperty.DIRECTION
+    assert simulated[0].parameter == "pitch_counts_per_rev" and simulated[0].part is BoardProperty.DIRECTION
 
 
 @pytest.mark.medium

@@ -142,6 +142,7 @@ def _check(log: Log, record: Mapping[str, str]) -> None:
 
 
 def _json(record: Mapping[str, str], name: str) -> dict[str, Any]:
+    """Return a mapping that the record has as JSON under a name."""
     content = json.loads(record[name])
     if not isinstance(content, dict):
         raise ValueError(f"{name} is not a table")
@@ -226,6 +227,7 @@ def _compare(before: Log, after: Log, repeat: Repeat) -> str:
 
 
 def _reason(before: Log, after: Log) -> str:
+    """Return the first difference of two logs that may explain different samples."""
     for record, name in (("session", "link_hash"), ("simulation", "firmware"), ("session", "host")):
         values = [log.metadata.get(record, {}).get(name, "") for log in (before, after)]
         if values[0] != values[1]:

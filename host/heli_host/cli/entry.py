@@ -53,6 +53,7 @@ def _say_version(wanted: bool) -> None:
 
 
 def _be_quiet(wanted: bool) -> None:
+    """Suppress progress messages, for the option --quiet."""
     if wanted:
         from heli_host.cli.say import QUIET
 
@@ -156,6 +157,7 @@ def _land_on_signals() -> None:
 
 
 def _interrupt(number: int, _frame: FrameType | None) -> NoReturn:
+    """Raise KeyboardInterrupt for a signal; after SIGHUP the terminal is not used any more."""
     name = signal.Signals(number).name
     if name == "SIGHUP":
         _leave_the_terminal()

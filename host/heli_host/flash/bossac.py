@@ -102,6 +102,7 @@ def find_bossac(named: Path | None = None) -> Bossac:
 
 
 def _candidates() -> Iterable[str]:
+    """Yield the paths at which bossac may be, the one on the search path first."""
     on_path = shutil.which("bossac")
     if on_path is not None:
         yield on_path

@@ -110,6 +110,7 @@ class _Asker:
 
 
 def _unreadable(reason: str) -> FlashError:
+    """Return the error for saved parameters that this host cannot read."""
     return FlashError(
         f"the board has saved parameters that this host cannot read: {reason}",
         "save them with the board's own heli_host (params dump), or add --discard-parameters",

@@ -69,6 +69,7 @@ def restart_chip(port: str) -> None:
 
 
 def _set_dtr(port: serial.Serial, high: bool) -> None:
+    """Set the line DTR, if the port has one."""
     try:
         port.dtr = high
     except OSError as error:

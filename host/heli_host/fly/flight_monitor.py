@@ -132,6 +132,7 @@ class FlightMonitor:
         return int(newest[1][Channel.FAULT]) if newest is not None else int(Fault.NONE)
 
     def _newest_state(self) -> str:
+        """Return the state and its trigger in the newest sample, as text."""
         newest = self._session.latest
         if newest is None:
             return "no sample arrived"

@@ -173,6 +173,7 @@ def _read_written(path: Path, recorder: Recorder) -> Log:
 
 
 def _read_plans(plans: PlanLike | Sequence[PlanLike]) -> list[Plan]:
+    """Return plans as a list, and load those that are given by name or file."""
     listed = [plans] if isinstance(plans, Plan | str | Path) else list(plans)
     if not listed:
         raise PlanError("no plan is given", "give at least one plan, such as hover")
@@ -181,6 +182,7 @@ def _read_plans(plans: PlanLike | Sequence[PlanLike]) -> list[Plan]:
 
 @contextlib.contextmanager
 def _log_place(log_path: str | Path | None) -> Iterator[Path]:
+    """Yield the path of the log; without one, a path in a folder that is removed afterwards."""
     if log_path is not None:
         yield Path(log_path)
         return

@@ -144,6 +144,7 @@ def _targets(table: PlanTable, commanded: tuple[str, ...]) -> Callable[[Floats],
         table.fail("it moves no axis", f"add {names}")
 
     def with_targets(from_deg: Floats) -> Floats:
+        """Replace the setpoints of the axes that have a target."""
         to_deg = from_deg.copy()
         for index, axis in enumerate(AXES):
             value = targets_deg[axis]
@@ -186,6 +187,7 @@ def _read_ramp(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     with_targets = _targets(table, commanded)
 
     def motion(at: Floats) -> Motion:
+        """Return the ramp from the setpoints `at`, degrees (axes,), to the targets."""
         target_deg = with_targets(at)
         distance_deg = np.abs(target_deg - at)
         duration_s = (
@@ -231,6 +233,7 @@ def _read_sine(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
         period_s[index] = chosen
 
     def motion(at: Floats) -> Motion:
+        """Return the sine about the setpoints `at`, degrees (axes,), with its ends faded in and out."""
         reach_deg = np.abs(amplitude_deg)
         rate_deg_s = reach_deg * 2.0 * np.pi / period_s
         fades_s = route.fade_s(period_s, duration_s)
@@ -285,6 +288,7 @@ def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
         )
 
     def motion(at: Floats) -> Motion:
+        """Return the motion from the setpoints `at`, degrees (axes,), through the points."""
         times, values = [], []
         for index, column in enumerate(columns):
             has_start = bool(column) and column[0][0] == 0.0

@@ -203,6 +203,7 @@ class Driver:
         )
 
     def _give_up_s(self) -> float:
+        """Return the time at which waiting for a welcome ends."""
         handshake = self._engine.handshake
         since_s = handshake.unreachable_since_s
         if handshake.welcome is None or since_s is None:
@@ -210,6 +211,7 @@ class Driver:
         return since_s + self._reconnect_timeout_s
 
     def _fail(self, error: HeliError) -> None:
+        """End the session with an error, and wake all threads that wait."""
         with self.lock:
             if self.fatal is None:
                 self.fatal = error

@@ -261,6 +261,7 @@ class Engine:
             self.commands.fail(LinkLost(f"{text} before it answered", "check its supply, then arm again"))
 
     def _take_pong(self, pong: PongMessage, now_s: float) -> None:
+        """Measure the round trip and the device clock by an answer to a ping."""
         sent_s = pong.host_us * 1e-6
         self.commands.observe_round_trip(now_s - sent_s)
         if self.handshake.is_open:
@@ -313,6 +314,7 @@ class Engine:
 
 
 def _restart_text(welcome: WelcomeMessage) -> str:
+    """Describe a restart of the board, with its cause and its fault."""
     reset = welcome.reset
     reason = Reset(reset).name.lower() if reset in Reset._value2member_map_ else "unknown"
     fault = f"; {fault_text(welcome.boot_fault)}" if welcome.boot_fault else ""

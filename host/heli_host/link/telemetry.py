@@ -143,6 +143,7 @@ class TelemetryDecoder:
         return _unpack(words, plans, self._layout)
 
     def _remember(self, shape: bytes) -> _Plan:
+        """Compute the positions in a batch of a new shape, and keep them."""
         if len(self._plans) >= _PLANS_KEPT:
             self._plans.clear()
         plan = self._plans[shape] = _make_plan(shape, self._layout)

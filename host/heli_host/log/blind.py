@@ -212,6 +212,7 @@ def sealed_truth(flight: Flight, log: Path) -> Truth | None:
 
 
 def _log_digest(path: Path) -> str:
+    """Return the SHA-256 of a log; a LogError if it cannot be read."""
     try:
         return file_digest(path)
     except OSError as error:

@@ -381,6 +381,7 @@ class BackgroundFile:
                 self._changed.notify_all()
 
     def _next(self) -> bytes | None:
+        """Wait for queued records and return them; None after the file was closed."""
         with self._changed:
             while not self._queue:
                 if self._closing:

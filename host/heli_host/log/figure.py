@@ -113,6 +113,7 @@ def draw(flight: Flight, summary: FlightSummary) -> Figure:
 
 
 def _headline(summary: FlightSummary) -> str:
+    """Return the plans, the rig and the outcome without its reason."""
     flown = " + ".join(summary.plans) if summary.plans else "flight"
     rig = f" on {summary.rig}" if summary.rig else ""
     short = summary.outcome.partition(":")[0]
@@ -177,6 +178,7 @@ def _draw_axis(
 
 
 def _draw_voltages(panel: Axes, flight: Flight, t_s: NDArray[np.float64]) -> None:
+    """Draw both motor voltages."""
     panel.plot(*_envelope(t_s, flight.front_V), color=_FRONT, lw=1.0, label="front", zorder=3)
     panel.plot(*_envelope(t_s, flight.back_V), color=_BACK, lw=1.0, label="back", alpha=0.8, zorder=3)
     panel.set_ylabel("voltage [V]")
@@ -185,6 +187,7 @@ def _draw_voltages(panel: Axes, flight: Flight, t_s: NDArray[np.float64]) -> Non
 
 
 def _draw_signals(panel: Axes, flight: Flight, t_s: NDArray[np.float64], signals: Sequence[str]) -> None:
+    """Draw the signals that a control law logged."""
     for name, colour in zip(signals, (*_MEASURED.values(), _FRONT), strict=False):
         panel.plot(*_envelope(t_s, flight.extra[name]), color=colour, lw=1.0, label=name, zorder=3)
     panel.set_ylabel("signals")

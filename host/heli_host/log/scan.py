@@ -206,6 +206,7 @@ class Scan:
         self._tick.layout, self._tick.channel = tick_record(layout), channel.id
 
     def _add_metadata(self, record: Metadata, position: int) -> None:
+        """Process a metadata record; the record `HEAD` shows whether the bytes before it are intact."""
         self._records.append(record)
         self._has_crcs = self._has_crcs or RECORD_CRC in record.metadata
         if record.name == HEAD and _vouched(record):
@@ -333,6 +334,7 @@ class _OutOfStep(Exception):
 
 
 def _whole(kind: Any, body: memoryview) -> Any:
+    """Parse a record that must use all its bytes."""
     try:
         return parse(kind, body)
     except PARSE_ERRORS as error:

@@ -178,6 +178,7 @@ def _read_notes(path: Path) -> list[str]:
 def _write_rows(
     file: Any, notes: Sequence[str], names: Sequence[str], row_format: str, table: NDArray[np.float64]
 ) -> None:
+    """Write notes, names and rows, many rows per call for speed."""
     file.write("".join(line + "\n" for line in (*notes, ",".join(names))).encode())
     for start in range(0, len(table), _ROWS_A_BLOCK):
         block = table[start : start + _ROWS_A_BLOCK]
@@ -255,6 +256,7 @@ def _split_lines(data: bytes, path: Path) -> _Lines:
 
 
 def _check_names(names: tuple[str, ...], path: Path) -> None:
+    """Raise a FlightDataError for a missing or repeated column."""
     missing = [name for name in REQUIRED_COLUMNS if name not in names]
     if missing:
         raise FlightDataError(f"{path}: column {missing[0]} is missing", _missing_remedy(missing[0], names))

@@ -76,6 +76,7 @@ def _trigger(name: str) -> Trigger | None:
 
 
 def _words(name: str, absence: str) -> str:
+    """Return a trigger in words; one that means "no setpoint arrived" becomes `absence`."""
     trigger = _trigger(name)
     if trigger is None:
         return name.replace("_", " ")

@@ -310,6 +310,7 @@ class PageClient:
             self._changed.notify_all()
 
     def _take_rows(self, frame: bytes) -> None:
+        """Add the rows of a frame to the buffer, and acknowledge the frame."""
         rows = unpack(frame)
         if rows.flags & RESET and len(rows.tick):
             self._buffer.clear()

@@ -260,6 +260,7 @@ class Cockpit:
         return self._law.choose(text(arguments, "name") if arguments.get("name") else "")
 
     def _set_law(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Run the request ``set_law``: change a parameter of the chosen control law."""
         name = text(arguments, "name")
         before, after = self._law.set(name, number(arguments, "value"))
         self._recording.announce("parameter", f"{self._law.chosen} {name}: {before:g} -> {after:g}")

@@ -72,6 +72,7 @@ class Guard:
         return secrets.compare_digest(received.encode(), self.token.encode())
 
     def _is_of(self, connection: HTTPConnection, origin: str, host: str) -> bool:
+        """Whether the page at `origin` comes from this server, which the client called `host`."""
         try:
             return urlsplit(origin).netloc.lower() == host.lower()
         except ValueError:

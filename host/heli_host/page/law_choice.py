@@ -192,6 +192,7 @@ class LawChoice:
             self._engage(name)
 
     def _engage(self, name: str) -> None:
+        """Start a law on the board, with the parameters that clients have changed."""
         law = self._laws[name]
         declared = dict(law.parameters)
         changed = {key: value for key, value in self._values[name].items() if value != declared[key]}

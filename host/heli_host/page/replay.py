@@ -193,6 +193,7 @@ class Replay:
             self._playing = False
 
     def _play(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Run the request ``play``: start, pause or change the speed; at the end, start again."""
         if "speed" in arguments:
             self._speed = min(max(number(arguments, "speed"), 0.1), _MAX_SPEED)
         self._playing = bool(arguments.get("on", True))

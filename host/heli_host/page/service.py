@@ -89,6 +89,7 @@ class Service:
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, _: Starlette) -> Any:
+        """Watch the source while the web server runs."""
         self._broadcast.loop = asyncio.get_running_loop()
         task = asyncio.create_task(self._watch())
         try:
@@ -98,12 +99,14 @@ class Service:
             self._dispatcher.close()
 
     async def _serve_file(self, request: Request) -> Response:
+        """Answer a request for a static file."""
         path = request.path_params["path"]
         # Only the page itself needs the token; its files are part of this public package.
         refusal = self._guard.refusal(request, needs_token=not path)
         return refusal if refusal is not None else page_file(path, request.headers)
 
     async def _serve_client(self, socket: WebSocket) -> None:
+        """Serve a client until one of its tasks ends, because it disconnected or failed."""
         if not await self._guard.admit(socket):
             return
         client = self._enter(socket)
@@ -128,6 +131,7 @@ class Service:
             self._broadcast.tell_all(lease_news(self.lease))
 
     def _client_tasks(self, client: Outbox) -> Iterator[Coroutine[Any, Any, None]]:
+        """Yield the tasks that serve a client: receive, send messages, send telemetry."""
         yield self._listen_to(client)
         yield client.send_words()
         if client.wants_rows:
@@ -161,6 +165,7 @@ class Service:
         return client
 
     def _hello(self, client: Outbox) -> dict[str, Any]:
+        """Return the first message to a client: the board, its status and the pilot."""
         described = self._source.describe()
         return {
             "hello": {"you": client.key, **described},
@@ -169,6 +174,7 @@ class Service:
         }
 
     async def _listen_to(self, client: Outbox) -> None:
+        """Process the messages of a client until it disconnects."""
         while True:
             message = await client.socket.receive()
             if message["type"] == "websocket.disconnect":

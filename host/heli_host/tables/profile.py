@@ -225,9 +225,11 @@ class _Reader:
     source: str
 
     def problem(self, what: str) -> FlightDataError:
+        """Return an error about the profile, to be raised."""
         return FlightDataError(f"{self.source}: {what}", "see docs/reference/file-formats.md")
 
     def refuse_unknown(self, content: Mapping[str, Any], known: set[str], prefix: str) -> None:
+        """Raise an error for an entry that is not in `known`."""
         for name in content:
             if name not in known:
                 raise self.problem(
@@ -235,42 +237,49 @@ class _Reader:
                 )
 
     def table(self, content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+        """Return a table within `content`; empty if it is missing."""
         value = content.get(name, {})
         if not isinstance(value, Mapping):
             raise self.problem(f"{name} is not a table")
         return value
 
     def tables(self, content: Mapping[str, Any], name: str) -> list[Mapping[str, Any]]:
+        """Return a list of tables within `content`; empty if it is missing."""
         value = content.get(name, [])
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
             raise self.problem(f"{name} is not a list of tables; write [[{name}]]")
         return value
 
     def text(self, content: Mapping[str, Any], name: str, default: str | None) -> str:
+        """Return a text; without a default, it is required."""
         value = content.get(name, default)
         if not isinstance(value, str):
             raise self.problem(f"'{name}' is missing, or not a text")
         return value
 
     def number(self, content: Mapping[str, Any], name: str, default: float) -> float:
+        """Return a finite number."""
         value = content.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise self.problem(f"'{name}' is not a number")
         return float(value)
 
     def one_of(self, content: Mapping[str, Any], name: str, default: str, known: tuple[str, ...]) -> str:
+        """Return a text that must be one of `known`."""
         value = self.text(content, name, default)
         if value not in known:
             raise self.problem(f"unknown {name} = '{value}'; choose {', '.join(known)}")
         return value
 
     def truth(self, content: Mapping[str, Any], name: str) -> bool:
+        """Return true or false; false if it is missing."""
         value = content.get(name, False)
         if not isinstance(value, bool):
             raise self.problem(f"'{name}' is neither true nor false")
         return value
 
     def clip(self, content: Mapping[str, Any]) -> tuple[float, float] | None:
+        """Return the smallest and the largest voltage; None if they are missing."""
         value = content.get("clip_V")
         if value is None:
             return None
@@ -284,18 +293,21 @@ class _Reader:
         return float(value[0]), float(value[1])
 
     def sign(self, content: Mapping[str, Any]) -> float:
+        """Return 1 or -1."""
         value = self.number(content, "sign", 1.0)
         if abs(value) != 1.0:
             raise self.problem(f"sign = {value:g} is neither 1 nor -1")
         return value
 
     def positive(self, content: Mapping[str, Any], name: str, default: float) -> float:
+        """Return a number above 0."""
         value = self.number(content, name, default)
         if value <= 0.0:
             raise self.problem(f"{name} = {value:g} is not positive")
         return value
 
     def angle(self, content: Mapping[str, Any], name: str) -> Angle:
+        """Read the table of an angle."""
         if name not in content:
             raise self.problem(f"[{name}] is missing")
         entry = self.table(content, name)
@@ -313,6 +325,7 @@ class _Reader:
         )
 
     def voltage(self, content: Mapping[str, Any], name: str, shared: Mapping[str, Any]) -> Voltage:
+        """Read the table of a voltage; entries that it lacks come from `shared`."""
         entry = self.table(content, name)
         self.refuse_unknown(entry, {"column", "sign", "offset_V", "delay_s", *_SHARED}, f"{name}.")
         entry = {**shared, **entry}
@@ -328,6 +341,7 @@ class _Reader:
         )
 
     def part(self, entry: Mapping[str, Any]) -> tuple[str, Part]:
+        """Read a table ``[[flight]]``: a file name, and the part of the file to use."""
         self.refuse_unknown(entry, {"file", "leave_out_s", "group"}, "flight.")
         spans = entry.get("leave_out_s", [])
         try:
@@ -373,6 +387,7 @@ def profile_text(profile: Profile) -> str:
 
 
 def _scale_lines(voltage: Voltage) -> list[str]:
+    """Return the unit and the scale of a voltage as TOML."""
     lines = [f'unit = "{voltage.unit}"']
     lines += [f"full = {voltage.full!r}"] if voltage.unit == "pwm" else []
     lines += [f"supply_V = {voltage.supply_V!r}"] if voltage.unit in SHARES else []
@@ -380,6 +395,7 @@ def _scale_lines(voltage: Voltage) -> list[str]:
 
 
 def _angle_lines(angle: Angle) -> list[str]:
+    """Return the entries of an angle as TOML."""
     lines = [f"column = {toml_string(angle.column)}", f'unit = "{angle.unit}"']
     lines += [f"counts = {angle.counts!r}"] if angle.unit == COUNT else []
     lines += [f"sign = {angle.sign:g}"]

@@ -72,6 +72,7 @@ def _check_hdf(path: Path) -> None:
     numbers = objects = 0
 
     def count(_: str, item: Any) -> None:
+        """Count an object of the file and its numbers, and raise an error beyond the limits."""
         nonlocal numbers, objects
         objects += 1
         numbers += int(item.size or 0) if isinstance(item, h5py.Dataset) else 0

@@ -132,6 +132,7 @@ def find_dialect(lines: list[str]) -> Dialect | None:
 
 
 def _lines(path: Path) -> list[str]:
+    """Return the lines of a file; a FlightDataError if one is too long."""
     lines = _text(path).splitlines()
     if max(map(len, lines), default=0) > _MAX_LINE_CHARACTERS:
         raise FlightDataError(
@@ -167,6 +168,7 @@ def _text(path: Path) -> str:
 
 
 def _cells(line: str, dialect: Dialect) -> list[str]:
+    """Split a line into cells."""
     if dialect.separator == " ":
         return line.split()
     cells = next(csv.reader([line.strip(" \r\n")], delimiter=dialect.separator, skipinitialspace=True), [])
@@ -196,6 +198,7 @@ def _first_row(lines: list[str], dialect: Dialect, sampled_lines: list[str]) -> 
 
 
 def _is_number(cell: str, dialect: Dialect) -> bool:
+    """Whether a cell is a number with the decimal mark of the dialect, or means "missing"."""
     text = cell.strip()
     if dialect.decimal != ".":
         if "." in text:

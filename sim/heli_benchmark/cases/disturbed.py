@@ -102,6 +102,7 @@ def disturbed_cases() -> list[DisturbedCase]:
 
 
 def _in_order() -> Iterator[DisturbedCase]:
+    """Yield the cases by kind; each has a fixed seed."""
     seed = 3000
     for number in range(_NOTHING):
         seed += 1

@@ -164,6 +164,7 @@ def base_rates() -> dict[str, float]:
 
 
 def _case(name: str, draw: Draw) -> PublishedCase:
+    """Draw conditions, causes and sizes of a case."""
     conditions, kind = draw.rng(1), draw.kind
     on_quanser = bool(conditions.random() < _ON_QUANSER)
     weak = bool(conditions.random() < _WEAKLY_EXCITED)
@@ -222,6 +223,7 @@ def _possible(names: tuple[str, ...], on_quanser: bool, weak: bool) -> tuple[str
 
 
 def _drawn(rng: np.random.Generator, count: int, on_quanser: bool, weak: bool) -> tuple[str, ...]:
+    """Draw listed causes that are possible together on this rig."""
     names = _possible(LISTED_CAUSES, on_quanser, weak)
     for _ in range(_MAX_CONFLICTS):
         drawn = tuple(str(name) for name in rng.choice(names, count, replace=False))

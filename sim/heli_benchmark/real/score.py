@@ -238,6 +238,7 @@ def steady_thrust(result: Mapping[str, Any], rig: Rig) -> Curve:
     thrust_begins_V = dead_zone_V * (speed_lag["rotor_speed_lag_begins"]["value"] if speed_lag else 1.0)
 
     def curve(volts_V: Floats) -> Floats:
+        """Return the thrust of each voltage, up to a common factor."""
         forward_V = np.maximum(volts_V - thrust_begins_V, 0.0)
         backward_V = np.maximum(-volts_V - thrust_begins_V, 0.0)
         if speed_lag:

@@ -290,6 +290,7 @@ def _with_masses(
     readings = _readings(balance, swings)
 
     def predict(values: Floats) -> Floats:
+        """Return the predicted readings for the free parameters, in the order of `readings`."""
         p = axes.values.copy()
         p[indices] = values
         predicted = [] if balance is None else [axes.balance_deg(p, balance.elevation_deg)]

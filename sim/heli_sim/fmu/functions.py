@@ -98,6 +98,7 @@ def generate(plant: Plant, token: str) -> Generated:
 
 
 def _header(functions: list[ca.Function]) -> str:
+    """Return the C header with the prototypes of the generated functions."""
     prototypes = [
         f"int {function.name()}(const double** arg, double** res, long long int* iw, double* w, int mem);"
         for function in functions

@@ -299,6 +299,7 @@ class _Writer:
         return f"-{self.operand_text(expression.dep(0), _PRODUCT)}", _SIGNED
 
     def doubled(self, expression: ca.SX) -> _BoundText:
+        """Return twice an expression; a minus sign comes before the 2."""
         text, binding = self._text(expression.dep(0))
         if binding == _SIGNED:
             return rf"-2\,{text[1:]}", _SIGNED
@@ -308,6 +309,7 @@ class _Writer:
         return rf"\frac{{1}}{{{self._text(expression.dep(0))[0]}}}", _ATOM
 
     def square(self, expression: ca.SX) -> _BoundText:
+        """Return a square; that of a function is written as sin^2(x)."""
         inner = expression.dep(0)
         if inner.op() in _FUNCTIONS and inner.element_hash() not in self._names:
             return f"{_FUNCTIONS[inner.op()]}^{{2}}{self._argument(inner)}", _POWER
@@ -326,6 +328,7 @@ class _Writer:
         return f"{_FUNCTIONS[expression.op()]}{self._argument(expression)}", _POWER
 
     def extremum(self, expression: ca.SX) -> _BoundText:
+        """Return a maximum or minimum of two operands."""
         name = r"\max" if expression.op() == ca.OP_FMAX else r"\min"
         return (
             rf"{name}\left({self._text(expression.dep(0))[0]}, {self._text(expression.dep(1))[0]}\right)",

@@ -50,6 +50,7 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
     arm_z, body_z = -v["L_theta"], -v["L_phi"]
 
     def mass(name: str, kg: float, x: float, y: float, z: float) -> str:
+        """Return a point mass at a place in m, relative to the body that contains it, as XML."""
         # MuJoCo rejects a body without mass.
         return (
             f'<body name="{name}" pos="{x:.9g} {y:.9g} {z:.9g}">'

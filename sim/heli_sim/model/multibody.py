@@ -161,6 +161,7 @@ class MultibodyModel(Model):
         )
 
     def _long_arm(self, at: Operands) -> _LongArm:
+        """Return the sums of the long arm and the counterweight."""
         p = at.parameter
         return _LongArm(
             mass=p["M_l"] + p["M_w"],

@@ -121,6 +121,7 @@ class InProcessTransport:
         return InProcessTransport(self.world, self.url, self.label, self.note, self.recipe)
 
     def _check(self) -> None:
+        """Raise LinkLost if the port is closed or the simulated cable is unplugged."""
         if self._closed:
             raise LinkLost("the simulated port is closed", "open it again")
         if self.world.unplugged:

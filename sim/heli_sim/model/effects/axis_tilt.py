@@ -33,6 +33,7 @@ class AxisTilt(Effect):
         return self._potential_J(at, ca.vertcat(*(at.state[f"{axis}_rad"] for axis in AXES)))
 
     def _potential_J(self, at: Operands, q: ca.SX) -> ca.SX:
+        """Return the potential energy that the tilt adds at the angles `q`."""
         x, y = self.own(at, "x_rad"), self.own(at, "y_rad")
         angle2 = x**2 + y**2
         # Change of the unit vector by the lean a: horizontal part sin|a| (x, y)/|a|, vertical part cos|a| -
