@@ -63,8 +63,8 @@ def encode_frame(message_id: int, seq: int, payload: bytes) -> bytes:
     limit = MAX_COMMAND_PAYLOAD if message_id < 128 else MAX_TELEMETRY_PAYLOAD
     if len(payload) > limit:
         raise ValueError(f"payload of {len(payload)} bytes; a frame carries at most {limit}")
-    decoded = bytes((PROTOCOL, message_id, seq & 0xFF)) + payload
-    encoded: bytes = cobs.encode(decoded + zlib.crc32(decoded).to_bytes(4, "little"))
+    content = bytes((PROTOCOL, message_id, seq & 0xFF)) + payload
+    encoded: bytes = cobs.encode(content + zlib.crc32(content).to_bytes(4, "little"))
     return encoded + b"\0"
 
 

@@ -248,7 +248,7 @@ def fill_ticks(
     into: NDArray[Any],
     t_s: NDArray[np.float64],
     tick: NDArray[np.uint32],
-    source_line: NDArray[np.int32],
+    raw: NDArray[np.int32],
     rad_per_count: NDArray[np.float64],
 ) -> None:
     """Write ticks into records of `TICK_LAYOUT`.
@@ -261,7 +261,7 @@ def fill_ticks(
         Time of each tick in seconds.
     tick : ndarray of uint32 (n,)
         The board's tick numbers.
-    source_line : ndarray of int32 (n, channels)
+    raw : ndarray of int32 (n, channels)
         Telemetry channels in the declared order.
     rad_per_count : ndarray (axes,)
         Size of a count of each axis' encoder, in the order of `Axis`.
@@ -269,9 +269,9 @@ def fill_ticks(
     into["t_s"] = t_s
     into["tick"] = tick
     for channel, spec in zip(Channel, CHANNELS, strict=True):
-        into[spec.field] = numbers(source_line, channel) if is_whole(spec) else physical(source_line, channel)
+        into[spec.field] = numbers(raw, channel) if is_whole(spec) else physical(raw, channel)
     for axis, channel in zip(Axis, ENCODERS, strict=True):
-        into[CHANNELS[channel].column] = numbers(source_line, channel) * rad_per_count[axis]
+        into[CHANNELS[channel].column] = numbers(raw, channel) * rad_per_count[axis]
 
 
 def raw_ticks(records: NDArray[Any]) -> NDArray[np.int32]:
@@ -292,11 +292,11 @@ def raw_ticks(records: NDArray[Any]) -> NDArray[np.int32]:
     LogError
         If the log was written without one of the channels.
     """
-    source_line = np.empty((len(records), len(Channel)), np.int32)
+    raw = np.empty((len(records), len(Channel)), np.int32)
     for channel, spec in zip(Channel, CHANNELS, strict=True):
         if spec.field not in (records.dtype.names or ()):
             raise LogError(
                 f"the log has no channel {spec.name}", "read it with the heli-host version that wrote it"
             )
-        source_line[:, channel] = raw_numbers(records[spec.field], channel)
-    return source_line
+        raw[:, channel] = raw_numbers(records[spec.field], channel)
+    return raw

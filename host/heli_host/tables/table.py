@@ -62,7 +62,7 @@ class Table:
         """Bring all columns to the clock of the column with the most rows.
 
         At each time, the other columns have their last value up to that time. If no column has separate
-        times, the columns are not resampled; columns shorter than the longest are then omitted, and so are
+        times, the columns are not resampled. Columns shorter than the longest are then omitted, and so are
         rows of zeros at the end, which come from a buffer that is too long.
         """
         timed = {name: column for name, column in self.columns.items() if column.t_s is not None}
