@@ -95,7 +95,7 @@ GuardVerdict Guard::check_envelope(const ControlInput& in, const LawOutput& befo
     const Quantity way_rad = kReaction_s * speed_rad_s + brake_rad;
     const bool up = rate_rad_s > Quantity{};
     const Quantity foreseen_rad = in.angle_rad[axis] + (up ? way_rad : -way_rad);
-    // A rig that needs less lift than assumed seems to have too little, which predicts a false fall.
+    // A rig that needs less lift than assumed seems to have too little; that predicts a false fall.
     const bool above = axis == kElevation && in.angle_rad[axis] > limits.angle_max_rad[axis];
     // Downwards there is all the lift that the motors have, and the table.
     const bool beyond =
