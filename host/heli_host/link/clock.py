@@ -152,7 +152,7 @@ class ClockFit:
         sent_s : float
             Monotonic host time at which the ping was sent [s].
         tick : int
-            Device time at the answer [tick], counted on over 2^32.
+            Device time at the answer [tick], continued beyond 2^32.
         host_s : float
             Monotonic host time of the arrival [s].
         """

@@ -406,7 +406,7 @@ def transport_label(transport: Transport) -> str:
     Returns
     -------
     str
-        Such as ``emulated Due, heli.elf``; empty where nothing is said.
+        Such as ``emulated Due, heli.elf``; empty if the transport has no label.
     """
     return str(getattr(transport, "label", ""))
 

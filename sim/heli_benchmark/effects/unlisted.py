@@ -154,10 +154,10 @@ class TwiceAround(HiddenEffect):
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self._where_rad = rng.uniform(-0.4, 0.4)
+        self._centre_rad = rng.uniform(-0.4, 0.4)
 
     def torque(self, at: Moment) -> None:
-        at.torque_Nm[0] += self.size * np.sin(2.0 * (at.angles_rad[2] - self._where_rad))
+        at.torque_Nm[0] += self.size * np.sin(2.0 * (at.angles_rad[2] - self._centre_rad))
 
 
 class PitchByElevation(HiddenEffect):
@@ -186,10 +186,10 @@ class PitchByTravel(HiddenEffect):
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self._where_rad = rng.uniform(-0.5, 0.5)
+        self._centre_rad = rng.uniform(-0.5, 0.5)
 
     def torque(self, at: Moment) -> None:
-        at.torque_Nm[1] += self.size * np.sin(at.angles_rad[2] - self._where_rad)
+        at.torque_Nm[1] += self.size * np.sin(at.angles_rad[2] - self._centre_rad)
 
 
 class TravelByPitchRate(HiddenEffect):
@@ -211,10 +211,10 @@ class ThrustByPlace(HiddenEffect):
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self._where_rad = rng.uniform(-0.4, 0.4)
+        self._centre_rad = rng.uniform(-0.4, 0.4)
 
     def thrust(self, at: Moment) -> None:
-        at.thrust_N = at.thrust_N * (1.0 + self.size * np.sin(at.angles_rad[2] - self._where_rad))
+        at.thrust_N = at.thrust_N * (1.0 + self.size * np.sin(at.angles_rad[2] - self._centre_rad))
 
 
 DISTURBED: dict[str, tuple[Callable[[float, np.random.Generator], HiddenEffect], float]] = {

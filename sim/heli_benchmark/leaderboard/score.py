@@ -283,17 +283,18 @@ def score_answer(
         if failure
         else {name for name in probabilities if probabilities[name] >= NAMED and name != NOTHING}
     )
-    first = max(probabilities, key=probabilities.__getitem__)
+    most_probable = max(probabilities, key=probabilities.__getitem__)
     visible = truth.causes - {NOTHING}
+    cpu_s, peak_MB = cost
     return CaseScore(
         case,
-        _loss(calibration),
-        _loss(tuple((causes.base_rates[name], name in truth.causes) for name in scored)),
-        not failure and (first in truth.causes or first in truth.invisible),
-        visible <= named if visible else None,
-        len(named - truth.causes - truth.invisible),
-        bool(named) if NOTHING in truth.causes else None,
-        tuple(
+        log_loss=_loss(calibration),
+        base_loss=_loss(tuple((causes.base_rates[name], name in truth.causes) for name in scored)),
+        first_right=not failure and (most_probable in truth.causes or most_probable in truth.invisible),
+        all_named=visible <= named if visible else None,
+        false_names=len(named - truth.causes - truth.invisible),
+        false_alarm=bool(named) if NOTHING in truth.causes else None,
+        sizes=tuple(
             (
                 abs(estimate.value - truth.sizes[name]) <= 2.0 * estimate.std,
                 _interval_score(estimate.value, estimate.std, truth.sizes[name]),
@@ -301,12 +302,13 @@ def score_answer(
             for name, estimate in answer.parameters.items()
             if name in truth.sizes
         ),
-        len(truth.sizes),
-        prediction,
-        equation,
-        calibration,
-        *cost,
-        failure,
+        sizes_asked=len(truth.sizes),
+        prediction=prediction,
+        equation=equation,
+        calibration=calibration,
+        cpu_s=cpu_s,
+        peak_MB=peak_MB,
+        failure=failure,
     )
 
 

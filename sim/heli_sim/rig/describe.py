@@ -134,7 +134,7 @@ def numbers_from_table(text: str, where: str) -> dict[str, Number]:
     Raises
     ------
     RigError
-        When a row names no number of a rig, one twice, or holds none.
+        A name is unknown or occurs twice, or a value is not a number.
     """
     rows = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
     heads = [head.strip() for head in rows.fieldnames or ()]

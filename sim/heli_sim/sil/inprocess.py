@@ -81,7 +81,7 @@ class InProcessTransport:
         Raises
         ------
         LinkLost
-            When the transport is closed, or the plan of faults has the cable out.
+            When the transport is closed, or the cable is unplugged by a planned fault.
         """
         self._check()
         ticks = max(1, round(1e3 * timeout_s))

@@ -197,7 +197,7 @@ def run_server(
 
 
 def _pseudo_terminal(path: str | Path | None) -> Endpoint:
-    """Open a pseudo-terminal with a link `path` to it; an error where the system has none."""
+    """Open a pseudo-terminal with a link `path` to it; raise EndpointError if the system has none."""
     # Windows has no pseudo-terminals and no module termios.
     try:
         from heli_sim.sil.pty import PtyEndpoint

@@ -47,9 +47,6 @@ def list_parameters(
 
     Example: `heli-host params list pitch --long --port /dev/ttyACM0`
     """
-    from rich.console import Console
-    from rich.table import Table
-
     from heli_host.controllers import controller_names
 
     with _board(port, sil) as heli:
@@ -77,11 +74,19 @@ def list_parameters(
         if long:
             _print_with_meanings(specs, values, names)
             return
-        table = Table(box=None, pad_edge=False)
-        for heading in ("name", "", "value", "unit", "range"):
-            table.add_column(heading, no_wrap=True)
-        for name, spec in specs.items():
-            table.add_row(name, _mark(spec, values[name]), f"{values[name]:g}", spec.unit, _limits(spec))
+        _print_table(specs, values)
+
+
+def _print_table(specs: Mapping[str, ParamSpec], values: Mapping[str, float]) -> None:
+    """Print each parameter as a row of a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("name", "", "value", "unit", "range"):
+        table.add_column(heading, no_wrap=True)
+    for name, spec in specs.items():
+        table.add_row(name, _mark(spec, values[name]), f"{values[name]:g}", spec.unit, _limits(spec))
     Console(highlight=False).print(table)
 
 
