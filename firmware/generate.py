@@ -1,8 +1,8 @@
 """Write what link.toml and pins.toml declare: C++, Python and MATLAB tables, and pages of docs.
 
-Run ``python firmware/generate.py`` after every change of link.toml or pins.toml; ``--check`` writes
-nothing and fails when a generated file is stale. Needs nothing but the standard library, so that a
-firmware build can run it before any package is installed.
+Run ``python firmware/generate.py`` after each change of link.toml or pins.toml. ``--check`` writes nothing
+and fails if a generated file is stale. The program needs only the standard library, so that a firmware build
+can run it before any package is installed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ WRITERS = {
 
 
 def main() -> int:
-    """Write or check; the exit code: 1 for a stale file, 2 for a declaration that is refused."""
+    """Write or check the generated files.
+
+    Returns the exit code: 0 if all is well, 1 for a stale file, 2 for an invalid declaration.
+    """
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; fail when a file is stale")
     parser.add_argument("--source", type=Path, metavar="FILE", help=f"the declaration, instead of {SOURCE}")

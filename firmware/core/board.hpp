@@ -20,8 +20,8 @@ using link::kAxisCount;
 struct EncoderReading {
   std::int32_t count[kAxisCount];     // free-running raw counts, x4
   std::uint32_t illegal[kAxisCount];  // illegal transitions since power-up; wraps
-  // 0 while every edge is counted. Otherwise an encoder's edges came faster than the board counts:
-  // so many since the reading before, then it stopped looking, and the count is wrong.
+  // 0 while every edge is counted. Otherwise the edges came faster than the board can count: it
+  // counted this many since the previous reading and missed others, so the count is wrong.
   std::uint32_t overload_edges;
 };
 
@@ -31,7 +31,7 @@ struct MotorCommand {
   bool enable;  // false: both bridges off (coast), whatever the duties
 };
 
-// What the board knows of its own last start; see link::Reset and link::Fault for the codes.
+// Why the board last started; see link::Reset and link::Fault for the codes.
 struct BootReport {
   std::uint8_t board;  // 0 native, 1 Arduino Due
   std::uint8_t reset;
@@ -47,19 +47,19 @@ class Board {
 
   virtual EncoderReading read_encoders() = 0;
   virtual void write_motors(const MotorCommand& command) = 0;
-  // True while the hardware stop input cuts the drivers by itself.
+  // True while the hardware stop input switches the drivers off, without software.
   virtual bool hardware_stop() = 0;
 
   // Takes up to `most` received bytes; returns how many. Never waits.
   virtual std::size_t receive(std::uint8_t* to, std::size_t most) = 0;
-  // Bytes that transmit() would take now without waiting.
+  // Number of bytes that transmit() can take now without waiting.
   virtual std::size_t transmit_free() = 0;
-  // Queues bytes; the caller has asked transmit_free() before.
+  // Queues bytes; transmit_free() has shown the caller that there is room.
   virtual void transmit(const std::uint8_t* bytes, std::size_t count) = 0;
 
-  // A page of flash is what is erased at once; how large it is, is the board's own business. The
-  // parameter store owns pages 0 and 1 and uses the first params::kSetBytes of each: a board whose
-  // flash has smaller pages joins some. `count` is a multiple of 4.
+  // A page of flash is erased at once; its size depends on the board. The parameter store owns
+  // pages 0 and 1 and uses the first params::kSetBytes of each: a board whose flash has smaller
+  // pages joins some. `count` is a multiple of 4.
   virtual void read_page(std::size_t page, std::uint8_t* to, std::size_t count) = 0;
   // Erases one page and writes its first `count` bytes; false when that did not work or they do
   // not fit. May stop the processor for milliseconds: only while motors are off.

@@ -1,5 +1,5 @@
-// Between what a board counts and the units of the flight code: what the core itself needs of the
-// parameters, worked out once for each change of one.
+// Conversion between a board's counts and the units of the flight code. The constants are derived
+// from the parameters each time that one changes.
 #pragma once
 
 #include <cstdint>
@@ -14,7 +14,7 @@ namespace heli {
 struct MotorConversion {
   control::Gain duty_per_V;   // signed: a motor may be wired the other way round
   control::Share V_per_duty;  // signed
-  // The motors' limits as duties, within full duty: no law gets beyond them.
+  // The motors' limits as duties, at most full duty: no law can exceed them.
   std::int32_t min_duty = 0;
   std::int32_t max_duty = 0;
 };
@@ -29,7 +29,7 @@ struct Conversion {
 };
 
 // Uses floats, divisions and exponentials: idle loop only. `duty_full` is the board's.
-// Of a low-pass, for each tick: 1 - exp(-2 pi f T).
+// Smoothing of a low-pass for each tick: 1 - exp(-2 pi f T).
 float smoothing_of(float cutoff_Hz);
 
 Conversion conversion_of(const params::Params& params, std::int16_t duty_full);

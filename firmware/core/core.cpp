@@ -21,7 +21,7 @@ namespace {
 
 constexpr std::uint8_t kAllAxes = link::axes::elevation | link::axes::pitch | link::axes::travel;
 
-// Units on the wire per unit.
+// Steps of a channel on the wire per unit of the flight code.
 using Wire = Fixed<14>;
 constexpr Wire kElevationSetpointWire = Wire::of(link::kElevationSetpointPerUnit);
 constexpr Wire kPitchSetpointWire = Wire::of(link::kPitchSetpointPerUnit);
@@ -136,7 +136,7 @@ Reply Core::execute(const link::Request& request, const EncoderReading& reading)
 
 Reply Core::set_parameter(const link::ParamSetMessage& message, bool idle) {
   const auto which = static_cast<link::Param>(message.index);
-  // The declaration does not know how many controllers this board was built with.
+  // The declaration does not contain the number of controllers that this board was built with.
   const bool no_such_row =
       which == link::Param::controller && message.value >= static_cast<float>(laws_.names().count);
   const Result result =
@@ -187,7 +187,7 @@ ControlOutput Core::drive(Bank bank) {
   const flight::Setpoint pitch = supervisor_.setpoint(kPitch);
   const flight::Setpoint travel = supervisor_.setpoint(kTravel);
   const bool waits = supervisor_.travel_waits();
-  // All at once: cleared first and then filled, it takes 40 instructions more.
+  // Built in one expression: clearing it first and filling it then takes 40 instructions more.
   const ControlInput in{
       {seen_.angle_rad[kElevation], seen_.angle_rad[kPitch], seen_.angle_rad[kTravel]},
       {seen_.rate_rad_s[kElevation], seen_.rate_rad_s[kPitch], seen_.rate_rad_s[kTravel]},
@@ -224,8 +224,8 @@ void Core::log_law(link::Sample& sample) {
     sample.raw[static_cast<std::size_t>(channel)] = value;
   };
   law::Recovery& recovery = uploaded_.recovery();
-  // If the board's own law closes no axis, there is nothing to recover. Nothing may keep a landing
-  // from descending.
+  // If the board's own law closes no axis, there is nothing to recover. A recovery must not prevent
+  // a landing from descending.
   if (supervisor_.axes() == 0U ||
       (recovery.returning() && supervisor_.state() != State::closed_loop)) {
     recovery.stop();

@@ -22,7 +22,7 @@
 
 namespace heli {
 
-// How long the previous tick took, as the board measured it.
+// Duration of the previous tick, as measured by the board.
 struct TickTiming {
   std::uint16_t last_us = 0;
   bool late = false;
@@ -30,7 +30,7 @@ struct TickTiming {
 
 class Core {
  public:
-  // `uploaded` is the law that may come over the link; `laws` runs it or a compiled controller.
+  // `uploaded` is a law received over the link, if any; `laws` runs it or a compiled controller.
   Core(Board& board, law::Simplex& laws, law::UploadedLaw& uploaded);
 
   // Once, before the first tick: loads the parameters, announces the boot.

@@ -53,7 +53,7 @@ std::uint32_t decoder_errors[2];
 
 // A trigger clears the counter at the next edge of its clock, which is not counted (datasheet,
 // 36.6.2): an edge of the master clock takes it here, or a step of the decoder would be lost. Where
-// the count then begins is as good as any: the core takes its zero at its first tick.
+// the count then begins does not matter: the core sets its zero at its first tick.
 void start_decoder(At<Tc> tc) {
   tc->TC_BMR.write(kDecoder);
   tc->TC_CHANNEL[0].TC_CMR.write(0);

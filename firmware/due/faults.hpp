@@ -1,4 +1,4 @@
-// What happens when the processor faults, and what is known of it after the reset that follows.
+// Handles faults of the processor, and keeps a record of them for after the reset.
 #pragma once
 
 #include "board.hpp"
@@ -8,7 +8,7 @@ namespace heli::due::faults {
 // Once, early after every reset: why it came. Uses up the record of a fault.
 BootReport read_boot_report();
 
-// For what cannot be gone on with: bridges off, recorded as a hard fault, reset.
+// For errors after which nothing can continue: bridges off, recorded as a hard fault, reset.
 [[noreturn]] void give_up();
 
 }  // namespace heli::due::faults

@@ -110,7 +110,7 @@ void start() {
   PWM->PWM_FPE2.write(kStopInput * 0x01010101U);
   PIOD->PIO_PUER.write(pins::kHardwareStop.mask());
   pins::to_peripheral_b(PIOD, pins::kHardwareStop.mask());
-  // What the input seemed to be before its polarity was known.
+  // Clears a stop that the input seemed to ask for before its polarity was set.
   PWM->PWM_FCR.write(PWM_FCR_FCLR(kStopInput));
 
   PWM->PWM_ENA.write(kGroup);

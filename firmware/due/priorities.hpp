@@ -1,4 +1,4 @@
-// Who may interrupt whom; smaller is more urgent.
+// Priorities of the interrupts; a smaller number is more urgent.
 #pragma once
 
 namespace heli::due {

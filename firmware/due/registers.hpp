@@ -1,7 +1,7 @@
 // Registers of the SAM3X8E that this firmware uses, named as in its datasheet.
 //
 // A register has read() and write() only where the chip has them. Offsets, accesses, bit positions,
-// addresses and identifiers are held against the vendor's description in tests/firmware.
+// addresses and identifiers are compared with the vendor's description in tests/firmware.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-"""Size, stack and calls of a linked firmware, read from its machine code and held against their bounds.
+"""Size, stack and calls of a linked firmware, read from its machine code and compared with their bounds.
 
 Command line: ``python firmware/due/report.py ELF [--output FILE] [--cross PREFIX]``. Prints the report; ends
 with 1 when a bound does not hold.
@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 # The program's bank holds 256 KiB. The shipped image takes 62 KiB, your own compiled controller about 4.
@@ -22,7 +22,7 @@ RAM_MAX_BYTES = 28 * 1024
 FLASH_START = 0x00080000
 VECTORS = 16 + 45
 
-# Eight words and the one that aligns them.
+# Eight words, and one that aligns the stack.
 EXCEPTION_FRAME_BYTES = 36
 ENTRY = "reset_handler"
 # From the least to the most urgent: each may interrupt all before it.
@@ -31,7 +31,7 @@ INTERRUPTS = ("tick_interrupt", "encoder_interrupt")
 HEAP = re.compile(
     r"^_?(malloc|calloc|realloc|free|sbrk)(_r)?$|^_Zn[wa]|^_Zd[la]|^__libc_(init|fini)_array$|^_exit$"
 )
-# What the tick may not afford: soft-float division, anything in double, integer division by a routine.
+# Too slow for the tick: soft-float division, anything in double, integer division by a routine.
 SLOW = re.compile(
     r"^__aeabi_(fdiv|d(add|sub|rsub|mul|div|cmp.*)|[uil]*div(mod)?|[fuil]+2d|d2.*)$|^(exp|log|pow|sqrt|sin|cos)f?$"
 )
@@ -44,7 +44,7 @@ _LOAD = re.compile(r"^(\w+), \[(\w+)(?:, #(\d+))?\]$")
 _VIRTUAL_TABLE = "_ZTV"
 # In the mangled list of parameters; see firmware/core/control/controller.hpp.
 _TAKES_IDLE_LOOP = re.compile("8IdleLoop")
-# Before the first function of a virtual table stand its offset in the object and a type that nobody asks for.
+# The first two words of a virtual table are not functions: an offset, and a pointer to type information.
 _TABLE_HEAD_WORDS = 2
 _BRANCH = re.compile(r"^(bl|b|cbn?z|b(eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le|hs|lo))(\.[nw])?$")
 
@@ -67,7 +67,7 @@ class Function:
         Calls through a pointer: the byte offset of a virtual call's function in its table, None for a
         pointer from elsewhere.
     stack_bytes : int
-        What it puts on the stack itself, at most.
+        Upper bound of the stack that the function takes, without the functions that it calls.
     """
 
     name: str
@@ -78,12 +78,12 @@ class Function:
 
 @dataclass(frozen=True)
 class Image:
-    """What is known of a linked firmware.
+    """Sizes, symbols, call graph and vectors of a linked firmware.
 
     Parameters
     ----------
     flash_bytes, ram_bytes : int
-        Sizes; `ram_bytes` has the reserved stack in it.
+        Sizes; `ram_bytes` includes the reserved stack.
     stack_reserved_bytes : int
         Stack that the linker script sets aside.
     symbols : dict of str to int
@@ -91,12 +91,12 @@ class Image:
     functions : dict of str to Function
         The call graph.
     pointed_at : frozenset of str
-        Functions whose address is stored somewhere, vectors and virtual tables apart: what any call through
-        a pointer may reach.
+        Functions whose address is stored outside the vectors and the virtual tables: any call through a
+        pointer may reach them.
     virtual : dict of int to frozenset of str
-        Functions in the virtual tables, by their byte offset there: what a virtual call may reach besides.
+        Functions in the virtual tables, by their byte offset there: a virtual call may reach them too.
     vectors : tuple of int
-        The vector table as linked.
+        The vector table of the linked image.
     """
 
     flash_bytes: int
@@ -109,15 +109,15 @@ class Image:
     vectors: tuple[int, ...]
 
     def callees(self, name: str, idle_loop: bool = True) -> frozenset[str]:
-        """Functions that one function may call.
+        """Return the functions that one function may call.
 
         Parameters
         ----------
         name : str
             The caller.
         idle_loop : bool
-            Whether the idle loop runs it. If an interrupt does, no virtual call reaches a function that takes
-            an `IdleLoop`: the compiler lets only the core's idle loop make one.
+            Whether the idle loop runs the caller. If an interrupt does, no virtual call reaches a function
+            that takes an `IdleLoop`: only the core's idle loop can construct one.
 
         Returns
         -------
@@ -135,12 +135,12 @@ class Image:
         return called
 
     def reachable(self, name: str, idle_loop: bool = True) -> frozenset[str]:
-        """Every function that may run below one.
+        """Return all functions that a function may call, directly or through others.
 
         Parameters
         ----------
         name : str
-            Where to start; part of the answer.
+            Where to start; included in the result.
         idle_loop : bool
             As in `callees`.
 
@@ -149,17 +149,17 @@ class Image:
         frozenset of str
             Their names.
         """
-        seen: set[str] = set()
-        waiting = [name]
-        while waiting:
-            here = waiting.pop()
-            if here not in seen:
-                seen.add(here)
-                waiting.extend(self.callees(here, idle_loop))
-        return frozenset(seen)
+        reached: set[str] = set()
+        to_visit = [name]
+        while to_visit:
+            caller = to_visit.pop()
+            if caller not in reached:
+                reached.add(caller)
+                to_visit.extend(self.callees(caller, idle_loop))
+        return frozenset(reached)
 
     def deepest(self, name: str, idle_loop: bool = True) -> tuple[int, list[str]]:
-        """The call chain below a function that takes the most stack.
+        """Return the call chain from a function that takes the most stack.
 
         Parameters
         ----------
@@ -180,21 +180,22 @@ class Image:
         ReportError
             When a function may call itself.
         """
-        known: dict[str, tuple[int, list[str]]] = {}
+        measured: dict[str, tuple[int, list[str]]] = {}
 
-        def measure(here: str, above: tuple[str, ...]) -> tuple[int, list[str]]:
-            if here in above:
-                raise ReportError(f"the stack has no bound: {here} may call itself by {' > '.join(above)}")
-            if here not in known:
-                below = [measure(callee, (*above, here)) for callee in self.callees(here, idle_loop)]
-                most, chain = max(below, default=(0, []), key=lambda pair: pair[0])
-                known[here] = (self.functions[here].stack_bytes + most, [here, *chain])
-            return known[here]
+        def measure(caller: str, above: tuple[str, ...]) -> tuple[int, list[str]]:
+            if caller in above:
+                raise ReportError(f"the stack has no bound: {caller} may call itself by {' > '.join(above)}")
+            if caller not in measured:
+                below = [measure(callee, (*above, caller)) for callee in self.callees(caller, idle_loop)]
+                stack_below_bytes, chain = max(below, default=(0, []), key=lambda pair: pair[0])
+                stack_bytes = self.functions[caller].stack_bytes + stack_below_bytes
+                measured[caller] = (stack_bytes, [caller, *chain])
+            return measured[caller]
 
         return measure(name, ())
 
     def stack_needed_bytes(self) -> int:
-        """Most stack that the idle loop and all interrupts on top of each other may take.
+        """Return the most stack that the idle loop and all interrupts, nested, may take.
 
         Returns
         -------
@@ -207,19 +208,20 @@ class Image:
 
 
 def _run(cross: str, tool: str, *arguments: str | Path) -> str:
+    """Run a binary tool of the cross-compiler, and return its output."""
     try:
-        done = subprocess.run([cross + tool, *arguments], capture_output=True, text=True, check=True)
+        process = subprocess.run([cross + tool, *arguments], capture_output=True, text=True, check=True)
     except FileNotFoundError:
         raise ReportError(
             f"{cross}{tool} is not installed: on Debian, apt-get install gcc-arm-none-eabi"
         ) from None
     except subprocess.CalledProcessError as error:
         raise ReportError(f"{cross}{tool}: {error.stderr.strip()}") from None
-    return done.stdout
+    return process.stdout
 
 
 def _pushed_bytes(mnemonic: str, operands: str) -> int:
-    """Bytes by which an instruction moves the stack pointer down."""
+    """Return by how many bytes an instruction moves the stack pointer down."""
     if mnemonic == "push" or (mnemonic.startswith("stmdb") and operands.startswith("sp!")):
         registers = operands[operands.index("{") + 1 : operands.index("}")].split(",")
         total = 0
@@ -237,17 +239,18 @@ def _pushed_bytes(mnemonic: str, operands: str) -> int:
 
 
 def _goes_to_pointer(mnemonic: str, operands: str) -> bool:
+    """Return whether an instruction jumps to an address in a register or in memory."""
     if mnemonic.startswith(("blx", "bx")):
         return mnemonic.startswith("blx") or operands != "lr"
     return mnemonic.startswith(("ldr", "mov")) and operands.startswith("pc,") and "[sp]" not in operands
 
 
 def _slots(body: list[tuple[int, str, str]]) -> frozenset[int | None]:
-    """How a function calls through pointers; see `Function.slots`.
+    """Return how a function calls through pointers; see `Function.slots`.
 
-    A virtual call loads the object's first word, then a word of the table that it points to. What a register
-    holds is known only as long as nothing else may have touched it: up to a call, a label or any other
-    mention of it.
+    A virtual call loads the object's first word, then a word of the table that it points to. The content
+    of a register is known only until something else may have changed it: up to a call, a label or any other
+    use of the register.
     """
     targets = {
         int(target[1], 16)
@@ -279,7 +282,7 @@ def _slots(body: list[tuple[int, str, str]]) -> frozenset[int | None]:
 
 
 def _function(name: str, body: list[tuple[int, str, str]]) -> tuple[Function, set[int]]:
-    """One function, and the constants in its code that may be addresses."""
+    """Return a function, and the constants in its code that may be addresses."""
     calls: set[str] = set()
     constants: set[int] = set()
     lower: dict[str, int] = {}
@@ -303,6 +306,7 @@ def _function(name: str, body: list[tuple[int, str, str]]) -> tuple[Function, se
 
 
 def _disassembled(text: str) -> Iterable[tuple[str, list[tuple[int, str, str]]]]:
+    """Yield each function's name with its instructions: address, mnemonic, operands."""
     name = ""
     body: list[tuple[int, str, str]] = []
     for line in text.splitlines():
@@ -339,15 +343,32 @@ def read_symbols(elf: Path, cross: str = "arm-none-eabi-") -> dict[str, int]:
 
 
 def _symbols(elf: Path, cross: str) -> Iterable[tuple[str, str, int, int]]:
-    """Name, kind, address and length in bytes of each; length 0 where the linker states none."""
+    """Yield each symbol's name, kind, address and length in bytes; 0 where nm gives no length."""
     for line in _run(cross, "nm", "-S", elf).splitlines():
         words = line.split()
         if len(words) in (3, 4) and not words[-1].startswith("$"):
             yield words[-1], words[-2], int(words[0], 16), int(words[1], 16) if len(words) == 4 else 0
 
 
+def _section_sizes(elf: Path, cross: str) -> dict[str, int]:
+    """Read the size in bytes of each section."""
+    return {
+        fields[1]: int(fields[2], 16)
+        for line in _run(cross, "objdump", "-h", "-w", elf).splitlines()
+        if len(fields := line.split()) > 6 and fields[0].isdigit()
+    }
+
+
+def _flash_content(elf: Path, cross: str) -> bytes:
+    """Return the bytes that are written to flash."""
+    with tempfile.TemporaryDirectory() as folder:
+        flat = Path(folder) / "image.bin"
+        _run(cross, "objcopy", "-O", "binary", elf, flat)
+        return flat.read_bytes()
+
+
 def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
-    """Take a linked firmware apart.
+    """Read sizes, call graph and vectors from a linked firmware.
 
     Parameters
     ----------
@@ -359,18 +380,14 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
     Returns
     -------
     Image
-        What is in it.
+        The sizes, symbols, call graph and vectors.
 
     Raises
     ------
     ReportError
         When a tool is missing or does not take the file.
     """
-    sizes = {
-        fields[1]: int(fields[2], 16)
-        for line in _run(cross, "objdump", "-h", "-w", elf).splitlines()
-        if len(fields := line.split()) > 6 and fields[0].isdigit()
-    }
+    section_sizes = _section_sizes(elf, cross)
     symbols = {}
     code_at: dict[int, str] = {}
     table_words: dict[str, range] = {}
@@ -391,19 +408,15 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
     # One function may have several names; the disassembly shows one, calls may use another.
     by_address = {symbols[name]: name for name in functions if name in symbols}
     functions = {
-        name: Function(
-            name,
-            frozenset(by_address.get(symbols.get(callee, -1), callee) for callee in function.calls) - {name},
-            function.slots,
-            function.stack_bytes,
+        name: replace(
+            function,
+            calls=frozenset(by_address.get(symbols.get(callee, -1), callee) for callee in function.calls)
+            - {name},
         )
         for name, function in functions.items()
     }
 
-    with tempfile.TemporaryDirectory() as folder:
-        flat = Path(folder) / "image.bin"
-        _run(cross, "objcopy", "-O", "binary", elf, flat)
-        image = flat.read_bytes()
+    image = _flash_content(elf, cross)
     words = [int.from_bytes(image[at : at + 4], "little") for at in range(0, len(image) - 3, 4)]
     in_tables = {index for indices in table_words.values() for index in indices}
     constants |= {word for index, word in enumerate(words) if index >= VECTORS and index not in in_tables}
@@ -418,8 +431,8 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
             virtual.setdefault(4 * slot, set()).add(by_address[words[index] & ~1])
     return Image(
         flash_bytes=len(image),
-        ram_bytes=sum(sizes.get(section, 0) for section in (".stack", ".data", ".bss")),
-        stack_reserved_bytes=sizes.get(".stack", 0),
+        ram_bytes=sum(section_sizes.get(section, 0) for section in (".stack", ".data", ".bss")),
+        stack_reserved_bytes=section_sizes.get(".stack", 0),
         symbols=symbols,
         functions=functions,
         pointed_at=pointed_at,
@@ -429,7 +442,7 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
 
 
 def findings(image: Image) -> list[str]:
-    """Which bounds a firmware breaks.
+    """List the bounds that a firmware exceeds.
 
     Parameters
     ----------
@@ -439,7 +452,7 @@ def findings(image: Image) -> list[str]:
     Returns
     -------
     list of str
-        One line each; empty when all hold.
+        One line for each; empty when all hold.
     """
     found = []
     if image.flash_bytes > FLASH_MAX_BYTES:
@@ -457,7 +470,7 @@ def findings(image: Image) -> list[str]:
 
 
 def report(image: Image, cross: str = "arm-none-eabi-") -> str:
-    """Sizes and stack as text.
+    """Write the sizes and the deepest call chains as text.
 
     Parameters
     ----------
@@ -477,9 +490,9 @@ def report(image: Image, cross: str = "arm-none-eabi-") -> str:
         f"stack {image.stack_needed_bytes():6d} of {image.stack_reserved_bytes} bytes, with all interrupts",
     ]
     for name in (ENTRY, *INTERRUPTS):
-        most, chain = image.deepest(name, idle_loop=name not in INTERRUPTS)
+        stack_bytes, chain = image.deepest(name, idle_loop=name not in INTERRUPTS)
         readable = _run(cross, "c++filt", "-p", *chain).replace("(anonymous namespace)::", "").split("\n")
-        lines.append(f"  {most:4d} {' > '.join(readable[:-1])}")
+        lines.append(f"  {stack_bytes:4d} {' > '.join(readable[:-1])}")
     return "\n".join(lines) + "\n"
 
 
@@ -499,16 +512,16 @@ def main() -> int:
     try:
         image = read_image(options.elf, options.cross)
         text = report(image, options.cross)
-        broken = findings(image)
+        exceeded = findings(image)
     except ReportError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     print(text, end="")
-    for line in broken:
+    for line in exceeded:
         print(f"error: {line}", file=sys.stderr)
-    if options.output and not broken:
+    if options.output and not exceeded:
         options.output.write_text(text)
-    return 1 if broken else 0
+    return 1 if exceeded else 0
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-// Vector table, and the way from reset to main.
+// Vector table, and the steps from reset to main.
 #include <cstddef>
 #include <cstdint>
 

@@ -22,8 +22,8 @@ constexpr std::uint32_t kTransmitBytes = 2048;
 std::uint8_t receive_ring[kReceiveBytes];
 std::uint8_t transmit_ring[kTransmitBytes];
 
-// Positions count bytes for ever and are masked on use.
-std::uint32_t received;  // as of the last look at the PDC
+// Positions count all bytes since the start and are masked on use.
+std::uint32_t received;  // up to the last reading of the PDC
 std::uint32_t taken;
 std::uint32_t offered;  // up to here the PDC may fill the ring
 std::uint32_t queued;

@@ -1,4 +1,4 @@
-// Names that the vector table knows.
+// Functions that the vector table contains.
 #pragma once
 
 #include <cstdint>

@@ -23,7 +23,7 @@ void start() {
 }
 
 void check_in(std::uint32_t ticks) {
-  // That this runs shows the idle loop alive; that `ticks` has moved on, the tick.
+  // This call shows that the idle loop runs; a change of `ticks` shows that the tick runs.
   if (ticks - restarted_at < kInterval) return;
   restarted_at = ticks;
   WDT->WDT_CR.write(WDT_CR_KEY(0xA5) | WDT_CR_WDRSTT);

@@ -1,4 +1,4 @@
-// Resets the chip unless both the control tick and the idle loop go on.
+// Resets the chip unless both the control tick and the idle loop keep running.
 #pragma once
 
 #include <cstdint>

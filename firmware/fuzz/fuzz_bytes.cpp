@@ -1,4 +1,4 @@
-// Any bytes on the line: what the flight code does with a stream that no host would send.
+// Any bytes on the line: the flight code must survive a stream that no host would send.
 #include "harness.hpp"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t count) {

@@ -1,4 +1,4 @@
-// What the fuzz targets share: a board in memory that audits what the flight code does to it.
+// Shared by the fuzz targets: a board in memory that checks each call of the flight code.
 #pragma once
 
 #include <array>
@@ -139,7 +139,7 @@ class Auditor {
 
 class FuzzBoard final : public heli::Board {
  public:
-  // No board's: what the flight code takes for granted of one shows here.
+  // Values that no real board has: they show what the flight code assumes of one.
   static constexpr std::int16_t kDutyFull = 1000;
   static constexpr std::size_t kPageBytes = 512;
 
@@ -234,7 +234,7 @@ class Harness {
     send(static_cast<std::uint8_t>(Message::kId), payload);
   }
 
-  // Whatever has happened: without a host the rotors come to rest.
+  // In all cases: without a host the rotors come to rest.
   void require_rest_without_host() {
     for (std::size_t k = 0; k < kLongestDescent_ticks && board.motors.enable; ++k) tick();
     require(!board.motors.enable, "without a host the motors are off in the end");

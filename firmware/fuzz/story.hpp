@@ -54,7 +54,7 @@ class Story {
     harness_.require_rest_without_host();
   }
 
-  // A board that has been through all this still hears a new host.
+  // After all this, the board still accepts a new host.
   void host_returns() {
     harness_.board.forget_received();
     harness_.board.room = 1024;

@@ -26,17 +26,35 @@ CPP_TYPE = {
 
 
 def cpp_float(value: float) -> str:
-    """A literal of single precision."""
-    text = repr(float(value))
-    return text + "F"
+    """Return a number as a C++ literal of single precision."""
+    return repr(float(value)) + "F"
 
 
 def generate_cpp(d: Table) -> str:
-    """Text of core/link/declaration.hpp."""
+    """Return the text of core/link/declaration.hpp."""
+    lines = [
+        *_head(d),
+        *_enumerations(d),
+        *_parameter_table(d),
+        *_channel_table(d),
+        *cpp_laws(d),
+        "enum class MessageId : std::uint8_t {",
+        *(f"  {message['name']} = {message['id']}," for message in d["message"]),
+        "};",
+        "",
+        *(line for message in d["message"] for line in _message_struct(message)),
+        "}  // namespace heli::link",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _head(d: Table) -> list[str]:
+    """Return the includes and the constants of the link."""
     link = d["link"]
-    major, minor = (int(x) for x in link["version"].split("."))
-    firmware = [int(x) for x in link["firmware"].split(".")]
-    out = [
+    link_major, link_minor = (int(part) for part in link["version"].split("."))
+    firmware_major, firmware_minor, firmware_patch = (int(part) for part in link["firmware"].split("."))
+    return [
         "// Written by firmware/generate.py from firmware/link.toml. Do not edit.",
         "// clang-format off",
         "#pragma once",
@@ -50,11 +68,11 @@ def generate_cpp(d: Table) -> str:
         "",
         f"inline constexpr std::uint32_t kLinkHash = 0x{link_hash(d):08x}U;",
         f"inline constexpr std::uint32_t kParamsHash = 0x{params_hash(d):08x}U;",
-        f"inline constexpr std::uint8_t kLinkMajor = {major};",
-        f"inline constexpr std::uint8_t kLinkMinor = {minor};",
-        f"inline constexpr std::uint8_t kFirmwareMajor = {firmware[0]};",
-        f"inline constexpr std::uint8_t kFirmwareMinor = {firmware[1]};",
-        f"inline constexpr std::uint8_t kFirmwarePatch = {firmware[2]};",
+        f"inline constexpr std::uint8_t kLinkMajor = {link_major};",
+        f"inline constexpr std::uint8_t kLinkMinor = {link_minor};",
+        f"inline constexpr std::uint8_t kFirmwareMajor = {firmware_major};",
+        f"inline constexpr std::uint8_t kFirmwareMinor = {firmware_minor};",
+        f"inline constexpr std::uint8_t kFirmwarePatch = {firmware_patch};",
         f"inline constexpr std::uint8_t kProtocol = {link['protocol']};",
         f"inline constexpr std::uint32_t kBaud = {link['baud']};",
         f"inline constexpr std::uint32_t kTick_us = {link['tick_us']};",
@@ -62,23 +80,38 @@ def generate_cpp(d: Table) -> str:
         f"inline constexpr std::size_t kMaxTelemetryPayload = {link['max_telemetry_payload']};",
         "",
     ]
+
+
+def _enumerations(d: Table) -> list[str]:
+    """Return the declared enumerations and sets of bits, and the enumeration of the faults."""
+    lines: list[str] = []
     for name, entries in d["enums"].items():
-        out.append(f"// {entries['meaning']}")
-        out.append(f"enum class {camel(name)} : std::uint8_t {{")
-        values = [f"  {k} = {e['value']},  // {e['meaning']}" for k, e in rows(entries)]
-        out += [*values, "};", f"inline constexpr std::size_t k{camel(name)}Count = {len(values)};", ""]
+        values = [f"  {key} = {entry['value']},  // {entry['meaning']}" for key, entry in rows(entries)]
+        lines += [f"// {entries['meaning']}", f"enum class {camel(name)} : std::uint8_t {{", *values, "};"]
+        lines += [f"inline constexpr std::size_t k{camel(name)}Count = {len(values)};", ""]
     for name, entries in d["bits"].items():
-        out.append(f"// {entries['meaning']}")
-        out.append(f"namespace {name} {{")
-        for k, e in rows(entries):
-            out.append(f"inline constexpr std::uint8_t {k} = 1U << {e['bit']}U;  // {e['meaning']}")
-        out += [f"}}  // namespace {name}", ""]
-    out += ["enum class Fault : std::uint8_t {", "  none = 0,"]
-    out += [f"  {f['name']} = {f['code']},  // {f['kind']}: {f['meaning']}" for f in d["fault"]]
-    out += ["};", ""]
-    out.append("enum class Param : std::uint8_t {")
-    out += [f"  {p['name']} = {i},  // {p['unit']}: {p['meaning']}" for i, p in enumerate(d["param"])]
-    out += [
+        lines += [f"// {entries['meaning']}", f"namespace {name} {{"]
+        lines += [
+            f"inline constexpr std::uint8_t {key} = 1U << {entry['bit']}U;  // {entry['meaning']}"
+            for key, entry in rows(entries)
+        ]
+        lines += [f"}}  // namespace {name}", ""]
+    lines += ["enum class Fault : std::uint8_t {", "  none = 0,"]
+    lines += [
+        f"  {fault['name']} = {fault['code']},  // {fault['kind']}: {fault['meaning']}"
+        for fault in d["fault"]
+    ]
+    return [*lines, "};", ""]
+
+
+def _parameter_table(d: Table) -> list[str]:
+    """Return the enumeration and the table of the parameters."""
+    lines = ["enum class Param : std::uint8_t {"]
+    lines += [
+        f"  {param['name']} = {index},  // {param['unit']}: {param['meaning']}"
+        for index, param in enumerate(d["param"])
+    ]
+    lines += [
         "};",
         f"inline constexpr std::size_t kParamCount = {len(d['param'])};",
         "",
@@ -93,52 +126,59 @@ def generate_cpp(d: Table) -> str:
         "};",
         "inline constexpr ParamInfo kParams[kParamCount] = {",
     ]
-    for p in d["param"]:
-        flags = [p.get("nonzero", False), p.get("integer", False), p["when"] == "idle"]
-        numbers = ", ".join(cpp_float(p[k]) for k in ("min", "max", "default"))
-        out.append(
-            f"    {{{numbers}, {', '.join(str(f).lower() for f in flags)}, 0x{param_id(p):04x}U}},  // {p['name']}"
-        )
-    out += ["};", ""]
-    out.append("enum class Channel : std::uint8_t {")
-    out += [f"  {c['name']} = {i},  // {c['unit']}: {c['meaning']}" for i, c in enumerate(d["channel"])]
-    sizes = ", ".join(str(size_of(c["type"])) for c in d["channel"])
-    out += [
+    for param in d["param"]:
+        flags = [param.get("nonzero", False), param.get("integer", False), param["when"] == "idle"]
+        literals = [cpp_float(param[key]) for key in ("min", "max", "default")]
+        literals += [str(flag).lower() for flag in flags]
+        literals.append(f"0x{param_id(param):04x}U")
+        lines.append(f"    {{{', '.join(literals)}}},  // {param['name']}")
+    return [*lines, "};", ""]
+
+
+def _channel_table(d: Table) -> list[str]:
+    """Return the enumeration of the telemetry channels, their sizes and their scales."""
+    lines = ["enum class Channel : std::uint8_t {"]
+    lines += [
+        f"  {channel['name']} = {index},  // {channel['unit']}: {channel['meaning']}"
+        for index, channel in enumerate(d["channel"])
+    ]
+    sizes = ", ".join(str(size_of(channel["type"])) for channel in d["channel"])
+    lines += [
         "};",
         f"inline constexpr std::size_t kChannelCount = {len(d['channel'])};",
         f"inline constexpr std::uint8_t kChannelBytes[kChannelCount] = {{{sizes}}};",
     ]
-    for c in d["channel"]:
-        if c["scale"] != 1.0:
-            out.append(
-                f"inline constexpr float k{camel(c['name'])}PerUnit = {cpp_float(round(1 / c['scale'], 6))};"
-                f"  // raw = value in {c['unit']} * this"
+    for channel in d["channel"]:
+        if channel["scale"] != 1.0:
+            raw_per_unit = cpp_float(round(1 / channel["scale"], 6))
+            lines.append(
+                f"inline constexpr float k{camel(channel['name'])}PerUnit = {raw_per_unit};"
+                f"  // raw = value in {channel['unit']} * this"
             )
-    out.append("")
-    out += cpp_laws(d)
-    out.append("enum class MessageId : std::uint8_t {")
-    out += [f"  {m['name']} = {m['id']}," for m in d["message"]]
-    out += ["};", ""]
-    for m in d["message"]:
-        fields = full_fields(m)
-        size = sum(size_of(f["type"]) for f in fields)
-        out.append(f"// {m['meaning']}")
-        out.append(f"struct {camel(m['name'])}Message {{")
-        out.append(f"  static constexpr MessageId kId = MessageId::{m['name']};")
-        out.append(f"  static constexpr std::size_t kSize = {size};")
-        out += [f"  {CPP_TYPE[f['type']]} {f['name']} = {{}};  // {f['unit'] or '-'}" for f in fields]
-        out.append("  void write([[maybe_unused]] std::uint8_t* to) const {")
-        offset = 0
-        for f in fields:
-            out.append(f"    put_{f['type']}(to + {offset}, {f['name']});")
-            offset += size_of(f["type"])
-        out.append("  }")
-        out.append(f"  static {camel(m['name'])}Message read([[maybe_unused]] const std::uint8_t* from) {{")
-        out.append(f"    {camel(m['name'])}Message m;")
-        offset = 0
-        for f in fields:
-            out.append(f"    m.{f['name']} = get_{f['type']}(from + {offset});")
-            offset += size_of(f["type"])
-        out += ["    return m;", "  }", "};", ""]
-    out += ["}  // namespace heli::link", ""]
-    return "\n".join(out)
+    return [*lines, ""]
+
+
+def _message_struct(message: Table) -> list[str]:
+    """Return the struct of a message, which writes its fields to bytes and reads them."""
+    fields = full_fields(message)
+    name = f"{camel(message['name'])}Message"
+    lines = [f"// {message['meaning']}", f"struct {name} {{"]
+    lines.append(f"  static constexpr MessageId kId = MessageId::{message['name']};")
+    lines.append(f"  static constexpr std::size_t kSize = {sum(size_of(field['type']) for field in fields)};")
+    lines += [
+        f"  {CPP_TYPE[field['type']]} {field['name']} = {{}};  // {field['unit'] or '-'}" for field in fields
+    ]
+    offsets = [sum(size_of(field["type"]) for field in fields[:index]) for index in range(len(fields))]
+    lines.append("  void write([[maybe_unused]] std::uint8_t* to) const {")
+    lines += [
+        f"    put_{field['type']}(to + {offset}, {field['name']});"
+        for field, offset in zip(fields, offsets, strict=True)
+    ]
+    lines.append("  }")
+    lines.append(f"  static {name} read([[maybe_unused]] const std::uint8_t* from) {{")
+    lines.append(f"    {name} m;")
+    lines += [
+        f"    m.{field['name']} = get_{field['type']}(from + {offset});"
+        for field, offset in zip(fields, offsets, strict=True)
+    ]
+    return [*lines, "    return m;", "  }", "};", ""]

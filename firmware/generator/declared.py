@@ -1,4 +1,4 @@
-"""Reading the declaration, and refusing what contradicts itself or would not work at one of the ends."""
+"""Read the declaration link.toml, and check that it is consistent and works on both ends of the link."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from firmware.generator import channels
 Table = dict[str, Any]
 
 STRUCT_CODE = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "i16": "h", "i32": "i", "f32": "f"}
-# Differences of samples are 32 bits wide at most, and whole numbers.
+# Telemetry sends differences of whole numbers with at most 32 bits.
 CHANNEL_TYPES = ("u8", "u16", "u32", "i16", "i32")
 CHANNEL_KEYS = {"name", "type", "unit", "scale", "meaning"}
-# Six bytes each in a stored set of 512; see core/params/README.md.
+# A stored set has 512 bytes, six for each parameter; see core/params/README.md.
 MAX_PARAMS = 82
 
-# What becomes an enumeration without being declared as one.
+# Tables whose rows become enumerations, in addition to the declared ones.
 TABLES = ("channel", "param", "fault", "message_id")
 
-# Beside the channels: columns of samples and logs, and what a MATLAB file holds besides its columns.
-TAKEN = ("t_s", "tick", "parameters", "plan", "notes", "events")
-# What is declared of laws that come over the link. Five bits of an instruction say which operation it
-# is, nine which cell.
+# Names that no channel may have: further columns of samples and logs, and further variables of MATLAB files.
+RESERVED_NAMES = ("t_s", "tick", "parameters", "plan", "notes", "events")
+# Limits of uploaded laws that must be declared. An instruction has five bits for the operation and nine for
+# each cell.
 LAW_LIMITS = (
     "format", "cells", "words", "signals", "max_ticks", "max_terms", "tick_cost", "fixed_cost", "output_cost",
     "input_cost", "moving_cost", "term_cost", "state_cost", "signal_cost",
@@ -51,11 +51,11 @@ KEYWORDS = {*keyword.kwlist, *CPP_KEYWORDS.split()}
 
 
 class DeclarationError(Exception):
-    """The declaration contradicts itself; the message says in one line where, and what to do."""
+    """The declaration is invalid; the message states in one line what is wrong, and what to do."""
 
 
 def read_toml(path: Path) -> Table:
-    """The tables of a file, not checked."""
+    """Return the tables of a TOML file without a check."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -63,7 +63,7 @@ def read_toml(path: Path) -> Table:
 
 
 def read(path: Path) -> Table:
-    """The declaration in a file, checked."""
+    """Return the declaration in a file, after it was checked."""
     declaration = read_toml(path)
     try:
         check(declaration)
@@ -75,17 +75,17 @@ def read(path: Path) -> Table:
 
 
 def size_of(wire_type: str) -> int:
-    """Bytes on the wire."""
+    """Return the number of bytes that a type takes on the wire."""
     return struct.calcsize("<" + STRUCT_CODE[wire_type])
 
 
 def camel(name: str) -> str:
-    """A name as a type's: ``params_read`` to ``ParamsRead``."""
+    """Convert a name to that of a type: ``params_read`` to ``ParamsRead``."""
     return "".join(part.capitalize() for part in name.split("_"))
 
 
 def full_fields(message: Table) -> list[Table]:
-    """Fields on the wire: commands and replies carry the request number first."""
+    """Return the fields on the wire; in commands and replies, the request number comes first."""
     request = {
         "name": "request",
         "type": "u8",
@@ -97,53 +97,59 @@ def full_fields(message: Table) -> list[Table]:
 
 
 def rows(entries: Table) -> Iterator[tuple[str, Table]]:
-    """The entries of an enumeration or of a set of bits, by name."""
+    """Return names and entries of an enumeration or a set of bits, without its own meaning."""
     return ((name, entry) for name, entry in entries.items() if name != "meaning")
 
 
 def axes(declaration: Table) -> list[str]:
-    """Names of the axes, in order."""
+    """Return the names of the axes, in the order of the declaration."""
     return [name for name, _ in rows(declaration["enums"]["axis"])]
 
 
 def without_meanings(value: Any) -> Any:
-    """A part of the declaration without its prose."""
+    """Return a part of the declaration without the texts for people."""
     if isinstance(value, dict):
-        return {k: without_meanings(v) for k, v in value.items() if k not in ("meaning", "remedy")}
+        return {
+            key: without_meanings(entry) for key, entry in value.items() if key not in ("meaning", "remedy")
+        }
     if isinstance(value, list):
-        return [without_meanings(v) for v in value]
+        return [without_meanings(entry) for entry in value]
     return value
 
 
 def link_hash(declaration: Table) -> int:
-    """First four bytes of SHA-256 over the declaration without its prose and firmware version."""
-    body = without_meanings(declaration)
-    body["link"] = {k: v for k, v in body["link"].items() if k != "firmware"}
-    canonical = json.dumps(body, sort_keys=True, separators=(",", ":"))
+    """Return the first four bytes of SHA-256 over the declaration, by which both ends compare it.
+
+    Texts for people and the version of the firmware are not covered.
+    """
+    covered = without_meanings(declaration)
+    covered["link"] = {key: entry for key, entry in covered["link"].items() if key != "firmware"}
+    canonical = json.dumps(covered, sort_keys=True, separators=(",", ":"))
     return int.from_bytes(hashlib.sha256(canonical.encode()).digest()[:4], "big")
 
 
 def param_id(param: Table) -> int:
-    """Number of a parameter in stored sets, from what its value means: name, unit and kind.
+    """Return the number of a parameter in stored sets: a hash of its name, its unit and whether it is whole.
 
-    A parameter that is moved in the table keeps its number. One that gets another unit is another parameter.
+    If a parameter is moved in the table, it keeps its number. With another unit, it is another parameter.
     """
-    meant = json.dumps([param["name"], param["unit"], param.get("integer", False)])
-    return int.from_bytes(hashlib.sha256(meant.encode()).digest()[:2], "big")
+    identity = json.dumps([param["name"], param["unit"], param.get("integer", False)])
+    return int.from_bytes(hashlib.sha256(identity.encode()).digest()[:2], "big")
 
 
 def params_hash(declaration: Table) -> int:
-    """First four bytes of SHA-256 over what stored values mean and may be, in no order.
+    """Return the first four bytes of SHA-256 over meaning and range of all parameters, in any order.
 
-    Whatever else the link hash covers may change without a stored set becoming another one's.
+    The board compares this hash with that of a stored set. Unlike `link_hash`, it does not change if other
+    parts of the declaration change, so that the stored set stays valid.
     """
     keys = ("name", "unit", "min", "max", "nonzero", "integer")
-    body = sorted(json.dumps([p.get(key, False) for key in keys]) for p in declaration["param"])
-    return int.from_bytes(hashlib.sha256("\n".join(body).encode()).digest()[:4], "big")
+    covered = sorted(json.dumps([p.get(key, False) for key in keys]) for p in declaration["param"])
+    return int.from_bytes(hashlib.sha256("\n".join(covered).encode()).digest()[:4], "big")
 
 
 def check(declaration: Table) -> None:
-    """Raise DeclarationError for the first thing that is wrong."""
+    """Raise DeclarationError for the first problem of a declaration."""
     check_names(declaration)
     check_channels(declaration)
     check_axes(declaration)
@@ -159,10 +165,10 @@ def check(declaration: Table) -> None:
             raise DeclarationError(f"{p['name']}: when must be idle or always")
     ids: dict[int, str] = {}
     for p in params:
-        other = ids.setdefault(param_id(p), p["name"])
-        if other != p["name"]:
+        earlier = ids.setdefault(param_id(p), p["name"])
+        if earlier != p["name"]:
             raise DeclarationError(
-                f"{p['name']} and {other} have the same number in flash; rename the new one"
+                f"{p['name']} and {earlier} have the same number in flash; rename the new one"
             )
     for fault in declaration["fault"]:
         if "parameter" in fault and fault["parameter"] not in names:
@@ -177,11 +183,12 @@ def check(declaration: Table) -> None:
 
 
 def choice(words: Iterable[str]) -> str:
+    """Return the end of an error message that lists the permitted words."""
     return f"it may be {', '.join(words)}"
 
 
 def check_names(declaration: Table) -> None:
-    """Names are such that C++ and Python take them, and none is there twice."""
+    """Raise DeclarationError if a name is invalid in C++ or Python, or occurs twice in its group."""
     groups = {f"enum {name}": [row for row, _ in rows(e)] for name, e in declaration["enums"].items()}
     groups |= {f"bits {name}": [row for row, _ in rows(e)] for name, e in declaration["bits"].items()}
     groups |= {m["name"]: [f["name"] for f in full_fields(m)] for m in declaration["message"]}
@@ -201,8 +208,10 @@ def check_names(declaration: Table) -> None:
 
 
 def check_channels(declaration: Table) -> None:
-    """Every channel can be packed, and has a place of its own in samples, tables and logs."""
-    owner = dict.fromkeys([*TAKEN, *(f"{axis}_deg" for axis in axes(declaration))], "every log or sample")
+    """Raise DeclarationError if a channel is invalid, or if two have the same name in samples, tables or logs."""
+    owner = dict.fromkeys(
+        [*RESERVED_NAMES, *(f"{axis}_deg" for axis in axes(declaration))], "every log or sample"
+    )
     in_logs = dict(owner)
     for channel in declaration["channel"]:
         name = channel["name"]
@@ -213,51 +222,54 @@ def check_channels(declaration: Table) -> None:
             if not isinstance(channel[key], str):
                 raise DeclarationError(f"channel {name}: {key} {channel[key]} is no text; put it in quotes")
         check_channel(declaration, channel)
-        claimed = [
+        claims = [
             (owner, channels.column(channel)),
             *((in_logs, field) for field in channels.fields(channel)),
         ]
-        for place, word in claimed:
-            other = place.setdefault(word.lower(), name)
-            if other != name:
-                raise DeclarationError(f"channel {name}: {other} already has a {word}; rename one")
+        for owners, claimed in claims:
+            earlier = owners.setdefault(claimed.lower(), name)
+            if earlier != name:
+                raise DeclarationError(f"channel {name}: {earlier} already has a {claimed}; rename one")
 
 
 def check_channel(declaration: Table, channel: Table) -> None:
-    where, unit, scale = f"channel {channel['name']}", channel["unit"], channel["scale"]
+    """Raise DeclarationError if type, scale, unit or name of a channel is invalid."""
+    location, unit, scale = f"channel {channel['name']}", channel["unit"], channel["scale"]
     if "\n" in channel["meaning"]:
-        raise DeclarationError(f"{where}: its meaning is more than one line")
+        raise DeclarationError(f"{location}: its meaning is more than one line")
     if channel["type"] not in CHANNEL_TYPES:
-        raise DeclarationError(f"{where}: no type {channel['type']}; {choice(CHANNEL_TYPES)}")
+        raise DeclarationError(f"{location}: no type {channel['type']}; {choice(CHANNEL_TYPES)}")
     if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0.0 < scale < math.inf:
-        raise DeclarationError(f"{where}: scale {scale} is no size; give the unit's share of a count of raw")
+        raise DeclarationError(
+            f"{location}: scale {scale} is no size; give the unit's share of a count of raw"
+        )
     kind, _, which = unit.partition(" ")
     if kind in ("enum", "bits") and which:
         known = {*declaration["enums"], "fault"} if kind == "enum" else {*declaration["bits"]}
         if which not in known:
-            raise DeclarationError(f"{where}: there is no {unit}; {choice(sorted(known))}")
+            raise DeclarationError(f"{location}: there is no {unit}; {choice(sorted(known))}")
         if channel["type"] != "u8":
-            raise DeclarationError(f"{where}: {unit} takes type u8")
+            raise DeclarationError(f"{location}: {unit} takes type u8")
     elif unit == channels.COUNT and channels.axis_of(channel) not in axes(declaration):
         names = ", ".join(f"{axis}_{unit}" for axis in axes(declaration))
         raise DeclarationError(
-            f"{where}: only an encoder counts; call it one of {names}, or leave unit empty"
+            f"{location}: only an encoder counts; call it one of {names}, or leave unit empty"
         )
     elif unit and not channels.suffix(unit):
-        raise DeclarationError(f"{where}: unit {unit!r} cannot end a name; write it in letters")
+        raise DeclarationError(f"{location}: unit {unit!r} cannot end a name; write it in letters")
     if scale != 1.0 and (kind in ("enum", "bits") or unit == channels.COUNT):
-        raise DeclarationError(f"{where}: {unit} takes scale 1.0")
+        raise DeclarationError(f"{location}: {unit} takes scale 1.0")
     column, field = channels.column(channel), channels.field(channel)
     if not LOG_FIELD.fullmatch(field):
         raise DeclarationError(
-            f"{where}: a log cannot hold {field!r}; use a letter, then a-z, 0-9 and single _"
+            f"{location}: a log cannot hold {field!r}; use a letter, then a-z, 0-9 and single _"
         )
     if column in KEYWORDS or len(column) > LONGEST_MATLAB_NAME:
-        raise DeclarationError(f"{where}: Python or MATLAB do not take {column!r}; choose another name")
+        raise DeclarationError(f"{location}: Python or MATLAB do not take {column!r}; choose another name")
 
 
 def check_axes(declaration: Table) -> None:
-    """Enumeration, mask, encoder channels and encoder parameters name the same axes."""
+    """Raise DeclarationError unless enumeration, mask, encoder channels and parameters have the same axes."""
     names = axes(declaration)
     if [entry["value"] for _, entry in rows(declaration["enums"]["axis"])] != [*range(len(names))]:
         raise DeclarationError("enum axis: its values count from 0, in order")
@@ -274,15 +286,15 @@ def check_axes(declaration: Table) -> None:
 
 
 def check_laws(d: Table) -> None:
-    """Raise DeclarationError for the first thing that is wrong with what is declared of laws."""
+    """Raise DeclarationError for the first problem in the declaration of uploaded laws."""
     if set(d["law"]) != set(LAW_LIMITS):
         raise DeclarationError(f"law: needs {', '.join(LAW_LIMITS)}, and nothing else")
     if d["law"]["cells"] > MAX_CELLS:
         raise DeclarationError(f"law: an instruction can name {MAX_CELLS} cells at most")
-    if [one["code"] for one in d["operation"]] != [*range(len(d["operation"]))]:
+    if [entry["code"] for entry in d["operation"]] != [*range(len(d["operation"]))]:
         raise DeclarationError("operation: codes count from 0, in order")
     if len(d["operation"]) > MAX_OPERATIONS:
         raise DeclarationError(f"operation: an instruction can name {MAX_OPERATIONS} at most")
-    for one in d["operation"]:
-        if one["operands"] not in (0, 1, 2):
-            raise DeclarationError(f"operation {one['name']}: 0 (terms follow), 1 or 2 operands")
+    for entry in d["operation"]:
+        if entry["operands"] not in (0, 1, 2):
+            raise DeclarationError(f"operation {entry['name']}: 0 (terms follow), 1 or 2 operands")

@@ -1,4 +1,4 @@
-"""The declaration for people: the pages link, parameters and faults in docs/reference."""
+"""The declaration as documents: the pages link, parameters and faults in docs/reference."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ The board stores these parameters: encoders, motors, limits and gains. `heli-hos
 
 
 def markdown_table(header: list[str], body: list[list[str]]) -> list[str]:
-    """The lines of a table."""
+    """Return the lines of a Markdown table."""
     return [
         "| " + " | ".join(header) + " |",
         "|" + "---|" * len(header),
@@ -99,7 +99,7 @@ def markdown_table(header: list[str], body: list[list[str]]) -> list[str]:
 
 
 def generate_doc(d: Table) -> str:
-    """Text of docs/reference/link.md."""
+    """Return the text of docs/reference/link.md."""
     declared = d["channel"]
     text = FRAMING.format(
         hash=link_hash(d),
@@ -153,7 +153,7 @@ def generate_doc(d: Table) -> str:
 
 
 def generate_faults(d: Table) -> str:
-    """Text of docs/reference/faults.md."""
+    """Return the text of docs/reference/faults.md."""
     kinds = {f["kind"] for f in d["fault"]}
     out = [
         FAULTS,
@@ -178,7 +178,7 @@ def generate_faults(d: Table) -> str:
 
 
 def generate_parameters(d: Table) -> str:
-    """Text of docs/reference/parameters.md."""
+    """Return the text of docs/reference/parameters.md."""
     out = [
         PARAMETERS,
         *markdown_table(
@@ -200,6 +200,6 @@ def generate_parameters(d: Table) -> str:
 
 
 def kind_of(param: Table) -> str:
-    """Which numbers between its ends a parameter takes, if not all."""
+    """Return a restriction of the numbers in the range of a parameter, such as ", whole"; empty without one."""
     whole = ", whole" if param.get("integer", False) else ""
     return whole + (", not 0" if param.get("nonzero", False) else "")

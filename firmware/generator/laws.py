@@ -1,4 +1,4 @@
-"""Laws that come over the link: their limits, inputs and operations, for both ends and for people."""
+"""Control laws that are uploaded over the link: limits, inputs and operations, as C++, Python and text."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from firmware.generator.declared import LAW_LIMITS, Table, camel
 
 
 def cpp_laws(d: Table) -> list[str]:
-    """Lines of C++."""
+    """Return the part of declaration.hpp about uploaded laws."""
     out = ["// Laws that come over the link."]
     out += [f"inline constexpr std::uint32_t kLaw{camel(name)} = {d['law'][name]};" for name in LAW_LIMITS]
     out += ["enum class LawInput : std::uint8_t {"]
-    out += [f"  {one['name']} = {place},  // {one['meaning']}" for place, one in enumerate(d["law_input"])]
+    out += [
+        f"  {entry['name']} = {index},  // {entry['meaning']}" for index, entry in enumerate(d["law_input"])
+    ]
     out += ["};", f"inline constexpr std::size_t kLawInputCount = {len(d['law_input'])};"]
     out += ["enum class Operation : std::uint8_t {"]
-    out += [f"  {one['name']} = {one['code']},  // {one['meaning']}" for one in d["operation"]]
-    costs = ", ".join(str(one["cost"]) for one in d["operation"])
-    binary = sum(1 << one["code"] for one in d["operation"] if one["operands"] == 2)
+    out += [f"  {entry['name']} = {entry['code']},  // {entry['meaning']}" for entry in d["operation"]]
+    costs = ", ".join(str(entry["cost"]) for entry in d["operation"])
+    binary = sum(1 << entry["code"] for entry in d["operation"] if entry["operands"] == 2)
     count = len(d["operation"])
     return [
         *out, "};", f"inline constexpr std::size_t kOperationCount = {count};",
@@ -28,15 +30,15 @@ def cpp_laws(d: Table) -> list[str]:
 
 
 def python_laws(d: Table) -> list[str]:
-    """Lines of Python."""
+    """Return the part of declaration.py about uploaded laws."""
     out = [f"LAW_{name.upper()} = {d['law'][name]}" for name in LAW_LIMITS]
-    inputs = [json.dumps(one["name"]) for one in d["law_input"]]
+    inputs = [json.dumps(entry["name"]) for entry in d["law_input"]]
     out += ["LAW_INPUTS: tuple[str, ...] = (", *(f"    {name}," for name in inputs), ")"]
-    out += ['"""What a law is given, in the order of its cells."""', "", ""]
+    out += ['"""Inputs of a law, in the order of its cells."""', "", ""]
     out += [
         "@dataclass(frozen=True, slots=True)",
         "class OperationSpec:",
-        '    """One operation of a law: its number, how many operands it takes, its worst case in instructions."""',
+        '    """One operation of a law: its number, its number of operands, and its worst-case instructions."""',
         "",
         "    name: str",
         "    code: int",
@@ -47,9 +49,11 @@ def python_laws(d: Table) -> list[str]:
         "",
         "OPERATIONS: tuple[OperationSpec, ...] = (",
     ]
-    for one in d["operation"]:
-        values = (one["name"], one["code"], one["operands"], one["cost"], one["meaning"])
-        out.append(f"    OperationSpec({', '.join(json.dumps(v, ensure_ascii=False) for v in values)}),")
+    for entry in d["operation"]:
+        values = (entry["name"], entry["code"], entry["operands"], entry["cost"], entry["meaning"])
+        out.append(
+            f"    OperationSpec({', '.join(json.dumps(value, ensure_ascii=False) for value in values)}),"
+        )
     return [*out, ")", ""]
 
 
@@ -107,12 +111,16 @@ ticks. Its outputs act from the last one on.
 
 
 def document_laws(d: Table) -> list[str]:
-    """Lines of docs/reference/link.md."""
+    """Return the part of docs/reference/link.md about uploaded laws."""
     out = [DOCUMENT.format(inputs=len(d["law_input"]), **d["law"])]
     out += ["| cell | input | meaning |", "|---|---|---|"]
-    out += [f"| {k} | `{one['name']}` | {one['meaning']} |" for k, one in enumerate(d["law_input"])]
+    out += [
+        f"| {index} | `{entry['name']}` | {entry['meaning']} |" for index, entry in enumerate(d["law_input"])
+    ]
     out += ["", "| code | operation | operands | cost | gives |", "|---|---|---|---|---|"]
-    for one in d["operation"]:
-        meaning = one["meaning"].replace("|", "\\|")
-        out.append(f"| {one['code']} | `{one['name']}` | {one['operands']} | {one['cost']} | {meaning} |")
+    for entry in d["operation"]:
+        meaning = entry["meaning"].replace("|", "\\|")
+        out.append(
+            f"| {entry['code']} | `{entry['name']}` | {entry['operands']} | {entry['cost']} | {meaning} |"
+        )
     return [*out, ""]

@@ -1,4 +1,4 @@
-"""Reading the wiring in pins.toml, and refusing what the Due or the firmware cannot do."""
+"""Read the wiring in pins.toml, and check that the Due and the firmware support it."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ PWM_CHANNELS: Mapping[str, int] = {"D9": 4, "D8": 5, "D7": 6, "D6": 7}
 STOP_PIN = "D29"
 SERIAL_PINS = ("D0", "D1")
 PULLED_UP = ("D20", "D21")
-"""The Due has resistors of 1.5 k from these two to 3.3 V, which beat the pull-down of an enable: the bridge would be
-on while the chip is in reset."""
+"""The Due has resistors of 1.5 k from these two pins to 3.3 V, which are stronger than the pull-down of an enable
+line: the bridge would be on during a reset of the chip."""
 ENABLE_PINS = tuple(
     f"D{number}"
     for number in range(14, 54)
     if f"D{number}" not in (*PULLED_UP, *ENCODER_PINS["interrupt"], STOP_PIN)
 )
 PWM_RANGE_HZ = (2000, 25000)
-"""Below, the duty in steps of 42 MHz / frequency would not fit its 16 bits with a margin; above, a BTS7960 does not
-follow (datasheet, section 1)."""
+"""Permitted switching frequencies. Below the range, the number of duty steps, 42 MHz / frequency, would not fit 16
+bits with a margin. A BTS7960 cannot switch faster (datasheet, section 1)."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Driver:
 
 @dataclass(frozen=True)
 class Wiring:
-    """What is connected to which pin, and which level means what.
+    """Connections of the pins, and the meaning of their levels.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def read_pins(path: Path) -> Wiring:
     Raises
     ------
     DeclarationError
-        The file is no TOML, lacks an entry, or asks for something the board cannot have.
+        If the file is not TOML, lacks an entry, or has a pin or value that the board does not support.
     """
     tables = read_toml(path)
     for problem in _wrong_keys(tables):
@@ -124,6 +124,7 @@ def read_pins(path: Path) -> Wiring:
 
 
 def _wrong_keys(tables: Mapping[str, Any]) -> Iterator[str]:
+    """Yield an error message for each missing, unknown or mistyped entry."""
     for name in tables:
         if name not in KEYS:
             yield f"unknown section [{name}]; choose from {', '.join(KEYS)}"
@@ -151,6 +152,7 @@ def _wrong_keys(tables: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _impossible(wiring: Wiring, stops_when: str) -> Iterator[str]:
+    """Yield an error message for each pin or value that the board cannot have."""
     if sorted(wiring.encoders.values()) != sorted(AXES):
         yield f"[encoders] counts {', '.join(wiring.encoders.values())}; name each of {', '.join(AXES)} once"
     used: dict[str, str] = {}
@@ -172,6 +174,7 @@ def _impossible(wiring: Wiring, stops_when: str) -> Iterator[str]:
 
 
 def _why_no_enable(pin: str) -> str:
+    """Return why a pin cannot be an enable line, and what to choose instead."""
     if pin in PULLED_UP:
         return "the board pulls it up, so the bridge would be on during a reset; choose another of D14 to D53"
     if pin in (*ENCODER_PINS["interrupt"], STOP_PIN):

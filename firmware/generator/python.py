@@ -22,7 +22,7 @@ PY_TYPE = {"f32": "float"}
 
 
 def enum_class(name: str, base: str, doc: str, members: list[tuple[str, int, str]]) -> list[str]:
-    """The lines of an enumeration or of a set of bits."""
+    """Return the class of an enumeration or a set of bits; `members` are name, number and meaning."""
     out = ["", f"class {name}({base}):", f'    """{doc}"""', ""]
     out += [f"    {k.upper()} = {v}  # {meaning}" for k, v, meaning in members]
     out.append("")
@@ -32,17 +32,17 @@ def enum_class(name: str, base: str, doc: str, members: list[tuple[str, int, str
 
 
 def values_of(entries: Table, key: str) -> list[tuple[str, int, str]]:
-    """Members of an enumeration (key ``value``) or of a set of bits (``bit``)."""
+    """Return the members of an enumeration (key ``value``) or a set of bits (``bit``)."""
     return [(k, 1 << e[key] if key == "bit" else e[key], e["meaning"]) for k, e in rows(entries)]
 
 
 def positions(entries: list[Table]) -> list[tuple[str, int, str]]:
-    """Members of an enumeration of a table's rows."""
+    """Return the rows of a table as members of an enumeration, numbered from 0."""
     return [(e["name"], number, f"{e['unit']}: {e['meaning']}") for number, e in enumerate(entries)]
 
 
 def type_of(channel: Table) -> str:
-    """Python's type of one value of a channel."""
+    """Return the Python type of one value of a channel."""
     kind = channels.numbers_of(channel)
     if kind is not None:
         return camel(kind)
@@ -50,26 +50,26 @@ def type_of(channel: Table) -> str:
 
 
 def is_whole(channel: Table) -> bool:
-    """Whether its values are the raw numbers themselves."""
+    """Whether the values of a channel are its raw numbers."""
     return channels.axis_of(channel) is None and float(channel["scale"]) == 1.0
 
 
 def unit_of(channel: Table) -> str:
-    """The unit of its column, for a docstring."""
+    """Return the unit of a channel in brackets, for a docstring; empty without a unit."""
     unit = "rad" if channels.axis_of(channel) else channel["unit"]
     return f" [{unit}]" if unit and channels.numbers_of(channel) is None else ""
 
 
 def values_class(declared: list[Table]) -> list[str]:
-    """The lines of the class that holds one tick."""
+    """Return the class with the values of one tick."""
     out = [
         "",
         "@dataclass(frozen=True)",
         "class ChannelValues:",
-        '    """Every channel of one tick, in its unit.',
+        '    """The values of all channels in one tick, each in its unit.',
     ]
     out += ["", "    Parameters", "    ----------", "    tick : int"]
-    out.append("        Device time [tick], counted on over 2^32.")
+    out.append("        Device time [tick], unwrapped beyond 2^32.")
     for c in declared:
         out += [f"    {channels.column(c)} : {type_of(c)}", f"        {c['meaning']}{unit_of(c)}"]
     out += ['    """', "", "    tick: int"]
@@ -77,16 +77,16 @@ def values_class(declared: list[Table]) -> list[str]:
 
 
 def arrays_class(declared: list[Table]) -> list[str]:
-    """The lines of the class that holds many ticks."""
+    """Return the class with the values of many ticks."""
 
     def dtype(channel: Table) -> str:
         sign = "uint" if channel["type"].startswith("u") else "int"
         return f"{sign}{channel['type'][1:]}" if is_whole(channel) else "float64"
 
     out = ["", "@dataclass(frozen=True)", "class ChannelArrays:"]
-    out += ['    """Every channel of many ticks, in its unit: one array a channel, one entry a tick.', ""]
+    out += ['    """The values of all channels in many ticks, each in its unit: one array per channel.', ""]
     out += ["    Parameters", "    ----------", "    tick : ndarray of int64, shape (n,)"]
-    out.append("        Device time [tick], counted on over 2^32; a gap is a loss.")
+    out.append("        Device time [tick], unwrapped beyond 2^32; a gap means that ticks were lost.")
     for c in declared:
         out.append(f"    {channels.column(c)} : ndarray of {dtype(c)}, shape (n,)")
         out.append(f"        {c['meaning']}{unit_of(c)}")
@@ -95,9 +95,26 @@ def arrays_class(declared: list[Table]) -> list[str]:
 
 
 def generate_python(d: Table) -> str:
-    """Text of host/heli_host/declaration.py."""
+    """Return the text of host/heli_host/declaration.py."""
+    lines = [
+        *_head(d),
+        *_enumerations(d),
+        *_SPEC_CLASSES.split("\n"),
+        *_parameter_table(d),
+        *_fault_table(d),
+        *_channel_table(d),
+        *values_class(d["channel"]),
+        *arrays_class(d["channel"]),
+        *python_laws(d),
+        *(line for message in d["message"] for line in _message_class(message)),
+    ]
+    return "\n".join(lines)
+
+
+def _head(d: Table) -> list[str]:
+    """Return the module docstring, the imports and the constants of the link."""
     link = d["link"]
-    out = [
+    return [
         '"""Messages, channels, parameters and faults of the link.',
         "",
         "Written by firmware/generate.py from firmware/link.toml. Do not edit.",
@@ -126,145 +143,173 @@ def generate_python(d: Table) -> str:
         "",
     ]
 
-    for name, entries in d["enums"].items():
-        out += enum_class(camel(name), "IntEnum", entries["meaning"], values_of(entries, "value"))
-    for name, entries in d["bits"].items():
-        out += enum_class(camel(name), "IntFlag", entries["meaning"], values_of(entries, "bit"))
-    faults = [(f["name"], f["code"], f["meaning"]) for f in d["fault"]]
-    out += enum_class("Fault", "IntEnum", "Fault codes.", [("none", 0, "no fault"), *faults])
-    out += enum_class("Param", "IntEnum", "Position of each parameter in the table.", positions(d["param"]))
-    out += enum_class("Channel", "IntEnum", "Position of each telemetry channel.", positions(d["channel"]))
-    ids = [(m["name"], m["id"], m["meaning"]) for m in d["message"]]
-    out += enum_class("MessageId", "IntEnum", "Second byte of a frame.", ids)
-    names = ", ".join(json.dumps(axis) for axis in axes(d))
-    out += ["", f"AXES: tuple[str, ...] = ({names},)", '"""Names of the axes in the order of `Axis`."""', ""]
 
-    out += [
+def _enumerations(d: Table) -> list[str]:
+    """Return the declared enumerations, and those of the rows of each table."""
+    lines: list[str] = []
+    for name, entries in d["enums"].items():
+        lines += enum_class(camel(name), "IntEnum", entries["meaning"], values_of(entries, "value"))
+    for name, entries in d["bits"].items():
+        lines += enum_class(camel(name), "IntFlag", entries["meaning"], values_of(entries, "bit"))
+    faults = [(fault["name"], fault["code"], fault["meaning"]) for fault in d["fault"]]
+    lines += enum_class("Fault", "IntEnum", "Fault codes.", [("none", 0, "no fault"), *faults])
+    lines += enum_class("Param", "IntEnum", "Position of each parameter in the table.", positions(d["param"]))
+    lines += enum_class("Channel", "IntEnum", "Position of each telemetry channel.", positions(d["channel"]))
+    ids = [(message["name"], message["id"], message["meaning"]) for message in d["message"]]
+    lines += enum_class("MessageId", "IntEnum", "Second byte of a frame.", ids)
+    names = ", ".join(json.dumps(axis) for axis in axes(d))
+    return [
+        *lines,
         "",
-        "@dataclass(frozen=True, slots=True)",
-        "class ParamSpec:",
-        '    """One row of the parameter table; ``min``, ``max`` and ``default`` are in ``unit``."""',
+        f"AXES: tuple[str, ...] = ({names},)",
+        '"""Names of the axes in the order of `Axis`."""',
         "",
-        "    index: int",
-        "    name: str",
-        "    unit: str",
-        "    min: float",
-        "    max: float",
-        "    default: float",
-        "    nonzero: bool",
-        "    integer: bool",
-        "    idle_only: bool",
-        "    id: int",
-        "    meaning: str",
-        "",
-        "",
-        "@dataclass(frozen=True, slots=True)",
-        "class FaultSpec:",
-        '    """One fault: its number, the parameter that set its limit, and what to do."""',
-        "",
-        "    code: int",
-        "    name: str",
-        "    kind: str",
-        "    parameter: str | None",
-        "    meaning: str",
-        "    remedy: str",
-        "",
-        "",
-        "@dataclass(frozen=True, slots=True)",
-        "class ChannelSpec:",
-        '    """One telemetry channel: value = raw * scale, in ``unit``.',
-        "",
-        "    Parameters",
-        "    ----------",
-        "    name : str",
-        "        As in `Channel`, in small letters.",
-        "    code : str",
-        "        Its type on the wire, as `struct` spells it.",
-        "    unit : str",
-        "        Unit of its values.",
-        "    scale : float",
-        "        Value of a raw 1 [unit].",
-        "    column : str",
-        "        Its name in samples, flights and tables; an encoder's is its axis' angle in rad.",
-        "    field : str",
-        "        Its name in a log.",
-        "    axis : Axis or None",
-        "        Axis whose encoder it counts.",
-        "    kind : type or None",
-        "        Enumeration or set of bits that its numbers are of.",
-        "    meaning : str",
-        "        What it is.",
-        '    """',
-        "",
-        "    name: str",
-        "    code: str",
-        "    unit: str",
-        "    scale: float",
-        "    column: str",
-        "    field: str",
-        "    axis: Axis | None",
-        "    kind: type[IntEnum] | type[IntFlag] | None",
-        "    meaning: str",
-        "",
-        "",
-        "PARAMS: tuple[ParamSpec, ...] = (",
     ]
-    for i, p in enumerate(d["param"]):
-        values = [i, p["name"], p["unit"], float(p["min"]), float(p["max"]), float(p["default"])]
-        values += [p.get("nonzero", False), p.get("integer", False), p["when"] == "idle"]
-        values += [param_id(p), p["meaning"]]
-        out.append(f"    ParamSpec({', '.join(json_or_bool(v) for v in values)}),")
-    out += [")", "", "FAULTS: tuple[FaultSpec, ...] = ("]
-    for f in d["fault"]:
-        values = [f["code"], f["name"], f["kind"], f.get("parameter"), f["meaning"], f["remedy"]]
-        out.append(f"    FaultSpec({', '.join(json_or_bool(v) for v in values)}),")
-    out += [")", "", "CHANNELS: tuple[ChannelSpec, ...] = ("]
-    for c in d["channel"]:
-        axis, kind = channels.axis_of(c), channels.numbers_of(c)
-        values = [c["name"], "<" + STRUCT_CODE[c["type"]], c["unit"], float(c["scale"])]
-        values += [channels.column(c), channels.field(c)]
-        words = [json_or_bool(value) for value in values]
-        words += [f"Axis.{axis.upper()}" if axis else "None", camel(kind) if kind else "None"]
-        out.append(f"    ChannelSpec({', '.join(words)}, {json_or_bool(c['meaning'])}),")
-    out += [")", ""]
-    out += values_class(d["channel"]) + arrays_class(d["channel"])
-    out += python_laws(d)
-    for m in d["message"]:
-        fields = full_fields(m)
-        fmt = "<" + "".join(STRUCT_CODE[f["type"]] for f in fields)
-        name = camel(m["name"]) + "Message"
-        out += ["", "@dataclass(frozen=True, slots=True)", f"class {name}:"]
-        out.append(f'    """{m["meaning"]}')
-        if fields:
-            out += ["", "    Parameters", "    ----------"]
-            for f in fields:
-                unit = f" [{f['unit']}]" if f["unit"] else ""
-                out += [f"    {f['name']} : {PY_TYPE.get(f['type'], 'int')}", f"        {f['meaning']}{unit}"]
-        out += ['    """', ""]
-        out.append(f"    ID: ClassVar[MessageId] = MessageId.{m['name'].upper()}")
-        out.append(f'    STRUCT: ClassVar[struct.Struct] = struct.Struct("{fmt}")')
-        if m["kind"] == "command":
-            reply = next(r for r in d["message"] if r["name"] == m["reply"])
-            out.append(f"    REPLY: ClassVar[MessageId] = MessageId.{reply['name'].upper()}")
-        out += [f"    {f['name']}: {PY_TYPE.get(f['type'], 'int')}" for f in fields]
-        attributes = ", ".join("self." + f["name"] for f in fields)
-        out += [
-            "",
-            "    def pack(self) -> bytes:",
-            '        """Return the payload bytes."""',
-            f"        return self.STRUCT.pack({attributes})",
-            "",
-            "    @classmethod",
-            f"    def unpack(cls, payload: bytes) -> {name}:",
-            '        """Read the fixed fields from the start of ``payload``."""',
-            "        return cls(*cls.STRUCT.unpack_from(payload))",
-            "",
-        ]
-    return "\n".join(out)
+
+
+_SPEC_CLASSES = '''
+@dataclass(frozen=True, slots=True)
+class ParamSpec:
+    """One row of the parameter table; ``min``, ``max`` and ``default`` are in ``unit``."""
+
+    index: int
+    name: str
+    unit: str
+    min: float
+    max: float
+    default: float
+    nonzero: bool
+    integer: bool
+    idle_only: bool
+    id: int
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class FaultSpec:
+    """One fault: its number, the parameter that set its limit, and what to do."""
+
+    code: int
+    name: str
+    kind: str
+    parameter: str | None
+    meaning: str
+    remedy: str
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelSpec:
+    """One telemetry channel: value = raw * scale, in ``unit``.
+
+    Parameters
+    ----------
+    name : str
+        Name in `Channel`, in lower case.
+    code : str
+        Type on the wire, as a format of `struct`.
+    unit : str
+        Unit of the values.
+    scale : float
+        Value of the raw number 1, in `unit`.
+    column : str
+        Name in samples, flights and tables; for an encoder, that of its angle in rad.
+    field : str
+        Name in a log.
+    axis : Axis or None
+        Axis whose encoder the channel counts; None for other channels.
+    kind : type or None
+        Enumeration or set of bits of the numbers; None for plain numbers.
+    meaning : str
+        Description of the channel.
+    """
+
+    name: str
+    code: str
+    unit: str
+    scale: float
+    column: str
+    field: str
+    axis: Axis | None
+    kind: type[IntEnum] | type[IntFlag] | None
+    meaning: str
+
+'''
+"""Classes for the rows of the tables of parameters, faults and channels."""
+
+
+def _parameter_table(d: Table) -> list[str]:
+    """Return the table of parameters."""
+    lines = ["PARAMS: tuple[ParamSpec, ...] = ("]
+    for index, param in enumerate(d["param"]):
+        values = [index, param["name"], param["unit"]]
+        values += [float(param["min"]), float(param["max"]), float(param["default"])]
+        values += [param.get("nonzero", False), param.get("integer", False), param["when"] == "idle"]
+        values += [param_id(param), param["meaning"]]
+        lines.append(f"    ParamSpec({', '.join(json_or_bool(value) for value in values)}),")
+    return [*lines, ")", ""]
+
+
+def _fault_table(d: Table) -> list[str]:
+    """Return the table of faults."""
+    lines = ["FAULTS: tuple[FaultSpec, ...] = ("]
+    for fault in d["fault"]:
+        values = [fault["code"], fault["name"], fault["kind"]]
+        values += [fault.get("parameter"), fault["meaning"], fault["remedy"]]
+        lines.append(f"    FaultSpec({', '.join(json_or_bool(value) for value in values)}),")
+    return [*lines, ")", ""]
+
+
+def _channel_table(d: Table) -> list[str]:
+    """Return the table of telemetry channels."""
+    lines = ["CHANNELS: tuple[ChannelSpec, ...] = ("]
+    for channel in d["channel"]:
+        axis, kind = channels.axis_of(channel), channels.numbers_of(channel)
+        values = [channel["name"], "<" + STRUCT_CODE[channel["type"]], channel["unit"]]
+        values += [float(channel["scale"]), channels.column(channel), channels.field(channel)]
+        literals = [json_or_bool(value) for value in values]
+        literals += [f"Axis.{axis.upper()}" if axis else "None", camel(kind) if kind else "None"]
+        literals.append(json_or_bool(channel["meaning"]))
+        lines.append(f"    ChannelSpec({', '.join(literals)}),")
+    return [*lines, ")", ""]
+
+
+def _message_class(message: Table) -> list[str]:
+    """Return the class of a message, which packs its fields to bytes and unpacks them."""
+    fields = full_fields(message)
+    struct_format = "<" + "".join(STRUCT_CODE[field["type"]] for field in fields)
+    name = camel(message["name"]) + "Message"
+    lines = ["", "@dataclass(frozen=True, slots=True)", f"class {name}:"]
+    lines.append(f'    """{message["meaning"]}')
+    if fields:
+        lines += ["", "    Parameters", "    ----------"]
+        for field in fields:
+            unit = f" [{field['unit']}]" if field["unit"] else ""
+            lines.append(f"    {field['name']} : {PY_TYPE.get(field['type'], 'int')}")
+            lines.append(f"        {field['meaning']}{unit}")
+    lines += ['    """', ""]
+    lines.append(f"    ID: ClassVar[MessageId] = MessageId.{message['name'].upper()}")
+    lines.append(f'    STRUCT: ClassVar[struct.Struct] = struct.Struct("{struct_format}")')
+    if message["kind"] == "command":
+        lines.append(f"    REPLY: ClassVar[MessageId] = MessageId.{message['reply'].upper()}")
+    lines += [f"    {field['name']}: {PY_TYPE.get(field['type'], 'int')}" for field in fields]
+    attributes = ", ".join("self." + field["name"] for field in fields)
+    return [
+        *lines,
+        "",
+        "    def pack(self) -> bytes:",
+        '        """Return the payload bytes."""',
+        f"        return self.STRUCT.pack({attributes})",
+        "",
+        "    @classmethod",
+        f"    def unpack(cls, payload: bytes) -> {name}:",
+        '        """Read the fixed fields from the start of ``payload``."""',
+        "        return cls(*cls.STRUCT.unpack_from(payload))",
+        "",
+    ]
 
 
 def json_or_bool(value: object) -> str:
-    """A literal of Python."""
+    """Return a value as a Python literal."""
     if isinstance(value, bool) or value is None:
         return str(value)
     return json.dumps(value, ensure_ascii=False)

@@ -65,12 +65,14 @@ def generate_header(wiring: Wiring) -> str:
 
 
 def rows(wiring: Wiring) -> Iterator[tuple[str, str, str, str]]:
-    """Yield every wire: its name, its pin, what it goes to, and what else is connected to it."""
+    """Yield each wire: signal, pin, what the wire connects to, and the resistor at the pin."""
     for axis in AXES:
         for line, pin in zip("AB", wiring.encoder_pins(axis), strict=True):
-            with_ = "1 k to 3.3 V: the board's LED loads this pin" if pin == LED_PIN else "1-2.2 k to 3.3 V"
-            yield f"{axis.title()}{line}", pin, f"{axis} encoder, {line}", with_
-    held = "4.7-10 k to 3.3 V" if wiring.enable_inverted else "4.7-10 k to ground"
+            connected_with = (
+                "1 k to 3.3 V: the board's LED loads this pin" if pin == LED_PIN else "1-2.2 k to 3.3 V"
+            )
+            yield f"{axis.title()}{line}", pin, f"{axis} encoder, {line}", connected_with
+    resistor = "4.7-10 k to 3.3 V" if wiring.enable_inverted else "4.7-10 k to ground"
     for motor, driver in (("front", wiring.front), ("back", wiring.back)):
         for line in (*LINES[2:], *LINES[:2]):
             name, terminal = TERMINALS[line]
@@ -78,7 +80,7 @@ def rows(wiring: Wiring) -> Iterator[tuple[str, str, str, str]]:
                 f"{motor.title()}{name}",
                 getattr(driver, line),
                 f"{motor} driver, {terminal}",
-                held if "enable" in line else "",
+                resistor if "enable" in line else "",
             )
     switch = "normally closed to ground" if wiring.stop_is_high else "normally open to ground"
     yield "HardwareStop", STOP_PIN, f"stop switch, {switch}", "4.7 k to 3.3 V"
@@ -87,10 +89,12 @@ def rows(wiring: Wiring) -> Iterator[tuple[str, str, str, str]]:
 
 
 def generate_table(wiring: Wiring) -> str:
-    """Return the lines of the table between its two marks."""
+    """Return the table of the wires in Markdown, with the marks before and after it."""
     lines = [BEGIN, "", "| signal | Due | chip | goes to | with |", "|---|---|---|---|---|"]
-    for name, pin, goes_to, with_ in rows(wiring):
-        lines.append(f"| `{name}` | {pin} | {CHIP_PINS[pin]} | {goes_to} |{f' {with_} ' if with_ else ' '}|")
+    for name, pin, goes_to, connected_with in rows(wiring):
+        lines.append(
+            f"| `{name}` | {pin} | {CHIP_PINS[pin]} | {goes_to} |{f' {connected_with} ' if connected_with else ' '}|"
+        )
     for name, index, chip in (("TC2", "D10", "PC29"), ("TC0", "A6", "PA3")):
         axis = wiring.encoders[name]
         lines.append(
@@ -100,10 +104,10 @@ def generate_table(wiring: Wiring) -> str:
 
 
 def with_table(page: str, wiring: Wiring) -> str:
-    """Return a page with the table between its marks written again."""
-    before, found_begin, rest = page.partition(BEGIN)
-    _, found_end, after = rest.partition(END)
-    if not (found_begin and found_end):
+    """Return a page in which the table between the two marks is replaced by the present one."""
+    before, has_begin, after_begin = page.partition(BEGIN)
+    _, has_end, after = after_begin.partition(END)
+    if not (has_begin and has_end):
         raise DeclarationError(
             f"docs/how-to/wiring.md lacks the marks {BEGIN!r} and {END!r}; put them back around its table"
         )
@@ -111,6 +115,7 @@ def with_table(page: str, wiring: Wiring) -> str:
 
 
 def _driver(name: str, driver: Driver) -> Iterator[str]:
+    """Yield the pins and PWM channels of a motor's driver as C++ constants."""
     constants = {}
     for line in LINES:
         pin, (suffix, terminal) = getattr(driver, line), TERMINALS[line]
@@ -128,8 +133,10 @@ def _driver(name: str, driver: Driver) -> Iterator[str]:
 
 
 def _input(name: str) -> str:
+    """Return the name of an encoder input in C++."""
     return "kInterrupt" if name == "interrupt" else f"k{name.title()}"
 
 
 def _cpp(value: bool) -> str:
+    """Return a truth value in C++."""
     return "true" if value else "false"

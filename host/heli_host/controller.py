@@ -60,14 +60,15 @@ class ControllerReport:
     misses : int
         Periods in which it was not called, because samples came late or the law took too long.
     takeovers : int
-        Times that the board held level by itself because voltages came too late.
+        Number of times that the board held level itself because voltages came too late.
     clipped : int
-        Calls whose voltages were brought back to the board's limits.
+        Calls whose voltages were clipped to the board's limits.
     latency_p50_ms, latency_p95_ms, latency_max_ms : float
-        From the tick of a sample to the tick in which the voltage computed from it acted, device time [ms];
-        nan when no voltage could be found again in telemetry.
+        Time from the tick of a sample to the tick in which its voltage acted, device time [ms]; nan if no
+        voltage was recognised in telemetry.
     latency_count : int
-        Calls that these were measured on: those whose voltages differ enough from the ones before.
+        Number of calls from which the latency was measured: their voltages differ enough from the previous
+        ones.
     law_p50_ms, law_p95_ms, law_max_ms : float
         Time that the law itself took on this computer [ms].
     """
@@ -95,7 +96,7 @@ class ControllerReport:
 
 @dataclass
 class _Run:
-    """What is written down while a law flies; one entry a call."""
+    """Record of a control law in flight, with one entry per call in each list."""
 
     period_ticks: int
     duration_ticks: int
@@ -262,9 +263,14 @@ def _report(
 def _latencies_ticks(
     run: _Run, tick: npt.NDArray[np.int64], volts: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Ticks from each sample to the first tick in which the voltages computed from it acted.
+    """Return the ticks from each sample to the first tick in which its voltages acted.
 
-    ``volts`` (n, 2) acted at ``tick`` (n,).
+    Calls whose voltages hardly differ from the previous ones are skipped, because their tick is ambiguous.
+
+    Parameters
+    ----------
+    tick, volts : ndarray (n,), (n, 2)
+        Voltages that telemetry reports for each tick.
     """
     sent_V = np.column_stack([run.front_V, run.back_V])  # (calls, 2)
     latencies = []
@@ -272,7 +278,7 @@ def _latencies_ticks(
         if np.abs(sent_V[call] - sent_V[call - 1]).max() < _DIFFERENT_V:
             continue
         start = int(np.searchsorted(tick, run.tick[call], side="right"))
-        same = np.abs(volts[start : start + _LOOK_TICKS] - sent_V[call]).max(axis=1) < _SAME_V
-        if same.any():
-            latencies.append(float(tick[start + int(np.argmax(same))] - run.tick[call]))
+        is_same = np.abs(volts[start : start + _LOOK_TICKS] - sent_V[call]).max(axis=1) < _SAME_V
+        if is_same.any():
+            latencies.append(float(tick[start + int(np.argmax(is_same))] - run.tick[call]))
     return np.array(latencies)

@@ -472,23 +472,23 @@ class ChannelSpec:
     Parameters
     ----------
     name : str
-        As in `Channel`, in small letters.
+        Name in `Channel`, in lower case.
     code : str
-        Its type on the wire, as `struct` spells it.
+        Type on the wire, as a format of `struct`.
     unit : str
-        Unit of its values.
+        Unit of the values.
     scale : float
-        Value of a raw 1 [unit].
+        Value of the raw number 1, in `unit`.
     column : str
-        Its name in samples, flights and tables; an encoder's is its axis' angle in rad.
+        Name in samples, flights and tables; for an encoder, that of its angle in rad.
     field : str
-        Its name in a log.
+        Name in a log.
     axis : Axis or None
-        Axis whose encoder it counts.
+        Axis whose encoder the channel counts; None for other channels.
     kind : type or None
-        Enumeration or set of bits that its numbers are of.
+        Enumeration or set of bits of the numbers; None for plain numbers.
     meaning : str
-        What it is.
+        Description of the channel.
     """
 
     name: str
@@ -632,12 +632,12 @@ CHANNELS: tuple[ChannelSpec, ...] = (
 
 @dataclass(frozen=True)
 class ChannelValues:
-    """Every channel of one tick, in its unit.
+    """The values of all channels in one tick, each in its unit.
 
     Parameters
     ----------
     tick : int
-        Device time [tick], counted on over 2^32.
+        Device time [tick], unwrapped beyond 2^32.
     elevation_rad : float
         elevation encoder, level = 0, up positive [rad]
     pitch_rad : float
@@ -693,12 +693,12 @@ class ChannelValues:
 
 @dataclass(frozen=True)
 class ChannelArrays:
-    """Every channel of many ticks, in its unit: one array a channel, one entry a tick.
+    """The values of all channels in many ticks, each in its unit: one array per channel.
 
     Parameters
     ----------
     tick : ndarray of int64, shape (n,)
-        Device time [tick], counted on over 2^32; a gap is a loss.
+        Device time [tick], unwrapped beyond 2^32; a gap means that ticks were lost.
     elevation_rad : ndarray of float64, shape (n,)
         elevation encoder, level = 0, up positive [rad]
     pitch_rad : ndarray of float64, shape (n,)
@@ -784,12 +784,12 @@ LAW_INPUTS: tuple[str, ...] = (
     "front_V",
     "back_V",
 )
-"""What a law is given, in the order of its cells."""
+"""Inputs of a law, in the order of its cells."""
 
 
 @dataclass(frozen=True, slots=True)
 class OperationSpec:
-    """One operation of a law: its number, how many operands it takes, its worst case in instructions."""
+    """One operation of a law: its number, its number of operands, and its worst-case instructions."""
 
     name: str
     code: int

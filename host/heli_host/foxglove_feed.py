@@ -73,7 +73,7 @@ class FoxgloveFeed:
             [sys.executable, "-m", "heli_host.foxglove_server"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            # Ctrl-C lands first: the viewers see the landing.
+            # In a separate session, Ctrl-C does not end the server, so that viewers still see the landing.
             start_new_session=True,
         )
         settings = {
@@ -114,6 +114,7 @@ class FoxgloveFeed:
         self._end()
 
     def _answer(self) -> dict[str, Any]:
+        """Read the first line of the server: its port, or an error."""
         assert self._server.stdout is not None
         try:
             answer = json.loads(self._server.stdout.readline())
@@ -121,15 +122,16 @@ class FoxgloveFeed:
             return {}
         return answer if isinstance(answer, dict) else {}
 
-    def _write(self, kind: int, data: bytes) -> None:
+    def _write(self, kind: int, content: bytes) -> None:
+        """Send a message of a `kind` to the server."""
         assert self._server.stdin is not None
         # A server that has ended must not end the flight.
         with contextlib.suppress(OSError, ValueError):
-            self._server.stdin.write(HEADER.pack(kind, len(data)) + data)
+            self._server.stdin.write(HEADER.pack(kind, len(content)) + content)
             self._server.stdin.flush()
 
     def _end(self) -> None:
-        """End the server: close its input, which it obeys, and kill it if it does not end."""
+        """End the server by closing its input, and kill it if it does not end in time."""
         with contextlib.suppress(OSError):
             if self._server.stdin is not None:
                 self._server.stdin.close()
@@ -142,27 +144,31 @@ class FoxgloveFeed:
             self._server.stdout.close()
 
     def _run(self) -> None:
-        while (part := self._queue.get()) is not None:
-            self._write(*part)
+        """Send queued messages until `None` ends the thread."""
+        while (message := self._queue.get()) is not None:
+            self._write(*message)
 
-    def _put(self, kind: int, data: bytes) -> None:
+    def _enqueue(self, kind: int, content: bytes) -> None:
+        """Queue a message for the server, or drop it if too many wait."""
         try:
-            self._queue.put_nowait((kind, data))
+            self._queue.put_nowait((kind, content))
         except queue.Full:
             self.dropped += 1
 
     def _take_ticks(self, ticks: Ticks) -> None:
+        """Queue new samples."""
         if not len(ticks):
             return
         self._last_wall_ns = self._transport.wall_ns()
         tick, raw = np.ascontiguousarray(ticks.tick, "<u4"), np.ascontiguousarray(ticks.raw, "<i4")
-        self._put(TICKS, tick.tobytes() + raw.tobytes())
+        self._enqueue(TICKS, tick.tobytes() + raw.tobytes())
 
     def _take_event(self, event: LinkEvent) -> None:
+        """Queue an event; after a restart of the board, with the time that has passed."""
         text = hide(event.text) if self._hidden else event.text
         body = {"tick": event.tick & 0xFFFFFFFF, "name": event.kind, "message": text}
         gap = {"gap_s": max(0, event.wall_ns - self._last_wall_ns) / 1e9}
-        self._put(EVENT, json.dumps(body | gap if event.kind == BOARD_RESTARTED else body).encode())
+        self._enqueue(EVENT, json.dumps(body | gap if event.kind == BOARD_RESTARTED else body).encode())
 
 
 @contextlib.contextmanager

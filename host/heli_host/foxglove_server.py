@@ -67,7 +67,7 @@ class FoxgloveServer:
         self._start_wall_ns = int(settings["start_wall_ns"])
         self._rad_per_count = np.array(settings["rad_per_count"], np.float64)
         self._clock = TickClock()
-        # Without a reference of our own, the context would end, and its channels with it.
+        # The context and its channels exist only as long as there is a reference to the context.
         context = self._context = foxglove.Context()
         self._ticks = foxglove.Channel(
             TICK_TOPIC,
@@ -91,17 +91,17 @@ class FoxgloveServer:
         )
         self.port: int = self._server.port
 
-    def publish_ticks(self, data: bytes) -> None:
+    def publish_ticks(self, content: bytes) -> None:
         """Publish a batch of ticks.
 
         Parameters
         ----------
-        data : bytes
+        content : bytes
             All tick numbers (u32), then the raw channels (i32) of each tick, little-endian.
         """
-        count = len(data) // _TICK_BYTES
-        tick = np.frombuffer(data, "<u4", count)
-        raw = np.frombuffer(data, "<i4", count * len(Channel), 4 * count).reshape(count, len(Channel))
+        count = len(content) // _TICK_BYTES
+        tick = np.frombuffer(content, "<u4", count)
+        raw = np.frombuffer(content, "<i4", count * len(Channel), 4 * count).reshape(count, len(Channel))
         time_us, _ = self._clock.advance(tick)
         if not self._ticks.has_sinks():
             return
@@ -141,7 +141,7 @@ class FoxgloveServer:
         self._server.stop()
 
 
-def parts(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
+def read_parts(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
     """Yield kind and content of each part of a stream, until it ends.
 
     Parameters
@@ -151,10 +151,10 @@ def parts(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
     """
     while len(head := stream.read(HEADER.size)) == HEADER.size:
         kind, size = HEADER.unpack(head)
-        data = stream.read(size)
-        if len(data) < size:
+        content = stream.read(size)
+        if len(content) < size:
             return
-        yield kind, data
+        yield kind, content
 
 
 def _answer(content: Mapping[str, Any]) -> None:
@@ -164,10 +164,10 @@ def _answer(content: Mapping[str, Any]) -> None:
 
 def main() -> None:
     """Serve standard input until it ends."""
-    # On a busy computer, link and stop go first. The feed keeps what waits.
+    # On a busy computer, link and stop have priority. Messages for viewers wait in the feed.
     if hasattr(os, "nice"):
         os.nice(_NICENESS)
-    received = parts(sys.stdin.buffer)
+    received = read_parts(sys.stdin.buffer)
     _, settings = next(received)
     try:
         server = FoxgloveServer(json.loads(settings))
@@ -175,11 +175,11 @@ def main() -> None:
         _answer({"error": str(error)})
         return
     _answer({"port": server.port})
-    for kind, data in received:
+    for kind, content in received:
         if kind == TICKS:
-            server.publish_ticks(data)
+            server.publish_ticks(content)
         else:
-            server.publish_event(json.loads(data))
+            server.publish_event(json.loads(content))
     server.close()
     # Threads of the library must not delay the end.
     os._exit(0)

@@ -1,4 +1,4 @@
-"""Uploading a law to the board and flying it; the board's own law runs along and can take over."""
+"""Upload a control law to the board and fly it; the board's own law runs in parallel and can take over."""
 
 from __future__ import annotations
 
@@ -63,12 +63,12 @@ def upload(session: Session, program: LawProgram) -> LawMessage:
     Raises
     ------
     CommandRefused
-        A law flies already, or the board refuses the program.
+        If a law flies already, or the board refuses the program.
     """
-    now = loaded(session)
+    board_law = loaded(session)
     words = program.words
-    if now.hash == program.hash and now.state in (LawState.READY, LawState.FLYING):
-        return now
+    if board_law.hash == program.hash and board_law.state in (LawState.READY, LawState.FLYING):
+        return board_law
     session.command(LawBeginMessage(0, program.hash, len(words)))
     for first in range(0, len(words), PART_WORDS):
         part = words[first : first + PART_WORDS]
@@ -94,14 +94,14 @@ def set_parameter(session: Session, program: LawProgram, name: str, value: float
     Returns
     -------
     float
-        The value in force: the nearest of single precision.
+        The value in force: `value` rounded to single precision.
 
     Raises
     ------
     BadLaw
-        The law has no such parameter, or the value is no finite number.
+        If the law has no such parameter, or the value is not a finite number.
     CommandRefused
-        The board has no such law.
+        If the board does not have this law.
     """
     names = [parameter_name for parameter_name, _ in program.parameters]
     if name not in names:
@@ -141,7 +141,7 @@ class LawReport:
 
 
 def takeover_text(event: LinkEvent) -> tuple[str, float] | None:
-    """Read why the board's own law took over.
+    """Return the reason for which the board's built-in law took over, from an event.
 
     Parameters
     ----------
@@ -180,37 +180,37 @@ def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] |
     Raises
     ------
     CommandRefused
-        The board does not take the law, or does not fly.
+        If the board refuses the law, or does not fly.
     FlightAborted
-        The board's own law took over immediately.
+        If the board's built-in law took over immediately.
     """
     upload(heli.session, program)
-    named = ", ".join(program.signal_names) or "none"
+    signal_names = ", ".join(program.signal_names) or "none"
     heli.session.tell(
         LAW_SIGNAL_NAMES,
-        f"law {program.name} ({program.hash:08x}); its signals: {named}",
+        f"law {program.name} ({program.hash:08x}); its signals: {signal_names}",
         program.signal_names,
     )
     for name, value in (parameters or {}).items():
         set_parameter(heli.session, program, name, value)
     start = heli.latest.tick
     heli.session.command(LawFlyMessage(0, 1))
-    found: list[int] = []
+    law_ticks: list[int] = []
 
-    def flies_or_over(sample: Sample) -> bool:
+    def has_engaged(sample: Sample) -> bool:
         if sample.flags & Flags.LAW:
-            found.append(sample.tick)
-        return bool(found) or sample.tick > start + 200
+            law_ticks.append(sample.tick)
+        return bool(law_ticks) or sample.tick > start + 200
 
-    heli.wait_until(flies_or_over, _ENGAGED_TIMEOUT_S)
-    if not found:
+    heli.wait_until(has_engaged, _ENGAGED_TIMEOUT_S)
+    if not law_ticks:
         reasons = [text for event in heli.session.events if (text := takeover_text(event))]
         reason = f": {reasons[-1][0]} ({reasons[-1][1]:.4g})" if reasons else ""
         raise FlightAborted(
             f"control law {program.name} was taken over immediately{reason}",
             "simulate it first with heli-host law check",
         )
-    return found[0]
+    return law_ticks[0]
 
 
 def fly_law(

@@ -70,9 +70,9 @@ class Instruction:
     code : int
         Number of the operation, see ``OPERATIONS``.
     target : int
-        Cell that it writes.
+        Cell that the operation writes.
     first, second : int
-        Cells that it reads; `second` is 0 where it has one operand, both are where it has terms.
+        Cells that the operation reads. `second` is 0 for one operand; both are 0 for a sum of products.
     terms : tuple of Term
         Terms of a sum of products.
     """
@@ -87,12 +87,12 @@ class Instruction:
     def words(self) -> tuple[int, ...]:
         """Words that are sent over the link, 32 bits each."""
         second = len(self.terms) if self.terms else self.second
-        head = self.code << 27 | self.target << 18 | self.first << 9 | second
-        return (head, *(term.word for term in self.terms))
+        header = self.code << 27 | self.target << 18 | self.first << 9 | second
+        return (header, *(term.word for term in self.terms))
 
     @property
     def cost(self) -> int:
-        """Instructions of the Due's processor that it takes in the worst case."""
+        """Worst-case number of processor instructions that the operation takes on the Due."""
         return OPERATIONS[self.code].cost + LAW_TERM_COST * len(self.terms)
 
     @property
@@ -153,38 +153,38 @@ class LawProgram:
                 f"holds {LAW_WORDS}",
                 "simplify it: fewer states, fewer unrolled iterations",
             )
-        needed = self.ticks
-        if needed > min(self.divisor, LAW_MAX_TICKS):
-            fitting = next((d for d in DIVISORS if d >= needed), None)
+        ticks_needed = self.ticks
+        if ticks_needed > min(self.divisor, LAW_MAX_TICKS):
+            slower = next((d for d in DIVISORS if d >= ticks_needed), None)
             raise BadLaw(
                 f"a call costs up to {self.cost} instructions, a tick has {LAW_TICK_COST} for it",
-                f"at {TICK_Hz / fitting:g} Hz it fits: a call is spread over {needed} ticks"
-                if fitting is not None and needed <= LAW_MAX_TICKS
+                f"at {TICK_Hz / slower:g} Hz it fits: a call is spread over {ticks_needed} ticks"
+                if slower is not None and ticks_needed <= LAW_MAX_TICKS
                 else "simplify it: it fits no rate",
             )
 
     @property
     def rate_Hz(self) -> float:
-        """Calls a second [Hz]."""
+        """Calls per second [Hz]."""
         return TICK_Hz / self.divisor
 
     @property
     def cells(self) -> int:
-        """Cells that it takes."""
+        """Number of cells that the program needs."""
         fixed = len(LAW_INPUTS) + len(self.constants) + len(self.parameters) + len(self.states)
         return max([fixed, *(instruction.target + 1 for instruction in self.instructions)])
 
     @property
     def words(self) -> tuple[int, ...]:
         """Words that are sent over the link, 32 bits each."""
-        head = (
+        header = (
             LAW_FORMAT | self.divisor << 8 | len(self.signals) << 16 | len(self.parameters) << 24,
             len(self.constants) | len(self.states) << 16,
             sum(len(instruction.words) for instruction in self.instructions),
         )
         numbers = [*self.constants, *(v for _, v in self.parameters), *(v for _, v in self.states)]
         return (
-            *head,
+            *header,
             *(_bits(value) for value in numbers),
             *self.outputs,
             *(word for instruction in self.instructions for word in instruction.words),
@@ -203,7 +203,7 @@ class LawProgram:
 
     @cached_property
     def own_setpoints(self) -> tuple[str, ...]:
-        """Axes for which it logs setpoints of its own, though it reads those that the board has."""
+        """Axes whose setpoint the law computes itself, although it also reads the board's setpoint."""
         return tuple(
             axis
             for k, axis in enumerate(AXES)
@@ -213,9 +213,9 @@ class LawProgram:
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """Names of the logged signals: the law's own, then the board's setpoints of `own_setpoints`."""
-        given = (f"board_{axis}_setpoint_rad" for axis in self.own_setpoints)
-        return (*self.signals, *given)[:LAW_SIGNALS]
+        """Names of the logged signals: those of the law, then the board's setpoints of `own_setpoints`."""
+        board_setpoints = (f"board_{axis}_setpoint_rad" for axis in self.own_setpoints)
+        return (*self.signals, *board_setpoints)[:LAW_SIGNALS]
 
     @property
     def cost(self) -> int:
@@ -224,23 +224,23 @@ class LawProgram:
 
     @property
     def ticks(self) -> int:
-        """Ticks that a call is spread over."""
+        """Number of ticks over which a call is spread."""
         return len(self.tick_costs)
 
     @cached_property
     def tick_costs(self) -> tuple[int, ...]:
         """Worst-case instructions in each tick of a call, computed as the board does."""
-        moving = sum(
+        moving_axes = sum(
             any(f"{axis}_setpoint_{unit}" in self.inputs_read for unit in ("rad_s", "rad_s2"))
             for axis in AXES
         )
-        every = LAW_FIXED_COST + LAW_MOVING_COST * moving
+        each_tick = LAW_FIXED_COST + LAW_MOVING_COST * moving_axes
         end = LAW_OUTPUT_COST + LAW_STATE_COST * len(self.states) + LAW_SIGNAL_COST * len(self.signals)
-        ticks = [LAW_INPUT_COST * len(self.inputs_read) + every]
+        ticks = [LAW_INPUT_COST * len(self.inputs_read) + each_tick]
         for instruction in self.instructions:
-            # Each tick has room to be the last.
+            # Each tick keeps room for the end of the call, because it may be the last one.
             if ticks[-1] + instruction.cost + end > LAW_TICK_COST:
-                ticks.append(every)
+                ticks.append(each_tick)
             ticks[-1] += instruction.cost
         ticks[-1] += end
         return tuple(ticks)
@@ -266,7 +266,7 @@ def program_of(law: LawProgram | LawLike) -> LawProgram:
     Raises
     ------
     BadLaw
-        It is neither, or no board can run the law.
+        If the object is neither of them, or no board can run the law.
     """
     program = law if isinstance(law, LawProgram) else getattr(law, "program", None)
     if not isinstance(program, LawProgram):
@@ -278,7 +278,7 @@ def program_of(law: LawProgram | LawLike) -> LawProgram:
 
 
 def hash_of(words: Sequence[int]) -> int:
-    """CRC-32 of words as they cross the link.
+    """Return the CRC-32 of words in the byte order of the link.
 
     Parameters
     ----------
@@ -288,12 +288,12 @@ def hash_of(words: Sequence[int]) -> int:
     return zlib.crc32(struct.pack(f"<{len(words)}I", *words))
 
 
-def check_number(what: str, value: float) -> None:
+def check_number(quantity: str, value: float) -> None:
     """Refuse a number that a board cannot store.
 
     Parameters
     ----------
-    what : str
+    quantity : str
         Name of the number, for the message.
     value : float
         A number of a law.
@@ -301,17 +301,17 @@ def check_number(what: str, value: float) -> None:
     Raises
     ------
     BadLaw
-        It is not finite, or beyond single precision.
+        If the number is not finite, or too large for single precision.
     """
     try:
         single = struct.unpack("<f", struct.pack("<f", value))[0]
     except (struct.error, TypeError):
-        raise BadLaw(f"the {what} is {value!r}, not a number", "give a number") from None
+        raise BadLaw(f"the {quantity} is {value!r}, not a number", "give a number") from None
     except OverflowError:
         single = math.inf
     if not math.isfinite(single):
         raise BadLaw(
-            f"the {what} is {value:g}", "give a finite number below 3.4e38, the limit of single precision"
+            f"the {quantity} is {value:g}", "give a finite number below 3.4e38, the limit of single precision"
         )
 
 
@@ -321,7 +321,7 @@ def rate_problem(rate_Hz: float) -> tuple[str, str]:
     Parameters
     ----------
     rate_Hz : float
-        Rate asked for [Hz].
+        Requested rate [Hz].
 
     Returns
     -------
@@ -339,17 +339,17 @@ def rate_problem(rate_Hz: float) -> tuple[str, str]:
 
 
 def divisor_of(rate_Hz: float) -> int:
-    """Ticks from one call to the next.
+    """Return the number of ticks from one call to the next.
 
     Parameters
     ----------
     rate_Hz : float
-        Calls a second [Hz].
+        Calls per second [Hz].
 
     Raises
     ------
     BadLaw
-        No whole number of ticks gives this rate.
+        If no whole number of ticks gives this rate.
     """
     if rate_Hz > 0.0:
         divisor = round(TICK_Hz / rate_Hz)
@@ -359,5 +359,6 @@ def divisor_of(rate_Hz: float) -> int:
 
 
 def _bits(value: float) -> int:
+    """Return the 32 bits of a number in single precision."""
     bits: int = struct.unpack("<I", struct.pack("<f", value))[0]
     return bits

@@ -99,9 +99,9 @@ class OpenLoopCommands(TelemetryView):
         Raises
         ------
         ParameterError
-            There is no such excitation.
+            If the excitation is unknown.
         CommandRefused
-            A value is out of range, or the motors are off.
+            If a value is out of range, or the motors are off.
         """
         if isinstance(kind, str):
             if kind.upper() not in Excitation.__members__:

@@ -17,7 +17,7 @@ TABLE = "parameters"
 UNITS = "units"
 """Table of the file that holds their units."""
 SCHEMA = "schema"
-"""Entry of the file that says under which schema of the parameters it was written."""
+"""Entry of the file with the digest of the parameter schema under which it was written."""
 _REMEDY = "give a file that params dump wrote"
 
 
@@ -92,25 +92,25 @@ def read_parameter_set(file: Path) -> ParameterSet:
 def parameter_set(content: Mapping[str, object], file: Path) -> ParameterSet:
     """Check the tables of a parameter file.
 
-    Under this host's own schema, or without one, every value has to be valid. Under another schema, known
-    parameters with the declared unit and a valid value are kept, and the others dropped.
+    If the file has this host's schema or no schema, each value must be valid. From a file of another schema,
+    known parameters with the declared unit and a valid value are used, and the others are dropped.
 
     Parameters
     ----------
     content : mapping
         Tables of the file.
     file : Path
-        Where they come from, for messages.
+        The file, for messages.
 
     Raises
     ------
     ParameterError
-        They hold anything but numbers, or break their own schema.
+        If a table contains anything but numbers, or a value is invalid under this host's schema.
     """
     values = _values(content, file)
     units = content.get(UNITS)
     other_schema = content.get(SCHEMA, f"{PARAMS_HASH:08x}") != f"{PARAMS_HASH:08x}"
-    kept: dict[str, float] = {}
+    accepted: dict[str, float] = {}
     dropped: list[str] = []
     for name, value in values.items():
         try:
@@ -124,8 +124,10 @@ def parameter_set(content: Mapping[str, object], file: Path) -> ParameterSet:
         if other_schema and stated != unit:
             dropped.append(f"{name} was in {stated or 'no unit'} and is in {unit or 'no unit'} now")
         else:
-            kept[name] = value
-    return ParameterSet(kept, tuple(dropped), tuple(spec.name for spec in PARAMS if spec.name not in values))
+            accepted[name] = value
+    return ParameterSet(
+        accepted, tuple(dropped), tuple(spec.name for spec in PARAMS if spec.name not in values)
+    )
 
 
 def _values(content: Mapping[str, object], file: Path) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Which parameters a board had stored, if it saved them under another schema."""
+"""Reads which parameters a board has stored, if it saved them under another parameter schema."""
 
 from __future__ import annotations
 

@@ -26,15 +26,15 @@ _INDEX = {spec.name: spec.index for spec in PARAMS}
 
 
 class Parameters(Mapping[str, float]):
-    """The parameters in force on the board, read once and then kept in step.
+    """The parameters in force on the board, read once and then updated with each change.
 
-    ``heli.params["hover_V"]`` reads, ``heli.params["hover_V"] = 1.5`` sets, and ``save`` makes it last beyond
-    a restart of the board.
+    ``heli.params["hover_V"]`` reads, ``heli.params["hover_V"] = 1.5`` sets, and ``save`` stores all values,
+    so that they survive a restart of the board.
 
     Attributes
     ----------
     revision : int
-        Counts the changes that this host knows of.
+        Number of changes that this host has noticed.
     """
 
     def __init__(self, session: Session) -> None:
@@ -66,44 +66,43 @@ class Parameters(Mapping[str, float]):
         self.revision += 1
 
     def spec(self, name: str) -> ParamSpec:
-        """Return what the declaration says of a parameter: unit, range, default, meaning.
+        """Return the declaration of a parameter: unit, range, default, meaning.
 
         Parameters
         ----------
         name : str
-            As declared in link.toml.
+            Name in link.toml.
 
         Raises
         ------
         ParameterError
-            There is no such parameter.
+            If the parameter is unknown.
         """
         return spec_of(name)
 
     def set(self, name: str, value: float) -> float:
-        """Set a parameter in the board's memory; return the value now in force, in the board's single
-        precision.
+        """Set a parameter in the board's memory, and return the value in force, rounded to single precision.
 
         Parameters
         ----------
         name : str
-            As declared in link.toml.
+            Name in link.toml.
         value : float
             New value, in the unit of the declaration.
 
         Raises
         ------
         ParameterError
-            There is no such parameter, or the value lies outside its range.
+            If the parameter is unknown, or the value is outside its range.
         CommandRefused
-            The board does not take it in its present state.
+            If the board does not accept the value in its present state.
         """
         spec = checked(name, value)
         try:
             ack = self._session.command(ParamSetMessage(0, spec.index, value))
         except CommandRefused as error:
             if error.result == Result.OUT_OF_RANGE:
-                # Within the declared range: this board was built with less than the declaration allows.
+                # The value is in the declared range, but this board was built with a smaller range.
                 raise ParameterError(
                     f"the board refused {name} = {value:g}",
                     f"heli-host params list {name} --long shows the values that this board takes",
@@ -143,20 +142,21 @@ class Parameters(Mapping[str, float]):
         return dict(self)
 
     def restore(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Set the parameters of a dump: all of them or, when one is refused, none. Returns those that
-        changed, with their new values.
+        """Set several parameters, and return those that changed, with their new values.
+
+        If the board refuses one value, none is changed.
 
         Parameters
         ----------
         values : Mapping of str to float
-            Values by name; parameters that it does not name stay as they are.
+            Values by name; other parameters do not change.
 
         Raises
         ------
         ParameterError
-            A name is unknown or a value outside its range; nothing was sent.
+            If a name is unknown or a value is outside its range; nothing was sent.
         CommandRefused
-            The board refused one; those set before it were put back.
+            If the board refused a value; the parameters that were set before it have their old values again.
         """
         for name, value in values.items():
             checked(name, value)
@@ -169,8 +169,8 @@ class Parameters(Mapping[str, float]):
                 changed[name] = self.set(name, value)
             except HeliError:
                 with contextlib.suppress(LinkError):
-                    for undone in changed:
-                        self.set(undone, before[undone])
+                    for changed_name in changed:
+                        self.set(changed_name, before[changed_name])
                 raise
         return changed
 
@@ -180,21 +180,21 @@ class Parameters(Mapping[str, float]):
 
 
 def spec_of(name: str) -> ParamSpec:
-    """Return what the declaration says of a parameter.
+    """Return the declaration of a parameter.
 
     Parameters
     ----------
     name : str
-        As declared in link.toml.
+        Name in link.toml.
 
     Raises
     ------
     ParameterError
-        There is no such parameter.
+        If the parameter is unknown.
     """
     if name not in _INDEX:
-        near = difflib.get_close_matches(name, _INDEX, 3)
-        hint = f"did you mean {' or '.join(near)}?" if near else "heli-host params list shows all"
+        similar = difflib.get_close_matches(name, _INDEX, 3)
+        hint = f"did you mean {' or '.join(similar)}?" if similar else "heli-host params list shows all"
         raise ParameterError(f"unknown parameter {name}", hint)
     return PARAMS[_INDEX[name]]
 

@@ -19,8 +19,8 @@ def can_limit() -> bool:
 def limit_process(kind: str, soft: int, hard: int | None = None) -> None:
     """Set a limit of this process, as far as its present hard limit permits.
 
-    A system that has no such limit leaves the process as it is: Windows has none at all, and macOS none of
-    the address space.
+    If the system does not have this limit, nothing changes: Windows has no such limits, and macOS does not
+    limit the address space.
 
     Parameters
     ----------
@@ -28,19 +28,20 @@ def limit_process(kind: str, soft: int, hard: int | None = None) -> None:
         Which limit: ``CPU`` in s, ``AS`` and ``FSIZE`` in bytes, ``NOFILE``, or another ``RLIMIT_`` of
         `resource`.
     soft : int
-        Where the system reports the excess to the process.
+        Limit beyond which the system warns the process, by a signal or an error.
     hard : int, optional
-        Where it ends the process, and the most that `soft` can be raised to later; stays where not given.
+        Limit beyond which the system ends the process, and up to which `soft` can be raised later. By
+        default, it does not change.
     """
     if sys.platform == "win32" or not can_limit():
         return
     import resource
 
-    def lower(*limits: int) -> int:
+    def lowest(*limits: int) -> int:
         return min(limits, key=lambda limit: math.inf if limit == resource.RLIM_INFINITY else limit)
 
     with suppress(AttributeError, OSError, ValueError):
         number = getattr(resource, f"RLIMIT_{kind}")
-        present = resource.getrlimit(number)[1]
-        hard = present if hard is None else lower(hard, present)
-        resource.setrlimit(number, (lower(soft, hard), hard))
+        hard_limit = resource.getrlimit(number)[1]
+        hard = hard_limit if hard is None else lowest(hard, hard_limit)
+        resource.setrlimit(number, (lowest(soft, hard), hard))

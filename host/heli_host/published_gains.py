@@ -49,9 +49,9 @@ _TRAVEL: Final[Mapping[str, Mapping[str, float]]] = {
 
 
 def paper_gains(which: str) -> dict[str, float]:
-    """Table 6 as parameters of the board, by declared name, in declared units.
+    """Return the gains in Table 6 of the paper as parameters of the board, in declared units.
 
-    Errors count in degrees and outputs in volts; travel's output is the pitch setpoint in degrees.
+    The gains convert errors in degrees to volts; those of travel convert to the pitch setpoint in degrees.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def paper_gains(which: str) -> dict[str, float]:
     Raises
     ------
     ParameterError
-        When there is no such set.
+        If the set is unknown.
     """
     if which not in _TRAVEL:
         raise ParameterError(f"Table 6 has no set '{which}'", f"give {' or '.join(PAPER_SETS)}")

@@ -30,7 +30,7 @@ class RigParameters:
     values : Mapping of str to float
         Values by parameter. Counts per turn are negative for an encoder that counts down.
     directed : frozenset of str
-        Those counts per turn whose sign the rig states; for the others it depends on the wiring.
+        Counts per turn whose sign the rig states; the sign of the others depends on the wiring.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
@@ -43,8 +43,9 @@ _SAME: Final = 1e-6
 """Relative difference of two equal numbers, one of them in single precision: rounding is 6e-8. Larger: an
 error of a count in 65536, 1.5e-5, passes."""
 _REST_deg: Final = 1.0
-"""Difference of two rest angles that counts as none, deg: the tolerance of a rig's file, and half of what
-arming tolerates. Larger: level is visibly wrong. Smaller: rigs within their tolerance give warnings."""
+"""Largest difference of two rest angles without a warning, deg: the tolerance of a rig file, and half of the
+tolerance of arming. With a larger value, level would be visibly wrong; with a smaller one, rigs within their
+tolerance would give warnings."""
 _SUPPLY_V: Final = 0.3
 """The same for a supply, V: the drift of a laboratory supply or a battery. Larger: 3 % of every voltage.
 Smaller: a supply within the tolerance of a rig's file gives a warning."""
@@ -141,7 +142,7 @@ def is_known_rig(rig: str) -> bool:
 
 
 def rig_differences(
-    stated: Mapping[str, float],
+    expected: Mapping[str, float],
     parameters: Mapping[str, float],
     *,
     simulated: bool,
@@ -151,16 +152,17 @@ def rig_differences(
 
     Parameters
     ----------
-    stated : Mapping of str to float
-        Parameters that the rig determines, as `rig_parameters` returns them.
+    expected : Mapping of str to float
+        Parameters that the rig determines: the values of `rig_parameters`.
     parameters : Mapping of str to float
         Parameters of the board by name.
     simulated : bool
-        Whether the board is simulated. Its encoders count as the rig states and its motors are not swapped,
-        so every other sign is a contradiction. A stated motor sign of 0, of simulated wrong wires, is none.
+        Whether the board is simulated. Its encoders count in the direction of the rig and its motors are not
+        swapped, so that each other sign is a contradiction. An expected motor sign of 0, which simulated
+        wrong wires have, is not compared.
     directed : collection of str
-        On hardware, those counts per turn whose sign the rig states. The sign of the others says how a part
-        is wired, and is not compared.
+        On hardware, the counts per turn whose sign the rig states. The sign of the others depends on the
+        wiring and is not compared.
 
     Returns
     -------
@@ -168,33 +170,33 @@ def rig_differences(
         In the order of the board's parameters.
     """
     differences: list[RigDifference] = []
-    for name, part in _PARTS.items():
-        if name not in stated or name not in parameters:
+    for name, board_property in _PARTS.items():
+        if name not in expected or name not in parameters:
             continue
-        board, rig = parameters[name], stated[name]
-        if part is BoardProperty.SCALE:
+        board, rig = parameters[name], expected[name]
+        if board_property is BoardProperty.SCALE:
             if abs(abs(board) - abs(rig)) > _SAME * abs(rig):
-                differences.append(RigDifference(name, board, rig, part))
+                differences.append(RigDifference(name, board, rig, board_property))
             elif (simulated or name in directed) and board * rig < 0.0:
                 differences.append(RigDifference(name, board, rig, BoardProperty.DIRECTION))
             continue
-        apart = {
+        is_different = {
             BoardProperty.REST: abs(board - rig) > _REST_deg,
             BoardProperty.SUPPLY: abs(board - rig) > _SUPPLY_V,
         }
-        if apart.get(part, board > rig + _SAME * abs(rig)):
-            differences.append(RigDifference(name, board, rig, part))
-    if simulated and stated:
+        if is_different.get(board_property, board > rig + _SAME * abs(rig)):
+            differences.append(RigDifference(name, board, rig, board_property))
+    if simulated and expected:
         differences += [
             RigDifference(name, parameters[name], 1.0, BoardProperty.DIRECTION)
             for name in _SIGNS
-            if parameters.get(name, 1.0) * stated.get(name, 1.0) < 0.0
+            if parameters.get(name, 1.0) * expected.get(name, 1.0) < 0.0
         ]
     return differences
 
 
 def check_rig(
-    stated: Mapping[str, float],
+    expected: Mapping[str, float],
     parameters: Mapping[str, float],
     *,
     simulated: bool,
@@ -205,7 +207,7 @@ def check_rig(
     Parameters
     ----------
     stated, parameters, simulated, directed
-        As `rig_differences` takes them.
+        Arguments of `rig_differences`.
 
     Returns
     -------
@@ -215,9 +217,9 @@ def check_rig(
     Raises
     ------
     RigMismatch
-        A number of counts per turn, or a direction that is known, is wrong.
+        If a number of counts per turn, or a direction that the rig states, is wrong.
     """
-    differences = rig_differences(stated, parameters, simulated=simulated, directed=directed)
+    differences = rig_differences(expected, parameters, simulated=simulated, directed=directed)
     refused = [difference for difference in differences if difference.is_refused]
     if not refused:
         return differences
@@ -234,7 +236,7 @@ def check_rig(
 
 
 def _with_sign(difference: RigDifference, directed: Collection[str]) -> float:
-    """The rig's counts; where it states no direction, with the board's sign, which says how it is wired."""
+    """Return the counts of the rig; if it states no direction, with the sign of the board, for its wiring."""
     if difference.parameter in directed:
         return difference.rig
     return math.copysign(difference.rig, difference.board)

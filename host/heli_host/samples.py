@@ -24,7 +24,7 @@ from heli_host.views import AngleViews, shares
 class Sample(ChannelValues):
     """Measurements and outputs of the board in one tick: a `ChannelValues`.
 
-    Angles are those at the beginning of the tick, level is 0; voltages acted during it.
+    Angles were read at the beginning of the tick, and are 0 at level; voltages acted during the tick.
     """
 
     @property
@@ -92,7 +92,7 @@ class Scales:
 
     def __init__(self, params: Mapping[str, float]) -> None:
         rad: list[float] = rad_per_count(params).tolist()
-        # Of a raw 1, in the unit of the column; None where the raw number itself is the value.
+        # Factors from raw numbers to the units of the columns; None if the raw number is the value.
         self._scale = [
             rad[spec.axis] if spec.axis is not None else None if is_whole(spec) else spec.scale
             for spec in CHANNELS
@@ -104,11 +104,11 @@ class Scales:
         """
         values: dict[str, Any] = {}
         for spec, number, scale in zip(CHANNELS, raw.tolist(), self._scale, strict=True):
-            whole = number & 0xFFFFFFFF if spec.code.isupper() else number
+            raw_number = number & 0xFFFFFFFF if spec.code.isupper() else number
             if scale is not None:
-                values[spec.column] = whole * scale
+                values[spec.column] = raw_number * scale
             else:
-                values[spec.column] = whole if spec.kind is None else spec.kind(whole)
+                values[spec.column] = raw_number if spec.kind is None else spec.kind(raw_number)
         return Sample(tick, **values)
 
     def samples(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> Samples:
@@ -117,8 +117,10 @@ class Scales:
         """
         columns: dict[str, npt.NDArray[Any]] = {}
         for channel, scale in zip(Channel, self._scale, strict=True):
-            whole = numbers(raw, channel)
-            columns[CHANNELS[channel].column] = whole if scale is None else whole.astype(np.float64) * scale
+            raw_number = numbers(raw, channel)
+            columns[CHANNELS[channel].column] = (
+                raw_number if scale is None else raw_number.astype(np.float64) * scale
+            )
         return Samples(tick, **columns)
 
 

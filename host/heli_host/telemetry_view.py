@@ -41,7 +41,7 @@ class BoardInfo:
     boot_id : int
         Number that changes with every start.
     params_source : str
-        Where its parameters came from: ``defaults``, ``stored``, ``fallback``, ``corrupt`` or ``migrated``.
+        Origin of its parameters: ``defaults``, ``stored``, ``fallback``, ``corrupt`` or ``migrated``.
     """
 
     board: str
@@ -82,7 +82,7 @@ class TelemetryView:
         self.params = Parameters(session)
         self._ring = SampleRing(max(round(history_s / TICK_S), 1))
         self.params.refresh()
-        self._scales, self._scales_of = Scales(self.params), self.params.revision
+        self._scales, self._scales_revision = Scales(self.params), self.params.revision
         session.subscribe_events(self._take_event)
         session.subscribe_ticks(self._take_ticks)
         if not session.wait_for(lambda: session.latest is not None, _FIRST_SAMPLE_TIMEOUT_S):
@@ -115,7 +115,7 @@ class TelemetryView:
         newest = self.session.latest
         if newest is None:
             raise LinkError("no sample has come from the board yet", "wait a moment, then try again")
-        return self._convert().sample(*newest)
+        return self._current_scales().sample(*newest)
 
     @property
     def state(self) -> State:
@@ -212,38 +212,38 @@ class TelemetryView:
         Raises
         ------
         WaitTimeout
-            None did in time.
+            If no sample meets the condition in time.
         LinkLost
-            The board is gone for good.
+            If the board cannot be reached any more.
         """
         first = self.latest
         end_tick = first.tick + timeout_s / TICK_S
-        found: list[Sample] = []
+        matching: list[Sample] = []
 
-        def looked_at() -> bool:
+        def is_over() -> bool:
             """Whether the newest sample fulfils the condition, or the time has passed."""
             if self.session.latest is None:
                 return False
             sample = self.latest
             if predicate(sample):
-                found.append(sample)
-            # A restarted board begins again at tick 0.
-            return bool(found) or sample.tick >= end_tick or sample.tick < first.tick
+                matching.append(sample)
+            # After a restart, the board counts from tick 0 again.
+            return bool(matching) or sample.tick >= end_tick or sample.tick < first.tick
 
-        self.session.wait_for(looked_at)
-        if not found:
+        self.session.wait_for(is_over)
+        if not matching:
             raise WaitTimeout(
                 f"the expected change did not happen within {timeout_s:g} s",
                 "read heli.events for the reason",
             )
-        return found[0]
+        return matching[0]
 
     def _in_units(self, ticks: Ticks) -> Samples:
-        return self._convert().samples(self.session.ticks_counted_on(ticks), ticks.raw)
+        return self._current_scales().samples(self.session.ticks_counted_on(ticks), ticks.raw)
 
-    def _convert(self) -> Scales:
-        if self._scales_of != self.params.revision:
-            self._scales, self._scales_of = Scales(self.params), self.params.revision
+    def _current_scales(self) -> Scales:
+        if self._scales_revision != self.params.revision:
+            self._scales, self._scales_revision = Scales(self.params), self.params.revision
         return self._scales
 
     def _take_ticks(self, ticks: Ticks) -> None:

@@ -113,8 +113,8 @@ class TwinWatch:
     """Passes the ticks of a session to a twin, and the twin's messages to listeners.
 
     Over a port the twin runs in a separate thread. In lockstep it runs in the thread that reads, so that a
-    simulated flight is reproducible. A twin that fails is switched off; the flight goes on. A twin that is
-    too slow for this computer skips the samples that wait, and begins again at the present.
+    simulated flight is reproducible. If the twin fails, it is switched off, and the flight continues. If it
+    is too slow for this computer, it skips the waiting samples and starts again with the newest one.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class TwinWatch:
         self.alarm = ""
         self.trouble = ""
         self.skipped_ticks = 0
-        self._put_ticks = self._fed_ticks = 0
+        self._queued_ticks = self._processed_ticks = 0
         self._session, self._twin, self._on_change = session, twin, on_change
         self._listeners: list[Callable[[TwinNews], None]] = []
         self._queue: queue.SimpleQueue[tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]] | None] = (
@@ -185,22 +185,23 @@ class TwinWatch:
         if self._thread is None:
             self._feed(tick, ticks.raw)
         else:
-            if self._put_ticks - self.skipped_ticks - self._fed_ticks > _MAX_BEHIND_TICKS:
+            if self._queued_ticks - self.skipped_ticks - self._processed_ticks > _MAX_BEHIND_TICKS:
                 self._skip()
-            self._put_ticks += len(tick)
+            self._queued_ticks += len(tick)
             self._queue.put((tick, ticks.raw))
 
     def _skip(self) -> None:
+        """Discard the samples that wait, because the twin is too slow."""
         with contextlib.suppress(queue.Empty):
-            while (part := self._queue.get_nowait()) is not None:
-                self.skipped_ticks += len(part[0])
-            # The end of the thread, which `close` asks for.
+            while (batch := self._queue.get_nowait()) is not None:
+                self.skipped_ticks += len(batch[0])
+            # None is the request of `close` to end the thread; it must not be lost.
             self._queue.put(None)
 
     def _run(self) -> None:
-        while (part := self._queue.get()) is not None:
-            self._feed(*part)
-            self._fed_ticks += len(part[0])
+        while (batch := self._queue.get()) is not None:
+            self._feed(*batch)
+            self._processed_ticks += len(batch[0])
 
     def _feed(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> None:
         """Update the twin, and pass its news on; its first alarm may end the flight."""

@@ -195,7 +195,7 @@ class Vehicle(OpenLoopCommands):
         elevation_deg, travel_deg : float or None
             Targets [deg]; None leaves a target unchanged.
         pitch_deg : float or None
-            Target [deg]; used only while the loop of travel is not closed.
+            Target [deg]; it has an effect only if the loop of travel is open.
         lead_s : float
             Device time from now in which the board moves the setpoint to the targets, within its slew limits
             [s]; 0 to 0.5.
@@ -206,9 +206,9 @@ class Vehicle(OpenLoopCommands):
             A target is outside the limits that the board's parameters set, or no loop is closed. Nothing was
             sent.
         """
-        before = self._target if self._target is not None else self._target_here()
-        given = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
-        targets_deg = {axis: value for axis, value in given.items() if value is not None}
+        previous = self._target if self._target is not None else self._target_here()
+        options_deg = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
+        targets_deg = {axis: value for axis, value in options_deg.items() if value is not None}
         check_setpoint(targets_deg, self.params)
         if not 0.0 <= lead_s <= MAX_LEAD_S:
             raise SetpointError(f"a lead of {lead_s:g} s is too long", f"give 0 to {MAX_LEAD_S:g} s")
@@ -220,7 +220,7 @@ class Vehicle(OpenLoopCommands):
             )
         apply_tick = self.session.device_tick() + round(lead_s / TICK_S)
         targets_rad = {f"{axis}_rad": float(np.radians(value)) for axis, value in targets_deg.items()}
-        self._target = replace(before, apply_tick=apply_tick & 0xFFFFFFFF, **targets_rad)
+        self._target = replace(previous, apply_tick=apply_tick & 0xFFFFFFFF, **targets_rad)
         self._send_target()
 
     def setpoint_limits_deg(self) -> dict[str, tuple[float, float]]:
@@ -268,6 +268,7 @@ class Vehicle(OpenLoopCommands):
         near_since_s: list[float] = []
 
         def there_or_off(sample: Sample) -> bool:
+            """Whether the arm has stayed at its target for a while, or the motors are off."""
             if abs(sample.elevation_deg - elevation_deg) > _REACHED_DEG:
                 near_since_s.clear()
             elif not near_since_s:

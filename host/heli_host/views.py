@@ -138,31 +138,33 @@ def rate(t_s: Floats, angle_rad: Floats, window_s: float = RATE_WINDOW_S) -> Flo
     Parameters
     ----------
     t_s : ndarray (n,)
-        Times, even but for gaps, across which nothing is fitted.
+        Even times, which may have gaps; a parabola never extends across a gap.
     angle_rad : ndarray (n,)
-        Encoder angle at these times; in any unit, and the rate is in that unit per second.
+        Encoder angle at these times. In another unit, the result is in that unit per second.
     window_s : float
-        Length of a parabola [s]; at least five angles are taken, also where they span more.
+        Length of a parabola [s]; it has at least five angles, even if they take longer.
 
     Returns
     -------
     ndarray (n,)
-        The rate [rad/s]; NaN where fewer than five angles are without a gap.
+        Rate [rad/s]; NaN in stretches between gaps with fewer than five angles.
     """
     from scipy.signal import savgol_filter
 
-    found = np.full(t_s.shape, np.nan)
+    rate_rad_s = np.full(t_s.shape, np.nan)
     if t_s.size < _MIN_ROWS:
-        return found
+        return rate_rad_s
     steps_s = np.diff(t_s)
     step_s = float(np.median(steps_s))
     rows = max(_MIN_ROWS, 2 * round(window_s / step_s / 2) + 1)
     cuts = [0, *(np.flatnonzero(steps_s > _GAP_RATIO * step_s) + 1), t_s.size]
     for start, stop in itertools.pairwise(cuts):
         if stop - start >= _MIN_ROWS:
-            fits = min(rows, stop - start - (stop - start + 1) % 2)
-            found[start:stop] = savgol_filter(angle_rad[start:stop], fits, 2, deriv=1, delta=step_s)
-    return found
+            window_rows = min(rows, stop - start - (stop - start + 1) % 2)
+            rate_rad_s[start:stop] = savgol_filter(
+                angle_rad[start:stop], window_rows, 2, deriv=1, delta=step_s
+            )
+    return rate_rad_s
 
 
 def small_figure(of: Recorded) -> bytes:

@@ -19,7 +19,7 @@ from heli_lab.campaign import Case as CampaignCase
 
 from heli_benchmark.cases.clean import Case, clean_cases
 from heli_benchmark.cases.disturbed import disturbed_cases
-from heli_benchmark.cases.selection import add_choice, chosen, is_wanted
+from heli_benchmark.cases.selection import add_choice, chosen, matches
 from heli_benchmark.runs.ask import REFITS
 from heli_benchmark.runs.case import WORK, cause_visibility, code_of_rows
 from heli_benchmark.scoring.goals import further_counts, goals
@@ -53,25 +53,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--flights", action="store_true", help="only fly, and print how visible each cause is"
     )
-    given = parser.parse_args(arguments)
-    if given.read:
-        return _read(given)
-    cases = chosen(_mixed(), given)
+    options = parser.parse_args(arguments)
+    if options.read:
+        return _print_earlier_results(options)
+    cases = chosen(_mixed(), options)
     if not cases:
-        print(f"error: no case is called {', '.join(given.only)}; sim/heli_benchmark/cases has their names")
+        print(f"error: no case is called {', '.join(options.only)}; sim/heli_benchmark/cases has their names")
         return 2
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         # Cases run side by side: threads that wait for each other took 2.5 times the CPU time.
         os.environ.setdefault(name, "1")
-    if given.flights:
-        return _flown(cases, given)
+    if options.flights:
+        return _print_visibilities(cases, options)
     rows: list[Row] = []
-    for row in _printed(_done(cases, given), len(cases)):
+    for row in _print_progress(_run(cases, options), len(cases)):
         rows = sorted((*rows, row), key=lambda scored: scored.case)
         # After each case, so that a stopped run keeps its results.
-        given.json.write_text(json.dumps(_report(rows), indent=1) + "\n")
+        options.json.write_text(json.dumps(_report(rows), indent=1) + "\n")
     print(text(rows))
-    print(f"\n{given.json} has the results, {_drawn(rows, given.json)} the calibration")
+    figure = options.json.with_suffix(".png")
+    draw(reliability(rows), figure)
+    print(f"\n{options.json} has the results, {figure} the calibration")
     return 0 if len(rows) == len(cases) else 1
 
 
@@ -81,22 +83,22 @@ def _mixed() -> list[Case]:
     return [case for pair in both for case in pair if case is not None]
 
 
-def _read(given: argparse.Namespace) -> int:
+def _print_earlier_results(options: argparse.Namespace) -> int:
     """Print the results of an earlier run with the present scoring."""
     try:
-        kept = json.loads(given.json.read_text())["cases"]
+        row_contents = json.loads(options.json.read_text())["cases"]
     except FileNotFoundError:
-        print(f"{given.json} does not exist; run without --read first")
+        print(f"{options.json} does not exist; run without --read first")
         return 2
-    rows = [Row.read(content) for content in kept if is_wanted(content["case"], given.only)]
+    rows = [Row.read(content) for content in row_contents if matches(content["case"], options.only)]
     print(text(rows))
     return 0
 
 
-def _flown(cases: Sequence[Case], given: argparse.Namespace) -> int:
-    """Make all flights, and print the visibility of each cause."""
-    with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(cause_visibility, case, given.folder, given.keep) for case in cases]
+def _print_visibilities(cases: Sequence[Case], options: argparse.Namespace) -> int:
+    """Fly all cases, and print for each how visible its causes are, in standard deviations."""
+    with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(cause_visibility, case, options.folder, options.keep) for case in cases]
         for case, job in zip(cases, jobs, strict=True):
             causes = ", ".join(
                 f"{name} {'-' if z is None else f'{z:.1f}'}" for name, z in job.result().items()
@@ -105,28 +107,27 @@ def _flown(cases: Sequence[Case], given: argparse.Namespace) -> int:
     return 0
 
 
-def _drawn(rows: Sequence[Row], beside: Path) -> Path:
-    path = beside.with_suffix(".png")
-    draw(reliability(rows), path)
-    return path
+def _run(cases: Sequence[Case], options: argparse.Namespace) -> Iterator[tuple[Row | None, str]]:
+    """Run all cases, and yield for each its row and an empty text, or None and the failure.
 
-
-def _done(cases: Sequence[Case], given: argparse.Namespace) -> Iterator[tuple[Row | None, str]]:
-    """Yield rows as they arrive, those of an earlier run first; or None and the failure."""
-    folder = given.folder.resolve()
-    settings = {"folder": str(folder), "keep": given.keep, "refits": given.budget}
-    named = {case.name: CampaignCase(case.name, WORK, {"case": case.name, **settings}) for case in cases}
+    Rows of an earlier run with the same code come first; the others come as they are finished.
+    """
+    folder = options.folder.resolve()
+    settings = {"folder": str(folder), "keep": options.keep, "refits": options.budget}
+    campaign_cases = {
+        case.name: CampaignCase(case.name, WORK, {"case": case.name, **settings}) for case in cases
+    }
     store, code = Store(folder / "campaign"), code_of_rows()
-    keys = {case.key(code): case.name for case in named.values()}
+    keys = {case.key(code): case.name for case in campaign_cases.values()}
     # An earlier result is used only if the same code made it.
-    again = (lambda _: True) if given.keep else (lambda answer: bool(answer.failure))
-    known = {} if given.keep else store.read(keys)
+    again = (lambda _: True) if options.keep else (lambda answer: bool(answer.failure))
+    known = {} if options.keep else store.read(keys)
     for answer in known.values():
         if not answer.failure:
             yield Row.read(answer.detail), ""
-    campaign = Campaign("blind", tuple(named.values()))
+    campaign = Campaign("blind", tuple(campaign_cases.values()))
     try:
-        for result in campaign_results(campaign, store, processes=given.processes, code=code, again=again):
+        for result in campaign_results(campaign, store, processes=options.processes, code=code, again=again):
             yield (
                 (None, f"{result.name}: {result.failure}")
                 if result.failure
@@ -137,21 +138,23 @@ def _done(cases: Sequence[Case], given: argparse.Namespace) -> Iterator[tuple[Ro
         raise SystemExit(130) from None
 
 
-def _printed(done: Iterable[tuple[Row | None, str]], count: int) -> Iterator[Row]:
+def _print_progress(results: Iterable[tuple[Row | None, str]], count: int) -> Iterator[Row]:
+    """Print one line per result, with the time that the remaining ones of `count` need; yield the rows."""
     started_s = time.monotonic()
-    for number, (row, failure) in enumerate(done, 1):
+    for number, (row, failure) in enumerate(results, 1):
         left_s = (time.monotonic() - started_s) / number * (count - number)
         progress = f"{number}/{count}, {left_s / 60.0:.0f} min left"
         if row is None:
             print(f"[{progress}] {failure}", flush=True)
             continue
         word = "failed" if row.failure else ("right" if row.right else "WRONG")
-        named = ", ".join(row.named) or row.failure or "no cause"
-        print(f"[{progress}] {row.case}: {word}; {row.verdict}: {named}; {row.seconds:.0f} s", flush=True)
+        causes = ", ".join(row.named) or row.failure or "no cause"
+        print(f"[{progress}] {row.case}: {word}; {row.verdict}: {causes}; {row.seconds:.0f} s", flush=True)
         yield row
 
 
 def _report(rows: Sequence[Row]) -> dict[str, object]:
+    """Return the content of the JSON file: counts over all cases, then each row with its judgement."""
     return {
         "goals": goals(rows),
         "further": further_counts(rows),

@@ -1,7 +1,7 @@
-"""The user's cache of compiled functions. It holds complete files of this user only.
+"""The user's cache of compiled functions. It accepts only complete files that this user wrote.
 
-A library is kept with a digest of its own bytes behind it, which loaders ignore. If a power cut left the file
-short or full of zeros, the digest does not match: loading such a file could end the process by SIGBUS.
+Each library ends with a digest of its bytes, which loaders ignore. After a power cut, a file may be too short
+or full of zeros. Its digest then does not match, and it is not loaded, because that could crash the process.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import Final
 
 from heli_sim.errors import PlantError
 
-_MARK: Final = b"\nheli_sim sha256 "
+_DIGEST_MARK: Final = b"\nheli_sim sha256 "
 _DIGEST_BYTES: Final = 32
 
 
-def place() -> Path:
-    """Folder of compiled functions: heli_sim under $XDG_CACHE_HOME, or under ~/.cache."""
+def cache_path() -> Path:
+    """Return the folder of compiled functions: heli_sim in $XDG_CACHE_HOME or in ~/.cache."""
     root = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     return Path(root).expanduser() / "heli_sim"
 
@@ -33,19 +33,19 @@ def cache_folder() -> Path:
     Returns
     -------
     Path
-        The folder, which only its user can write; one that lives as long as this process when there cannot be
-        one.
+        The folder, to which only its user can write. If it cannot be created, a temporary folder that is
+        removed when this process ends.
 
     Raises
     ------
     PlantError
-        When others can write to the folder that is there: its code would run as this user.
+        If the folder exists and other users can write to it, because their code would run as this user.
     """
-    folder = place()
+    folder = cache_path()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if os.access(folder, os.W_OK):
-            danger = open_to_others(folder)
+            danger = writable_by_others(folder)
             if danger:
                 raise PlantError(danger, f"check who wrote there, then remove it with: rm -r {folder}")
             return folder
@@ -56,8 +56,8 @@ def cache_folder() -> Path:
     return temporary
 
 
-def open_to_others(path: Path) -> str:
-    """Describe the other users who could have put code there; empty for none.
+def writable_by_others(path: Path) -> str:
+    """Describe which other users could have written code there; empty for none.
 
     Parameters
     ----------
@@ -79,22 +79,22 @@ def open_to_others(path: Path) -> str:
     return ""
 
 
-def is_whole(library: Path) -> bool:
-    """Whether a library in the cache is byte for byte the one that this user stored.
+def is_intact(library: Path) -> bool:
+    """Return whether a library in the cache is complete and unchanged.
 
     Parameters
     ----------
     library : Path
-        Its place in the cache.
+        File in the cache.
     """
     try:
-        if open_to_others(library):
+        if writable_by_others(library):
             return False
         data = library.read_bytes()
     except OSError:
         return False
     content, digest = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
-    return content.endswith(_MARK) and hashlib.sha256(content).digest() == digest
+    return content.endswith(_DIGEST_MARK) and hashlib.sha256(content).digest() == digest
 
 
 def keep(built: Path, library: Path) -> None:
@@ -103,15 +103,15 @@ def keep(built: Path, library: Path) -> None:
     Parameters
     ----------
     built : Path
-        The library, in a folder of the same file system; it is moved away.
+        The new library, on the same file system; it is moved.
     library : Path
-        Its place in the cache; one that is there is replaced, and lives on in processes that loaded it.
+        File in the cache. An existing one is replaced; processes that have loaded it continue to use it.
     """
-    content = built.read_bytes() + _MARK
+    content = built.read_bytes() + _DIGEST_MARK
     built.chmod(0o700)
     with built.open("wb") as file:
         file.write(content + hashlib.sha256(content).digest())
         file.flush()
-        # A name on the disk before its content is what a power cut turns into an empty file.
+        # The content must be on the disk before the name; otherwise a power cut could leave an empty file.
         os.fsync(file.fileno())
     built.replace(library)

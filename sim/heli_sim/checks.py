@@ -45,7 +45,7 @@ def check_compiler() -> Finding:
 
 def check_cache() -> Finding:
     """Check that the cache of compiled equations can be written, and by this user only."""
-    from heli_sim.cache import open_to_others, place
+    from heli_sim.cache import cache_path, writable_by_others
 
     base = os.environ.get("XDG_CACHE_HOME")
     folder = Path(base) if base else Path.home() / ".cache"
@@ -60,8 +60,8 @@ def check_cache() -> Finding:
             f"cache folder {folder} cannot be written: {error.strerror}",
             "choose another folder: set XDG_CACHE_HOME in the environment",
         )
-    if place().exists() and (danger := open_to_others(place())):
-        return Finding(Verdict.BAD, danger, f"check who wrote there, then: rm -r {place()}")
+    if cache_path().exists() and (danger := writable_by_others(cache_path())):
+        return Finding(Verdict.BAD, danger, f"check who wrote there, then: rm -r {cache_path()}")
     return Finding(Verdict.GOOD, f"cache folder {folder} can be written")
 
 

@@ -1,4 +1,4 @@
-"""CasADi functions as shared libraries, kept in the user's cache."""
+"""Compile CasADi functions to shared libraries, which are kept in the user's cache."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.cache import cache_folder, is_whole, keep
+from heli_sim.cache import cache_folder, is_intact, keep
 from heli_sim.errors import PlantError
 
-# No contraction into fused multiply-adds: the same numbers on every machine. -O2 takes 1.6 times as long to
-# compile and runs no faster.
-# Clang for Windows makes nothing but position-independent code, and has no library of mathematics apart.
+# Without contraction into fused multiply-adds, every machine computes the same numbers. -O2 would take 1.6
+# times as long to compile and run no faster.
+# Clang for Windows always makes position-independent code, and needs no separate library of mathematics.
 _WINDOWS: Final = sys.platform == "win32"
 FLAGS: Final = ("-O1", *(() if _WINDOWS else ("-fPIC",)), "-shared", "-ffp-contract=off")
 LIBRARIES: Final = () if _WINDOWS else ("-lm",)
@@ -35,8 +35,10 @@ def compiler() -> str | None:
 
 
 def compile_function(function: ca.Function) -> Path | None:
-    """Compile a `function` to a shared library with its name as the symbol, or return the library of an
-    earlier call; None without a C compiler. A PlantError when compilation fails.
+    """Compile a `function` to a shared library, whose symbol has the name of the function.
+
+    Returns the library of an earlier call if there is one, and None without a C compiler. A PlantError is
+    raised if compilation fails.
     """
     return compile_source(function.name(), c_source(function))
 
@@ -50,19 +52,20 @@ def c_source(function: ca.Function) -> str:
 
 
 def compile_source(name: str, source: str) -> Path | None:
-    """Compile a C file, `source`, to a shared library `name` in the cache, or return the library of an
-    earlier call; None without a C compiler. A PlantError when compilation fails, or others can write to the
-    cache.
+    """Compile the text of a C file, `source`, to a shared library `name` in the cache.
+
+    Returns the library of an earlier call if there is one, and None without a C compiler. A PlantError is
+    raised if compilation fails, or if other users can write to the cache.
     """
     key = hashlib.sha256("\n".join([source, *FLAGS, platform.machine(), platform.system()]).encode())
     folder = cache_folder()
     library = folder / f"{name}-{key.hexdigest()[:24]}.so"
-    if is_whole(library):
+    if is_intact(library):
         return library
     cc = compiler()
     if cc is None:
         return None
-    # Built beside its final place and renamed: two processes may do this at the same time.
+    # Built in the same folder and renamed, because two processes may compile the same function.
     with tempfile.TemporaryDirectory(dir=folder) as work:
         c_file, so_file = Path(work) / "f.c", Path(work) / "f.so"
         c_file.write_text(source, encoding="utf-8")

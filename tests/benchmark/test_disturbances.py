@@ -10,7 +10,12 @@ import pytest
 from heli_benchmark.cases.clean import clean_cases
 from heli_benchmark.cases.disturbed import SIZES, RATES_Hz, disturbed_cases
 from heli_benchmark.cases.disturbed_case import QUANSER_RIG
-from heli_benchmark.effects.disturbances import DisturbanceModel, DisturbanceTorques, MEMORIES_s, STRENGTHS_Nm
+from heli_benchmark.effects.disturbances import (
+    CORRELATION_TIMES_s,
+    DisturbanceModel,
+    DisturbanceTorques,
+    STRENGTHS_Nm,
+)
 from heli_benchmark.effects.listed import LISTED, MORE_LISTED
 from heli_benchmark.effects.measured import MEASURED_EFFECTS
 from heli_benchmark.effects.unlisted import DISTURBED
@@ -63,7 +68,7 @@ def test_most_that_have_a_cause_have_a_lag_of_about_a_tenth_of_a_second() -> Non
 def test_strengths_memories_rates_and_controllers_occur_on_both_rigs(on_course: bool) -> None:
     some = [case for case in CASES.values() if (case.rig_name == QUANSER_RIG) is on_course]
     assert {case.disturbances.gusts_Nm for case in some} == set(STRENGTHS_Nm)
-    assert {case.disturbances.correlation_time_s for case in some} == set(MEMORIES_s)
+    assert {case.disturbances.correlation_time_s for case in some} == set(CORRELATION_TIMES_s)
     assert {case.rate_Hz for case in some} == set(RATES_Hz)
     assert len({case.controller for case in some}) == 3
     assert (

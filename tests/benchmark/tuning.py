@@ -20,10 +20,10 @@ from heli_benchmark.task.answer import check_answer
 from heli_host.errors import HeliError
 
 TUNED: dict[str, tuple[str, tuple[float, ...], tuple[str, ...]]] = {
-    "stepwise": ("_TRIED_NATS", (3.0, 6.0, 12.0, 25.0, 50.0), ()),
+    "stepwise": ("_MIN_NATS", (3.0, 6.0, 12.0, 25.0, 50.0), ()),
     "sindy": ("_THRESHOLD", (0.12, 0.2, 0.3, 0.45, 0.7), ()),
     "residual_tests": ("_SIGNIFICANCE", (0.05, 0.01, 1e-3, 1e-5, 1e-8), ()),
-    "symbolic": ("_MIN_R2", (0.02, 0.05, 0.1, 0.2, 0.4), ("searched",)),
+    "symbolic": ("_MIN_R2", (0.02, 0.05, 0.1, 0.2, 0.4), ("search_equations",)),
     "likelihood_ratio": ("_MIN_NATS", (12.0, 20.0, 35.0, 60.0, 100.0), ("identified_and_changed",)),
     "boosting": ("_SHARPNESS", (0.25, 0.5, 0.7, 1.0, 1.4), ()),
     "lisdd": ("_FALSE_DISCOVERIES", (0.05, 1e-3, 1e-6, 1e-12, 1e-24), ()),

@@ -11,7 +11,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from heli_benchmark.cases.selection import is_wanted
+from heli_benchmark.cases.selection import matches
 from heli_benchmark.runs.ask import REFITS
 
 from tests.field.cases import DATA, NO_DATA, Case, ask, cases, judged
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None, data: Path = DATA) -> int:
 
 
 def _wanted(case: Case, patterns: Sequence[str]) -> bool:
-    return any(is_wanted(name, patterns) for name in (case.name, case.folder.name))
+    return any(matches(name, patterns) for name in (case.name, case.folder.name))
 
 
 if __name__ == "__main__":

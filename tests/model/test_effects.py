@@ -125,7 +125,7 @@ def test_all_effects_fit_into_one_model_with_finite_derivatives(model: type[Mode
     at = derivatives(full, rig, np.zeros(len(full.states)), [2.0, 2.1])
     for matrix in (at.rates, at.A, at.B, at.P, at.C, at.D):
         assert np.isfinite(matrix).all()
-    step = step_function(full, late_s=0.01)
+    step = step_function(full, delay_s=0.01)
     start = np.zeros(step.size1_in(0))
     limits = [rig[name].value for name in ("elevation_min", "elevation_max", "pitch_max", "travel_max")]
     after, _ = step(start, [2.0, 2.1], np.zeros(3), [*full.parameter_values(rig), *limits, 50.0])

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from heli_sim.cache import cache_folder, is_whole, keep, open_to_others
+from heli_sim.cache import cache_folder, is_intact, keep, writable_by_others
 from heli_sim.compiled import compile_source, compiler
 from heli_sim.errors import PlantError
 
@@ -39,8 +39,8 @@ def test_a_library_that_a_power_cut_damaged_is_built_again() -> None:
     whole = library.read_bytes()
     for damaged in (b"", whole[:700], whole[: len(whole) // 2], whole[:-1], bytes(len(whole)), whole[:-2000]):
         library.write_bytes(damaged)
-        assert not is_whole(library)
-        assert build() == library and is_whole(library)
+        assert not is_intact(library)
+        assert build() == library and is_intact(library)
     # In a process of its own: a library cut short can end the one that loads it.
     script = f"import ctypes; f = ctypes.CDLL({str(library)!r}).tiny; f.restype = ctypes.c_double; print(f())"
     assert subprocess.check_output([sys.executable, "-c", script], text=True).strip() == "1.5"
@@ -60,8 +60,8 @@ def test_a_library_of_a_version_without_digests_is_built_again() -> None:
     library = build()
     library.write_bytes(library.read_bytes().partition(b"\nheli_sim sha256 ")[0])
     ctypes.CDLL(str(library))
-    assert not is_whole(library)
-    assert is_whole(build())
+    assert not is_intact(library)
+    assert is_intact(build())
 
 
 def test_a_library_is_on_the_disk_before_it_has_its_name(
@@ -77,7 +77,7 @@ def test_a_library_is_on_the_disk_before_it_has_its_name(
     monkeypatch.setattr("heli_sim.cache.os.fsync", sync)
     keep(built, library)
     assert synced == [(library.stat().st_size, False)]
-    assert is_whole(library) and not built.exists()
+    assert is_intact(library) and not built.exists()
 
 
 @posix
@@ -96,7 +96,7 @@ def test_a_cache_is_made_for_its_user_alone(folder: Path) -> None:
         assert cache_folder() == folder
     finally:
         os.umask(before)
-    assert folder.stat().st_mode & 0o077 == 0 and open_to_others(folder) == ""
+    assert folder.stat().st_mode & 0o077 == 0 and writable_by_others(folder) == ""
 
 
 @posix
@@ -105,9 +105,9 @@ def test_a_library_that_others_can_write_is_not_loaded(folder: Path) -> None:
     built, library = folder / "f.so", folder / "a.so"
     built.write_bytes(b"code")
     keep(built, library)
-    assert is_whole(library)
+    assert is_intact(library)
     library.chmod(0o666)
-    assert not is_whole(library)
+    assert not is_intact(library)
 
 
 @posix
@@ -115,7 +115,7 @@ def test_a_cache_of_another_user_is_reported(folder: Path, monkeypatch: pytest.M
     folder.mkdir()
     monkeypatch.setattr("heli_sim.cache.os.geteuid", lambda: folder.stat().st_uid + 1)
     if folder.stat().st_uid != 0:
-        assert "belongs to another user" in open_to_others(folder)
+        assert "belongs to another user" in writable_by_others(folder)
         return
     os.chown(folder, 12345, -1)
-    assert "belongs to another user" in open_to_others(folder)
+    assert "belongs to another user" in writable_by_others(folder)

@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 from heli_benchmark.cases.disturbed_case import DisturbedCase
-from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.effects.listed import RotorLag
 from heli_benchmark.simulation.tracking import CONTROLLERS
 from heli_lab.diagnose.evaluate import FreeRun, free_runs, predict
@@ -101,7 +101,9 @@ def pair_cases(number: int) -> tuple[RigCase, RigCase]:
                 100,
                 bool(which),
                 CONTROLLERS[int(rng.integers(3))],
-                DisturbanceModel(STRENGTHS_Nm[int(rng.integers(3))], MEMORIES_s[int(rng.integers(3))]),
+                DisturbanceModel(
+                    STRENGTHS_Nm[int(rng.integers(3))], CORRELATION_TIMES_s[int(rng.integers(3))]
+                ),
                 8000 + number,
             )
         )

@@ -39,7 +39,7 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
     return all_open(in, c, changed != 0U);
   }
 
-  // A loop that closes starts without the integral of the time before.
+  // A loop that closes starts with its integral at zero.
   if ((closing & axes::elevation) != 0U) {
     state_.elevation.reset();
   }
@@ -57,7 +57,7 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
   const Quantity elevation_error_rad = in.setpoint_rad[kElevation] - in.angle_rad[kElevation];
 
   // Elevation commands the sum of the voltages, pitch their difference; for an open axis they are
-  // those that the host commands. Each changes over gradually when its loop closes or opens.
+  // those that the host commands. When a loop closes or opens, its voltage changes gradually.
   const Quantity open_front_V = lift_from_motor_V(in.open_front_V, c.dead_zone);
   const Quantity open_back_V = lift_from_motor_V(in.open_back_V, c.dead_zone);
   const bool elevation_closed = (in.axes & axes::elevation) != 0U;
@@ -72,8 +72,8 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
                    : open_front_V - open_back_V,
       state_.differential_V, (changed & axes::pitch) != 0U, c.bumpless_keep);
 
-  // The mixer limits both to what the motors can do. The state leaves the excitation out, so that a
-  // change-over starts from the voltages of the loops alone.
+  // The mixer limits both to what the motors can do. The state does not contain the excitation, so
+  // that a change-over starts from the voltages of the loops alone.
   const Quantity excitation_sum_V = in.excitation_front_V + in.excitation_back_V;
   const Quantity excitation_difference_V = in.excitation_front_V - in.excitation_back_V;
   const Quantity wanted_collective_V = collective_V + excitation_sum_V;
@@ -82,7 +82,7 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
   state_.collective_V = mixed.collective_V - excitation_sum_V;
   state_.differential_V = mixed.differential_V - excitation_difference_V;
 
-  // What the motors cannot do keeps the integrals from winding up.
+  // The part beyond the motors' limits stops the integrators from winding up.
   const Quantity collective_excess_V = wanted_collective_V - mixed.collective_V;
   const Quantity differential_excess_V = wanted_differential_V - mixed.differential_V;
   if (elevation_closed) {
@@ -92,7 +92,7 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
     state_.pitch.integrate(c.pitch, pitch_error_rad, differential_excess_V);
   }
   if ((in.axes & axes::travel) != 0U && !in.travel_waits) {
-    // Asking for more pitch is as useless when the mixer is at its limit as when the setpoint is.
+    // The travel loop must not wind up at the limit of the mixer or of the pitch setpoint.
     const Quantity excess = state_.pitch_setpoint_excess_rad != Quantity{}
                                 ? state_.pitch_setpoint_excess_rad
                                 : differential_excess_V;
@@ -129,8 +129,8 @@ Quantity Cascade::pitch_for_travel(const ControlInput& in, const CascadeConstant
                               braked_rad_s);
 }
 
-// Without any closed loop the voltages are the caller's own, dead zone included: identification of
-// the thrust curve needs volts that mean what they say.
+// Without any closed loop the motors get the caller's voltages, to which no dead zone is added:
+// identification of the thrust curve needs the actual volts.
 ControlOutput Cascade::all_open(const ControlInput& in, const CascadeConstants& c, bool changed) {
   state_.front_V =
       state_.front_fade.apply(in.open_front_V, state_.front_V, changed, c.bumpless_keep);

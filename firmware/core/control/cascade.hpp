@@ -1,5 +1,5 @@
 // The paper's control law: travel -> pitch setpoint -> differential voltage; elevation ->
-// collective voltage (eqs. 32-34), with what a machine needs beyond the equations.
+// collective voltage (eqs. 32-34), with limits, anti-windup and smooth changes.
 #pragma once
 
 #include "control/bumpless_transfer.hpp"
@@ -17,8 +17,8 @@ class Cascade final : public Controller {
     return step(in, constants_[bank]);
   }
 
-  // The integrators keep their values: they hold what this rig needs, and the uploaded law's errors
-  // are not theirs.
+  // The integrators keep their values, which suit this rig; they do not integrate the errors of the
+  // uploaded law.
   void shadow(const ControlInput& in, Bank bank, const ControlOutput& acting) override;
 
   void take_over() override {

@@ -1,4 +1,4 @@
-// What the cascade needs of the parameters, worked out once for each change of one.
+// Constants of the cascade, derived from the parameters each time that one changes.
 #pragma once
 
 #include "control/fixed.hpp"

@@ -1,5 +1,5 @@
 // The interface of a compiled controller: measured state and setpoints in, two motor voltages out.
-// Core, supervisor, link and telemetry know nothing else of a controller.
+// Core, supervisor, link and telemetry use a controller only through it.
 #pragma once
 
 #include <cstddef>
@@ -44,7 +44,7 @@ using Bank = std::uint8_t;
 inline constexpr std::size_t kBanks = 2;
 
 // Proof that the caller is the idle loop: only Core::poll() and start() make one. A function that
-// takes it may divide and take its time. firmware/due/report.py relies on it: no virtual call of an
+// takes it may be slow and divide. firmware/due/report.py relies on it: no virtual call of an
 // interrupt reaches such a function.
 class IdleLoop {
   friend class heli::Core;

@@ -42,7 +42,7 @@ constexpr std::array<std::int32_t, kQuarter + 2> make_quarter() {
 constexpr std::array<std::int32_t, kQuarter + 2> kSine = make_quarter();
 constexpr Share kOne = Share::of(1.0F);
 
-// Sixteen of these a tick would cost 5,600 instructions in soft float.
+// In fixed point: sixteen of these per tick would cost 5,600 instructions in soft float.
 std::int32_t sine_Q15(std::uint32_t phase) {
   const bool falling = (phase & 0x40000000U) != 0U;
   const std::uint32_t in_quarter = phase & 0x3fffffffU;

@@ -27,9 +27,9 @@ class Exciter {
   ExcitationValue next();
 
  private:
-  // Steps of the first tone and from it to the last.
+  // Phase step of the first tone, and the difference between the last tone's and the first's.
   void start_tones(std::uint32_t start, std::uint32_t spread);
-  // Of unit size.
+  // Multisine of unit amplitude.
   Share shape(std::size_t motor);
 
   link::Excitation kind_ = link::Excitation::none;

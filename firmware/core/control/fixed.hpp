@@ -1,4 +1,4 @@
-// Fixed-point numbers: what the tick calculates with.
+// Fixed-point numbers, with which the tick calculates.
 //
 // A Cortex-M3 without FPU takes about 45 instructions for a float's sum and 33 for its product, but
 // 8 and 11 for these. Every operation saturates instead of wrapping, so that a number that left its
@@ -56,7 +56,7 @@ class Fixed {
   }
 
   constexpr Fixed half() const { return shifted(1); }
-  // This by 2 to the power of `bits`, rounded down.
+  // Divides by 2 to the power of `bits`, rounded down.
   constexpr Fixed shifted(int bits) const { return from_raw(raw_ >> bits); }
 
   // By the overflow flag, which takes half the instructions of a sum of 64 bits.
@@ -126,7 +126,7 @@ constexpr std::int64_t exact_product(Fixed<kA> a, Fixed<kB> b) {
   return static_cast<std::int64_t>(a.raw()) * b.raw();
 }
 
-// Without its last kBits bits, rounded.
+// Drops the last kBits bits, rounded.
 template <int kBits>
 constexpr std::int32_t shortened(std::int64_t value) {
   return saturated((value + (std::int64_t{1} << (kBits - 1))) >> kBits);

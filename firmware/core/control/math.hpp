@@ -12,7 +12,7 @@ inline constexpr float kDegPerRad = 180.0F / kPi;
 inline constexpr float kTick_s = 0.001F;
 inline constexpr float kTickRate_Hz = 1000.0F;
 
-// Of a time that is not negative, to the nearest tick.
+// Converts a time that is not negative to the nearest tick.
 inline std::uint32_t ticks_of(float seconds) {
   return static_cast<std::uint32_t>(seconds * kTickRate_Hz + 0.5F);
 }

@@ -1,4 +1,4 @@
-// One PID loop: derivative on the measurement, integrator that knows what the actuator achieved.
+// One PID loop: derivative of the measurement, and an integrator that stops at the output's limits.
 #pragma once
 
 #include <cstdint>
@@ -44,7 +44,7 @@ class Pid {
   // Bits of the integral behind those of the output: those of a Share, so that each product is
   // added whole. A tick's share of a small error is below the resolution of the output.
   static constexpr int kFiner = 30;
-  // And those of a Gain.
+  // Bits of the integral behind those of a Gain.
   static constexpr int kGain = 20;
 
   std::int64_t integral_ = 0;

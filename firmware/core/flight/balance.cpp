@@ -9,7 +9,7 @@ namespace {
 // After T in one direction the observer has followed a quarter of what friction changed by when the
 // direction turned, which is enough to tell a rig with friction from a rig without.
 constexpr std::uint32_t kKnown_updates = std::uint32_t{1} << Balance::kShift;
-// Learning is no faster than this, 0.128 s: in a fast turn counts come in each update.
+// The range is learned at most this often, 0.128 s: in a fast turn every update has counts.
 constexpr std::uint32_t kLearnEvery_updates = 32;
 // Share of the width that is forgotten in each of these steps: a quarter, in 0.5 s of motion.
 constexpr int kForget = 2;
@@ -54,7 +54,7 @@ void Balance::update(Quantity angle_rad, Quantity rate_rad_s, Quantity drive,
   }
 }
 
-// An axis cannot stop at once: it goes on at the rate that it had, until friction has stopped it.
+// An axis cannot stop at once: it continues at the rate that it had, until friction stops it.
 void Balance::coast(Quantity rate_rad_s, bool up, const BalanceLimits& limits) {
   const Quantity forth_rad_s = up ? rate_rad_s : -rate_rad_s;
   if (forth_rad_s > limits.noise_rad_s) {
@@ -70,7 +70,7 @@ void Balance::integrate(Quantity drive, const BalanceLimits& limits) {
   const Quantity below = low - drive;
   beyond_ = above > below ? above : below;
   if (coasts_) {
-    // Friction that this rig may have brakes it, whatever the flight has shown of it so far.
+    // The largest friction that this rig may have brakes it, not the friction estimated in flight.
     const Quantity brake =
         (limits.width > width_ ? limits.width - width_ : Quantity{}) + limits.margin;
     const bool forth = rate_ > Quantity{};

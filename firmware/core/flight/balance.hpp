@@ -36,14 +36,14 @@ class Balance {
   static constexpr int kShift = 8;
   static constexpr float kTime_s = 256.0F * static_cast<float>(kTrackingSlots) * 0.001F;
 
-  // Nothing is known of the axis.
+  // Forgets all that was estimated for the axis.
   void restart(const BalanceLimits& limits);
-  // The axis is not free, such as on the table; what it has shown before still holds.
+  // The axis cannot move freely, such as on the table; earlier estimates stay valid.
   void pause() {
     running_ = false;
     stay();
   }
-  // However it was driven since it last counted, it need not have moved; what it has shown holds.
+  // The drive since the last count does not show that it has moved; earlier estimates stay valid.
   void stay() {
     coasts_ = false;
     rate_ = Quantity{};
@@ -54,7 +54,7 @@ class Balance {
               const BalanceLimits& limits);
   // How far the axis must have moved since it last counted, as `moved_max`.
   Quantity moved() const { return control::magnitude(moved_); }
-  // Whether that is by the rate at which it last moved.
+  // Whether moved_max follows from the rate at which it last moved.
   bool coasts() const { return coasts_; }
   // The last drive beyond the range that may hold the axis.
   Quantity beyond() const { return beyond_; }

@@ -54,7 +54,7 @@ Verdict check_flight(const Observation& s, const AtArming& before, const Limits&
   if (s.hardware_stop) {
     return {Fault::hardware_stop, 0.0F};
   }
-  // Before the limits that a wrong count breaks.
+  // Checked first, because a wrong count exceeds the other limits too.
   if (s.overload_edges > 0U) {
     return {Fault::encoder_overload, static_cast<float>(s.overload_edges)};
   }

@@ -11,7 +11,7 @@
 
 namespace heli::flight {
 
-// From the parameters, in the idle loop.
+// Derived from the parameters in the idle loop.
 struct Limits {
   Quantity angle_max_rad[kAxisCount];
   Quantity rate_max_rad_s[kAxisCount];
@@ -45,10 +45,10 @@ struct Verdict {
   float value;        // the offending quantity, in degrees, deg/s or a count
 };
 
-// The first limit that is broken.
+// Returns the first limit that is exceeded.
 Verdict check_flight(const Observation& seen, const AtArming& before, const Limits& limits);
 
-// The first reason not to arm.
+// Returns the first reason not to arm.
 Verdict check_before_arming(const Observation& seen, const Limits& limits);
 
 }  // namespace heli::flight

@@ -1,4 +1,4 @@
-// What the core has seen of a tick when its encoders were read.
+// What is known in a tick after its encoders were read.
 #pragma once
 
 #include <cstdint>
@@ -10,7 +10,7 @@ namespace heli::flight {
 
 using control::Quantity;
 
-// Motor voltages that nobody's control law decides: open loop, or streamed by the host.
+// Motor voltages that no control law on the board decides: open loop, or streamed by the host.
 struct OpenVoltages {
   Quantity front_V;
   Quantity back_V;

@@ -9,19 +9,19 @@ using Answer = link::Probe;
 
 namespace {
 
-// An arm that dry friction holds is asked again and again: after 2.5, 5 and then each 10 s. An
-// arm that moves by itself is asked after 2.5 s again.
+// An arm that dry friction holds is tilted again after 2.5 s, 5 s and then every 10 s; an arm that
+// moves by itself, after 2.5 s.
 constexpr std::uint8_t kMostPatience = 2;
-// Counts until then are what the tilt has caused: 3 s.
+// Counts within this time, 3 s, are regarded as caused by the tilt.
 constexpr std::uint32_t kAftermath_updates = 750;
 // Longest tilt to one side, 2 s: twice what pitch needs to follow. Longer, a dead axis turns by
 // more than 30 degrees.
 constexpr std::uint32_t kLongest_updates = 500;
 // Pitch that has moved by kStir_rad (tracking.cpp) stirs the arm for so long, 1 s. Whatever turns
 // travel shows in pitch first, also a travel loop that winds up. Where pitch is still, as in a
-// simulation without disturbances, silence is no news, and a tilt would only spoil the flight.
+// simulation without disturbances, silence shows nothing, and a tilt would only disturb the flight.
 // Longer: a step that settles in calm ends in a tilt. Shorter: a dead axis under weak disturbances
-// is asked late.
+// is probed late.
 constexpr std::uint32_t kStirred_updates = 250;
 // The pitch at which the arm was still, over half a second.
 constexpr int kPitchAveraging = 7;
@@ -41,8 +41,8 @@ Answer Probe::update(const Asked& axis, const ProbeLimits& limits) {
 }
 
 Answer Probe::listen(const Asked& axis, const ProbeLimits& limits) {
-  // Counts long after the last probe are no consequence of it: the encoder works, so the next
-  // silence is again short.
+  // Counts long after the last probe were not caused by it: the encoder works, so the next probe
+  // again follows after a short silence.
   ++calm_updates_;
   if (axis.moved && calm_updates_ > kAftermath_updates) {
     patience_ = 0;
@@ -103,7 +103,7 @@ Answer Probe::end(Answer answer) {
   return answer;
 }
 
-// From rest, as friction lets it: it stops what the tilt does not drive.
+// Motion from rest; friction stops the axis when the tilt does not drive it.
 void Probe::integrate(std::size_t side, Quantity beyond) {
   rate_[side] += beyond.shifted(Balance::kShift);
   if (rate_[side] < Quantity{}) {

@@ -1,4 +1,4 @@
-// Asks an axis that has long been silent whether its encoder still counts.
+// Tests by a tilt whether the encoder of an axis still counts after a long silence.
 //
 // An encoder that dies while travel is calm reads like an arm that dry friction holds. No
 // observation distinguishes them, so the board tilts the arm to one side and then to the other, by
@@ -40,17 +40,17 @@ struct Asked {
 
 class Probe {
  public:
-  // Nothing is known of the axis.
+  // Forgets all that is known of the axis.
   void restart() { *this = Probe{}; }
-  // Returns what there is to report.
+  // Returns the event to report, if any.
   link::Probe update(const Asked& axis, const ProbeLimits& limits);
-  // Whether it tilts the arm: then pitch goes to pitch_rad(), whatever the travel loop wants.
+  // Whether it tilts the arm: then the pitch setpoint is pitch_rad(), not that of the travel loop.
   bool asks() const { return stage_ != Stage::listens; }
   Quantity pitch_rad() const { return balance_rad_ + tilt_rad_; }
   Quantity tilt_rad() const { return tilt_rad_; }
   // How far the arm must have turned, as `moved_least`. It may have rested near the end of what
   // friction holds to one side. Then the tilt to the other side has to move it, so the smaller
-  // counts.
+  // distance is returned.
   Quantity turned() const { return most_[0] < most_[1] ? most_[0] : most_[1]; }
 
  private:

@@ -22,10 +22,10 @@ namespace {
 // Room between the highest setpoint and the trip limit, for overshoot.
 constexpr float kElevationMargin_rad = 2.0F * kRadPerDeg;
 constexpr float kTravelMargin_rad = 5.0F * kRadPerDeg;
-// The rest angle is only known to a count or so; a setpoint just below it is harmless.
+// The rest angle is known to about one count only; a setpoint slightly below it is harmless.
 constexpr float kRestMargin_rad = 1.0F * kRadPerDeg;
 
-// Near the path the setpoint closes in exponentially, this share of the distance a tick (10/s).
+// Near the path, the setpoint covers this share of the remaining distance per tick (10/s).
 constexpr float kCloseIn = 0.01F;
 constexpr Step kCloseInShare = Step::of(kCloseIn);
 constexpr float kPerCloseInSquared = 1.0F / (kCloseIn * kCloseIn);
@@ -47,21 +47,21 @@ constexpr PerTicks make_per_ticks() {
   return table;
 }
 
-// Spares the tick a division.
+// Lets the tick multiply instead of dividing.
 constexpr PerTicks kPerTicks = make_per_ticks();
 
 // Squares of steps, 72 bits behind the point, are bounded here: beyond it lie 10 milliradians a
 // tick, and no setpoint may slew at more than 3.5.
 constexpr std::uint64_t kMaxSquare = std::uint64_t{1} << 59U;
 
-// Fastest approach to a goal this far away that can still brake in time.
+// Returns the fastest step towards a goal at distance `away` that can still brake in time.
 Step approach(Place here, Place goal, Step change_max_rad, Quantity near_rad) {
   const Quantity distance_rad = here.distance_rad(goal);
   const Quantity away_rad = magnitude(distance_rad);
   if (away_rad <= near_rad) {
     return product<36>(here.little_rad(goal), kCloseInShare);
   }
-  // Root of 2 change (away - near / 2).
+  // Square root of 2 change (away - near / 2).
   const auto twice = static_cast<std::uint32_t>((away_rad + away_rad - near_rad).raw());
   const std::uint64_t square_60 =
       control::long_product(static_cast<std::uint32_t>(change_max_rad.raw()), twice);

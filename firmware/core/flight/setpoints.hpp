@@ -1,4 +1,4 @@
-// Setpoints: the path that the host asks for, and what of it the control law is asked to follow.
+// Setpoints: the path that the host requests, and the setpoint that the control law follows.
 #pragma once
 
 #include <cstddef>
@@ -12,7 +12,7 @@ namespace heli::flight {
 
 using control::Quantity;
 
-// Of one axis, as the control law gets it.
+// Setpoint of one axis, as the control law gets it.
 struct Setpoint {
   Quantity angle_rad;
   Quantity rate_rad_s;
@@ -22,10 +22,10 @@ struct Setpoint {
 // Angle per tick: up to 1,790 degrees a second, to 1e-11 rad. An acceleration of 1 deg/s2 is 1,200
 // of these a tick.
 using Step = control::Fixed<36>;
-// Change of a step, smoothed: finer still, so that it fades to nothing.
+// Smoothed change of a step: with finer resolution, so that it decays to zero.
 using Change = control::Fixed<44>;
 
-// An angle that sums up steps, or a way that no step could be.
+// A sum of steps, or a distance that is too long for one step.
 class Place {
  public:
   constexpr Place() = default;
@@ -46,15 +46,15 @@ class Place {
     return Quantity::from_raw(
         control::saturated((raw_ + (std::int64_t{1} << (kFiner - 1))) >> kFiner));
   }
-  // Of what is left of the way to `goal`, as much as a step can be.
+  // Returns the distance to `goal`, limited to the range of a step.
   constexpr Step towards(Place goal) const {
     return Step::from_raw(control::saturated(goal.raw_ - raw_));
   }
-  // The same to half a radian, which a step cannot be.
+  // Returns the distance to `goal`, limited to half a radian, which exceeds the range of a step.
   constexpr control::Fixed<32> little_rad(Place goal) const {
     return control::Fixed<32>::from_raw(control::saturated((goal.raw_ - raw_) >> 4));
   }
-  // The whole of it, with less resolution.
+  // Returns the whole distance to `goal`, with less resolution.
   constexpr Quantity distance_rad(Place goal) const {
     return Quantity::from_raw(control::saturated((goal.raw_ - raw_) >> kFiner));
   }
@@ -65,7 +65,7 @@ class Place {
   std::int64_t raw_ = 0;  // as a Step's
 };
 
-// From the parameters, in the idle loop.
+// Derived from the parameters in the idle loop.
 struct SetpointLimits {
   Step step_max_rad[kAxisCount];    // slew, per tick
   Step change_max_rad[kAxisCount];  // of the step from one tick to the next
@@ -82,12 +82,12 @@ SetpointLimits setpoint_limits_of(const params::Params& params);
 // acceleration allow, without overshooting it: a step comes out as a ramp with gentle ends.
 class Setpoints {
  public:
-  // Farthest a target may lie ahead; a link that delivers later than this is not in control.
+  // Farthest time that a target may lie ahead.
   static constexpr std::uint32_t kMaxAhead_ticks = 500;
 
   void start_at(const Quantity (&angle_rad)[kAxisCount]);
   void hold_at(std::size_t axis, Quantity angle_rad);
-  // Begins again at rest from another place, towards the same target.
+  // Starts again at rest from another angle, towards the same target.
   void continue_from(std::size_t axis, Quantity angle_rad);
 
   // False when a target lies outside the bounds or too far ahead; then nothing changes.

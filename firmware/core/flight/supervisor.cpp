@@ -18,13 +18,13 @@ namespace {
 
 constexpr std::uint8_t kAllAxes = link::axes::elevation | link::axes::pitch | link::axes::travel;
 
-// Landing: the setpoint goes this far below rest, so that the collective lets go of the arm.
+// Landing: the setpoint goes this far below rest, so that the collective voltage falls to zero.
 constexpr Quantity kBelowRest_rad = Quantity::of(5.0F * kRadPerDeg);
 constexpr Quantity kTouchdown_rad = Quantity::of(1.5F * kRadPerDeg);
 constexpr Quantity kTouchdown_rad_s = Quantity::of(5.0F * kRadPerDeg);
 constexpr std::uint32_t kTouchdown_ticks = 300;
 
-// A host that streams nonsense gets one event in this time, not one a message.
+// A host that streams invalid values gets at most one event in this time.
 constexpr std::uint32_t kRejectEvery_ticks = 500;
 
 constexpr float kNyquist_Hz = 0.5F * control::kTickRate_Hz;
@@ -40,7 +40,7 @@ std::uint8_t code(Enum value) {
   return static_cast<std::uint8_t>(value);
 }
 
-// `field`: its position in the declaration; on the wire `request` comes before the first.
+// `field`: position in the declaration; on the wire, `request` precedes the first field.
 Reply bad_value(std::uint8_t field, float value = 0.0F) {
   return {Result::bad_value, static_cast<std::uint8_t>(field + 1U), value};
 }
@@ -316,7 +316,7 @@ void Supervisor::count_accepted() {
 
 void Supervisor::reject(Result why) {
   ++refused_streams_;
-  // A host that still streams into a landing is not wrong, only late.
+  // Streaming during a landing is no error: the host may not know of the landing yet.
   if (descends(state_) || !passed(seen_->tick, next_reject_event_tick_)) {
     return;
   }
@@ -331,7 +331,7 @@ void Supervisor::check_limits() {
   }
 }
 
-// A bench is left alone: in open loop people hold the arm, or clamp an axis, on purpose.
+// Not in open loop: on a bench, people may hold the arm or clamp an axis on purpose.
 void Supervisor::check_tracking() {
   if (!motors_enabled() || state_ == State::armed || state_ == State::open_loop) {
     tracking_.restart();
@@ -347,7 +347,7 @@ void Supervisor::check_tracking() {
     // Landing aims below the table and has a time limit of its own.
     tracked.closed = static_cast<std::uint8_t>(closed & ~link::axes::elevation);
   }
-  // A law that came over the link decides on its voltages itself.
+  // An uploaded law decides on its voltages itself.
   tracked.may_ask = (closed & link::axes::travel) != 0U && !tracked.descends && !seen_->law_busy;
   Verdict verdict{Fault::none, 0.0F};
   if (Tracking::is_turn_to_ask(seen_->tick)) {

@@ -1,4 +1,4 @@
-// Runs the state table: executes commands, watches limits and ages, decides what drives the motors.
+// Runs the state table: executes commands, checks limits and ages, decides what drives the motors.
 #pragma once
 
 #include <cstdint>
@@ -18,8 +18,8 @@ class Supervisor {
  public:
   explicit Supervisor(link::Link& link) : link_(link) {}
 
-  // Once a tick; all of it stays as it is until the supervisor has advanced, the limits until the
-  // tick ends.
+  // Once a tick. The caller changes none of it before the supervisor has advanced, and the limits
+  // not before the tick ends.
   void observe(const Observation& seen, const Limits& limits, const SetpointLimits& bounds,
                const TrackingLimits& tracking);
 
@@ -31,7 +31,7 @@ class Supervisor {
 
   State state() const { return state_; }
   link::Fault fault() const { return fault_; }
-  // What led to the state; a touchdown, which follows a landing anyway, leaves what led to that.
+  // The reason for the state. A touchdown does not replace the reason for the landing.
   Trigger cause() const { return cause_; }
   bool motors_enabled() const { return flight::motors_enabled(state_); }
   // Axes that the control law closes now; none in open loop.
@@ -39,7 +39,7 @@ class Supervisor {
   OpenVoltages open_voltages() const { return open_; }
   Setpoint setpoint(std::size_t axis) const { return setpoints_.of(axis); }
   Quantity setpoint_rad(std::size_t axis) const { return setpoints_.angle_rad(axis); }
-  // The setpoint goes on to its target from there.
+  // The setpoint continues to its target from there.
   void continue_from(std::size_t axis, Quantity angle_rad) {
     setpoints_.continue_from(axis, angle_rad);
   }
@@ -50,9 +50,9 @@ class Supervisor {
   Quantity waiting_pitch_rad() const {
     return levels_ ? Quantity{} : tracking_.probe().pitch_rad();
   }
-  // What the axes did until now says nothing of them.
+  // Forgets the motion of the axes until now.
   void restart_tracking() { tracking_.restart(); }
-  // Whether a law of the host's flies and has told where to; those setpoints are only logged.
+  // Whether a law on the host flies and has sent setpoints; those are only logged.
   bool follows() const { return follows_ && state_ == State::streamed; }
   Quantity following_rad(std::size_t axis) const { return following_rad_[axis]; }
   bool link_alive() const { return seen_->link_age_ticks <= limits_->hold_ticks; }

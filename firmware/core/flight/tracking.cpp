@@ -19,7 +19,7 @@ constexpr Fault kMotionless[kAxisCount] = {Fault::elevation_motionless, Fault::p
                                            Fault::travel_motionless};
 
 // One of an encoder's two lines may still toggle when the other is broken, and an arm at rest may
-// stand on an edge: a single count is no motion.
+// stand on an edge: a single count does not show a motion.
 constexpr std::int32_t kStill_counts = 1;
 
 // Above its rest the arm may still stand on the table: zero and rest are known to about a degree.
@@ -31,15 +31,15 @@ constexpr Quantity kTilt_rad = Quantity::of(8.0F * kRadPerDeg);
 // What the drive did on average before the axis came to rest, over 512 ticks: where a swing turns
 // round, the drive of a single tick may be anything.
 constexpr int kAveraging = 7;
-// A change of pitch that is news to travel. Lower: a step that settles in calm air ends in a tilt,
+// A change of pitch that should move travel. Lower: a step that settles in calm air ends in a tilt,
 // because pitch is still moving when travel is silent. Higher: weak disturbances turn a dead axis
-// before it is asked. Moderate ones change the pitch of the paper's rig by 0.7 degrees each 0.55 s.
+// before it is probed. Moderate ones change the pitch of the paper's rig by 0.7 degrees in 0.55 s.
 constexpr Quantity kStir_rad = Quantity::of(0.7F * kRadPerDeg);
 
 // Shares of the drive that must move an axis.
 struct Shares {
   float width;   // half of the range that may hold it before the flight has shown more
-  float margin;  // noise of the observer, and what a rig's own friction varies by
+  float margin;  // noise of the observer, and variation of a rig's own friction
 };
 // Set on 133 healthy flights of 19 rigs, of which the worst stays at 0.8 of the limit (an encoder
 // with play) and 0.7 on elevation. Travel with margins twice as wide misses dead encoders in calm
@@ -52,10 +52,10 @@ Quantity averaged(Quantity average, Quantity now) {
                             ((now.raw() >> kAveraging) - (average.raw() >> kAveraging)));
 }
 
-// The tilt that asks, as a part of the one that must move travel: 12 degrees of 8 on the paper's
-// rig. It must beat dry friction.
+// The probing tilt relative to the one that must move travel: 12 degrees to 8 on the paper's rig.
+// It must exceed dry friction.
 constexpr float kProbeTilt = 1.5F;
-// How long it takes to reach it: about the lag of pitch. Quicker, pitch overshoots.
+// Time to reach that tilt: about the lag of pitch. In a shorter time, pitch overshoots.
 constexpr float kProbeRise_s = 0.4F;
 // The tilt that dry friction may hold, likewise: 4 degrees or 28 mN m on the paper's rig.
 constexpr float kFrictionTilt = 0.5F;
@@ -64,7 +64,7 @@ constexpr float kSteadyTilt = 0.15F;
 // Travel by which the tilt must have turned the arm: the play of an encoder, and two counts.
 constexpr float kAnswer_rad = 0.8F * kRadPerDeg;
 
-// From one count to another; counters may wrap.
+// Difference of two counts; counters may wrap.
 std::int32_t way(std::int32_t from, std::int32_t to) {
   return static_cast<std::int32_t>(static_cast<std::uint32_t>(to) -
                                    static_cast<std::uint32_t>(from));
@@ -104,7 +104,7 @@ BalanceLimits balance_limits_of(const params::Params& params, std::size_t axis) 
   limits.margin = Quantity::of(kShares[axis].margin * most);
   limits.moved_max = Quantity::of(0.5F * most * times * times);
   limits.speed_per_rad_s = Gain::of(drive_per_rad * Balance::kTime_s);
-  // Only travel coasts: nothing pulls it back. The others are driven hard, and noticed by that.
+  // Only travel coasts, because nothing pulls it back. On the others a large drive shows the fault.
   if (axis == kTravel) {
     limits.noise_rad_s = Quantity::of(kRateNoise * params.get(Param::travel_filter_Hz) /
                                       control::magnitude(params.get(Param::travel_counts_per_rev)));
@@ -120,7 +120,7 @@ ProbeLimits probe_limits_of(const params::Params& params) {
   const float drive_per_rad =
       1.0F / (params.get(Param::travel_gain) * Balance::kTime_s * Balance::kTime_s);
   ProbeLimits limits{};
-  // A tilt that the loop's bounds cut would show nothing.
+  // A tilt that the loop's limits reduce would show nothing.
   const float room_rad =
       params.get(Param::pitch_setpoint_max_deg) * kRadPerDeg - kProbeTilt * most_rad;
   const bool possible = room_rad > 0.0F;
@@ -142,7 +142,7 @@ control::Share lift_at(Quantity elevation_rad, Gain lift_per_rad) {
   return control::Share::from_raw(lift.raw() * (1 << (30 - 24)));
 }
 
-// For people: volts, and how far travel must have turned, in degrees.
+// Values for the event: volts, and the angle in degrees by which travel must have turned.
 float seen_of(std::size_t axis, Quantity drive, Quantity moved, const BalanceLimits& limits) {
   if (axis != kTravel) {
     return magnitude(drive).to_float();
@@ -214,7 +214,7 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
     axis.balance.pause();
   }
   if (i == kTravel && asks()) {
-    // A tilt that asks is judged by its answer: it ends level, and without speed.
+    // A probing tilt is not judged by its drive: it ends level, and without speed.
     axis.balance.stay();
   }
   if (i != kTravel) {
@@ -224,7 +224,7 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
     }
     const Quantity apart = drive - axis.drive;
     const Quantity change = i == kElevation && on_table ? drive : magnitude(apart);
-    // What is driven to and fro need not move.
+    // An axis that is driven in alternating directions need not move.
     const bool forth = apart > Quantity{};
     axis.driven_updates = still && change > limits.drive_max[i] && forth == axis.forth
                               ? axis.driven_updates + 1U

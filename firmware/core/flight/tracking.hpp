@@ -1,7 +1,7 @@
 // Whether the arm does what it is driven to do: following errors, and drives without motion.
 //
-// A plug that falls off an encoder makes no illegal transition, and a rotor without thrust none
-// either: the counts just stop. The drive shows that they should not have.
+// Neither an unplugged encoder nor a rotor without thrust makes an illegal transition: the counts
+// just stop. The drive shows that they should not have stopped.
 #pragma once
 
 #include <cstdint>
@@ -17,11 +17,11 @@
 
 namespace heli::flight {
 
-// From the parameters, in the idle loop.
+// Derived from the parameters in the idle loop.
 struct TrackingLimits {
   Quantity error_max_rad[kAxisCount];
-  // Of the drive: volts of lift for elevation (both rotors) and pitch (front minus back), and the
-  // pitch angle, in rad, for travel.
+  // Bounds of drive: volts of lift for elevation (both rotors) and pitch (front minus back), and
+  // the pitch angle, in rad, for travel.
   Quantity drive_max[kAxisCount];
   BalanceLimits balance[kAxisCount];
   ProbeLimits probe{};
@@ -38,25 +38,25 @@ struct TrackingLimits {
 
 TrackingLimits tracking_limits_of(const params::Params& params);
 
-// What the checks look at, once a tick.
+// Inputs of the checks, once a tick.
 struct Tracked {
   const Observation& seen;
   Quantity setpoint_rad[kAxisCount];  // that the control law followed
   std::uint8_t closed = 0;            // link::axes bits: axes held to a setpoint
   std::uint8_t driven = 0;            // and axes that must move when driven
-  bool may_ask = false;   // the board's own law holds travel, and nothing else moves the arm
+  bool may_ask = false;   // a tilt may probe: the board's own law holds travel, undisturbed
   bool descends = false;  // a doubt about travel is a fault then: landing would close it
 };
 
 class Tracking {
  public:
-  // Forgets all: motors were off.
+  // Forgets all motion, because the motors were off.
   void restart() { started_ = 0; }
 
-  // Whether the axis whose turn it is in this tick does what it should.
+  // Checks the axis whose turn it is in this tick: whether it moves as it is driven.
   Verdict check(const Tracked& tracked, const TrackingLimits& limits);
 
-  // In a tick that check() does not need. Asks by a tilt whether travel still counts.
+  // In a tick that check() does not use. Probes by a tilt whether travel still counts.
   static bool is_turn_to_ask(std::uint32_t tick) { return tick % kTrackingSlots == kAxisCount; }
   Verdict ask(const Tracked& tracked, const TrackingLimits& limits);
   link::Probe news() const { return news_; }
@@ -76,7 +76,7 @@ class Tracking {
 
   static constexpr std::uint8_t kAsks = 1U << kAxisCount;
 
-  // Travel that dry friction may hold is only doubted at first, if a tilt may ask it.
+  // Travel that dry friction may hold is at first only suspected, if a tilt may probe it.
   bool is_motionless(std::size_t i, const Tracked& tracked, const TrackingLimits& limits);
 
   Axis axes_[kAxisCount];

@@ -65,7 +65,7 @@ Bits sine_of(const Quarter& quarter) {
   return from_fixed((quarter.number & 2U) != 0U ? -size : size, 30);
 }
 
-// Of a number from 0 to 2.
+// Converts a number from 0 to 2.
 Q30 to_q30(Bits a) {
   const std::uint32_t exponent = exponent_of(a);
   return exponent < 96U ? 0 : static_cast<Q30>((mantissa_of(a) << 7U) >> (127U - exponent));
@@ -84,7 +84,7 @@ Bits square_root(Bits a) {
   if (exponent == 0xffU) {
     return a;
   }
-  // Digit by digit, as by hand.
+  // One binary digit of the root at a time.
   std::uint32_t rest = mantissa_of(a) << ((exponent & 1U) != 0U ? 1U : 2U);
   std::uint32_t root = 0;
   std::uint32_t doubled = 0;

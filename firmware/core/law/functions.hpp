@@ -8,8 +8,8 @@ namespace heli::law {
 // Rounded like IEEE 754; no number below 0.
 Bits square_root(Bits a);
 
-// Beyond 8192 rad an angle's last bit is a milliradian, and what turns that far has wound up: there
-// they give no number.
+// Beyond 8192 rad the last bit of an angle is a milliradian, and such an angle is the result of a
+// diverging law: the functions then return "no number".
 Bits sine(Bits angle_rad);
 Bits cosine(Bits angle_rad);
 Bits tangent(Bits angle_rad);

@@ -19,13 +19,13 @@ constexpr Takeover kEnvelope[kAxisCount] = {Takeover::elevation_envelope, Takeov
 constexpr Takeover kFollowing[kAxisCount] = {Takeover::elevation_following,
                                              Takeover::pitch_following, Takeover::travel_following};
 
-// Until another law's voltages have become thrust: the slowest rotors measured lag by 0.15 s.
+// Time until the voltages of another law act as thrust: the slowest rotors measured lag by 0.15 s.
 constexpr Share kReaction_s = Share::of(0.15F);
 
-// Where the arm may be foreseen: so far inside of what cuts the motors.
+// The predicted angle must stay this far inside the limits that switch the motors off.
 constexpr float kInside_deg[kAxisCount] = {1.0F, 0.0F, 2.0F};
 
-// Sinking faster than this is foreseen down to the table; slower is a landing.
+// Sinking faster than this is predicted down to the table; slower is a landing.
 constexpr Quantity kSinking_rad_s = Quantity::of(10.0F * kRadPerDeg);
 
 float deg(Quantity angle_rad) { return angle_rad.to_float() * kDegPerRad; }
@@ -53,18 +53,18 @@ GuardLimits guard_limits_of(const params::Params& params) {
                                        Param::travel_following_max_deg};
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     const float inside_rad = kInside_deg[axis] * kRadPerDeg;
-    // Setpoints may come near the limits of elevation and travel; nothing asks for much pitch.
+    // Setpoints may come near the limits of elevation and travel, but not near those of pitch.
     l.angle_max_rad[axis] =
         Quantity::of(axis == kPitch ? share * rad(angle[axis]) : rad(angle[axis]) - inside_rad);
     l.rate_max_rad_s[axis] = Quantity::of(share * rad(rate[axis]));
     l.following_max_rad[axis] = Quantity::of(share * rad(following[axis]));
-    // A law may ask itself for a step of pitch, which is then far for a moment.
+    // A law may change its own pitch setpoint in a step, which makes the error large for a moment.
     l.following_end_rad[axis] =
         axis == kPitch ? Quantity::from_raw(INT32_MAX) : Quantity::of(rad(following[axis]));
   }
   l.following_ticks = control::ticks_of(share * params.get(Param::following_s));
   l.table_rad = Quantity::of(rad(Param::elevation_rest_deg) - kInside_deg[kElevation] * kRadPerDeg);
-  // What setpoints may ask of the rig, the rig can do.
+  // The rig can reach all accelerations that setpoints may have.
   l.braking_s2[kElevation] = Gain::of(0.5F / rad(Param::elevation_acceleration_deg_s2));
   l.braking_s2[kTravel] = Gain::of(0.5F / rad(Param::travel_acceleration_deg_s2));
   const float lift = params.get(Param::elevation_acceleration_ff) * kDegPerRad;
@@ -95,7 +95,7 @@ GuardVerdict Guard::check_envelope(const ControlInput& in, const LawOutput& befo
     const Quantity way_rad = kReaction_s * speed_rad_s + brake_rad;
     const bool up = rate_rad_s > Quantity{};
     const Quantity foreseen_rad = in.angle_rad[axis] + (up ? way_rad : -way_rad);
-    // Lift that seems to be too little, on a rig that needs less, foresees a fall that never comes.
+    // A rig that needs less lift than assumed seems to have too little; that predicts a false fall.
     const bool above = axis == kElevation && in.angle_rad[axis] > limits.angle_max_rad[axis];
     // Downwards there is all the lift that the motors have, and the table.
     const bool beyond =

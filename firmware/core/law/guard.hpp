@@ -18,7 +18,7 @@ using control::Gain;
 using control::Quantity;
 using link::Takeover;
 
-// From the parameters, in the idle loop.
+// Derived from the parameters in the idle loop.
 struct GuardLimits {
   Quantity jump_max_V;
   Quantity angle_max_rad[kAxisCount];
@@ -30,7 +30,7 @@ struct GuardLimits {
   Gain hover_V_per_rad;         // additional lift per elevation
   control::DeadZone dead_zone;
   Quantity following_max_rad[kAxisCount];
-  // From here on the supervisor counts as well, and the way back takes part of its time.
+  // From this error on the supervisor counts its time limit, of which the way back takes a part.
   Quantity following_end_rad[kAxisCount];
   std::uint32_t following_ticks = 0;
 };

@@ -15,12 +15,12 @@ namespace {
 
 constexpr Quantity degrees(float deg) { return Quantity::of(deg * kRadPerDeg); }
 
-// At rest, for as long as the slowest rotors measured take twice to follow their voltages: shorter,
-// and lift that is still to come throws the arm away after all; longer only delays.
+// The arm must be at rest for twice the lag of the slowest rotors measured. Shorter: thrust that is
+// still building up moves the arm away again. Longer: only a delay.
 constexpr Quantity kCalm_rad_s[kAxisCount] = {degrees(6.0F), degrees(40.0F), degrees(10.0F)};
 constexpr Quantity kLevel_rad = degrees(10.0F);
 constexpr std::uint32_t kCalm_ticks = 300;
-// Whoever keeps moving for longer is in no law's hand; the supervisor watches the setpoint again.
+// An arm that moves for longer is not under control; the supervisor checks the setpoint again.
 constexpr std::uint32_t kMaxStop_ticks = 3000;
 
 // The cascade overshoots a step by a quarter: by less than a degree of elevation from here.
@@ -34,10 +34,10 @@ constexpr std::uint32_t kMaxReturn_ticks = 20000;
 // Elevation waits where the rotors have this share of their lift at level: with 0.3 of it, a return
 // over 30 degrees lifts the arm by 2, with 0.4 not at all (nominal rig).
 constexpr float kTiltingShare = 0.4F;
-// 5 degrees a second, to there.
+// Rate to that elevation: 5 degrees a second.
 constexpr Quantity kRise_rad = degrees(0.005F);
 
-// As far below the limit as a setpoint has to be.
+// The distance below the limit that a setpoint must keep.
 constexpr float kMargin_deg = 2.0F;
 
 bool at_rest(const ControlInput& in) {

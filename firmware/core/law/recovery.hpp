@@ -19,7 +19,7 @@ namespace heli::law {
 
 using control::Quantity;
 
-// From the parameters, in the idle loop.
+// Derived from the parameters in the idle loop.
 struct RecoveryLimits {
   Quantity elevation_min_rad;
   Quantity elevation_max_rad;
@@ -43,7 +43,7 @@ class Recovery {
   // from the first tick on if the arm is at rest near its setpoints and the rotors carry it.
   void update(control::ControlInput& in, Quantity lift_V, Quantity tilt_V,
               const RecoveryLimits& limits);
-  // True in its first tick.
+  // True in the first tick of the recovery.
   bool begins() const { return active_ && ticks_ == 1U; }
   // Whether the arm is at rest while elevation waits for travel.
   bool returning() const { return returning_; }

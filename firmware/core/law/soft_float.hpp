@@ -1,4 +1,4 @@
-// Single precision by integer arithmetic: what the tapes calculate with.
+// Single precision by integer arithmetic, with which the tapes calculate.
 //
 // The same lines give the same bits on every board and on every host, whatever their compilers,
 // libraries and floating-point units do; and their time hardly depends on the numbers, so that a
@@ -37,7 +37,7 @@ inline Bits bits_of(float value) {
   return bits;
 }
 
-// Numbers below the normal ones are zero, whoever wrote them.
+// Numbers below the normal ones become zero, also in inputs and constants.
 constexpr Bits flushed(Bits a) { return exponent_of(a) == 0U ? a & kSign : a; }
 
 // `mantissa` has its leading bit at the top, and in its last bit whatever was lost below it.
@@ -105,7 +105,7 @@ constexpr Bits multiply(Bits a, Bits b) {
   const std::uint64_t product = static_cast<std::uint64_t>((a << 8U) | kSign) * ((b << 8U) | kSign);
   auto high = static_cast<std::uint32_t>(product >> 32U);
   auto exponent = static_cast<std::int32_t>(first + second) - (kBias - 1);
-  // The lower half holds 16 bits: whatever of them is left stands for all.
+  // The lower half holds 16 bits: one bit says whether any of them is set.
   high |= static_cast<std::uint32_t>(product) != 0U ? 1U : 0U;
   if ((high & kSign) == 0U) {
     high <<= 1U;
@@ -173,7 +173,7 @@ constexpr Bits not_equal(Bits a, Bits b) { return truth_of(a, b, place(a) != pla
 constexpr Bits both(Bits a, Bits b) { return truth_of(a, b, holds(a) && holds(b)); }
 constexpr Bits either(Bits a, Bits b) { return truth_of(a, b, holds(a) || holds(b)); }
 constexpr Bits negation(Bits a) { return is_no_number(a) ? kNoNumber : truth(!holds(a)); }
-// What is not selected does not count: a root may be taken where its operand is known to be good.
+// The operand that is not selected has no effect, even if it is "no number".
 constexpr Bits select(Bits a, Bits b) {
   if (is_no_number(a)) {
     return kNoNumber;

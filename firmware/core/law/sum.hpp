@@ -1,4 +1,4 @@
-// A sum of products, rounded once at its end: what most of a control law is.
+// A sum of products, rounded once at its end: most of a control law consists of such sums.
 //
 // A product and a sum of two floats take some 110 instructions one by one, most of them for
 // bringing what is in between into the shape of a float. Here a term takes a third of that.
@@ -36,7 +36,7 @@ class Sum {
     } else if (below < 31) {
       size >>= static_cast<std::uint32_t>(below);
     } else {
-      // No bit of 31 is left.
+      // None of the 31 bits is left.
       return;
     }
     const std::uint64_t product = static_cast<std::uint64_t>(size) * mantissa_of(b);
@@ -68,7 +68,7 @@ class Sum {
   }
 
  private:
-  // Above all that two factors may have: whatever comes then does not count.
+  // Above all exponents of two factors: later products have no effect.
   static constexpr std::int32_t kNotFinite = 10000;
 
   // By halves: the compiler's shift of 64 bits by any number takes twice as long.

@@ -9,7 +9,7 @@ using link::Operation;
 
 namespace {
 
-// Apart, because its loop needs all registers there are.
+// A function of its own, because its loop needs all registers.
 [[gnu::noinline]] Bits sum_of_products(const Bits* cells, const std::uint32_t* term,
                                        const std::uint32_t* end) {
   Sum sum;

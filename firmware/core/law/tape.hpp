@@ -1,4 +1,4 @@
-// A law as data: uploaded in parts, verified, then run a call at a time.
+// A law as data: uploaded in parts, verified, then called again and again.
 //
 // The idle loop receives and verifies, the tick runs. Each writes one byte that the other only
 // reads. The tick starts a law only if the byte says `ready`. The idle loop first withdraws

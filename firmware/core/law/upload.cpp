@@ -1,5 +1,5 @@
-// Verifies a tape before it may fly. A tape has no loop, so everything is known here: each cell is
-// written before it is read, each written cell is free, and the cost of a call has a bound.
+// Verifies a tape before it may fly. A tape has no loop, so these can be checked in advance: each
+// cell is written before it is read, each written cell is free, and the cost of a call has a bound.
 #include <cstring>
 
 #include "law/tape.hpp"
@@ -18,7 +18,7 @@ constexpr bool is_sum(std::uint32_t word) {
   return word >> 27U == static_cast<std::uint32_t>(link::Operation::sum_of_products);
 }
 
-// Of an instruction: itself, and the terms of a sum.
+// Returns the words of an instruction: itself, and the terms of a sum.
 constexpr std::uint32_t words_of(std::uint32_t word) {
   return is_sum(word) ? 1U + (word & kCellMask) : 1U;
 }
@@ -45,7 +45,7 @@ class Cells {
   std::uint32_t inputs_read_ = 0;
 };
 
-// An instruction, and what follows it in the program.
+// An instruction, and the words that follow it in the program.
 struct Rest {
   const std::uint32_t* words;
   std::uint32_t count;
@@ -98,8 +98,8 @@ UploadCheck check_instruction(const Rest& rest, std::uint32_t first_written, Cel
   return {};
 }
 
-// Checks the cell that the law gives as its output `k`. A new state is no state, because states
-// change one by one.
+// Checks the cell of output `k`. A new state must not be the cell of a state, because states are
+// replaced one by one.
 UploadCheck check_output(const Shape& shape, std::uint32_t k, std::uint32_t cell, Cells& cells) {
   const std::uint32_t place = shape.instructions + k;
   const bool is_state = cell >= shape.first_state() && cell < shape.first_written();
@@ -263,7 +263,7 @@ UploadCheck Tape::check() {
   return division;
 }
 
-// Where everything is on the tape.
+// Sets the positions of all parts on the tape.
 UploadCheck Tape::read_shape() {
   if (expected_ < Shape::kHeadWords || (image_[0] & 0xffU) != link::kLawFormat) {
     return {LawError::wrong_format, Shape::kHeadWords};

@@ -19,7 +19,7 @@ constexpr float kSetpointPerUnit[kAxisCount] = {
     link::kElevationSetpointPerUnit, link::kPitchSetpointPerUnit, link::kTravelSetpointPerUnit};
 constexpr Wire kSetpointWire[kAxisCount] = {
     Wire::of(kSetpointPerUnit[0]), Wire::of(kSetpointPerUnit[1]), Wire::of(kSetpointPerUnit[2])};
-// Of a step of the channel: 1e-5 rad to 1e-8 of itself.
+// Size of the channel's step: 1e-5 rad, with a relative error of 1e-8.
 using Step = control::Fixed<43>;
 constexpr Step kSetpointUnit_rad[kAxisCount] = {Step::of(1.0F / kSetpointPerUnit[0]),
                                                 Step::of(1.0F / kSetpointPerUnit[1]),
@@ -34,7 +34,7 @@ Quantity volts(std::int32_t raw) {
 
 static_assert(link::kFrontPerUnit == link::kBackPerUnit, "both voltages have one scale");
 
-// Its place among the outputs, new states included.
+// Returns the index of the first output that is not finite, new states included.
 std::uint32_t first_not_finite(const Tape& tape) {
   const std::uint32_t count = tape.shape().outputs();
   std::uint32_t place = 0;

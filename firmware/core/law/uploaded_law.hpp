@@ -1,5 +1,4 @@
-// A law that came over the link, in flight: its inputs, clock and voltages, and the end of its
-// flight.
+// Flight of an uploaded law: its inputs, clock and voltages, and the end of its flight.
 #pragma once
 
 #include <cstddef>
@@ -34,7 +33,7 @@ class UploadedLaw {
   // Idle loop, as Controller::derive().
   void derive(const params::Params& params, Bank bank);
 
-  // Everything below: the tick only.
+  // Only the tick calls what follows.
   bool flying() const { return tape_.flying(); }
   // Flies from this tick on; the voltages fade from `acted` to the law's.
   link::Reply engage(const Acted& acted);

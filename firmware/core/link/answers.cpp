@@ -1,4 +1,4 @@
-// What the idle loop answers by itself, and how an answer is kept until it can leave.
+// Answers of the idle loop itself, and their storage until there is room to send them.
 #include "link/bytes.hpp"
 #include "link/dispatch.hpp"
 

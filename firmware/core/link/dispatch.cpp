@@ -84,7 +84,7 @@ std::uint8_t bad_float(const CommandInfo& info, const std::uint8_t* payload) {
 }  // namespace
 
 bool Dispatcher::handle(const Frame& frame, std::uint32_t tick) {
-  // To answer what it said itself the board would never end.
+  // If the board answered its own frames, it would never stop.
   if (frame.id >= kFirstReplyId) return false;
   const CommandInfo* info = find(frame.id);
   if (info == nullptr || info->kind != Kind::stream) {
@@ -101,7 +101,7 @@ void Dispatcher::command(const CommandInfo* info, const Frame& frame) {
     stop_waits_ = true;
     stop_request_ = frame.payload[0];
   }
-  // A stop takes the place of an answer that cannot leave: whoever stops has given up on that one.
+  // A stop replaces an answer that cannot be sent: a host that stops no longer waits for it.
   if (busy_ || (reply_waits_ && !is_stop)) return;
   if (frame.size > 0) age_requests(frame.payload[0]);
 
@@ -123,7 +123,7 @@ void Dispatcher::local(const Frame& frame) {
       return ping(frame);
     case MessageId::params_read:
       return params_read(frame);
-    // Whichever of these comes twice does the same twice, so none needs the memory of commands.
+    // Each of these may be executed twice without harm, so none is remembered as a command.
     case MessageId::law_begin:
       return report(frame, tape_.begin(LawBeginMessage::read(frame.payload)));
     case MessageId::law_part:

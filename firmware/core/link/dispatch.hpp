@@ -1,4 +1,4 @@
-// What a valid frame from the host means: commands, streams, the session, exactly-once.
+// Handles valid frames from the host: commands, streams, the session, exactly-once.
 #pragma once
 
 #include <cstddef>
@@ -26,7 +26,7 @@ struct StreamValue {
 
 using StreamQueue = Spsc<StreamValue, 4>;
 
-// The answer that waits for room in the transmitter.
+// An answer that waits for room in the transmitter.
 struct Outgoing {
   static constexpr std::uint8_t kMaxParams = 32;
   static constexpr std::size_t kMaxBytes = ParamsMessage::kSize + 4 * kMaxParams;
@@ -53,7 +53,7 @@ class Dispatcher {
         mailbox_(mailbox),
         streams_(streams) {}
 
-  // False for a frame that no host sends: a looped-back line brings the board its own.
+  // False for a frame that no host sends: on a looped-back line the board receives its own frames.
   bool handle(const Frame& frame, std::uint32_t tick);
 
   // Turns the tick's reply, when it has come, into an ack; writes the flash for params_save.
@@ -65,7 +65,7 @@ class Dispatcher {
   const Outgoing* reply() const { return reply_waits_ ? &reply_ : nullptr; }
   void sent() { reply_waits_ = false; }
 
-  // Events that arise here: parameters saved, streamed values refused.
+  // Events of this class: parameters saved, streamed values refused.
   Spsc<EventMessage, 4>& events() { return events_; }
 
   // True after a hello whose declaration matches; only then does the board speak unasked.

@@ -5,7 +5,7 @@
 namespace heli::link {
 namespace {
 
-// At 25 bytes a millisecond this empties any receiver, and yet ends.
+// Enough to empty any receiver at 25 bytes a millisecond, but bounded.
 constexpr std::size_t kReceiveChunk = 64;
 constexpr std::size_t kReceiveChunks = 8;
 
@@ -189,7 +189,7 @@ void Link::send_telemetry() {
 }
 
 bool Link::flush_batch() {
-  // The idle loop comes here at every turn: it packs again only when the result will have room.
+  // Called in every turn of the idle loop: it packs again only when there is room for the result.
   while (batch_count_ > 0 && board_.transmit_free() >= batch_bytes_) {
     const Packed packed = pack_batch(batch_, batch_count_, payload_);
     batch_bytes_ = FrameWriter::wire_bytes(packed.bytes);

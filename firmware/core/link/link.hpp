@@ -1,4 +1,4 @@
-// The board's end of the link: all that the control tick and the idle loop see of it.
+// The board's end of the link, as the control tick and the idle loop use it.
 //
 // Two contexts use one Link. The tick (an interrupt) may call what is under "tick"; it never waits
 // and never meets a half-written value. The idle loop calls poll(), which does everything slow:

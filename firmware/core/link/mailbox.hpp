@@ -10,7 +10,7 @@
 namespace heli::link {
 
 // A command whose length and floats have been checked. Enumerations, masks and ranges have not:
-// what they may be depends on the state, which only the tick knows.
+// which values are allowed depends on the state, which only the tick knows.
 struct Request {
   static constexpr std::size_t kMaxBytes = ExciteMessage::kSize;
 
@@ -26,7 +26,7 @@ struct Request {
   }
 };
 
-// What the tick made of a request; goes into the ack as it is.
+// The tick's result of a request; copied into the ack unchanged.
 struct Reply {
   Result result = Result::ok;
   std::uint8_t detail = 0;

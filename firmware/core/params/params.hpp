@@ -29,7 +29,7 @@ class Params {
   // False when values that are each in range contradict each other; arming needs true.
   bool consistent() const;
 
-  // Changes whenever a value may have changed: who keeps derived constants compares it.
+  // Changes whenever a value may have changed; owners of derived constants compare it.
   std::uint32_t revision() const { return revision_; }
 
  private:

@@ -47,7 +47,7 @@ float value_at(const std::uint8_t* page, std::size_t entry) {
   return link::get_f32(page + kValuesAt + kEntryBytes * entry + 2);
 }
 
-// The parameter of an entry; kParamCount if there is none.
+// Returns the parameter of a stored entry, kParamCount if it is unknown.
 std::size_t parameter_at(const std::uint8_t* page, std::size_t entry) {
   const std::uint16_t id = link::get_u16(page + kValuesAt + kEntryBytes * entry);
   std::size_t index = 0;
@@ -99,7 +99,7 @@ std::size_t survey(Board& board, std::uint8_t* buffer, Copy (&copies)[kPages]) {
   return newest;
 }
 
-// Puts the values that a parameter takes into `params`, which has its defaults.
+// Copies the stored values that are still valid into `params`, which has its defaults.
 Origin take(const std::uint8_t* page, Params& params) {
   Origin origin;
   origin.schema = link::get_u32(page + kHashAt);

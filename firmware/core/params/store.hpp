@@ -1,4 +1,4 @@
-// Two copies of the parameters in flash, written in turn, so that one is always whole.
+// Two copies of the parameters in flash, written in turn, so that one is always complete.
 #pragma once
 
 #include <atomic>
@@ -34,7 +34,7 @@ class Store {
   // milliseconds.
   bool save(const Params& params);
 
-  // Where the parameters came from: load()'s answer, `stored` after a save. Any context.
+  // Source of the parameters: the result of load(), `stored` after a save. Any context.
   link::ParamsSource source() const { return source_.load(std::memory_order_relaxed); }
 
   const Origin& origin() const { return origin_; }

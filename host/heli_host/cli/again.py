@@ -36,7 +36,7 @@ class Repeat:
     rig_name, rig : str
         Name of the rig, and its file as text.
     plans : tuple of Plan
-        In the order of the flight.
+        Plans in the order of the flight.
     gains : str or None
         Published gains that were set before it.
     parameters : Mapping of str to float
@@ -109,8 +109,12 @@ def read_repeat(log: Log, effect_files: Mapping[str, Path]) -> Repeat:
 
 
 def _check(log: Log, record: Mapping[str, str]) -> None:
-    """Refuse a log that cannot be flown again, with the fact that it lacks. `record` has the commands of the
-    flight; it is empty in logs of real boards and of older versions.
+    """Raise a LogError if a log lacks something that a repetition needs; the message names it.
+
+    Parameters
+    ----------
+    record : Mapping[str, str]
+        Commands of the flight; empty in logs of real boards and of older versions.
     """
     from heli_host.log.blind import SEALED
 
@@ -138,6 +142,7 @@ def _check(log: Log, record: Mapping[str, str]) -> None:
 
 
 def _json(record: Mapping[str, str], name: str) -> dict[str, Any]:
+    """Return a mapping that the record has as JSON under a name."""
     content = json.loads(record[name])
     if not isinstance(content, dict):
         raise ValueError(f"{name} is not a table")
@@ -181,8 +186,8 @@ def fly_again(path: Path, options: FlightOptions) -> FlownFlight:
     with tempfile.TemporaryDirectory(prefix="heli-again-") as folder:
         rig = Path(folder) / f"{repeat.rig_name}.toml"
         rig.write_text(repeat.rig, encoding="utf-8")
-        wanted = {**repeat.options, "rig": str(rig), "speed": "max"}
-        address = "sil://?" + urlencode({key: value for key, value in wanted.items() if value})
+        address_options = {**repeat.options, "rig": str(rig), "speed": "max"}
+        address = "sil://?" + urlencode({key: value for key, value in address_options.items() if value})
         flown = fly_plans(
             replace(
                 options,
@@ -200,17 +205,17 @@ def fly_again(path: Path, options: FlightOptions) -> FlownFlight:
 
 
 def _compare(before: Log, after: Log, repeat: Repeat) -> str:
-    """Return a line that states whether the samples are the same; raise if they should be, and differ."""
+    """Return a line that states whether the samples are the same; raise if they differ without a reason."""
     import numpy as np
 
     count = min(len(before.ticks), len(after.ticks))
-    same = (before.ticks["tick"][:count] == after.ticks["tick"][:count]) & np.all(
+    is_same = (before.ticks["tick"][:count] == after.ticks["tick"][:count]) & np.all(
         before.raw[:count] == after.raw[:count], axis=1
     )
-    if len(before.ticks) == len(after.ticks) and same.all():
+    if len(before.ticks) == len(after.ticks) and is_same.all():
         return f"again: all {count} samples are the same"
-    first = count if same.all() else int(np.argmin(same))
-    from_s = float((before if first < len(before.ticks) else after).ticks["t_s"][first])
+    first_difference = count if is_same.all() else int(np.argmin(is_same))
+    from_s = float((before if first_difference < len(before.ticks) else after).ticks["t_s"][first_difference])
     difference = f"the samples differ from {from_s:.3f} s on"
     if not repeat.is_exact:
         return f"again: {difference}; the first flight ran in real time, where the computer's timing counts"
@@ -222,6 +227,7 @@ def _compare(before: Log, after: Log, repeat: Repeat) -> str:
 
 
 def _reason(before: Log, after: Log) -> str:
+    """Return the first difference of two logs that may explain different samples."""
     for record, name in (("session", "link_hash"), ("simulation", "firmware"), ("session", "host")):
         values = [log.metadata.get(record, {}).get(name, "") for log in (before, after)]
         if values[0] != values[1]:

@@ -117,32 +117,32 @@ def check_board_rig(heli: Heli, rig: str | None) -> None:
     Parameters
     ----------
     heli : Heli
-        Connected, with the parameters to fly with. A simulated board knows its rig.
+        Connected board with the parameters to fly with. A simulated board knows its rig.
     rig : str or None
-        Rig of a real board, a name or a file; a name that no rig has is a label, which is said.
+        Rig of a real board, as a name or file. An unknown name is only a label; then nothing is compared.
 
     Raises
     ------
     RigMismatch
-        Counts per turn, or in simulation a direction, contradict the rig.
+        If the board's counts per turn, or in simulation its directions, contradict the rig.
     HeliError
-        The rig's file is missing, or not complete and valid.
+        If the file of the rig is missing, incomplete or invalid.
     """
     from heli_host.cli.say import say, say_progress
     from heli_host.link.transport import transport_rig_parameters
     from heli_host.rig_check import check_rig, is_known_rig, rig_parameters
 
-    stated = transport_rig_parameters(heli.session.transport)
-    simulated = bool(stated)
+    expected = transport_rig_parameters(heli.session.transport)
+    simulated = bool(expected)
     directed: frozenset[str] = frozenset()
     if rig is not None and not simulated:
         if not is_known_rig(rig):
             say_progress(f"rig {rig} is a label, not a rig file: the board's parameters are not compared")
             return
-        read = rig_parameters(rig)
-        stated, directed = read.values, read.directed
-    for difference in check_rig(stated, heli.params, simulated=simulated, directed=directed):
-        # A simulated board starts with its rig's numbers: there somebody has just set the parameter.
+        parameters = rig_parameters(rig)
+        expected, directed = parameters.values, parameters.directed
+    for difference in check_rig(expected, heli.params, simulated=simulated, directed=directed):
+        # A simulated board starts with the parameters of its rig, so the user has set this one on purpose.
         fix = "" if simulated else f"; heli-host params set {difference.parameter} {difference.rig:g} --save"
         say(f"warning: {difference}{fix}")
 

@@ -53,6 +53,7 @@ def _say_version(wanted: bool) -> None:
 
 
 def _be_quiet(wanted: bool) -> None:
+    """Suppress progress messages, for the option --quiet."""
     if wanted:
         from heli_host.cli.say import QUIET
 
@@ -119,29 +120,29 @@ def run(arguments: list[str] | None = None) -> int:
 
 @functools.cache
 def command_line(verb: str | None = None) -> Callable[..., object]:
-    """Make the command line, with ``--quiet`` behind each verb too.
+    """Build the command line, and let each verb accept ``--quiet``, too.
 
     Parameters
     ----------
     verb : str, optional
-        The only verb that it needs: to make all takes as long as to import them. A name that is no verb
-        makes all verbs.
+        Build this verb only, because building all takes as long as importing them. An unknown name builds
+        all verbs.
     """
-    chosen = copy.copy(app)
-    chosen.registered_commands = [info for info in app.registered_commands if info.name == verb]
-    chosen.registered_groups = [info for info in app.registered_groups if info.name == verb]
-    is_verb = bool(chosen.registered_commands or chosen.registered_groups)
-    whole = typer.main.get_command(chosen if is_verb else app)
-    quiet = next(option for option in whole.params if option.name == "quiet")
-    behind = copy.copy(quiet)
-    behind.expose_value = False
-    commands = list(getattr(whole, "commands", {}).values())
+    reduced_app = copy.copy(app)
+    reduced_app.registered_commands = [info for info in app.registered_commands if info.name == verb]
+    reduced_app.registered_groups = [info for info in app.registered_groups if info.name == verb]
+    is_verb = bool(reduced_app.registered_commands or reduced_app.registered_groups)
+    command_group = typer.main.get_command(reduced_app if is_verb else app)
+    quiet = next(option for option in command_group.params if option.name == "quiet")
+    copied_option = copy.copy(quiet)
+    copied_option.expose_value = False
+    commands = list(getattr(command_group, "commands", {}).values())
     while commands:
         command = commands.pop()
         commands += getattr(command, "commands", {}).values()
         if not any("--quiet" in known.opts or "-q" in known.opts for known in command.params):
-            command.params.append(behind)
-    return whole
+            command.params.append(copied_option)
+    return command_group
 
 
 def _land_on_signals() -> None:
@@ -156,6 +157,7 @@ def _land_on_signals() -> None:
 
 
 def _interrupt(number: int, _frame: FrameType | None) -> NoReturn:
+    """Raise KeyboardInterrupt for a signal; after SIGHUP the terminal is not used any more."""
     name = signal.Signals(number).name
     if name == "SIGHUP":
         _leave_the_terminal()
@@ -163,16 +165,19 @@ def _interrupt(number: int, _frame: FrameType | None) -> NoReturn:
 
 
 def _leave_the_terminal() -> None:
-    """Write to nowhere what would go to a terminal that is gone: each line would be an error."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for number in (1, 2):
-        if stat.S_ISCHR(os.fstat(number).st_mode):
-            os.dup2(nowhere, number)
-    os.close(nowhere)
+    """Redirect standard output and error to /dev/null if the terminal was closed.
+
+    Otherwise each printed line would raise an error.
+    """
+    null = os.open(os.devnull, os.O_WRONLY)
+    for descriptor in (1, 2):
+        if stat.S_ISCHR(os.fstat(descriptor).st_mode):
+            os.dup2(null, descriptor)
+    os.close(null)
 
 
 def _explain(error: Exception) -> tuple[str, int]:
-    """One line and an exit code for any error."""
+    """Return one line and an exit code for any error."""
     from heli_host.errors import HeliError, file_remedy
 
     if isinstance(error, _UsageError):
@@ -199,13 +204,13 @@ def _remedy(package: str) -> str:
 
 
 def _usage_text(error: Exception) -> tuple[str, int]:
-    """Typer's own complaint, with the place where help is."""
+    """Return typer's message about a wrong command line, with the help command, and the exit code."""
     message = " ".join(error.format_message().split()) if hasattr(error, "format_message") else str(error)
     problems = getattr(error.__cause__, "errors", None)
     if problems is not None and "Input should be a valid" in message:
-        # pydantic's text names neither what was typed nor the usual reason, a comma or a unit.
+        # pydantic's message does not contain the typed text or the usual reason, a comma or a unit.
         message = message.partition("Input should be a valid")[0] + _not_a_number(
-            str(problems()[0]["input"]), whole="integer" in message
+            str(problems()[0]["input"]), command_group="integer" in message
         )
     context = getattr(error, "ctx", None)
     if not message:  # no_args_is_help has printed the help already
@@ -214,8 +219,8 @@ def _usage_text(error: Exception) -> tuple[str, int]:
     return f"{message.rstrip('.')}; see {command} --help", EXIT_ASKED
 
 
-def _not_a_number(written: str, *, whole: bool) -> str:
-    """What is wrong with text that is no number, and how to write one."""
-    if whole:
+def _not_a_number(written: str, *, command_group: bool) -> str:
+    """Return an error message for text that should be a number, and how to write one."""
+    if command_group:
         return f"'{written}' is not a whole number; give one, such as 3"
     return f"'{written}' is not a number; write it with a decimal point and without a unit, such as 0.5"

@@ -30,8 +30,8 @@ def packages_of(extra: str) -> tuple[str, ...]:
         One of `USERS_EXTRAS`.
     """
     lines = importlib.metadata.requires(DISTRIBUTION) or []
-    wanted = re.compile(rf"extra == ['\"]{re.escape(extra)}['\"]")
-    return tuple(re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in lines if wanted.search(line))
+    marker = re.compile(rf"extra == ['\"]{re.escape(extra)}['\"]")
+    return tuple(re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in lines if marker.search(line))
 
 
 def extra_with(package: str) -> str | None:
@@ -40,10 +40,10 @@ def extra_with(package: str) -> str | None:
     Parameters
     ----------
     package : str
-        Its import name, such as ``rosbags.highlevel``.
+        Import name of the package, such as ``rosbags.highlevel``.
     """
-    wanted = package.partition(".")[0].lower()
+    top_level = package.partition(".")[0].lower()
     for extra in USERS_EXTRAS:
-        if wanted in (name.lower() for name in packages_of(extra)):
+        if top_level in (name.lower() for name in packages_of(extra)):
             return extra
     return None

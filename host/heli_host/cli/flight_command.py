@@ -271,6 +271,7 @@ def fly_plans(
         with LiveLine() as live:
 
             def show(progress: Progress) -> None:
+                """Show the progress of the flight in the live line."""
                 live.show(
                     progress.sample,
                     progress.counters,

@@ -28,9 +28,9 @@ ParamsFileOption = Annotated[
 
 
 def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, float]:
-    """Read and check a file of parameters; values by name.
+    """Read and check a file of parameters, and return its values by name.
 
-    Known values of a file of another parameter schema are kept, and the others are listed.
+    If a file has another parameter schema, its known parameters are used, and the others are printed.
 
     Parameters
     ----------
@@ -53,9 +53,9 @@ def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, floa
         return {}
     if gains is not None:
         raise typer.BadParameter("--gains and --params both set the gains; leave one of them out")
-    given = read_parameter_set(file)
-    say_dropped(given.dropped)
-    return given.values
+    parameter_set = read_parameter_set(file)
+    say_dropped(parameter_set.dropped)
+    return parameter_set.values
 
 
 def check_gains(gains: str | None, sil: bool) -> None:

@@ -16,26 +16,25 @@ if TYPE_CHECKING:
     from rich.live import Live
 
 LINE_EVERY_S = 5.0
-"""When the output goes to a file or another program."""
+"""Interval between lines, if the output goes to a file or another program."""
 REFRESH_S = 0.25
-"""On a terminal; four a second cost about 1 % of a core."""
+"""Interval between updates on a terminal; four per second cost about 1 % of a core."""
 
 
 class LiveDisplay:
-    """Lines and tables that stay in their place; a context manager. None for `is_terminal` asks standard
-    output.
+    """Lines and tables that are rewritten in their place; a context manager.
 
     Parameters
     ----------
     line_every_s : float
-        How often something is printed where the output goes to a file or another program [s].
+        Interval between printed lines, if the output goes to a file or another program [s].
     is_terminal : bool or None
-        Whether to rewrite in place; None asks standard output.
+        Whether to rewrite in place; by default, if standard output is a terminal.
 
     Attributes
     ----------
     is_terminal : bool
-        The same, settled.
+        Whether lines are rewritten in place.
     """
 
     def __init__(self, line_every_s: float, is_terminal: bool | None = None) -> None:
@@ -69,12 +68,12 @@ class LiveDisplay:
         return time.monotonic() - self._shown_s >= interval_s
 
     def replace(self, *parts: RenderableType) -> None:
-        """Show these in the place of what was shown before.
+        """Replace the displayed lines and tables.
 
         Parameters
         ----------
         *parts : str or anything that rich draws
-            One below the other; the first in bold.
+            Lines and tables from top to bottom; a first line is bold.
         """
         from rich.console import Group
         from rich.text import Text
@@ -83,16 +82,16 @@ class LiveDisplay:
         if self._live is None:
             return
         first = Text(printable(parts[0]), "bold") if isinstance(parts[0], str) else parts[0]
-        rest = [Text(printable(part)) if isinstance(part, str) else part for part in parts[1:]]
+        others = [Text(printable(part)) if isinstance(part, str) else part for part in parts[1:]]
         try:
-            self._live.update(Group(first, *rest), refresh=True)
+            self._live.update(Group(first, *others), refresh=True)
         except OSError as error:
-            # A terminal that is gone says so by SIGHUP as well, and that lands.
+            # The terminal was closed. Its SIGHUP, which also arrives, ends the flight with a landing.
             if error.errno != errno.EIO:
                 raise
 
     def print_line(self, text: str) -> None:
-        """Print a line, in place of what is rewritten elsewhere.
+        """Print one line, for outputs on which nothing can be rewritten.
 
         Parameters
         ----------
@@ -103,7 +102,7 @@ class LiveDisplay:
         say(text)
 
     def say(self, text: str) -> None:
-        """Print a line that stays, above what is rewritten.
+        """Print a permanent line above the lines that are rewritten.
 
         Parameters
         ----------

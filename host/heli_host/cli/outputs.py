@@ -14,8 +14,13 @@ FIGURE_ENDS: Final = (".png", ".pdf", ".svg")
 
 
 def check_place(path: Path) -> None:
-    """Make the folder of a file to be written later. A typer.BadParameter when `path` is a folder, is below a
-    file, may not be written, or is an option behind one that lacks its file.
+    """Check that a file can be written later, and create its folder.
+
+    Raises
+    ------
+    typer.BadParameter
+        If `path` is a folder, is below a file, may not be written, or is an option: then the option before it
+        lacks its file.
     """
     if str(path).startswith("--"):
         raise typer.BadParameter(f"{path} is an option, but a file name is needed there; give a file")

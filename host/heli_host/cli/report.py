@@ -12,15 +12,15 @@ if TYPE_CHECKING:
 
 def summary_lines(summary: FlightSummary) -> list[str]:
     """Return a few lines with the plans, the outcome, the tracking error and the lost ticks."""
-    what = " + ".join(summary.plans) or "no plan"
-    where = f" on {summary.rig}" if summary.rig else ""
+    plans = " + ".join(summary.plans) or "no plan"
+    rig = f" on {summary.rig}" if summary.rig else ""
     errors = ", ".join(
         f"{axis} {'not flown' if error is None else f'{error:.2f} deg'}"
         for axis, error in summary.rms_error_deg.items()
     )
     link = summary.link
     lines = [
-        f"{what}{where}: {summary.outcome}, {summary.duration_s:.1f} s",
+        f"{plans}{rig}: {summary.outcome}, {summary.duration_s:.1f} s",
         f"tracking error (rms): {errors}",
         f"{summary.ticks_logged} ticks logged, {summary.ticks_lost} lost; {link.get('frames_bad', 0)} bad "
         f"frames, {link.get('retries', 0)} retries, {link.get('reconnects', 0)} reconnects",

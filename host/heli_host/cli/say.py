@@ -45,7 +45,7 @@ def say_progress(*lines: str) -> None:
 
 
 def data_on_stdout(*files: Path | None) -> None:
-    """Keep standard output for data from here on, where one of these `files` is ``-``."""
+    """Keep standard output for data from now on if one of these `files` is ``-``."""
     if any(str(file) == STDOUT for file in files):
         DATA_ONLY.set(True)
 

@@ -144,8 +144,8 @@ def sil_address(
     rig : str or None
         Name or file; None for the default rig.
     speed : str
-        Simulated seconds a second, or ``max``: in this process, in lockstep. With a number the board runs in
-        a process of its own behind a serial port, and the host talks to it exactly as to hardware.
+        Simulated seconds per second, or ``max``. With ``max`` the board runs in this process, in lockstep
+        with the host. With a number it runs in a separate process behind a serial port, exactly as hardware.
     seed : int
         Seed of everything random, 0 or more.
     board : str or None
@@ -153,7 +153,7 @@ def sil_address(
     elf : Path or None
         ELF for the emulated Due; None for the newest.
     model : str or None
-        Name of the equations of motion; None for the rig's own.
+        Name of the equations of motion; None for those of the rig file.
     effect : sequence of str or None
         Effects beyond the model, as typed.
     effect_files : sequence of Path or None
@@ -189,14 +189,14 @@ def flown(
     seed: int,
     plans: Sequence[str],
 ) -> dict[str, object]:
-    """Say in full what a simulated flight flies, for the truth file of a blind one.
+    """Return all settings of a simulated flight, for the truth file of a blind flight.
 
     Parameters
     ----------
     address : str
-        As `sil_address` spells it.
+        Result of `sil_address`.
     rig, model, effect, effect_files, seed : str, int or sequence
-        Options as `sil_address` takes them; the text of each file is kept.
+        Options of `sil_address`; the result contains the text of each file.
     plans : sequence of str
         Plans as typed.
     """
@@ -215,10 +215,19 @@ def flown(
 
 
 def refuse_without_sil(**options: object) -> None:
-    """Refuse `options`, by name with ``_`` for ``-``, that only a simulated board takes, of a board that is
-    real: a typer.BadParameter when one is neither None nor empty.
+    """Refuse options of a simulated board if a real board is used.
+
+    Parameters
+    ----------
+    **options : object
+        Values of such options by name, with ``_`` for ``-``.
+
+    Raises
+    ------
+    typer.BadParameter
+        If one of them is neither None nor empty.
     """
-    given = [f"--{name.replace('_', '-')}" for name, value in options.items() if value]
-    if given:
-        verb = "is" if len(given) == 1 else "are"
-        raise typer.BadParameter(f"{' and '.join(given)} {verb} for a simulated board only; add --sil")
+    used = [f"--{name.replace('_', '-')}" for name, value in options.items() if value]
+    if used:
+        verb = "is" if len(used) == 1 else "are"
+        raise typer.BadParameter(f"{' and '.join(used)} {verb} for a simulated board only; add --sil")

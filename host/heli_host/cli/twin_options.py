@@ -38,7 +38,8 @@ def lands_on_alarm(twin: str | None, on_alarm: str | None) -> bool:
     """Return whether an alarm ends the flight in a landing, as `on_alarm` says; refuse any other word, and
     any word without a `twin`.
     """
-    # A twin's matrices are small: more threads only wait for each other. It counts before numpy is loaded.
+    # A twin's matrices are small, so that more threads only wait for each other. Set it before numpy is
+    # loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if on_alarm is None:
         return False

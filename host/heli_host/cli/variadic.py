@@ -15,12 +15,14 @@ class Variadic(TyperCommand):
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Repeat an option before each of its values in `args`, then parse with the command's context `ctx`;
-        return what is left over.
+        """Repeat an option before each of its values in `args`, then parse the arguments as usual.
+
+        Returns the arguments that remain after parsing; `ctx` is the context of the command.
         """
         return list(super().parse_args(ctx, spread(args, self._repeatable())))
 
     def _repeatable(self) -> frozenset[str]:
+        """Return the spellings of all options that may be given several times."""
         return frozenset(
             name
             for parameter in self.params

@@ -60,9 +60,10 @@ class Verb:
 
 
 def installed_verbs() -> dict[str, Verb]:
-    """Find the verbs of all installed packages by name, that of the verb's module, ordered by panel, then by
-    name. A package that cannot be imported is named in one line on stderr and left out, so that it takes no
-    other verb with it.
+    """Find the verbs of all installed packages, ordered by panel, then by name.
+
+    The name of a verb is that of its module. If a package cannot be imported, a line on stderr reports it,
+    and the verbs of other packages still work.
     """
     verbs: dict[str, Verb] = {}
     for entry in sorted(plugins(ENTRY_POINT_GROUP), key=_order):
@@ -73,7 +74,7 @@ def installed_verbs() -> dict[str, Verb]:
         except Exception as error:  # noqa: BLE001  -- whatever a stranger's package raises when it is imported
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             _warn(f"the verbs of {entry.value} do not load ({reason})")
-    rank = {panel: place for place, panel in enumerate(PANELS)}
+    rank = {panel: index for index, panel in enumerate(PANELS)}
     return dict(sorted(verbs.items(), key=lambda item: (rank.get(item[1].panel, len(rank)), item[0])))
 
 
@@ -84,7 +85,7 @@ def _warn(cause: str) -> None:
 
 
 def _order(entry: EntryPoint) -> tuple[bool, str]:
-    """Verbs of this distribution come first: nobody takes the name of one of them."""
+    """Sort key that puts packages of this distribution first, so that others cannot take a verb's name."""
     return entry.dist is None or entry.dist.name != DISTRIBUTION, entry.value
 
 
@@ -97,5 +98,5 @@ def _verbs_in(package_name: str) -> Iterator[tuple[str, Verb]]:
     for module in modules:
         verb = getattr(module, "VERB", None)
         if isinstance(verb, Verb):
-            # import_.py is the verb import: Python keeps that word for itself.
+            # The verb import is in import_.py, because import is a reserved word of Python.
             yield module.__name__.rpartition(".")[2].rstrip("_"), verb

@@ -70,18 +70,20 @@ class Bossac:
 
 
 def find_bossac(named: Path | None = None) -> Bossac:
-    """Find the uploader that suits a Due best, on the path, or as PlatformIO and the Arduino IDE keep it: the
-    first that is not `Bossac.doubtful`, otherwise the first.
+    """Find the program bossac, which writes a Due's flash.
+
+    It is searched on the path, then in the folders of PlatformIO and the Arduino IDE. The first version that
+    suits a Due is taken; otherwise the first one, which is `Bossac.doubtful`.
 
     Parameters
     ----------
     named : Path or None
-        Use this one.
+        Use this program instead of a search.
 
     Raises
     ------
     UploaderError
-        There is none, or the one named is no bossac.
+        If no bossac is found, or if `named` is another program.
     """
     if named is not None:
         return _ask(str(named))
@@ -100,6 +102,7 @@ def find_bossac(named: Path | None = None) -> Bossac:
 
 
 def _candidates() -> Iterable[str]:
+    """Yield the paths at which bossac may be, the one on the search path first."""
     on_path = shutil.which("bossac")
     if on_path is not None:
         yield on_path
@@ -151,7 +154,7 @@ def write_image(bossac: Bossac, port: str, image: Path, timeout_s: float = WRITE
     Raises
     ------
     FlashError
-        It failed; the board's flash is then erased or half written, and its bridges stay off.
+        If it fails; the board's flash is then erased or half written, and its motors stay off.
     """
     try:
         done = subprocess.run(

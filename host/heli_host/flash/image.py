@@ -38,9 +38,9 @@ def read_image(path: Path) -> FirmwareImage:
     Raises
     ------
     ImageError
-        It is not an image for the Due, or is of another release; the message gives the reason.
+        If the file is not an image for the Due, or is of another release; the message gives the reason.
     OSError
-        It cannot be read.
+        If the file cannot be read.
     """
     content = path.read_bytes()
     if content.startswith(b"\x7fELF"):

@@ -82,7 +82,7 @@ def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]
 
 
 class _Asker:
-    """Requests and their answers, without a session: everything else that the board sends is ignored."""
+    """Sends requests to a board without a session, and waits for their answers; ignores other messages."""
 
     def __init__(self, transport: Transport, timeout_s: float) -> None:
         self._transport = transport
@@ -110,6 +110,7 @@ class _Asker:
 
 
 def _unreadable(reason: str) -> FlashError:
+    """Return the error for saved parameters that this host cannot read."""
     return FlashError(
         f"the board has saved parameters that this host cannot read: {reason}",
         "save them with the board's own heli_host (params dump), or add --discard-parameters",

@@ -41,7 +41,8 @@ def erase_chip(port: str, wait_s: float = ERASE_S) -> None:
         with serial.Serial(port, ERASING_BAUD) as touched:
             _set_dtr(touched, False)
             time.sleep(wait_s)
-            # Whoever opens the port next raises DTR before it sets its rate: at 1200 baud that erases again.
+            # The next program to open the port raises DTR before it sets its rate, so that a rate of 1200
+            # baud, left from here, would erase the flash again.
             touched.baudrate = BAUD
     except (serial.SerialException, OSError, ValueError) as error:
         raise FlashError(
@@ -68,9 +69,10 @@ def restart_chip(port: str) -> None:
 
 
 def _set_dtr(port: serial.Serial, high: bool) -> None:
+    """Set the line DTR, if the port has one."""
     try:
         port.dtr = high
     except OSError as error:
-        # A pseudo-terminal has no such line; whatever is behind it sees the rate.
+        # A pseudo-terminal has no such line; the simulated board reads the rate instead.
         if error.errno not in _NO_CONTROL_LINES:
             raise

@@ -12,9 +12,9 @@ from heli_host.errors import FlightDataError
 from heli_host.flight.flight import MIN_ROWS, Flight, find_gaps
 
 _MAX_ANGLE_RAD = {"elevation_rad": 1.6, "pitch_rad": 3.2}
-"""No arm stands higher than upright, and no short arm turns over; travel may turn many times."""
+"""Largest possible angles: the arm cannot pass the vertical, and the short arm cannot turn over."""
 _MAX_COUNT_RAD = 0.02
-"""An encoder with fewer than 314 counts a turn is none; in degrees, 16384 counts are steps of 0.022."""
+"""Largest plausible step of an encoder: 314 counts per turn. In degrees, even 16384 counts step by 0.022."""
 _MIN_MOVES = 20
 _MAX_RATE_RAD_S = 20.0
 """Over a tenth of a second, in one row of a hundred; the board's own limits are below 10."""
@@ -60,7 +60,7 @@ def check(
                 f"{source}: {name} is {column[bad[0]]} in {where(int(bad[0]))} ({bad.size} such rows)",
                 "remove these rows, or the part of the flight around them",
             )
-    # Steps between numbers near the largest there are overflow, and are refused as too large.
+    # Differences of huge numbers overflow to infinity; the checks then refuse them as too large.
     with np.errstate(over="ignore", invalid="ignore"):
         _check_time(flight.t_s, source, allow_gaps, where)
         _check_units(flight, source, where)
@@ -97,7 +97,7 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
 
 def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> None:
     """Refuse angles that are probably in degrees, by their size, rate or encoder step, and voltages that are
-    probably no volts. `where` names a row of the file.
+    probably not in volts. `where` names a row of the file.
     """
     degrees = "looks like degrees", "multiply the angles by pi/180"
     for name, max_angle_rad in _MAX_ANGLE_RAD.items():
@@ -134,7 +134,7 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
 
 
 def _usual_highest_rate(angle_rad: Floats, step_s: float) -> tuple[int, float]:
-    """A row and the rate there over a tenth of a second that one row in a hundred exceeds."""
+    """Return the rate over 0.1 s that only one row in a hundred exceeds, and a row with this rate."""
     reach = max(1, round(0.1 / step_s))
     if angle_rad.size <= reach:
         return 0, 0.0

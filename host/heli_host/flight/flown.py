@@ -92,20 +92,20 @@ def of_its_law(flight: Flight) -> Flight:
     Returns
     -------
     Flight
-        Rows from the first of these to the last, without the phase events.
+        The flight from the first of these rows to the last, without the phase events.
 
     Raises
     ------
     FlightDataError
-        No law flew in it.
+        If no control law flew.
     """
-    rows = _of_law(flight)
-    if not rows.any():
-        rows = flown_rows(flight)
-    there = np.flatnonzero(rows)
-    if there.size < MIN_ROWS:
+    is_flown = _of_law(flight)
+    if not is_flown.any():
+        is_flown = flown_rows(flight)
+    rows = np.flatnonzero(is_flown)
+    if rows.size < MIN_ROWS:
         raise FlightDataError("the log contains no flight of a control law", "give a flight under setpoints")
-    cut = flight.between(float(flight.t_s[there[0]]), float(flight.t_s[there[-1]]))
+    cut = flight.between(float(flight.t_s[rows[0]]), float(flight.t_s[rows[-1]]))
     return replace(cut, events=tuple(event for event in cut.events if event.name != PHASE_EVENT))
 
 

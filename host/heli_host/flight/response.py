@@ -20,13 +20,14 @@ from heli_host.flight.flight import Flight
 from heli_host.flight.flown import flown_rows, led_rows
 
 MIN_STEP_DEG: Final = 1.0
-"""Move of a setpoint from one that was held to the next from which on it is a step. By judgement. Lower: what
-trims the flight is taken for steps. Higher: small steps have no metrics."""
+"""Smallest difference of two held setpoints that counts as a step. By judgement. With a lower value, small
+corrections would count as steps; with a higher one, small steps would have no metrics."""
 HELD_s: Final = 1.0
-"""Time for which a setpoint stays where it is to count as held: the board shapes a step into a ramp of less,
-and a sine stays nowhere. By judgement. Shorter: a sine's crests count. Longer: quick steps are missed."""
+"""Time for which a setpoint must not change to count as held. The board shapes a step into a shorter ramp. By
+judgement. With a shorter time, the crests of a sine would count; with a longer one, quick steps would not."""
 SETTLED_SHARE: Final = 0.05
-"""Share of the step within which a response counts as settled, as is usual; less is lost in draughts."""
+"""Distance from the setpoint, as a share of the step, within which a response is settled. 5 % is common; less
+would be hidden by disturbances."""
 _HELD_DEG: Final = 0.01
 _SAME_DEG: Final = 1e-3
 """Rounding of a setpoint in a log."""
@@ -39,12 +40,12 @@ class StepMetrics:
     Parameters
     ----------
     rise_s : float
-        From 10 % to 90 % of the step [s]; nan where it does not get there.
+        Time from 10 % to 90 % of the step [s]; nan if the angle does not reach 90 %.
     overshoot_percent : float
-        Furthest beyond its end, as a share of the step [%].
+        Largest excess over the end of the step, as a share of the step [%].
     settling_s : float
-        From the step until the angle stays within 5 % of it, as far as the encoder shows [s]; nan where it
-        does not. An encoder shows an angle where its count changes, and between two counts only that.
+        Time from the step until the angle stays within 5 % of its end [s]; nan if it never does. Where the
+        encoder leaves the angle open between two counts, the angle nearest to the end counts.
     """
 
     rise_s: float
@@ -59,11 +60,11 @@ class Step:
     Parameters
     ----------
     start_s : float
-        When the setpoint began to move, on the flight's axis [s].
+        Time at which the setpoint began to move, on the flight's time axis [s].
     size_deg : float
         Size of the step [deg].
     metrics : StepMetrics
-        How the axis followed, until the setpoint moves again.
+        Response of the axis, until the setpoint moves again.
     """
 
     start_s: float
@@ -78,15 +79,15 @@ class Response:
     Parameters
     ----------
     axis : str
-        Which.
+        Name of the axis.
     step_s : float
-        When its setpoint began its largest step [s]; nan where it made none.
+        Time at which its setpoint began its largest step [s]; nan without a step.
     step_deg : float
         Size of the step [deg]; the metrics below are nan without a step.
     rise_s, overshoot_percent, settling_s : float
         As in `StepMetrics`.
     rms_deg : float
-        Root mean square error over the rows in which it was led [deg]; nan without setpoints.
+        Root mean square error over the rows in which a setpoint was active [deg]; nan without setpoints.
     """
 
     axis: str
@@ -104,8 +105,10 @@ def responses(flight: Flight) -> tuple[Response, ...]:
 
 
 def effort_V(flight: Flight) -> float:
-    """Root mean square of both motors' voltages about the mean of each, where a law flew, V: what it moves
-    them by to control, without what carries the arm. nan where none flew.
+    """Return the control effort: the RMS deviation of both motor voltages from their means, V.
+
+    Subtracting the means removes the voltage that carries the arm. Only rows in which a control law flew
+    count; nan without such rows.
     """
     flown = flight.voltages_V[flown_rows(flight)]
     return float(np.sqrt(np.mean(flown.var(axis=0)))) if flown.size else math.nan
@@ -129,11 +132,11 @@ def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
     setpoint_rad = getattr(flight, f"{axis}_setpoint_rad")
     if setpoint_rad is None:
         return ()
-    angle_deg, wanted_deg = np.rad2deg(getattr(flight, f"{axis}_rad")), np.rad2deg(setpoint_rad)
+    angle_deg, setpoint_deg = np.rad2deg(getattr(flight, f"{axis}_rad")), np.rad2deg(setpoint_rad)
     count_deg = float(np.rad2deg(count_rad(flight)[AXES.index(axis)]))
     responses = []
-    for first, stop in _moves(flight, wanted_deg, led_rows(flight, axis)):
-        start_deg, end_deg, t_s = wanted_deg[first - 1], wanted_deg[stop - 1], flight.t_s[first:stop]
+    for first, stop in _setpoint_steps(flight, setpoint_deg, led_rows(flight, axis)):
+        start_deg, end_deg, t_s = setpoint_deg[first - 1], setpoint_deg[stop - 1], flight.t_s[first:stop]
         moved_deg = angle_deg[first:stop]
         metrics = step_metrics(t_s - t_s[0], moved_deg, float(start_deg), float(end_deg), count_deg)
         responses.append(Step(float(t_s[0]), float(end_deg - start_deg), metrics))
@@ -172,11 +175,11 @@ def step_metrics(
 
 
 def _between_counts(t_s: Floats, angle_deg: Floats, end_deg: float, count_deg: float) -> Floats:
-    """Angle that an encoder's counts show: exact where a count changes, and a cubic between two such edges.
+    """Estimate the angle between encoder counts: exact where a count changes, and a cubic between such edges.
 
-    An axis that turns back within a count, or is in it at the beginning or the end, may be anywhere in it. It
-    gets the place nearest to the end of the step, because the encoder does not show that it is elsewhere.
-    Without this a coarse encoder never settles next to a setpoint between two of its counts.
+    If an axis turns back within a count, or starts or ends in it, the angle may be anywhere in the count. The
+    estimate is then the angle nearest to the end of the step, `end_deg`. Otherwise a coarse encoder would
+    never settle at a setpoint between two of its counts.
     """
     edges = np.flatnonzero(np.abs(np.diff(angle_deg)) > 0.5 * count_deg) + 1
     low_deg, high_deg = angle_deg - 0.5 * count_deg, angle_deg + 0.5 * count_deg
@@ -186,18 +189,20 @@ def _between_counts(t_s: Floats, angle_deg: Floats, end_deg: float, count_deg: f
     edge_s = 0.5 * (t_s[edges - 1] + t_s[edges])
     edge_deg = 0.5 * (angle_deg[edges - 1] + angle_deg[edges])
     # Cubic Hermite: the slope at an edge is that of the parabola through this edge and its neighbours.
-    lasting_s, secant = np.diff(edge_s), np.diff(edge_deg) / np.diff(edge_s)
-    inner = (secant[:-1] * lasting_s[1:] + secant[1:] * lasting_s[:-1]) / (lasting_s[:-1] + lasting_s[1:])
-    slope = np.concatenate((secant[:1], inner, secant[-1:]))
-    run = np.clip(np.searchsorted(edges, np.arange(len(t_s)), side="right") - 1, 0, len(edges) - 2)
-    x, h_s = (t_s - edge_s[run]) / lasting_s[run], lasting_s[run]
-    cubic_deg = (
-        (1.0 + 2.0 * x) * (1.0 - x) ** 2 * edge_deg[run]
-        + x * (1.0 - x) ** 2 * h_s * slope[run]
-        + x**2 * (3.0 - 2.0 * x) * edge_deg[run + 1]
-        - x**2 * (1.0 - x) * h_s * slope[run + 1]
+    interval_s, mean_slope = np.diff(edge_s), np.diff(edge_deg) / np.diff(edge_s)
+    inner_slope = (mean_slope[:-1] * interval_s[1:] + mean_slope[1:] * interval_s[:-1]) / (
+        interval_s[:-1] + interval_s[1:]
     )
-    is_passed = (x >= 0.0) & (x <= 1.0) & (np.sign(secant[run]) != 0.0)
+    slope = np.concatenate((mean_slope[:1], inner_slope, mean_slope[-1:]))
+    interval = np.clip(np.searchsorted(edges, np.arange(len(t_s)), side="right") - 1, 0, len(edges) - 2)
+    x, h_s = (t_s - edge_s[interval]) / interval_s[interval], interval_s[interval]
+    cubic_deg = (
+        (1.0 + 2.0 * x) * (1.0 - x) ** 2 * edge_deg[interval]
+        + x * (1.0 - x) ** 2 * h_s * slope[interval]
+        + x**2 * (3.0 - 2.0 * x) * edge_deg[interval + 1]
+        - x**2 * (1.0 - x) * h_s * slope[interval + 1]
+    )
+    is_passed = (x >= 0.0) & (x <= 1.0) & (np.sign(mean_slope[interval]) != 0.0)
     seen_deg: Floats = np.where(is_passed, np.clip(cubic_deg, low_deg, high_deg), nearest_deg)
     return seen_deg
 
@@ -217,11 +222,11 @@ def _response(flight: Flight, axis: str) -> Response:
     """Return the metrics of the largest step of an axis, and its RMS tracking error; nan where a flight has
     none.
     """
-    led, nan = led_rows(flight, axis), math.nan
-    if not led.any():
+    is_commanded, nan = led_rows(flight, axis), math.nan
+    if not is_commanded.any():
         return Response(axis, nan, nan, nan, nan, nan, nan)
     error_rad = getattr(flight, f"{axis}_rad") - getattr(flight, f"{axis}_setpoint_rad")
-    rms_deg = rms(np.rad2deg(error_rad[led]))
+    rms_deg = rms(np.rad2deg(error_rad[is_commanded]))
     largest = max(steps(flight, axis), key=lambda step: abs(step.size_deg), default=None)
     if largest is None:
         return Response(axis, nan, nan, nan, nan, nan, rms_deg)
@@ -237,31 +242,32 @@ def _response(flight: Flight, axis: str) -> Response:
     )
 
 
-def _moves(flight: Flight, wanted_deg: Floats, led: Booleans) -> list[tuple[int, int]]:
-    """Steps of a setpoint as rows: the first away from where it was held, and behind the next such place."""
+def _setpoint_steps(flight: Flight, setpoint_deg: Floats, is_commanded: Booleans) -> list[tuple[int, int]]:
+    """Return the steps of a setpoint: the row where it leaves a held value, and the end of the next one."""
     return [
         (first, stop)
-        for (_, first), (_, stop) in itertools.pairwise(_held(flight, wanted_deg, led))
-        if led[first:stop].all() and abs(wanted_deg[stop - 1] - wanted_deg[first - 1]) > MIN_STEP_DEG
+        for (_, first), (_, stop) in itertools.pairwise(_held_stretches(flight, setpoint_deg, is_commanded))
+        if is_commanded[first:stop].all()
+        and abs(setpoint_deg[stop - 1] - setpoint_deg[first - 1]) > MIN_STEP_DEG
     ]
 
 
-def _held(flight: Flight, wanted_deg: Floats, led: Booleans) -> list[tuple[int, int]]:
-    """Stretches of rows, first and behind the last, in which a setpoint is held."""
+def _held_stretches(flight: Flight, setpoint_deg: Floats, is_commanded: Booleans) -> list[tuple[int, int]]:
+    """Return the stretches of rows in which a setpoint is held: first row, and the row after the last."""
     rows = max(4, round(HELD_s / max(flight.step_s, 1e-9)))
-    if len(wanted_deg) <= rows:
+    if len(setpoint_deg) <= rows:
         return []
-    # A sine is at the same place before and behind a crest, but not upon it.
-    still = led[:-rows] & led[rows:]
+    # A sine has the same value before and after a crest, so that points between them are compared, too.
+    is_still = is_commanded[:-rows] & is_commanded[rows:]
     for part in (1, 2, 3, 4):
-        ahead = wanted_deg[part * rows // 4 :][: len(still)]
-        still = still & (np.abs(ahead - wanted_deg[: len(still)]) < _HELD_DEG)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
-    held = []
+        ahead = setpoint_deg[part * rows // 4 :][: len(is_still)]
+        is_still = is_still & (np.abs(ahead - setpoint_deg[: len(is_still)]) < _HELD_DEG)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], is_still, [False])).astype(np.int8)))
+    stretches = []
     for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         first, stop = a, b + rows
-        # To the row: a ramp begins slower than what counts as held.
-        level_deg = wanted_deg[(first + stop) // 2]
-        same = np.flatnonzero(np.abs(wanted_deg[first:stop] - level_deg) < _SAME_DEG)
-        held.append((first + int(same[0]), first + int(same[-1]) + 1))
-    return held
+        # A ramp begins so slowly that its first rows look held; they are cut off.
+        level_deg = setpoint_deg[(first + stop) // 2]
+        same = np.flatnonzero(np.abs(setpoint_deg[first:stop] - level_deg) < _SAME_DEG)
+        stretches.append((first + int(same[0]), first + int(same[-1]) + 1))
+    return stretches

@@ -107,14 +107,14 @@ class FlightMonitor:
         state = self._session.state
         if state in (State.FAULT, State.EMERGENCY_LANDING):
             return f"fault {fault_text(self.fault())}"
-        # Telemetry shows a state a moment before its events are handed over.
+        # Telemetry shows a state slightly before the event with its reason arrives.
         self._session.wait_for(lambda: bool(self._ended_by), _LOOK_S)
         lost = ", after the link was lost" if self._session.counters.reconnects != self._reconnects else ""
         name = state.name.lower() if state is not None else "unknown"
         reason = self._ended_by or self._newest_state()
-        # Most events name the state that the board is in, so that their cause alone is left to state.
-        same, _, cause = reason.partition(f"state {name}, ")
-        if cause and not same:
+        # Most events begin with the name of the state, which the message below already contains.
+        before, _, cause = reason.partition(f"state {name}, ")
+        if cause and not before:
             return f"the board went to state {name}{lost}, {cause}"
         return f"the board went to state {name}{lost} ({reason})"
 
@@ -132,6 +132,7 @@ class FlightMonitor:
         return int(newest[1][Channel.FAULT]) if newest is not None else int(Fault.NONE)
 
     def _newest_state(self) -> str:
+        """Return the state and its trigger in the newest sample, as text."""
         newest = self._session.latest
         if newest is None:
             return "no sample arrived"

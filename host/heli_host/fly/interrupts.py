@@ -95,6 +95,7 @@ class Interrupts:
         self._catch_up()
 
     def _take(self, number: int, frame: FrameType | None) -> None:
+        """Record a signal, and raise KeyboardInterrupt if this is permitted now."""
         self._names.append(CTRL_C if number == signal.SIGINT else signal.Signals(number).name)
         # A handler may have more to do than to raise.
         with contextlib.suppress(KeyboardInterrupt):
@@ -103,6 +104,7 @@ class Interrupts:
             self._catch_up()
 
     def _catch_up(self) -> None:
+        """Raise KeyboardInterrupt for a recorded signal, as often as permitted."""
         if self._raises_left and self.remembered:
             self._raises_left -= 1
             self._raised += 1

@@ -171,6 +171,7 @@ def _short(value: object) -> str:
 
 
 def _suggestion(key: str, names: list[str]) -> str:
+    """Return the advice for an unknown key: the unit, a similar key, or all keys."""
     with_unit = [name for name in names if name.startswith(key + "_")]
     if with_unit:
         return f"name the unit: {' or '.join(with_unit)}"

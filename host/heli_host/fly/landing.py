@@ -75,7 +75,7 @@ class Landing:
             return ""
         trouble = ""
         if self._monitor.restarted():
-            # It is idle: there is nothing to land, and may be no sample yet that says so.
+            # An idle board needs no landing, although a sample with this state may not have arrived yet.
             pass
         elif self._session.state is State.ARMED:
             self._heli.stop()
@@ -84,7 +84,7 @@ class Landing:
         wait_ticks(self._session, _AFTER_TICKS)
         newest = self._session.latest
         if is_completed and not trouble and newest is not None:
-            # A plan may be flown to its end, and the host suspended before it can land.
+            # The host may have been suspended between the end of the plan and the landing.
             by_itself = newest[1][Channel.TRIGGER] not in _REQUESTED
             return self._monitor.why_down() if by_itself and newest[1][Channel.STATE] in _DOWN else ""
         return trouble

@@ -52,9 +52,9 @@ class Limits:
         parameters : Mapping[str, float], optional
             The board's parameters by name; a missing parameter has its declared default.
         """
-        known = {spec.name: spec.default for spec in PARAMS}
-        known.update(parameters or {})
-        bounds = setpoint_bounds(known)
+        values = {spec.name: spec.default for spec in PARAMS}
+        values.update(parameters or {})
+        bounds = setpoint_bounds(values)
         low_deg = np.array([bounds[axis].least_deg for axis in AXES])
         low_deg[Axis.ELEVATION] += _TABLE_MARGIN_DEG
         low_names = [bounds[axis].least_name for axis in AXES]
@@ -64,10 +64,10 @@ class Limits:
             high_deg=np.array([bounds[axis].most_deg for axis in AXES]),
             low_names=tuple(low_names),
             high_names=tuple(bounds[axis].most_name for axis in AXES),
-            slew_deg_s=np.array([known[f"{axis}_slew_deg_s"] for axis in AXES]),
-            excitation_max_V=known["excitation_max_V"],
-            excitation_max_s=known["excitation_max_s"],
-            rest_deg=known["elevation_rest_deg"],
+            slew_deg_s=np.array([values[f"{axis}_slew_deg_s"] for axis in AXES]),
+            excitation_max_V=values["excitation_max_V"],
+            excitation_max_s=values["excitation_max_s"],
+            rest_deg=values["elevation_rest_deg"],
         )
 
 

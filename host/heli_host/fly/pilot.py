@@ -217,6 +217,7 @@ class Pilot:
 
 
 def _mask(axes: tuple[str, ...]) -> Axes:
+    """Return the names of axes as a bit mask."""
     mask = Axes(0)
     for axis in axes:
         mask |= Axes[axis.upper()]

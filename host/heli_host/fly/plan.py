@@ -114,7 +114,7 @@ class Plan:
         Raises
         ------
         PlanError
-            If it is no TOML, has an unknown key, lacks one, or holds a value that no board takes.
+            If the text is not TOML, has an unknown key, lacks a key, or has a value that no board accepts.
         """
         try:
             values = parse_toml(text)
@@ -136,15 +136,15 @@ class Plan:
         Raises
         ------
         PlanError
-            If it has an unknown key, lacks one, or holds a value that no board takes.
+            If a table has an unknown key, lacks a key, or has a value that no board accepts.
         """
         name = name or Path(source).stem
         table = PlanTable(values, source, ("title", "axes", "start", "tolerance", "segment"))
         closed = _read_axes(table)
         commanded = tuple(axis for axis in closed if axis != "pitch" or "travel" not in closed)
         start = _read_start(values.get("start", {}), source)
-        bounds = values.get("tolerance", {})
-        if not isinstance(bounds, dict):
+        tolerance_table = values.get("tolerance", {})
+        if not isinstance(tolerance_table, dict):
             table.fail("tolerance is not a table", "write [tolerance] above its keys")
         rows = values.get("segment", [])
         if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
@@ -158,7 +158,7 @@ class Plan:
         for segment in segments[:-1]:
             if segment.kind == "land":
                 raise PlanError(f"{segment.where}: another segment follows", "put land last, or leave it out")
-        tolerance = Tolerance.read(bounds, f"{source}, tolerance")
+        tolerance = Tolerance.read(tolerance_table, f"{source}, tolerance")
         return Plan(name, source, table.text("title", name), closed, start, segments, text, tolerance)
 
     @cached_property
@@ -188,7 +188,7 @@ class Plan:
         Returns
         -------
         elevation_deg, pitch_deg, travel_deg : float or ndarray (n,)
-            Setpoints in degrees; before 0 s where the plan starts, after its end where it ends.
+            Setpoints in degrees; before 0 s those at the start of the plan, and after its end the last ones.
         """
         points = self.route.evaluate(np.atleast_1d(np.asarray(t_s, np.float64)))
         elevation_deg, pitch_deg, travel_deg = points[0].tolist() if np.ndim(t_s) == 0 else points.T

@@ -46,7 +46,7 @@ class ProgressReports:
     route : Route
         Setpoints over time.
     callback : callable taking Progress, or None
-        The caller's own; it may raise anything.
+        Callback of the caller; it may raise any exception.
 
     Attributes
     ----------

@@ -222,6 +222,7 @@ class Recorder:
         return {}
 
     def _take_ticks(self, ticks: Ticks) -> None:
+        """Write new samples into the log."""
         if not len(ticks):
             return
         self._last_wall_ns = self._heli.session.transport.wall_ns()
@@ -271,6 +272,7 @@ class Recorder:
 
     @staticmethod
     def _session(heli: Vehicle, rig_name: str, plans: Sequence[Plan], board_name: str) -> dict[str, str]:
+        """Return the record `session` of the log: rig, board, versions, address and start."""
         info = heli.info
         wall_ns = heli.session.transport.wall_ns()
         return {

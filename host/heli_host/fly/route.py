@@ -21,7 +21,7 @@ class PlannedExcitation:
     Parameters
     ----------
     signal : str
-        Kind, as the link's declaration names it in lower case.
+        Kind of excitation: name of a member of `heli_host.declaration.Excitation` in lower case.
     front_V, back_V : float
         Amplitude on each motor.
     start_Hz, stop_Hz : float
@@ -145,23 +145,25 @@ class Route:
         Parameters
         ----------
         t_s : ndarray (n,)
-            Times on the route's axis; before it the start, behind it the end counts.
+            Times since the start of the route. Earlier times give the start, later ones than the end the end.
 
         Returns
         -------
         ndarray (n, axes)
             Elevation, pitch and travel in degrees.
         """
-        out = np.empty((t_s.size, self.start_deg.size))
-        out[:] = self.start_deg
+        setpoints_deg = np.empty((t_s.size, self.start_deg.size))
+        setpoints_deg[:] = self.start_deg
         if not self.pieces:
-            return out
+            return setpoints_deg
         index = np.searchsorted(self._starts_s, t_s, side="right") - 1
         for number in set(index.tolist()) - {-1}:
             piece = self.pieces[number]
-            mine = index == number
-            out[mine] = piece.shape(np.minimum(t_s[mine] - piece.start_s, piece.duration_s))
-        return out
+            is_in_piece = index == number
+            setpoints_deg[is_in_piece] = piece.shape(
+                np.minimum(t_s[is_in_piece] - piece.start_s, piece.duration_s)
+            )
+        return setpoints_deg
 
 
 def hold(at_deg: Floats) -> Shape:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 INTERVAL_TICKS = 20
 """Device time between two setpoints: 50 a second."""
 LEAD_TICKS = 100
-"""Device time from now to the tick at which a setpoint is reached. The board ramps towards it, so a frame may
-be late by as much and the motion still goes on."""
+"""Device time from now to the tick at which a setpoint is to be reached. The board ramps towards it, so that
+the motion continues even if the next frame is late by this time."""
 
 _LONGEST_LEAD_TICKS = 400
 _STALL_TICKS = 60

@@ -1,4 +1,4 @@
-"""Flies plans: checks, take-off, setpoints on device time, landing, and a log whatever happens."""
+"""Flies plans: check, take off, stream setpoints on device time, land; a log is written in any case."""
 
 from __future__ import annotations
 
@@ -108,23 +108,23 @@ def fly(
         The log exists already, cannot be created, or the disk has too little room; the motors stay off. Or
         the summary or the figure cannot be written after the flight.
     """
-    loaded = _loaded(plans)
+    read_plans = _read_plans(plans)
     sample = heli.latest
     start_deg = np.degrees([getattr(sample, f"{axis}_rad") for axis in AXES])
-    route = take_off(loaded, dict(heli.params), start_deg)
-    with _place(log_path) as path:
+    route = take_off(read_plans, dict(heli.params), start_deg)
+    with _log_place(log_path) as path:
         recorder = Recorder(
             heli,
             path,
             rig_name=rig_name,
-            plans=loaded,
+            plans=read_plans,
             board_name=board_name,
             duration_s=route.duration_s,
             overwrite=overwrite,
             sealed=sealed,
             setup=setup,
         )
-        tolerance = Tolerance.widest([plan.tolerance for plan in loaded])
+        tolerance = Tolerance.widest([plan.tolerance for plan in read_plans])
         end_when = (lambda: twin.alarm) if twin is not None and land_on_change else None
         if twin is not None:
             twin.listen(lambda news: recorder.note(EVENT, news.text))
@@ -132,7 +132,7 @@ def fly(
             pilot = Pilot(
                 heli,
                 route,
-                loaded[0].axes,
+                read_plans[0].axes,
                 recorder,
                 on_progress,
                 tolerance,
@@ -146,8 +146,8 @@ def fly(
                 if twin is not None:
                     twin.close()
                 recorder.close(pilot.outcome)
-        log = _written(path, recorder)
-    # From here on the motors are off: what fails now loses no flight.
+        log = _read_written(path, recorder)
+    # From here on the motors are off and the log is complete, so that an error loses no data.
     outcome = hide(pilot.outcome) if sealed else pilot.outcome
     summary = replace(summarise(log), outcome=outcome, log=str(log_path) if log_path else "")
     if recorder.error is not None and str(recorder.error) not in summary.outcome:
@@ -161,7 +161,7 @@ def fly(
     return summary
 
 
-def _written(path: Path, recorder: Recorder) -> Log:
+def _read_written(path: Path, recorder: Recorder) -> Log:
     """Read the log. If the disk took not even its beginning, report the disk's error, not the reader's."""
     try:
         return read_log(path)
@@ -172,7 +172,8 @@ def _written(path: Path, recorder: Recorder) -> Log:
         return Log(path, ticks, TICK_LAYOUT, (), (), {}, (str(error),), complete=False)
 
 
-def _loaded(plans: PlanLike | Sequence[PlanLike]) -> list[Plan]:
+def _read_plans(plans: PlanLike | Sequence[PlanLike]) -> list[Plan]:
+    """Return plans as a list, and load those that are given by name or file."""
     listed = [plans] if isinstance(plans, Plan | str | Path) else list(plans)
     if not listed:
         raise PlanError("no plan is given", "give at least one plan, such as hover")
@@ -180,7 +181,8 @@ def _loaded(plans: PlanLike | Sequence[PlanLike]) -> list[Plan]:
 
 
 @contextlib.contextmanager
-def _place(log_path: str | Path | None) -> Iterator[Path]:
+def _log_place(log_path: str | Path | None) -> Iterator[Path]:
+    """Yield the path of the log; without one, a path in a folder that is removed afterwards."""
     if log_path is not None:
         yield Path(log_path)
         return

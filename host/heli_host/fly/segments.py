@@ -1,4 +1,4 @@
-"""The kinds of segment of a plan: which keys each takes, and the motion that it makes."""
+"""The kinds of segment of a plan: the keys of each in the TOML file, and its motion of the setpoints."""
 
 from __future__ import annotations
 
@@ -68,11 +68,11 @@ class Segment:
     where : str
         File and segment, for messages.
     motion : callable
-        From the setpoints at its beginning, degrees (axes,), to its `Motion`.
+        Returns the `Motion` of the segment, given the setpoints at its beginning, degrees (axes,).
     limit_keys : tuple of str
-        For each axis, the key to blame when the motion leaves the limits.
+        For each axis, the key that an error names if the motion leaves the limits.
     rate_key : str
-        The key to blame when it is too fast.
+        The key that an error names if the motion is too fast.
     """
 
     kind: str
@@ -93,25 +93,26 @@ def read_segment(values: Mapping[str, Any], where: str, commanded: tuple[str, ..
     where : str
         File and number of the segment, for messages.
     commanded : tuple of str
-        Axes that the plan's segments may move: those that it closes, but not pitch while travel commands it.
+        Axes that segments of the plan may move: all axes in closed loop, but pitch only if travel is free,
+        because the control law of travel commands pitch.
 
     Raises
     ------
     PlanError
-        If a key is unknown, missing, or holds what it cannot.
+        If a key is unknown or missing, or its value is invalid.
     """
     kind_only = PlanTable({key: values[key] for key in ("kind",) if key in values}, where, ("kind",))
     kind = kind_only.choice("kind", _KINDS)
     where = f"{where} ({kind})"
-    known, reader = _KINDS[kind]
-    usable = [key for key in known if _axis_of(key) is None or _axis_of(key) in commanded]
+    keys, reader = _KINDS[kind]
+    usable_keys = [key for key in keys if _axis_of(key) is None or _axis_of(key) in commanded]
     for key in values:
         axis = _axis_of(key)
-        if key in known and axis is not None and axis not in commanded:
+        if key in keys and axis is not None and axis not in commanded:
             kind_only.where = where
             remedy = 'set axes = ["elevation", "pitch"] to command pitch' if axis == "pitch" else "remove it"
             kind_only.fail(f"{key} has no effect: this plan {_why_not(axis)}", remedy)
-    return reader(PlanTable(values, where, ("kind", *usable)), commanded)
+    return reader(PlanTable(values, where, ("kind", *usable_keys)), commanded)
 
 
 def _axis_of(key: str) -> str | None:
@@ -137,20 +138,21 @@ def _motion(duration_s: float, shape: Shape, *points_deg: Floats, rate_deg_s: Fl
 
 def _targets(table: PlanTable, commanded: tuple[str, ...]) -> Callable[[Floats], Floats]:
     """Return a function that replaces setpoints [deg], shape (3,), by the targets that a table states."""
-    given = {axis: table.optional(f"{axis}_deg", ANGLE) for axis in AXES}
-    if all(value is None for value in given.values()):
+    targets_deg = {axis: table.optional(f"{axis}_deg", ANGLE) for axis in AXES}
+    if all(value is None for value in targets_deg.values()):
         names = " or ".join(f"{axis}_deg" for axis in commanded)
         table.fail("it moves no axis", f"add {names}")
 
-    def fill(from_deg: Floats) -> Floats:
+    def with_targets(from_deg: Floats) -> Floats:
+        """Replace the setpoints of the axes that have a target."""
         to_deg = from_deg.copy()
         for index, axis in enumerate(AXES):
-            value = given[axis]
+            value = targets_deg[axis]
             if value is not None:
                 to_deg[index] = value
         return to_deg
 
-    return fill
+    return with_targets
 
 
 def _read_hold(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
@@ -167,27 +169,32 @@ def _read_hold(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
 def _read_step(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     """Read a segment whose setpoints jump to the target, and stay there."""
     duration_s = table.number("duration_s", DURATION)
-    fill = _targets(table, commanded)
+    with_targets = _targets(table, commanded)
     return Segment(
         "step",
         table.where,
-        lambda at: _motion(duration_s, route.hold(fill(at)), at, fill(at)),
+        lambda at: _motion(duration_s, route.hold(with_targets(at)), at, with_targets(at)),
         excitation=_meanwhile(table, duration_s),
     )
 
 
 def _read_ramp(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     """Read a segment whose setpoints go to the target at a constant rate, or within a given time."""
-    given_s = table.optional("duration_s", DURATION)
+    stated_duration_s = table.optional("duration_s", DURATION)
     rate_deg_s = table.optional("rate_deg_s", RATE)
-    if (given_s is None) == (rate_deg_s is None):
+    if (stated_duration_s is None) == (rate_deg_s is None):
         table.fail("it needs duration_s or rate_deg_s, one of them", "add duration_s = 5 or rate_deg_s = 5")
-    fill = _targets(table, commanded)
+    with_targets = _targets(table, commanded)
 
     def motion(at: Floats) -> Motion:
-        target_deg = fill(at)
+        """Return the ramp from the setpoints `at`, degrees (axes,), to the targets."""
+        target_deg = with_targets(at)
         distance_deg = np.abs(target_deg - at)
-        duration_s = given_s if given_s is not None else float(distance_deg.max()) / (rate_deg_s or 1.0)
+        duration_s = (
+            stated_duration_s
+            if stated_duration_s is not None
+            else float(distance_deg.max()) / (rate_deg_s or 1.0)
+        )
         # A ramp to the present setpoint still takes a tick, so that its rate is finite.
         duration_s = max(duration_s, TICK_S)
         return _motion(
@@ -198,7 +205,7 @@ def _read_ramp(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
             rate_deg_s=distance_deg / duration_s,
         )
 
-    rate_key = "duration_s" if given_s is not None else "rate_deg_s"
+    rate_key = "duration_s" if stated_duration_s is not None else "rate_deg_s"
     return Segment("ramp", table.where, motion, rate_key=rate_key)
 
 
@@ -226,6 +233,7 @@ def _read_sine(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
         period_s[index] = chosen
 
     def motion(at: Floats) -> Motion:
+        """Return the sine about the setpoints `at`, degrees (axes,), with its ends faded in and out."""
         reach_deg = np.abs(amplitude_deg)
         rate_deg_s = reach_deg * 2.0 * np.pi / period_s
         fades_s = route.fade_s(period_s, duration_s)
@@ -257,16 +265,16 @@ def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         table.fail("points is not a list of points", "write points = [{at_s = 5, travel_deg = 10}, ...]")
     columns: list[list[tuple[float, float]]] = [[] for _ in AXES]
-    usable = ("at_s", *(key for key in TARGETS if _axis_of(key) in commanded))
+    usable_keys = ("at_s", *(key for key in TARGETS if _axis_of(key) in commanded))
     last_s = -1.0
     for number, row in enumerate(rows, start=1):
-        point = PlanTable(row, f"{table.where}, point {number}", usable)
+        point = PlanTable(row, f"{table.where}, point {number}", usable_keys)
         at_s = point.number("at_s", PAUSE)
         if at_s <= last_s:
             point.fail(f"at_s is {at_s:g}, not behind the point before it", "sort the points by at_s")
         last_s = at_s
         if len(row) < 2:
-            point.fail("it moves no axis", f"add {usable[-1]}")
+            point.fail("it moves no axis", f"add {usable_keys[-1]}")
         for index, axis in enumerate(AXES):
             value = point.optional(f"{axis}_deg", ANGLE)
             if value is not None:
@@ -280,6 +288,7 @@ def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
         )
 
     def motion(at: Floats) -> Motion:
+        """Return the motion from the setpoints `at`, degrees (axes,), through the points."""
         times, values = [], []
         for index, column in enumerate(columns):
             has_start = bool(column) and column[0][0] == 0.0

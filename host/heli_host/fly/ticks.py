@@ -1,4 +1,4 @@
-"""Device time of a flight, as the newest sample shows it."""
+"""Device time of a flight, from the newest sample."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from heli_host.link.clock import TICK_S
 from heli_host.link.telemetry import Ticks
 
 NOT_TRACKED: Final = "not_tracked"
-"""How the outcome of a flight begins that went to its end and was not where it should have been."""
+"""Beginning of the outcome of a flight that was completed, but with too large tracking errors."""
 
 _BOUND: Final = Number(0.1, 3600.0)
 _LONGEST: Final = Number(0.1, 3600.0)
@@ -114,13 +114,13 @@ class TrackingMonitor:
     worst_deg: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(AXES)))
 
     def __post_init__(self) -> None:
-        self._since_tick = np.full(len(AXES), -1, np.int64)
+        self._beyond_since_tick = np.full(len(AXES), -1, np.int64)
         self._peak_deg = np.zeros(len(AXES))
-        # From a row of raw numbers to angle minus setpoint: (channels, axes).
-        self._deg_per_number = np.zeros((len(Channel), len(AXES)))
+        # A row of raw numbers times this matrix is angle minus setpoint, shape (channels, axes).
+        self._deg_per_raw = np.zeros((len(Channel), len(AXES)))
         for index, (encoder, setpoint) in enumerate(zip(ENCODERS, _SETPOINTS, strict=True)):
-            self._deg_per_number[encoder, index] = np.degrees(self.rad_per_count[index])
-            self._deg_per_number[setpoint, index] = -np.degrees(CHANNELS[setpoint].scale)
+            self._deg_per_raw[encoder, index] = np.degrees(self.rad_per_count[index])
+            self._deg_per_raw[setpoint, index] = -np.degrees(CHANNELS[setpoint].scale)
         self._bound_deg = np.array([getattr(self.tolerance, f"{axis}_deg") for axis in AXES])
 
     def take(self, ticks: Ticks, first_tick: int) -> None:
@@ -131,50 +131,54 @@ class TrackingMonitor:
         ticks : Ticks
             The next samples.
         first_tick : int
-            Device tick from which on they count.
+            First device tick whose samples are evaluated; earlier ones belong to the take-off.
         """
         if not len(ticks):
             return
-        error_deg = np.abs(ticks.raw @ self._deg_per_number)  # (n, axes)
-        beyond = error_deg > self._bound_deg
-        if not beyond.any():
-            self._since_tick[:] = -1
+        error_deg = np.abs(ticks.raw @ self._deg_per_raw)  # (n, axes)
+        is_beyond = error_deg > self._bound_deg
+        if not is_beyond.any():
+            self._beyond_since_tick[:] = -1
             return
         tick = ticks.tick.astype(np.int64)
-        flown = (numbers(ticks.raw, Channel.STATE) == State.CLOSED_LOOP) & (tick >= first_tick)
-        beyond &= flown[:, None]
+        is_flown = (numbers(ticks.raw, Channel.STATE) == State.CLOSED_LOOP) & (tick >= first_tick)
+        is_beyond &= is_flown[:, None]
         for index, axis in enumerate(AXES):
             if axis in self.axes:
-                self._follow(index, tick, error_deg[:, index], beyond[:, index])
+                self._update_axis(index, tick, error_deg[:, index], is_beyond[:, index])
 
-    def _follow(
-        self, index: int, tick: NDArray[np.int64], error_deg: NDArray[np.float64], beyond: NDArray[np.bool_]
+    def _update_axis(
+        self,
+        index: int,
+        tick: NDArray[np.int64],
+        error_deg: NDArray[np.float64],
+        is_beyond: NDArray[np.bool_],
     ) -> None:
         """Update the time for which the error of axis `index` has been beyond its tolerance, and the longest
-        such time with its largest error. `beyond` states it for each tick, (n,).
+        such time with its largest error. `is_beyond` states it for each tick, (n,).
         """
-        # Of each stretch of equal answers, its first row.
-        edges = np.flatnonzero(np.diff(beyond)) + 1
+        # Rows at which `is_beyond` changes; they divide the samples into stretches.
+        edges = np.flatnonzero(np.diff(is_beyond)) + 1
         for first, after in zip((0, *edges), (*edges, len(tick)), strict=True):
-            if not beyond[first]:
-                self._since_tick[index] = -1
+            if not is_beyond[first]:
+                self._beyond_since_tick[index] = -1
                 continue
-            if self._since_tick[index] < 0:
-                self._since_tick[index], self._peak_deg[index] = tick[first], 0.0
+            if self._beyond_since_tick[index] < 0:
+                self._beyond_since_tick[index], self._peak_deg[index] = tick[first], 0.0
             self._peak_deg[index] = max(self._peak_deg[index], float(error_deg[first:after].max()))
-            lasted_s = float(tick[after - 1] - self._since_tick[index] + 1) * TICK_S
-            if lasted_s > self.longest_s[index]:
-                self.longest_s[index], self.worst_deg[index] = lasted_s, self._peak_deg[index]
+            duration_s = float(tick[after - 1] - self._beyond_since_tick[index] + 1) * TICK_S
+            if duration_s > self.longest_s[index]:
+                self.longest_s[index], self.worst_deg[index] = duration_s, self._peak_deg[index]
 
     def verdict(self) -> str:
         """Return one line with the axis that was not tracked, its error and the fix; empty if all were."""
         for index, axis in enumerate(AXES):
             if self.longest_s[index] > self.tolerance.for_s:
-                worst_deg, lasted_s = self.worst_deg[index], self.longest_s[index]
+                worst_deg, duration_s = self.worst_deg[index], self.longest_s[index]
                 allowed = f"{self._bound_deg[index]:g} for {self.tolerance.for_s:g} s"
                 return (
                     f"{NOT_TRACKED}: {axis} was up to {worst_deg:.1f} degrees from its setpoint for "
-                    f"{lasted_s:.1f} s (allowed: {allowed}); tune the gains for this rig, or widen "
+                    f"{duration_s:.1f} s (allowed: {allowed}); tune the gains for this rig, or widen "
                     "[tolerance] of the plan"
                 )
         return ""

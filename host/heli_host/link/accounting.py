@@ -42,9 +42,9 @@ class LinkCounters:
     setpoints_sent, voltages_sent : int
         Streamed values that were sent.
     setpoints_skipped, voltages_skipped : int
-        Streamed values that a later one replaced before the rate limit let them go.
+        Streamed values that a newer value replaced before the rate limit permitted them to be sent.
     board : StatusMessage or None
-        The board's own counters as it last sent them.
+        The newest counters that the board sent.
     """
 
     frames_ok: int = 0
@@ -88,22 +88,22 @@ class TickAccount:
         self._last = None
 
     def unwrap(self, tick: int) -> int:
-        """Return a device tick counted on over 2^32.
+        """Return a device tick without the wrap at 2^32.
 
         Parameters
         ----------
         tick : int
-            As it came over the link.
+            Tick from the link, modulo 2^32.
 
         Returns
         -------
         int
-            The value congruent to it that is nearest to the newest tick.
+            The number with this remainder that is nearest to the newest tick.
         """
         if self._last is None:
             return tick
-        half = _TICK_MODULUS // 2
-        return self._last + (tick - self._last + half) % _TICK_MODULUS - half
+        half_range = _TICK_MODULUS // 2
+        return self._last + (tick - self._last + half_range) % _TICK_MODULUS - half_range
 
     def take(self, ticks: Ticks) -> tuple[Ticks, bool]:
         """Count samples.
@@ -116,7 +116,7 @@ class TickAccount:
         Returns
         -------
         accepted : Ticks
-            Samples before the first jump back of the tick number; later samples are left out.
+            Samples before the first jump back of the tick number; later samples are discarded.
         jumped_back : bool
             True if the tick number fell, because the board restarted.
         """
@@ -124,22 +124,25 @@ class TickAccount:
             return ticks, False
         first, final = int(ticks.tick[0]), int(ticks.tick[-1])
         before = self._last if self._last is not None else first - 1
-        # Right at both ends is right throughout: only a restart and a loss that make up for each other to the
-        # tick, within one reading, could look the same.
+        # If first and last tick and their distance are right, no tick is missing. Only a restart and a loss
+        # that compensate each other exactly within one reading would not be noticed.
         if (first - before) % _TICK_MODULUS == 1 and (final - first) % _TICK_MODULUS == len(ticks) - 1:
             self.received += len(ticks)
             self._last = before + len(ticks)
             return ticks, False
-        # Signed, so that 2^32 wraps: (n,)
+        # As signed numbers, steps are right across the wrap at 2^32, shape (n,).
         steps = np.diff(ticks.tick, prepend=np.uint32(before % _TICK_MODULUS)).astype(np.int32)
         jumped_back = bool(steps.min() <= 0)
         if jumped_back:
-            kept = int(np.argmax(steps <= 0))
-            if kept == 0:
+            accepted_count = int(np.argmax(steps <= 0))
+            if accepted_count == 0:
                 return EMPTY_TICKS, True
-            ticks, steps = Ticks(ticks.tick[:kept], ticks.raw[:kept]), steps[:kept]
-        passed = int(steps.sum())
+            ticks, steps = (
+                Ticks(ticks.tick[:accepted_count], ticks.raw[:accepted_count]),
+                steps[:accepted_count],
+            )
+        elapsed = int(steps.sum())
         self.received += len(ticks)
-        self.lost += passed - len(ticks)
-        self._last = before + passed
+        self.lost += elapsed - len(ticks)
+        self._last = before + elapsed
         return ticks, jumped_back

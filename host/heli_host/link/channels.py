@@ -61,7 +61,7 @@ def numbers(raw: npt.NDArray[np.int32], channel: Channel) -> npt.NDArray[np.inte
     Returns
     -------
     ndarray, shape (...)
-        Its raw numbers; unsigned where the declaration says so.
+        Raw numbers of the channel; unsigned if the declaration states an unsigned type.
     """
     return raw[..., channel].astype(_TYPES[channel])
 
@@ -128,13 +128,13 @@ def rad_per_count(parameters: Mapping[str, float]) -> Floats:
     Parameters
     ----------
     parameters : Mapping of str to float
-        The board's parameters, of which ``*_counts_per_rev`` are used. A negative one reverses the direction
-        on the board, which has done so before it sends counts.
+        The board's parameters, of which ``*_counts_per_rev`` are used. The sign is ignored: if it is
+        negative, the board has already reversed the counts before it sends them.
 
     Returns
     -------
     ndarray, shape (axes,)
-        In the order of `Axis` [rad]; nan for an axis whose parameter is not known, or 0.
+        Angles in the order of `Axis` [rad]; nan for an axis whose parameter is missing or 0.
     """
-    known = (abs(parameters.get(f"{axis}_counts_per_rev", 0.0)) for axis in AXES)
-    return np.array([2.0 * np.pi / counts if counts else np.nan for counts in known])
+    counts_per_rev = (abs(parameters.get(f"{axis}_counts_per_rev", 0.0)) for axis in AXES)
+    return np.array([2.0 * np.pi / counts if counts else np.nan for counts in counts_per_rev])

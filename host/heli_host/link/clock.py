@@ -105,7 +105,7 @@ class ClockFit:
         self._hull: list[_Point] = []  # of the bins
         self._bin_ticks = 0  # their sum
         self._best: _Point | None = None
-        self._late_s: deque[float] = deque(maxlen=200)
+        self._delays_s: deque[float] = deque(maxlen=200)
         self._round_trip_s: deque[float] = deque(maxlen=60)
         self._estimate: ClockEstimate | None = None
         self._stale = True
@@ -139,8 +139,9 @@ class ClockFit:
             self._stale = True
         else:
             late_s = host_s - estimate.host_s_at(tick)
-            self._late_s.append(late_s)
-            # What arrives on the line or above does not move it; arithmetic is good to a microsecond here.
+            self._delays_s.append(late_s)
+            # An arrival on the line or above does not change it; rounding errors are below a microsecond
+            # here.
             self._stale |= late_s < estimate.round_trip_s / 2.0 - 1e-6
 
     def observe_pong(self, sent_s: float, tick: int, host_s: float) -> None:
@@ -151,7 +152,7 @@ class ClockFit:
         sent_s : float
             Monotonic host time at which the ping was sent [s].
         tick : int
-            Device time at the answer [tick], counted on over 2^32.
+            Device time at the answer [tick], continued beyond 2^32.
         host_s : float
             Monotonic host time of the arrival [s].
         """
@@ -173,20 +174,22 @@ class ClockFit:
         return self._estimate
 
     def _fit(self, newest: _Point) -> ClockEstimate:
-        """Fit the line from device tick to host time below all arrivals, because a message can arrive late
-        but not early. Half of the shortest round trip is the delay of the earliest ones.
+        """Fit the line from device tick to host time, which is below all arrivals.
+
+        A message can arrive late but not early, so that the earliest arrivals determine the line. Their delay
+        is half of the shortest round trip.
         """
         (tick, host_s), tick_s = newest, TICK_S
         if self._estimate is not None:
             tick_s = self._estimate.tick_s
         if self._bins and tick - self._bins[0][0] >= _BIN_TICKS // 2:
             mean_tick = (self._bin_ticks + tick) / (len(self._bins) + 1)
-            left, right = _edge_below(mean_tick, _lower_hull([newest], self._hull))
+            left, right = _hull_edge_at(mean_tick, _lower_hull([newest], self._hull))
             tick_s = max((right[1] - left[1]) / (right[0] - left[0]), 1e-9)
             tick, host_s = left
         round_trip_s = min(self._round_trip_s, default=0.0)
-        late = sorted(self._late_s)
-        jitter_s = late[int(0.95 * len(late))] if late else 0.0
+        delays = sorted(self._delays_s)
+        jitter_s = delays[int(0.95 * len(delays))] if delays else 0.0
         return ClockEstimate(tick, host_s - round_trip_s / 2.0, tick_s, max(jitter_s, 0.0), round_trip_s)
 
     def _forget_before_a_step(self) -> None:
@@ -196,12 +199,12 @@ class ClockFit:
         bins = self._bins
         if len(bins) <= _STEP_BINS or self._estimate is None:
             return
-        late = [host_s - self._estimate.host_s_at(tick) > _STEP_S for tick, host_s in bins]
+        delays = [host_s - self._estimate.host_s_at(tick) > _STEP_S for tick, host_s in bins]
         kept_count = len(bins)
-        if all(late[-_STEP_BINS:]):
+        if all(delays[-_STEP_BINS:]):
             kept_count = _STEP_BINS
-        elif 4 * sum(late) > len(late):
-            # Faster than before: the line then runs below the bend, which the newest bins do not show.
+        elif 4 * sum(delays) > len(delays):
+            # The device clock has become faster, so that the old arrivals hold the line too low.
             kept_count = max(len(bins) // 2, _STEP_BINS)
         for _ in range(len(bins) - kept_count):
             bins.popleft()
@@ -223,7 +226,8 @@ def _lower_hull(points: Iterable[_Point], before: Sequence[_Point] = ()) -> list
     return hull
 
 
-def _edge_below(tick: float, hull: Sequence[_Point]) -> tuple[_Point, _Point]:
+def _hull_edge_at(tick: float, hull: Sequence[_Point]) -> tuple[_Point, _Point]:
+    """Return the two neighbouring points of a hull that contain a tick between them."""
     for left, right in itertools.pairwise(hull):
         if right[0] >= tick:
             return left, right

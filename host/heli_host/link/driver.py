@@ -46,8 +46,9 @@ class Driver:
         self, transport: Transport, engine: Engine, subscribers: Subscribers, reconnect_timeout_s: float
     ) -> None:
         self.transport = transport
-        # A Ctrl-C that comes within Condition.__enter__, which is Python, leaves its lock held for ever; it
-        # cannot come within an RLock's, which is C. So the block is the lock's, and the condition only waits.
+        # Blocks use this lock instead of the condition: Condition.__enter__ is Python code, and a Ctrl-C
+        # within it would leave the lock held for ever. RLock.__enter__ is C code, which Ctrl-C cannot
+        # interrupt.
         self.lock = threading.RLock()
         self._changed = threading.Condition(self.lock)
         self.read_interval_s = READ_INTERVAL_S
@@ -202,6 +203,7 @@ class Driver:
         )
 
     def _give_up_s(self) -> float:
+        """Return the time at which waiting for a welcome ends."""
         handshake = self._engine.handshake
         since_s = handshake.unreachable_since_s
         if handshake.welcome is None or since_s is None:
@@ -209,6 +211,7 @@ class Driver:
         return since_s + self._reconnect_timeout_s
 
     def _fail(self, error: HeliError) -> None:
+        """End the session with an error, and wake all threads that wait."""
         with self.lock:
             if self.fatal is None:
                 self.fatal = error

@@ -72,8 +72,8 @@ class Received:
 class Engine:
     """The state of one session. It has no lock and no thread: callers serialise all calls.
 
-    It owns the frames in both directions and decides what each frame is for; its four parts own the rest. A
-    stop goes through `commands`: `CommandSlot.preempt` starts it, and the next `outgoing` returns it.
+    It owns the frames in both directions and passes the content of each frame to one of its four parts. A
+    stop goes through `commands`: `CommandSlot.preempt` starts it, and the next `outgoing` returns its frame.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ class Engine:
             if frame.id == MessageId.TELEMETRY:
                 self.telemetry.hold(frame.payload)
             else:
-                self._take(frame, now_s, wall_ns, received)
+                self._process_frame(frame, now_s, wall_ns, received)
         if not self.handshake.is_open:
             self.telemetry.shorten_held()
             return received
@@ -183,11 +183,11 @@ class Engine:
             return b"" if hello is None else self._frame(hello, now_s)
         waits = self.commands.waits
         command = self.commands.due(now_s)
-        out = b"" if command is None else self._frame(command, now_s)
+        frames_out = b"" if command is None else self._frame(command, now_s)
         now = DeviceTime(now_s, self.telemetry.account.last or 0, self.telemetry.speed)
         flies = self.telemetry.state in (State.CLOSED_LOOP, State.HOLD)
         for value in self.streams.due(now, flies=flies):
-            out += self._frame(value, now_s)
+            frames_out += self._frame(value, now_s)
         if self._last_sent_s == now_s:
             self._sent_tick = now.tick
         idle_s = now.since(self._last_sent_s, self._sent_tick)
@@ -195,8 +195,8 @@ class Engine:
         if not waits and (idle_s >= HEARTBEAT_S or unpinged_s >= CLOCK_PING_S):
             self._last_ping_s = now_s
             self._sent_tick = self._ping_tick = now.tick
-            out += self._frame(PingMessage(self._numbers.take(), round(now_s * 1e6)), now_s)
-        return out
+            frames_out += self._frame(PingMessage(self._numbers.take(), round(now_s * 1e6)), now_s)
+        return frames_out
 
     def cut(self, now_s: float, wall_ns: int, reason: str) -> LinkEvent:
         """Record that the connection is lost; the handshake starts again after a reconnect.
@@ -214,7 +214,7 @@ class Engine:
         self._greet(now_s)
         return self._event(LINK_LOST, reason, wall_ns)
 
-    def _take(self, frame: Frame, now_s: float, wall_ns: int, received: Received) -> None:
+    def _process_frame(self, frame: Frame, now_s: float, wall_ns: int, received: Received) -> None:
         """Process a frame from the board. A frame with a payload of wrong length is counted, and ignored."""
         try:
             match frame.id:
@@ -228,7 +228,7 @@ class Engine:
                 case MessageId.EVENT:
                     self._take_event(EventMessage.unpack(frame.payload), now_s, wall_ns, received)
                 case MessageId.PARAMS:
-                    # Too short a reply must not reach who asked.
+                    # A reply that is too short must not reach the caller of the command.
                     ParamsMessage.unpack(frame.payload)
                 case MessageId.ACK:
                     if AckMessage.unpack(frame.payload).result == Result.NO_HANDSHAKE:
@@ -261,6 +261,7 @@ class Engine:
             self.commands.fail(LinkLost(f"{text} before it answered", "check its supply, then arm again"))
 
     def _take_pong(self, pong: PongMessage, now_s: float) -> None:
+        """Measure the round trip and the device clock by an answer to a ping."""
         sent_s = pong.host_us * 1e-6
         self.commands.observe_round_trip(now_s - sent_s)
         if self.handshake.is_open:
@@ -268,13 +269,13 @@ class Engine:
             self.telemetry.clock.observe_pong(sent_s, tick, now_s)
 
     def _take_event(self, message: EventMessage, now_s: float, wall_ns: int, received: Received) -> None:
-        """Process an event of the board; one of a new start begins the handshake again."""
+        """Process an event of the board; if it reports a new start, begin the handshake again."""
         event = LinkEvent(message.tick, wall_ns, event_kind(message), event_text(message), message)
         received.events.append(event)
         self.telemetry.take_event(message)
         welcome = self.handshake.welcome
-        known = welcome is not None and message.value == welcome.boot_id
-        if message.kind == Event.BOOT and not known:
+        is_same_start = welcome is not None and message.value == welcome.boot_id
+        if message.kind == Event.BOOT and not is_same_start:
             self._greet(now_s)
 
     def _accept_telemetry(self, now_s: float, wall_ns: int, received: Received) -> None:
@@ -313,6 +314,7 @@ class Engine:
 
 
 def _restart_text(welcome: WelcomeMessage) -> str:
+    """Describe a restart of the board, with its cause and its fault."""
     reset = welcome.reset
     reason = Reset(reset).name.lower() if reset in Reset._value2member_map_ else "unknown"
     fault = f"; {fault_text(welcome.boot_fault)}" if welcome.boot_fault else ""

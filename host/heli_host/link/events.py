@@ -62,12 +62,12 @@ def event_text(message: EventMessage) -> str:
     Parameters
     ----------
     message : EventMessage
-        As it came over the link.
+        Message from the board.
 
     Returns
     -------
     str
-        For example ``"state hold, because of stale_hold"``.
+        Text such as ``"state hold, because of stale_hold"``.
     """
     detail, value = message.detail, message.value
     match message.kind:
@@ -76,8 +76,8 @@ def event_text(message: EventMessage) -> str:
         case Event.STATE:
             return state_text(detail, message.cause)
         case Event.FAULT:
-            seen = "" if math.isnan(value) else f"; seen: {value:.4g}"
-            return f"fault {fault_text(detail)}{seen}"
+            measured = "" if math.isnan(value) else f"; seen: {value:.4g}"
+            return f"fault {fault_text(detail)}{measured}"
         case Event.SETPOINT_STALE:
             return f"setpoints stopped coming; they came at {value:.0f} Hz in the second before"
         case Event.SETPOINT_FRESH:
@@ -107,12 +107,12 @@ def event_kind(message: EventMessage) -> str:
     Parameters
     ----------
     message : EventMessage
-        As it came over the link.
+        Message from the board.
 
     Returns
     -------
     str
-        Lower-case name, ``"event_<number>"`` for one that this host does not know.
+        Lower-case name; ``"event_<number>"`` if this host does not know the event.
     """
     return _name(Event, message.kind, "event_")
 

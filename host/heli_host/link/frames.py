@@ -26,7 +26,7 @@ class Frame(NamedTuple):
     Parameters
     ----------
     id : int
-        Message id; not necessarily one that this host knows.
+        Message id; this host may not know it.
     seq : int
         Sequence number, modulo 256.
     payload : bytes
@@ -63,8 +63,8 @@ def encode_frame(message_id: int, seq: int, payload: bytes) -> bytes:
     limit = MAX_COMMAND_PAYLOAD if message_id < 128 else MAX_TELEMETRY_PAYLOAD
     if len(payload) > limit:
         raise ValueError(f"payload of {len(payload)} bytes; a frame carries at most {limit}")
-    plain = bytes((PROTOCOL, message_id, seq & 0xFF)) + payload
-    encoded: bytes = cobs.encode(plain + zlib.crc32(plain).to_bytes(4, "little"))
+    content = bytes((PROTOCOL, message_id, seq & 0xFF)) + payload
+    encoded: bytes = cobs.encode(content + zlib.crc32(content).to_bytes(4, "little"))
     return encoded + b"\0"
 
 
@@ -109,7 +109,7 @@ class FrameParser:
         return self._partial
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes as they came and return the frames that they complete.
+        """Process bytes from the board, and return the frames that they complete.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class FrameParser:
         Returns
         -------
         list of Frame
-            In order; empty while no frame is complete.
+            Frames in their order; empty while no frame is complete.
         """
         self.bytes_received += len(data)
         parts = (self._partial + data).split(b"\0")
@@ -129,29 +129,33 @@ class FrameParser:
         for part in parts:
             if self._overlong:
                 self._overlong = False
-                self._refuse(part)
+                self._count_bad(part)
                 continue
             if not part:
                 self._synchronised = True
                 continue
             if len(part) <= _MAX_ENCODED:
                 try:
-                    plain = decode(part)
+                    decoded = decode(part)
                 except cobs.DecodeError:
-                    plain = b""
-                if len(plain) >= _OVERHEAD_BYTES and plain[0] == PROTOCOL and crc32(plain) == _CRC_RESIDUE:
-                    seq = plain[2]
+                    decoded = b""
+                if (
+                    len(decoded) >= _OVERHEAD_BYTES
+                    and decoded[0] == PROTOCOL
+                    and crc32(decoded) == _CRC_RESIDUE
+                ):
+                    seq = decoded[2]
                     if seq != self._expected_seq:
                         self._count_gap(seq)
                     self._expected_seq = (seq + 1) & 0xFF
-                    frames.append(Frame(plain[1], seq, plain[_HEADER_BYTES:-_CRC_BYTES]))
+                    frames.append(Frame(decoded[1], seq, decoded[_HEADER_BYTES:-_CRC_BYTES]))
                     continue
-            self._refuse(part)
+            self._count_bad(part)
         if frames:
             self.frames_ok += len(frames)
             self._synchronised = True
         if len(self._partial) > _MAX_ENCODED:
-            self._drop(self._partial)
+            self._discard(self._partial)
             self._partial = b""
             self._overlong = True
         return frames
@@ -179,11 +183,11 @@ class FrameParser:
         else:
             self.frames_lost += gap
 
-    def _refuse(self, part: bytes) -> None:
-        self._drop(part)
+    def _count_bad(self, part: bytes) -> None:
+        self._discard(part)
         self.frames_bad += self._synchronised
         self._synchronised = True
 
-    def _drop(self, part: bytes) -> None:
+    def _discard(self, part: bytes) -> None:
         self.bytes_dropped += len(part)
         self.excerpt = (self.excerpt + part)[-_EXCERPT_BYTES:]

@@ -31,7 +31,7 @@ def no_welcome(parser: FrameParser, url: str, timeout_s: float) -> LinkError:
     everything = parser.excerpt + parser.pending
     excerpt = everything[-16:]
     heard = f"{parser.bytes_received} bytes (the last: {excerpt.hex(' ')})"
-    # A boot loader, a console, or a simulated board that another host holds says so in words.
+    # A boot loader, a console, or a simulated board with another host sends readable text.
     words = everything.strip(b"\r\n\0").rpartition(b"\n")[2].decode("ascii", errors="replace")
     if words.isascii() and words.isprintable() and words:
         heard += f", in words {words!r},"

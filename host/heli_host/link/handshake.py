@@ -103,9 +103,9 @@ class Handshake:
         Parameters
         ----------
         welcome : WelcomeMessage
-            As it came over the link.
+            Message from the board.
         is_behind : bool
-            Whether the board's tick is lower than the newest that this session got.
+            Whether the board's tick is lower than the newest one of this session.
 
         Returns
         -------
@@ -123,14 +123,14 @@ class Handshake:
                 f"{welcome.firmware_major}.{welcome.firmware_minor}.{welcome.firmware_patch}",
             )
             return Welcome.IGNORED
-        before = self.welcome
+        previous = self.welcome
         self.is_open, self.welcome, self.unreachable_since_s = True, welcome, None
-        if before is None:
+        if previous is None:
             return Welcome.FIRST
         self.reconnects += 1
-        # Each holds where the other may not: the id of another start may be the same by chance, once in 2^24,
-        # and a start may be older than the outage.
-        if welcome.boot_id == before.boot_id and not is_behind:
+        # Either condition alone may fail: the boot id of another start is the same by chance once in 2^24,
+        # and the tick may be higher although the board restarted, if that was long ago.
+        if welcome.boot_id == previous.boot_id and not is_behind:
             return Welcome.SAME_START
         self.restarts += 1
         return Welcome.RESTARTED

@@ -106,7 +106,7 @@ def insert_missed(message: EventMessage, wall_ns: int, events: list[LinkEvent]) 
     text = f"{event_text(message)}; from telemetry, its event was lost"
     event = LinkEvent(message.tick, wall_ns, event_kind(message), text, message)
     for index, other in enumerate(events):
-        # An event without a message is one of the link itself; its tick is only the newest tick known.
+        # An event without a message comes from the link; its tick is only the newest one at that time.
         if other.message is not None and _is_later(other.tick, message.tick):
             events.insert(index, event)
             return

@@ -29,7 +29,7 @@ class RequestNumbers:
 
     def take(self) -> int:
         """Return the next number."""
-        # 0 is the number of what the board sends unasked.
+        # 0 is the number of messages that the board sends without a request.
         self._number = self._number % 255 + 1
         return self._number
 
@@ -57,15 +57,15 @@ class Request:
     Parameters
     ----------
     deadline_s : float
-        Host time at which it is given up [s].
+        Host time at which the request fails without an answer [s].
     next_try_s : float
-        Host time at which it is sent next [s].
+        Host time at which the request is sent next [s].
     tries : int
-        Number of times that it was sent.
+        Number of times that the request was sent.
     reply : Frame or None
         The board's answer.
     error : HeliError or None
-        Reason why it was given up.
+        Reason why the request failed.
     urgent : bool
         True for a stop: other commands wait until it is done.
     """

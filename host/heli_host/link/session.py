@@ -97,7 +97,7 @@ class Session:
         self._subscribers = Subscribers()
         self._driver = Driver(transport, self._engine, self._subscribers, reconnect_timeout_s)
         self._one_command = threading.RLock()
-        self._latched = False
+        self._stop_latched = False
 
     def __enter__(self) -> Session:
         return self
@@ -231,7 +231,8 @@ class Session:
             The command could start the motors and a stop is in force (`stop_now`), or a callback sends it
             while another command waits for its answer.
         """
-        # A callback runs in the reading thread: to wait there for another's command would be for ever.
+        # A callback runs in the reading thread. If it waited here, the answer to the other command would
+        # never be read.
         if not self._one_command.acquire(blocking=not self._driver.in_reading_thread):
             raise LinkError(
                 "a callback cannot send a command while another command waits for its answer",
@@ -239,20 +240,20 @@ class Session:
             )
         try:
             self._driver.check()
-            pending: Request | None = None
-            while pending is None:
+            new_request: Request | None = None
+            while new_request is None:
                 self.wait_for(lambda: not self._engine.commands.preempted, step_s=_LOCKSTEP_REPLY_STEP_S)
                 with self._driver.lock:
-                    if self._latched and isinstance(command, _START_MOTORS):
+                    if self._stop_latched and isinstance(command, _START_MOTORS):
                         raise LinkError("a stop cancelled this command", "send the command again")
                     if not self._engine.commands.preempted:
-                        pending = self._engine.commands.ask(command, self.transport.now_s(), timeout_s)
+                        new_request = self._engine.commands.ask(command, self.transport.now_s(), timeout_s)
             self._driver.send_due()
-            asked = pending
-            self.wait_for(lambda: asked.done, step_s=_LOCKSTEP_REPLY_STEP_S)
+            sent_request = new_request
+            self.wait_for(lambda: sent_request.done, step_s=_LOCKSTEP_REPLY_STEP_S)
         finally:
             self._one_command.release()
-        return asked.answer()
+        return sent_request.answer()
 
     def command(self, command: Command, timeout_s: float = COMMAND_TIMEOUT_S) -> AckMessage:
         """Send a command that is answered by an ack; see `request`.
@@ -297,7 +298,7 @@ class Session:
             The session has ended. Use the rig's own stop switch.
         """
         with self._driver.lock:
-            self._latched = True
+            self._stop_latched = True
             self._engine.streams.kept = None
             self._engine.commands.preempt(StopMessage(0), self.transport.now_s(), COMMAND_TIMEOUT_S)
         self._driver.send_due()
@@ -320,7 +321,7 @@ class Session:
         with self._driver.lock:
             if self._engine.commands.stops != stops:
                 return False
-            self._latched = False
+            self._stop_latched = False
             return True
 
     def permit_streams(self, permitted: Callable[[], bool]) -> None:
@@ -489,16 +490,16 @@ class Session:
             lambda: account.last is not None, _FIRST_SAMPLE_TIMEOUT_S
         ):
             raise WaitTimeout("the board sends no samples", "reset it, then connect again")
-        restarts, goal = handshake.restarts, (account.last or 0) + round(duration_s / TICK_S)
+        restarts, goal_tick = handshake.restarts, (account.last or 0) + round(duration_s / TICK_S)
 
-        def passed() -> bool:
-            return handshake.restarts != restarts or (account.last is not None and account.last >= goal)
+        def has_arrived() -> bool:
+            return handshake.restarts != restarts or (account.last is not None and account.last >= goal_tick)
 
-        while self.lockstep and not passed():
+        while self.lockstep and not has_arrived():
             self._driver.check()
-            left_s = (goal - (account.last or 0)) * TICK_S
+            left_s = (goal_tick - (account.last or 0)) * TICK_S
             self._driver.pump(min(max(left_s, TICK_S), _LOCKSTEP_STEP_S))
-        self.wait_for(passed)
+        self.wait_for(has_arrived)
         if handshake.restarts != restarts:
             raise LinkLost("the board restarted while the host waited", "check its supply, then arm again")
 

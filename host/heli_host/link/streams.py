@@ -82,7 +82,7 @@ class Stream(Generic[Streamed]):
     skipped: int = 0
 
     def put(self, message: Streamed) -> None:
-        """Set the value to send next; it replaces one that waits."""
+        """Set the value to send next; it replaces a waiting value."""
         self.skipped += self.waiting is not None
         self.waiting = message
 
@@ -162,17 +162,17 @@ class StreamedValues:
             Whether the board flies on setpoints; the last setpoint is then repeated.
         """
         now_s = now.now_s
-        stale_s = now.since(self.setpoints.sent_s, self._setpoint_tick)
-        kept = self.kept if flies and stale_s >= KEEP_ALIVE_S else None
-        if (self.setpoints.waiting or self.voltages.waiting or kept) and not self.permitted():
-            kept = self.setpoints.waiting = self.voltages.waiting = self._following.waiting = None
+        setpoint_age_s = now.since(self.setpoints.sent_s, self._setpoint_tick)
+        keep_alive = self.kept if flies and setpoint_age_s >= KEEP_ALIVE_S else None
+        if (self.setpoints.waiting or self.voltages.waiting or keep_alive) and not self.permitted():
+            keep_alive = self.setpoints.waiting = self.voltages.waiting = self._following.waiting = None
         replaces_kept = self.setpoints.waiting is not None
         values: list[StreamedMessage | None] = [
             stream.release_due(now) for stream in (self.setpoints, self.voltages, self._following)
         ]
-        if kept is not None and not replaces_kept:
-            # Its tick may lie in the past: the board then goes on towards the same target.
-            values.append(self.setpoints.release(kept, now_s))
+        if keep_alive is not None and not replaces_kept:
+            # Its tick may be in the past; the board then continues towards the same target.
+            values.append(self.setpoints.release(keep_alive, now_s))
         if self.setpoints.sent_s == now_s:
             self._setpoint_tick = now.tick
         return [value for value in values if value is not None]

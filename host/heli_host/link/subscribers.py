@@ -1,4 +1,4 @@
-"""The callbacks that get what a session receives, and their errors."""
+"""The callbacks to which a session delivers samples, events and status, and the errors of these callbacks."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Subscribers:
         """Call a subscriber; one that raises is removed, and its error becomes an event of the link."""
         try:
             callback(value)
-        # Whatever a user's function raises, the link must live on: it keeps the arm in the air.
+        # The link must survive any error of a user's function, because it keeps the arm in the air.
         except Exception as error:  # noqa: BLE001
             self.remove(callback)
             if isinstance(error, HeliError):

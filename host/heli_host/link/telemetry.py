@@ -1,9 +1,10 @@
 """Unpacking of telemetry batches to ticks, many batches in one operation.
 
-The deltas of one channel are 2, 4, 8, 16 or 32 bits wide and start on a byte, so each of them lies inside the
-four bytes that begin at its own first byte. One gather of such words, two shifts (left to drop what is above,
-right to extend the sign) and a running sum therefore unpack any number of batches, whatever their widths. The
-bases of unsigned channels then lose the bits into which a sign was extended.
+A batch contains a base value of each channel, then the differences (deltas) from tick to tick. The deltas of
+one channel are 0, 2, 4, 8, 16 or 32 bits wide. Each delta is within the four bytes that begin at its first
+byte, which form a word. Any number of batches can therefore be unpacked in four steps: gather the words,
+shift them left to remove higher bits, shift them right to extend the sign, and sum up along time. Finally the
+sign extension of unsigned channels is removed.
 """
 
 from __future__ import annotations
@@ -50,11 +51,11 @@ EMPTY_TICKS = Ticks(np.empty(0, np.uint32), np.empty((0, CHANNEL_COUNT), np.int3
 
 
 class _Layout:
-    """What all batches of the same channels have in common.
+    """Layout of a batch as far as it depends on the channels only.
 
-    ``shape`` are the bytes of a payload that decide how long it is: count and widths. Of each channel's base,
-    ``offset`` (channels,) is the byte at which it begins, ``shift`` (channels,) what is above it in a word,
-    and ``bits`` (channels,) those that it has: all for a signed one, whose sign goes through the whole word.
+    ``shape`` is the slice of a payload that determines its length: count and widths. For the base of each
+    channel, ``offset`` (channels,) is its first byte, ``shift`` (channels,) the number of bits above it in a
+    word, and ``bits`` (channels,) a mask of its bits: all 32 for a signed channel, because of its sign.
     """
 
     def __init__(self, channels: Sequence[ChannelSpec]) -> None:
@@ -72,10 +73,11 @@ class _Layout:
 
 @dataclass(frozen=True)
 class _Plan:
-    """Where the numbers of a batch lie, for one count and one set of widths.
+    """Positions of the numbers in a batch, for one number of ticks and one set of widths.
 
-    ``size`` is the length of such a payload, -1 when there can be none. ``index`` (n, channels) is the byte
-    at which each number's word begins, ``left`` and ``right`` (n, channels) the shifts that cut it out.
+    ``size`` is the length of the payload, -1 if count or widths are invalid. ``index`` (n, channels) is the
+    first byte of the word of each number; ``left`` and ``right`` (n, channels) are the shifts that extract
+    it.
     """
 
     size: int
@@ -114,10 +116,10 @@ class TelemetryDecoder:
         Returns
         -------
         Ticks
-            All their samples, in the same order; malformed payloads are left out and counted.
+            All their samples, in the same order; malformed payloads are skipped and counted.
         """
         plans: list[_Plan] = []
-        parts: list[bytes] = []
+        valid_payloads: list[bytes] = []
         for payload in payloads:
             shape = payload[self._layout.shape]
             plan = self._plans.get(shape)
@@ -125,56 +127,61 @@ class TelemetryDecoder:
                 plan = self._remember(shape)
             if plan.size == len(payload):
                 plans.append(plan)
-                parts.append(payload)
+                valid_payloads.append(payload)
             else:
                 self.malformed += 1
         if not plans:
             return EMPTY_TICKS
-        parts.append(_PAD)
-        joined = b"".join(parts)
+        valid_payloads.append(_PAD)
+        joined = b"".join(valid_payloads)
         words = np.ndarray((len(joined) - 3,), "<u4", joined, strides=(1,))
         if len(plans) == 1:
-            raw = _cut_out(words, plans[0].index, plans[0].left, plans[0].right)
+            raw = _extract(words, plans[0].index, plans[0].left, plans[0].right)
             raw[0] &= self._layout.bits
             raw.cumsum(axis=0, dtype=np.int32, out=raw)
             return Ticks(words[0] + np.arange(len(raw), dtype=np.uint32), raw)
         return _unpack(words, plans, self._layout)
 
     def _remember(self, shape: bytes) -> _Plan:
+        """Compute the positions in a batch of a new shape, and keep them."""
         if len(self._plans) >= _PLANS_KEPT:
             self._plans.clear()
-        plan = self._plans[shape] = _plan(shape, self._layout)
+        plan = self._plans[shape] = _make_plan(shape, self._layout)
         return plan
 
 
-def _plan(shape: bytes, layout: _Layout) -> _Plan:
-    """Lay out a batch by its bytes from the count to the last width."""
+def _make_plan(shape: bytes, layout: _Layout) -> _Plan:
+    """Compute the positions of the numbers in a batch from its count and widths, `shape`."""
     codes = [nibble for byte in shape[1:] for nibble in (byte & 15, byte >> 4)][: layout.channels]
     if len(codes) < layout.channels or shape[0] == 0 or max(codes) >= len(_WIDTH_BITS):
-        nothing = np.empty((0, layout.channels))
-        return _Plan(-1, nothing.astype(np.intp), nothing.astype(np.uint32), nothing.astype(np.int32))
+        empty = np.empty((0, layout.channels))
+        return _Plan(-1, empty.astype(np.intp), empty.astype(np.uint32), empty.astype(np.int32))
     count = shape[0]
-    width = _WIDTH_BITS[codes]  # (channels,)
+    width_bits = _WIDTH_BITS[codes]  # (channels,)
     # (channels,), behind each channel's deltas
-    end = layout.deltas_start + np.cumsum((width * (count - 1) + 7) >> 3)
-    bit = width * np.arange(count - 1)[:, None]  # (n - 1, channels), of each delta in its channel
-    begin = np.concatenate(([layout.deltas_start], end[:-1]))
-    right = np.vstack((layout.shift, np.broadcast_to(32 - width, bit.shape)))
-    left = np.vstack((layout.shift, 32 - width - (bit & 7)))
-    index = np.vstack((layout.offset, begin + (bit >> 3)))
-    return _Plan(int(end[-1]), index, left.astype(np.uint32), right.astype(np.int32))
+    end_byte = layout.deltas_start + np.cumsum((width_bits * (count - 1) + 7) >> 3)
+    bit_position = (
+        width_bits * np.arange(count - 1)[:, None]
+    )  # (n - 1, channels), of each delta in its channel
+    first_byte = np.concatenate(([layout.deltas_start], end_byte[:-1]))
+    right = np.vstack((layout.shift, np.broadcast_to(32 - width_bits, bit_position.shape)))
+    left = np.vstack((layout.shift, 32 - width_bits - (bit_position & 7)))
+    index = np.vstack((layout.offset, first_byte + (bit_position >> 3)))
+    return _Plan(int(end_byte[-1]), index, left.astype(np.uint32), right.astype(np.int32))
 
 
-def _cut_out(
+def _extract(
     words: npt.NDArray[np.uint32],
     index: npt.NDArray[np.intp],
     left: npt.NDArray[np.uint32],
     right: npt.NDArray[np.int32],
 ) -> npt.NDArray[np.int32]:
-    """Cut numbers of some bits out of 32-bit words: a shift to the left removes the bits before, an
-    arithmetic shift to the right those behind, and extends the sign.
+    """Extract the numbers from 32-bit words, shape (n, channels).
+
+    A shift to the left removes the higher bits; an arithmetic shift to the right removes the lower bits and
+    extends the sign.
     """
-    # A shift by 32, for a delta of no bits, gives 0 in numpy: it is defined there.
+    # Unlike in C, a shift by 32 is defined in numpy: a delta of 0 bits becomes 0.
     return np.asarray((words.take(index) << left).view(np.int32) >> right)
 
 
@@ -188,14 +195,14 @@ def _unpack(words: npt.NDArray[np.uint32], plans: Sequence[_Plan], layout: _Layo
     row = np.cumsum(count) - count  # (f,), first row of each batch
     index = np.concatenate([plan.index for plan in plans])  # (n, channels)
     index += np.repeat(start, count)[:, None]
-    raw = _cut_out(
+    raw = _extract(
         words,
         index,
         np.concatenate([plan.left for plan in plans]),
         np.concatenate([plan.right for plan in plans]),
     )
     raw[row] &= layout.bits
-    # Each base is an absolute number: what the batches before have summed up to is taken off it first.
+    # Each base is an absolute number, so the sum of the previous batches is subtracted from it first.
     raw[row[1:]] -= np.add.reduceat(raw, row, axis=0, dtype=np.int32)[:-1]
     raw.cumsum(axis=0, dtype=np.int32, out=raw)
     first = words.take(start) - row.astype(np.uint32)

@@ -57,7 +57,7 @@ class TelemetryReceiver:
         self.latest_raw: npt.NDArray[np.int32] | None = None
         self._missed = MissedEvents()
         self._decoder = TelemetryDecoder()
-        self._held: list[bytes] = []
+        self._waiting_payloads: list[bytes] = []
         self._undeclared = 0
 
     @property
@@ -85,7 +85,7 @@ class TelemetryReceiver:
         Parameters
         ----------
         tick : int
-            As it came over the link, modulo 2^32.
+            Tick from the link, modulo 2^32.
         """
         return self.account.last is not None and self.account.unwrap(tick) < self.account.last
 
@@ -97,22 +97,22 @@ class TelemetryReceiver:
         payload : bytes
             Payload of a telemetry frame.
         """
-        self._held.append(payload)
+        self._waiting_payloads.append(payload)
 
     def shorten_held(self) -> None:
         """Keep only the newest batches while no session is open.
 
         After a reconnect these become samples, once the welcome has said that it is the same start.
         """
-        del self._held[:-_HELD_BATCHES]
+        del self._waiting_payloads[:-_HELD_BATCHES]
 
     def discard_held(self) -> None:
         """Discard the held batches, because they are older than the session."""
-        self._held.clear()
+        self._waiting_payloads.clear()
 
     def restart(self) -> None:
         """Begin again with the next sample, because the board has restarted."""
-        self._held.clear()
+        self._waiting_payloads.clear()
         self.account.restart()
         self._missed.restart()
         self.clock.reset()
@@ -130,12 +130,12 @@ class TelemetryReceiver:
         now_s : float
             Host time of their arrival [s].
         """
-        if not self._held:
+        if not self._waiting_payloads:
             return None
-        ticks = self._decoder.decode(self._held)
-        self._held.clear()
+        ticks = self._decoder.decode(self._waiting_payloads)
+        self._waiting_payloads.clear()
         if self.latest_raw is None or (ticks.raw[:, MODES] != self.latest_raw[MODES]).any():
-            ticks = self._declared(ticks)
+            ticks = self._without_undeclared(ticks)
         accepted, jumped_back = self.account.take(ticks)
         if not len(accepted):
             return AcceptedTelemetry(EMPTY_TICKS, [], jumped_back)
@@ -143,12 +143,14 @@ class TelemetryReceiver:
         self.clock.observe(self.account.last or 0, now_s)
         return AcceptedTelemetry(accepted, self._missed.take_ticks(accepted), jumped_back)
 
-    def _declared(self, ticks: Ticks) -> Ticks:
-        """Leave out what was garbled before its CRC was made: nobody could say what it means. Each run of
-        such samples counts as one malformed frame.
+    def _without_undeclared(self, ticks: Ticks) -> Ticks:
+        """Return the samples whose enumerations have declared values only.
+
+        Other samples were corrupted on the board before their CRC was computed. Each run of such samples
+        counts as one malformed frame.
         """
-        sound = declared(ticks.raw)
-        if sound.all():
+        is_declared = declared(ticks.raw)
+        if is_declared.all():
             return ticks
-        self._undeclared += int(np.count_nonzero(np.diff(sound.view(np.int8), prepend=np.int8(1)) < 0))
-        return Ticks(ticks.tick[sound], ticks.raw[sound])
+        self._undeclared += int(np.count_nonzero(np.diff(is_declared.view(np.int8), prepend=np.int8(1)) < 0))
+        return Ticks(ticks.tick[is_declared], ticks.raw[is_declared])

@@ -69,18 +69,18 @@ class Transport(Protocol):
         Parameters
         ----------
         timeout_s : float
-            Longest wait [s]. A lockstep transport may return sooner with bytes, or use the whole time and
-            return all bytes of it; the second is what makes a simulation fast.
+            Longest wait [s]. A lockstep transport may return as soon as it has bytes. It is faster if it
+            simulates the whole time and then returns all its bytes.
 
         Returns
         -------
         bytes
-            Empty when nothing came.
+            Empty if no byte arrived in time.
 
         Raises
         ------
         LinkLost
-            The other end is gone.
+            If the other end is gone.
         """
         ...
 
@@ -95,7 +95,7 @@ class Transport(Protocol):
         Raises
         ------
         LinkLost
-            The other end is gone, or takes no bytes.
+            If the other end is gone, or accepts no bytes.
         """
         ...
 
@@ -170,11 +170,11 @@ class SerialTransport:
         self.min_read_interval_s = min_read_interval_s
         self._baud = baud
         self._serial = _open_serial(url, baud)
-        # Unplugged and plugged in again, a board may come back under another number.
+        # After it was unplugged, a board may get another device number, so a permanent name is needed.
         self._stable_url = stable_name(url)
         self._last_read_s = -1.0
         try:
-            # rfc2217 has no file behind it, and its fileno() raises what the io base class says.
+            # An rfc2217 connection has no file descriptor, and its fileno() raises an error.
             self._fd: int | None = self._serial.fileno()
         except (OSError, AttributeError):
             self._fd = None
@@ -230,7 +230,7 @@ class SerialTransport:
         Raises
         ------
         LinkLost
-            The port is gone, or took no byte for a second.
+            If the port is gone, or accepted no byte for a second.
         """
         with self._lost_when_it_fails():
             self._serial.write(data)
@@ -249,30 +249,30 @@ class SerialTransport:
             self._serial.close()
 
     def reopen(self) -> SerialTransport:
-        """Open the same port again, by the name that survives unplugging where there is one.
+        """Open the same port again, if possible by its permanent name.
 
         Returns
         -------
         SerialTransport
-            Open; it does not reset the board.
+            The open port; the board is not reset.
 
         Raises
         ------
         PortError
-            It is not there, or not yet.
+            If the port does not exist yet.
         """
         return SerialTransport(self._stable_url, self._baud, min_read_interval_s=self.min_read_interval_s)
 
     def _drain(self) -> bytes:
-        """Return the bytes that wait."""
-        # A terminal hands out at most 4096 bytes a call, however many wait.
+        """Return all bytes that have arrived, without waiting."""
+        # One call returns at most 4096 bytes of a terminal, even if more have arrived.
         first: bytes = self._serial.read(_READ_SIZE)
         if len(first) < 4095:
             return first
-        parts = [first]
-        while len(parts) < 64 and (more := self._serial.read(_READ_SIZE)):
-            parts.append(more)
-        return b"".join(parts)
+        pieces = [first]
+        while len(pieces) < 64 and (more := self._serial.read(_READ_SIZE)):
+            pieces.append(more)
+        return b"".join(pieces)
 
     @contextlib.contextmanager
     def _lost_when_it_fails(self) -> Iterator[None]:
@@ -298,7 +298,7 @@ class PortInfo:
     device : str
         Name to open it by.
     stable_name : str
-        Name that survives unplugging, or the same as ``device`` where the system has none.
+        Permanent name that survives unplugging; the same as ``device`` if the system has none.
     description : str
         Description of the port by the operating system.
     vendor_id, product_id : int or None
@@ -327,7 +327,7 @@ def available_ports() -> list[PortInfo]:
 
 
 def stable_name(device: str) -> str:
-    """Return the name of a port that stays when it is unplugged and comes back under another number.
+    """Return the permanent name of a port, which does not change when the board is plugged in again.
 
     Parameters
     ----------
@@ -337,7 +337,7 @@ def stable_name(device: str) -> str:
     Returns
     -------
     str
-        Its path under ``/dev/serial/by-id``, or ``device`` when there is none.
+        Path of the port in ``/dev/serial/by-id``, or ``device`` if it has none.
     """
     folder = Path("/dev/serial/by-id")
     if device.startswith("/dev/") and folder.is_dir() and not device.startswith(str(folder)):
@@ -406,23 +406,23 @@ def transport_label(transport: Transport) -> str:
     Returns
     -------
     str
-        Such as ``emulated Due, heli.elf``; empty where nothing is said.
+        Such as ``emulated Due, heli.elf``; empty if the transport has no label.
     """
     return str(getattr(transport, "label", ""))
 
 
 def transport_rig(transport: Transport) -> str:
-    """Say which rig a simulated board flies.
+    """Return the rig of a simulated board.
 
     Parameters
     ----------
     transport : Transport
-        Any transport; one may say it in an attribute ``rig``.
+        Any transport; that of a simulation has the attribute ``rig``.
 
     Returns
     -------
     str
-        Name or file of the rig; empty where nothing is said.
+        Name or file of the rig; empty for other transports.
     """
     return str(getattr(transport, "rig", ""))
 
@@ -433,15 +433,15 @@ def transport_rig_parameters(transport: Transport) -> Mapping[str, float]:
     Parameters
     ----------
     transport : Transport
-        Any transport; one may have them in an attribute ``rig_parameters``.
+        Any transport; that of a simulation has the attribute ``rig_parameters``.
 
     Returns
     -------
     Mapping of str to float
         Values by parameter; empty for hardware.
     """
-    stated: Mapping[str, float] = getattr(transport, "rig_parameters", {})
-    return stated
+    parameters: Mapping[str, float] = getattr(transport, "rig_parameters", {})
+    return parameters
 
 
 def transport_recipe(transport: Transport) -> Mapping[str, str]:
@@ -468,12 +468,12 @@ def transport_note(transport: Transport) -> str:
 
 
 def set_read_interval(transport: Transport, interval_s: float) -> None:
-    """Choose how long a transport collects bytes before it hands them out.
+    """Set the time for which a transport collects bytes before it returns them.
 
     Parameters
     ----------
     transport : Transport
-        Any transport; one without ``min_read_interval_s`` is left alone.
+        Any transport; one without the attribute ``min_read_interval_s`` does not change.
     interval_s : float
         Interval [s].
     """
@@ -538,7 +538,7 @@ def _port_error(url: str, error: Exception) -> PortError:
 
 def _keep_dtr_on_close(fd: int) -> None:
     """Keep the line DTR as it is when the port is closed: its edge resets the board."""
-    # Sockets have no such flag, and Windows no termios at all.
+    # Sockets do not have this flag, and Windows does not have termios.
     try:
         import termios
     except ImportError:

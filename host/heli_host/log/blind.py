@@ -37,7 +37,7 @@ _RESULT: Final = "result."
 _ADDRESS: Final = re.compile(r"\b\w+://\S*[^\s:;,.]")
 _BOOT_ID: Final = re.compile(r"\bboot id \d+")
 _MAX_BYTES: Final = 4 << 20
-"""Of a truth file; a rig's file, which it holds, has 10 kB."""
+"""Largest size of a truth file; the rig file in it has 10 kB."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Truth:
         Raises
         ------
         LogError
-            If it cannot be read, or is none.
+            If the file cannot be read, or is not a truth file.
         """
         try:
             content = json.loads(read_file(path, _MAX_BYTES))
@@ -173,45 +173,46 @@ def blind(flight: Flight, sealed: str) -> Flight:
 
 
 def sealed_truth(flight: Flight, log: Path) -> Truth | None:
-    """Seal what an export leaves out.
+    """Seal the notes of a flight that a blind export omits.
 
     Parameters
     ----------
     flight : Flight
-        As it was read from the log.
+        Flight from the log.
     log : Path
-        Its file. A truth file that is there for the same log is used again, so that all exports of a log
-        have one seal.
+        File of the log. An existing truth file of the same log is used again, so that all exports of a log
+        have the same seal.
 
     Returns
     -------
     Truth or None
-        None where the flight was sealed when it flew: then its own seal stays.
+        None if the flight was already sealed when it flew; it then keeps that seal.
 
     Raises
     ------
     LogError
-        If the truth file that is there is of another log.
+        If an existing truth file belongs to another log.
     """
     if flight.meta.get(SEALED):
         return None
-    left_out = {name: text for name, text in flight.meta.items() if name not in _PERMITTED_NOTES}
+    hidden_notes = {name: text for name, text in flight.meta.items() if name not in _PERMITTED_NOTES}
     flown = {
         "log_sha256": _log_digest(log),
-        **{name: text for name, text in left_out.items() if not name.startswith(_RESULT)},
+        **{name: text for name, text in hidden_notes.items() if not name.startswith(_RESULT)},
     }
     path = truth_path(log)
     if not path.exists():
         return Truth.seal(flown)
-    there = Truth.read(path)
-    if there.flown != flown:
+    existing = Truth.read(path)
+    if existing.flown != flown:
         raise LogError(
             f"{path} is the truth file of another flight", "move it to another folder, or rename the log"
         )
-    return there
+    return existing
 
 
 def _log_digest(path: Path) -> str:
+    """Return the SHA-256 of a log; a LogError if it cannot be read."""
     try:
         return file_digest(path)
     except OSError as error:

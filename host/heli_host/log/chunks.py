@@ -29,9 +29,9 @@ class TickRecord:
     Parameters
     ----------
     layout : dtype or None
-        Layout of its bytes; None as long as no record has described it.
+        Layout of the bytes of a tick; None until a record has described it.
     channel : int
-        Number of its channel.
+        Number of the channel of ticks.
     """
 
     layout: np.dtype[Any] | None = None
@@ -66,7 +66,7 @@ def unpacked(chunk: Chunk, has_crcs: bool, path: Path) -> bytes:
         raise LogError(f"{path} is compressed by lz4", "convert it to zstd")
     else:
         raise ValueError("an unknown compression")
-    # MCAP leaves the field 0 where there is no CRC; heli-host always writes one.
+    # In MCAP, 0 means that the chunk has no CRC; heli-host always writes one.
     carries = chunk.uncompressed_crc or has_crcs
     if len(body) != chunk.uncompressed_size or (carries and zlib.crc32(body) != chunk.uncompressed_crc):
         raise ValueError("the chunk's CRC does not fit")

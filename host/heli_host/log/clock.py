@@ -9,8 +9,9 @@ from heli_host.declaration import TICK_US
 
 
 class TickClock:
-    """Unwraps the board's 32-bit tick counter (49.7 days at 1 kHz) and goes on after a restart of the
-    board.
+    """Converts the board's 32-bit tick counter, which wraps after 49.7 days, to time that always grows.
+
+    After a restart of the board, whose counter starts at 0, the time continues.
     """
 
     def __init__(self) -> None:
@@ -23,8 +24,8 @@ class TickClock:
         Parameters
         ----------
         tick : ndarray of uint32 (n,)
-            Tick numbers in the order of arrival, n >= 1. One that does not rise means that the board
-            restarted; it is placed one tick behind its forerunner.
+            Tick numbers in the order of arrival, n >= 1. If a number does not rise, the board has restarted;
+            its time is one tick after that of the number before.
 
         Returns
         -------
@@ -33,13 +34,13 @@ class TickClock:
         lost : int
             Ticks missing before and within this batch.
         """
-        anchored = self._last_tick is not None
+        has_previous = self._last_tick is not None
         before = self._last_tick if self._last_tick is not None else int(tick[0])
         step = np.diff(tick, prepend=np.uint32(before)).view(np.int32).astype(np.int64)
-        first = 0 if anchored else 1
-        restarted = step[first:] <= 0
-        step[first:][restarted] = 1
-        lost = int(step.sum()) - (step.size - first)
+        first_counted = 0 if has_previous else 1
+        is_restart = step[first_counted:] <= 0
+        step[first_counted:][is_restart] = 1
+        lost = int(step.sum()) - (step.size - first_counted)
         time_us = self._last_us + np.cumsum(step) * TICK_US
         self._last_tick, self._last_us = int(tick[-1]), int(time_us[-1])
         return time_us, lost

@@ -39,8 +39,10 @@ _DPI: Final = 130
 
 
 def comparison_numbers(flights: Mapping[str, Flight]) -> list[dict[str, Any]]:
-    """Metrics of each flight by its label: ``flight``, ``effort_V``, and by ``axis`` what a `Response` holds;
-    nan where there is none.
+    """Return the metrics of each flight: its label ``flight``, ``effort_V``, and ``axis``.
+
+    ``axis`` contains the metrics of a `Response` by the name of the axis; a metric that does not exist is
+    nan.
     """
     return [
         {
@@ -63,19 +65,25 @@ def comparison_numbers(flights: Mapping[str, Flight]) -> list[dict[str, Any]]:
 
 
 def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """Cells of a table of `numbers`, as `comparison_numbers` gives them, under `HEADS`; axes without
-    setpoints are left out.
+    """Return the cells of the table with the columns `HEADS`; axes without setpoints are omitted.
+
+    Parameters
+    ----------
+    numbers : sequence of Mapping
+        Result of `comparison_numbers`.
     """
     rows = []
     for entry in numbers:
-        known = {axis: at for axis, at in entry["axis"].items() if not math.isnan(at["rms_deg"])}
-        for place, (axis, at) in enumerate(known.items()):
+        axes_with_setpoints = {
+            axis: metrics for axis, metrics in entry["axis"].items() if not math.isnan(metrics["rms_deg"])
+        }
+        for index, (axis, metrics) in enumerate(axes_with_setpoints.items()):
             rows.append(
                 [
-                    entry["flight"] if place == 0 else "",
+                    entry["flight"] if index == 0 else "",
                     axis,
                     *(
-                        _cell(at[name], form)
+                        _cell(metrics[name], form)
                         for name, form in (
                             ("step_deg", "+.3g"),
                             ("rise_s", ".2f"),
@@ -84,16 +92,16 @@ def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
                             ("rms_deg", ".3g"),
                         )
                     ),
-                    _cell(entry["effort_V"], ".2f") if place == 0 else "",
+                    _cell(entry["effort_V"], ".2f") if index == 0 else "",
                 ]
             )
-        if not known:
+        if not axes_with_setpoints:
             rows.append([entry["flight"], "no setpoints", *(["–"] * 5), _cell(entry["effort_V"], ".2f")])
     return rows
 
 
 def comparison_lines(numbers: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The table of `numbers`, as `comparison_numbers` gives them, with its heads, in lines of text."""
+    """Return the table of `numbers`, the result of `comparison_numbers`, as lines of text."""
     return table_lines([HEADS, *comparison_rows(numbers)], _WORDS)
 
 
@@ -109,9 +117,9 @@ def split_into_figures(flights: Mapping[str, Flight]) -> list[dict[str, Flight]]
     flights : Mapping[str, Flight]
         Any number, by label.
     """
-    (first, *others), size = list(flights.items()), MAX_FLIGHTS - 1
-    starts = range(0, max(len(others), 1), size)
-    return [dict([first, *others[start : start + size]]) for start in starts]
+    (first, *others), others_per_figure = list(flights.items()), MAX_FLIGHTS - 1
+    starts = range(0, max(len(others), 1), others_per_figure)
+    return [dict([first, *others[start : start + others_per_figure]]) for start in starts]
 
 
 def write_comparisons(flights: Mapping[str, Flight], path: Path) -> list[Path]:
@@ -120,7 +128,7 @@ def write_comparisons(flights: Mapping[str, Flight], path: Path) -> list[Path]:
     Parameters
     ----------
     flights : Mapping[str, Flight]
-        By label; the first is in each file.
+        Flights by label; the first one is drawn in each file.
     path : Path
         First file, as for `write_comparison`.
 
@@ -132,7 +140,7 @@ def write_comparisons(flights: Mapping[str, Flight], path: Path) -> list[Path]:
     Raises
     ------
     LogWriteError
-        One cannot be written.
+        If a file cannot be written.
     """
     parts = split_into_figures(flights)
     files = [path, *(path.with_stem(f"{path.stem}-{number}") for number in range(2, len(parts) + 1))]
@@ -142,7 +150,7 @@ def write_comparisons(flights: Mapping[str, Flight], path: Path) -> list[Path]:
 
 
 def write_comparison(flights: Mapping[str, Flight], path: str | Path) -> None:
-    """Draw flights over each other into a file, from the moment on at which each came under control.
+    """Draw flights over each other into a file; time 0 is the moment when the control law of each began.
 
     Parameters
     ----------
@@ -166,7 +174,7 @@ def write_comparison(flights: Mapping[str, Flight], path: str | Path) -> None:
 
 
 def figure_of_flights(flights: Mapping[str, Flight]) -> Figure:
-    """Draw flights over each other: three angles with their setpoints dashed, the mean voltage, the table."""
+    """Draw the angles of all flights with dashed setpoints, their mean voltages, and a table of metrics."""
     from matplotlib.figure import Figure
 
     rows = comparison_rows(comparison_numbers(flights))
@@ -182,8 +190,8 @@ def figure_of_flights(flights: Mapping[str, Flight]) -> Figure:
         for axis, panel in zip(AXES, panels, strict=False):
             setpoint = getattr(flight, f"{axis}_setpoint_rad")
             if setpoint is not None:
-                wanted_deg = np.where(led_rows(flight, axis), np.rad2deg(setpoint), np.nan)
-                panel.plot(t_s[keep], wanted_deg[keep], "--", color=colour, lw=0.9, alpha=0.6)
+                setpoint_deg = np.where(led_rows(flight, axis), np.rad2deg(setpoint), np.nan)
+                panel.plot(t_s[keep], setpoint_deg[keep], "--", color=colour, lw=0.9, alpha=0.6)
             panel.plot(
                 t_s[keep], np.rad2deg(getattr(flight, f"{axis}_rad"))[keep], color=colour, lw=1.3, label=label
             )
@@ -198,10 +206,10 @@ def figure_of_flights(flights: Mapping[str, Flight]) -> Figure:
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="upper center", ncols=4, fontsize=9, frameon=False
     )
-    below = figure.add_axes((0.03, 0.1 / height_in, 0.955, table_in / height_in))
-    below.set_axis_off()
+    table_axes = figure.add_axes((0.03, 0.1 / height_in, 0.955, table_in / height_in))
+    table_axes.set_axis_off()
     widths = [0.24, 0.12, *([0.64 / 6] * 6)]
-    drawn = below.table(
+    text_table = table_axes.table(
         cellText=rows,
         colLabels=list(HEADS),
         loc="center",
@@ -209,8 +217,8 @@ def figure_of_flights(flights: Mapping[str, Flight]) -> Figure:
         edges="horizontal",
         colWidths=widths,
     )
-    drawn.auto_set_font_size(False)
-    drawn.set_fontsize(8.5)
-    for cell in drawn.get_celld().values():
+    text_table.auto_set_font_size(False)
+    text_table.set_fontsize(8.5)
+    for cell in text_table.get_celld().values():
         cell.set_edgecolor("#c9cdd2")
     return figure

@@ -24,13 +24,13 @@ from heli_host.errors import LogWriteError
 from heli_host.log.schema import TICK_LAYOUT
 
 _OVERHEAD_BYTES = 21
-"""What the log adds to the values of a tick at most: 17 bytes were measured, of which 16 are the index."""
+"""Largest number of bytes that the log adds to the values of a tick. Measured: 17, including the index."""
 MAX_BYTES_PER_S = 1000 * (TICK_LAYOUT.dtype.itemsize + _OVERHEAD_BYTES)
-"""A second of ticks that do not compress at all, with their index; a usual one is 15 to 20 kB."""
+"""Size of one second of ticks with their index, if it cannot be compressed; 15 to 20 kB are common."""
 QUEUED_BYTES = 32 * 1024 * 1024
 """Most data that may wait for the disk: half an hour of a usual flight, 4 minutes of incompressible ticks."""
 RESERVED_BYTES = 4 * 1024 * 1024
-"""Free space at which a flight ends: its landing, and summary and figure after it, still find room."""
+"""Free disk space at which a flight ends. The landing, the summary and the figure still have room."""
 
 _MIN_FLIGHT_S = 60.0
 _SYNC_S = 1.0
@@ -70,7 +70,7 @@ class LogFile(Protocol):
         Raises
         ------
         LogWriteError
-            If the disk is full or gone; a file with a thread raises it at a later call.
+            If the disk is full or gone; a file with a thread raises this error at a later call.
         """
         ...
 
@@ -135,7 +135,7 @@ class DirectFile:
         return True
 
     def append(self, data: bytes) -> None:
-        """Write whole records; after a failure the file ends behind the last whole one.
+        """Write whole records; after a failure, the file ends with the last complete record.
 
         Parameters
         ----------
@@ -213,7 +213,7 @@ class DirectFile:
         return self.failed
 
     def _write_reason(self, reason: str) -> None:
-        """Write why nothing follows, whole or not at all, where the record that failed has left room."""
+        """Write a record with the reason why the log ends, if there is room for the whole record."""
         if self._last_record is None:
             return
         data = self._last_record(reason)
@@ -259,20 +259,20 @@ class BackgroundFile:
         self._file = DirectFile(path, last_record, overwrite=overwrite)
         self._path = path
         self._now_s = now_s
-        self._most_bytes = queued_bytes
+        self._max_queued_bytes = queued_bytes
         self._changed = threading.Condition()
         self._queue: deque[bytes] = deque()
         self._queued_bytes = 0
         self._stalls_s: list[float] = []
         self._closing = False
-        self._given_up: LogWriteError | None = None
+        self._failure: LogWriteError | None = None
         self._thread = threading.Thread(target=self._run, name="heli-host log", daemon=True)
         self._thread.start()
 
     @property
     def failed(self) -> LogWriteError | None:
         """Error that ended the writing; None if there is none."""
-        return self._given_up or self._file.failed
+        return self._failure or self._file.failed
 
     @property
     def nearly_full(self) -> LogWriteError | None:
@@ -282,10 +282,10 @@ class BackgroundFile:
     @property
     def has_room(self) -> bool:
         """Whether fewer bytes wait for the disk than `queued_bytes`."""
-        return self._queued_bytes < self._most_bytes
+        return self._queued_bytes < self._max_queued_bytes
 
     def append(self, data: bytes) -> None:
-        """Leave whole records to the thread; never waits for the disk.
+        """Queue whole records for the thread, without waiting for the disk.
 
         Parameters
         ----------
@@ -334,15 +334,15 @@ class BackgroundFile:
         self._wait_while(lambda: self._queued_bytes > 0)
 
     def _wait_while(self, busy: Callable[[], bool]) -> None:
-        """Wait while the disk is `busy`, as long as it takes some bytes now and then."""
-        left_bytes, since_s = self._queued_bytes, self._now_s()
+        """Wait while the disk is `busy`, but give up if it accepts no byte for a long time."""
+        queued_before, last_progress_s = self._queued_bytes, self._now_s()
         while busy() and self.failed is None:
             with self._changed:
                 self._changed.wait(_LOOK_S)
-            if self._queued_bytes != left_bytes:
-                left_bytes, since_s = self._queued_bytes, self._now_s()
-            elif self._now_s() - since_s > _CLOSE_TIMEOUT_S:
-                self._given_up = LogWriteError(
+            if self._queued_bytes != queued_before:
+                queued_before, last_progress_s = self._queued_bytes, self._now_s()
+            elif self._now_s() - last_progress_s > _CLOSE_TIMEOUT_S:
+                self._failure = LogWriteError(
                     f"the disk of the log {self._path} has taken nothing for {_CLOSE_TIMEOUT_S:g} s",
                     "see what holds it; the log is readable up to there",
                 )
@@ -350,7 +350,7 @@ class BackgroundFile:
             raise self.failed
 
     def _run(self) -> None:
-        """Write what comes until the file is closed or fails; nothing here may end the thread in silence."""
+        """Write queued records until the file is closed or fails; any error of this thread is reported."""
         try:
             sync_folder(self._path.parent)
             synced_s = self._now_s()
@@ -370,7 +370,7 @@ class BackgroundFile:
         except LogWriteError:
             pass
         except Exception as error:  # noqa: BLE001 - a thread that dies must say so, whatever killed it
-            self._given_up = LogWriteError(
+            self._failure = LogWriteError(
                 f"cannot write the log {self._path}: {type(error).__name__}: {error}", "report it"
             )
         finally:
@@ -381,6 +381,7 @@ class BackgroundFile:
                 self._changed.notify_all()
 
     def _next(self) -> bytes | None:
+        """Wait for queued records and return them; None after the file was closed."""
         with self._changed:
             while not self._queue:
                 if self._closing:
@@ -458,26 +459,25 @@ def max_file_bytes() -> int | None:
 
 
 def free_bytes(folder: Path) -> int | None:
-    """Return how much a user may still write into a folder.
+    """Return the free space of the disk that contains a folder.
 
     Parameters
     ----------
     folder : Path
-        The folder; one that is still to be made counts as the next one above it.
+        The folder; if it does not exist, the nearest existing folder above it counts.
 
     Returns
     -------
     int or None
-        None where the system does not say.
+        Bytes that a user may still write; None if the system does not report them.
     """
-    for place in (folder, *folder.absolute().parents):
-        with contextlib.suppress(FileNotFoundError):
-            try:
-                return shutil.disk_usage(place).free
-            except FileNotFoundError:
-                raise
-            except OSError:
-                return None
+    for candidate in (folder, *folder.absolute().parents):
+        try:
+            return shutil.disk_usage(candidate).free
+        except FileNotFoundError:
+            continue
+        except OSError:
+            return None
     return None
 
 
@@ -489,7 +489,7 @@ def sync_folder(folder: Path) -> None:
     folder : Path
         Folder of the file.
     """
-    # Windows opens no folders, and keeps names by itself.
+    # Windows cannot open folders, and stores names without this call.
     with contextlib.suppress(OSError):
         opened = os.open(folder, os.O_RDONLY)
         try:
@@ -503,7 +503,7 @@ def _create(path: Path, overwrite: bool) -> io.FileIO:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if overwrite and path.is_file():
-            # A new file under the name, not the old one emptied: a program that reads the old log keeps it.
+            # The old file is replaced, not emptied, so that a program that reads it is not disturbed.
             path.unlink()
         check_new(path)
         return io.FileIO(path, "w" if _is_device(path) else "x")

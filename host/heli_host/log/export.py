@@ -12,8 +12,7 @@ from heli_host.flight import Flight
 
 
 def export_mat(flight: Flight, path: str | Path) -> None:
-    """Write a MATLAB file (version 5): one column vector a column, a struct of parameters, the plan and the
-    notes.
+    """Write a MATLAB file (version 5): a column vector per column, a struct of parameters, plan and notes.
 
     Parameters
     ----------
@@ -38,7 +37,7 @@ def export_mat(flight: Flight, path: str | Path) -> None:
     content["events"] = "\n".join(f"{event.t_s:.3f} s {event.name}: {event.text}" for event in flight.events)
     buffer = io.BytesIO()
     savemat(buffer, content, do_compression=True, oned_as="column")
-    # The header's first 116 bytes hold the date; without it the same flight gives the same bytes.
+    # The first 116 bytes contain the date. Without the date, the same flight gives the same bytes.
     data = b"MATLAB 5.0 MAT-file, written by heli_host".ljust(116) + buffer.getvalue()[116:]
     try:
         Path(path).write_bytes(data)

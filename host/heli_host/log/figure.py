@@ -33,7 +33,7 @@ _STATE_COLOURS = {
     "landing": "#d5e3ee",
     "fault": "#f6b8b3",
 }
-_LOUD_EVENTS = frozenset(
+_SERIOUS_EVENTS = frozenset(
     {
         "board_restarted",
         "fault",
@@ -47,6 +47,7 @@ _LOUD_EVENTS = frozenset(
 _BUCKETS = 3000
 _MIN_SPAN_DEG = 1.0
 _MAX_GAPS = 200
+_MAX_EVENTS = 40
 _GAP_COLOUR = "#e58b85"
 _DPI = 130
 
@@ -112,6 +113,7 @@ def draw(flight: Flight, summary: FlightSummary) -> Figure:
 
 
 def _headline(summary: FlightSummary) -> str:
+    """Return the plans, the rig and the outcome without its reason."""
     flown = " + ".join(summary.plans) if summary.plans else "flight"
     rig = f" on {summary.rig}" if summary.rig else ""
     short = summary.outcome.partition(":")[0]
@@ -119,8 +121,9 @@ def _headline(summary: FlightSummary) -> str:
 
 
 def _subtitle(summary: FlightSummary) -> str:
-    """Write duration, lost ticks, counts of the link, board and remarks below the headline; an abort with its
-    reason first.
+    """Return the lines below the headline: duration, lost ticks, link counters, board and remarks.
+
+    If the flight was aborted, the reason comes first.
     """
     lost = f"{summary.ticks_lost:,} lost" if summary.ticks_lost else "none lost"
     link = summary.link
@@ -132,8 +135,8 @@ def _subtitle(summary: FlightSummary) -> str:
     if summary.board:
         parts.append(summary.board)
     numbers = "   ·   ".join([*parts, *summary.notes])
-    why = [] if summary.completed or ":" not in summary.outcome else [summary.outcome]
-    return "\n".join(line for text in (*why, numbers) for line in textwrap.wrap(text, 150))
+    abort_reason = [] if summary.completed or ":" not in summary.outcome else [summary.outcome]
+    return "\n".join(line for text in (*abort_reason, numbers) for line in textwrap.wrap(text, 150))
 
 
 def _count(link: Mapping[str, int], name: str, noun: str) -> str:
@@ -149,13 +152,13 @@ def _draw_axis(
     axis = AXES[index]
     measured_deg = np.rad2deg(flight.angles_rad[:, index])
     setpoints_rad = flight.setpoints_rad
-    panel.plot(*_thinned(t_s, measured_deg), color=_MEASURED[axis], lw=1.4, label="measured", zorder=3)
+    panel.plot(*_envelope(t_s, measured_deg), color=_MEASURED[axis], lw=1.4, label="measured", zorder=3)
     if setpoints_rad is not None:
         panel.plot(
-            *_thinned(t_s, np.rad2deg(setpoints_rad[:, index])),
+            *_envelope(t_s, np.rad2deg(setpoints_rad[:, index])),
             color=_SETPOINT,
             label="setpoint",
-            # The travel loop's pitch setpoint carries the encoder's steps: behind the angle it hides nothing.
+            # The travel loop's pitch setpoint has the steps of the encoder, so it is drawn behind the angle.
             **(
                 {"lw": 0.6, "zorder": 2.5} if axis == "pitch" else {"lw": 1.0, "ls": (0, (5, 2)), "zorder": 4}
             ),
@@ -175,16 +178,18 @@ def _draw_axis(
 
 
 def _draw_voltages(panel: Axes, flight: Flight, t_s: NDArray[np.float64]) -> None:
-    panel.plot(*_thinned(t_s, flight.front_V), color=_FRONT, lw=1.0, label="front", zorder=3)
-    panel.plot(*_thinned(t_s, flight.back_V), color=_BACK, lw=1.0, label="back", alpha=0.8, zorder=3)
+    """Draw both motor voltages."""
+    panel.plot(*_envelope(t_s, flight.front_V), color=_FRONT, lw=1.0, label="front", zorder=3)
+    panel.plot(*_envelope(t_s, flight.back_V), color=_BACK, lw=1.0, label="back", alpha=0.8, zorder=3)
     panel.set_ylabel("voltage [V]")
     panel.set_title("motor voltages that acted", fontsize=10, loc="left")
     _finish(panel)
 
 
 def _draw_signals(panel: Axes, flight: Flight, t_s: NDArray[np.float64], signals: Sequence[str]) -> None:
+    """Draw the signals that a control law logged."""
     for name, colour in zip(signals, (*_MEASURED.values(), _FRONT), strict=False):
-        panel.plot(*_thinned(t_s, flight.extra[name]), color=colour, lw=1.0, label=name, zorder=3)
+        panel.plot(*_envelope(t_s, flight.extra[name]), color=colour, lw=1.0, label=name, zorder=3)
     panel.set_ylabel("signals")
     panel.set_title("signals of the control law", fontsize=10, loc="left")
     _finish(panel)
@@ -209,7 +214,7 @@ def _finish(panel: Axes) -> None:
 
 
 def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArray[np.float64]) -> None:
-    """Draw two strips, what was flown and the board's state; shade the panels by state."""
+    """Draw two strips, one with the phases of the plan and one with the board's state; shade the panels."""
     band.set_ylim(0.0, 2.0)
     band.set_yticks([0.5, 1.5] if flight.state is not None else [], ["state", "plan"], fontsize=8.5)
     band.tick_params(axis="both", length=0, labelbottom=False)
@@ -219,7 +224,7 @@ def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArra
         return
     stretches = [
         (float(t_s[start]), float(t_s[min(stop, len(t_s) - 1)]), flight.state_names.get(number, str(number)))
-        for start, stop, number in _runs(flight.state)
+        for start, stop, number in _state_runs(flight.state)
     ]
     for left_s, right_s, name in stretches:
         colour = _STATE_COLOURS.get(name, "#dddddd")
@@ -228,7 +233,7 @@ def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArra
             panel.axvspan(left_s, right_s, color=colour, alpha=0.28, lw=0, zorder=0)
     phases = [event for event in flight.events if event.name == PHASE_EVENT]
     starts_s = [_moment_s(event, flight) for event in phases]
-    # The last phase, a landing as a rule, ends where the motors are off.
+    # The last phase, usually a landing, ends when the motors are off.
     off_s = [
         left_s
         for left_s, _, name in stretches
@@ -240,9 +245,11 @@ def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArra
         _block(band, (start_s, end_s, 1.0), event.text, colour, flight.duration_s)
 
 
-def _block(band: Axes, place: tuple[float, float, float], text: str, colour: str, total_s: float) -> None:
-    left_s, right_s, floor = place
+def _block(band: Axes, extent: tuple[float, float, float], text: str, colour: str, total_s: float) -> None:
+    """Draw a coloured block with a text if it fits; `extent` has its start, its end and its lower edge."""
+    left_s, right_s, floor = extent
     band.fill_between([left_s, right_s], floor + 0.06, floor + 0.94, color=colour, lw=0)
+    # A letter takes about 0.7 % of the width of the figure.
     if right_s - left_s > 0.0068 * len(text) * total_s:
         band.text((left_s + right_s) / 2, floor + 0.47, text, ha="center", va="center", fontsize=8.5)
 
@@ -254,18 +261,18 @@ def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
     if not len(flight):
         return
     phases = [event for event in flight.events if event.name == PHASE_EVENT]
-    loud = [event for event in flight.events if event.name in _LOUD_EVENTS]
+    serious_events = [event for event in flight.events if event.name in _SERIOUS_EVENTS]
     for event in phases:
         for panel in panels:
             panel.axvline(_moment_s(event, flight), color="#666666", lw=0.8, ls=":", zorder=2)
     for row in flight.gaps[:_MAX_GAPS]:
         for panel in panels:
-            left_s, right_s = (float(flight.t_s[at] - flight.t_s[0]) for at in (row, row + 1))
+            left_s, right_s = (float(flight.t_s[time_row] - flight.t_s[0]) for time_row in (row, row + 1))
             panel.axvspan(left_s, right_s, color=_GAP_COLOUR, alpha=0.5, lw=0, zorder=1)
-    for event in loud[:40]:
+    for event in serious_events[:_MAX_EVENTS]:
         for panel in panels:
             panel.axvline(_moment_s(event, flight), color="#c0202a", lw=1.0, zorder=2)
-    for event in _spread(loud, flight):
+    for event in _spread(serious_events, flight):
         _label(panels[-1], _moment_s(event, flight), event.name.replace("_", " "), "#c0202a")
 
 
@@ -296,15 +303,19 @@ def _moment_s(event: FlightEvent, flight: Flight) -> float:
     return min(max(event.t_s - float(flight.t_s[0]), 0.0), flight.duration_s)
 
 
-def _runs(state: NDArray[np.uint8]) -> list[tuple[int, int, int]]:
+def _state_runs(state: NDArray[np.uint8]) -> list[tuple[int, int, int]]:
+    """Return the stretches of equal state: first row, row after the last, and number of the state."""
     edges = np.flatnonzero(np.diff(state)) + 1
     starts = [0, *edges.tolist()]
     stops = [*edges.tolist(), len(state)]
     return [(start, stop, int(state[start])) for start, stop in zip(starts, stops, strict=True)]
 
 
-def _thinned(t_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
-    """Keep least and greatest of every bucket: a long flight draws fast, and no peak is lost."""
+def _envelope(t_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
+    """Reduce a curve to the minimum and maximum of each bucket, so that a long flight is drawn fast.
+
+    No peak is lost.
+    """
     bucket = len(values) // _BUCKETS
     if bucket < 3:
         return t_s, values

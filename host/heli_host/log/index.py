@@ -1,4 +1,4 @@
-"""The index at the end of an MCAP file: where the records are, and a second copy of schemas and channels."""
+"""The index at the end of an MCAP file: positions of the records, and a copy of schemas and channels."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def read_index(data: memoryview) -> Index | None:
     Returns
     -------
     Index or None
-        None where there is none, it is damaged, or it carries no CRC.
+        None if the file has no index, or if the index is damaged or lacks its CRC.
     """
     footer_start = len(data) - len(_MAGIC) - _FOOTER_BYTES
     if footer_start < 0 or data[-len(_MAGIC) :] != _MAGIC:
@@ -74,7 +74,7 @@ def read_index(data: memoryview) -> Index | None:
         return None
     footer = parse(Footer, data[footer_start + RECORD_HEADER.size :][:20])
     start = footer.summary_start
-    # The CRC is of everything from the summary's start to its own field.
+    # The CRC covers the bytes from the start of the summary to the field of the CRC.
     checked = data[start : footer_start + _FOOTER_BYTES - 4]
     if not len(_MAGIC) <= start <= footer_start or footer.summary_crc != zlib.crc32(checked):
         return None
@@ -108,23 +108,23 @@ def parse(kind: Any, body: memoryview) -> Any:
     kind : type
         Class of the record.
     body : memoryview
-        Its content; all of it has to be used up.
+        Content of the record.
 
     Raises
     ------
     ValueError, McapError or struct.error
-        If it is not such a record.
+        If the content is not a record of this class, or longer than one.
     """
     stream = ReadDataStream(io.BytesIO(body))
     record = kind.read(stream)
-    # The library reads what is there: a string that should be longer than the record just ends early.
+    # The library does not notice a string that should be longer than the record; it ends early.
     if stream.count != len(body):
         raise ValueError("the record is not as long as it says")
     return record
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of each record of the index."""
+    """Yield opcode and content of each record of the index, in the order of the file."""
     position = 0
     while position < len(data):
         opcode, length = RECORD_HEADER.unpack_from(data, position)

@@ -49,5 +49,6 @@ def head_values(head: bytes) -> dict[str, str]:
 
 
 def _add(crc: int, text: str) -> int:
-    data = text.encode("utf-8", errors="surrogatepass")
-    return zlib.crc32(data, zlib.crc32(struct.pack("<I", len(data)), crc))
+    """Return a CRC after the length and the bytes of a text."""
+    encoded = text.encode("utf-8", errors="surrogatepass")
+    return zlib.crc32(encoded, zlib.crc32(struct.pack("<I", len(encoded)), crc))

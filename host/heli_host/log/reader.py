@@ -25,7 +25,7 @@ from heli_host.log.schema import TICK_TOPIC, MessageLayout, raw_ticks
 _ROUNDING_SHARE = 2.0**-23
 """Largest rounding error of single precision, as a share of the value."""
 _MAX_SHOWN_CHARACTERS = 24
-"""Longest text of a damaged parameter that a note shows; it can be any text."""
+"""Length to which a note shortens the text of a damaged parameter, which may contain anything."""
 _BY_FIELD = {spec.field: spec for spec in CHANNELS}
 _ANGLES = tuple(spec.column for spec in CHANNELS if spec.axis is not None)
 
@@ -39,15 +39,15 @@ class Log:
     path : Path
         Path of the log.
     ticks : structured ndarray (n,)
-        One record a tick, with the fields of the log's own schema.
+        One record per tick, with the fields of the schema in the log.
     events : tuple of dict
         Event messages in order of time: ``t_s``, ``tick``, ``name``, ``message``, ``level``.
     link : tuple of dict
-        Link counters, about once a second.
+        Link counters, about once per second.
     metadata : dict of dict
-        Named records: ``session``, ``parameters``, ``plan``, ``result`` ...; the later of two values wins.
+        Named records: ``session``, ``parameters``, ``plan``, ``result`` ...; the later of two values counts.
     notes : tuple of str
-        What is wrong with the file, if anything: cut short, damaged chunks.
+        Defects of the file, such as a missing end or damaged chunks.
     complete : bool
         Whether the log was closed.
     """
@@ -99,9 +99,8 @@ class Log:
         Returns
         -------
         Flight
-            Angles computed from the exact counts, setpoints and voltages in the board's own resolution. The
-            counts themselves and other channels are in ``extra``, also those of a log by a version that has
-            more of them.
+            Angles computed from the exact counts, with setpoints and voltages in the resolution of the board.
+            The counts and other channels are in ``extra``, including channels that only other versions have.
 
         Raises
         ------
@@ -190,7 +189,7 @@ def read_log(path: str | Path) -> Log:
     Returns
     -------
     Log
-        Its whole content. Damaged parts are left out and listed in `Log.notes`.
+        Content of the log. Damaged parts are skipped and listed in `Log.notes`.
 
     Raises
     ------

@@ -180,7 +180,7 @@ class McapBytes:
         return head + self.metadata(HEAD, head_values(head), len(head))
 
     def metadata(self, name: str, values: Mapping[str, str], file_offset: int) -> bytes:
-        """Return a metadata record, its CRC included.
+        """Return a metadata record with its CRC.
 
         Parameters
         ----------
@@ -195,13 +195,14 @@ class McapBytes:
         self._metadata_indexes.append(MetadataIndex(offset=file_offset, length=len(data), name=name))
         return data
 
-    def chunk(self, parts: Iterable[TickBatch | JsonMessage], file_offset: int) -> bytes:
-        """Return a compressed chunk, followed by one index record per channel with the time and the offset of
-        each of its messages.
+    def chunk(self, unjoined: Iterable[TickBatch | JsonMessage], file_offset: int) -> bytes:
+        """Return a compressed chunk, followed by its index.
+
+        The index has one record per channel, with the time and the offset of each message of the channel.
 
         Parameters
         ----------
-        parts : iterable of TickBatch or JsonMessage
+        unjoined : iterable of TickBatch or JsonMessage
             Messages of the chunk, in order; at least one.
         file_offset : int
             Offset at which the chunk will be written to the file [bytes].
@@ -209,11 +210,11 @@ class McapBytes:
         blocks: list[bytes] = []
         index: dict[int, list[NDArray[Any]]] = {}
         offset = 0
-        for part in _joined(parts):
-            if isinstance(part, JsonMessage):
-                channel, (entries, block) = part.channel, self._json_message(part, offset)
+        for message in _join_batches(unjoined):
+            if isinstance(message, JsonMessage):
+                channel, (entries, block) = message.channel, self._json_message(message, offset)
             else:
-                channel, (entries, block) = TICK_CHANNEL, self._tick_messages(part, offset)
+                channel, (entries, block) = TICK_CHANNEL, self._tick_messages(message, offset)
             index.setdefault(channel, []).append(entries)
             blocks.append(block)
             offset += len(block)
@@ -259,8 +260,9 @@ class McapBytes:
         return data
 
     def _tick_messages(self, batch: TickBatch, offset: int) -> tuple[NDArray[Any], bytes]:
-        """Return ticks as MCAP messages: their entries in the index, and their bytes. `offset` is that of the
-        first in its chunk.
+        """Return ticks as MCAP messages: their entries in the index, and their bytes.
+
+        `offset` is the position of the first of them in its chunk.
         """
         records = np.zeros(batch.tick.size, _TICK_RECORD)
         records["opcode"] = int(Opcode.MESSAGE)
@@ -291,7 +293,7 @@ class McapBytes:
         return np.array([(wall_ns, offset)], _INDEX_ENTRY), head + message.body
 
     def tail(self, file_offset: int, data_crc: int) -> bytes:
-        """Return what a file ends with: statistics, indexes and footer, so that viewers can jump.
+        """Return the end of a file: statistics, indexes and footer, by which viewers find each time quickly.
 
         Parameters
         ----------
@@ -360,7 +362,7 @@ def _metadata(name: str, values: Mapping[str, str]) -> bytes:
     return builder.data()
 
 
-def _joined(parts: Iterable[TickBatch | JsonMessage]) -> list[TickBatch | JsonMessage]:
+def _join_batches(unjoined: Iterable[TickBatch | JsonMessage]) -> list[TickBatch | JsonMessage]:
     """Join neighbouring batches of ticks, so that numpy works on one array instead of fifty."""
     joined: list[TickBatch | JsonMessage] = []
     run: list[TickBatch] = []
@@ -377,11 +379,11 @@ def _joined(parts: Iterable[TickBatch | JsonMessage]) -> list[TickBatch | JsonMe
             )
             run.clear()
 
-    for part in parts:
-        if isinstance(part, TickBatch):
-            run.append(part)
+    for message in unjoined:
+        if isinstance(message, TickBatch):
+            run.append(message)
         else:
             close_run()
-            joined.append(part)
+            joined.append(message)
     close_run()
     return joined

@@ -29,11 +29,11 @@ PROFILE: Final = "ros2"
 PARAMETER_TOPIC: Final = "/heli/parameter"
 
 _CDR: Final = b"\x00\x01\x00\x00"
-_WORDS: Final = {
+_ROS_TYPES: Final = {
     "u1": "uint8", "u2": "uint16", "u4": "uint32", "i1": "int8", "i2": "int16", "i4": "int32", "i8": "int64",
     "f4": "float32", "f8": "float64", "b1": "bool",
 }  # fmt: skip
-_WHOLE: Final = {
+_INTEGER_TYPES: Final = {
     (spec.field if spec.axis is not None else spec.column): np.dtype(spec.code)
     for spec in CHANNELS
     if is_whole(spec) or spec.axis is not None
@@ -70,10 +70,10 @@ _ERROR: Final = 40
 def export_ros2(flight: Flight, path: str | Path) -> None:
     """Write a flight as an MCAP file of ROS 2.
 
-    Rows are ``heli_host/msg/Tick`` on ``/heli/tick``, one field a column, an encoder's counts too; events
-    ``rcl_interfaces/msg/Log`` on ``/heli/event``; parameters ``heli_host/msg/Parameter`` on
-    ``/heli/parameter``. Plan and notes are metadata. Times are the flight's own, from 0; the same flight
-    gives the same bytes.
+    Rows are ``heli_host/msg/Tick`` messages on ``/heli/tick``, with one field per column, including the
+    counts of the encoders. Events are ``rcl_interfaces/msg/Log`` on ``/heli/event``. Parameters are
+    ``heli_host/msg/Parameter`` on ``/heli/parameter``. Plan and notes are metadata. Times are those of the
+    flight, which start at 0. The same flight gives the same bytes.
 
     Parameters
     ----------
@@ -88,9 +88,9 @@ def export_ros2(flight: Flight, path: str | Path) -> None:
     from mcap.well_known import MessageEncoding, SchemaEncoding
     from mcap.writer import CompressionType, Writer
 
-    ordered = _ordered(flight)
-    fields = _field_names(name for name, _ in ordered)
-    columns = {fields[name]: column for name, column in ordered}
+    columns_by_size = _columns_by_size(flight)
+    fields = _field_names(name for name, _ in columns_by_size)
+    columns = {fields[name]: column for name, column in columns_by_size}
     try:
         with Path(path).open("wb") as file:
             writer = Writer(file, compression=CompressionType.ZSTD)
@@ -108,8 +108,8 @@ def export_ros2(flight: Flight, path: str | Path) -> None:
                 body = _string(name)
                 data = _CDR + body + bytes(-len(body) % 8) + struct.pack("<d", value)
                 writer.add_message(parameter, first_ns, data, first_ns)
-            for when_ns, is_event, data in _in_order(flight, columns):
-                writer.add_message(event if is_event else tick, when_ns, data, when_ns)
+            for time_ns, is_event, data in _messages_in_order(flight, columns):
+                writer.add_message(event if is_event else tick, time_ns, data, time_ns)
             notes = {name: str(value) for name, value in flight.meta.items()}
             writer.add_metadata("notes", notes)
             writer.add_metadata("names", {field: name for name, field in fields.items()})
@@ -121,25 +121,28 @@ def export_ros2(flight: Flight, path: str | Path) -> None:
         ) from error
 
 
-def _ordered(flight: Flight) -> list[tuple[str, NDArray[Any]]]:
-    """Columns by falling size, so that CDR's alignment adds no padding."""
-    named = []
+def _columns_by_size(flight: Flight) -> list[tuple[str, NDArray[Any]]]:
+    """Return the columns of a flight, the largest type first, so that CDR's alignment adds no padding.
+
+    A column of whole numbers gets its integer type if no value changes.
+    """
+    typed_columns = []
     for name, column in flight.columns().items():
-        whole = _WHOLE.get(name)
-        fits = whole is not None and bool(np.all(column == column.astype(whole)))
-        named.append((name, column.astype(whole) if fits else column))
-    return sorted(named, key=lambda one: -one[1].dtype.itemsize)
+        integer_type = _INTEGER_TYPES.get(name)
+        is_lossless = integer_type is not None and bool(np.all(column == column.astype(integer_type)))
+        typed_columns.append((name, column.astype(integer_type) if is_lossless else column))
+    return sorted(typed_columns, key=lambda name_and_column: -name_and_column[1].dtype.itemsize)
 
 
 def _field_names(columns: Iterable[str]) -> dict[str, str]:
-    """Fields that ROS 2 takes, by the names of `columns`."""
+    """Return a unique, valid ROS 2 field name for each column, such as ``front_volt`` for ``front_V``."""
     fields: dict[str, str] = {}
     for name in columns:
-        plain = re.sub(r"_V$", "_volt", name).lower()
-        plain = re.sub(r"[^a-z0-9]+", "_", plain).strip("_")
-        plain = plain if plain[:1].isalpha() else f"column_{plain}".rstrip("_")
-        free = (f"{plain}_n{place}" if place else plain for place in itertools.count())
-        fields[name] = next(field for field in free if field not in fields.values())
+        valid_name = re.sub(r"_V$", "_volt", name).lower()
+        valid_name = re.sub(r"[^a-z0-9]+", "_", valid_name).strip("_")
+        valid_name = valid_name if valid_name[:1].isalpha() else f"column_{valid_name}".rstrip("_")
+        candidates = (f"{valid_name}_n{suffix}" if suffix else valid_name for suffix in itertools.count())
+        fields[name] = next(field for field in candidates if field not in fields.values())
     return fields
 
 
@@ -151,29 +154,33 @@ def _tick_schema(flight: Flight, columns: dict[str, NDArray[Any]]) -> str:
             f"uint8 {prefix}_{re.sub(r'[^A-Z0-9]', '_', name.upper())}={number}"
             for number, name in sorted(names.items())
         ]
-    lines += [f"{_WORDS[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
+    lines += [f"{_ROS_TYPES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
     return "\n".join(lines) + "\n"
 
 
-def _in_order(flight: Flight, columns: dict[str, NDArray[Any]]) -> Iterator[tuple[int, bool, bytes]]:
-    """Rows and events by time, an event before the row of the same time: time, whether an event, bytes."""
+def _messages_in_order(flight: Flight, columns: dict[str, NDArray[Any]]) -> Iterator[tuple[int, bool, bytes]]:
+    """Yield rows and events in the order of time; an event comes before a row of the same time.
+
+    Each result has the time in ns, whether the message is an event, and its bytes.
+    """
     dtype = np.dtype([(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
     records = np.zeros(len(flight), dtype)
     for name, column in columns.items():
         records[name] = column
     data, size = records.tobytes(), dtype.itemsize
     events = sorted(flight.events, key=lambda event: event.t_s)
-    done = 0
-    for row, when_s in enumerate(flight.t_s.tolist()):
-        while done < len(events) and events[done].t_s <= when_s:
-            yield _ns(events[done].t_s), True, _event(events[done])
-            done += 1
-        yield _ns(when_s), False, _CDR + data[row * size : (row + 1) * size]
-    for event in events[done:]:
+    events_written = 0
+    for row, time_s in enumerate(flight.t_s.tolist()):
+        while events_written < len(events) and events[events_written].t_s <= time_s:
+            yield _ns(events[events_written].t_s), True, _event(events[events_written])
+            events_written += 1
+        yield _ns(time_s), False, _CDR + data[row * size : (row + 1) * size]
+    for event in events[events_written:]:
         yield _ns(event.t_s), True, _event(event)
 
 
 def _event(event: FlightEvent) -> bytes:
+    """Encode an event as a ``rcl_interfaces/msg/Log`` message in CDR."""
     seconds, nanoseconds = divmod(_ns(event.t_s), 1_000_000_000)
     body = struct.pack("<iIB", seconds, nanoseconds, _ERROR if event.name == "fault" else _INFO)
     for text in (event.name, event.text, "", ""):
@@ -182,8 +189,9 @@ def _event(event: FlightEvent) -> bytes:
 
 
 def _string(text: str) -> bytes:
-    data = text.encode() + b"\x00"
-    return struct.pack("<I", len(data)) + data
+    """Encode a string in CDR: its length, then its bytes with a zero at the end."""
+    encoded = text.encode() + b"\x00"
+    return struct.pack("<I", len(encoded)) + encoded
 
 
 def _ns(t_s: float) -> int:

@@ -1,8 +1,8 @@
-"""Reads a log record by record, and continues behind damaged parts.
+"""Reads a log record by record, and continues after damaged parts.
 
-A record is used only if it is complete and fits its CRC. If the bytes at the present place are not a record,
-the index at the end gives the place of the next record. Without an index, the next chunk is searched for. The
-notes list all parts that were left out.
+A record is used only if it is complete and its CRC is right. If the bytes at the present position are not a
+record, the index at the end gives the position of the next record. Without an index, the next chunk is
+searched. The notes list all parts that were skipped.
 """
 
 from __future__ import annotations
@@ -78,15 +78,15 @@ class Scan:
     layout : MessageLayout or None
         Layout of the ticks; None until their channel was found.
     ticks : list of structured ndarray
-        In the order of the file.
+        Ticks in the order of the file.
     events, link : list of dict
         Messages of the rare topics.
     metadata : dict of dict
-        Named records; of two values the later one.
+        Named records; the later of two values counts.
     notes : list of str
-        What is wrong with the file.
+        Defects of the file.
     closed : bool
-        Whether the record was found with which a closed log ends its data.
+        Whether the record was found that ends the data of a closed log.
     """
 
     path: Path
@@ -105,7 +105,7 @@ class Scan:
     _records: list[Metadata] = field(default_factory=list)
     _has_crcs: bool = False
     _unpacked_bytes: int = 0
-    _head_fits: bool = False
+    _head_is_intact: bool = False
     _damaged_chunks: int = 0
     _lost: list[tuple[int, int]] = field(default_factory=list)
     _in_head: bool = True
@@ -136,7 +136,7 @@ class Scan:
                 position = next_position
         if not self.closed and position == len(self.data):
             self._note_break(position)
-        self._judge_head()
+        self._check_head()
         self._judge_metadata()
         self._note_damage()
 
@@ -206,20 +206,25 @@ class Scan:
         self._tick.layout, self._tick.channel = tick_record(layout), channel.id
 
     def _add_metadata(self, record: Metadata, position: int) -> None:
+        """Process a metadata record; the record `HEAD` shows whether the bytes before it are intact."""
         self._records.append(record)
         self._has_crcs = self._has_crcs or RECORD_CRC in record.metadata
         if record.name == HEAD and _vouched(record):
             head = head_values(bytes(self.data[:position]))
-            self._head_fits = head.items() <= record.metadata.items()
+            self._head_is_intact = head.items() <= record.metadata.items()
 
-    def _judge_head(self) -> None:
-        """Refuse ticks of which it is not sure what their numbers mean."""
-        if self._head_fits or (self._records and not self._has_crcs):
+    def _check_head(self) -> None:
+        """Raise a LogError if the beginning is damaged and the meaning of the numbers is uncertain."""
+        if self._head_is_intact or (self._records and not self._has_crcs):
             return
         self.notes.append("the first bytes, which say how the numbers are to be read, are damaged")
-        from_index = self._index is not None and self._index.channels
-        usual = self.layout == TICK_LAYOUT and sorted(self._topics()) == [EVENT_TOPIC, LINK_TOPIC, TICK_TOPIC]
-        if self.layout is not None and not from_index and not usual:
+        has_index_copy = self._index is not None and self._index.channels
+        is_standard_layout = self.layout == TICK_LAYOUT and sorted(self._topics()) == [
+            EVENT_TOPIC,
+            LINK_TOPIC,
+            TICK_TOPIC,
+        ]
+        if self.layout is not None and not has_index_copy and not is_standard_layout:
             raise LogError(f"{self.path} is damaged in the description of its columns", "copy it again")
 
     def _topics(self) -> list[str]:
@@ -230,7 +235,7 @@ class Scan:
         if self._index is not None and position != self._index.data_end:
             raise _OutOfStep
         self.closed = True
-        # A CRC of 0 means that the writer computed none, unless the log states that it has CRCs.
+        # A CRC of 0 means that the writer did not compute it, unless the log states that it has CRCs.
         has_crc = record.data_section_crc != 0 or self._has_crcs
         is_intact = has_crc and record.data_section_crc == zlib.crc32(self.data[:position])
         if has_crc and not is_intact:
@@ -241,12 +246,12 @@ class Scan:
 
     def _note_break(self, position: int) -> None:
         """Note that the log ends at `position`, because it was cut short or because its end is damaged."""
-        rest = len(self.data) - position
-        if self.data[-len(_MAGIC) :] == _MAGIC and rest:
-            self.notes.append(f"its last {rest} bytes are damaged and were left out")
+        bytes_left = len(self.data) - position
+        if self.data[-len(_MAGIC) :] == _MAGIC and bytes_left:
+            self.notes.append(f"its last {bytes_left} bytes are damaged and were left out")
         else:
             self.notes.append(
-                f"the log was not closed (it ends {rest} bytes into a record): "
+                f"the log was not closed (it ends {bytes_left} bytes into a record): "
                 f"{sum(map(len, self.ticks))} ticks were readable"
             )
 
@@ -329,6 +334,7 @@ class _OutOfStep(Exception):
 
 
 def _whole(kind: Any, body: memoryview) -> Any:
+    """Parse a record that must use all its bytes."""
     try:
         return parse(kind, body)
     except PARSE_ERRORS as error:
@@ -349,13 +355,13 @@ def _vouched(record: Metadata) -> bool:
 
 
 def _next_record(data: memoryview, position: int, index: Index | None) -> int | None:
-    """Find where the log can be read on behind a damaged `position`."""
+    """Return the position after a damaged one at which reading can continue; None if there is none."""
     if index is not None:
         return next((offset for offset in index.offsets if offset > position), None)
     if len(data) - position >= RECORD_HEADER.size:
-        behind = position + RECORD_HEADER.size + RECORD_HEADER.unpack_from(data, position)[1]
-        if _may_begin_record(data, behind):
-            return int(behind)
+        after_record = position + RECORD_HEADER.size + RECORD_HEADER.unpack_from(data, position)[1]
+        if _may_begin_record(data, after_record):
+            return int(after_record)
     landmark = _LANDMARK.search(data, position + 1)
     return landmark.start() if landmark is not None else None
 

@@ -1,11 +1,9 @@
 """Layout of a log's messages: one fixed layout per tick, JSON for all rarer messages.
 
-Ticks are ROS 2 messages (``ros2msg`` schema, ``cdr`` encoding), chosen because Foxglove, PlotJuggler and
-Rerun all read it; of ROS 1 encodings Rerun reads none and PlotJuggler's author has dropped support. Every
-telemetry channel of the declaration is a field; the angle of an encoder follows its count. Fields are
-ordered by size, so that CDR's alignment adds no padding and the payload maps onto one numpy record behind its
-four-byte header. ROS 2 takes no capitals in field names (Foxglove refuses the whole schema): volts are
-spelled ``_volt``.
+Ticks are ROS 2 messages (``ros2msg`` schema, ``cdr`` encoding), because Foxglove, PlotJuggler and Rerun all
+read this format. Each telemetry channel of the declaration is a field; the angle of an encoder follows its
+count. Fields are ordered by size, so that CDR's alignment adds no padding, and the payload after its header
+of four bytes is one numpy record. ROS 2 permits no capitals in field names, so volts are spelled ``_volt``.
 """
 
 from __future__ import annotations
@@ -95,12 +93,12 @@ _CONSTANT = re.compile(r"(\w+)\s+([A-Z]\w*)\s*=\s*(-?\d+)")
 
 @dataclass(frozen=True)
 class MessageLayout:
-    """Where the fields of a fixed-size message are, and the constants that name its values.
+    """Positions of the fields in a message of fixed size, and the constants that name its values.
 
     Parameters
     ----------
     dtype : numpy.dtype
-        Structured type of one payload behind the CDR header, with CDR's alignment.
+        Structured type of one payload after the CDR header, with CDR's alignment.
     constants : dict of str to int
         Named constants of the schema, such as ``STATE_HOLD``.
     """
@@ -130,20 +128,20 @@ def parse_layout(text: str) -> MessageLayout:
     Parameters
     ----------
     text : str
-        The definition, one field or constant a line.
+        The definition, with one field or constant per line.
 
     Raises
     ------
     LogError
-        If it has a field that is not a plain number: an array, a string or another message.
+        If a field is not a plain number, but an array, a string or another message.
     """
     names: list[str] = []
     formats: list[str] = []
     offsets: list[int] = []
     constants: dict[str, int] = {}
     end = 0
-    for raw in text.splitlines():
-        line = raw.partition("#")[0].strip()
+    for source_line in text.splitlines():
+        line = source_line.partition("#")[0].strip()
         if not line:
             continue
         constant = _CONSTANT.fullmatch(line)
@@ -192,7 +190,7 @@ _WORDS = {code: word for word, code in _TYPES.items() if word not in ("bool", "b
 
 @dataclass(frozen=True)
 class _Field:
-    """One field of a tick: its numpy type, what it is, and the constants that name its values."""
+    """One field of a tick: its numpy type, its description, and the constants that name its values."""
 
     code: str
     name: str

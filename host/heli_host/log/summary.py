@@ -39,14 +39,14 @@ class FlightSummary:
     Parameters
     ----------
     outcome : str
-        ``completed``, ``not_tracked`` and where, ``recorded`` without a plan, or in one line what ended the
-        flight.
+        ``completed``; ``not_tracked`` with the axis; ``recorded`` without a plan; or one line with the reason
+        why the flight ended.
     duration_s : float
         Device time from the first tick logged to the last.
     ticks_logged, ticks_lost : int
-        Ticks in the log, and those missing between them.
+        Ticks in the log, and ticks that are missing between them.
     rms_error_deg, max_error_deg : Mapping[str, float or None]
-        Tracking error by axis; None for an axis that was never closed.
+        Tracking error by axis; None for an axis that was never in closed loop.
     link : Mapping[str, int]
         ``frames_ok``, ``frames_bad``, ``retries``, ``reconnects`` and other counters.
     plans : tuple of str
@@ -56,7 +56,7 @@ class FlightSummary:
     events : tuple of Mapping
         ``t_s``, ``name``, ``text`` of every event.
     notes : tuple of str
-        What is wrong with the log, if anything.
+        Defects of the log.
     log : str
         Path of the log.
     findings : tuple of FlightFinding

@@ -1,4 +1,4 @@
-"""Flights as tables: .csv and .csv.gz, in and out.
+"""Write flights as tables, .csv or .csv.gz, and read them.
 
 The table has a header line and numbers only, so that every program reads it without options. Notes such as
 parameters, plan and events are in a text file next to it. Older tables hold them in lines that begin with #.
@@ -33,7 +33,7 @@ from heli_host.flight import (
 )
 
 _FORMATS = {"t_s": "%.6f", "front_V": "%.6f", "back_V": "%.6f"} | dict.fromkeys(STATUS_COLUMNS, "%d")
-# Ten digits tell all numbers of 32 bits apart, whatever their scale.
+# Ten digits distinguish all numbers of 32 bits at any scale.
 _FORMATS |= {spec.column: "%.10g" for spec in CHANNELS if spec.column not in OWN_COLUMNS}
 _FORMATS |= {spec.field: "%d" for spec in CHANNELS if spec.axis is not None}
 _NUMBER_FORMAT = "%.9f"
@@ -93,7 +93,7 @@ def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
     FlightDataError
         As `heli_host.log.flight_file.read_flight` says.
     """
-    lines = _take_apart(_read_bytes(path), path)
+    lines = _split_lines(_read_bytes(path), path)
     _check_names(lines.names, path)
     numbers, names = _read_numbers(lines, path)
     columns = dict(zip(names, numbers.T, strict=True))
@@ -178,6 +178,7 @@ def _read_notes(path: Path) -> list[str]:
 def _write_rows(
     file: Any, notes: Sequence[str], names: Sequence[str], row_format: str, table: NDArray[np.float64]
 ) -> None:
+    """Write notes, names and rows, many rows per call for speed."""
     file.write("".join(line + "\n" for line in (*notes, ",".join(names))).encode())
     for start in range(0, len(table), _ROWS_A_BLOCK):
         block = table[start : start + _ROWS_A_BLOCK]
@@ -214,7 +215,7 @@ def _read_bytes(path: Path) -> bytes:
     return data
 
 
-def _take_apart(data: bytes, path: Path) -> _Lines:
+def _split_lines(data: bytes, path: Path) -> _Lines:
     """Split a CSV file into notes (lines that begin with #), column names and rows of text."""
     data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if not data.strip():
@@ -243,18 +244,19 @@ def _take_apart(data: bytes, path: Path) -> _Lines:
         return _Lines(tuple(notes), names, body, number + 1, ())
     row_lines: list[bytes] = []
     note_lines: list[int] = []
-    for offset, raw in enumerate(body.split(b"\n")):
-        if raw.lstrip().startswith(b"#"):
-            notes.append(raw.lstrip()[1:].decode("utf-8", errors="replace").strip())
+    for offset, line_bytes in enumerate(body.split(b"\n")):
+        if line_bytes.lstrip().startswith(b"#"):
+            notes.append(line_bytes.lstrip()[1:].decode("utf-8", errors="replace").strip())
             note_lines.append(number + 1 + offset)
-        elif raw.strip():
-            row_lines.append(raw)
+        elif line_bytes.strip():
+            row_lines.append(line_bytes)
         else:
             note_lines.append(number + 1 + offset)
     return _Lines(tuple(notes), names, b"\n".join(row_lines), number + 1, tuple(note_lines))
 
 
 def _check_names(names: tuple[str, ...], path: Path) -> None:
+    """Raise a FlightDataError for a missing or repeated column."""
     missing = [name for name in REQUIRED_COLUMNS if name not in names]
     if missing:
         raise FlightDataError(f"{path}: column {missing[0]} is missing", _missing_remedy(missing[0], names))
@@ -329,15 +331,16 @@ def _load(body: bytes, width: int, keep: list[int]) -> NDArray[np.float64]:
 
 
 def _find_bad_cell(lines: _Lines, keep: list[int]) -> tuple[int, int, str]:
-    """Return row, column and text of the first cell that is not a number; column -1: the row has ``text``
-    cells.
+    """Return row, column and text of the first cell that is not a number.
+
+    Column -1 means that the row has a wrong number of cells; the text is then this number.
     """
-    for row, raw in enumerate(lines.body.split(b"\n")):
-        if not raw.strip():
+    for row, line_bytes in enumerate(lines.body.split(b"\n")):
+        if not line_bytes.strip():
             continue
-        if raw.count(b",") + 1 != len(lines.names):
-            return row, -1, str(raw.count(b",") + 1)
-        cells = raw.decode("latin-1").split(",")
+        if line_bytes.count(b",") + 1 != len(lines.names):
+            return row, -1, str(line_bytes.count(b",") + 1)
+        cells = line_bytes.decode("latin-1").split(",")
         for column in keep:
             if not _is_number(cells[column]):
                 return row, column, cells[column].strip()[:40]
@@ -345,11 +348,9 @@ def _find_bad_cell(lines: _Lines, keep: list[int]) -> tuple[int, int, str]:
 
 
 def _build(columns: dict[str, NDArray[np.float64]], notes: tuple[str, ...]) -> Flight:
-    """Build a flight from columns and from the notes of the file: parameters, names of states, events and
-    plan.
-    """
+    """Build a flight from columns and notes, which contain parameters, names of states, events and plan."""
     meta: dict[str, str] = {}
-    free: list[str] = []
+    other_notes: list[str] = []
     plan: list[str] = []
     parameters: dict[str, float] = {}
     events: list[FlightEvent] = []
@@ -360,24 +361,24 @@ def _build(columns: dict[str, NDArray[np.float64]], notes: tuple[str, ...]) -> F
             continue
         match = _NOTE.fullmatch(note)
         if match is None:
-            free.append(note)
+            other_notes.append(note)
             continue
         key, value = match.group(1), match.group(2)
-        room, _, name = key.partition(".")
-        if room == "parameter" and name and _is_number(value):
+        prefix, _, name = key.partition(".")
+        if prefix == "parameter" and name and _is_number(value):
             parameters[name] = float(value)
-        elif room in names and name.isascii() and name.isdigit():
-            names[room][int(name)] = value
-        elif room == "event" and name and _is_number(value.partition(" ")[0]):
+        elif prefix in names and name.isascii() and name.isdigit():
+            names[prefix][int(name)] = value
+        elif prefix == "event" and name and _is_number(value.partition(" ")[0]):
             moment, _, text = value.partition(" ")
             events.append(FlightEvent(float(moment), name, text))
         elif key in meta:
-            free.append(note)
+            other_notes.append(note)
         else:
             meta[key] = value
-    if free:
-        meta["notes"] = "\n".join(free)
-    own: dict[str, Any] = {
+    if other_notes:
+        meta["notes"] = "\n".join(other_notes)
+    flight_columns: dict[str, Any] = {
         name: np.ascontiguousarray(columns[name])
         for name in REQUIRED_COLUMNS + SETPOINT_COLUMNS
         if name in columns
@@ -385,11 +386,11 @@ def _build(columns: dict[str, NDArray[np.float64]], notes: tuple[str, ...]) -> F
     extra: dict[str, NDArray[np.float64]] = {}
     for name, column in columns.items():
         if name in STATUS_COLUMNS and _fits_a_byte(column):
-            own[name] = column.astype(np.uint8)
-        elif name not in own:
+            flight_columns[name] = column.astype(np.uint8)
+        elif name not in flight_columns:
             extra[name] = np.ascontiguousarray(column)
     return Flight(
-        **own,
+        **flight_columns,
         state_names=names["state"],
         fault_names=names["fault"],
         events=tuple(events),

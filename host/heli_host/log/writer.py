@@ -50,13 +50,13 @@ class LogCounters:
     Parameters
     ----------
     ticks_logged : int
-        Ticks written or waiting to be.
+        Ticks that are written, or wait for the disk.
     ticks_lost : int
         Gaps in the tick numbers between the first and the last tick logged.
     ticks_dropped : int
-        Ticks that came and were not logged, because more waited for a blocked disk than may.
+        Ticks that were not logged, because too many waited for a blocked disk.
     events_logged : int
-        Events written or waiting to be.
+        Events that are written, or wait for the disk.
     bytes_written : int
         Size of the file so far.
     """
@@ -111,7 +111,7 @@ class LogWriter:
         self._bytes = McapBytes(start_wall_ns, rad_per_count, level)
         self._pending: list[TickBatch | JsonMessage] = []
         self._pending_ticks = 0
-        self._unplaced: list[tuple[NDArray[np.uint32], NDArray[np.int32]]] = []
+        self._untimed: list[tuple[NDArray[np.uint32], NDArray[np.int32]]] = []
         self._closed = False
         self._data_crc = 0
         self._lock = threading.RLock()
@@ -141,7 +141,7 @@ class LogWriter:
     def counters(self) -> LogCounters:
         """A copy of the counters."""
         with self._lock:
-            self._place()
+            self._assign_times()
             return replace(self._counters)
 
     def write_ticks(self, tick: NDArray[np.uint32], raw: NDArray[np.int32]) -> None:
@@ -167,7 +167,7 @@ class LogWriter:
             start = 0
             while start < tick.size:
                 stop = min(tick.size, start + CHUNK_TICKS - self._pending_ticks)
-                self._unplaced.append((tick[start:stop], raw[start:stop]))
+                self._untimed.append((tick[start:stop], raw[start:stop]))
                 self._pending_ticks += stop - start
                 start = stop
                 if self._pending_ticks >= CHUNK_TICKS:
@@ -182,7 +182,7 @@ class LogWriter:
             Seconds from the last tick to the first of the restarted board.
         """
         with self._lock:
-            self._place()
+            self._assign_times()
             self._clock.skip(gap_s)
 
     def write_event(self, tick: int, name: str, text: str, level: int = LEVEL_INFO) -> None:
@@ -200,7 +200,7 @@ class LogWriter:
             Severity as in ``foxglove.Log``: 2 information, 3 warning, 4 error.
         """
         with self._lock:
-            self._place()
+            self._assign_times()
             time_us = self._clock.time_us(tick)
             wall_ns = self._bytes.wall_ns(time_us)
             body = {
@@ -225,7 +225,7 @@ class LogWriter:
             Counters of both ends by name.
         """
         with self._lock:
-            self._place()
+            self._assign_times()
             time_us = self._clock.time_us(tick)
             body = json_bytes({"t_s": time_us / 1e6, **counters})
             self._pending.append(JsonMessage(LINK_CHANNEL, time_us, body))
@@ -259,7 +259,7 @@ class LogWriter:
         """
         with self._lock:
             self._tell_stalls()
-            self._place()
+            self._assign_times()
             pending, self._pending, self._pending_ticks = self._pending, [], 0
             if not self._file.has_room:
                 self._drop(pending)
@@ -306,22 +306,22 @@ class LogWriter:
             self.write_event(self._last_tick, TICKS_DROPPED, text, LEVEL_ERROR)
 
     def _drop(self, pending: list[TickBatch | JsonMessage]) -> None:
-        """Count the ticks and discard them; keep the messages, which are few, until there is room."""
-        dropped = sum(int(part.tick.size) for part in pending if isinstance(part, TickBatch))
-        self._dropping += dropped
-        self._counters.ticks_dropped += dropped
-        self._counters.ticks_logged -= dropped
-        self._counters.ticks_lost += dropped
+        """Discard pending ticks and count them, because the disk is blocked; keep the newest messages."""
+        dropped_ticks = sum(int(part.tick.size) for part in pending if isinstance(part, TickBatch))
+        self._dropping += dropped_ticks
+        self._counters.ticks_dropped += dropped_ticks
+        self._counters.ticks_logged -= dropped_ticks
+        self._counters.ticks_lost += dropped_ticks
         messages = [part for part in pending if isinstance(part, JsonMessage)]
         self._pending = [*messages[-_MAX_MESSAGES:]]
 
-    def _place(self) -> None:
-        """Give the ticks of many small batches their times at once: one by one it would cost 1 us a tick."""
-        if not self._unplaced:
+    def _assign_times(self) -> None:
+        """Compute the times of the ticks in all waiting batches together, which is faster than one by one."""
+        if not self._untimed:
             return
-        tick = np.concatenate([batch[0] for batch in self._unplaced])
-        raw = np.concatenate([batch[1] for batch in self._unplaced])
-        self._unplaced.clear()
+        tick = np.concatenate([batch[0] for batch in self._untimed])
+        raw = np.concatenate([batch[1] for batch in self._untimed])
+        self._untimed.clear()
         time_us, lost = self._clock.advance(tick)
         self._counters.ticks_logged += int(tick.size)
         self._counters.ticks_lost += lost
@@ -329,7 +329,7 @@ class LogWriter:
         self._pending.append(TickBatch(time_us, tick, raw))
 
     def _write(self, data: bytes) -> None:
-        """Append whole records; after a failure nothing more follows."""
+        """Append whole records to the file, and count their bytes."""
         self._file.append(data)
         self._counters.bytes_written += len(data)
         self._data_crc = zlib.crc32(data, self._data_crc)

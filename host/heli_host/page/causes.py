@@ -46,7 +46,7 @@ def cause(text: str, absence: str = "") -> str:
     text : str
         Text of an event, such as ``"state hold, because of stale_hold"``.
     absence : str
-        Why the pilot's page sends no setpoints, if it sends none; it replaces "no setpoint arrived".
+        Why the pilot's page sends no setpoints; empty if it does. It replaces "no setpoint arrived".
     """
     names = _CAUSE.findall(text)
     return _words(names[0], absence) if names else ""
@@ -60,15 +60,15 @@ def in_words(text: str, absence: str = "") -> str:
     text : str
         Text of an event or outcome of a flight.
     absence : str
-        Why the pilot's page sends no setpoints, if it sends none.
+        Why the pilot's page sends no setpoints; empty if it does.
 
     Examples
     --------
     >>> in_words("state hold, because of stale_hold", "the pilot's page was closed")
     "state hold: the pilot's page was closed"
     """
-    plain = _CAUSE.sub(lambda match: f": {_words(match[1], absence)}", text)
-    return _STATE.sub(lambda match: match[0].replace("_", " "), plain)
+    with_cause = _CAUSE.sub(lambda match: f": {_words(match[1], absence)}", text)
+    return _STATE.sub(lambda match: match[0].replace("_", " "), with_cause)
 
 
 def _trigger(name: str) -> Trigger | None:
@@ -76,6 +76,7 @@ def _trigger(name: str) -> Trigger | None:
 
 
 def _words(name: str, absence: str) -> str:
+    """Return a trigger in words; one that means "no setpoint arrived" becomes `absence`."""
     trigger = _trigger(name)
     if trigger is None:
         return name.replace("_", " ")

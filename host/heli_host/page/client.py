@@ -9,7 +9,7 @@ import contextlib
 import json
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType, TracebackType
 from typing import Any, Final, Self
 from urllib.parse import parse_qs, urlsplit
@@ -51,7 +51,7 @@ class PageClient:
 
     Parameters
     ----------
-    opened : ExitStack
+    stack : ExitStack
         Closes the socket.
     socket : ClientConnection
         Open socket that the server has accepted.
@@ -59,19 +59,19 @@ class PageClient:
         URL of the server's socket for the stop.
     """
 
-    def __init__(self, opened: contextlib.ExitStack, socket: ClientConnection, stop_address: str) -> None:
-        self._opened, self._socket = opened, socket
+    def __init__(self, stack: contextlib.ExitStack, socket: ClientConnection, stop_address: str) -> None:
+        self._opened, self._socket = stack, socket
         self._stop_address = stop_address
         self._buffer = TelemetryBuffer(round(KEPT_S / TICK_S))
-        self._known: dict[str, Any] = {}
+        self._news: dict[str, Any] = {}
         self._values: dict[str, float] = {}
         self._answers: dict[int, Mapping[str, Any]] = {}
         self._number = 0
-        self._over = False
+        self._is_closed = False
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._read, name="heli-host joined", daemon=True)
         self._thread.start()
-        if not self._wait(lambda: "hello" in self._known and "control" in self._known, _OPEN_S):
+        if not self._wait(lambda: "hello" in self._news and "control" in self._news, _OPEN_S):
             self.close()
             raise LinkError("the dashboard refused the connection", "give the whole address that it printed")
 
@@ -91,7 +91,7 @@ class PageClient:
     @property
     def state(self) -> State:
         """State of the board's supervisor, at most about 0.5 s old."""
-        state = self._known["status"]["state"]
+        state = self._news["status"]["state"]
         if state not in list(State):
             raise LinkError("no sample has come from the board yet", "wait a moment, then try again")
         return State(state)
@@ -99,12 +99,12 @@ class PageClient:
     @property
     def status(self) -> Mapping[str, Any]:
         """Newest status that the server sent: state, fault, link, recording, flight."""
-        return MappingProxyType(dict(self._known["status"]))
+        return MappingProxyType(dict(self._news["status"]))
 
     @property
     def flies(self) -> bool:
         """Whether this program is the pilot."""
-        return bool(self._known["control"]["pilot"] == self._known["hello"]["you"])
+        return bool(self._news["control"]["pilot"] == self._news["hello"]["you"])
 
     def samples(self, last_s: float = 10.0) -> Samples:
         """Return the newest samples, oldest first: one per tick of 1 ms, or fewer if this program is slow.
@@ -150,8 +150,8 @@ class PageClient:
         """
         if self.ask("ask").get("granted"):
             return True
-        mine = self._known["hello"]["you"]
-        self._wait(lambda: self.flies or self._known["control"]["asking"] != mine, timeout_s)
+        mine = self._news["hello"]["you"]
+        self._wait(lambda: self.flies or self._news["control"]["asking"] != mine, timeout_s)
         return self.flies
 
     def setpoint(self, *, elevation_deg: float | None = None, travel_deg: float | None = None) -> None:
@@ -162,8 +162,8 @@ class PageClient:
         elevation_deg, travel_deg : float or None
             Targets [deg]; None leaves a target unchanged.
         """
-        given = {"elevation_deg": elevation_deg, "travel_deg": travel_deg}
-        self.ask("setpoint", **{name: value for name, value in given.items() if value is not None})
+        targets = {"elevation_deg": elevation_deg, "travel_deg": travel_deg}
+        self.ask("setpoint", **{name: value for name, value in targets.items() if value is not None})
 
     def mark(self, text: str) -> None:
         """Write a mark into the log, if one is recorded, and show it on every page.
@@ -266,7 +266,7 @@ class PageClient:
         LinkError
             The board was in none of these states in time.
         """
-        if not self._wait(lambda: self._known["status"]["state"] in states, timeout_s):
+        if not self._wait(lambda: self._news["status"]["state"] in states, timeout_s):
             names = " or ".join(str(state) for state in states)
             raise LinkError(
                 f"the board is {self.state}, not {names}, after {timeout_s:g} s",
@@ -283,14 +283,14 @@ class PageClient:
         if threading.current_thread() is not self._thread:
             self._thread.join(_OPEN_S)
 
-    def _wait(self, so: Any, timeout_s: float) -> bool:
-        """Wait until the condition `so` holds; return False if it does not in time, or the page is gone."""
+    def _wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until `condition` is true; return False if that takes too long, or if the page is gone."""
         end_s = time.monotonic() + timeout_s
         with self._changed:
-            while not so():
+            while not condition():
                 left_s = end_s - time.monotonic()
-                # A limit that is not a number has passed already.
-                if not left_s > 0.0 or self._over:
+                # Written so that a time limit of nan counts as passed.
+                if not left_s > 0.0 or self._is_closed:
                     return False
                 self._changed.wait(min(left_s, _LOOK_S))
         return True
@@ -306,10 +306,11 @@ class PageClient:
                 with self._changed:
                     self._changed.notify_all()
         with self._changed:
-            self._over = True
+            self._is_closed = True
             self._changed.notify_all()
 
     def _take_rows(self, frame: bytes) -> None:
+        """Add the rows of a frame to the buffer, and acknowledge the frame."""
         rows = unpack(frame)
         if rows.flags & RESET and len(rows.tick):
             self._buffer.clear()
@@ -323,7 +324,7 @@ class PageClient:
                 self._answers[int(words["answer"])] = words
             for name in ("hello", "status", "control"):
                 if name in words:
-                    self._known[name] = words[name]
+                    self._news[name] = words[name]
             values = words.get("values", words.get("hello", {}).get("values"))
             if values is not None:
                 self._values = values
@@ -335,7 +336,7 @@ def _as_json(request: Mapping[str, Any]) -> str:
         words = json.dumps(request)
     except (TypeError, ValueError, RecursionError) as error:
         raise PageError(f"JSON cannot hold the request: {error}", "give numbers, texts and lists") from None
-    # The server cannot read the number of a longer one, and so cannot answer it.
+    # The server does not parse a longer request, so that it cannot answer with the number of the request.
     if len(words) > LONGEST_REQUEST:
         raise PageError(
             f"a request of {len(words)} characters is too long", f"send at most {LONGEST_REQUEST}"
@@ -370,10 +371,10 @@ def join(address: str) -> PageClient:
     ...     flown = flight.samples(last_s=20.0)
     """
     try:
-        parts = urlsplit(address)
-        token = parse_qs(parts.query).get("token", [""])[0]
-        is_address = address.startswith((SCHEME, "http://")) and parts.hostname and parts.port != 0 and token
-    # Of half a bracket, and of a port beyond 65535.
+        url = urlsplit(address)
+        token = parse_qs(url.query).get("token", [""])[0]
+        is_address = address.startswith((SCHEME, "http://")) and url.hostname and url.port != 0 and token
+    # urlsplit raises ValueError for an unbalanced bracket, and for a port above 65535.
     except ValueError:
         is_address = False
     if not is_address:
@@ -381,17 +382,15 @@ def join(address: str) -> PageClient:
             f"{printable(address)} is not the address of a dashboard",
             "give the whole address that heli-host dashboard printed",
         )
-    base = f"ws://{parts.netloc}"
-    with contextlib.ExitStack() as opened:
+    base = f"ws://{url.netloc}"
+    with contextlib.ExitStack() as stack:
         address = f"{base}/ws?role=program&token={token}"
         try:
-            socket = opened.enter_context(
-                connect(address, open_timeout=_OPEN_S, compression=None, proxy=None)
-            )
+            socket = stack.enter_context(connect(address, open_timeout=_OPEN_S, compression=None, proxy=None))
         # UnicodeError: a name that no computer has.
         except (OSError, TimeoutError, WebSocketException, UnicodeError) as error:
             raise LinkError(
-                f"{parts.netloc} refuses the connection",
+                f"{url.netloc} refuses the connection",
                 "check that heli-host dashboard runs, and give its whole address",
             ) from error
-        return PageClient(opened.pop_all(), socket, f"{base}/stop?token={token}")
+        return PageClient(stack.pop_all(), socket, f"{base}/stop?token={token}")

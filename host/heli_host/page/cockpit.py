@@ -44,10 +44,11 @@ if TYPE_CHECKING:
     from heli_host.link.telemetry import Ticks
     from heli_host.twins import TwinNews, TwinWatch
 
-_HEARD_S = 0.5
-"""Greatest age of the newest tick at which its state counts as the present state [s]. It equals
-`heli_host.page.control_lease.PRESENT_S`. Shorter: a busy computer makes the state unknown. Longer: a page
-shows a board as idle that may have begun to fly."""
+_MAX_SAMPLE_AGE_S = 0.5
+"""Largest age of the newest tick at which its state counts as the present state [s].
+
+It equals `heli_host.page.control_lease.PRESENT_S`. With a shorter time, a busy computer would make the state
+unknown; with a longer one, a page might show "idle" although the board has begun to fly."""
 
 
 class Cockpit:
@@ -107,9 +108,9 @@ class Cockpit:
         self._flight = FlightRequests(heli, plans, self._law, self._recording, self._pilot)
         self._parameters = ParameterEdits(heli, self._recording, self._tell_parameters)
         self._signals: dict[str, str] = {}
-        self._heard_s = -math.inf
+        self._last_sample_s = -math.inf
         flight, parameters = self._flight, self._parameters
-        anybody, pilot, tuner = Role.OBSERVER, Role.PILOT, Role.TUNER
+        observer, pilot, tuner = Role.OBSERVER, Role.PILOT, Role.TUNER
         self.actions: Mapping[str, Action] = {
             "take_off": Action(flight.take_off, CommandQueue.FLIGHT, pilot),
             "fly": Action(flight.fly, CommandQueue.FLIGHT, pilot),
@@ -124,8 +125,8 @@ class Cockpit:
             "law": Action(self._choose_law, CommandQueue.QUICK, pilot),
             "set_law": Action(self._set_law, CommandQueue.QUICK, tuner),
             "record": Action(self._record, CommandQueue.QUICK, pilot),
-            "mark": Action(self._recording.mark, CommandQueue.QUICK, anybody),
-            "signal": Action(self._recording.signal, CommandQueue.QUICK, anybody),
+            "mark": Action(self._recording.mark, CommandQueue.QUICK, observer),
+            "signal": Action(self._recording.signal, CommandQueue.QUICK, observer),
         }
         self._twin = twin
         if twin is not None:
@@ -174,7 +175,7 @@ class Cockpit:
     def state(self) -> tuple[int, int]:
         """Return the numbers of state and fault in the newest tick; `UNKNOWN` if that is older than 0.5 s."""
         newest = self._session.latest
-        if newest is None or time.monotonic() - self._heard_s > _HEARD_S:
+        if newest is None or time.monotonic() - self._last_sample_s > _MAX_SAMPLE_AGE_S:
             return UNKNOWN
         return int(newest[1][Channel.STATE]), int(newest[1][Channel.FAULT])
 
@@ -259,6 +260,7 @@ class Cockpit:
         return self._law.choose(text(arguments, "name") if arguments.get("name") else "")
 
     def _set_law(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Run the request ``set_law``: change a parameter of the chosen control law."""
         name = text(arguments, "name")
         before, after = self._law.set(name, number(arguments, "value"))
         self._recording.announce("parameter", f"{self._law.chosen} {name}: {before:g} -> {after:g}")
@@ -291,7 +293,7 @@ class Cockpit:
         self._feed.add(news.tick, EVENT, news.text)
 
     def _take_ticks(self, ticks: Ticks) -> None:
-        self._heard_s = time.monotonic()
+        self._last_sample_s = time.monotonic()
         self.buffer.append(self._session.ticks_counted_on(ticks), ticks.raw)
 
     def _take_event(self, event: LinkEvent) -> None:

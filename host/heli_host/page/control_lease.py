@@ -6,10 +6,13 @@ import threading
 from dataclasses import dataclass
 
 PRESENT_S = 0.5
-"""Greatest age of the pilot's last sign of life at which setpoints are sent [s]. Ten signs are due in that
-time. After it the board gets no setpoints: it holds level after ``setpoint_hold_s`` more, and lands after
-``setpoint_land_s``. A page that was closed or has crashed counts as absent immediately, because its socket
-closes. Shorter: a busy browser interrupts the flight. Longer: a dead page keeps flying for longer."""
+"""Largest age of the pilot's last sign of life at which setpoints are sent [s].
+
+A page sends ten signs of life in that time. When they stop, the board gets no more setpoints: it holds level
+after another ``setpoint_hold_s``, and lands after ``setpoint_land_s``. A page that was closed or has crashed
+counts as absent immediately, because its socket closes. With a shorter time, a busy browser would interrupt
+the
+flight; with a longer one, a frozen page would keep the board flying for longer."""
 ABSENT_S = 3.0
 """Absence of the pilot after which another client gets control without the pilot's answer [s]. Shorter: a
 page that is reloaded loses control. Longer: a dead page keeps control."""
@@ -63,8 +66,8 @@ class ControlLease:
             False if a client with this id is connected already; nothing is changed then.
         """
         with self._lock:
-            known = self._clients.get(client)
-            if known is not None and known.connected:
+            registered = self._clients.get(client)
+            if registered is not None and registered.connected:
                 return False
             self._clients[client] = _Client(name, may_fly, True, now_s)
             if self.pilot is None and may_fly:
@@ -199,8 +202,8 @@ class ControlLease:
             Id of the client.
         """
         with self._lock:
-            known = self._clients.get(client or "")
-            return known.name if known is not None else ""
+            registered = self._clients.get(client or "")
+            return registered.name if registered is not None else ""
 
     def count(self) -> int:
         """Return the number of connected clients."""

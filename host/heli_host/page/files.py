@@ -14,7 +14,7 @@ from starlette.responses import PlainTextResponse, Response
 _PACKED = ".gz"
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _HEADERS = {
-    # A page of this package loads nothing from elsewhere, and what would make it is refused.
+    # The policy forbids the page to load anything from another server, even if its code were changed.
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "Cache-Control": "no-cache",
@@ -33,7 +33,7 @@ def page_file(path: str, headers: Mapping[str, str]) -> Response:
     headers : Mapping of str to str
         Headers of the request.
     """
-    # Only names that were listed: what a client writes never becomes a name in the file system.
+    # Only listed names are served, so that no text of a client becomes a path in the file system.
     stored = _stored().get(path or "index.html")
     if stored is None:
         return PlainTextResponse("there is no such file\n", 404)

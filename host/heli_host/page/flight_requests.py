@@ -165,6 +165,7 @@ class FlightRequests:
 
     @contextlib.contextmanager
     def _busy(self, doing: str) -> Iterator[None]:
+        """Show clients which request is in progress while the block runs."""
         self.doing = doing
         try:
             yield

@@ -48,29 +48,31 @@ class Guard:
             True if it must carry the token, which is then checked first.
         """
         if needs_token and not self._has_token(connection):
-            words = "open the whole address that heli-host dashboard printed: it carries a token\n"
-            return PlainTextResponse(words, 403)
+            message = "open the whole address that heli-host dashboard printed: it carries a token\n"
+            return PlainTextResponse(message, 403)
         if (length := len(connection.scope["path"])) > _LONGEST_PATH:
             self._warn(connection, f"its path has {length} characters")
             return PlainTextResponse("the path is too long\n", 414)
         host = connection.headers.get("host", "")
-        address = _split(host)
+        address = _parse_host(host)
         if address is None:
             self._warn(connection, f"its Host header is {host[:100]!r}")
             return PlainTextResponse("the Host header is not an address\n", 400)
         if self.host in LOCAL_HOSTS and (address.hostname or "") not in LOCAL_HOSTS:
             return PlainTextResponse(f"this page is served as {self.host} only\n", 421)
         origin = connection.headers.get("origin")
-        # A program sends none; a browser always does where it matters.
+        # Programs send no Origin header; browsers send it whenever a page of another origin asks.
         if origin is not None and not self._is_of(connection, origin, host):
             return PlainTextResponse("a page of another origin may not ask this\n", 403)
         return None
 
     def _has_token(self, connection: HTTPConnection) -> bool:
-        given = connection.query_params.get("token", "")
-        return secrets.compare_digest(given.encode(), self.token.encode())
+        """Whether a connection has the token; the duration of the comparison does not reveal the token."""
+        received = connection.query_params.get("token", "")
+        return secrets.compare_digest(received.encode(), self.token.encode())
 
     def _is_of(self, connection: HTTPConnection, origin: str, host: str) -> bool:
+        """Whether the page at `origin` comes from this server, which the client called `host`."""
         try:
             return urlsplit(origin).netloc.lower() == host.lower()
         except ValueError:
@@ -101,8 +103,8 @@ class Guard:
         return True
 
 
-def _split(host: str) -> SplitResult | None:
-    """Take a Host header apart; None where it is no address, such as ``[``."""
+def _parse_host(host: str) -> SplitResult | None:
+    """Parse a Host header; None if it is not an address, such as ``[``."""
     try:
         return urlsplit(f"//{host}")
     except ValueError:

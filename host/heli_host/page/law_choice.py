@@ -40,7 +40,7 @@ class LawChoice:
     Raises
     ------
     BadLaw
-        Two have the same name.
+        If two laws have the same name.
     """
 
     def __init__(self, heli: Heli, laws: Sequence[LawProgram]) -> None:
@@ -98,8 +98,8 @@ class LawChoice:
             The board's own law took over immediately.
         """
         if name and name not in self._laws:
-            known = ", ".join(self._laws) or "none was named: heli-host dashboard --law FILE.py"
-            raise ParameterError(f"unknown control law {name:.40}", f"choose from: {known}")
+            choices = ", ".join(self._laws) or "none was named: heli-host dashboard --law FILE.py"
+            raise ParameterError(f"unknown control law {name:.40}", f"choose from: {choices}")
         state = self._heli.state
         if not name:
             if self._flies:
@@ -179,9 +179,12 @@ class LawChoice:
         return newest is not None and bool(int(newest[1][Channel.FLAGS]) & Flags.LAW)
 
     def _change_in_flight(self, name: str) -> None:
-        """Let the board fly a control law that it has already; it accepts no other one in the air."""
-        has = loaded(self._heli.session)
-        if has.hash != self._laws[name].hash or has.state not in (LawState.READY, LawState.FLYING):
+        """Start the control law that the board already holds; in the air the board accepts no other law."""
+        board_law = loaded(self._heli.session)
+        if board_law.hash != self._laws[name].hash or board_law.state not in (
+            LawState.READY,
+            LawState.FLYING,
+        ):
             raise SetpointError(
                 f"the board has no control law {name}, and accepts one only on the table", "land first"
             )
@@ -189,6 +192,7 @@ class LawChoice:
             self._engage(name)
 
     def _engage(self, name: str) -> None:
+        """Start a law on the board, with the parameters that clients have changed."""
         law = self._laws[name]
         declared = dict(law.parameters)
         changed = {key: value for key, value in self._values[name].items() if value != declared[key]}

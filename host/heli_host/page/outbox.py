@@ -105,7 +105,8 @@ class Outbox:
                 await self.may_send.wait()
             cut = source.buffer.rows_since(position, MAX_MESSAGE_ROWS)
             now_s = time.monotonic()
-            # Without rows an empty frame asks for the sign of life: a board that is silent is no lost pilot.
+            # Without rows, an empty frame asks the client for its sign of life, so that a silent board does
+            # not make the pilot look absent.
             if len(cut.tick) or now_s - sent_s >= EMPTY_S:
                 self.sent, sent_s = self.sent + 1, now_s
                 await self.socket.send_bytes(pack(cut, self.sent, source.state()))

@@ -1,4 +1,4 @@
-"""Whether the pilot's page answers, and how its absence explains what the board did."""
+"""Watches whether the pilot's page answers, and explains by its absence why the board holds or lands."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 _LOOK_S = 0.2
 _SETTLED_LOOKS = 15
-"""Looks at a page that is there each time before plans begin: one that still loads is busy for a second,
-which is a missing pilot."""
+"""Number of successive checks at which the pilot's page must be present before plans begin. A page that still
+loads may not answer for a second."""
 
 
 class PilotWatch:
-    """Presence of the pilot's page, and causes of what the board does without it.
+    """Presence of the pilot's page, and the cause of the board's last change of state.
 
     It owns the cause of the board's last change of state. The server's lease decides whether the page is
     present. The session asks the same callable before each setpoint: see
@@ -68,12 +68,12 @@ class PilotWatch:
         bool
             False if the caller gave up.
         """
-        seen = 0
-        while seen < _SETTLED_LOOKS:
+        looks = 0
+        while looks < _SETTLED_LOOKS:
             if give_up():
                 return False
             time.sleep(_LOOK_S)
-            seen = seen + 1 if self._present() else 0
+            looks = looks + 1 if self._present() else 0
         return True
 
     def event_in_words(self, text: str) -> str:

@@ -64,9 +64,9 @@ class Replay:
         self.buffer = TelemetryBuffer(round(KEPT_S / TICK_S))
         self._log, self._rig = log, dict(rig)
         self._raw = log.raw
-        # The time of the log goes on over restarts of the board and over 2^32 ticks.
+        # The time of the log continues over restarts of the board and over 2^32 ticks.
         self._tick = np.rint(log.ticks["t_s"] / TICK_S).astype(np.int64)
-        self._at = 0
+        self._position = 0
         self._speed, self._playing = 1.0, True
         self._ended = threading.Event()
         self._lock = threading.Lock()
@@ -107,26 +107,26 @@ class Replay:
 
     def status(self) -> dict[str, Any]:
         """Return the present status of the replay as JSON; see `Source.status`."""
-        at = max(self._at - 1, 0)
+        row = max(self._position - 1, 0)
         state, fault = self.state()
         return {
             "state": state,
             "fault": fault,
             "connected": True,
-            "link": {"ticks": self._at, "lost_ticks": self._log.ticks_lost},
+            "link": {"ticks": self._position, "lost_ticks": self._log.ticks_lost},
             "recording": None,
             "trouble": "; ".join(self._log.notes),
             "doing": "",
             "flight": None,
-            "at_s": round(float(self._tick[at]) * TICK_S, 2),
+            "at_s": round(float(self._tick[row]) * TICK_S, 2),
             "playing": self._playing,
             "speed": self._speed,
         }
 
     def state(self) -> tuple[int, int]:
         """Return the numbers of state and fault in the log at the moment that is shown."""
-        at = max(self._at - 1, 0)
-        return int(self._raw[at, Channel.STATE]), int(self._raw[at, Channel.FAULT])
+        row = max(self._position - 1, 0)
+        return int(self._raw[row, Channel.STATE]), int(self._raw[row, Channel.FAULT])
 
     def listen(self, news: News) -> None:
         """Ignore the callback: a replay has only the events in its description.
@@ -183,33 +183,34 @@ class Replay:
 
     def _advance(self, ticks: int) -> None:
         """Pass the next `ticks` of the log to the page."""
-        if not ticks or self._at >= len(self._tick):
+        if not ticks or self._position >= len(self._tick):
             return
-        until = int(np.searchsorted(self._tick, self._tick[max(self._at - 1, 0)] + ticks, side="right"))
-        until = max(until, self._at + 1)
-        self.buffer.append(self._tick[self._at : until], self._raw[self._at : until])
-        self._at = min(until, len(self._tick))
-        if self._at >= len(self._tick):
+        until = int(np.searchsorted(self._tick, self._tick[max(self._position - 1, 0)] + ticks, side="right"))
+        until = max(until, self._position + 1)
+        self.buffer.append(self._tick[self._position : until], self._raw[self._position : until])
+        self._position = min(until, len(self._tick))
+        if self._position >= len(self._tick):
             self._playing = False
 
     def _play(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Run the request ``play``: start, pause or change the speed; at the end, start again."""
         if "speed" in arguments:
             self._speed = min(max(number(arguments, "speed"), 0.1), _MAX_SPEED)
         self._playing = bool(arguments.get("on", True))
-        if self._playing and self._at >= len(self._tick):
+        if self._playing and self._position >= len(self._tick):
             self._seek({"t_s": float(self._tick[0]) * TICK_S})
         return {}
 
     def _seek(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         """Run the request ``seek``: continue at another time of the log, with some seconds before it."""
         first_s, last_s = float(self._tick[0]) * TICK_S, float(self._tick[-1]) * TICK_S
-        # Any finite number may be asked for; far outside the log it would not fit into a tick.
+        # A client may ask for any finite time; one far outside the log would not fit into a tick.
         tick = round(min(max(number(arguments, "t_s"), first_s - 1.0), last_s + 1.0) / TICK_S)
         with self._lock:
-            self._at = int(np.clip(np.searchsorted(self._tick, tick), 0, len(self._tick)))
+            self._position = int(np.clip(np.searchsorted(self._tick, tick), 0, len(self._tick)))
             first = int(np.searchsorted(self._tick, tick - round(_BEFORE_S / TICK_S)))
             self.buffer.clear()
-            self.buffer.append(self._tick[first : self._at], self._raw[first : self._at])
+            self.buffer.append(self._tick[first : self._position], self._raw[first : self._position])
         return {}
 
 

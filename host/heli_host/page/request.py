@@ -11,8 +11,8 @@ from heli_host.errors import ParameterError
 from heli_host.page.source import finite
 
 LONGEST_REQUEST = 4096
-"""Greatest length of a request, in characters. Shorter: a mark of 200 escaped characters would not fit.
-Longer: one message could keep the event loop, and with it the stop, busy."""
+"""Largest length of a request in characters. A mark of 200 escaped characters must fit. A much longer message
+could keep the event loop busy, and so delay the stop."""
 
 _LONGEST_ID = 100
 
@@ -72,15 +72,15 @@ def read_request(words: str) -> PageRequest:
         raise BadRequest("the message is not JSON", "see docs/reference/dashboard-protocol.md", {}) from None
     if not isinstance(message, dict) or not isinstance(message.get("do"), str):
         raise BadRequest("the message is not a request", "see docs/reference/dashboard-protocol.md", {})
-    usable: dict[str, Any] = {}
+    actions: dict[str, Any] = {}
     for name in ("id", "do"):
         value = message.get(name)
         if value is not None and not _is_short(value):
-            raise BadRequest(f"{name} of the request is invalid", "send a text or an integer", usable)
-        _check(name, value, usable)
-        usable[name] = value
+            raise BadRequest(f"{name} of the request is invalid", "send a text or an integer", actions)
+        _check(name, value, actions)
+        actions[name] = value
     for name, value in message.items():
-        _check(name, value, usable)
+        _check(name, value, actions)
     return PageRequest(message["do"], message)
 
 
@@ -90,30 +90,33 @@ def _is_short(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _check(name: str, value: Any, usable: Mapping[str, Any]) -> None:
-    """Refuse what is in a value, however deep: other programs, logs and JSON have no place for it."""
+def _check(name: str, value: Any, actions: Mapping[str, Any]) -> None:
+    """Raise BadRequest if a value contains, at any depth, text or numbers that logs and JSON cannot store."""
     try:
         name.encode()
-        for part in _parts(value):
-            if isinstance(part, str):
-                part.encode()
-            elif isinstance(part, int | float):
-                finite(name, part)
+        for element in _elements(value):
+            if isinstance(element, str):
+                element.encode()
+            elif isinstance(element, int | float):
+                finite(name, element)
     except UnicodeEncodeError:
         cause = f"{name} holds half of a surrogate pair"
-        raise BadRequest(cause, "send text that UTF-8 can hold", usable) from None
+        raise BadRequest(cause, "send text that UTF-8 can hold", actions) from None
     except ParameterError as error:
-        raise BadRequest(error.cause, error.remedy, usable) from None
+        raise BadRequest(error.cause, error.remedy, actions) from None
 
 
-def _parts(value: Any) -> Iterator[Any]:
-    """All that is in a value of JSON; without recursion, because a message may be a thousand levels deep."""
-    waiting = [value]
-    while waiting:
-        part = waiting.pop()
-        if isinstance(part, dict):
-            waiting += [*part.keys(), *part.values()]
-        elif isinstance(part, list):
-            waiting += part
+def _elements(value: Any) -> Iterator[Any]:
+    """Yield all keys, texts and numbers in a JSON value, at any depth.
+
+    Without recursion, because a message may be a thousand levels deep.
+    """
+    pending = [value]
+    while pending:
+        element = pending.pop()
+        if isinstance(element, dict):
+            pending += [*element.keys(), *element.values()]
+        elif isinstance(element, list):
+            pending += element
         else:
-            yield part
+            yield element

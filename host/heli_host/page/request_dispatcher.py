@@ -1,4 +1,4 @@
-"""Requests of the clients: who may make them, in which thread they run, and what the client is answered."""
+"""Checks the requests of clients, runs each in its thread, and sends the answers."""
 
 from __future__ import annotations
 
@@ -107,6 +107,7 @@ class RequestDispatcher:
         self._broadcast.tell_all(lease_news(self._lease))
 
     async def _act(self, client: Outbox, name: str, action: Action, message: Mapping[str, Any]) -> None:
+        """Run an action of the source if the client may request it, and send the result or the error."""
         source, epoch = self._source, self._source.stop_epoch()
         if not self._allowed(client, action):
             pilot = self._lease.name(self._lease.pilot) or "no page"

@@ -69,7 +69,7 @@ class Service:
         self._status: Mapping[str, Any] = {}
         self._status_s = 0.0
         self._lease_status: Mapping[str, Any] = {}
-        self._names = 0
+        self._client_count = 0
         source.watch_pilot(
             lambda: self.lease.present(time.monotonic()), lambda: self.lease.absence(time.monotonic())
         )
@@ -89,6 +89,7 @@ class Service:
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, _: Starlette) -> Any:
+        """Watch the source while the web server runs."""
         self._broadcast.loop = asyncio.get_running_loop()
         task = asyncio.create_task(self._watch())
         try:
@@ -98,12 +99,14 @@ class Service:
             self._dispatcher.close()
 
     async def _serve_file(self, request: Request) -> Response:
+        """Answer a request for a static file."""
         path = request.path_params["path"]
-        # The page itself is for who has the token; its files hold nothing but what everybody can download.
+        # Only the page itself needs the token; its files are part of this public package.
         refusal = self._guard.refusal(request, needs_token=not path)
         return refusal if refusal is not None else page_file(path, request.headers)
 
     async def _serve_client(self, socket: WebSocket) -> None:
+        """Serve a client until one of its tasks ends, because it disconnected or failed."""
         if not await self._guard.admit(socket):
             return
         client = self._enter(socket)
@@ -112,31 +115,32 @@ class Service:
             self._broadcast.tell(client, self._hello(client))
             self._broadcast.add(client)
             self._broadcast.tell_all(lease_news(self.lease))
-            tasks = {asyncio.create_task(part) for part in self._parts(client)}
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
+            tasks = {asyncio.create_task(part) for part in self._client_tasks(client)}
+            finished, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in finished:
                 task.result()
-        except Exception as error:  # noqa: BLE001 - a client without a task for its news would show old news
-            await self._see_off(client, error)
+        except Exception as error:  # noqa: BLE001 - otherwise the client would stay open and show old news
+            await self._close_failed(client, error)
         finally:
             for task in tasks:
                 task.cancel()
-            # Two may have failed together: asyncio prints a trace for the one that is not looked at.
+            # Two tasks may fail together; asyncio prints a trace for an error that is not retrieved.
             await asyncio.gather(*tasks, return_exceptions=True)
             self._broadcast.remove(client)
             self.lease.leave(client.key)
             self._broadcast.tell_all(lease_news(self.lease))
 
-    def _parts(self, client: Outbox) -> Iterator[Coroutine[Any, Any, None]]:
+    def _client_tasks(self, client: Outbox) -> Iterator[Coroutine[Any, Any, None]]:
+        """Yield the tasks that serve a client: receive, send messages, send telemetry."""
         yield self._listen_to(client)
         yield client.send_words()
         if client.wants_rows:
             yield client.send_rows(self._source)
 
-    async def _see_off(self, client: Outbox, error: Exception) -> None:
+    async def _close_failed(self, client: Outbox, error: Exception) -> None:
         """Close the socket of a client whose task failed, and log why unless the client itself has gone."""
         states = (client.socket.client_state, client.socket.application_state)
-        # RuntimeError is Starlette's word for a socket that was closed in the meantime.
+        # Starlette raises RuntimeError if the socket was closed in the meantime.
         is_closed = isinstance(error, RuntimeError) and WebSocketState.DISCONNECTED in states
         if is_closed or isinstance(error, WebSocketDisconnect):
             return
@@ -149,11 +153,11 @@ class Service:
         query = socket.query_params
         is_program = query.get("role") == "program"
         key = printable(query.get("client", ""))[:40] or secrets.token_hex(8)
-        self._names += 1
-        name = f"{'program' if is_program else 'page'} {self._names}"
+        self._client_count += 1
+        name = f"{'program' if is_program else 'page'} {self._client_count}"
         now_s = time.monotonic()
         if not self.lease.join(key, name, now_s, may_fly=not is_program):
-            # A tab that was duplicated brings the other's id.
+            # A duplicated browser tab has the same id as the original.
             key = secrets.token_hex(8)
             self.lease.join(key, name, now_s, may_fly=not is_program)
         client = Outbox(socket, key, name)
@@ -161,6 +165,7 @@ class Service:
         return client
 
     def _hello(self, client: Outbox) -> dict[str, Any]:
+        """Return the first message to a client: the board, its status and the pilot."""
         described = self._source.describe()
         return {
             "hello": {"you": client.key, **described},
@@ -169,20 +174,24 @@ class Service:
         }
 
     async def _listen_to(self, client: Outbox) -> None:
+        """Process the messages of a client until it disconnects."""
         while True:
             message = await client.socket.receive()
             if message["type"] == "websocket.disconnect":
                 return
-            data, words = message.get("bytes"), message.get("text")
+            data, text = message.get("bytes"), message.get("text")
             if data is not None:
-                self._take_sign(client, data)
-            elif words is not None:
-                self._dispatcher.take(client, words)
+                self._take_acknowledgement(client, data)
+            elif text is not None:
+                self._dispatcher.take(client, text)
 
-    def _take_sign(self, client: Outbox, data: bytes) -> None:
-        """Four bytes: the number of the newest frame that was shown. It is also the sign of life."""
+    def _take_acknowledgement(self, client: Outbox, data: bytes) -> None:
+        """Process an acknowledgement, which is also a sign of life of the client.
+
+        Its four bytes are the number of the newest frame that the client has shown.
+        """
         if len(data) == 4:
-            # A page that was connected before may still answer for what it got then.
+            # A page that has reconnected may still acknowledge frames of its earlier connection.
             number = min(int.from_bytes(data, "little"), client.sent)
             client.acknowledged = max(client.acknowledged, number)
             client.may_send.set()

@@ -17,7 +17,7 @@ KEPT_S = 600.0
 """Length of the history that a newly opened page shows [s]. It takes 38 MB of memory."""
 
 UNKNOWN = (255, 0)
-"""State and fault that stand for "no telemetry": no supervisor state has the number 255."""
+"""State and fault that mean "no telemetry"; 255 is not the number of a supervisor state."""
 
 News = Callable[[Mapping[str, Any]], None]
 

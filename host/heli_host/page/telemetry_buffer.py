@@ -28,7 +28,7 @@ class BufferRows:
         True if rows are missing between the reader's position and the first of these: the buffer was cleared,
         or overwrote them before they were read.
     thinned : bool
-        True if rows between these were left out to respect the limit.
+        True if some rows were omitted, because there were more than the limit.
     """
 
     tick: npt.NDArray[np.int64]

@@ -114,6 +114,7 @@ def as_json(news: Mapping[str, Any]) -> tuple[str, bool]:
 
 
 def _without_nan(news: Any) -> Any:
+    """Return a JSON value with None instead of each number that is not finite."""
     if isinstance(news, Mapping):
         return {name: _without_nan(value) for name, value in news.items()}
     if isinstance(news, list | tuple):

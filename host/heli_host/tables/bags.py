@@ -21,14 +21,14 @@ _DEEPEST: Final = 6
 
 
 def read_bag(path: Path) -> Table:
-    """Read the bag at `path`: a `.bag`, a folder or `.db3` of ROS 2, or an MCAP file of any of both.
+    """Read the bag at `path`: a `.bag` of ROS 1, a folder or `.db3` of ROS 2, or an MCAP file of either.
 
-    Times are those of the messages' header where they have one, else those of the recorder.
+    Times are those in the header of the messages, or those of the recorder if a message has no header.
 
     Raises
     ------
     FlightDataError
-        If it is none, or holds no numbers.
+        If the file is not a bag, or contains no numbers.
     """
     try:
         from rosbags.highlevel import AnyReader
@@ -39,7 +39,7 @@ def read_bag(path: Path) -> Table:
         raise FlightDataError(
             f"{path} is a log of heli-host and needs no import", "give the log itself to the other commands"
         )
-    series: dict[str, tuple[array[float], array[float]]] = {}
+    series_by_name: dict[str, tuple[array[float], array[float]]] = {}
     folder = path.parent if path.suffix == ".db3" else path
     with within_memory(path):
         try:
@@ -49,22 +49,22 @@ def read_bag(path: Path) -> Table:
                 elif file.suffix == ".zstd":
                     raise FlightDataError(f"{file} is compressed as a whole", "unpack it with zstd -d")
             with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-                numbers = 0
-                for count, (connection, when_ns, raw) in enumerate(reader.messages(), 1):
-                    message = reader.deserialize(raw, connection.msgtype)
-                    t_s = _stamp_s(message) or when_ns * 1e-9
+                number_count = 0
+                for count, (connection, recorded_ns, payload) in enumerate(reader.messages(), 1):
+                    message = reader.deserialize(payload, connection.msgtype)
+                    t_s = _stamp_s(message) or recorded_ns * 1e-9
                     for name, value in _numbers(connection.topic.strip("/"), message, 0):
-                        times, values = series.setdefault(name, (array("d"), array("d")))
+                        times, values = series_by_name.setdefault(name, (array("d"), array("d")))
                         times.append(t_s)
                         values.append(value)
-                        numbers += 2
+                        number_count += 2
                     if count > MAX_ROWS:
                         raise too_large(path, f"{MAX_ROWS // 1_000_000} million messages")
-                    if numbers > MAX_NUMBERS:
+                    if number_count > MAX_NUMBERS:
                         raise too_large(path, f"{MAX_NUMBERS // 1_000_000} million numbers")
         except (FlightDataError, MemoryError):
             raise
-        except Exception as error:  # the reader raises whatever a damaged file makes it trip over
+        except Exception as error:  # a damaged file may cause any error in the reader
             if path.is_dir() and not (path / "metadata.yaml").exists():
                 raise FlightDataError(
                     f"{path} is a folder without metadata.yaml, not a ROS 2 bag",
@@ -74,7 +74,7 @@ def read_bag(path: Path) -> Table:
                 f"{path}: not a bag that rosbags reads ({type(error).__name__}: {error})",
                 "give a bag or an MCAP file; record the flight again if this one is damaged",
             ) from error
-        return _table(path, series)
+        return _table(path, series_by_name)
 
 
 def _is_log(path: Path) -> bool:
@@ -85,19 +85,20 @@ def _is_log(path: Path) -> bool:
         return LOG_WRITER.encode() in file.read(64)
 
 
-def _table(path: Path, series: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Table:
+def _table(path: Path, series_by_name: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Table:
     """Return a table of signals, each with its own times [s] since the first of all."""
     columns = {}
-    first_s = min((times[0] for times, _ in series.values()), default=0.0)
-    for name, (times, values) in series.items():
-        t_s, place = np.unique(np.asarray(times, np.float64) - first_s, return_index=True)
-        columns[name] = Column(np.asarray(values, np.float64)[place], "", t_s)
+    first_s = min((times[0] for times, _ in series_by_name.values()), default=0.0)
+    for name, (times, values) in series_by_name.items():
+        t_s, indices = np.unique(np.asarray(times, np.float64) - first_s, return_index=True)
+        columns[name] = Column(np.asarray(values, np.float64)[indices], "", t_s)
     if not columns:
         raise FlightDataError(f"{path} contains no numbers", "give a bag with the angles and the voltages")
     return Table(str(path), columns)
 
 
 def _stamp_s(message: Any) -> float:
+    """Return the time in the header of a ROS 1 or ROS 2 message; 0 without a header."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     seconds = getattr(stamp, "sec", getattr(stamp, "secs", 0))
     return float(seconds) + 1e-9 * float(getattr(stamp, "nanosec", getattr(stamp, "nsecs", 0)))
@@ -119,7 +120,7 @@ def _numbers(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
             field = getattr(value, key)
             if key in {"header", "__msgtype__"} or isinstance(field, str):
                 continue
-            # Joint states and their like name their elements.
+            # Messages such as joint states contain the names of their elements.
             if isinstance(names, list) and key != "name" and len(field) == len(names):
                 for label, element in zip(names, field, strict=True):
                     yield from _numbers(f"{name}.{label}.{key}", element, depth + 1)

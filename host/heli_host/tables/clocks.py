@@ -1,4 +1,4 @@
-"""Times that are written as clocks or dates."""
+"""Read times that are written as clock times or as dates with a time."""
 
 from __future__ import annotations
 
@@ -22,30 +22,32 @@ def seconds_of(cells: pandas.Series) -> Floats | None:
     Returns
     -------
     ndarray (n,) or None
-        Seconds, nan where a cell is none; None where the cells are no times. A clock that passes midnight
-        goes on.
+        Seconds since the first cell; nan for a cell that is not a time. None if the cells are not times.
+        After midnight, the seconds continue to grow.
     """
     import pandas
 
     text = cells.astype(str)
-    first = text.iloc[: min(len(text), 10)]
-    if first.str.match(_CLOCK).all():
-        parts = (
+    samples = text.iloc[: min(len(text), 10)]
+    if samples.str.match(_CLOCK).all():
+        fields = (
             text.str.replace(",", ".").str.split(":", expand=True).apply(pandas.to_numeric, errors="coerce")
         )
-        weights = 60.0 ** np.arange(parts.shape[1] - 1, -1, -1)
-        seconds: Floats = parts.to_numpy(np.float64) @ weights
-        known = np.isfinite(seconds)
-        falls = np.diff(seconds[known], prepend=seconds[known][:1]) < -0.5 * _DAY_S
-        seconds[known] += _DAY_S * np.cumsum(falls)
-    elif first.str.match(_DATE).all():
-        # A year that comes first is followed by the month; else most of the world begins with the day.
-        day_first = not first.str.match(r"^\s*\d{4}").all()
+        # Seconds per unit of each field: 3600, 60, 1 for hours, minutes, seconds.
+        weights = 60.0 ** np.arange(fields.shape[1] - 1, -1, -1)
+        seconds: Floats = fields.to_numpy(np.float64) @ weights
+        is_known = np.isfinite(seconds)
+        day_changes = np.diff(seconds[is_known], prepend=seconds[is_known][:1]) < -0.5 * _DAY_S
+        seconds[is_known] += _DAY_S * np.cumsum(day_changes)
+    elif samples.str.match(_DATE).all():
+        # A date that begins with a year goes on with the month. Other dates begin with the day in most
+        # countries.
+        day_first = not samples.str.match(r"^\s*\d{4}").all()
         dates = pandas.to_datetime(
             text.str.replace(",", "."), errors="coerce", dayfirst=day_first, format="mixed", utc=True
         )
         seconds = np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64)
     else:
         return None
-    known_s = seconds[np.isfinite(seconds)]
-    return seconds - known_s[0] if known_s.size else None
+    finite_s = seconds[np.isfinite(seconds)]
+    return seconds - finite_s[0] if finite_s.size else None

@@ -18,30 +18,33 @@ from heli_host.tables.table import Table
 from heli_host.tables.units import COUNT, TIME_UNITS
 
 UNEVEN = 0.02
-"""Share of the median step by which steps may vary, as a standard deviation, before rows are brought to even
-times. Beyond, encoders' counts are interpolated; below, nothing is changed."""
+"""Largest standard deviation of the time steps, as a share of the median step, with which the rows are used
+unchanged. If steps vary more, the rows are interpolated to even times."""
 TRAVEL = "travel"
 WORD = 65536.0
-"""Counts after which an encoder's counter of 16 bits begins again."""
+"""Counts after which an encoder's counter of 16 bits starts again."""
 MAX_MISSING = 5.0
-"""Steps without a row beyond which a flight ends and another begins; fewer missing rows are filled in."""
+"""Longest gap, in median steps, that is filled in. After a longer gap, another flight begins."""
 _GAP_STEPS = 1.75
-"""Step in median steps from which rows are missing: one missing row doubles the step, and clocks jitter."""
+"""Step, in median steps, from which a row is missing: one missing row doubles the step, and clocks jitter."""
 _JUMP_DEG = 8.0
 _JUMP_DEG_S = 600.0
-"""A step of an angle above both limits ends a flight: the encoder was set to zero, or two logs were
-joined. Set by
-judgement: no such arm turns by 600 deg/s, and 8 deg is above the noise of every encoder. Lower limits cut
-fast logs at a lost row; higher ones keep the jump, which no model explains."""
+"""A step of an angle above both limits ends a flight, because the encoder was set to zero or two logs were
+joined.
+
+The limits were set by judgement: no such arm turns by 600 deg/s, and 8 deg is above the noise of every
+encoder. Lower limits would cut fast logs at a lost row; higher limits would keep jumps, which no model
+explains.
+"""
 
 
 def flights_of(table: Table, profile: Profile) -> list[Flight]:
-    """Make flights of a table: one, or several where the profile leaves something in the middle out.
+    """Convert a table to flights: one, or several if gaps, jumps or the profile divide it.
 
     Raises
     ------
     FlightDataError
-        When a column is missing, or too little is left.
+        If a column is missing, or too few complete rows remain.
     """
     table = table.aligned()
     t_s = times_of(table, profile)
@@ -60,22 +63,26 @@ def flights_of(table: Table, profile: Profile) -> list[Flight]:
         series = {
             name: values if name.startswith("elevation") else -values for name, values in series.items()
         }
-    held = {f"{name}_V": voltages[name] for name in MOTORS}
-    keep = np.isfinite(t_s)
-    for values in (*series.values(), *held.values()):
-        keep &= np.isfinite(values)
-    # A time twice is a row twice; a time that falls begins another flight.
-    keep[keep] &= np.concatenate(([True], np.diff(t_s[keep]) != 0.0)) if keep.any() else True
-    if int(keep.sum()) < MIN_ROWS:
+    voltage_columns = {f"{name}_V": voltages[name] for name in MOTORS}
+    is_complete = np.isfinite(t_s)
+    for values in (*series.values(), *voltage_columns.values()):
+        is_complete &= np.isfinite(values)
+    # A repeated time is a repeated row. A time that falls begins another flight, see `_stretches`.
+    is_complete[is_complete] &= (
+        np.concatenate(([True], np.diff(t_s[is_complete]) != 0.0)) if is_complete.any() else True
+    )
+    if int(is_complete.sum()) < MIN_ROWS:
         raise FlightDataError(
-            f"{table.source}: only {int(keep.sum())} rows with all of time, angles and voltages",
+            f"{table.source}: only {int(is_complete.sum())} rows with all of time, angles and voltages",
             "check the profile's columns",
         )
-    t_s = t_s[keep]
-    series = {name: values[keep] for name, values in series.items()}
-    held = {name: values[keep] for name, values in held.items()}
+    t_s = t_s[is_complete]
+    series = {name: values[is_complete] for name, values in series.items()}
+    voltage_columns = {name: values[is_complete] for name, values in voltage_columns.items()}
     if profile.act == "before":
-        held = {name: np.concatenate((values[1:], values[-1:])) for name, values in held.items()}
+        voltage_columns = {
+            name: np.concatenate((values[1:], values[-1:])) for name, values in voltage_columns.items()
+        }
     part = profile.parts.get(Path(table.source).name, Part())
     notes = {"imported from": Path(table.source).name}
     if part.group:
@@ -83,23 +90,25 @@ def flights_of(table: Table, profile: Profile) -> list[Flight]:
     if table.notes:
         notes["notes of the file"] = " / ".join(table.notes.split("\n"))
     flights = []
-    jumps = _jumps(t_s, series)
-    for start, stop in _pieces(t_s, part, [*jumps], table.source):
-        even_s, even, even_held = _even(
+    jumps = _find_jumps(t_s, series)
+    for start, stop in _stretches(t_s, part, [*jumps], table.source):
+        even_s, even_series, even_voltages = _evenly_sampled(
             t_s[start:stop],
             {name: values[start:stop] for name, values in series.items()},
-            {name: values[start:stop] for name, values in held.items()},
+            {name: values[start:stop] for name, values in voltage_columns.items()},
         )
-        named: dict[str, Any] = {**even_held, **even}
-        why = {"cut": jumps[start]} if start in jumps else {}
+        columns: dict[str, Any] = {**even_voltages, **even_series}
+        cut_note = {"cut": jumps[start]} if start in jumps else {}
         flights.append(
-            Flight(t_s=even_s, meta={**notes, **why, **_filled(t_s[start:stop], len(even_s))}, **named)
+            Flight(
+                t_s=even_s, meta={**notes, **cut_note, **_gap_note(t_s[start:stop], len(even_s))}, **columns
+            )
         )
     return flights
 
 
-def _jumps(t_s: Floats, series: dict[str, Floats]) -> dict[int, str]:
-    """Rows at which an angle jumps further than an arm can turn, with the reason in words."""
+def _find_jumps(t_s: Floats, series: dict[str, Floats]) -> dict[int, str]:
+    """Return the rows at which an angle jumps farther than an arm can turn, with the reason as text."""
     limit_deg = np.maximum(_JUMP_DEG, _JUMP_DEG_S * np.diff(t_s))
     jumps: dict[int, str] = {}
     for name, values in series.items():
@@ -112,29 +121,40 @@ def _jumps(t_s: Floats, series: dict[str, Floats]) -> dict[int, str]:
     return jumps
 
 
-def _filled(t_s: Floats, count: int) -> dict[str, str]:
-    """Note of the rows that were filled in, if there are any."""
+def _gap_note(t_s: Floats, count: int) -> dict[str, str]:
+    """Return a note about the missing rows that were filled in; empty if none was.
+
+    Parameters
+    ----------
+    t_s : ndarray (n,)
+        Times of the original rows.
+    count : int
+        Number of rows at even times.
+    """
     steps_s = np.diff(t_s)
     step_s = float(np.median(steps_s))
     gaps = np.flatnonzero(steps_s >= _GAP_STEPS * step_s)
     if not gaps.size or count == t_s.size:
         return {}
-    widest = gaps[np.argmax(steps_s[gaps])]
+    longest = gaps[np.argmax(steps_s[gaps])]
     return {
         "filled": f"{count - t_s.size} missing rows in {gaps.size} gaps, the longest "
-        f"{steps_s[widest]:.3f} s at {t_s[widest]:.3f} s"
+        f"{steps_s[longest]:.3f} s at {t_s[longest]:.3f} s"
     }
 
 
 def times_of(table: Table, profile: Profile) -> Floats:
-    """Times of a table's rows, s, shape (n,); they begin at what the file says, less whole days."""
+    """Return the times of a table's rows in s, shape (n,).
+
+    They keep the start of the file, except that large times, such as seconds since 1970, start at 0.
+    """
     if not profile.time:
         return np.arange(len(table)) / profile.rate_Hz
     values = _column(table, profile.time)
     first = values[np.isfinite(values)][:1]
-    far = first.size and abs(float(first[0])) * TIME_UNITS[profile.time_unit] > 1e5
-    # Seconds since 1970 would lose microseconds in a printed table.
-    result: Floats = (values - (first[0] if far else 0.0)) * TIME_UNITS[profile.time_unit]
+    is_epoch = first.size and abs(float(first[0])) * TIME_UNITS[profile.time_unit] > 1e5
+    # A printed table would lose the microseconds of seconds since 1970.
+    result: Floats = (values - (first[0] if is_epoch else 0.0)) * TIME_UNITS[profile.time_unit]
     return result
 
 
@@ -151,82 +171,94 @@ def _column(table: Table, name: str) -> Floats:
 
 
 def _angle(table: Table, angle: Angle, t_s: Floats, travels: bool) -> Floats:
-    """Return an angle [rad], shape (n,), from its column: unit, sign, offset, wrapped words and turns. Only
-    an axis that `travels` may turn all the way round.
+    """Return an angle [rad], shape (n,), from its column: apply delay, unit, sign and offset, and unwrap it.
+
+    Parameters
+    ----------
+    t_s : ndarray (n,)
+        Times of the rows.
+    travels : bool
+        Whether the axis may turn by whole turns; the angle of other axes is kept near 0.
     """
-    raw = _earlier(_column(table, angle.column), t_s, angle.delay_s)
-    known = np.isfinite(raw)
-    turned: Floats = np.full(raw.shape, np.nan)
-    values = raw[known]
+    delay_free = _without_delay(_column(table, angle.column), t_s, angle.delay_s)
+    is_known = np.isfinite(delay_free)
+    angle_rad: Floats = np.full(delay_free.shape, np.nan)
+    values = delay_free[is_known]
     if angle.unit == COUNT and values.size and float(np.abs(np.diff(values)).max(initial=0.0)) > 0.9 * WORD:
-        # A word of 16 bits that ran over. Its first value is one of either sign, whichever is nearer to 0.
+        # The 16-bit counter overflowed. Its first value counts as positive or negative, whichever is nearer
+        # to 0.
         values = np.unwrap(values, period=WORD)
         values = values - WORD * np.round(values[0] / WORD)
-    # No arm turns by half a turn between two rows: such a jump is an angle that was wrapped.
+    # No arm turns by half a turn between two rows, so such a jump means that the angle was wrapped.
     rad = np.unwrap(angle.sign * angle.rad * values)
-    turned[known] = rad + np.radians(angle.offset_deg)
+    angle_rad[is_known] = rad + np.radians(angle.offset_deg)
     if not travels and rad.size:
-        # Neither of these turns all the way round: whole turns are where a counter began.
-        turned[known] -= 2.0 * np.pi * np.round(np.median(turned[known]) / (2.0 * np.pi))
-    return turned
+        # Elevation and pitch cannot turn all the way round, so whole turns come from the start of a counter.
+        angle_rad[is_known] -= 2.0 * np.pi * np.round(np.median(angle_rad[is_known]) / (2.0 * np.pi))
+    return angle_rad
 
 
 def _voltage(table: Table, voltage: Voltage, t_s: Floats) -> Floats:
-    raw = _earlier(_column(table, voltage.column), t_s, voltage.delay_s)
-    result: Floats = voltage.sign * voltage.volts * raw + voltage.offset_V
+    """Return a voltage [V], shape (n,), from its column: apply delay, unit, sign and offset."""
+    delay_free = _without_delay(_column(table, voltage.column), t_s, voltage.delay_s)
+    result: Floats = voltage.sign * voltage.volts * delay_free + voltage.offset_V
     return result
 
 
-def _earlier(values: Floats, t_s: Floats, delay_s: float) -> Floats:
-    """Take a delay out, in whole rows: what the column says now was so `delay_s` ago. Rows that it then has
-    nothing for are nan.
-    """
+def _without_delay(values: Floats, t_s: Floats, delay_s: float) -> Floats:
+    """Shift a column by whole rows, because it was logged `delay_s` late; rows without a value become nan."""
     step_s = float(np.nanmedian(np.diff(t_s)))
     rows = round(delay_s / step_s) if step_s > 0.0 else 0
     if not rows:
         return values
-    moved = np.full(values.shape, np.nan)
+    shifted = np.full(values.shape, np.nan)
     if rows > 0:
-        moved[:-rows] = values[rows:]
+        shifted[:-rows] = values[rows:]
     else:
-        moved[-rows:] = values[:rows]
-    return moved
+        shifted[-rows:] = values[:rows]
+    return shifted
 
 
-def _even(
-    t_s: Floats, series: dict[str, Floats], held: dict[str, Floats]
+def _evenly_sampled(
+    t_s: Floats, series: dict[str, Floats], voltage_columns: dict[str, Floats]
 ) -> tuple[Floats, dict[str, Floats], dict[str, Floats]]:
-    """Bring rows of an uneven clock to even times: angles on straight lines, voltages held."""
+    """Resample rows to even times if their steps vary; return times, angles and voltages.
+
+    Angles are interpolated linearly. A voltage holds its value until the next row.
+    """
     steps_s = np.diff(t_s)
     step_s = float(np.median(steps_s))
-    ordinary = steps_s[steps_s < _GAP_STEPS * step_s]
-    strays = float(np.std(ordinary)) > UNEVEN * step_s
-    # Times in whole milliseconds are even ones that were rounded.
-    mean_s = float(ordinary.mean())
-    rounded = np.abs(t_s - t_s[0] - mean_s * np.arange(t_s.size)).max() < 1.5 * step_s
-    if not strays and len(ordinary) == len(steps_s):
-        return t_s, series, held
-    if rounded and len(ordinary) == len(steps_s):
-        return t_s[0] + mean_s * np.arange(t_s.size), series, held
+    regular_steps_s = steps_s[steps_s < _GAP_STEPS * step_s]
+    is_uneven = float(np.std(regular_steps_s)) > UNEVEN * step_s
+    # Times that were rounded, for example to whole milliseconds, count as even.
+    mean_s = float(regular_steps_s.mean())
+    is_rounded = np.abs(t_s - t_s[0] - mean_s * np.arange(t_s.size)).max() < 1.5 * step_s
+    if not is_uneven and len(regular_steps_s) == len(steps_s):
+        return t_s, series, voltage_columns
+    if is_rounded and len(regular_steps_s) == len(steps_s):
+        return t_s[0] + mean_s * np.arange(t_s.size), series, voltage_columns
     step_s = mean_s
     even_s = t_s[0] + step_s * np.arange(int((t_s[-1] - t_s[0]) / step_s) + 1)
     last = np.clip(np.searchsorted(t_s, even_s + 1e-9, side="right") - 1, 0, None)
     return (
         even_s,
         {name: np.interp(even_s, t_s, values) for name, values in series.items()},
-        {name: values[last] for name, values in held.items()},
+        {name: values[last] for name, values in voltage_columns.items()},
     )
 
 
-def _pieces(t_s: Floats, part: Part, jumps: list[int], source: str) -> list[tuple[int, int]]:
-    """Rows that are left: first and last plus one of each stretch; no stretch contains one of `jumps`."""
-    keep = np.ones(t_s.size, bool)
+def _stretches(t_s: Floats, part: Part, jumps: list[int], source: str) -> list[tuple[int, int]]:
+    """Divide the rows at gaps, falling times and `jumps`, without the times that the profile excludes.
+
+    Returns the first row of each stretch, and the row after its last.
+    """
+    is_complete = np.ones(t_s.size, bool)
     for start_s, stop_s in part.leave_out_s:
-        keep &= (t_s < start_s) | (t_s >= stop_s)
+        is_complete &= (t_s < start_s) | (t_s >= stop_s)
     steps_s = np.diff(t_s)
     breaks = np.flatnonzero((steps_s > MAX_MISSING * np.median(steps_s)) | (steps_s < 0.0)) + 1
     breaks = np.union1d(breaks, jumps)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], keep.astype(int), [0]))))
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], is_complete.astype(int), [0]))))
     stretches = [
         (int(a), int(b))
         for start, stop in zip(edges[::2], edges[1::2], strict=True)

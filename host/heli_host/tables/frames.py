@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     import pyarrow
 
 _MIN_SHARE = 0.5
-"""Share of a column's cells that must be numbers for it to be one of numbers."""
+"""Smallest share of numbers in a column from which it is read as numbers."""
 
 
 def read_parquet(path: Path) -> Table:
-    """Read a Parquet file at `path`; a FlightDataError where it is none, or unpacks to too much."""
+    """Read a Parquet file at `path`; a FlightDataError if it is something else, or unpacks to too much."""
     return _read(path, _parquet, "Parquet")
 
 
@@ -47,16 +47,17 @@ def _parquet(path: Path) -> pandas.DataFrame:
         schema = file.schema_arrow
         texts = [field.name for field in schema if _is_text(field.type)]
         flat = [field.name for field in schema if not pyarrow.types.is_nested(field.type)]
-    # Texts stay in their dictionary until it is known how long they are: each row may name a long one.
+    # Texts stay in their dictionary until their lengths are checked, because each row may refer to a long
+    # one.
     with pyarrow.parquet.ParquetFile(path, read_dictionary=texts) as file:
         table = file.read(columns=flat, use_threads=False)
-    for place, name in enumerate(table.column_names):
-        column = table.column(place)
+    for index, name in enumerate(table.column_names):
+        column = table.column(index)
         if pyarrow.types.is_dictionary(column.type):
             longest = max(map(_longest, column.chunks), default=0)
             if longest * len(column) > MAX_BYTES:
                 raise too_large(path, f"{MAX_BYTES >> 20} MiB in column '{name}'")
-            table = table.set_column(place, name, column.cast(column.type.value_type))
+            table = table.set_column(index, name, column.cast(column.type.value_type))
     frame: pandas.DataFrame = table.to_pandas(use_threads=False)
     return frame
 
@@ -117,19 +118,19 @@ def _excel(path: Path) -> pandas.DataFrame:
 
 
 def _head(rows: Sequence[tuple[object, ...]], width: int) -> tuple[list[str], int]:
-    """Names of a sheet's columns, and the first row below them; lines of titles above them are skipped.
+    """Return the names of a sheet's columns, and the first row below them; titles above are skipped.
 
-    The names are the first row that is as wide as the table, or the row above it, and contain no number.
-    Otherwise, the columns have no names.
+    The names are in the first row that is as wide as the table, or in the row above it, if that row contains
+    no number. Otherwise, the columns have no names.
     """
-    filled = [sum(cell is not None for cell in row) for row in rows]
-    usual = statistics.mode(filled)
-    first = next(place for place, count in enumerate(filled) if count >= usual)
+    cells_per_row = [sum(cell is not None for cell in row) for row in rows]
+    usual_width = statistics.mode(cells_per_row)
+    first = next(index for index, count in enumerate(cells_per_row) if count >= usual_width)
     # A row of names may lack one or two of them.
-    for place in (first, first - 1):
-        words = sum(isinstance(cell, str) and not _is_number(cell) for cell in rows[place])
-        if place >= 0 and words == filled[place] >= max(2, usual - 2):
-            return _names(rows[place], width), place + 1
+    for index in (first, first - 1):
+        name_count = sum(isinstance(cell, str) and not _is_number(cell) for cell in rows[index])
+        if index >= 0 and name_count == cells_per_row[index] >= max(2, usual_width - 2):
+            return _names(rows[index], width), index + 1
     return _names((), width), first
 
 
@@ -141,12 +142,12 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _names(head: tuple[object, ...], width: int) -> list[str]:
-    """Names of a sheet's columns, made different where they are not."""
+def _names(header_row: tuple[object, ...], width: int) -> list[str]:
+    """Return the names of a sheet's columns; a repeated name gets an apostrophe."""
     names: list[str] = []
-    for place in range(width):
-        cell = head[place] if place < len(head) else None
-        name = f"column {place + 1}" if cell is None else str(cell)
+    for index in range(width):
+        cell = header_row[index] if index < len(header_row) else None
+        name = f"column {index + 1}" if cell is None else str(cell)
         while name in names:
             name += "'"
         names.append(name)

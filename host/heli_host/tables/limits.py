@@ -1,4 +1,4 @@
-"""How large a file from another program may be once it is unpacked: a small file can claim any size."""
+"""Limits for the unpacked size of foreign files, because a small file can unpack to any size."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _STEP_BYTES: Final = 1 << 20
 _REMEDY: Final = "cut it into pieces, or export fewer signals"
 
 
-def too_large(path: Path, what: str) -> FlightDataError:
-    """Return the error for the file at `path`, which unpacks to more than `what`, such as "256 MiB"."""
-    return FlightDataError(f"{path} unpacks to more than {what}", _REMEDY)
+def too_large(path: Path, limit_text: str) -> FlightDataError:
+    """Return the error for a file at `path` that unpacks to more than `limit_text`, such as "256 MiB"."""
+    return FlightDataError(f"{path} unpacks to more than {limit_text}", _REMEDY)
 
 
 def check_numbers(path: Path, count: int) -> None:
@@ -77,22 +77,22 @@ def within_memory(path: Path) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
-def unpacked_bytes(codec: str, data: bytes | memoryview, most_bytes: int) -> int:
-    """Count the bytes that packed data gives, a step at a time, and stop beyond a limit.
+def unpacked_bytes(codec: str, data: bytes | memoryview, max_bytes: int) -> int:
+    """Count the bytes to which compressed data unpacks, piece by piece, and stop beyond a limit.
 
     Parameters
     ----------
     codec : str
-        ``zlib``, ``bz2``, ``lz4``, ``zstd``, or ``""`` and ``none`` for data as it is.
+        ``zlib``, ``bz2``, ``lz4``, ``zstd``, or ``""`` and ``none`` for data that is not compressed.
     data : bytes or memoryview
-        The packed data.
-    most_bytes : int
-        Where to stop.
+        The compressed data.
+    max_bytes : int
+        Limit of the count.
 
     Returns
     -------
     int
-        The count; more than `most_bytes` where it was stopped.
+        The count; more than `max_bytes` if it was stopped.
     """
     if codec in ("", "none"):
         return len(data)
@@ -101,17 +101,17 @@ def unpacked_bytes(codec: str, data: bytes | memoryview, most_bytes: int) -> int
 
         count = 0
         with zstandard.ZstdDecompressor(max_window_size=MAX_BYTES).stream_reader(io.BytesIO(data)) as stream:
-            while count <= most_bytes and (step := stream.read(_STEP_BYTES)):
-                count += len(step)
+            while count <= max_bytes and (piece := stream.read(_STEP_BYTES)):
+                count += len(piece)
         return count
     unpacker = _unpacker(codec)
-    count, rest = 0, data
-    while count <= most_bytes:
-        step = unpacker.decompress(rest, _STEP_BYTES)
-        count += len(step)
-        # zlib hands back what it has not read; the others keep it.
-        rest = getattr(unpacker, "unconsumed_tail", b"")
-        if unpacker.eof or (not step and not rest):
+    count, unread = 0, data
+    while count <= max_bytes:
+        piece = unpacker.decompress(unread, _STEP_BYTES)
+        count += len(piece)
+        # zlib returns the bytes that it has not read; the other unpackers keep them.
+        unread = getattr(unpacker, "unconsumed_tail", b"")
+        if unpacker.eof or (not piece and not unread):
             break
     return count
 

@@ -31,7 +31,7 @@ def read_mat(path: Path) -> Table:
     Raises
     ------
     FlightDataError
-        If it is no such file, holds no signals, or unpacks to more than any flight.
+        If the file is not a MATLAB file, contains no signals, or is too large when unpacked.
     """
     with within_memory(path):
         return _read(path)
@@ -71,25 +71,24 @@ def _read(path: Path) -> Table:
     return Table(str(path), columns)
 
 
-def _with_clock(columns: Mapping[str, Column], known: Column) -> dict[str, Column]:
-    """Signals without times that have as many rows as one with times were logged with it; others are left
-    out.
-    """
+def _with_clock(columns: Mapping[str, Column], timed: Column) -> dict[str, Column]:
+    """Give each signal without times the times of `timed`, if it has as many rows; omit the other ones."""
     return {
-        name: column if column.t_s is not None else Column(column.values, column.unit, known.t_s)
+        name: column if column.t_s is not None else Column(column.values, column.unit, timed.t_s)
         for name, column in columns.items()
-        if column.t_s is not None or column.values.size == known.values.size
+        if column.t_s is not None or column.values.size == timed.values.size
     }
 
 
-def _free_name(name: str, taken: Mapping[str, Column]) -> str:
-    while name in taken:
+def _free_name(name: str, used_names: Mapping[str, Column]) -> str:
+    """Return a name that is not used yet, by adding apostrophes."""
+    while name in used_names:
         name += "'"
     return name
 
 
 def _signals(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column]]:
-    """Yield every signal in a variable, with a name that says where it is."""
+    """Yield each signal in a variable with its full name, such as ``logsout.pitch[2]``."""
     if depth > _DEEPEST:
         return
     value = _unpacked(value)
@@ -111,7 +110,7 @@ def _signals(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column]]:
 
 
 def _structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tuple[str, Column]]:
-    """Yield the signals of a structure, by name, with the times if the structure has some."""
+    """Yield the signals of a structure with their names, and with times if the structure has them."""
     t_s = _times_of(fields)
     if t_s is None:
         for key, field_value in fields.items():
@@ -136,7 +135,7 @@ def _structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tup
 
 
 def _values(name: str, value: Any, rows: int) -> Iterator[tuple[str, Floats]]:
-    """Signals of a structure with time: an array, or structures with values and labels."""
+    """Yield the signals in the data field of a structure with time: an array, or labelled structures."""
     if isinstance(value, np.ndarray) and value.dtype == object:
         for index, element in enumerate(value.ravel()[:_MAX_SIGNALS]):
             yield from _values(f"{name}[{index + 1}]" if value.size > 1 else name, _unpacked(element), rows)
@@ -153,15 +152,19 @@ def _values(name: str, value: Any, rows: int) -> Iterator[tuple[str, Floats]]:
     fields = _fields(value)
     if fields is not None:
         label = _word(fields.get("label")) or _word(fields.get("blockName")).rpartition("/")[2] or name
-        within = next((fields[key] for key in ("values", "Data", "Data_") if key in fields), None)
-        yield from _values(label, _unpacked(within), rows)
+        inner = next((fields[key] for key in ("values", "Data", "Data_") if key in fields), None)
+        yield from _values(label, _unpacked(inner), rows)
         return
     for index, signal, count in _matrix(value, rows):
         yield (f"{name}[{index + 1}]" if count > 1 else name), signal
 
 
 def _matrix(value: Any, rows: int | None = None) -> list[tuple[int, Floats, int]]:
-    """Signals of an array of numbers, whichever way it lies: index, values, how many there are."""
+    """Return the signals of an array of numbers: index, values, and number of signals.
+
+    Signals may be columns or rows. If the number of rows is known, it decides; otherwise the longer side is
+    the time.
+    """
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or not value.size:
         return []
     array = np.squeeze(value)
@@ -175,8 +178,8 @@ def _matrix(value: Any, rows: int | None = None) -> list[tuple[int, Floats, int]
         array = array[:, None]
     if array.ndim != 2:
         return []
-    lies = array.shape[1] == rows if rows is not None and array.shape[0] != rows else None
-    if lies or (lies is None and rows is None and array.shape[1] > array.shape[0]):
+    is_row_wise = array.shape[1] == rows if rows is not None and array.shape[0] != rows else None
+    if is_row_wise or (is_row_wise is None and rows is None and array.shape[1] > array.shape[0]):
         array = array.T
     if array.shape[0] < _MIN_ROWS or array.shape[1] > _MAX_SIGNALS:
         return []
@@ -184,36 +187,36 @@ def _matrix(value: Any, rows: int | None = None) -> list[tuple[int, Floats, int]
 
 
 def _times_of(fields: Mapping[str, Any]) -> Floats | None:
-    """Return the times that a structure has for its data, in the unit of the file; None without times.
+    """Return the times of the data in a structure, in the unit of the file; None without times.
 
-    Structures with time have a field of times. A time series has a TimeInfo instead: such a structure
-    again, or start, step and number of even times.
+    A structure with time has a field with the times. A time series has a field TimeInfo instead, with a list
+    of times, or with the start, the step and the number of even times.
     """
     for key in _TIMES:
         if key in fields:
             signals = _matrix(_unpacked(fields[key]))
             if len(signals) == 1 and np.all(np.diff(signals[0][1]) > 0.0):
                 return signals[0][1]
-    info = _fields(_unpacked(fields.get("TimeInfo", fields.get("TimeInfo_"))))
-    if info is None:
+    time_info = _fields(_unpacked(fields.get("TimeInfo", fields.get("TimeInfo_"))))
+    if time_info is None:
         return None
-    unit_s = TIME_UNITS.get(unit_of(_word(info.get("Units"))), 1.0)
-    listed_times = _times_of(info)
+    unit_s = TIME_UNITS.get(unit_of(_word(time_info.get("Units"))), 1.0)
+    listed_times = _times_of(time_info)
     if listed_times is not None:
         return listed_times * unit_s
     try:
         start, step, count = (
-            float(np.ravel(_unpacked(info[key]))[0]) for key in ("Start", "Increment", "Length")
+            float(np.ravel(_unpacked(time_info[key]))[0]) for key in ("Start", "Increment", "Length")
         )
     except (KeyError, IndexError, TypeError, ValueError):
         return None
-    usable = np.isfinite([start, step, count]).all() and step > 0 and count >= _MIN_ROWS
-    even: Floats = unit_s * (start + step * np.arange(int(count) if usable else 0, dtype=np.float64))
-    return even if usable else None
+    is_usable = np.isfinite([start, step, count]).all() and step > 0 and count >= _MIN_ROWS
+    even_times: Floats = unit_s * (start + step * np.arange(int(count) if is_usable else 0, dtype=np.float64))
+    return even_times if is_usable else None
 
 
 def _unpacked(value: Any) -> Any:
-    """Take the arrays of one element away that MATLAB wraps everything in."""
+    """Return the element within arrays of one element, in which MATLAB wraps most values."""
     for _ in range(_DEEPEST):
         if isinstance(value, np.ndarray) and value.dtype == object and value.size == 1:
             value = value.ravel()[0]
@@ -225,6 +228,7 @@ def _unpacked(value: Any) -> Any:
 
 
 def _fields(value: Any) -> Mapping[str, Any] | None:
+    """Return the fields of a structure or object; None for another value."""
     if isinstance(value, Mapping):
         return value
     if isinstance(value, np.ndarray) and value.dtype.names:
@@ -238,7 +242,7 @@ def _is_frame(value: Any) -> bool:
 
 
 def _frame(name: str, frame: Any) -> Iterator[tuple[str, Column]]:
-    """Columns of a table or time table."""
+    """Yield the columns of a MATLAB table or timetable."""
     seconds = getattr(frame.index, "total_seconds", None)
     t_s = np.asarray(seconds(), np.float64) if seconds is not None else None
     for key in frame.columns:
@@ -248,6 +252,7 @@ def _frame(name: str, frame: Any) -> Iterator[tuple[str, Column]]:
 
 
 def _word(value: Any) -> str:
+    """Return a text without the arrays around it; empty for another value."""
     value = _unpacked(value)
     if isinstance(value, np.ndarray):
         value = "".join(map(str, value.ravel())) if value.dtype.kind in "US" else ""

@@ -31,12 +31,12 @@ class Angle:
     unit : str
         `rad`, `mrad`, `deg`, `turn` or `count`.
     counts : float
-        Counts of a turn, which have to be stated if the unit is a count; otherwise 0.
+        Counts per turn, required if the unit is `count`; otherwise 0.
     sign : float
-        -1 where the column counts the other way: elevation is positive upwards, pitch when the front rotor is
+        -1 if the column has the opposite sign. Elevation is positive upwards, pitch when the front rotor is
         up, and travel accelerates positive at positive pitch.
     offset_deg : float
-        Added last, deg: 0 where the column is 0 at level, the angle of rest where it is 0 at rest.
+        Offset added last, deg: 0 if the column is 0 at level, or the rest angle if the column is 0 at rest.
     delay_s : float
         Delay of the column, s.
     """
@@ -50,7 +50,7 @@ class Angle:
 
     @property
     def rad(self) -> float:
-        """Radians that one of the column's unit is, without sign."""
+        """Radians per unit of the column, without sign."""
         return 2.0 * math.pi / self.counts if self.unit == COUNT else ANGLE_UNITS[self.unit]
 
 
@@ -69,13 +69,13 @@ class Voltage:
     supply_V : float
         Supply voltage of which the column is a share, V.
     sign : float
-        -1 where the column counts the other way.
+        -1 if the column has the opposite sign.
     offset_V : float
         Offset added last, V, such as the bias of a sum that was logged without it.
     delay_s : float
         Delay of the column, s.
     factor : float
-        Factor of the column, such as 2 for half a sum, or the gain of an amplifier behind the output.
+        Factor of the column, such as 2 for half a sum, or the gain of an amplifier after the output.
     """
 
     column: str
@@ -120,7 +120,7 @@ class Profile:
     angles : Mapping[str, Angle]
         By axis; all of them.
     voltages : Mapping[str, Voltage]
-        `front` and `back`, or `sum` and `difference`: of both voltages, front less back.
+        Columns `front` and `back`, or `sum` and `difference` (front minus back).
     time : str
         Column of the times; empty if there is none.
     time_unit : str
@@ -128,15 +128,15 @@ class Profile:
     rate_Hz : float
         Rows per second, if there is no column of times.
     act : str
-        `after`: a row's voltages act from that row on (what a controller wrote then). `before`: they acted
-        until that row (what was sampled with the angles).
+        `after`: the voltages of a row act from that row on, as commands of a controller. `before`: they acted
+        until that row, as samples that were taken with the angles.
     clip_V : tuple of (float, float) or None
-        Least and largest voltage of a motor, where what was logged was clipped before it acted.
+        Smallest and largest voltage of a motor, if commands were logged before they were clipped.
     mirrored : bool
-        Whether the rotor that the entries call the back one is the front one: the motors are then exchanged,
-        and pitch and travel turned, last of all.
+        Whether the rotor that the entries call the back one is the front one. At the end, motors are then
+        exchanged, and the signs of pitch and travel are changed.
     setpoints : Mapping[str, Angle]
-        Setpoints by axis, where they are known.
+        Setpoints by axis, if they are known.
     parts : Mapping[str, Part]
         Parts by the file's name without its folder.
     about : str
@@ -177,7 +177,7 @@ def read_entries(path: Path) -> Mapping[str, Any]:
 
 
 def profile_of(content: Mapping[str, Any], source: str) -> Profile:
-    """Make a profile of its entries, `content`; a FlightDataError names the `source` and the wrong entry."""
+    """Read a profile from its parsed TOML, `content`; an error names `source` and the wrong entry."""
     reader = _Reader(source)
     known = {
         "about",
@@ -190,31 +190,31 @@ def profile_of(content: Mapping[str, Any], source: str) -> Profile:
         *SUMS,
         *(f"{a}_setpoint" for a in AXES),
     }
-    reader.no_others(content, known, "")
+    reader.refuse_unknown(content, known, "")
     time = reader.table(content, "time")
-    reader.no_others(time, {"column", "unit", "rate_Hz"}, "time.")
+    reader.refuse_unknown(time, {"column", "unit", "rate_Hz"}, "time.")
     motors = [name for name in MOTORS if name in content]
     sums = [name for name in SUMS if name in content]
     if (motors, sums) not in ((list(MOTORS), []), ([], list(SUMS))):
-        raise reader.wrong("the voltages are neither [front] and [back] nor [sum] and [difference]")
-    acting = reader.table(content, "voltages")
-    reader.no_others(acting, {"act", "clip_V", *_SHARED}, "voltages.")
-    shared = {name: acting[name] for name in _SHARED if name in acting}
+        raise reader.problem("the voltages are neither [front] and [back] nor [sum] and [difference]")
+    voltages_table = reader.table(content, "voltages")
+    reader.refuse_unknown(voltages_table, {"act", "clip_V", *_SHARED}, "voltages.")
+    shared = {name: voltages_table[name] for name in _SHARED if name in voltages_table}
     profile = Profile(
         {axis: reader.angle(content, axis) for axis in AXES},
         {name: reader.voltage(content, name, shared) for name in motors or sums},
         reader.text(time, "column", ""),
         reader.one_of(time, "unit", "s", tuple(TIME_UNITS)),
         reader.number(time, "rate_Hz", 0.0),
-        reader.one_of(acting, "act", "after", _ACT),
+        reader.one_of(voltages_table, "act", "after", _ACT),
         {axis: reader.angle(content, f"{axis}_setpoint") for axis in AXES if f"{axis}_setpoint" in content},
         dict(reader.part(entry) for entry in reader.tables(content, "flight")),
         reader.text(content, "about", ""),
-        reader.clip(acting),
+        reader.clip(voltages_table),
         reader.truth(content, "mirrored"),
     )
     if not profile.time and profile.rate_Hz <= 0.0:
-        raise reader.wrong("it has neither time.column nor time.rate_Hz")
+        raise reader.problem("it has neither time.column nor time.rate_Hz")
     return profile
 
 
@@ -224,53 +224,62 @@ class _Reader:
 
     source: str
 
-    def wrong(self, what: str) -> FlightDataError:
+    def problem(self, what: str) -> FlightDataError:
+        """Return an error about the profile, to be raised."""
         return FlightDataError(f"{self.source}: {what}", "see docs/reference/file-formats.md")
 
-    def no_others(self, content: Mapping[str, Any], known: set[str], where: str) -> None:
+    def refuse_unknown(self, content: Mapping[str, Any], known: set[str], prefix: str) -> None:
+        """Raise an error for an entry that is not in `known`."""
         for name in content:
             if name not in known:
-                raise self.wrong(
-                    f"it has '{where}{name}', which is unknown; choose from {', '.join(sorted(known))}"
+                raise self.problem(
+                    f"it has '{prefix}{name}', which is unknown; choose from {', '.join(sorted(known))}"
                 )
 
     def table(self, content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+        """Return a table within `content`; empty if it is missing."""
         value = content.get(name, {})
         if not isinstance(value, Mapping):
-            raise self.wrong(f"{name} is not a table")
+            raise self.problem(f"{name} is not a table")
         return value
 
     def tables(self, content: Mapping[str, Any], name: str) -> list[Mapping[str, Any]]:
+        """Return a list of tables within `content`; empty if it is missing."""
         value = content.get(name, [])
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
-            raise self.wrong(f"{name} is not a list of tables; write [[{name}]]")
+            raise self.problem(f"{name} is not a list of tables; write [[{name}]]")
         return value
 
     def text(self, content: Mapping[str, Any], name: str, default: str | None) -> str:
+        """Return a text; without a default, it is required."""
         value = content.get(name, default)
         if not isinstance(value, str):
-            raise self.wrong(f"'{name}' is missing, or not a text")
+            raise self.problem(f"'{name}' is missing, or not a text")
         return value
 
     def number(self, content: Mapping[str, Any], name: str, default: float) -> float:
+        """Return a finite number."""
         value = content.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise self.wrong(f"'{name}' is not a number")
+            raise self.problem(f"'{name}' is not a number")
         return float(value)
 
     def one_of(self, content: Mapping[str, Any], name: str, default: str, known: tuple[str, ...]) -> str:
+        """Return a text that must be one of `known`."""
         value = self.text(content, name, default)
         if value not in known:
-            raise self.wrong(f"unknown {name} = '{value}'; choose {', '.join(known)}")
+            raise self.problem(f"unknown {name} = '{value}'; choose {', '.join(known)}")
         return value
 
     def truth(self, content: Mapping[str, Any], name: str) -> bool:
+        """Return true or false; false if it is missing."""
         value = content.get(name, False)
         if not isinstance(value, bool):
-            raise self.wrong(f"'{name}' is neither true nor false")
+            raise self.problem(f"'{name}' is neither true nor false")
         return value
 
     def clip(self, content: Mapping[str, Any]) -> tuple[float, float] | None:
+        """Return the smallest and the largest voltage; None if they are missing."""
         value = content.get("clip_V")
         if value is None:
             return None
@@ -278,31 +287,34 @@ class _Reader:
             isinstance(limit_V, int | float) and not isinstance(limit_V, bool) for limit_V in value
         )
         if not numbers or len(value) != 2 or not value[0] < value[1]:
-            raise self.wrong(
+            raise self.problem(
                 f"clip_V = {value} is not a [smallest, largest] voltage of a motor, such as [-5, 5]"
             )
         return float(value[0]), float(value[1])
 
     def sign(self, content: Mapping[str, Any]) -> float:
+        """Return 1 or -1."""
         value = self.number(content, "sign", 1.0)
         if abs(value) != 1.0:
-            raise self.wrong(f"sign = {value:g} is neither 1 nor -1")
+            raise self.problem(f"sign = {value:g} is neither 1 nor -1")
         return value
 
     def positive(self, content: Mapping[str, Any], name: str, default: float) -> float:
+        """Return a number above 0."""
         value = self.number(content, name, default)
         if value <= 0.0:
-            raise self.wrong(f"{name} = {value:g} is not positive")
+            raise self.problem(f"{name} = {value:g} is not positive")
         return value
 
     def angle(self, content: Mapping[str, Any], name: str) -> Angle:
+        """Read the table of an angle."""
         if name not in content:
-            raise self.wrong(f"[{name}] is missing")
+            raise self.problem(f"[{name}] is missing")
         entry = self.table(content, name)
-        self.no_others(entry, {"column", "unit", "counts", "sign", "offset_deg", "delay_s"}, f"{name}.")
+        self.refuse_unknown(entry, {"column", "unit", "counts", "sign", "offset_deg", "delay_s"}, f"{name}.")
         unit = self.one_of(entry, "unit", "rad", (*ANGLE_UNITS, COUNT))
         if unit == COUNT and "counts" not in entry:
-            raise self.wrong(f"[{name}] is in counts without counts = the encoder's counts of a turn")
+            raise self.problem(f"[{name}] is in counts without counts = the encoder's counts of a turn")
         return Angle(
             self.text(entry, "column", None),
             unit,
@@ -313,8 +325,9 @@ class _Reader:
         )
 
     def voltage(self, content: Mapping[str, Any], name: str, shared: Mapping[str, Any]) -> Voltage:
+        """Read the table of a voltage; entries that it lacks come from `shared`."""
         entry = self.table(content, name)
-        self.no_others(entry, {"column", "sign", "offset_V", "delay_s", *_SHARED}, f"{name}.")
+        self.refuse_unknown(entry, {"column", "sign", "offset_V", "delay_s", *_SHARED}, f"{name}.")
         entry = {**shared, **entry}
         return Voltage(
             self.text(entry, "column", None),
@@ -328,19 +341,20 @@ class _Reader:
         )
 
     def part(self, entry: Mapping[str, Any]) -> tuple[str, Part]:
-        self.no_others(entry, {"file", "leave_out_s", "group"}, "flight.")
+        """Read a table ``[[flight]]``: a file name, and the part of the file to use."""
+        self.refuse_unknown(entry, {"file", "leave_out_s", "group"}, "flight.")
         spans = entry.get("leave_out_s", [])
         try:
-            left_out = tuple((float(start), float(stop)) for start, stop in spans)
+            excluded_s = tuple((float(start), float(stop)) for start, stop in spans)
         except (TypeError, ValueError):
-            raise self.wrong(
+            raise self.problem(
                 "leave_out_s is not a list of [from, to] in seconds, such as [[0, 5], [33, 40]]"
             ) from None
-        return self.text(entry, "file", None), Part(left_out, self.text(entry, "group", ""))
+        return self.text(entry, "file", None), Part(excluded_s, self.text(entry, "group", ""))
 
 
 def profile_text(profile: Profile) -> str:
-    """Write a profile as TOML, which `read_profile` reads."""
+    """Return a profile as the TOML text that `read_profile` reads."""
     lines = [f"about = {toml_string(profile.about)}"]
     lines += [
         f"mirrored = {str(profile.mirrored).lower()}  # true: the other rotor is the front one",
@@ -373,6 +387,7 @@ def profile_text(profile: Profile) -> str:
 
 
 def _scale_lines(voltage: Voltage) -> list[str]:
+    """Return the unit and the scale of a voltage as TOML."""
     lines = [f'unit = "{voltage.unit}"']
     lines += [f"full = {voltage.full!r}"] if voltage.unit == "pwm" else []
     lines += [f"supply_V = {voltage.supply_V!r}"] if voltage.unit in SHARES else []
@@ -380,6 +395,7 @@ def _scale_lines(voltage: Voltage) -> list[str]:
 
 
 def _angle_lines(angle: Angle) -> list[str]:
+    """Return the entries of an angle as TOML."""
     lines = [f"column = {toml_string(angle.column)}", f'unit = "{angle.unit}"']
     lines += [f"counts = {angle.counts!r}"] if angle.unit == COUNT else []
     lines += [f"sign = {angle.sign:g}"]

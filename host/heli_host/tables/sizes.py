@@ -45,13 +45,13 @@ def check_mat(path: Path) -> None:
     if size > MAX_BYTES:
         raise too_large(path, f"{MAX_BYTES >> 20} MiB")
     with path.open("rb") as file:
-        head = file.read(_MAT_HEAD)
+        header = file.read(_MAT_HEAD)
         if file.seek(512) and file.read(len(_HDF)) == _HDF:
             _check_hdf(path)
             return
-        if len(head) < _MAT_HEAD or head[-2:] not in (b"IM", b"MI"):
+        if len(header) < _MAT_HEAD or header[-2:] not in (b"IM", b"MI"):
             return
-        order = "<" if head[-2:] == b"IM" else ">"
+        order = "<" if header[-2:] == b"IM" else ">"
         file.seek(_MAT_HEAD)
         total = 0
         while len(tag := file.read(8)) == 8:
@@ -72,6 +72,7 @@ def _check_hdf(path: Path) -> None:
     numbers = objects = 0
 
     def count(_: str, item: Any) -> None:
+        """Count an object of the file and its numbers, and raise an error beyond the limits."""
         nonlocal numbers, objects
         objects += 1
         numbers += int(item.size or 0) if isinstance(item, h5py.Dataset) else 0
@@ -107,13 +108,15 @@ def check_parquet(path: Path, file: pyarrow.parquet.ParquetFile) -> None:
 def check_workbook(path: Path) -> None:
     """Refuse a spreadsheet (.xlsx) at `path` with more XML or elements than the limits of this module."""
     with zipfile.ZipFile(path) as archive:
-        parts = [part for part in archive.infolist() if part.filename.lower().endswith((".xml", ".rels"))]
-        # zipfile gives no more of a part than it declares.
-        if sum(part.file_size for part in parts) > MAX_SHEET_BYTES:
+        members = [
+            member for member in archive.infolist() if member.filename.lower().endswith((".xml", ".rels"))
+        ]
+        # zipfile never returns more bytes of a member than the size that the member declares.
+        if sum(member.file_size for member in members) > MAX_SHEET_BYTES:
             raise too_large(path, f"{MAX_SHEET_BYTES >> 20} MiB")
         elements = 0
-        for part in parts:
-            with archive.open(part) as file:
+        for member in members:
+            with archive.open(member) as file:
                 while step := file.read(_STEP_BYTES):
                     elements += step.count(b"<") - step.count(b"</")
                     if elements > MAX_ELEMENTS:
@@ -124,13 +127,13 @@ def check_bag(path: Path) -> None:
     """Refuse a bag (.bag, .mcap) at `path` whose chunks unpack to more than a bag of this size can hold."""
     size = path.stat().st_size
     max_bytes = max(MAX_BYTES, MAX_RATIO * size)
-    total, seen = 0, set()
+    total, seen_offsets = 0, set()
     for offset, codec, data in _chunks(path, size):
         if data is None:
-            # An index may name a chunk again and again, and have it unpacked each time.
-            if offset in seen:
+            # A malicious index may list a chunk many times, so that it would be unpacked each time.
+            if offset in seen_offsets:
                 raise too_large(path, f"{max_bytes >> 20} MiB")
-            seen.add(offset)
+            seen_offsets.add(offset)
             continue
         count = unpacked_bytes(codec, data, MAX_CHUNK_BYTES)
         if count > MAX_CHUNK_BYTES:
@@ -141,12 +144,15 @@ def check_bag(path: Path) -> None:
 
 
 def _chunks(path: Path, size: int) -> Iterator[tuple[int, str, bytes | None]]:
-    """Yield each chunk as its place, compression and packed data, and each mention of one as its place."""
+    """Yield position, compression and packed bytes of each chunk, and the position in each index entry.
+
+    An index entry has None instead of bytes.
+    """
     with path.open("rb") as file:
-        begin = file.read(13)
-        if begin.startswith(_MCAP_MAGIC):
+        magic = file.read(13)
+        if magic.startswith(_MCAP_MAGIC):
             yield from _mcap_chunks(file, size)
-        elif begin == b"#ROSBAG V2.0\n":
+        elif magic == b"#ROSBAG V2.0\n":
             yield from _rosbag_chunks(file, size)
 
 
@@ -180,26 +186,26 @@ def _rosbag_chunks(file: Any, size: int) -> Iterator[tuple[int, str, bytes | Non
         head_bytes = struct.unpack("<I", file.read(4))[0]
         if offset + 8 + head_bytes > size:
             return
-        head = _rosbag_fields(file.read(head_bytes))
+        header = _rosbag_fields(file.read(head_bytes))
         data_bytes = struct.unpack("<I", file.read(4))[0]
-        kind = head.get(b"op", b"")
+        kind = header.get(b"op", b"")
         if kind == b"\x05":
             yield (
                 offset,
-                head.get(b"compression", b"").decode("ascii", errors="replace"),
+                header.get(b"compression", b"").decode("ascii", errors="replace"),
                 file.read(data_bytes),
             )
-        elif kind == b"\x06" and len(head.get(b"chunk_pos", b"")) == 8:
-            yield struct.unpack("<Q", head[b"chunk_pos"])[0], "", None
+        elif kind == b"\x06" and len(header.get(b"chunk_pos", b"")) == 8:
+            yield struct.unpack("<Q", header[b"chunk_pos"])[0], "", None
         offset += 8 + head_bytes + data_bytes
 
 
-def _rosbag_fields(head: bytes) -> dict[bytes, bytes]:
+def _rosbag_fields(header: bytes) -> dict[bytes, bytes]:
     """Return the fields of a record of a ROS 1 bag, by name."""
     fields, offset = {}, 0
-    while offset + 4 <= len(head):
-        length = struct.unpack_from("<I", head, offset)[0]
-        name, _, value = head[offset + 4 : offset + 4 + length].partition(b"=")
+    while offset + 4 <= len(header):
+        length = struct.unpack_from("<I", header, offset)[0]
+        name, _, value = header[offset + 4 : offset + 4 + length].partition(b"=")
         fields[name] = value
         offset += 4 + length
     return fields

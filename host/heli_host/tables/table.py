@@ -47,7 +47,7 @@ class Table:
     notes : str
         Notes in the file.
     named : bool
-        Whether the names are the file's own.
+        Whether the file contains the names.
     """
 
     source: str
@@ -61,22 +61,27 @@ class Table:
     def aligned(self) -> Table:
         """Bring all columns to the clock of the column with the most rows.
 
-        Each other column takes, at every time, its last value up to that time. If no column has times of its
-        own, the columns are not resampled. Columns shorter than the longest are left out then, and so are
+        At each time, the other columns have their last value up to that time. If no column has separate
+        times, the columns are not resampled. Columns shorter than the longest are then omitted, and so are
         rows of zeros at the end, which come from a buffer that is too long.
         """
-        clocked = {name: column for name, column in self.columns.items() if column.t_s is not None}
-        if not clocked:
+        timed = {name: column for name, column in self.columns.items() if column.t_s is not None}
+        if not timed:
             length = len(self)
-            kept = {name: column for name, column in self.columns.items() if column.values.size == length}
-            used = _used_rows([column.values for column in kept.values()])
-            if used < length:
-                kept = {name: Column(column.values[:used], column.unit) for name, column in kept.items()}
-            return Table(self.source, kept, self.notes, self.named)
-        fullest = max(clocked.values(), key=lambda column: column.values.size)
+            longest_columns = {
+                name: column for name, column in self.columns.items() if column.values.size == length
+            }
+            used_count = _used_rows([column.values for column in longest_columns.values()])
+            if used_count < length:
+                longest_columns = {
+                    name: Column(column.values[:used_count], column.unit)
+                    for name, column in longest_columns.items()
+                }
+            return Table(self.source, longest_columns, self.notes, self.named)
+        fullest = max(timed.values(), key=lambda column: column.values.size)
         assert fullest.t_s is not None
         start_s = max(
-            float(column.t_s[0]) for column in clocked.values() if column.t_s is not None and column.t_s.size
+            float(column.t_s[0]) for column in timed.values() if column.t_s is not None and column.t_s.size
         )
         t_s = fullest.t_s[fullest.t_s >= start_s]
         if t_s.size < 2:
@@ -84,11 +89,11 @@ class Table:
                 f"{self.source}: its signals have no common time span", "give the signals of one flight"
             )
         columns = {SHARED_TIME: Column(t_s - t_s[0], "s")}
-        for name, column in clocked.items():
+        for name, column in timed.items():
             assert column.t_s is not None
             if column.t_s.size:
-                place = np.clip(np.searchsorted(column.t_s, t_s, side="right") - 1, 0, None)
-                columns[name] = Column(column.values[place], column.unit)
+                last_rows = np.clip(np.searchsorted(column.t_s, t_s, side="right") - 1, 0, None)
+                columns[name] = Column(column.values[last_rows], column.unit)
         return Table(self.source, columns, self.notes, self.named)
 
 

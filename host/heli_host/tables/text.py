@@ -25,7 +25,7 @@ from heli_host.tables.units import unit_of
 _MAX_LINE_CHARACTERS: Final = 1 << 16
 """Longest line: a thousand columns have 20 thousand characters."""
 _LINE_ENDS: Final = tuple(bytes([code]) for code in b"\n\x0b\x0c\x1c\x1d\x1e\x85\xa8\xa9")
-"""Bytes in which the ends of a line end, those of Unicode too; a return counts by itself."""
+"""Last bytes of all line ends, including those of Unicode; carriage returns are counted separately."""
 _COMMENTS: Final = ("#", "%", "//", '"#')
 _SEPARATORS: Final = (";", "\t", ",", "|", " ")
 _LOOKED_AT: Final = 60
@@ -46,13 +46,14 @@ class Dialect:
 
 
 def read_text(path: Path) -> Table:
-    """Read a table of text at `path`: any usual separator, points or commas in numbers, names and units in a
-    header or none, comments, gzip.
+    """Read a text table at `path`, which may be compressed by gzip.
+
+    Separator and decimal mark are recognised. Names, units and comments are optional.
 
     Raises
     ------
     FlightDataError
-        If it cannot be read, or holds no table of numbers.
+        If the file cannot be read, or contains no table of numbers.
     """
     import pandas
 
@@ -61,15 +62,16 @@ def read_text(path: Path) -> Table:
     body = [line for line in lines if line.strip() and not line.strip().startswith(_COMMENTS)]
     if not body:
         raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
-    # A flight begins at rest, with whole numbers that tell no decimal mark: rows of all of it are looked at.
-    spread = body[:: max(1, len(body) // _LOOKED_AT)]
-    dialect = find_dialect([*body[:_LOOKED_AT], *spread])
+    # At the beginning the rig is at rest, and whole numbers do not show the decimal mark. Therefore lines of
+    # the whole file are examined.
+    sampled_lines = body[:: max(1, len(body) // _LOOKED_AT)]
+    dialect = find_dialect([*body[:_LOOKED_AT], *sampled_lines])
     if dialect is None:
         raise FlightDataError(
             f"{path}: the file has no columns of numbers",
             "give a table with one row per sample, separated by , ; or tabs",
         )
-    start = _first_row(body[:_LOOKED_AT], dialect, spread)
+    start = _first_row(body[:_LOOKED_AT], dialect, sampled_lines)
     header, rows = body[:start], body[start:]
     if not rows:
         raise FlightDataError(
@@ -97,9 +99,9 @@ def read_text(path: Path) -> Table:
     columns = {}
     for index, name in enumerate(names):
         values = pandas.to_numeric(frame[index], errors="coerce").to_numpy(np.float64)
-        at_s = None if np.isfinite(values).mean() > 0.5 else seconds_of(frame[index])
-        if at_s is not None:
-            columns[name] = Column(at_s, "s")
+        clock_s = None if np.isfinite(values).mean() > 0.5 else seconds_of(frame[index])
+        if clock_s is not None:
+            columns[name] = Column(clock_s, "s")
         elif np.isfinite(values).any():
             columns[name] = Column(values, units[index])
     if not columns:
@@ -110,7 +112,7 @@ def read_text(path: Path) -> Table:
 
 
 def find_dialect(lines: list[str]) -> Dialect | None:
-    """Find the dialect in which `lines` have most numbers, all of one length; None where no line has two."""
+    """Find the dialect in which most cells of `lines` are numbers; None if lines have less than two cells."""
     best, best_rank = None, (0.0, 0)
     for separator, decimal in itertools.product(_SEPARATORS, ".,"):
         if separator == decimal:
@@ -123,13 +125,14 @@ def find_dialect(lines: list[str]) -> Dialect | None:
         shares = [
             sum(_is_number(cell, dialect) for cell in row) / width for row in cells if len(row) == width
         ]
-        good = sum(shares) / len(cells)
-        if (good, width) > best_rank:
-            best, best_rank = dialect, (good, width)
+        number_share = sum(shares) / len(cells)
+        if (number_share, width) > best_rank:
+            best, best_rank = dialect, (number_share, width)
     return best
 
 
 def _lines(path: Path) -> list[str]:
+    """Return the lines of a file; a FlightDataError if one is too long."""
     lines = _text(path).splitlines()
     if max(map(len, lines), default=0) > _MAX_LINE_CHARACTERS:
         raise FlightDataError(
@@ -141,29 +144,31 @@ def _lines(path: Path) -> list[str]:
 def _text(path: Path) -> str:
     """Return the text of a file, unpacked if its name ends in .gz, by the encoding that its bytes suggest."""
     try:
-        data = read_file(path, MAX_BYTES)
+        content = read_file(path, MAX_BYTES)
         if path.name.lower().endswith(".gz"):
-            with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
-                data = packed.read(MAX_BYTES + 1)
+            with gzip.GzipFile(fileobj=io.BytesIO(content)) as compressed:
+                content = compressed.read(MAX_BYTES + 1)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise FlightDataError(f"{path}: not a gzip file, or damaged", "copy it again") from error
     except OSError as error:
         raise FlightDataError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
-    if len(data) > MAX_BYTES:
+    if len(content) > MAX_BYTES:
         raise too_large(path, f"{MAX_BYTES >> 20} MiB")
-    if max(data.count(b"\r"), sum(data.count(line_end) for line_end in _LINE_ENDS)) > MAX_ROWS:
+    if max(content.count(b"\r"), sum(content.count(line_end) for line_end in _LINE_ENDS)) > MAX_ROWS:
         raise too_large(path, f"{MAX_ROWS // 1_000_000} million lines")
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return data.decode("utf-16", errors="replace")
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return content.decode("utf-16", errors="replace")
     try:
-        return data.decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        # Chinese characters are pairs of high bytes; a western letter with an accent is a single one.
-        paired = all(len(run) % 2 == 0 for run in _HIGH_BYTES.findall(data[:_ENCODING_BYTES]))
-        return data.decode("gb18030" if paired else "latin-1", errors="replace")
+        # In GB 18030, Chinese characters are pairs of high bytes; in Latin-1, an accented letter is one high
+        # byte.
+        paired = all(len(run) % 2 == 0 for run in _HIGH_BYTES.findall(content[:_ENCODING_BYTES]))
+        return content.decode("gb18030" if paired else "latin-1", errors="replace")
 
 
 def _cells(line: str, dialect: Dialect) -> list[str]:
+    """Split a line into cells."""
     if dialect.separator == " ":
         return line.split()
     cells = next(csv.reader([line.strip(" \r\n")], delimiter=dialect.separator, skipinitialspace=True), [])
@@ -171,19 +176,21 @@ def _cells(line: str, dialect: Dialect) -> list[str]:
     return cells[:-1] if cells and not cells[-1].strip() else cells
 
 
-def _first_row(lines: list[str], dialect: Dialect, spread: list[str]) -> int:
-    """Find the first row of numbers: it is as wide as most, at least half of its cells are numbers, and no
-    row of names follows, as in LabVIEW's headers, which contain numbers too.
+def _first_row(lines: list[str], dialect: Dialect, sampled_lines: list[str]) -> int:
+    """Return the index of the first row of numbers.
+
+    It is as wide as most rows, and at least half of its cells are numbers. No row of names may follow,
+    because headers of LabVIEW contain numbers, too.
     """
-    width = statistics.mode(len(_cells(line, dialect)) for line in spread)
+    width = statistics.mode(len(_cells(line, dialect)) for line in sampled_lines)
     cells = [_cells(line, dialect) for line in lines]
     numbers = [sum(_is_number(cell, dialect) for cell in row) for row in cells]
-    named = [
+    name_rows = [
         index
         for index, row in enumerate(cells)
         if len(row) >= width and not numbers[index] and all(cell.strip() for cell in row[:width])
     ]
-    start = max(named, default=-1) + 1
+    start = max(name_rows, default=-1) + 1
     for index in range(start, len(lines)):
         if len(cells[index]) >= width and 2 * numbers[index] >= max(len(cells[index]), 1):
             return index
@@ -191,6 +198,7 @@ def _first_row(lines: list[str], dialect: Dialect, spread: list[str]) -> int:
 
 
 def _is_number(cell: str, dialect: Dialect) -> bool:
+    """Whether a cell is a number with the decimal mark of the dialect, or means "missing"."""
     text = cell.strip()
     if dialect.decimal != ".":
         if "." in text:
@@ -200,23 +208,24 @@ def _is_number(cell: str, dialect: Dialect) -> bool:
 
 
 def _names(header: list[str], dialect: Dialect, width: int) -> tuple[list[str], list[str]]:
-    """Column names, made different where they are not, and units, from a row of their own where there is
-    one.
+    """Return names and units of the columns; a repeated name gets an apostrophe.
+
+    Units come from a separate row, if the header has one.
     """
     rows = [_cells(line, dialect) for line in header]
-    # LabVIEW names a column of comments that no row has.
+    # The header of LabVIEW has one more name, for a column of comments that the rows lack.
     rows = [row[:width] for row in rows if len(row) in {width, width + 1}]
     units = [""] * width
     if len(rows) > 1 and sum(bool(_stated(cell)) for cell in rows[-1]) >= max(1, width // 2):
         units = [_stated(cell) for cell in rows[-1]]
         rows = rows[:-1]
-    raw = [cell.strip() for cell in rows[-1]] if rows else [f"column {i + 1}" for i in range(width)]
+    column_names = [cell.strip() for cell in rows[-1]] if rows else [f"column {i + 1}" for i in range(width)]
     names: list[str] = []
-    for index, name in enumerate(raw):
-        wanted = name or f"column {index + 1}"
-        while wanted in names:
-            wanted += "'"
-        names.append(wanted)
+    for index, name in enumerate(column_names):
+        unique_name = name or f"column {index + 1}"
+        while unique_name in names:
+            unique_name += "'"
+        names.append(unique_name)
     return names, units
 
 

@@ -13,7 +13,7 @@ TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 VOLTAGE_UNITS: Final = {"V": 1.0, "mV": 1e-3}
 """Volts in one of each; shares of the supply are in `SHARES`."""
 SHARES: Final = {"duty": 1.0, "percent": 100.0, "pwm": 255.0}
-"""Number that stands for full supply; a profile may state another number for `pwm`."""
+"""Number in the column that means full supply voltage; a profile may state another number for `pwm`."""
 COUNT: Final = "count"
 
 _SPELLINGS: Final = {
@@ -60,16 +60,16 @@ def split_unit(name: str) -> tuple[str, str]:
     Returns
     -------
     tuple of (str, str)
-        The rest of the name, and the unit, empty where there is none.
+        The name without the unit, and the unit, which may be empty.
     """
     for pattern in (_BRACKETS, _SLASH):
         match = pattern.match(name)
-        # In y[1] and u(1) the number is an index; only after a space it is the unit of a share.
+        # In y[1] and u(1) the number is an index. After a space it is the unit 1, of a share.
         index = match is not None and match.group(2) == "1" and name[len(match.group(1))] in "[({<"
         if match and unit_of(match.group(2)) and not index:
             return match.group(1).strip(), unit_of(match.group(2))
     match = _TAIL.match(name)
-    # V_s is a sum of voltages and pitch_v a speed: these two letters are units in one place each.
+    # V_s is a sum of voltages and pitch_v is a speed, so that "s" and "v" are units in some names only.
     single = match is not None and (
         (match.group(2) == "s" and match.group(1).lower() in _BEFORE_S) or match.group(2) == "V"
     )

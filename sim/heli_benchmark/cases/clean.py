@@ -17,7 +17,6 @@ from heli_benchmark.simulation.flight_code import flown, plan
 
 TRAIN_S, VALIDATE_S = 60.0, 40.0
 _NOTHING = 12
-# Two or three effects together.
 _SEVERAL = (
     ("rotor_lag", "coulomb_friction.elevation"),
     ("rotor_lag", "cable_spring.travel"),
@@ -28,6 +27,7 @@ _SEVERAL = (
     ("rotor_lag", "thrust_step.front", "cable_spring.elevation"),
     ("thrust_quadratic", "periodic_torque.travel"),
 )
+"""Combinations of two or three effects."""
 
 
 _OFF_FACTOR = {2: 1.0, 1: 0.6}
@@ -91,9 +91,10 @@ class Case:
         for number, ((_, size), maker) in enumerate(
             zip((*self.effects, *self.unlisted), self.makers, strict=True)
         ):
-            # 2 for listed effects, 3 for others; the second number restarts there.
-            place = [2, number] if number < len(self.effects) else [3, number - len(self.effects)]
-            effect = maker(size, np.random.default_rng([self.seed, *place]))
+            # Listed and unlisted effects have separate sequences of seeds.
+            is_listed = number < len(self.effects)
+            stream = [2, number] if is_listed else [3, number - len(self.effects)]
+            effect = maker(size, np.random.default_rng([self.seed, *stream]))
             effect.flight_rng = np.random.default_rng([self.seed, 5, flight, number])
             effects.append(effect)
         return effects
@@ -144,6 +145,7 @@ def clean_cases() -> list[Case]:
 
 
 def _in_order() -> Iterator[Case]:
+    """Yield the cases by kind. Each later kind has its own range of seeds, which keeps earlier cases."""
     seed = 1000
     for size in (2, 1):
         word = ("", "small", "large")[size]
@@ -180,4 +182,5 @@ def _in_order() -> Iterator[Case]:
 
 
 def _factor(seed: int) -> float:
+    """Draw a factor by which the size of an effect differs from the small or large one in its list."""
     return float(np.random.default_rng([seed, 0]).uniform(0.8, 1.3))

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from heli_benchmark.cases.disturbed_case import QUANSER_RIG, DisturbedCase
-from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.effects.listed import LISTED, MORE_LISTED, Maker
 from heli_benchmark.effects.measured import MEASURED_EFFECTS
 from heli_benchmark.effects.unlisted import DISTURBED
@@ -102,6 +102,7 @@ def disturbed_cases() -> list[DisturbedCase]:
 
 
 def _in_order() -> Iterator[DisturbedCase]:
+    """Yield the cases by kind; each has a fixed seed."""
     seed = 3000
     for number in range(_NOTHING):
         seed += 1
@@ -129,7 +130,7 @@ def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]
     """Draw rig, flight and disturbances of a case, and the sizes that suit them."""
     rng = np.random.default_rng([seed, 6])
     strength = int(rng.integers(3))
-    gusts_Nm, correlation_time_s = STRENGTHS_Nm[strength], MEMORIES_s[int(rng.integers(3))]
+    gusts_Nm, correlation_time_s = STRENGTHS_Nm[strength], CORRELATION_TIMES_s[int(rng.integers(3))]
     drifts, on_quanser = rng.random() < _DRIFTING, rng.random() < _ON_QUANSER
     drift = [float(share * gust) for share, gust in zip(rng.uniform(0.5, 1.0, 3), gusts_Nm, strict=True)]
     disturbances = DisturbanceModel(

@@ -73,8 +73,8 @@ class DisturbedCase(Case):
         flight : int
             Number of the flight, for the disturbances.
         """
-        air = DisturbanceTorques(self.disturbances, np.random.default_rng([self.seed, 7, flight]))
-        return [*super().hidden(flight), air]
+        disturbances = DisturbanceTorques(self.disturbances, np.random.default_rng([self.seed, 7, flight]))
+        return [*super().hidden(flight), disturbances]
 
     def fly(self, flight: int, duration_s: float) -> tuple[Flight, TrueTrajectory]:
         """Fly one of the two flights, and record its true trajectory.
@@ -109,12 +109,13 @@ class DisturbedCase(Case):
             travel_deg, elevation_deg = 0.45 * travel_deg, 0.35 * elevation_deg
         # The rotors of the Quanser rig give a quarter of the thrust per volt.
         excitation_V = rng.uniform(0.12, 0.3) * (2.5 if self.rig_name == QUANSER_RIG else 1.0)
-        swings = bool(rng.integers(2))
+        # One of the two flights follows sines, the other steps.
+        training_has_sines = bool(rng.integers(2))
         return Route(
             duration_s,
             float(travel_deg[flight]),
             float(elevation_deg[flight]),
-            swings == (flight == 0),
+            training_has_sines == (flight == 0),
             excitation_V * (0.4 if self.gentle else 1.0),
         )
 
@@ -141,14 +142,15 @@ class DisturbedCase(Case):
 
 @lru_cache(maxsize=2)
 def _flown(case: DisturbedCase, flight: int, duration_s: float) -> tuple[Flight, TrueTrajectory]:
-    watching = TrajectoryRecorder()
+    """Fly a case and record its true trajectory; the last two flights are kept in memory."""
+    recorder = TrajectoryRecorder()
     log = tracked(
         case.rig(),
         load_rig(case.rig_name),
-        [watching, *case.hidden(flight)],
+        [recorder, *case.hidden(flight)],
         case.route(flight, duration_s),
         controller=case.controller,
         rate_Hz=case.rate_Hz,
         rng=np.random.default_rng([case.seed, 4, flight]),
     )
-    return log, watching.trajectory()
+    return log, recorder.trajectory()

@@ -14,7 +14,7 @@ import numpy as np
 from heli_benchmark.cases.disturbed import MAKERS, PAPER_RIG, RATES_Hz
 from heli_benchmark.cases.disturbed_case import DisturbedCase
 from heli_benchmark.cases.shocks import UNDISTURBED
-from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.simulation.tracking import CONTROLLERS
 
 PLAY_AXES: Final = ("elevation", "pitch", "travel")
@@ -44,5 +44,5 @@ def play_case(seed: int) -> PlayCase:
         rate_Hz=RATES_Hz[int(rng.integers(len(RATES_Hz)))],
         gentle=False,
         controller=CONTROLLERS[int(rng.integers(len(CONTROLLERS)))],
-        disturbances=DisturbanceModel(_GUSTS_Nm[strength], MEMORIES_s[int(rng.integers(3))]),
+        disturbances=DisturbanceModel(_GUSTS_Nm[strength], CORRELATION_TIMES_s[int(rng.integers(3))]),
     )

@@ -27,7 +27,7 @@ from heli_benchmark.cases.disturbed import (
     RATES_Hz,
 )
 from heli_benchmark.cases.disturbed_case import QUANSER_RIG, DisturbedCase
-from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.effects.unlisted import DISTURBED
 from heli_benchmark.simulation.tracking import CONTROLLERS, Route
 
@@ -164,6 +164,7 @@ def base_rates() -> dict[str, float]:
 
 
 def _case(name: str, draw: Draw) -> PublishedCase:
+    """Draw conditions, causes and sizes of a case."""
     conditions, kind = draw.rng(1), draw.kind
     on_quanser = bool(conditions.random() < _ON_QUANSER)
     weak = bool(conditions.random() < _WEAKLY_EXCITED)
@@ -204,12 +205,14 @@ def _disturbances(rng: np.random.Generator) -> tuple[DisturbanceModel, float]:
     kind = str(rng.choice(_DISTURBANCES))
     strength = {"none": 0, "weak": 0, "strong": 2}.get(kind, 1)
     gusts_Nm = STRENGTHS_Nm[strength]
-    memory_s = MEMORIES_s[2] if kind == "slow" else MEMORIES_s[int(rng.integers(2))]
+    correlation_time_s = (
+        CORRELATION_TIMES_s[2] if kind == "slow" else CORRELATION_TIMES_s[int(rng.integers(2))]
+    )
     shares, drift_s = rng.uniform(0.5, 1.0, 3), float(rng.uniform(20.0, 40.0))
     if kind == "none":
         gusts_Nm = (0.0, 0.0, 0.0)
     e, p, t = (float(gust_Nm) for gust_Nm in shares * gusts_Nm * (kind == "drifting"))
-    return DisturbanceModel(gusts_Nm, memory_s, (e, p, t), drift_s), STRENGTH_FACTORS[strength]
+    return DisturbanceModel(gusts_Nm, correlation_time_s, (e, p, t), drift_s), STRENGTH_FACTORS[strength]
 
 
 @cache
@@ -220,6 +223,7 @@ def _possible(names: tuple[str, ...], on_quanser: bool, weak: bool) -> tuple[str
 
 
 def _drawn(rng: np.random.Generator, count: int, on_quanser: bool, weak: bool) -> tuple[str, ...]:
+    """Draw listed causes that are possible together on this rig."""
     names = _possible(LISTED_CAUSES, on_quanser, weak)
     for _ in range(_MAX_CONFLICTS):
         drawn = tuple(str(name) for name in rng.choice(names, count, replace=False))

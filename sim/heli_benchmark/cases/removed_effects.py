@@ -7,7 +7,7 @@ from typing import Final
 
 from heli_benchmark.cases.disturbed import LAG, PAPER_RIG, SIZES
 from heli_benchmark.cases.disturbed_case import DisturbedCase
-from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.effects.listed import LISTED, MORE_LISTED, Maker
 from heli_benchmark.effects.measured import MEASURED_EFFECTS
 from heli_benchmark.simulation.tracking import CONTROLLERS
@@ -53,7 +53,7 @@ def removed_effect_cases() -> list[DisturbedCase]:
                 100,
                 False,
                 CONTROLLERS[number % 3],
-                DisturbanceModel(STRENGTHS_Nm[0], MEMORIES_s[number % 3]),
+                DisturbanceModel(STRENGTHS_Nm[0], CORRELATION_TIMES_s[number % 3]),
             )
         )
     return cases

@@ -1,4 +1,4 @@
-"""Shocks: a counterweight that slips at a moment of one flight.
+"""Shocks: in one or both flights of a case, the counterweight slips at some moment.
 
 Each seed gives twelve cases: slips of 10 and 30 mm, with and without disturbances, in three layouts of the
 flights. Seeds 5000 to 5099 are for development; 6000 to 6099 judge.
@@ -16,7 +16,7 @@ from typing_extensions import override
 
 from heli_benchmark.cases.disturbed import PAPER_RIG, RATES_Hz
 from heli_benchmark.cases.disturbed_case import DisturbedCase
-from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.engine.plant import HiddenEffect, Moment
 from heli_benchmark.simulation.tracking import CONTROLLERS
 
@@ -59,7 +59,7 @@ class ShockCase(DisturbedCase):
 
     @property
     def moments_s(self) -> tuple[float, float]:
-        """Moment of the slip in either flight; infinite if it does not happen."""
+        """Moment of the slip in the first and in the second flight; infinite if it does not slip there."""
         second_s = float(np.random.default_rng([self.seed, 11]).uniform(12.0, 26.0))
         return {"fit": (30.0, np.inf), "both": (30.0, second_s), "second": (np.inf, second_s)}[self.layout]
 
@@ -74,7 +74,10 @@ def shock_cases(seed: int) -> Iterator[ShockCase]:
         itertools.product(SLIPS_m, (False, True), SHOCK_LAYOUTS)
     ):
         rng = np.random.default_rng([seed, number])
-        gusts, memory_s = STRENGTHS_Nm[int(rng.integers(3))], MEMORIES_s[int(rng.integers(3))]
+        gusts, correlation_time_s = (
+            STRENGTHS_Nm[int(rng.integers(3))],
+            CORRELATION_TIMES_s[int(rng.integers(3))],
+        )
         yield ShockCase(
             name=f"slip-{1e3 * slip_m:.0f}mm-{'disturbed' if disturbed else 'calm'}-{layout}-{seed}",
             effects=(),
@@ -85,7 +88,7 @@ def shock_cases(seed: int) -> Iterator[ShockCase]:
             rate_Hz=RATES_Hz[int(rng.integers(3))],
             gentle=False,
             controller=CONTROLLERS[int(rng.integers(3))],
-            disturbances=DisturbanceModel(gusts, memory_s) if disturbed else UNDISTURBED,
+            disturbances=DisturbanceModel(gusts, correlation_time_s) if disturbed else UNDISTURBED,
             slip_m=slip_m,
             layout=layout,
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from heli_benchmark.cases.disturbed_case import DisturbedCase
-from heli_benchmark.effects.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.effects.equations import EQUATIONS, MakeUnlisted
 from heli_benchmark.effects.listed import LISTED, Maker
 from heli_benchmark.simulation.tracking import CONTROLLERS
@@ -23,7 +23,7 @@ def equation_cases() -> list[DisturbedCase]:
     for number, (size, law) in enumerate((size, law) for size in _SIZES for law in EQUATIONS):
         rng = np.random.default_rng([5000 + number, 6])
         strength = int(rng.integers(3))
-        disturbances = DisturbanceModel(STRENGTHS_Nm[strength], MEMORIES_s[int(rng.integers(3))])
+        disturbances = DisturbanceModel(STRENGTHS_Nm[strength], CORRELATION_TIMES_s[int(rng.integers(3))])
         lag = bool(number % 2)
         makers: tuple[Maker, ...] = (MakeUnlisted(law),)
         cases.append(

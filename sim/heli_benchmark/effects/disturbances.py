@@ -1,4 +1,4 @@
-"""Disturbances: random torques about all three axes, as each real rig has them."""
+"""Disturbances: random torques about all three axes, as on each real rig: gusts and a slow drift."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from heli_benchmark.engine.plant import STEP_S, HiddenEffect, Moment
 
 STRENGTHS_Nm = ((0.006, 0.002, 0.004), (0.012, 0.004, 0.008), (0.02, 0.006, 0.012))
 """Standard deviations about elevation, pitch and travel: weak, moderate, strong."""
-MEMORIES_s = (0.3, 0.6, 1.2)
+CORRELATION_TIMES_s = (0.3, 0.6, 1.2)
 """Correlation times of the gusts; on measured flights they are 0.1 to 1.2 s."""
 LONGEST_s = 130.0
 
@@ -45,26 +45,26 @@ class DisturbanceTorques(HiddenEffect):
     ----------
     disturbances : DisturbanceModel
         Sizes and correlation times.
-    chance : numpy.random.Generator
+    rng : numpy.random.Generator
         Generator of this flight; no two flights share it.
     """
 
-    def __init__(self, disturbances: DisturbanceModel, chance: np.random.Generator) -> None:
-        super().__init__(1.0, chance)
+    def __init__(self, disturbances: DisturbanceModel, rng: np.random.Generator) -> None:
+        super().__init__(1.0, rng)
         steps = round(LONGEST_s / STEP_S)
-        gusts = wander(disturbances.correlation_time_s, steps, chance) * disturbances.gusts_Nm
-        drift = wander(disturbances.drift_s, steps, chance) * disturbances.slow_std_Nm
+        gusts = wander(disturbances.correlation_time_s, steps, rng) * disturbances.gusts_Nm
+        drift = wander(disturbances.drift_s, steps, rng) * disturbances.slow_std_Nm
         self._torque_Nm = gusts + drift
 
     def torque(self, at: Moment) -> None:
         at.torque_Nm += self._torque_Nm[round(at.flight_s / STEP_S)]
 
 
-def wander(correlation_time_s: float, steps: int, chance: np.random.Generator) -> Floats:
-    """Draw three stationary Ornstein-Uhlenbeck processes of unit variance by `chance`, shape (`steps`, 3)."""
+def wander(correlation_time_s: float, steps: int, rng: np.random.Generator) -> Floats:
+    """Draw three stationary Ornstein-Uhlenbeck processes of unit variance, shape (`steps`, 3), by `rng`."""
     from scipy.signal import lfilter
 
-    keep = np.exp(-STEP_S / correlation_time_s)
-    kicks = np.sqrt(1.0 - keep**2) * chance.standard_normal((steps, 3))
-    kicks[0] = chance.standard_normal(3)
-    return np.asarray(lfilter([1.0], [1.0, -keep], kicks, axis=0))
+    decay = np.exp(-STEP_S / correlation_time_s)
+    innovations = np.sqrt(1.0 - decay**2) * rng.standard_normal((steps, 3))
+    innovations[0] = rng.standard_normal(3)
+    return np.asarray(lfilter([1.0], [1.0, -decay], innovations, axis=0))

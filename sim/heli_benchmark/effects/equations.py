@@ -162,6 +162,7 @@ class Unlisted(HiddenEffect):
         self._late = 0.0
 
     def _value(self, at: Moment) -> float:
+        """Return the value of the equation at a moment: a torque in N m, or a share of thrust."""
         inputs = EquationInputs(at.angles_rad, at.rates_rad_s, at.thrust_N)
         if self.equation.remembers is not None:
             keep = np.exp(-STEP_S / self.numbers["lag_s"])

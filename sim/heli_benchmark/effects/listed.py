@@ -22,12 +22,12 @@ class RotorLag(HiddenEffect):
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
         self._thrust_N = np.zeros(2)
-        self._rho = np.exp(-STEP_S / size)
+        self._decay = np.exp(-STEP_S / size)
 
     def thrust(self, at: Moment) -> None:
-        # Mean over the step of the exact response of a first-order lag to a constant.
+        # The lag responds exactly at the end of the step; the mean of both ends acts during the step.
         before = self._thrust_N
-        self._thrust_N = at.thrust_N + (before - at.thrust_N) * self._rho
+        self._thrust_N = at.thrust_N + (before - at.thrust_N) * self._decay
         at.thrust_N = 0.5 * (before + self._thrust_N)
 
 
@@ -109,10 +109,10 @@ class ReactionTorque(HiddenEffect):
         self.truth = {"size": size, "back_turns": self.back_turns}
 
     def torque(self, at: Moment) -> None:
-        about_up_Nm = self.size * (at.thrust_N[0] + self.back_turns * at.thrust_N[1])
+        reaction_Nm = self.size * (at.thrust_N[0] + self.back_turns * at.thrust_N[1])
         # The rotors' axis in the frame of the arm: elevation turns about -y, travel about the vertical.
-        at.torque_Nm[0] += about_up_Nm * -np.sin(at.angles_rad[1])
-        at.torque_Nm[2] += about_up_Nm * at.up[2]
+        at.torque_Nm[0] += reaction_Nm * -np.sin(at.angles_rad[1])
+        at.torque_Nm[2] += reaction_Nm * at.up[2]
 
 
 class OpposedReactionTorque(ReactionTorque):
@@ -128,11 +128,11 @@ class SpinningRotors(HiddenEffect):
         # Axes of the joints in a frame that turns with travel: elevation, pitch, travel.
         elevation, pitch = at.angles_rad[0], at.angles_rad[1]
         forward = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
-        above = np.array([-np.sin(elevation), 0.0, np.cos(elevation)])
+        arm_up = np.array([-np.sin(elevation), 0.0, np.cos(elevation)])
         axes = np.array([[0.0, -1.0, 0.0], -forward, [0.0, 0.0, 1.0]])
-        along = np.cos(pitch) * above + np.sin(pitch) * np.array([0.0, 1.0, 0.0])
-        turning = axes.T @ at.rates_rad_s
-        at.torque_Nm += axes @ -np.cross(turning, self.size * at.thrust_N.sum() * along)
+        rotor_axis = np.cos(pitch) * arm_up + np.sin(pitch) * np.array([0.0, 1.0, 0.0])
+        angular_velocity = axes.T @ at.rates_rad_s
+        at.torque_Nm += axes @ -np.cross(angular_velocity, self.size * at.thrust_N.sum() * rotor_axis)
 
 
 class LeadingRotor(HiddenEffect):
@@ -141,9 +141,9 @@ class LeadingRotor(HiddenEffect):
     late = True
 
     def thrust(self, at: Moment) -> None:
-        around_m_s = 0.64 * at.rates_rad_s[2] * np.cos(at.angles_rad[0]) * np.cos(at.angles_rad[1])
-        along_m_s = around_m_s - 0.64 * at.rates_rad_s[0] * np.sin(at.angles_rad[1])
-        at.thrust_N = at.thrust_N * (1.0 + self.size * along_m_s * np.array([-1.0, 1.0]))
+        tangential_m_s = 0.64 * at.rates_rad_s[2] * np.cos(at.angles_rad[0]) * np.cos(at.angles_rad[1])
+        edgewise_m_s = tangential_m_s - 0.64 * at.rates_rad_s[0] * np.sin(at.angles_rad[1])
+        at.thrust_N = at.thrust_N * (1.0 + self.size * edgewise_m_s * np.array([-1.0, 1.0]))
 
 
 class Coulomb(HiddenEffect):
@@ -214,15 +214,15 @@ class Backlash(HiddenEffect):
     def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
         super().__init__(size, rng)
         self._axis = axis
-        self._seen_rad: float | None = None
+        self._encoder_rad: float | None = None
 
     def measured(self, angles_rad: Floats) -> Floats:
         half_rad, true_rad = np.deg2rad(self.size) / 2.0, angles_rad[self._axis]
-        seen_rad = true_rad if self._seen_rad is None else self._seen_rad
-        self._seen_rad = float(np.clip(seen_rad, true_rad - half_rad, true_rad + half_rad))
-        out = angles_rad.copy()
-        out[self._axis] = self._seen_rad
-        return out
+        previous_rad = true_rad if self._encoder_rad is None else self._encoder_rad
+        self._encoder_rad = float(np.clip(previous_rad, true_rad - half_rad, true_rad + half_rad))
+        encoder_rad = angles_rad.copy()
+        encoder_rad[self._axis] = self._encoder_rad
+        return encoder_rad
 
 
 class Eccentricity(HiddenEffect):
@@ -231,15 +231,15 @@ class Eccentricity(HiddenEffect):
     def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
         super().__init__(size, rng)
         self._axis, self._phase_rad = axis, rng.uniform(-np.pi, np.pi)
-        # Once a revolution shows in travel only; on the other axes it is all but a scale.
+        # The other axes turn little, so that an error once per revolution would look like a wrong scale.
         self._order = int(rng.choice([1, 2])) if axis == 2 else 2
         self.truth = {"size": size, "order": self._order, "phase_rad": self._phase_rad}
 
     def measured(self, angles_rad: Floats) -> Floats:
-        out = angles_rad.copy()
-        turned_rad = self._order * angles_rad[self._axis] + self._phase_rad
-        out[self._axis] += np.deg2rad(self.size) * np.sin(turned_rad)
-        return out
+        encoder_rad = angles_rad.copy()
+        phase_rad = self._order * angles_rad[self._axis] + self._phase_rad
+        encoder_rad[self._axis] += np.deg2rad(self.size) * np.sin(phase_rad)
+        return encoder_rad
 
 
 class ZeroOffset(HiddenEffect):
@@ -254,7 +254,7 @@ class ZeroOffset(HiddenEffect):
 
 
 class PeriodicTorque(HiddenEffect):
-    """A torque of a random frequency about an axis, number `axis`; `size` is its amplitude in N m."""
+    """A sinusoidal torque of random frequency about an axis, number `axis`; `size` is its amplitude, N m."""
 
     def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
         super().__init__(size, rng)
@@ -263,8 +263,8 @@ class PeriodicTorque(HiddenEffect):
         self.truth = {"size": size, "frequency_Hz": self._frequency_Hz}
 
     def torque(self, at: Moment) -> None:
-        turned_rad = 2.0 * np.pi * self._frequency_Hz * at.time_s + self._phase_rad
-        at.torque_Nm[self._axis] += self.size * np.sin(turned_rad)
+        phase_rad = 2.0 * np.pi * self._frequency_Hz * at.time_s + self._phase_rad
+        at.torque_Nm[self._axis] += self.size * np.sin(phase_rad)
 
 
 class RandomTorque(HiddenEffect):
@@ -274,12 +274,12 @@ class RandomTorque(HiddenEffect):
         super().__init__(size, rng)
         self._axis, self._lasts_s = axis, rng.uniform(0.2, 0.8)
         self.truth = {"size": size, "lasts_s": self._lasts_s}
-        self._rho = np.exp(-STEP_S / self._lasts_s)
+        self._decay = np.exp(-STEP_S / self._lasts_s)
         self._torque_Nm = 0.0
 
     def torque(self, at: Moment) -> None:
-        innovation_Nm = self.size * np.sqrt(1.0 - self._rho**2)
-        self._torque_Nm = self._rho * self._torque_Nm + innovation_Nm * self.flight_rng.standard_normal()
+        innovation_Nm = self.size * np.sqrt(1.0 - self._decay**2)
+        self._torque_Nm = self._decay * self._torque_Nm + innovation_Nm * self.flight_rng.standard_normal()
         at.torque_Nm[self._axis] += self._torque_Nm
 
 
@@ -318,7 +318,10 @@ Maker = Callable[[float, np.random.Generator], HiddenEffect]
 
 @dataclass(frozen=True)
 class OnAxis:
-    """Factory of an effect of a `kind` at a `place` (axis, rotor, bodies); it can be pickled."""
+    """Factory of an effect of a class, `kind`, at a `place`: number of an axis or rotor, or names of bodies.
+
+    Unlike a lambda, it can be pickled.
+    """
 
     kind: Callable[..., HiddenEffect]
     place: Any

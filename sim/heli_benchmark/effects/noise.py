@@ -15,8 +15,8 @@ from heli_benchmark.engine.plant import STEP_S, HiddenEffect, Moment
 _GUSTS_Nm: Final = np.array([0.012, 0.004, 0.008])
 """Moderate gusts about elevation, pitch and travel."""
 _BACKGROUND: Final = 0.4
-"""Strength of the ordinary gusts under noise of another kind, as a share of moderate ones."""
-_MEMORY_s: Final = 0.5
+"""Strength of the weak gusts that accompany other noise, as a share of moderate gusts."""
+_CORRELATION_TIME_s: Final = 0.5
 _STEPS: Final = round(LONGEST_s / STEP_S)
 
 
@@ -33,7 +33,7 @@ class _Torques(HiddenEffect):
 
 
 class _ThrustTorques(_Torques):
-    """The torques are proportional to the sum of both thrusts; given are those at 4 N."""
+    """Torques that are proportional to the sum of both thrusts; the given ones act at 4 N."""
 
     @override
     def torque(self, at: Moment) -> None:
@@ -52,47 +52,49 @@ class _Supply(HiddenEffect):
         at.volts_V = at.volts_V * (1.0 + self._share[round(at.flight_s / STEP_S)])
 
 
-def _gusts_Nm(memory_s: float, chance: np.random.Generator) -> Floats:
-    torque_Nm: Floats = wander(memory_s, _STEPS, chance) * _GUSTS_Nm
+def _gusts_Nm(correlation_time_s: float, rng: np.random.Generator) -> Floats:
+    """Draw moderate gusts about the three axes over the longest flight, shape (steps, 3)."""
+    torque_Nm: Floats = wander(correlation_time_s, _STEPS, rng) * _GUSTS_Nm
     return torque_Nm
 
 
-def _bursts(chance: np.random.Generator) -> list[HiddenEffect]:
-    """Gusts of 2.5 times the moderate strength for 1 to 4 s, with weak gusts for 4 to 12 s between."""
+def _bursts(rng: np.random.Generator) -> list[HiddenEffect]:
+    """Bursts of 1 to 4 s with 2.5 times the moderate strength; for 4 to 12 s between them, weak gusts."""
     strength = np.full(_STEPS, _BACKGROUND)
-    at_s = float(chance.uniform(2.0, 8.0))
-    while at_s < LONGEST_s:
-        end_s = at_s + float(chance.uniform(1.0, 4.0))
-        strength[round(at_s / STEP_S) : round(end_s / STEP_S)] = 2.5
-        at_s = end_s + float(chance.uniform(4.0, 12.0))
-    return [_Torques(strength[:, None] * _gusts_Nm(_MEMORY_s, chance))]
+    start_s = float(rng.uniform(2.0, 8.0))
+    while start_s < LONGEST_s:
+        end_s = start_s + float(rng.uniform(1.0, 4.0))
+        strength[round(start_s / STEP_S) : round(end_s / STEP_S)] = 2.5
+        start_s = end_s + float(rng.uniform(4.0, 12.0))
+    return [_Torques(strength[:, None] * _gusts_Nm(_CORRELATION_TIME_s, rng))]
 
 
-def _kicks(chance: np.random.Generator) -> list[HiddenEffect]:
-    """Torques of 50 ms about a random axis every 3 s on average, next to weak gusts."""
-    torque_Nm = _BACKGROUND * _gusts_Nm(_MEMORY_s, chance)
-    for at_s in np.cumsum(chance.exponential(3.0, 200)):
-        axis, size = int(chance.integers(3)), float(chance.uniform(3.0, 12.0) * chance.choice([-1.0, 1.0]))
-        first = round(float(at_s) / STEP_S)
-        torque_Nm[first : first + round(0.05 / STEP_S), axis] += size * _GUSTS_Nm[axis]
+def _kicks(rng: np.random.Generator) -> list[HiddenEffect]:
+    """Weak gusts, and a torque pulse of 50 ms about a random axis every 3 s on average."""
+    torque_Nm = _BACKGROUND * _gusts_Nm(_CORRELATION_TIME_s, rng)
+    for at_s in np.cumsum(rng.exponential(3.0, 200)):
+        # A pulse is 3 to 12 times as strong as moderate gusts, to either side.
+        axis, size = int(rng.integers(3)), float(rng.uniform(3.0, 12.0) * rng.choice([-1.0, 1.0]))
+        first_step = round(float(at_s) / STEP_S)
+        torque_Nm[first_step : first_step + round(0.05 / STEP_S), axis] += size * _GUSTS_Nm[axis]
     return [_Torques(torque_Nm)]
 
 
-def _thrust_torques(chance: np.random.Generator) -> list[HiddenEffect]:
+def _thrust_torques(rng: np.random.Generator) -> list[HiddenEffect]:
     """Moderate gusts that are proportional to the thrust."""
-    return [_ThrustTorques(_gusts_Nm(_MEMORY_s, chance))]
+    return [_ThrustTorques(_gusts_Nm(_CORRELATION_TIME_s, rng))]
 
 
-def _two_scales(chance: np.random.Generator) -> list[HiddenEffect]:
+def _two_scales(rng: np.random.Generator) -> list[HiddenEffect]:
     """Gusts with correlation times of 0.1 s and 2.5 s."""
-    return [_Torques(0.8 * (_gusts_Nm(0.1, chance) + _gusts_Nm(2.5, chance)))]
+    return [_Torques(0.8 * (_gusts_Nm(0.1, rng) + _gusts_Nm(2.5, rng)))]
 
 
-def _wandering_supply(chance: np.random.Generator) -> list[HiddenEffect]:
-    """The supply varies by 2 to 4 % with a correlation time of 1 to 4 s, next to weak gusts."""
-    size, memory_s = float(chance.uniform(0.02, 0.04)), float(chance.uniform(1.0, 4.0))
-    weak = _Torques(_BACKGROUND * _gusts_Nm(_MEMORY_s, chance))
-    return [_Supply(size * wander(memory_s, _STEPS, chance)[:, 0]), weak]
+def _wandering_supply(rng: np.random.Generator) -> list[HiddenEffect]:
+    """Weak gusts, and a supply that varies by 2 to 4 % with a correlation time of 1 to 4 s."""
+    size, correlation_time_s = float(rng.uniform(0.02, 0.04)), float(rng.uniform(1.0, 4.0))
+    weak = _Torques(_BACKGROUND * _gusts_Nm(_CORRELATION_TIME_s, rng))
+    return [_Supply(size * wander(correlation_time_s, _STEPS, rng)[:, 0]), weak]
 
 
 NOISE: Final[dict[str, Callable[[np.random.Generator], list[HiddenEffect]]]] = {

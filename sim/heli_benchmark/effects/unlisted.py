@@ -16,11 +16,12 @@ class Draught(HiddenEffect):
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self._where_rad = rng.uniform(-0.3, 0.3)
+        self._jet_rad = rng.uniform(-0.3, 0.3)
 
     def torque(self, at: Moment) -> None:
-        off = (at.angles_rad[2] - self._where_rad) / 0.12
-        at.torque_Nm[2] += self.size * np.exp(-0.5 * off**2)
+        # The jet has the shape of a normal distribution with a standard deviation of 0.12 rad.
+        distance_std = (at.angles_rad[2] - self._jet_rad) / 0.12
+        at.torque_Nm[2] += self.size * np.exp(-0.5 * distance_std**2)
 
 
 class PitchDragQuadratic(HiddenEffect):
@@ -80,14 +81,15 @@ class WanderingThrust(HiddenEffect):
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self._gain = 0.0
+        self._deviation = 0.0
 
     def thrust(self, at: Moment) -> None:
-        keep = np.exp(-STEP_S / 4.0)
-        self._gain = (
-            keep * self._gain + self.size * np.sqrt(1.0 - keep**2) * self.flight_rng.standard_normal()
+        # First-order Gauss-Markov process with a correlation time of 4 s.
+        decay = np.exp(-STEP_S / 4.0)
+        self._deviation = (
+            decay * self._deviation + self.size * np.sqrt(1.0 - decay**2) * self.flight_rng.standard_normal()
         )
-        at.thrust_N = at.thrust_N * np.array([1.0 + self._gain, 1.0])
+        at.thrust_N = at.thrust_N * np.array([1.0 + self._deviation, 1.0])
 
 
 class WakeOnTravel(HiddenEffect):
@@ -102,12 +104,13 @@ class HystereticThrust(HiddenEffect):
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self._follows_V = np.zeros(2)
+        self._loop_V = np.zeros(2)
 
     def volts(self, at: Moment) -> None:
+        # Play operator: the output moves only when the input pushes it at an edge of the loop.
         half_V = self.size / 2.0
-        self._follows_V = np.clip(self._follows_V, at.volts_V - half_V, at.volts_V + half_V)
-        at.volts_V = np.where(at.volts_V > 0.0, self._follows_V, 0.0)
+        self._loop_V = np.clip(self._loop_V, at.volts_V - half_V, at.volts_V + half_V)
+        at.volts_V = np.where(at.volts_V > 0.0, self._loop_V, 0.0)
 
 
 class CrossCoupling(HiddenEffect):
@@ -121,8 +124,9 @@ class StickSlip(HiddenEffect):
     """The travel bearing holds more at rest than in motion; `size` is the difference in N m."""
 
     def during(self, at: Moment, model: Any) -> None:
-        speed = at.rates_rad_s[2] / 0.05
-        model.dof_frictionloss[model.joint("travel").dofadr[0]] = self.size * np.exp(-(speed**2))
+        # Stribeck curve: the additional friction has vanished at twice 0.05 rad/s.
+        relative_speed = at.rates_rad_s[2] / 0.05
+        model.dof_frictionloss[model.joint("travel").dofadr[0]] = self.size * np.exp(-(relative_speed**2))
 
 
 OFF_LIST: dict[str, tuple[Callable[[float, np.random.Generator], HiddenEffect], float]] = {
@@ -135,13 +139,14 @@ OFF_LIST: dict[str, tuple[Callable[[float, np.random.Generator], HiddenEffect], 
     "wandering_thrust": (WanderingThrust, 0.04),
     "wake_on_travel": (WakeOnTravel, 0.4),
 }
+"""Factory and size of each unlisted effect in cases without disturbances."""
 
 MORE_OFF_LIST: dict[str, tuple[Callable[[float, np.random.Generator], HiddenEffect], float]] = {
     "hysteretic_thrust": (HystereticThrust, 0.3),
     "cross_coupling": (CrossCoupling, 0.2),
     "stick_slip": (StickSlip, 0.06),
 }
-"""More of them; a separate list, so that other cases keep their seeds."""
+"""Further effects with their sizes. They are a separate list, so that earlier cases keep their seeds."""
 
 
 class TwiceAround(HiddenEffect):
@@ -149,10 +154,10 @@ class TwiceAround(HiddenEffect):
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self._where_rad = rng.uniform(-0.4, 0.4)
+        self._centre_rad = rng.uniform(-0.4, 0.4)
 
     def torque(self, at: Moment) -> None:
-        at.torque_Nm[0] += self.size * np.sin(2.0 * (at.angles_rad[2] - self._where_rad))
+        at.torque_Nm[0] += self.size * np.sin(2.0 * (at.angles_rad[2] - self._centre_rad))
 
 
 class PitchByElevation(HiddenEffect):
@@ -181,10 +186,10 @@ class PitchByTravel(HiddenEffect):
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self._where_rad = rng.uniform(-0.5, 0.5)
+        self._centre_rad = rng.uniform(-0.5, 0.5)
 
     def torque(self, at: Moment) -> None:
-        at.torque_Nm[1] += self.size * np.sin(at.angles_rad[2] - self._where_rad)
+        at.torque_Nm[1] += self.size * np.sin(at.angles_rad[2] - self._centre_rad)
 
 
 class TravelByPitchRate(HiddenEffect):
@@ -206,10 +211,10 @@ class ThrustByPlace(HiddenEffect):
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self._where_rad = rng.uniform(-0.4, 0.4)
+        self._centre_rad = rng.uniform(-0.4, 0.4)
 
     def thrust(self, at: Moment) -> None:
-        at.thrust_N = at.thrust_N * (1.0 + self.size * np.sin(at.angles_rad[2] - self._where_rad))
+        at.thrust_N = at.thrust_N * (1.0 + self.size * np.sin(at.angles_rad[2] - self._centre_rad))
 
 
 DISTURBED: dict[str, tuple[Callable[[float, np.random.Generator], HiddenEffect], float]] = {
@@ -229,5 +234,6 @@ DISTURBED: dict[str, tuple[Callable[[float, np.random.Generator], HiddenEffect],
 }
 """Factory and size, for moderate disturbances, of the effects in disturbed cases.
 
-It leaves out a wandering thrust, which is a disturbance, and slosh, which has states of its own in MuJoCo.
+A wandering thrust is missing, because it is a disturbance; slosh is missing, because it adds states
+to MuJoCo.
 """

@@ -21,7 +21,7 @@ def mujoco_rig(rig: Rig, *, step_s: float = 0.001, hung: str = "") -> Any:
     step_s : float
         Time step.
     hung : str
-        More bodies on the long arm, as XML of MuJoCo.
+        Further bodies that hang on the long arm, as XML of MuJoCo.
 
     Returns
     -------
@@ -34,6 +34,7 @@ def mujoco_rig(rig: Rig, *, step_s: float = 0.001, hung: str = "") -> Any:
     arm_z, body_z = -v["L_theta"], -v["L_phi"]
 
     def mass(name: str, kg: float, x: float, y: float, z: float) -> str:
+        """Return a point mass at a place in m, relative to the body that contains it, as XML."""
         return f'<body name="{name}" pos="{x} {y} {z}"><inertial pos="0 0 0" mass="{kg}" {_POINT}/></body>'
 
     return mujoco.MjModel.from_xml_string(f"""

@@ -1,7 +1,8 @@
 """A rig in MuJoCo that the flight code flies, with effects hidden in it.
 
-This package does not use the equations of the project or its effects. Masses are bodies and axes are joints.
-A hidden effect changes forces, masses or gravity of MuJoCo, or the numbers that enter and leave it.
+The simulation is independent of the equations and effects that the diagnosis uses. Masses are bodies and axes
+are joints. A hidden effect changes forces, masses or gravity in MuJoCo, or it changes the voltages that enter
+the simulation or the angles that leave it.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from heli_sim.rig import Rig
 from heli_benchmark.engine.bodies import JOINTS, mujoco_rig
 
 STEP_S = 0.0005
+"""Time step of MuJoCo; the world asks for two steps, one millisecond, at a time."""
 
 
 @dataclass
@@ -64,7 +66,9 @@ class Moment:
 
 
 class HiddenEffect:
-    """An effect that the rig has and the model lacks. A subclass overrides the methods for what it changes.
+    """An effect that the rig has and the model lacks.
+
+    The plant calls each method below at its point of the simulation. A subclass overrides some of them.
 
     Parameters
     ----------
@@ -95,13 +99,13 @@ class HiddenEffect:
         """Change the `state` at power-up, shape (6,), in place."""
 
     def volts(self, at: Moment) -> None:
-        """Change `at.volts_V`."""
+        """Change the voltages at the motors, `at.volts_V`."""
 
     def thrust(self, at: Moment) -> None:
-        """Change `at.thrust_N`."""
+        """Change the thrusts of both rotors, `at.thrust_N`."""
 
     def torque(self, at: Moment) -> None:
-        """Add to `at.torque_Nm`."""
+        """Add torques about the axes to `at.torque_Nm`."""
 
     def during(self, at: Moment, model: Any) -> None:
         """Change the `model` of MuJoCo in flight."""
@@ -141,7 +145,7 @@ class MujocoPlant:
             effect.rest(self._rest)
         self._lowest_rad = float(self._rest[0])
         self._time_s = self._flight_s = 0.0
-        self._let_go = False
+        self._is_released = False
         self._gain, self._dead_zone_V = rig["thrust_gain"].value, rig["dead_zone"].value
         self._reverse = rig["reverse_thrust"].value
         self._steady_Nm = np.array([rig[f"torque_{axis}"].value for axis in JOINTS])
@@ -185,13 +189,15 @@ class MujocoPlant:
         """
         data, volts = self.data, np.array(volts_V)
         data.qpos[self._q], data.qvel[self._v] = state[:3], state[3:]
-        # The masses of Table 2 balance above the table: the arm is held down until the motors run.
-        self._let_go = self._let_go or bool(volts.any())
-        if self._let_go:
+        # The masses in Table 2 of the paper would lift the arm from the table with the motors off, so the
+        # arm is held down until the motors run.
+        self._is_released = self._is_released or bool(volts.any())
+        if self._is_released:
             for _ in range(2):
-                self._half(volts)
+                self._simulate_step(volts)
         self._time_s += 0.001
         angles, rates = data.qpos[self._q].copy(), data.qvel[self._v].copy()
+        # On the table, elevation stops, and pitch and travel lose 1 % of their rates per millisecond.
         if angles[0] <= self._lowest_rad:
             angles[0], rates = self._lowest_rad, rates * np.array([0.0, 0.99, 0.99])
         return [*angles, *rates], self.encoder_angles_rad(angles).tolist()
@@ -245,9 +251,11 @@ class MujocoPlant:
     def _step(
         self, state: list[float], volts_V: list[float], locked: list[float], parameters: list[float]
     ) -> tuple[list[float], list[float]]:
+        """Call `millisecond` with the arguments of a native plant; locks and parameters do not apply."""
         return self.millisecond(state, volts_V)
 
-    def _half(self, volts_V: Floats) -> None:
+    def _simulate_step(self, volts_V: Floats) -> None:
+        """Simulate one step of MuJoCo: half a millisecond."""
         data = self.data
         mujoco.mj_kinematics(self.physics, data)
         mujoco.mj_comPos(self.physics, data)
@@ -278,10 +286,10 @@ class MujocoPlant:
 
 
 class Delay:
-    """A delay of `delay_s`, rounded to whole steps; `first` is the output before anything arrives."""
+    """A delay of `delay_s`, rounded to whole steps; `initial` is its output at first."""
 
-    def __init__(self, delay_s: float, first: Floats) -> None:
-        self._queue = deque([first.copy()] * max(1, round(delay_s / STEP_S)))
+    def __init__(self, delay_s: float, initial: Floats) -> None:
+        self._queue = deque([initial.copy()] * max(1, round(delay_s / STEP_S)))
         self.delay_s = len(self._queue) * STEP_S
 
     def __call__(self, value: Floats) -> Floats:

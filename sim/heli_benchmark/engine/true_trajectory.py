@@ -38,10 +38,10 @@ class TrueTrajectory:
 
     def perturbed(self, state: int, by: float) -> TrueTrajectory:
         """Return the trajectory with one `state` (0 to 2 angles, 3 to 5 rates) shifted `by` rad or rad/s."""
-        which, axis = ("angles_rad", "rates_rad_s")[state // 3], state % 3
-        column = getattr(self, which).copy()
-        column[:, axis] += by
-        return replace(self, **{which: column})
+        name, axis = ("angles_rad", "rates_rad_s")[state // 3], state % 3
+        values = getattr(self, name).copy()
+        values[:, axis] += by
+        return replace(self, **{name: values})
 
     def moment(self, k: int) -> Moment:
         """Return the `k`-th half millisecond as a hidden effect sees it before anything acts."""

@@ -115,6 +115,7 @@ def load_train(method: MethodAddress) -> Callable[[Path], None] | None:
 
 
 def _module(method: MethodAddress) -> ModuleType:
+    """Import the module of a method; a user's file may import its neighbours."""
     if method.builtin:
         return importlib.import_module(f"heli_benchmark.methods.{method.file.stem}")
     sys.path.insert(0, str(method.file.parent))

@@ -127,6 +127,7 @@ def split_digest(split: Split) -> str:
 
 
 def _check_folder(split: Split, method: MethodAddress, text: str, folder: Path, limits: RunLimits) -> None:
+    """Refuse a folder with results of another method, split or limit; otherwise prepare it."""
     folder.mkdir(parents=True, exist_ok=True)
     content = {
         "schema": SCHEMA,

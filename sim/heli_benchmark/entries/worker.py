@@ -58,6 +58,7 @@ def _cpu_s() -> float:
 
 
 def _peak_MB() -> float | None:
+    """Return the peak memory of this process; None on Windows."""
     if sys.platform == "win32":
         return None
     import resource

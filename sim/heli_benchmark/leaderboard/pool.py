@@ -76,13 +76,15 @@ def pooled_scores(files: Sequence[Path]) -> dict[str, Any]:
 
 
 def _content(digests: list[str], runs: Mapping[str, Sequence[CaseScore]]) -> dict[str, Any]:
+    """Return the content of a file of scores, with the digests of all splits in it."""
     cases = {name: [asdict(case) for case in scores] for name, scores in runs.items()}
     return {"splits": digests, **summarise_runs(runs), "case_scores": cases}
 
 
 def _case_scores(content: Mapping[str, Any], path: Path) -> dict[str, list[CaseScore]]:
+    """Read the scores by method; `path` is the file that messages name."""
     try:
-        runs = {name: [_case_score(of) for of in scores] for name, scores in content.items()}
+        runs = {name: [_case_score(fields) for fields in scores] for name, scores in content.items()}
     except (AttributeError, KeyError, TypeError, ValueError):
         raise BenchmarkError(f"{path} has invalid scores of a case", _REMEDY) from None
     # Methods are compared case by case.
@@ -92,6 +94,7 @@ def _case_scores(content: Mapping[str, Any], path: Path) -> dict[str, list[CaseS
 
 
 def _case_score(content: Mapping[str, Any]) -> CaseScore:
+    """Read one score; JSON has lists where a score has tuples."""
     pairs = {
         "sizes": tuple((bool(within), float(score)) for within, score in content["sizes"]),
         "calibration": tuple((float(p), bool(true)) for p, true in content["calibration"]),

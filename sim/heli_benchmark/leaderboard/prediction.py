@@ -29,7 +29,7 @@ HORIZON_s: Final = 1.0
 """Time of a prediction. The rig moves by tens of degrees in it, and disturbances do not yet decide alone."""
 WORST_RATIO: Final = 10.0
 """Ratio of a model that diverges, or whose parameters are invalid."""
-_EVERY_s: Final = 0.5
+_START_INTERVAL_s: Final = 0.5
 _STEP_s: Final = 0.01
 _WINDOW_s: Final = 0.4
 """Length of the filter that gives the rates at the start of a prediction, the same for all models."""
@@ -55,8 +55,8 @@ def true_errors(case: BenchmarkCase, truth: Mapping[str, Any]) -> Floats | None:
     """
     if truth["unlisted"] or "rig" not in truth or any(c.startswith(_UNKNOWN_PHASE) for c in truth["causes"]):
         return None
-    causes = {name: of["model_parameters"] for name, of in truth["causes"].items()}
-    return _errors(case, _true_rig(case.rig.replace(**truth["rig"]), causes), causes)
+    causes = {name: cause["model_parameters"] for name, cause in truth["causes"].items()}
+    return _model_errors(case, _true_rig(case.rig.replace(**truth["rig"]), causes), causes)
 
 
 def _true_rig(rig: Rig, causes: Mapping[str, Mapping[str, float]]) -> Rig:
@@ -90,12 +90,14 @@ def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], 
     float
         Geometric mean over the axes, at most `WORST_RATIO`.
     """
-    given = {name: of.value for name, of in answer.parameters.items()}
-    rig_values = {name: value for name, value in given.items() if name in case.rig}
+    estimates = {name: estimate.value for name, estimate in answer.parameters.items()}
+    rig_values = {name: value for name, value in estimates.items() if name in case.rig}
     causes = {}
     for name in named:
         values = {
-            parameter: given[parameter] for parameter in case.causes.parameters[name] if parameter in given
+            parameter: estimates[parameter]
+            for parameter in case.causes.parameters[name]
+            if parameter in estimates
         }
         if values:
             causes[name] = values
@@ -103,7 +105,7 @@ def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], 
         errors = (
             _errors_of_predicted_flights(case, answer.predicted_flights)
             if answer.predicted_flights
-            else _errors(case, case.rig.replace(**rig_values), causes)
+            else _model_errors(case, case.rig.replace(**rig_values), causes)
         )
     except HeliError:
         return WORST_RATIO
@@ -115,9 +117,10 @@ def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], 
     return float(min(ratio, WORST_RATIO))
 
 
-def _errors(case: BenchmarkCase, rig: Rig, causes: Mapping[str, Mapping[str, float]]) -> Floats | None:
+def _model_errors(case: BenchmarkCase, rig: Rig, causes: Mapping[str, Mapping[str, float]]) -> Floats | None:
+    """Return the RMS prediction errors of the model with a rig and causes, as `true_errors` does."""
     model = MultibodyModel(tuple(catalogue()[name].make(values) for name, values in causes.items()))
-    predictor = _Predictor(model, rig)
+    predictor = _OpenLoopPredictor(model, rig)
     return _rms([predictor.errors(flight) for flight in case.validation])
 
 
@@ -139,14 +142,15 @@ def _rms(errors: Sequence[Floats]) -> Floats | None:
 
 
 def _prediction_rows(flight: Flight) -> tuple[Floats, Integers, Integers]:
-    """Times of the steps of a flight, and the steps at which predictions start and end; both are empty if
-    the flight is too short.
+    """Return the times of the steps of a flight, and the steps at which predictions start and end.
+
+    If the flight is too short, it has no prediction.
     """
     t_s = np.arange(flight.t_s[0], flight.t_s[-1] - 2.0 * _STEP_s, _STEP_s)
     horizon = round(HORIZON_s / _STEP_s)
     edge = round(_WINDOW_s / _STEP_s)
     last = len(t_s) - horizon - edge if _window_rows(flight) <= len(flight) else 0
-    starts = np.arange(edge, last, round(_EVERY_s / _STEP_s))
+    starts = np.arange(edge, last, round(_START_INTERVAL_s / _STEP_s))
     return t_s, starts, starts + horizon
 
 
@@ -159,7 +163,7 @@ def _window_rows(flight: Flight) -> int:
     return 2 * round(_WINDOW_s / 2.0 / _sample_s(flight)) + 1
 
 
-class _Predictor:
+class _OpenLoopPredictor:
     """Open-loop predictions by a model with given parameters."""
 
     def __init__(self, model: Model, rig: Rig) -> None:
@@ -170,9 +174,9 @@ class _Predictor:
         p = ca.SX(ca.DM(self._parameters))
         self._states = len(model.states)
         rates = ca.Function("rates", [x, u, t], [model.dynamics(x, u, p, t)])
-        after = runge_kutta_step(lambda state, later_s: rates(state, u, t + later_s), x, _STEP_s)
-        after = model.reset_map(after, u, p, t + _STEP_s)
-        self._step = ca.Function("step", [x, u, t], [ca.densify(after)])
+        next_state = runge_kutta_step(lambda state, later_s: rates(state, u, t + later_s), x, _STEP_s)
+        next_state = model.reset_map(next_state, u, p, t + _STEP_s)
+        self._step = ca.Function("step", [x, u, t], [ca.densify(next_state)])
         self._encoders = ca.Function("seen", [x, u, t], [ca.densify(model.measurement(x, u, p, t))])
 
     def errors(self, flight: Flight) -> Floats:
@@ -181,12 +185,12 @@ class _Predictor:
         if not len(starts):
             return np.empty((0, 3))
         window, sample_s = _window_rows(flight), _sample_s(flight)
-        smooth, rate = (
+        smooth_angles, rate = (
             savgol_filter(flight.angles_rad, window, 3, deriv=deriv, delta=sample_s, axis=0)
             for deriv in (0, 1)
         )
         measured, rates, angles = (
-            _interpolated(t_s, flight.t_s, signal) for signal in (smooth, rate, flight.angles_rad)
+            _interpolated(t_s, flight.t_s, signal) for signal in (smooth_angles, rate, flight.angles_rad)
         )
         volts = self._mean_volts(flight, t_s)
         states = self._all_states(measured, rates, volts, t_s)[starts].T
@@ -197,27 +201,31 @@ class _Predictor:
 
     def _mean_volts(self, flight: Flight, t_s: Floats) -> Floats:
         """Return the means of the voltages over each step, late by the delay."""
-        total = np.vstack(
+        volt_seconds = np.vstack(
             [np.zeros(2), np.cumsum(flight.voltages_V[:-1] * np.diff(flight.t_s)[:, None], axis=0)]
         )
-        late_s = t_s - self._delay_s
-        before, after = (_interpolated(times_s, flight.t_s, total) for times_s in (late_s, late_s + _STEP_s))
-        return np.asarray((after - before) / _STEP_s)
+        delayed_s = t_s - self._delay_s
+        start, end = (
+            _interpolated(times_s, flight.t_s, volt_seconds) for times_s in (delayed_s, delayed_s + _STEP_s)
+        )
+        return np.asarray((end - start) / _STEP_s)
 
     def _all_states(self, angles: Floats, rates: Floats, volts: Floats, t_s: Floats) -> Floats:
-        """Return the state at each step: measured angles and rates, and the states of the effects along
-        them.
+        """Return the state at each step, shape (n, states): measured angles and rates, then effects' states.
+
+        The states of the effects, such as lagged thrusts, are simulated along the measured motion.
         """
         states = np.zeros((len(t_s), self._states))
         states[:, :3], states[:, 3:6] = angles, rates
         if self._states > 6:
             for k in range(len(t_s) - 1):
                 states[k + 1, 6:] = np.asarray(self._step(states[k], volts[k], t_s[k])).ravel()[6:]
-        # The angles behind what the encoders show.
+        # True angles: subtract what play or eccentricity adds to them in the encoders.
         encoder_rad = np.asarray(self._encoders(states.T, volts.T, t_s[None])).T
         states[:, :3] -= encoder_rad - angles
         return states
 
 
 def _interpolated(t_s: Floats, grid_s: Floats, values: Floats) -> Floats:
+    """Interpolate each column of `values`, shape (m, columns), given at `grid_s`, to the times `t_s`."""
     return np.stack([np.interp(t_s, grid_s, column) for column in values.T], axis=1)

@@ -124,6 +124,7 @@ def _ranked(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _cell(of: Mapping[str, Any], form: str) -> str:
+    """Return a score with its interval; a dash if there is none."""
     if of["value"] is None:
         return "-"
     value, low, high = (form.format(of[key]) for key in ("value", "low", "high"))

@@ -36,11 +36,12 @@ _NO_SIZE: Final = ("_at_s", "_rest_rad", "_Hz")
 INTERVAL: Final = 0.05
 """Probability outside the interval of the interval score, which is the estimate with 1.96 standard errors."""
 _NORMAL: Final = 1.959964
+"""Quantile of the standard normal distribution with 2.5 % above it."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Hidden causes of a case.
+    """Hidden causes of a case, by what an answer can be expected to know about them.
 
     Parameters
     ----------
@@ -164,6 +165,7 @@ class _CaseReference:
 
 
 def _reference(split: Split, case_folder: Path) -> _CaseReference:
+    """Read a case with its truth, and let the true model predict."""
     content = split.truth(case_folder.name)
     case, truth = read_case(case_folder), scored_truth(content)
     torques_Nm = split.unlisted_torques_Nm(case.name) if UNLISTED in truth.causes else {}
@@ -226,7 +228,7 @@ def scored_truth(content: Mapping[str, Any]) -> Truth:
     content : Mapping[str, Any]
         Content of the file of the truth.
     """
-    listed = {name: float(of["visibility_std"]) for name, of in content["causes"].items()}
+    listed = {name: float(cause["visibility_std"]) for name, cause in content["causes"].items()}
     unlisted = [float(std) for std in content["unlisted"].values()]
     hidden = listed | ({UNLISTED: max(unlisted)} if unlisted else {})
     visible = {name for name, std in hidden.items() if std >= MIN_VISIBILITY_STD}
@@ -274,33 +276,39 @@ def score_answer(
         Correlation of the equation with the true torques.
     """
     scored = [name for name in causes.names if name not in truth.invisible]
-    given = {name: answer.probabilities.get(name, 0.0) for name in causes.names}
-    calibration = tuple((given[name], name in truth.causes) for name in scored)
-    named = set() if failure else {name for name in given if given[name] >= NAMED and name != NOTHING}
-    first = max(given, key=given.__getitem__)
+    probabilities = {name: answer.probabilities.get(name, 0.0) for name in causes.names}
+    calibration = tuple((probabilities[name], name in truth.causes) for name in scored)
+    named = (
+        set()
+        if failure
+        else {name for name in probabilities if probabilities[name] >= NAMED and name != NOTHING}
+    )
+    most_probable = max(probabilities, key=probabilities.__getitem__)
     visible = truth.causes - {NOTHING}
+    cpu_s, peak_MB = cost
     return CaseScore(
         case,
-        _loss(calibration),
-        _loss(tuple((causes.base_rates[name], name in truth.causes) for name in scored)),
-        not failure and (first in truth.causes or first in truth.invisible),
-        visible <= named if visible else None,
-        len(named - truth.causes - truth.invisible),
-        bool(named) if NOTHING in truth.causes else None,
-        tuple(
+        log_loss=_loss(calibration),
+        base_loss=_loss(tuple((causes.base_rates[name], name in truth.causes) for name in scored)),
+        first_right=not failure and (most_probable in truth.causes or most_probable in truth.invisible),
+        all_named=visible <= named if visible else None,
+        false_names=len(named - truth.causes - truth.invisible),
+        false_alarm=bool(named) if NOTHING in truth.causes else None,
+        sizes=tuple(
             (
-                abs(of.value - truth.sizes[name]) <= 2.0 * of.std,
-                _interval_score(of.value, of.std, truth.sizes[name]),
+                abs(estimate.value - truth.sizes[name]) <= 2.0 * estimate.std,
+                _interval_score(estimate.value, estimate.std, truth.sizes[name]),
             )
-            for name, of in answer.parameters.items()
+            for name, estimate in answer.parameters.items()
             if name in truth.sizes
         ),
-        len(truth.sizes),
-        prediction,
-        equation,
-        calibration,
-        *cost,
-        failure,
+        sizes_asked=len(truth.sizes),
+        prediction=prediction,
+        equation=equation,
+        calibration=calibration,
+        cpu_s=cpu_s,
+        peak_MB=peak_MB,
+        failure=failure,
     )
 
 
@@ -311,7 +319,8 @@ def listed_names(answer: Answer) -> list[str]:
 
 
 def _loss(pairs: tuple[tuple[float, bool], ...]) -> float:
-    return sum(-math.log(max(p if true else 1.0 - p, MIN_PROBABILITY)) for p, true in pairs)
+    """Return the negative log-likelihood of pairs of a probability and whether its name is true, nats."""
+    return sum(-math.log(max(p if is_true else 1.0 - p, MIN_PROBABILITY)) for p, is_true in pairs)
 
 
 def _interval_score(value: float, std: float, truth: float) -> float:

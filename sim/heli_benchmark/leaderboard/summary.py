@@ -1,8 +1,14 @@
-"""Summaries of runs over cases, with intervals and comparisons by pairs."""
+"""Summary of each method's scores over all cases, with 95 % intervals, and differences between methods.
+
+An interval comes from a bootstrap: the cases are drawn again with replacement, and each score is computed on
+each such resample. A resample is stored as the number of times that it contains each case, its weights.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
@@ -13,13 +19,24 @@ from heli_benchmark.leaderboard.score import CaseScore
 RESAMPLES: Final = 2000
 """Bootstrap resamples. The ends of an interval then vary by less than a tenth of its width."""
 _BINS: Final = (0.0, 0.05, 0.2, 0.5, 0.8, 1.0 + 1e-9)
-"""Bins of the probabilities for the calibration error."""
+"""Edges of the probability bins for the calibration error; the last bin includes 1."""
 _SHARES: Final = ("first_right", "all_named", "false_alarms")
 """Shares of cases. Their intervals are binomial: a bootstrap of 0 of 4 cases has no width."""
-_OUTER: Final = (2.5, 97.5)
+_INTERVAL_PERCENTILES: Final = (2.5, 97.5)
 
-SumsPerCase = tuple[Floats, Floats]
-"""Numerator and denominator of a score in each case, shape (n,)."""
+
+@dataclass(frozen=True)
+class CaseSums:
+    """A score that is a ratio of two sums over the cases.
+
+    Parameters
+    ----------
+    numerators, denominators : ndarray (n,)
+        Contribution of each case to the two sums.
+    """
+
+    numerators: Floats
+    denominators: Floats
 
 
 def summarise_runs(runs: Mapping[str, Sequence[CaseScore]], seed: int = 0) -> dict[str, Any]:
@@ -39,29 +56,32 @@ def summarise_runs(runs: Mapping[str, Sequence[CaseScore]], seed: int = 0) -> di
         the number that enters. ``pairs``: differences of two methods, the first minus the second.
     """
     cases = len(next(iter(runs.values())))
-    drawn = np.random.default_rng(seed).integers(cases, size=(RESAMPLES, cases))
-    weights = np.stack([np.bincount(indices, minlength=cases) for indices in drawn]).astype(np.float64)
-    names = list(runs)
+    resampled_cases = np.random.default_rng(seed).integers(cases, size=(RESAMPLES, cases))
+    # Row r has the number of times that resample r contains each case, shape (RESAMPLES, cases).
+    counts = np.stack([np.bincount(indices, minlength=cases) for indices in resampled_cases])
+    weights = counts.astype(np.float64)
     return {
         "cases": cases,
         "methods": {name: _summary(scores, weights) for name, scores in runs.items()},
         "pairs": [
-            {"first": a, "second": b, **_difference(runs[a], runs[b], weights)}
-            for i, a in enumerate(names)
-            for b in names[i + 1 :]
+            {"first": first, "second": second, **_difference(runs[first], runs[second], weights)}
+            for first, second in combinations(runs, 2)
         ],
     }
 
 
 def _summary(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
+    """Return all scores of one method; `weights` has the resamples, shape (resamples, cases)."""
     loss, base = _losses(scores)
     cost = {
         "cpu_s": _mean([case.cpu_s for case in scores]),
         "peak_MB": max((case.peak_MB for case in scores if case.peak_MB is not None), default=None),
     }
-    ratios = {name: _ratio(sums, weights) for name, sums in _sums(scores).items()}
+    sums_by_name = _case_sums(scores)
+    ratios = {name: _ratio(sums, weights) for name, sums in sums_by_name.items()}
     for name in _SHARES:
-        ratios[name] |= _binomial(*_sums(scores)[name])
+        ratios[name] |= _binomial(sums_by_name[name])
+    # The ratio of the prediction errors was averaged as a logarithm.
     for end in ("value", "low", "high"):
         log_ratio = ratios["prediction_error"][end]
         ratios["prediction_error"][end] = None if log_ratio is None else float(np.exp(log_ratio))
@@ -77,77 +97,89 @@ def _summary(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
 
 
 def _skill(loss: Floats, base: Floats, weights: Floats) -> Floats:
+    """Return 1 - (sum of the losses) / (sum of the losses of the base rates) in each resample.
+
+    Skill 1 is a perfect answer in each case, and 0 is no better than the base rates.
+    """
     return np.asarray(1.0 - weights @ loss / (weights @ base))
 
 
 def _losses(scores: Sequence[CaseScore]) -> tuple[Floats, Floats]:
+    """Return the logarithmic loss of the method, and that of the base rates, in each case."""
     return np.array([case.log_loss for case in scores]), np.array([case.base_loss for case in scores])
 
 
-def _sums(scores: Sequence[CaseScore]) -> dict[str, SumsPerCase]:
-    """Return each score that is a ratio of two sums over cases."""
+def _case_sums(scores: Sequence[CaseScore]) -> dict[str, CaseSums]:
+    """Return each score that is a ratio of two sums over cases, by name."""
 
-    def each(value: Callable[[CaseScore], float | None]) -> SumsPerCase:
+    def mean_of_cases(value: Callable[[CaseScore], float | None]) -> CaseSums:
+        """Average `value` over the cases in which it is not None."""
         values = [value(case) for case in scores]
-        counted = np.array([float(number is not None) for number in values])
-        return np.array([0.0 if number is None else float(number) for number in values]), counted
+        is_counted = np.array([float(number is not None) for number in values])
+        return CaseSums(np.array([0.0 if number is None else float(number) for number in values]), is_counted)
 
-    def sizes(value: Callable[[tuple[bool, float]], float]) -> SumsPerCase:
+    def mean_of_sizes(value: Callable[[tuple[bool, float]], float]) -> CaseSums:
+        """Average `value` over all estimated sizes of all cases."""
         sums = [sum(value(size) for size in case.sizes) for case in scores]
-        return np.array(sums, float), np.array([float(len(case.sizes)) for case in scores])
+        return CaseSums(np.array(sums, float), estimated_sizes)
 
+    estimated_sizes = np.array([float(len(case.sizes)) for case in scores])
     true_sizes = np.array([float(case.sizes_asked) for case in scores])
     return {
-        "first_right": each(lambda case: case.first_right),
-        "all_named": each(lambda case: case.all_named),
-        "false_names": each(lambda case: case.false_names),
-        "false_alarms": each(lambda case: case.false_alarm),
-        "sizes_given": (np.array([float(len(case.sizes)) for case in scores]), true_sizes),
-        "sizes_within": sizes(lambda size: size[0]),
-        "interval_score": sizes(lambda size: size[1]),
-        "equation_correlation": each(lambda case: case.equation),
-        "prediction_error": each(lambda case: None if case.prediction is None else np.log(case.prediction)),
+        "first_right": mean_of_cases(lambda case: case.first_right),
+        "all_named": mean_of_cases(lambda case: case.all_named),
+        "false_names": mean_of_cases(lambda case: case.false_names),
+        "false_alarms": mean_of_cases(lambda case: case.false_alarm),
+        "sizes_given": CaseSums(estimated_sizes, true_sizes),
+        "sizes_within": mean_of_sizes(lambda size: size[0]),
+        "interval_score": mean_of_sizes(lambda size: size[1]),
+        "equation_correlation": mean_of_cases(lambda case: case.equation),
+        "prediction_error": mean_of_cases(
+            lambda case: None if case.prediction is None else np.log(case.prediction)
+        ),
     }
 
 
-def _ratio(sums: SumsPerCase, weights: Floats) -> dict[str, Any]:
-    over, under = sums
-    count = int(under.sum())
+def _ratio(sums: CaseSums, weights: Floats) -> dict[str, Any]:
+    """Return the ratio of two sums over the cases, with its bootstrap interval."""
+    count = int(sums.denominators.sum())
     if not count:
         return {"value": None, "low": None, "high": None, "cases": 0}
-    below = weights @ under
-    resampled = (weights @ over)[below > 0.0] / below[below > 0.0]
-    return _interval(np.array([over.sum() / under.sum()]), resampled, count)
+    totals = weights @ sums.denominators
+    # A resample may contain none of the cases that count.
+    resampled = (weights @ sums.numerators)[totals > 0.0] / totals[totals > 0.0]
+    return _interval(np.array([sums.numerators.sum() / sums.denominators.sum()]), resampled, count)
 
 
-def _binomial(over: Floats, under: Floats) -> dict[str, float]:
+def _binomial(share: CaseSums) -> dict[str, float]:
     """Return the 95 % interval of Clopper and Pearson of a share of cases."""
     from scipy.stats import binomtest
 
-    if not under.sum():
+    if not share.denominators.sum():
         return {}
-    interval = binomtest(int(over.sum()), int(under.sum())).proportion_ci(0.95, "exact")
+    test = binomtest(int(share.numerators.sum()), int(share.denominators.sum()))
+    interval = test.proportion_ci(0.95, "exact")
     return {"low": float(interval.low), "high": float(interval.high)}
 
 
 def _calibration(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
-    """Mean difference of probability and frequency over bins, weighted by the number of names.
+    """Return the mean difference of probability and frequency over bins, weighted by the number of names.
 
-    Almost all names of a case have a probability near 0, so the first bin is left out.
+    Almost all names of a case have a probability near 0, so the first bin is omitted.
     """
     bins = len(_BINS) - 1
     excess, counts = np.zeros((len(scores), bins)), np.zeros((len(scores), bins))
     for i, case in enumerate(scores):
         for probability, true in case.calibration:
-            place = int(np.searchsorted(_BINS, probability, side="right")) - 1
-            excess[i, place] += probability - true
-            counts[i, place] += 1.0
+            bin_index = int(np.searchsorted(_BINS, probability, side="right")) - 1
+            excess[i, bin_index] += probability - true
+            counts[i, bin_index] += 1.0
     excess, counts = excess[:, 1:], counts[:, 1:]
     if not counts.sum():
         return {"value": None, "low": None, "high": None, "cases": 0}
     value = np.abs(excess.sum(axis=0)).sum() / counts.sum()
-    below = (weights @ counts).sum(axis=1)
-    resampled = np.abs(weights @ excess).sum(axis=1)[below > 0.0] / below[below > 0.0]
+    totals = (weights @ counts).sum(axis=1)
+    resampled = np.abs(weights @ excess).sum(axis=1)[totals > 0.0] / totals[totals > 0.0]
     return _interval(np.array([value]), resampled, int(counts.sum()))
 
 
@@ -160,16 +192,18 @@ def _difference(first: Sequence[CaseScore], second: Sequence[CaseScore], weights
         _skill(loss_a, base, weights) - _skill(loss_b, base, weights),
         len(base),
     )
-    over_a, under = _sums(first)["all_named"]
-    over_b, _ = _sums(second)["all_named"]
-    return {"skill": skill, "all_named": _ratio((over_a - over_b, under), weights)}
+    named_a, named_b = _case_sums(first)["all_named"], _case_sums(second)["all_named"]
+    all_named = CaseSums(named_a.numerators - named_b.numerators, named_a.denominators)
+    return {"skill": skill, "all_named": _ratio(all_named, weights)}
 
 
 def _interval(value: Floats, resampled: Floats, cases: int) -> dict[str, Any]:
-    low, high = np.percentile(resampled, _OUTER)
+    """Return a score, `value` of shape (1,), with the 95 % interval of its `resampled` values."""
+    low, high = np.percentile(resampled, _INTERVAL_PERCENTILES)
     return {"value": float(value[0]), "low": float(low), "high": float(high), "cases": cases}
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
+    """Return the mean of the `values` that are known; None if none is."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None

@@ -36,7 +36,7 @@ def torques_of_terms(
     dict
         Keys of an answer; empty if no term belongs to an unlisted cause.
     """
-    coefficients = regression.fit(terms)[1]
+    coefficients = regression.fit(terms).coefficients
     # A term of an unlisted cause has one column, the last of its slice; other terms may have several.
     ends = np.cumsum([term.columns.shape[1] for term in terms])
     unlisted = [
@@ -46,6 +46,7 @@ def torques_of_terms(
         return {}
 
     def torque_Nm(motion: SmoothedFlight) -> Floats:
+        """Sum the unlisted terms along a flight, shape (n, 3)."""
         shapes = shapes_of(motion)
         torques = np.zeros((len(motion.t_s), 3))
         for term, size in unlisted:
@@ -76,6 +77,7 @@ def torques_of_accelerations(
     scales, model = regression.standardisation, AccelerationModel(MultibodyModel(), case.rig)
 
     def torque_Nm(motion: SmoothedFlight) -> Floats:
+        """Convert the predicted accelerations to torques by the inertia of the model, shape (n, 3)."""
         features = (motion.signals - scales.feature_mean) / scales.feature_std
         accelerations = np.zeros((len(motion.t_s), 3))
         for axis, equation in equations.items():
@@ -86,13 +88,14 @@ def torques_of_accelerations(
 
 
 def _along(case: BenchmarkCase, torque_Nm: Callable[[SmoothedFlight], Floats]) -> dict[str, Any]:
+    """Return the torques along each validation flight as the content of an answer file."""
     series = {}
     for number, flight in enumerate(case.validation):
         motion = SmoothedFlight(flight)
         step_s = float(motion.t_s[-1] - motion.t_s[0]) / (len(motion.t_s) - 1)
         rows = slice(None, None, max(1, round(_STEP_s / step_s)))
         torques = AxisSeries(flight.t_s[0] + motion.t_s[rows], torque_Nm(motion)[rows])
-        # An equation can leave the range of numbers outside of the motions that it was found in.
+        # Outside of the training motions, an equation can overflow.
         if np.isfinite(torques.values).all():
             series[flight_name(number)] = torques
     return series_content(series, "Nm")

@@ -1,4 +1,7 @@
-"""Evidence of each cause alone in many targets of a regression, measured or simulated with its terms."""
+"""How much evidence a regression has for each cause: features for a classifier, and targets to train it.
+
+A target is the whitened residual of a flight, measured or simulated with the terms of the regression.
+"""
 
 from __future__ import annotations
 
@@ -22,24 +25,25 @@ class TermEvidence:
     Parameters
     ----------
     regression : ResidualRegression
-        Its terms.
+        Regression of the case, with its terms.
     causes : Causes
         Names of all causes.
     """
 
     def __init__(self, regression: ResidualRegression, causes: Causes) -> None:
         self._regression, self._causes = regression, causes
-        known = regression.nuisance
-        self._known = known
+        nuisance = regression.nuisance
+        self._nuisance = nuisance
         # The rig parameters are projected out, within their priors.
-        self._onto = np.linalg.solve(known.T @ known + np.eye(known.shape[1]), known.T)
+        self._to_nuisance = np.linalg.solve(nuisance.T @ nuisance + np.eye(nuisance.shape[1]), nuisance.T)
         self._bases = [self._basis(term.columns) for term in regression.terms]
         self._columns_by_cause: dict[str, list[Floats]] = {}
         for term in regression.terms:
             self._columns_by_cause.setdefault(term.cause, []).append(term.columns)
 
     def _basis(self, columns: Floats) -> Floats:
-        residual = columns - self._known @ (self._onto @ columns)
+        """Return an orthonormal basis of the part of `columns` that rig parameters cannot imitate."""
+        residual = columns - self._nuisance @ (self._to_nuisance @ columns)
         vectors, singular_values, _ = np.linalg.svd(residual, full_matrices=False)
         return np.asarray(vectors[:, singular_values > _MIN_NORM * max(float(singular_values[0]), _MIN_NORM)])
 
@@ -56,18 +60,19 @@ class TermEvidence:
         ndarray (k, 2 names)
             Features of a classifier.
         """
-        residual = targets - self._known @ (self._onto @ targets)
+        residual = targets - self._nuisance @ (self._to_nuisance @ targets)
         n, total = len(residual), (residual**2).sum(axis=0)
         names = [*self._causes.listed, UNLISTED]
-        gains = np.zeros((len(names), residual.shape[1]))
+        evidence_nats = np.zeros((len(names), residual.shape[1]))
         for term, basis in zip(self._regression.terms, self._bases, strict=True):
             explained = ((basis.T @ residual) ** 2).sum(axis=0)
-            gain = -0.5 * n * np.log1p(-np.minimum(explained / total, 0.999999)) - 0.5 * basis.shape[
-                1
-            ] * np.log(n)
-            place = names.index(term.cause)
-            gains[place] = np.maximum(gains[place], gain)
-        return np.vstack([gains, gains - gains.max(axis=0)]).T
+            # Half the decrease of the BIC: log-likelihood ratio minus the penalty of the parameters.
+            explained_share = np.minimum(explained / total, 0.999999)
+            penalty = 0.5 * basis.shape[1] * np.log(n)
+            term_evidence = -0.5 * n * np.log1p(-explained_share) - penalty
+            row = names.index(term.cause)
+            evidence_nats[row] = np.maximum(evidence_nats[row], term_evidence)
+        return np.vstack([evidence_nats, evidence_nats - evidence_nats.max(axis=0)]).T
 
     def simulated(self, count: int, rng: np.random.Generator) -> tuple[Floats, list[set[str]]]:
         """Simulate targets: white noise, errors of the rig parameters, and effects of drawn causes.
@@ -84,19 +89,22 @@ class TermEvidence:
         tuple of ndarray (n, count) and list of set of str
             The targets, and the names that are true of each.
         """
-        targets = rng.standard_normal((len(self._known), count))
-        targets += self._known @ rng.standard_normal((self._known.shape[1], count))
+        targets = rng.standard_normal((len(self._nuisance), count))
+        targets += self._nuisance @ rng.standard_normal((self._nuisance.shape[1], count))
         rates, hidden = self._causes.base_rates, []
         names = sorted(self._columns_by_cause)
         for k in range(count):
-            drawn, something = set[str](), rng.random() > rates[NOTHING]
-            while something and not drawn:
-                drawn = {name for name in names if rng.random() < rates[name] / (1.0 - rates[NOTHING])}
-            for name in drawn:
+            # Given that something is hidden, draw until at least one cause is.
+            hidden_causes, is_hidden = set[str](), rng.random() > rates[NOTHING]
+            while is_hidden and not hidden_causes:
+                hidden_causes = {
+                    name for name in names if rng.random() < rates[name] / (1.0 - rates[NOTHING])
+                }
+            for name in hidden_causes:
                 alternatives = self._columns_by_cause[name]
                 columns = alternatives[int(rng.integers(len(alternatives)))]
                 effect = columns @ (rng.standard_normal(columns.shape[1]) / np.linalg.norm(columns, axis=0))
                 size = np.exp(rng.uniform(np.log(_SMALLEST_STD), np.log(_LARGEST_STD)))
                 targets[:, k] += size * effect / np.linalg.norm(effect)
-            hidden.append(drawn or {NOTHING})
+            hidden.append(hidden_causes or {NOTHING})
         return targets, hidden

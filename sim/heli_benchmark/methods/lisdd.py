@@ -31,45 +31,54 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     """Diagnose a case by local discrepancies."""
     regression = residual_regression(case)
     labels = KMeans(_REGIMES, n_init=4, random_state=0).fit_predict(regression.features)
+    # Rows of the whitened regression are (moment, axis), without the first moment.
     regimes = np.repeat(labels[1:], 3)
-    parts = np.arange(len(regimes)) // _BLOCK % 3
+    block_roles = np.arange(len(regimes)) // _BLOCK % 3
     residual = _clean_residual(regression, regimes)
-    inside = [regimes == regime for regime in range(_REGIMES)]
-    energies = [chi2.sf(residual[rows] @ residual[rows], rows.sum()) for rows in inside]
+    in_regime = [regimes == regime for regime in range(_REGIMES)]
+    energy_p_values = [chi2.sf(residual[rows] @ residual[rows], rows.sum()) for rows in in_regime]
     terms, p_values = [], []
-    for regime in np.flatnonzero(multipletests(energies, _FALSE_DISCOVERIES, "fdr_bh")[0]):
-        fit, held_out, test = (inside[regime] & (parts == part) for part in range(3))
-        terms.append(min(regression.terms, key=lambda term: _error(term, residual, fit, held_out)))
+    for regime in np.flatnonzero(multipletests(energy_p_values, _FALSE_DISCOVERIES, "fdr_bh")[0]):
+        fit, held_out, test = (in_regime[regime] & (block_roles == role) for role in range(3))
+        terms.append(min(regression.terms, key=lambda term: _held_out_error(term, residual, fit, held_out)))
         p_values.append(_p_value(terms[-1], residual, test))
     confirmed = multipletests(p_values, _FALSE_DISCOVERIES, "fdr_bh")[0] if terms else []
-    chosen = {term.cause: term for term, sure in zip(terms, confirmed, strict=True) if sure}
+    chosen = {term.cause: term for term, is_real in zip(terms, confirmed, strict=True) if is_real}
     named = dict.fromkeys(chosen, _CONFIRMED) or {NOTHING: 0.5}
     answer = answer_with(case.causes, named, regression.parameters([*chosen.values()]))
     return answer | torques_of_terms(case, regression, [*chosen.values()])
 
 
 def _clean_residual(regression: ResidualRegression, regimes: np.ndarray) -> Floats:
-    """Fit the rig in the half of the regimes with the least energy, and scale to their standard deviation."""
+    """Fit the rig parameters to the clean regimes, and return the residual in units of its noise there.
+
+    The clean regimes are the half with the least residual energy. Fit and choice are repeated three times.
+    """
     clean = np.ones(len(regimes), bool)
     prior = np.eye(regression.nuisance.shape[1])
     for _ in range(3):
         design = np.vstack([regression.nuisance[clean], prior])
-        known = np.concatenate([regression.target[clean], np.zeros(len(prior))])
-        rest = regression.target - regression.nuisance @ np.linalg.lstsq(design, known)[0]
-        energies = [float(np.mean(rest[regimes == regime] ** 2)) for regime in range(_REGIMES)]
+        target = np.concatenate([regression.target[clean], np.zeros(len(prior))])
+        residual = regression.target - regression.nuisance @ np.linalg.lstsq(design, target)[0]
+        energies = [float(np.mean(residual[regimes == regime] ** 2)) for regime in range(_REGIMES)]
         clean = np.isin(regimes, np.argsort(energies)[: _REGIMES // 2])
-    return np.asarray(rest / rest[clean].std())
+    return np.asarray(residual / residual[clean].std())
 
 
-def _error(term: Term, residual: Floats, fit: np.ndarray, held_out: np.ndarray) -> float:
+def _held_out_error(term: Term, residual: Floats, fit: np.ndarray, held_out: np.ndarray) -> float:
+    """Fit a term to the rows `fit`, and return its squared error on the rows `held_out`."""
     size = np.linalg.lstsq(term.columns[fit], residual[fit])[0]
     return float(np.sum((residual[held_out] - term.columns[held_out] @ size) ** 2))
 
 
 def _p_value(term: Term, residual: Floats, test: np.ndarray) -> float:
-    columns, rest = term.columns[test], residual[test]
-    free, used = len(rest) - columns.shape[1], columns.shape[1]
-    if free <= 0:
+    """Return the p-value of an F-test: does the term explain a part of the residual on the rows `test`?"""
+    columns, before = term.columns[test], residual[test]
+    used = columns.shape[1]
+    degrees_of_freedom = len(before) - used
+    if degrees_of_freedom <= 0:
         return 1.0
-    after = rest - columns @ np.linalg.lstsq(columns, rest)[0]
-    return float(f.sf((rest @ rest - after @ after) / used / (after @ after / free), used, free))
+    after = before - columns @ np.linalg.lstsq(columns, before)[0]
+    explained_variance = (before @ before - after @ after) / used
+    ratio = explained_variance / (after @ after / degrees_of_freedom)
+    return float(f.sf(ratio, used, degrees_of_freedom))

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
+from heli_lab.diagnose import Diagnosis, to_json
 from heli_lab.diagnose import diagnose as lab_diagnose
-from heli_lab.diagnose import to_json
 from heli_sim.model import MultibodyModel
+from heli_sim.rig import Rig
 
 from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, Estimate, answer_with
 from heli_benchmark.task.combined_causes import of_parts
@@ -25,7 +26,7 @@ _REFITS: Final = 80
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
-    """Diagnose a case with the laboratory."""
+    """Diagnose a case by `heli_lab.diagnose`, and translate its verdict and causes to probabilities."""
     labels = [f"flight {i}" for i in range(len(case.training) + len(case.validation))]
     diagnosis = lab_diagnose(
         MultibodyModel(), case.rig, case.training, case.validation, labels=labels, refits=_REFITS, threads=1
@@ -37,14 +38,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         # Disturbances alone are no hidden cause.
         verdict = "cause_found" if causes else "explained"
     named: dict[str, float] = {UNLISTED: probability(UNLISTED, verdict, case.causes)}
-    # A fit without a cause imitates it with parameters of the rig, so this rig is fitted with all named ones.
-    # Unlike the JSON's parameters, it also has the constant torques and encoder zeros.
-    unconfirmed = any(c["confidence"] >= 0.5 and not c.get("confirmed", True) for c in causes)
-    parameters = {
-        name: Estimate(number.value, 0.5 * number.tolerance)
-        for name, number in diagnosis.rig("extended", with_unconfirmed=unconfirmed).numbers.items()
-        if number != case.rig[name] and number.tolerance > 0.0
-    }
+    parameters = _rig_parameters(diagnosis, causes, case.rig)
     for cause in causes:
         confidence, effect = float(cause["confidence"]), cause["effect"]
         parts = of_parts(effect, cause["parameters"])
@@ -58,7 +52,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
                 # The doubt is also about what no effect explains: no alternative is more probable than the
                 # cause.
                 named.setdefault(other, min(confidence, 1.0 - confidence))
-        for name, estimate in (item for estimates in parts.values() for item in estimates.items()):
+        for name, estimate in (item for part in parts.values() for item in part.items()):
             if name in case.causes.parameter_names and estimate["std"] and math.isfinite(estimate["std"]):
                 parameters[name] = Estimate(float(estimate["value"]), float(estimate["std"]))
     if verdict == "explained" and len(named) == 1:
@@ -67,6 +61,21 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         # The flights excite too little: the base rates stay.
         named = {}
     return answer_with(case.causes, named, parameters)
+
+
+def _rig_parameters(diagnosis: Diagnosis, causes: list[dict[str, Any]], nominal: Rig) -> dict[str, Estimate]:
+    """Return the rig parameters that the diagnosis changed, fitted together with all named causes.
+
+    A fit without a cause would imitate it with parameters of the rig. Unlike the parameters in the JSON,
+    these also include the constant torques and encoder zeros.
+    """
+    with_unconfirmed = any(c["confidence"] >= 0.5 and not c.get("confirmed", True) for c in causes)
+    rig = diagnosis.rig("extended", with_unconfirmed=with_unconfirmed)
+    return {
+        name: Estimate(number.value, 0.5 * number.tolerance)
+        for name, number in rig.numbers.items()
+        if number != nominal[name] and number.tolerance > 0.0
+    }
 
 
 def probability(hidden: str, verdict: str, causes: Causes) -> float:

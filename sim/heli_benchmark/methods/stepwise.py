@@ -10,8 +10,8 @@ from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regr
 from heli_benchmark.task import UNLISTED, BenchmarkCase, answer_with
 
 MAX_TERMS: Final = 5
-_TRIED_NATS: Final = 50.0
-"""Evidence that a term needs. Tuned: the thirty candidates alone would need 3."""
+_MIN_NATS: Final = 50.0
+"""Evidence that a term needs. Tuned: the choice among thirty candidates would need only 3 (ln 30)."""
 _SHARPNESS: Final = 0.5
 """A regression that ignores the errors of its terms is too certain; half the evidence counts. A guess."""
 
@@ -21,7 +21,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     regression = residual_regression(case)
     chosen, gains_nats = selected(regression)
     named = {
-        term.cause: 1.0 / (1.0 + math.exp(min(50.0, _SHARPNESS * (_TRIED_NATS - gain))))
+        term.cause: 1.0 / (1.0 + math.exp(min(50.0, _SHARPNESS * (_MIN_NATS - gain))))
         for term, gain in zip(chosen, gains_nats, strict=True)
     }
     named.setdefault(UNLISTED, 0.5 * case.causes.base_rates[UNLISTED])
@@ -44,16 +44,16 @@ def selected(regression: ResidualRegression) -> tuple[list[Term], list[float]]:
     """
     chosen: list[Term] = []
     gains_nats: list[float] = []
-    before = regression.fit([])[0]
+    bic = regression.fit([]).bic
     while len(chosen) < MAX_TERMS:
         causes = {term.cause for term in chosen}
-        rest = [term for term in regression.terms if term.cause not in causes]
-        bics = [regression.fit([*chosen, term])[0] for term in rest]
-        best = min(range(len(rest)), key=bics.__getitem__)
-        gain_nats = 0.5 * (before - bics[best])
-        if gain_nats <= _TRIED_NATS:
+        candidates = [term for term in regression.terms if term.cause not in causes]
+        bics = [regression.fit([*chosen, term]).bic for term in candidates]
+        best = min(range(len(candidates)), key=bics.__getitem__)
+        gain_nats = 0.5 * (bic - bics[best])
+        if gain_nats <= _MIN_NATS:
             break
-        chosen.append(rest[best])
+        chosen.append(candidates[best])
         gains_nats.append(gain_nats)
-        before = bics[best]
+        bic = bics[best]
     return chosen, gains_nats

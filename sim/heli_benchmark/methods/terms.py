@@ -2,8 +2,8 @@
 
 Accelerations come from measured angles by a smoothing filter; the model and all terms pass the same filter. A
 term is the derivative of the model's accelerations by the size of a cause, from the catalogue of `heli_sim`.
-Causes in an encoder or with a state of their own have no such term. The lag and the delay of the thrust have
-one: the derivative of the voltages.
+A cause that acts in an encoder, or that adds a state to the model, has no such term. The lag and the delay of
+the thrust do have one: the derivative of the voltages.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from heli_sim.model.parts import AXES
 from heli_benchmark.methods.motion import AccelerationModel, SmoothedFlight
 from heli_benchmark.task import UNLISTED, BenchmarkCase, Estimate
 
-_MOMENTS: Final = (15.0, 17.0, 19.0, 21.0, 23.0, 25.0, 27.0)
+_MOMENTS_s: Final = (15.0, 17.0, 19.0, 21.0, 23.0, 25.0, 27.0)
 _FREQUENCIES_Hz: Final = tuple(np.arange(0.3, 2.51, 0.1))
 _SAME_SHAPE: Final = 0.98
 """Correlation from which two terms are the same. The torque of a spring, for example, is proportional to an
 angle, as one of the shapes is."""
-_LATE: Final = {"rotor_lag": "rotor_lag_s", "input_delay": "input_delay_s"}
+_LAG_PARAMETERS: Final = {"rotor_lag": "rotor_lag_s", "input_delay": "input_delay_s"}
 
 
 @dataclass(frozen=True)
 class Term:
-    """A candidate.
+    """A candidate for the regression: the accelerations that a cause of size 1 adds to the nominal model.
 
     Parameters
     ----------
@@ -40,7 +40,8 @@ class Term:
     parameters : tuple of str
         Parameters whose estimates are the coefficients; empty for a term of an unlisted cause.
     columns : ndarray (n, k)
-        Changes of the accelerations per unit of each parameter, whitened.
+        Changes of the accelerations per unit of each parameter, whitened; rows as in
+        `ResidualRegression.target`.
     axis, shape : str
         Axis and shape of the torque of an unlisted cause; its coefficient is in N m.
     """
@@ -67,6 +68,23 @@ class Standardisation:
     residual_std: Floats
     feature_mean: Floats
     feature_std: Floats
+
+
+@dataclass(frozen=True)
+class RegressionFit:
+    """Least-squares fit of some terms.
+
+    Parameters
+    ----------
+    bic : float
+        Bayesian information criterion; lower is better.
+    coefficients, stds : ndarray (k,)
+        Coefficients, and their standard errors: one per column of each term, in the order of the terms.
+    """
+
+    bic: float
+    coefficients: Floats
+    stds: Floats
 
 
 @dataclass(frozen=True)
@@ -107,43 +125,42 @@ class ResidualRegression:
         terms : sequence of Term
             Terms of the fit.
         """
-        _, solution, stds = self._solved(terms)
+        fit = self._fit_all(terms)
         count = len(self.rig_priors)
+        # Coefficients of the nuisance parameters are in standard deviations of their priors.
         rig = {
             name: Estimate(float(prior.value + shift * prior.std), float(error * prior.std))
-            for (name, prior), shift, error in zip(self.rig_priors.items(), solution, stds, strict=False)
+            for (name, prior), shift, error in zip(
+                self.rig_priors.items(), fit.coefficients, fit.stds, strict=False
+            )
         }
+        # A term of an unlisted cause has no parameter: its coefficients get no name.
         names = [name for term in terms for name in term.parameters or ("",) * term.columns.shape[1]]
         sizes = {
             name: Estimate(float(value), float(std))
-            for name, value, std in zip(names, solution[count:], stds[count:], strict=True)
+            for name, value, std in zip(names, fit.coefficients[count:], fit.stds[count:], strict=True)
             if name and std > 0.0
         }
-        return {name: of for name, of in rig.items() if of.std > 0.0} | sizes
+        return {name: estimate for name, estimate in rig.items() if estimate.std > 0.0} | sizes
 
     def best_term(self, cause: str) -> Term:
-        """Return the term of a `cause` that lowers the criterion most alone."""
+        """Return the term of a `cause` whose fit, without other terms, has the lowest criterion."""
         terms = [term for term in self.terms if term.cause == cause]
-        return min(terms, key=lambda term: self.fit([term])[0])
+        return min(terms, key=lambda term: self.fit([term]).bic)
 
-    def fit(self, terms: Sequence[Term]) -> tuple[float, Floats, Floats]:
-        """Fit some terms and all nuisance parameters.
+    def fit(self, terms: Sequence[Term]) -> RegressionFit:
+        """Fit some terms and all nuisance parameters, and return the coefficients of the terms.
 
         Parameters
         ----------
         terms : sequence of Term
             Terms of the fit.
-
-        Returns
-        -------
-        tuple of float, ndarray and ndarray
-            Bayesian information criterion, coefficients of the terms, and their standard errors.
         """
-        bic, solution, stds = self._solved(terms)
-        m = self.nuisance.shape[1]
-        return bic, solution[m:], stds[m:]
+        fit, count = self._fit_all(terms), self.nuisance.shape[1]
+        return RegressionFit(fit.bic, fit.coefficients[count:], fit.stds[count:])
 
-    def _solved(self, terms: Sequence[Term]) -> tuple[float, Floats, Floats]:
+    def _fit_all(self, terms: Sequence[Term]) -> RegressionFit:
+        """Fit as `fit`; the coefficients of the nuisance parameters come first."""
         columns = [self.nuisance, *(term.columns for term in terms)]
         design = np.column_stack(columns)
         n, m = len(self.target), self.nuisance.shape[1]
@@ -152,11 +169,11 @@ class ResidualRegression:
         normal = design.T @ design + prior.T @ prior
         inverse = np.linalg.pinv(normal)
         solution = inverse @ (design.T @ self.target)
-        rest = self.target - design @ solution
-        squares = float(rest @ rest + solution[:m] @ solution[:m])
+        residual = self.target - design @ solution
+        squares = float(residual @ residual + solution[:m] @ solution[:m])
         count = design.shape[1] - m
         stds = np.sqrt(np.diag(inverse) * squares / n)
-        return n * np.log(squares / n) + count * np.log(n), solution, stds
+        return RegressionFit(n * np.log(squares / n) + count * np.log(n), solution, stds)
 
 
 def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> ResidualRegression:
@@ -169,20 +186,30 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
     """
     rig = case.rig
     smooth = [SmoothedFlight(flight, weak_form) for flight in case.training]
-    plain = AccelerationModel(MultibodyModel(), rig)
-    nuisance_names = [name for name in plain.names if name in rig and rig[name].tolerance]
-    target = _stack([motion.acceleration - motion.filtered(plain.acceleration(motion)) for motion in smooth])
+    nominal = AccelerationModel(MultibodyModel(), rig)
+    nuisance_names = [name for name in nominal.names if name in rig and rig[name].tolerance]
+    # Measured minus nominal accelerations, shape (k, 3).
+    target = np.concatenate(
+        [motion.acceleration - motion.filtered(nominal.acceleration(motion)) for motion in smooth]
+    )
     stds = np.array([0.5 * rig[name].tolerance for name in nuisance_names])
-    nuisance = _stack([motion.filtered(plain.jacobian(motion, nuisance_names) * stds) for motion in smooth])
-    drafts = [*_listed(case, smooth), *_late(case, smooth, plain), *_generic(smooth, plain)]
+    nuisance = np.concatenate(
+        [motion.filtered(nominal.jacobian(motion, nuisance_names) * stds) for motion in smooth]
+    )
+    drafts = [
+        *_listed_terms(case, smooth),
+        *_lag_terms(case, smooth, nominal),
+        *_unlisted_terms(smooth, nominal),
+    ]
     # Scale each axis to its noise and whiten, from the residuals of a fit of the nuisance parameters alone.
-    fitted = np.stack([_fitted(target[:, i], nuisance[:, i]) for i in range(3)], axis=1)
-    lag = min(max(_correlation(fitted), 0.0), 0.95)
-    scale = 1.0 / (fitted.std(axis=0) * np.sqrt(1.0 - lag**2))
+    fitted = np.stack([_residual_after_fit(target[:, i], nuisance[:, i]) for i in range(3)], axis=1)
+    correlation = min(max(_step_correlation(fitted), 0.0), 0.95)
+    scale = 1.0 / (fitted.std(axis=0) * np.sqrt(1.0 - correlation**2))
 
     def white(values: Floats) -> Floats:
+        """Scale axis 1 of `values`, shape (k, 3, ...), and subtract the predictable part of each row."""
         scaled = (values.swapaxes(1, -1) * scale).swapaxes(1, -1)
-        return np.asarray((scaled[1:] - lag * scaled[:-1]).reshape(-1, *values.shape[2:]))
+        return np.asarray((scaled[1:] - correlation * scaled[:-1]).reshape(-1, *values.shape[2:]))
 
     terms = [replace(term, columns=white(term.columns)) for term in drafts]
     useful = [term for term in terms if np.isfinite(term.columns).all() and term.columns.std() > 1e-9]
@@ -196,8 +223,8 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
     return ResidualRegression(white(target), white(nuisance), useful, residuals, features, priors, scales)
 
 
-def _listed(case: BenchmarkCase, smooth: Sequence[SmoothedFlight]) -> list[Term]:
-    """Terms of the causes of the catalogue that act as forces without a state of their own."""
+def _listed_terms(case: BenchmarkCase, smooth: Sequence[SmoothedFlight]) -> list[Term]:
+    """Return the terms of the causes in the catalogue that act as forces and add no state to the model."""
     kinds = catalogue()
     drafts: list[Term] = []
     for cause in case.causes.listed:
@@ -206,40 +233,51 @@ def _listed(case: BenchmarkCase, smooth: Sequence[SmoothedFlight]) -> list[Term]
             continue
         names = [parameter.name for parameter in spec.parameters]
         sizes = tuple(spec.size) or (names[0],)
-        places: list[dict[str, float]] = [{}]
+        # An unknown moment or frequency is not linear: each trial value gives a term.
+        trial_values: list[dict[str, float]] = [{}]
         if f"{spec.prefix}_at_s" in names:
-            places = [{f"{spec.prefix}_at_s": at_s} for at_s in _MOMENTS]
+            trial_values = [{f"{spec.prefix}_at_s": at_s} for at_s in _MOMENTS_s]
         elif f"{spec.prefix}_Hz" in names:
-            places = [{f"{spec.prefix}_Hz": float(Hz)} for Hz in _FREQUENCIES_Hz]
-        of = AccelerationModel(MultibodyModel((spec.make(),)), case.rig)
-        for place in places:
-            columns = [motion.filtered(of.jacobian(motion, sizes, place)) for motion in smooth]
-            drafts.append(Term(cause, sizes, _stack(columns)))
+            trial_values = [{f"{spec.prefix}_Hz": float(Hz)} for Hz in _FREQUENCIES_Hz]
+        with_effect = AccelerationModel(MultibodyModel((spec.make(),)), case.rig)
+        for changed_values in trial_values:
+            columns = [
+                motion.filtered(with_effect.jacobian(motion, sizes, changed_values)) for motion in smooth
+            ]
+            drafts.append(Term(cause, sizes, np.concatenate(columns)))
     return drafts
 
 
-def _late(case: BenchmarkCase, smooth: Sequence[SmoothedFlight], plain: AccelerationModel) -> list[Term]:
-    """Terms of a lag or a delay: thrust is late by a time that multiplies the voltages' derivative."""
-    late = [
-        motion.filtered(-np.einsum("nij,nj->ni", plain.by_volts(motion), motion.volt_rates_V_s)[:, :, None])
+def _lag_terms(
+    case: BenchmarkCase, smooth: Sequence[SmoothedFlight], nominal: AccelerationModel
+) -> list[Term]:
+    """Return the terms of the lag and of the delay of the thrust.
+
+    Voltages that act T seconds late differ, to first order, by -T times their derivative.
+    """
+    by_lag = [
+        motion.filtered(-np.einsum("nij,nj->ni", nominal.by_volts(motion), motion.volt_rates_V_s)[:, :, None])
         for motion in smooth
     ]
     return [
-        Term(cause, (name,), _stack(late)) for cause, name in _LATE.items() if cause in case.causes.listed
+        Term(cause, (name,), np.concatenate(by_lag))
+        for cause, name in _LAG_PARAMETERS.items()
+        if cause in case.causes.listed
     ]
 
 
-def _generic(smooth: Sequence[SmoothedFlight], plain: AccelerationModel) -> list[Term]:
-    """Torques that are products of angles and rates: what an unlisted cause may look like."""
+def _unlisted_terms(smooth: Sequence[SmoothedFlight], nominal: AccelerationModel) -> list[Term]:
+    """Return terms that an unlisted cause may have: torques that are products of angles and rates."""
     terms: list[Term] = []
-    pushes, shapes = [plain.by_torques(motion) for motion in smooth], [shapes_of(motion) for motion in smooth]
+    by_torques = [nominal.by_torques(motion) for motion in smooth]
+    shapes_by_flight = [shapes_of(motion) for motion in smooth]
     for i, axis in enumerate(AXES):
-        for shape in shapes[0]:
+        for shape in shapes_by_flight[0]:
             columns = [
-                motion.filtered(push[:, :, [i]] * of[shape][:, None, None])
-                for motion, push, of in zip(smooth, pushes, shapes, strict=True)
+                motion.filtered(by_torque[:, :, [i]] * shapes[shape][:, None, None])
+                for motion, by_torque, shapes in zip(smooth, by_torques, shapes_by_flight, strict=True)
             ]
-            terms.append(Term(UNLISTED, (), _stack(columns), axis, shape))
+            terms.append(Term(UNLISTED, (), np.concatenate(columns), axis, shape))
     return terms
 
 
@@ -260,7 +298,7 @@ def shapes_of(flight: SmoothedFlight) -> dict[str, Floats]:
 
 
 def _is_listed(term: Term, listed: Sequence[Term]) -> bool:
-    """Whether a listed cause has the same shape, so that the term says nothing of an unlisted one."""
+    """Whether a listed cause has the same shape, so that the term is no evidence for an unlisted cause."""
     column = term.columns[:, 0] / np.linalg.norm(term.columns)
     return any(
         abs(column @ other / np.linalg.norm(other)) > _SAME_SHAPE
@@ -269,15 +307,13 @@ def _is_listed(term: Term, listed: Sequence[Term]) -> bool:
     )
 
 
-def _stack(parts: Sequence[Floats]) -> Floats:
-    return np.concatenate(parts)
-
-
-def _fitted(target: Floats, nuisance: Floats) -> Floats:
+def _residual_after_fit(target: Floats, nuisance: Floats) -> Floats:
+    """Return what remains of `target` after a least-squares fit of the `nuisance` columns."""
     solution = np.linalg.lstsq(nuisance, target, rcond=1e-6)[0]
     return np.asarray(target - nuisance @ solution)
 
 
-def _correlation(residuals: Floats) -> float:
+def _step_correlation(residuals: Floats) -> float:
+    """Return the correlation of residuals with those one step later, over all axes."""
     before, after = residuals[:-1], residuals[1:]
     return float((before * after).sum() / (before * before).sum())

@@ -47,17 +47,20 @@ def hide(flight: Flight, effect: KnownEffect, at_s: float, count_rad: Floats) ->
     Returns
     -------
     Flight
-        With other voltages or angles; a delay takes the last rows away.
+        With changed voltages or angles; a delay also removes the last rows.
     """
     return HIDERS[effect.id](flight, effect.size, at_s, count_rad)
 
 
 def _delay(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flight:
+    """Log each voltage `size` seconds before it acts."""
     rows = round(size / flight.step_s)
-    kept = slice(None, len(flight) - rows)
-    elevation_rad, pitch_rad, travel_rad = flight.angles_rad[kept].T
+    rows_left = slice(None, len(flight) - rows)
+    elevation_rad, pitch_rad, travel_rad = flight.angles_rad[rows_left].T
     front_V, back_V = flight.front_V[rows:], flight.back_V[rows:]
-    return Flight(flight.t_s[kept], front_V, back_V, elevation_rad, pitch_rad, travel_rad, meta=flight.meta)
+    return Flight(
+        flight.t_s[rows_left], front_V, back_V, elevation_rad, pitch_rad, travel_rad, meta=flight.meta
+    )
 
 
 def _asymmetry(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flight:
@@ -75,12 +78,13 @@ def _fade(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flig
 
 
 def _play(flight: Flight, size: float, _at_s: float, count_rad: Floats) -> Flight:
-    shaft_rad, half_rad = np.empty(len(flight)), 0.5 * size
-    shaft = float(flight.pitch_rad[0])
-    for row, axis in enumerate(flight.pitch_rad):
-        shaft = min(max(shaft, axis - half_rad), axis + half_rad)
-        shaft_rad[row] = shaft
-    return replace(flight, pitch_rad=_quantised(shaft_rad, count_rad[1]))
+    """Let the encoder of pitch follow the axis with a play of `size` rad."""
+    encoder_rad, half_play_rad = np.empty(len(flight)), 0.5 * size
+    shown_rad = float(flight.pitch_rad[0])
+    for row, axis_rad in enumerate(flight.pitch_rad):
+        shown_rad = min(max(shown_rad, axis_rad - half_play_rad), axis_rad + half_play_rad)
+        encoder_rad[row] = shown_rad
+    return replace(flight, pitch_rad=_quantised(encoder_rad, count_rad[1]))
 
 
 def _eccentricity(flight: Flight, size: float, _at_s: float, count_rad: Floats) -> Flight:

@@ -1,8 +1,8 @@
 """Judge a diagnosis of a real flight in which one known effect was hidden.
 
-A real machine has causes of its own. The diagnosis of the *unchanged* flights is therefore the reference: a
-name that it has already is not a false name, and a size that it has already is added to the hidden one. A new
-name is counted separately if the unchanged flights support it just below the level from which it is named.
+A real machine also has causes of unknown size. The diagnosis of the *unchanged* flights is therefore the
+reference: a cause that it names already is not a false name, and the size that it estimates is added to the
+hidden size. A new name is counted separately if the unchanged flights support it, but not enough to name it.
 """
 
 from __future__ import annotations
@@ -89,13 +89,13 @@ def score(
         Nominal rig of both diagnoses.
     """
     names = NAMES.get(effect.id, (effect.id,))
-    known = {name for cause in reference["causes"] for name in _alike(cause)}
-    cause = next((cause for cause in result["causes"] if _means(cause, names)), None)
+    reference_names = {name for cause in reference["causes"] for name in _indistinguishable_names(cause)}
+    cause = next((cause for cause in result["causes"] if _stands_for(cause, names)), None)
     new_names = tuple(
         (other["effect"], other["confidence"])
         for other in result["causes"]
         if other is not cause
-        and not {*_alike(other), *PARTS.get(other["effect"], ())} & known
+        and not {*_indistinguishable_names(other), *PARTS.get(other["effect"], ())} & reference_names
         and not other["effect"].startswith(RANDOM_TORQUE)
     )
     size = std = truth = confidence = float("nan")
@@ -114,8 +114,9 @@ def score(
 
 
 def _is_supported(name: str, reference: Mapping[str, Any]) -> bool:
-    """Whether the flights support an effect, although it may be below the level from which it is named: its
-    last refit, together with all causes that are named, gained more than its penalty.
+    """Whether the unchanged flights support an effect, although perhaps not enough to name it.
+
+    They do if its last refit, together with all named causes, gained more evidence than its penalty.
     """
     causes = {cause["effect"] for cause in reference["causes"]}
     rows = reference.get("ranking", ())
@@ -128,78 +129,90 @@ def _is_supported(name: str, reference: Mapping[str, Any]) -> bool:
     return bool(refits) and bool(refits[-1]["train"] > refits[-1]["penalty"])
 
 
-def _means(cause: Mapping[str, Any], names: tuple[str, ...]) -> bool:
+def _stands_for(cause: Mapping[str, Any], names: tuple[str, ...]) -> bool:
+    """Whether a cause, or an effect that it is ambiguous with, has one of the `names`."""
     return bool({*names} & {cause["effect"], *cause["ambiguous_with"]})
 
 
-def _alike(cause: Mapping[str, Any]) -> tuple[str, ...]:
-    """Names that the diagnosis does not distinguish from a cause, its own included: a lag of the thrust
-    replaces one of the rotor speed after small changes of the data.
+def _indistinguishable_names(cause: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the name of a cause, and all names that the diagnosis does not distinguish from it.
+
+    For example, after a small change of the data, a lag of the thrust may replace one of the rotor speed.
     """
     members = cause.get("family", {"members": ()})["members"]
     return (cause["effect"], *cause["ambiguous_with"], *members)
 
 
 def _reference_size(reference: Mapping[str, Any], names: tuple[str, ...], t_s: Floats) -> float:
-    """Size that the unchanged flights have of the same cause; 0 without it."""
+    """Return the size of the same cause in the unchanged flights; 0 if they do not have it."""
     return next((_size(cause, t_s)[0] for cause in reference["causes"] if cause["effect"] in names), 0.0)
 
 
 def _size(cause: Mapping[str, Any], t_s: Floats) -> tuple[float, float]:
-    """Size and standard error of a cause. For a fade this is the share that is lost in the middle of the
-    flight: its two parameters compensate for each other.
-    """
-    name, numbers = cause["effect"], cause["parameters"]
+    """Return the size and the standard error of a cause, in the unit of `KnownEffect.size`.
 
-    def number(suffix: str) -> tuple[float, float]:
-        of = numbers[f"{name.replace('.', '_')}_{suffix}"]
-        return float(of["value"]), float(of["std"] or 0.0)
+    The size of a fade is the share that is lost in the middle of the flight, because its two parameters, rate
+    and bend, compensate for each other.
+    """
+    name, parameters = cause["effect"], cause["parameters"]
+
+    def value_and_std(suffix: str) -> tuple[float, float]:
+        estimate = parameters[f"{name.replace('.', '_')}_{suffix}"]
+        return float(estimate["value"]), float(estimate["std"] or 0.0)
 
     if name in ("thrust_fade", "supply_fade"):
-        (rate, std), middle_s = number("per_s"), float(np.mean(t_s))
-        bend = number("bend_per_s")[0] if f"{name}_bend_per_s" in numbers else 0.0
-        course = (1.0 - np.exp(-bend * middle_s)) / bend if abs(bend) > 1e-9 else middle_s
-        return float(rate * course), float(std * abs(course))
+        (rate_per_s, std_per_s), middle_s = value_and_std("per_s"), float(np.mean(t_s))
+        bend_per_s = value_and_std("bend_per_s")[0] if f"{name}_bend_per_s" in parameters else 0.0
+        # The lost share is rate * (1 - exp(-bend t)) / bend, or rate * t without a bend.
+        is_bent = abs(bend_per_s) > 1e-9
+        effective_s = (1.0 - np.exp(-bend_per_s * middle_s)) / bend_per_s if is_bent else middle_s
+        return float(rate_per_s * effective_s), float(std_per_s * abs(effective_s))
     if name.startswith("encoder_eccentricity"):
         # The hidden error is a pure sine; the cosine is zero.
-        return number("sin_rad")
+        return value_and_std("sin_rad")
     suffix = {"input_delay": "s", "rotor_lag_with_delay": "delay_s", "backlash.pitch": "rad"}.get(
         name, "share"
     )
-    return number(suffix)
+    return value_and_std(suffix)
 
 
 def _truth(
     effect: KnownEffect, name: str, result: Mapping[str, Any], volts_V: Floats, t_s: Floats, rig: Rig
 ) -> float:
-    """Size of the hidden effect in the measure of a cause: of thrust, where it is a share of the voltage."""
+    """Return the true size of the hidden effect in the unit of the cause `name`.
+
+    An effect was hidden as a share of the voltage; most causes describe it as a share of the thrust.
+    """
     curve = steady_thrust(result, rig)
     if effect.id == "thrust_asymmetry":
-        front, back = (
-            _slope(curve, volts_V[:, i], 1.0 + sign * effect.size) for i, sign in ((0, 1), (1, -1))
-        )
+        front = _thrust_variation_factor(curve, volts_V[:, 0], 1.0 + effect.size)
+        back = _thrust_variation_factor(curve, volts_V[:, 1], 1.0 - effect.size)
         return (front - back) / (front + back)
     if effect.id == "thrust_step.front":
-        return 1.0 - _gain(curve, volts_V[:, 0], 1.0 - effect.size)
+        return 1.0 - _thrust_factor(curve, volts_V[:, 0], 1.0 - effect.size)
     if effect.id == "thrust_fade":
-        lost = effect.size * float(np.mean(t_s))
-        return lost if name == "supply_fade" else 1.0 - _gain(curve, volts_V.mean(axis=1), 1.0 - lost)
+        lost_share = effect.size * float(np.mean(t_s))
+        if name == "supply_fade":
+            return lost_share
+        return 1.0 - _thrust_factor(curve, volts_V.mean(axis=1), 1.0 - lost_share)
     return effect.size
 
 
-def _gain(curve: Curve, volts_V: Floats, factor: float) -> float:
-    """Least-squares factor of the thrust, if the voltages are multiplied by a factor."""
+def _thrust_factor(curve: Curve, volts_V: Floats, volts_factor: float) -> float:
+    """Return the least-squares factor of the thrust if all voltages are multiplied by `volts_factor`."""
     thrust = curve(volts_V)
-    return float(thrust @ curve(factor * volts_V) / (thrust @ thrust))
+    return float(thrust @ curve(volts_factor * volts_V) / (thrust @ thrust))
 
 
-def _slope(curve: Curve, volts_V: Floats, factor: float) -> float:
-    """Least-squares factor of the thrust's variation, if the voltages are multiplied by a factor. A constant
-    difference is no asymmetry: the constant torques of each flight are free.
+def _thrust_variation_factor(curve: Curve, volts_V: Floats, volts_factor: float) -> float:
+    """Return the same factor for the deviations of the thrust from its mean.
+
+    A constant difference between the rotors is no sign of an asymmetry, because each flight has its own
+    constant torques.
     """
     thrust = curve(volts_V)
     thrust = thrust - thrust.mean()
-    return float(thrust @ curve(factor * volts_V) / (thrust @ thrust))
+    return float(thrust @ curve(volts_factor * volts_V) / (thrust @ thrust))
 
 
 def steady_thrust(result: Mapping[str, Any], rig: Rig) -> Curve:
@@ -210,29 +223,31 @@ def steady_thrust(result: Mapping[str, Any], rig: Rig) -> Curve:
     result : Mapping[str, Any]
         JSON of a diagnosis.
     rig : Rig
-        Gives the dead zone where no flight determined it.
+        Its dead zone and reverse thrust are used if the flights did not determine them.
     """
     numbers = result["rig"]["numbers"]
 
     def value(name: str) -> float:
+        """Return a parameter as identified, or else as nominal."""
         return float(numbers[name]["value"] if name in numbers else rig[name].value)
 
     dead_zone_V, reverse = value("dead_zone"), value("reverse_thrust")
     causes = {cause["effect"]: cause["parameters"] for cause in result["causes"]}
-    squared = causes.get("rotor_speed_lag")
-    bent = causes.get("thrust_quadratic")
-    begins_V = dead_zone_V * (squared["rotor_speed_lag_begins"]["value"] if squared else 1.0)
+    speed_lag = causes.get("rotor_speed_lag")
+    quadratic = causes.get("thrust_quadratic")
+    thrust_begins_V = dead_zone_V * (speed_lag["rotor_speed_lag_begins"]["value"] if speed_lag else 1.0)
 
     def curve(volts_V: Floats) -> Floats:
-        forward_V = np.maximum(volts_V - begins_V, 0.0)
-        backward_V = np.maximum(-volts_V - begins_V, 0.0)
-        if squared:
+        """Return the thrust of each voltage, up to a common factor."""
+        forward_V = np.maximum(volts_V - thrust_begins_V, 0.0)
+        backward_V = np.maximum(-volts_V - thrust_begins_V, 0.0)
+        if speed_lag:
             return np.asarray(forward_V**2 - reverse * backward_V**2)
         thrust = forward_V - reverse * backward_V
-        if bent:
-            pivot_V = bent.get("thrust_quadratic_pivot_V", {"value": 1.0})["value"]
+        if quadratic:
+            pivot_V = quadratic.get("thrust_quadratic_pivot_V", {"value": 1.0})["value"]
             thrust = thrust * (
-                1.0 + bent["thrust_quadratic_share"]["value"] * (np.abs(thrust) / pivot_V - 1.0)
+                1.0 + quadratic["thrust_quadratic_share"]["value"] * (np.abs(thrust) / pivot_V - 1.0)
             )
         return np.asarray(thrust)
 

@@ -16,8 +16,10 @@ from heli_sim.rig import Rig
 
 from heli_benchmark.reference.truth import TrueEffect
 
-_STARTS = (1.0, 0.3, 0.03)
-_EXPLAINED = 1.03
+_START_SHARES = (1.0, 0.3, 0.03)
+"""Shares of the true sizes from which fits start."""
+_GOOD_FIT = 1.03
+"""Normalised error from which no further start is tried; 1 is the noise alone."""
 _STEP_S = 0.004
 """With coarser steps, fits of dry friction and backlash fail."""
 
@@ -57,7 +59,7 @@ def fit_informed(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[True
     flights : tuple of Flight
         Training and validation flight.
     hidden : sequence of TrueEffect
-        True effects. `random_torque` is left out, because it is in no free run.
+        True effects. `random_torque` is omitted, because an open-loop simulation cannot predict it.
     """
     records = prepare(flights[0], rig, "a"), prepare(flights[1], rig, "b")
     nothing = _fit(rig, records, (), {}, None)
@@ -94,12 +96,12 @@ def _best(
     """Fit from several starts: the truth may be in another basin of attraction."""
     sizes = {name: effect.values[name] for effect in effects for name in effect.priors}
     best: Fit | None = None
-    for share in _STARTS:
+    for share in _START_SHARES:
         start = {**nothing.values, **{name: share * value for name, value in sizes.items()}}
         fit = _fit(rig, records, tuple(effects), fixed_values, start)
         if best is None or check(fit).normalised < check(best).normalised:
             best = fit
-        if check(best).normalised < _EXPLAINED:
+        if check(best).normalised < _GOOD_FIT:
             break
     assert best is not None
     return best
@@ -112,6 +114,7 @@ def _fit(
     fixed: dict[str, float],
     start: dict[str, float] | None = None,
 ) -> Fit:
+    """Fit a model with `effects` to the training flight; `fixed` parameters are not estimated."""
     model = MultibodyModel(effects)
     problem = Problem(
         model,
@@ -124,14 +127,16 @@ def _fit(
     return solve(problem, start=start)
 
 
-def _errors(fit: Fit, other: Record) -> tuple[float, float]:
-    return check(fit).normalised, check(validate(fit, [other])).normalised
+def _errors(fit: Fit, held_out: Record) -> tuple[float, float]:
+    """Return the normalised errors of a fit on its own flight and on the held-out flight."""
+    return check(fit).normalised, check(validate(fit, [held_out])).normalised
 
 
 def _significance(fit: Fit, sizes: Sequence[str]) -> float | None:
-    places = [i for i, name in enumerate(fit.problem.names) if name in sizes]
-    if not places:
+    """Return the size of an effect in standard errors (Mahalanobis distance of all its sizes from 0)."""
+    indices = [i for i, name in enumerate(fit.problem.names) if name in sizes]
+    if not indices:
         return None
-    size = fit.theta[places]
-    covariance = fit.covariance[np.ix_(places, places)]
+    size = fit.theta[indices]
+    covariance = fit.covariance[np.ix_(indices, indices)]
     return float(np.sqrt(size @ np.linalg.solve(covariance, size)))

@@ -19,7 +19,9 @@ REFITS: Final = 80
 """Refits of a search, the default of the command line."""
 
 
-class _Flown(Protocol):
+class _FlyableCase(Protocol):
+    """A case that can fly its two flights itself."""
+
     @property
     def name(self) -> str: ...
     @property
@@ -27,7 +29,7 @@ class _Flown(Protocol):
     def both_flights(self) -> tuple[Flight, Flight]: ...
 
 
-_Case = TypeVar("_Case", bound=_Flown)
+_Case = TypeVar("_Case", bound=_FlyableCase)
 
 
 def run_diagnosis(
@@ -60,7 +62,7 @@ def diagnosis_json(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFIT
 def diagnosed_cases(cases: Iterable[_Case]) -> Iterator[tuple[_Case, dict[str, Any], float]]:
     """Fly and diagnose `cases`: yield each with its result as JSON and the processor time in s.
 
-    A case that cannot be flown is printed and left out.
+    A case whose rig leaves the safe range is reported and skipped.
     """
     for case in cases:
         try:
@@ -91,7 +93,7 @@ def timed_diagnosis(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFI
         ``result`` (JSON or None), ``failure`` (the error that ended it, or empty), ``seconds`` and
         ``cpu_seconds``.
     """
-    started_s, worked_s = time.perf_counter(), _cpu_s()
+    started_s, started_cpu_s = time.perf_counter(), _cpu_s()
     result, failure = None, ""
     try:
         result = diagnosis_json(rig, flights, refits)
@@ -102,11 +104,11 @@ def timed_diagnosis(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFI
         "result": result,
         "failure": failure,
         "seconds": time.perf_counter() - started_s,
-        "cpu_seconds": _cpu_s() - worked_s,
+        "cpu_seconds": _cpu_s() - started_cpu_s,
     }
 
 
 def _cpu_s() -> float:
     """CPU time of this process and of the children that it has waited for."""
-    used = os.times()
-    return used.user + used.system + used.children_user + used.children_system
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system

@@ -25,26 +25,28 @@ from heli_benchmark.runs.ask import REFITS, timed_diagnosis
 from heli_benchmark.scoring.judge import Row, judge
 
 WORK = f"{__name__}:run_named_case"
-_HERE = Path(__file__).parents[1]
+"""Address of the function that a campaign calls for each case."""
+_BENCHMARK = Path(__file__).parents[1]
 _SIM, _LAB = Path(heli_sim.__file__).parent, Path(heli_lab.__file__).parent
 _FLIGHT_CODE_FILES = tuple(
-    _HERE / name
+    _BENCHMARK / name
     for name in (
         *("engine/bodies.py", "engine/plant.py", "effects/listed.py", "effects/unlisted.py"),
         *("cases/clean.py", "simulation/flight_code.py"),
     )
 )
 _DISTURBED_FILES = tuple(
-    _HERE / name
+    _BENCHMARK / name
     for name in (
         *("engine/bodies.py", "engine/plant.py", "effects/listed.py", "effects/unlisted.py"),
         *("effects/measured.py", "effects/disturbances.py", "simulation/tracking.py"),
         *("cases/clean.py", "cases/disturbed_case.py"),
     )
 )
-_REFERENCE_FILES = (_HERE / "reference/informed_fit.py", _HERE / "reference/truth.py")
+_REFERENCE_FILES = (_BENCHMARK / "reference/informed_fit.py", _BENCHMARK / "reference/truth.py")
 _VISIBILITY_FILES = tuple(
-    _HERE / name for name in ("engine/true_trajectory.py", "reference/replay.py", "reference/visibility.py")
+    _BENCHMARK / name
+    for name in ("engine/true_trajectory.py", "reference/replay.py", "reference/visibility.py")
 )
 _PAGE_FILES = ("figures.py", "result_figures.py", "page.py", "sentences.py", "equation_figures.py")
 _DIAGNOSIS_FILES = tuple(
@@ -99,8 +101,8 @@ def run(case: Case, folder: Path, *, keep: bool = False, refits: int = REFITS) -
     """
     prepared = prepare(case, folder, keep=keep)
     code = _digest("", _DIAGNOSIS_FILES)
-    place = folder / case.name / "diagnosis.json"
-    answer = _kept(place, code, keep, lambda: timed_diagnosis(prepared.rig, prepared.flights, refits))
+    case_folder = folder / case.name / "diagnosis.json"
+    answer = _cached(case_folder, code, keep, lambda: timed_diagnosis(prepared.rig, prepared.flights, refits))
     return judge(
         case,
         hidden_in(case, _motors_on_s(prepared.flights[0], prepared.rig)),
@@ -129,7 +131,7 @@ def run_named_case(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[st
 
 def code_of_rows() -> str:
     """Return the digest of all files that a row depends on: flights, diagnosis and scoring."""
-    return _digest("", (*sorted(_HERE.rglob("*.py")), *_DIAGNOSIS_FILES))
+    return _digest("", (*sorted(_BENCHMARK.rglob("*.py")), *_DIAGNOSIS_FILES))
 
 
 def prepare(case: Case, folder: Path, *, keep: bool = False) -> PreparedCase:
@@ -142,27 +144,29 @@ def prepare(case: Case, folder: Path, *, keep: bool = False) -> PreparedCase:
     keep : bool
         Use what exists, whatever code made it.
     """
-    place = folder / case.name
-    place.mkdir(parents=True, exist_ok=True)
+    case_folder = folder / case.name
+    case_folder.mkdir(parents=True, exist_ok=True)
     made_by = _digest(repr(case), _DISTURBED_FILES if isinstance(case, DisturbedCase) else _FLIGHT_CODE_FILES)
-    mark = place / "made_by.txt"
-    current = mark.exists() and mark.read_text() == made_by
-    if not current and not (keep and any(place.iterdir())):
-        for old in place.iterdir():
-            old.unlink()
+    digest_file = case_folder / "made_by.txt"
+    is_current = digest_file.exists() and digest_file.read_text() == made_by
+    if not is_current and not (keep and any(case_folder.iterdir())):
+        for old_file in case_folder.iterdir():
+            old_file.unlink()
         # Written before the flights: each is complete or absent, so an interrupted run keeps the first.
-        mark.write_text(made_by)
+        digest_file.write_text(made_by)
     paths = case.flights(folder)
     flights = read_flight(paths[0]), read_flight(paths[1])
     rig = load_rig(case.rig_name if isinstance(case, DisturbedCase) else _PAPER)
     if isinstance(case, DisturbedCase):
         code = _digest(made_by, _VISIBILITY_FILES)
-        visible = _kept(place / "visibility.json", code, keep, lambda: dict(visibility(case)))
+        visible = _cached(case_folder / "visibility.json", code, keep, lambda: dict(visibility(case)))
         return PreparedCase(flights, rig, visible)
     # The truth does not depend on the laboratory: an edit there does not require 127 new fits.
     hidden = hidden_in(case, _motors_on_s(flights[0], rig))
     code = _digest(made_by, _REFERENCE_FILES)
-    informed = _kept(place / "informed.json", code, keep, lambda: asdict(fit_informed(rig, flights, hidden)))
+    informed = _cached(
+        case_folder / "informed.json", code, keep, lambda: asdict(fit_informed(rig, flights, hidden))
+    )
     return PreparedCase(flights, rig, InformedFit(**informed))
 
 
@@ -181,39 +185,46 @@ def cause_visibility(case: Case, folder: Path, keep: bool) -> dict[str, float | 
 
 
 def _conditions(case: DisturbedCase) -> dict[str, Any]:
-    of = case.disturbances
+    """Return rig, rate, controller and disturbances of a case, for tables of results."""
+    disturbances = case.disturbances
     return {
         "rig": case.rig_name,
         "rate_Hz": case.rate_Hz,
         "gentle": case.gentle,
         "controller": case.controller,
-        "gusts_Nm": list(of.gusts_Nm),
-        "correlation_time_s": of.correlation_time_s,
-        "slow_std_Nm": list(of.slow_std_Nm),
+        "gusts_Nm": list(disturbances.gusts_Nm),
+        "correlation_time_s": disturbances.correlation_time_s,
+        "slow_std_Nm": list(disturbances.slow_std_Nm),
     }
 
 
 def _motors_on_s(flight: Flight, rig: Rig) -> float:
+    """Return the time from the start of the log until a motor first gets a voltage."""
     # Drivers pass no voltage below their dead band.
-    least_V = rig["driver_dead_band"].value * rig["supply"].value
-    is_on = (flight.voltages_V > least_V).any(axis=1)
+    dead_band_V = rig["driver_dead_band"].value * rig["supply"].value
+    is_on = (flight.voltages_V > dead_band_V).any(axis=1)
     return float(flight.t_s[is_on][0] - flight.t_s[0])
 
 
-def _kept(path: Path, made_by: str, keep: bool, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Read the result of an earlier run with the same code, or compute and write it."""
+def _cached(path: Path, made_by: str, keep: bool, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Return the result in the file `path`; if it is missing or outdated, `compute` and write it.
+
+    A result is outdated if code of another digest than `made_by` wrote it, unless `keep` is set.
+    """
     if path.exists():
         earlier: dict[str, Any] = json.loads(path.read_text())
         if keep or earlier["made_by"] == made_by:
             return dict(earlier["what"])
-    what = make()
+    result = compute()
+    # Renamed when complete, so that an interrupted run leaves no partial file.
     unfinished = path.with_suffix(".unfinished")
-    unfinished.write_text(json.dumps({"made_by": made_by, "what": what}, indent=1, default=float))
+    unfinished.write_text(json.dumps({"made_by": made_by, "what": result}, indent=1, default=float))
     unfinished.rename(path)
-    return what
+    return result
 
 
 def _digest(text: str, files: Iterable[Path]) -> str:
+    """Return the SHA-256 of a text followed by the content of files."""
     digest = hashlib.sha256(text.encode())
     for path in files:
         digest.update(path.read_bytes())

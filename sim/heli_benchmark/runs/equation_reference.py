@@ -44,6 +44,7 @@ class TrueEquationEffect(Effect):
         return hash((self.name, tuple(self.values.items())))
 
     def _inputs(self, at: Operands) -> EquationInputs:
+        """Return the arguments of the equation as symbols."""
         q = [at.state[f"{axis}_rad"] for axis in _AXES]
         w = [at.state[f"{axis}_rate_rad_s"] for axis in _AXES]
         late = self.own(at, "late") if self.states else 0.0

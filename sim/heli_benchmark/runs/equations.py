@@ -1,4 +1,4 @@
-"""`python -m heli_benchmark.runs.equations`: unlisted equations, how many are proposed, and how well."""
+"""`python -m heli_benchmark.runs.equations`: count how many unlisted equations a diagnosis discovers."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from heli_benchmark.cases.selection import add_choice, chosen
 from heli_benchmark.scoring.judge import MIN_VISIBILITY_STD
 
 MIN_CORRELATION, MAX_ERROR_RATIO = 0.9, 1.3
+"""Limits within which an equation counts as right: its correlation with the true torque, and the error of a
+free run with it relative to a fit with the true equation."""
 EquationRow = dict[str, Any]
 """Results of a case for JSON; ``failure`` if an error ended it."""
 
@@ -39,14 +41,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_rows(parser, Path("equations.json"))
     parser.add_argument("--nothing", action="store_true", help="run cases without an unlisted equation")
     parser.add_argument("--seen", action="store_true", help="diagnose only visible equations")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from heli_benchmark.cases.disturbed import disturbed_cases
     from heli_benchmark.cases.unlisted_equations import equation_cases
     from heli_benchmark.runs.equation_reference import judge_equation
 
-    cases = [case for case in disturbed_cases() if not case.unlisted] if given.nothing else equation_cases()
-    rows = judge_rows(chosen(cases, given), judge_equation, _describe_row, given)
+    cases = [case for case in disturbed_cases() if not case.unlisted] if options.nothing else equation_cases()
+    rows = judge_rows(chosen(cases, options), judge_equation, _describe_row, options)
     print(equation_summary(rows))
     return 0 if all("failure" not in row for row in rows.values()) else 1
 
@@ -62,8 +64,8 @@ def add_rows(parser: argparse.ArgumentParser, json_file: Path) -> None:
 def judge_rows(
     cases: Sequence[DisturbedCase],
     judge: Callable[[DisturbedCase, tuple[Flight, Flight]], EquationRow],
-    described: Callable[[EquationRow], str],
-    given: argparse.Namespace,
+    describe: Callable[[EquationRow], str],
+    options: argparse.Namespace,
 ) -> dict[str, EquationRow]:
     """Judge the cases that the JSON file lacks, and write it after each.
 
@@ -71,9 +73,9 @@ def judge_rows(
     ----------
     judge : callable
         Makes the row of a case from its flights.
-    described : callable
+    describe : callable
         Writes a row as a line.
-    given : argparse.Namespace
+    options : argparse.Namespace
         Options ``json``, ``folder`` and ``keep``; with ``seen``, cases that are not visible are left out.
 
     Returns
@@ -83,16 +85,16 @@ def judge_rows(
     """
     from heli_benchmark.runs.case import prepare
 
-    rows: dict[str, EquationRow] = json.loads(given.json.read_text()) if given.json.exists() else {}
+    rows: dict[str, EquationRow] = json.loads(options.json.read_text()) if options.json.exists() else {}
     for case in cases:
         if case.name in rows:
             continue
         started_s = time.process_time()
         try:
-            prepared = prepare(case, given.folder, keep=given.keep)
+            prepared = prepare(case, options.folder, keep=options.keep)
             reference = prepared.reference
             row: EquationRow = {"visibility": reference if isinstance(reference, dict) else {}}
-            if given.seen and not is_visible(row):
+            if options.seen and not is_visible(row):
                 print(f"{case.name}: not visible, {row['visibility']}", flush=True)
                 continue
             row |= judge(case, prepared.flights)
@@ -100,20 +102,19 @@ def judge_rows(
             row = {"failure": f"{type(error).__name__}: {error}"}
         row["cpu_seconds"] = time.process_time() - started_s
         rows[case.name] = row
-        given.json.write_text(json.dumps(rows, indent=1, default=float) + "\n")
-        print(f"{case.name}: {described(row)}", flush=True)
+        options.json.write_text(json.dumps(rows, indent=1, default=float) + "\n")
+        print(f"{case.name}: {describe(row)}", flush=True)
     return rows
 
 
 def is_visible(row: EquationRow) -> bool:
     """Return whether the equation of a case, by its `row`, is visible enough to count."""
-    return (
-        min((z for what, z in row["visibility"].items() if what.startswith("off-")), default=0.0)
-        >= MIN_VISIBILITY_STD
-    )
+    visibilities_std = [std for name, std in row["visibility"].items() if name.startswith("off-")]
+    return min(visibilities_std, default=0.0) >= MIN_VISIBILITY_STD
 
 
 def _describe_row(row: EquationRow) -> str:
+    """Return one line: visibility of each cause, verdict, equation and how well it agrees with the truth."""
     if "failure" in row:
         return str(row["failure"])
     visibilities = ", ".join(f"{name} {z:.0f}" for name, z in row["visibility"].items())
@@ -127,7 +128,7 @@ def _describe_row(row: EquationRow) -> str:
 
 
 def equation_summary(rows: dict[str, EquationRow]) -> str:
-    """Count the equations proposed, and those proposed where none is hidden.
+    """Count the hidden equations that were proposed, and the equations that were proposed without a reason.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Equations in the place of a removed effect: the share of its error that they explain, and a flight."""
+"""Judge the equation that a diagnosis proposes for an effect that its catalogue lacks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from heli_benchmark.runs.equation_reference import informed_errors_deg, listed_c
 def judge_replacement(
     case: DisturbedCase, flights: tuple[Flight, Flight], folder: Path, refits: int = REFITS
 ) -> dict[str, Any]:
-    """Diagnose a case with its last effect removed from the catalogue, and compare the equation in its place.
+    """Diagnose a case without its last effect in the catalogue, and judge the equation that replaces it.
 
     Parameters
     ----------
@@ -48,12 +48,12 @@ def judge_replacement(
     records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]
     comparison = ModelComparison(MultibodyModel(), rig, records[:1], records[1:])
     other_causes = listed_candidates(effect for effect, _ in case.effects[:-1])
-    errors_without_deg, informed_deg = (
-        informed_errors_deg(comparison, [*other_causes, *more]) for more in ([], listed_candidates([name]))
-    )
+    errors_without_deg = informed_errors_deg(comparison, other_causes)
+    informed_deg = informed_errors_deg(comparison, [*other_causes, *listed_candidates([name])])
     axis = max(informed_deg, key=lambda name: errors_without_deg[name] / informed_deg[name])
     proposal = diagnosis.proposal
-    gains = diagnosis.error_reductions if proposal is None else proposal.evaluation.reductions
+    reductions = diagnosis.error_reductions if proposal is None else proposal.evaluation.reductions
+    found_deg = reductions[axis].after_deg
     answer: dict[str, Any] = {
         "verdict": diagnosis.label,
         "causes": [cause.candidate.id for cause in diagnosis.verdict.causes],
@@ -61,9 +61,8 @@ def judge_replacement(
         "axis": axis,
         "without_deg": errors_without_deg[axis],
         "informed_deg": informed_deg[axis],
-        "found_deg": gains[axis].after_deg,
-        "share": (errors_without_deg[axis] - gains[axis].after_deg)
-        / (errors_without_deg[axis] - informed_deg[axis]),
+        "found_deg": found_deg,
+        "share": (errors_without_deg[axis] - found_deg) / (errors_without_deg[axis] - informed_deg[axis]),
         "seconds": diagnosis.effort.seconds,
     }
     if proposed is not None:

@@ -1,4 +1,4 @@
-"""`python -m heli_benchmark.runs.removed_effects`: effects removed from the catalogue."""
+"""`python -m heli_benchmark.runs.removed_effects`: does a discovered equation replace a removed effect?"""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from heli_benchmark.cases.selection import chosen
 from heli_benchmark.runs.equations import EquationRow, add_rows, judge_rows
 
 SHARE = 0.8
+"""Share of the error reduction of the removed effect that its equation must reach."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,20 +32,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m heli_benchmark.runs.removed_effects", description=__doc__
     )
     add_rows(parser, Path("removed_effects.json"))
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from heli_benchmark.cases.removed_effects import removed_effect_cases
     from heli_benchmark.runs.removed_effect_reference import judge_replacement
 
-    cases = chosen(removed_effect_cases(), given)
+    cases = chosen(removed_effect_cases(), options)
     rows = judge_rows(
-        cases, lambda case, flights: judge_replacement(case, flights, given.folder), _describe_row, given
+        cases, lambda case, flights: judge_replacement(case, flights, options.folder), _describe_row, options
     )
     print(removed_effect_summary(rows))
     return 0 if all("failure" not in row for row in rows.values()) else 1
 
 
 def _describe_row(row: EquationRow) -> str:
+    """Return one line: visibility of the effect, verdict, equation, and errors of three fits."""
     if "failure" in row:
         return str(row["failure"])
     visibility_std = list(row["visibility"].values())[-1]

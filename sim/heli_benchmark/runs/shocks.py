@@ -16,7 +16,7 @@ from heli_benchmark.runs.ask import REFITS
 
 
 def diagnose_shock(case: ShockCase) -> dict[str, Any]:
-    """Diagnose the flights of a case, as its layout says."""
+    """Diagnose the flights of a case; its layout states which of them are fitted and which are held out."""
     flights = case.both_flights()
     fitted, held_out = (flights, ()) if case.layout == "second" else (flights[:1], flights[1:])
     result = diagnose(

@@ -8,9 +8,9 @@ from typing import Any
 from heli_benchmark.scoring.judge import RANDOM_TORQUE, Row
 from heli_benchmark.scoring.reliability import holds, reliability
 
-SURE = 0.7
+CONFIDENT = 0.7
 """Confidence from which a false name counts as confident."""
-NEAR = 1.10
+MAX_ERROR_RATIO = 1.10
 """Largest ratio of held-out errors, diagnosis to fit with the true causes, on clean flights."""
 
 
@@ -32,22 +32,22 @@ def goals(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     clean, disturbed = _split(rows)
     with_causes = [row for row in disturbed if row.kind in ("one", "several")]
     unlisted = [row for row in disturbed if row.kind == "off_list"]
-    false_confidences = [sure for row in disturbed for _, right, sure in row.answers if not right]
+    false_confidences = [name.confidence for row in disturbed for name in row.answers if not name.is_hidden]
     alarms = [not row.right for row in clean if row.kind == "nothing"]
     false_names = [bool(row.false_names) for row in disturbed]
     bins = [holds(confidence_bin) for confidence_bin in reliability(rows) if confidence_bin["causes"]]
     return {
-        "clean: named first, or listed as too small": _least(_right(clean, "one", "several"), 0.97),
-        "clean: false alarms on nothing hidden": _most(alarms, 0.0),
-        "disturbed: every cause named": _least(_right(with_causes), 0.95, _borderline(with_causes)),
-        "disturbed: false names with confidence 0.7 or more": _most(
-            [s >= SURE for s in false_confidences], 0.0
+        "clean: named first, or listed as too small": _at_least(_right(clean, "one", "several"), 0.97),
+        "clean: false alarms on nothing hidden": _at_most(alarms, 0.0),
+        "disturbed: every cause named": _at_least(_right(with_causes), 0.95, _borderline(with_causes)),
+        "disturbed: false names with confidence 0.7 or more": _at_most(
+            [confidence >= CONFIDENT for confidence in false_confidences], 0.0
         ),
-        "disturbed: cases with any false name": _most(false_names, 0.03),
-        "disturbed: nothing hidden is explained": _least(_right(disturbed, "nothing"), 0.95),
-        "disturbed: unlisted is unexplained": _least(_right(unlisted), 0.95, _borderline(unlisted)),
-        "numbers within 2 standard errors": _least(_within(rows), 0.93),
-        "confidence: bins within their binomial bounds": _least(bins, 1.0),
+        "disturbed: cases with any false name": _at_most(false_names, 0.03),
+        "disturbed: nothing hidden is explained": _at_least(_right(disturbed, "nothing"), 0.95),
+        "disturbed: unlisted is unexplained": _at_least(_right(unlisted), 0.95, _borderline(unlisted)),
+        "numbers within 2 standard errors": _at_least(_estimates_right(rows), 0.93),
+        "confidence: bins within their binomial bounds": _at_least(bins, 1.0),
     }
 
 
@@ -65,31 +65,31 @@ def further_counts(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
         As `goals` returns it.
     """
     clean, disturbed = _split(rows)
-    fair = [row for row in clean if row.kind in ("one", "several") and row.counts]
+    visible_clean = [row for row in clean if row.kind in ("one", "several") and row.counts]
     visible_disturbed = [row for row in disturbed if row.kind in ("one", "several") and row.counts]
-    causes = [
+    is_named = [
         name in row.named_correctly
         for row in disturbed
         for name in row.visible
         if not name.startswith("off-")
     ]
-    near = [
-        row.errors["found"] <= NEAR * row.errors["informed"]
-        for row in fair
+    predicts_well = [
+        row.errors["found"] <= MAX_ERROR_RATIO * row.errors["informed"]
+        for row in visible_clean
         if not any(name.startswith(RANDOM_TORQUE) for name in row.hidden)
     ]
     cause_found = [row.verdict == "cause_found" for row in visible_disturbed]
     return {
-        "clean: unlisted called unexplained": _least(_right(clean, "off_list")),
-        "clean: listed as too small": _least([row.listed_as_too_small for row in fair]),
-        "clean: every visible cause named": _least([not row.missed for row in fair]),
-        "clean: nothing named that is not there": _least([not row.false_names for row in fair]),
-        "clean: held-out error within 10 % of the fit with the true causes": _least(near),
-        "clean: numbers within 2 standard errors": _least(_within(clean)),
-        "disturbed: numbers within 2 standard errors": _least(_within(disturbed)),
-        "disturbed: visible causes named, one by one": _least(causes),
-        "disturbed: cause_found where causes are hidden": _least(cause_found),
-        "diagnosis failed": _most([bool(row.failure) for row in rows], 0.0),
+        "clean: unlisted called unexplained": _at_least(_right(clean, "off_list")),
+        "clean: listed as too small": _at_least([row.listed_as_too_small for row in visible_clean]),
+        "clean: every visible cause named": _at_least([not row.missed for row in visible_clean]),
+        "clean: nothing named that is not there": _at_least([not row.false_names for row in visible_clean]),
+        "clean: held-out error within 10 % of the fit with the true causes": _at_least(predicts_well),
+        "clean: numbers within 2 standard errors": _at_least(_estimates_right(clean)),
+        "disturbed: numbers within 2 standard errors": _at_least(_estimates_right(disturbed)),
+        "disturbed: visible causes named, one by one": _at_least(is_named),
+        "disturbed: cause_found where causes are hidden": _at_least(cause_found),
+        "diagnosis failed": _at_most([bool(row.failure) for row in rows], 0.0),
     }
 
 
@@ -113,10 +113,10 @@ def table(goals: dict[str, dict[str, Any]]) -> list[str]:
         if goal["wanted"] is not None:
             wanted = f"{'<=' if goal['at_most'] else '>='} {goal['wanted']:.0%}"
             mark = {True: "reached", False: "MISSED", None: "nothing counted"}[goal["reached"]]
-        beside = goal.get("borderline")
-        apart = f"; borderline {beside['count']} of {beside['of']}" if beside and beside["of"] else ""
+        cases = goal.get("borderline")
+        borderline = f"; borderline {cases['count']} of {cases['of']}" if cases and cases["of"] else ""
         counts = f"{goal['count']:4d} of {goal['of']:4d}  {share:>6s}"
-        lines.append(f"  {name:61s} {counts}  {wanted:8s} {mark}{apart}".rstrip())
+        lines.append(f"  {name:61s} {counts}  {wanted:8s} {mark}{borderline}".rstrip())
     return lines
 
 
@@ -129,31 +129,41 @@ def _split(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
 
 
 def _right(rows: Iterable[Row], *kinds: str) -> list[bool]:
+    """Return for each case that counts whether its answer is right; only cases of `kinds`, if given."""
     return [row.right for row in rows if row.counts and (not kinds or row.kind in kinds)]
 
 
 def _borderline(rows: Iterable[Row]) -> list[bool]:
+    """Return for each borderline case whether its answer is right."""
     return [row.right for row in rows if row.is_borderline]
 
 
-def _within(rows: Iterable[Row]) -> list[bool]:
-    return [ok for row in rows for ok in row.within.values()]
+def _estimates_right(rows: Iterable[Row]) -> list[bool]:
+    """Return for each estimate of all cases whether it agrees with the truth."""
+    return [is_right for row in rows for is_right in row.within.values()]
 
 
-def _least(flags: Sequence[bool], wanted: float | None = None, apart: Sequence[bool] = ()) -> dict[str, Any]:
+def _at_least(
+    flags: Sequence[bool], wanted: float | None = None, borderline_cases: Sequence[bool] = ()
+) -> dict[str, Any]:
+    """Return the goal that at least the share `wanted` of the `flags` is true; without `wanted`, a count."""
     share = sum(flags) / max(len(flags), 1)
     reached = None if wanted is None or not flags else share >= wanted
-    beside = {"borderline": {"count": sum(apart), "of": len(apart)}} if apart else {}
-    return _line(flags, share, wanted, False, reached) | beside
+    goal = _goal(flags, share, wanted, False, reached)
+    if borderline_cases:
+        goal["borderline"] = {"count": sum(borderline_cases), "of": len(borderline_cases)}
+    return goal
 
 
-def _most(flags: Sequence[bool], wanted: float) -> dict[str, Any]:
+def _at_most(flags: Sequence[bool], wanted: float) -> dict[str, Any]:
+    """Return the goal that at most the share `wanted` of the `flags` is true."""
     share = sum(flags) / max(len(flags), 1)
-    return _line(flags, share, wanted, True, share <= wanted)
+    return _goal(flags, share, wanted, True, share <= wanted)
 
 
-def _line(
+def _goal(
     flags: Sequence[bool], share: float, wanted: float | None, at_most: bool, reached: bool | None
 ) -> dict[str, Any]:
+    """Return one goal as `goals` describes it; `at_most` says on which side of `wanted` the share must be."""
     counts = {"count": sum(flags), "of": len(flags), "share": share}
     return counts | {"wanted": wanted, "at_most": at_most, "reached": reached}

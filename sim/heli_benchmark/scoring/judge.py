@@ -37,6 +37,25 @@ LISTED_SINCE = {"off-pitch_drag_quadratic": "pitch_drag_quadratic"}
 
 
 @dataclass(frozen=True)
+class NamedCause:
+    """A cause that a diagnosis named.
+
+    Parameters
+    ----------
+    name : str
+        Effect of the catalogue.
+    is_hidden : bool
+        Whether the effect is hidden in the flights, or is one of two that the diagnosis does not distinguish.
+    confidence : float
+        Confidence of the diagnosis.
+    """
+
+    name: str
+    is_hidden: bool
+    confidence: float
+
+
+@dataclass(frozen=True)
 class Row:
     """Result of one case.
 
@@ -89,27 +108,29 @@ class Row:
     too_small: tuple[str, ...] = ()
 
     @classmethod
-    def read(cls, kept: Mapping[str, Any]) -> Row:
-        """Create a row from its JSON form, `kept`."""
-        given = {name: kept[name] for name in cls.__dataclass_fields__}
+    def read(cls, content: Mapping[str, Any]) -> Row:
+        """Create a row from `content`, its JSON form."""
+        fields = {name: content[name] for name in cls.__dataclass_fields__}
+        # JSON has lists only.
         for name in ("hidden", "named", "confidence", "too_small"):
-            given[name] = tuple(given[name])
-        given["alternatives"] = tuple(tuple(alternative) for alternative in given["alternatives"])
-        given["parameters"] = {name: tuple(of) for name, of in given["parameters"].items()}
-        return cls(**given)
+            fields[name] = tuple(fields[name])
+        fields["alternatives"] = tuple(tuple(alternative) for alternative in fields["alternatives"])
+        fields["parameters"] = {name: tuple(numbers) for name, numbers in fields["parameters"].items()}
+        return cls(**fields)
 
     @property
     def visible(self) -> tuple[str, ...]:
-        """Hidden effects that are large enough to be named; with unlisted ones under disturbances."""
-        least = MIN_VISIBILITY_STD if self.disturbances else MIN_SIGNIFICANCE
+        """Hidden effects that are large enough to be named; under disturbances, also unlisted ones."""
+        threshold = MIN_VISIBILITY_STD if self.disturbances else MIN_SIGNIFICANCE
         z = self.significance
-        return tuple(name for name in self.hidden if name in z and _at_least(z[name], least))
+        return tuple(name for name in self.hidden if name in z and _is_at_least(z[name], threshold))
 
     @property
     def least_visibility_std(self) -> float:
         """Smallest visibility of the effects that must be named; infinite without any."""
-        needed = [name for name in self.hidden if name.startswith("off-") or self.kind != "off_list"]
-        values = [z for name, z in self.significance.items() if name in needed and z is not None]
+        # In a case with an unlisted effect, only the unlisted ones must be noticed.
+        required = [name for name in self.hidden if name.startswith("off-") or self.kind != "off_list"]
+        values = [z for name, z in self.significance.items() if name in required and z is not None]
         return min(values, default=math.inf)
 
     @property
@@ -130,14 +151,14 @@ class Row:
 
     @property
     def named_correctly(self) -> tuple[str, ...]:
-        """Hidden effects that are named, or are one of two that the diagnosis does not distinguish."""
+        """Hidden effects that the diagnosis named, alone or as one of two that it does not distinguish."""
         return tuple(
             name for name in self.hidden if any(self._means(i, name) for i in range(len(self.named)))
         )
 
     @property
     def first_right(self) -> bool:
-        """Whether the first cause is hidden, or is one of two of which one is hidden."""
+        """Whether the first named cause, or the one effect that it is ambiguous with, is hidden."""
         return bool(self.named) and any(self._means(0, name) for name in self.hidden)
 
     @property
@@ -147,26 +168,31 @@ class Row:
 
     @property
     def right(self) -> bool:
-        """Whether the answer is the right one."""
+        """Whether the answer is right, by the rule for the kind of the case.
+
+        Nothing hidden: explained, without a name. An unlisted effect: unexplained, or its name if the
+        catalogue lists it by now. Otherwise all hidden effects must be named, or, on clean flights, the first
+        name must be right.
+        """
         if self.kind == "nothing":
             return self.verdict == "explained" and not self.false_names
         if self.kind == "off_list":
-            return self.verdict == "unexplained" or (self.first_right and self.named[0] in self._since)
+            return self.verdict == "unexplained" or (self.first_right and self.named[0] in self._listed_since)
         if self.disturbances:
             return set(self.named_correctly) == set(self.hidden)
         return self.first_right or self.listed_as_too_small
 
     @property
     def false_names(self) -> tuple[str, ...]:
-        """Named causes that are not hidden, without disturbances."""
-        return tuple(name for name, right, _ in self.answers if not right)
+        """Named causes that are not hidden."""
+        return tuple(cause.name for cause in self.answers if not cause.is_hidden)
 
     @property
-    def answers(self) -> tuple[tuple[str, bool, float], ...]:
-        """Each named cause, whether it is hidden, and its confidence; without disturbances."""
+    def answers(self) -> tuple[NamedCause, ...]:
+        """All named causes; in a disturbed case, without those that describe the disturbances."""
         return tuple(
-            (name, any(self._means(i, effect) for effect in self.hidden), sure)
-            for i, (name, sure) in enumerate(zip(self.named, self.confidence, strict=True))
+            NamedCause(name, any(self._means(i, effect) for effect in self.hidden), confidence)
+            for i, (name, confidence) in enumerate(zip(self.named, self.confidence, strict=True))
             if not (self.disturbances and name.startswith(RANDOM_TORQUE))
         )
 
@@ -191,18 +217,24 @@ class Row:
         return self.named[0] if self.named and self.verdict != "unexplained" else self.verdict
 
     @property
-    def _since(self) -> set[str]:
+    def _listed_since(self) -> set[str]:
+        """Present names of hidden effects that the catalogue did not list when the case was drawn."""
         return {LISTED_SINCE[name] for name in self.hidden if name in LISTED_SINCE}
 
     def _means(self, i: int, hidden: str) -> bool:
-        """Whether the `i`-th cause is a hidden effect, or one of two of which one is hidden."""
-        among = {self.named[i], *self.alternatives[i]}
+        """Whether the `i`-th named cause stands for the effect `hidden`.
+
+        It does if it is that effect, if it combines that effect with others that are all hidden, or if the
+        diagnosis does not distinguish it from that effect alone.
+        """
+        named = self.named[i]
         hidden = LISTED_SINCE.get(hidden, hidden)
-        if hidden == self.named[i]:
+        if hidden == named:
             return True
-        if hidden in PARTS.get(self.named[i], ()):
-            return all(part in self.hidden for part in PARTS[self.named[i]])
-        return len(among) <= 2 and hidden in among
+        if hidden in PARTS.get(named, ()):
+            return all(part in self.hidden for part in PARTS[named])
+        indistinguishable = {named, *self.alternatives[i]}
+        return len(indistinguishable) <= 2 and hidden in indistinguishable
 
 
 def judge(
@@ -240,20 +272,28 @@ def judge(
     """
     if result is None:
         result = {"verdict": "failed", "causes": [], "residual": {"normalised": {}}}
-    given = [of_parts(cause["effect"], cause["parameters"]) for cause in reversed(result["causes"])]
-    causes = {effect: numbers for cause in given for effect, numbers in cause.items()}
+    # Reversed, so that the first of two causes with the same part counts.
+    estimates_by_cause = [
+        of_parts(cause["effect"], cause["parameters"]) for cause in reversed(result["causes"])
+    ]
+    estimates_by_effect = {
+        effect: estimates for parts in estimates_by_cause for effect, estimates in parts.items()
+    }
     parameters: dict[str, tuple[float, float, float]] = {}
     for effect in hidden:
-        estimates = causes.get(effect.id, {})
+        estimates = estimates_by_effect.get(effect.id, {})
         for name, truth in effect.scalars.items():
             if name in estimates and estimates[name]["std"] > 0.0:
                 parameters[name] = (estimates[name]["value"], estimates[name]["std"], truth)
         for pair, truth in effect.amplitudes.items():
             if all(name in estimates for name in pair):
-                parameters[f"{pair[0]}, {pair[1]}"] = (*_length([estimates[name] for name in pair]), truth)
+                parameters[f"{pair[0]}, {pair[1]}"] = (*_amplitude([estimates[name] for name in pair]), truth)
     # The numbers are null if nothing was excited.
     normalised = result["residual"].get("normalised") or {}
-    errors = {"found": _number(normalised, "held_out_after"), "found_train": _number(normalised, "after")}
+    errors = {
+        "found": _or_infinite(normalised.get("held_out_after")),
+        "found_train": _or_infinite(normalised.get("after")),
+    }
     if isinstance(reference, InformedFit):
         errors |= {"baseline": reference.nothing_held_out, "baseline_train": reference.nothing_train}
         errors |= {"informed": reference.held_out, "informed_train": reference.train}
@@ -277,16 +317,17 @@ def judge(
     )
 
 
-def _at_least(significance: float | None, least: float) -> bool:
-    return significance is None or significance >= least
+def _is_at_least(significance: float | None, threshold: float) -> bool:
+    """Whether an effect must be named; one without a size parameter (None) always must."""
+    return significance is None or significance >= threshold
 
 
-def _number(of: Mapping[str, float | None], name: str) -> float:
-    value = of.get(name)
+def _or_infinite(value: float | None) -> float:
     return math.inf if value is None else value
 
 
-def _length(pair: Sequence[Mapping[str, float]]) -> tuple[float, float]:
-    values, stds = (np.array([part[key] for part in pair], float) for key in ("value", "std"))
-    length = float(np.hypot(*values))
-    return length, float(np.hypot(*(values * stds))) / max(length, 1e-12)
+def _amplitude(pair: Sequence[Mapping[str, float]]) -> tuple[float, float]:
+    """Return the amplitude of a sine and a cosine estimate, and its standard error to first order."""
+    values, stds = (np.array([estimate[key] for estimate in pair], float) for key in ("value", "std"))
+    amplitude = float(np.hypot(*values))
+    return amplitude, float(np.hypot(*(values * stds))) / max(amplitude, 1e-12)

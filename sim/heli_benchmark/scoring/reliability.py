@@ -13,7 +13,7 @@ from heli_benchmark.scoring.judge import Row
 
 BINS = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0)
 """Bounds of the five bins."""
-_OUTSIDE = 0.05
+_OUTSIDE_PROBABILITY = 0.05
 """Probability that a bin of a calibrated diagnosis is outside of its bounds, both sides together."""
 
 
@@ -31,12 +31,15 @@ def reliability(rows: Sequence[Row]) -> list[dict[str, float]]:
         For each bin its bounds, number of ``causes``, ``mean_confidence``, number and share that is
         ``right``, and the ``least`` and ``most`` that a binomial distribution of that mean allows.
     """
-    given = [(sure, right) for row in rows for _, right, sure in row.answers]
+    causes = [cause for row in rows for cause in row.answers]
     curve = []
     for low, high in pairwise(BINS):
-        inside = [(sure, ok) for sure, ok in given if low <= sure < high or sure == high == 1.0]
-        count, right = len(inside), sum(ok for _, ok in inside)
-        mean = sum(sure for sure, _ in inside) / count if count else 0.5 * (low + high)
+        # The last bin includes its upper end.
+        in_bin = [
+            cause for cause in causes if low <= cause.confidence < high or cause.confidence == high == 1.0
+        ]
+        count, right = len(in_bin), sum(cause.is_hidden for cause in in_bin)
+        mean = sum(cause.confidence for cause in in_bin) / count if count else 0.5 * (low + high)
         curve.append(
             {
                 "from": low,
@@ -45,16 +48,16 @@ def reliability(rows: Sequence[Row]) -> list[dict[str, float]]:
                 "mean_confidence": mean,
                 "right": right,
                 "share_right": right / count if count else mean,
-                "least": _quantile(_OUTSIDE / 2.0, count, mean),
-                "most": _quantile(1.0 - _OUTSIDE / 2.0, count, mean),
+                "least": _quantile(_OUTSIDE_PROBABILITY / 2.0, count, mean),
+                "most": _quantile(1.0 - _OUTSIDE_PROBABILITY / 2.0, count, mean),
             }
         )
     return curve
 
 
 def _quantile(share: float, count: int, mean: float) -> int:
-    """Quantile of a binomial distribution."""
-    # scipy.stats has it, too, but its import takes a second of CPU.
+    """Return the quantile `share` of a binomial distribution of `count` trials with success rate `mean`."""
+    # scipy.stats also has this quantile, but its import takes a second of CPU time.
     return int(np.searchsorted(bdtr(np.arange(count + 1), count, mean), share))
 
 

@@ -84,6 +84,7 @@ def _minutes(rows: Sequence[Row]) -> str:
 
 
 def _not_counted(row: Row) -> str:
+    """Return why a case does not count."""
     return (
         f"borderline, below {MIN_VISIBILITY_STD:g} standard deviations"
         if row.is_borderline
@@ -92,6 +93,7 @@ def _not_counted(row: Row) -> str:
 
 
 def _miss(row: Row) -> str:
+    """Describe the answer to a case, and what is wrong with it."""
     if row.failure:
         return f"failed: {row.failure}"
     result = f"{row.verdict}: {', '.join(row.named) or 'no cause'}"

@@ -58,9 +58,9 @@ _TRAVEL_CHECKS_OFF = {"travel_motion_deg": 90.0, "travel_motion_s": 30.0, "trave
 """With these parameters, the board does not take an arm that a hidden effect holds for an unplugged travel
 encoder."""
 _NOT_LANDED = (NOT_LANDED, Fault.LANDING_TIMEOUT.name.lower())
-# Seconds for each degree of amplitude that keep the sine below the board's 20 degrees a second.
-_SLOW_ENOUGH_s = 0.605
-_FASTEST_deg_s = 19.9
+# Shortest period per degree of amplitude, for which the sine stays below the board's 20 deg/s.
+_MIN_PERIOD_s_per_deg = 0.605
+_MAX_RATE_deg_s = 19.9
 
 
 def plan(name: str, duration_s: float, rng: np.random.Generator) -> Plan:
@@ -78,16 +78,16 @@ def plan(name: str, duration_s: float, rng: np.random.Generator) -> Plan:
     corners_s = 22.0
     sines_s = duration_s - corners_s - 6.0
     travel_deg = rng.uniform(25, 45)
-    travel_s = max(round(rng.uniform(0.6, 0.75) * travel_deg, 1), _SLOW_ENOUGH_s * round(travel_deg))
+    travel_s = max(round(rng.uniform(0.6, 0.75) * travel_deg, 1), _MIN_PERIOD_s_per_deg * round(travel_deg))
     # A sine that is shorter than its period fades in within half the segment, which adds to its rate.
     fade_s = 0.5 * sines_s
-    most_deg = (_FASTEST_deg_s - 2.0 * np.pi * round(travel_deg) / travel_s) * fade_s / 1.5
+    max_travel_deg = (_MAX_RATE_deg_s - 2.0 * np.pi * round(travel_deg) / travel_s) * fade_s / 1.5
     if fade_s >= 0.5 * travel_s:
-        most_deg = np.inf
+        max_travel_deg = np.inf
     return Plan.parse(
         _TEXT.format(
             name=name,
-            travel=min(round(travel_deg), most_deg),
+            travel=min(round(travel_deg), max_travel_deg),
             travel_s=travel_s,
             elevation=round(rng.uniform(6, 10), 1),
             elevation_s=round(rng.uniform(7, 12), 1),

@@ -68,7 +68,7 @@ def tracked(
     nominal : Rig
         Parameters that the controller is designed for.
     hidden : sequence of HiddenEffect
-        What is hidden.
+        Effects that the rig has and the controller does not know.
     route : Route
         Reference motion.
     controller : str
@@ -76,7 +76,7 @@ def tracked(
     rate_Hz : int
         Rows and controller steps per second; a divisor of 1000.
     rng : numpy.random.Generator
-        Draws gains, places and phases.
+        Draws gains, reference angles and phases.
 
     Returns
     -------
@@ -91,20 +91,20 @@ def tracked(
     plant = MujocoPlant(rig, hidden)
     step_s, ticks = 1.0 / rate_Hz, 1000 // rate_Hz
     times_s: Floats = step_s * np.arange(round(route.duration_s * rate_Hz), dtype=np.float64)
-    wanted = _places(route, times_s, rng)
-    excited_V = route.excitation_V * _multisine(times_s, rng)
+    reference_rad = _reference_motion(route, times_s, rng)
+    excitation_V = route.excitation_V * _multisine(times_s, rng)
     pilot = _Pilot(nominal, controller, step_s, rng)
     counts_rad = count_rad(rig)
     state = np.zeros(6)
     for effect in hidden:
         effect.rest(state)
-    # The controller takes the first angles for level.
-    believed_rad = state[:3].copy()
+    # The encoders count from 0 at power-up, so the controller takes the first angles for level.
+    power_up_rad = state[:3].copy()
     encoder_rad = plant.encoder_angles_rad(state[:3])
     rows: Floats = np.empty((len(times_s), 5))
     for k in range(len(times_s)):
-        angles = np.round((encoder_rad - believed_rad) / counts_rad) * counts_rad
-        volts = pilot.volts(angles, wanted[k], excited_V[k])
+        angles = np.round((encoder_rad - power_up_rad) / counts_rad) * counts_rad
+        volts = pilot.volts(angles, reference_rad[k], excitation_V[k])
         rows[k] = (*volts, *angles)
         for _ in range(ticks):
             after, measured = plant.millisecond(state.tolist(), volts.tolist())
@@ -115,7 +115,11 @@ def tracked(
 
 
 class _Pilot:
-    """Voltages from angles: rates by filtered differences, gains from the nominal rig."""
+    """Controller that computes voltages from angles.
+
+    Elevation is controlled by the mean of both voltages. Travel is controlled by pitch, and pitch by the
+    difference of the voltages. Rates are filtered differences of angles.
+    """
 
     def __init__(self, rig: Rig, controller: str, step_s: float, rng: np.random.Generator) -> None:
         v = {name: rig[name].value for name in rig}
@@ -124,102 +128,126 @@ class _Pilot:
         inertia_p = (v["M_f"] + v["M_b"]) * v["L_h"] ** 2 + carried_kg * v["L_phi"] ** 2
         weight_Nm = v["g"] * (carried_kg * v["L_a"] + v["M_l"] * v["L_x"] - v["M_w"] * v["L_b"])
         self._hover_V = weight_Nm / (2.0 * v["thrust_gain"] * v["L_a"]) + v["dead_zone"]
-        self._V_per_lift = inertia_e / (2.0 * v["thrust_gain"] * v["L_a"])
-        self._V_per_roll = inertia_p / (2.0 * v["thrust_gain"] * v["L_h"])
-        self._swing_per_rad = weight_Nm / inertia_e
+        self._V_per_elevation_rad_s2 = inertia_e / (2.0 * v["thrust_gain"] * v["L_a"])
+        self._V_per_pitch_rad_s2 = inertia_p / (2.0 * v["thrust_gain"] * v["L_h"])
+        self._travel_rad_s2_per_rad = weight_Nm / inertia_e
         self._lowest_V = -v["supply"] if v["reverse_thrust"] else 0.0
         self._highest_V = v["supply"]
-        self._whole_V = v["supply"] / _PWM_STEPS if v["driver_dead_band"] else 1e-6
+        self._voltage_step_V = v["supply"] / _PWM_STEPS if v["driver_dead_band"] else 1e-6
         self._step_s = step_s
         soft = 0.7 if controller == "soft" else 1.0
-        self._lift = _lift_gains(controller, soft * rng.uniform(1.6, 2.6))
-        self._roll = _roll_gains(
-            controller, self._swing_per_rad, soft * rng.uniform(2.4, 3.4), rng.uniform(0.5, 0.8)
+        self._elevation_gains = _elevation_controller_gains(controller, soft * rng.uniform(1.6, 2.6))
+        self._pitch_gains = _pitch_travel_controller_gains(
+            controller, self._travel_rad_s2_per_rad, soft * rng.uniform(2.4, 3.4), rng.uniform(0.5, 0.8)
         )
-        self._before: Floats | None = None
+        self._previous_rad: Floats | None = None
         self._rates = np.zeros(3)
-        self._wanted_before: Floats | None = None
-        self._sums = np.zeros(2)
+        self._previous_reference_rad: Floats | None = None
+        self._error_integrals = np.zeros(2)
 
-    def volts(self, angles: Floats, wanted: Floats, excited_V: Floats) -> Floats:
-        """Return front and back voltage; `wanted` is elevation and travel."""
-        before = angles if self._before is None else self._before
-        self._before = angles
+    def volts(self, angles: Floats, reference_rad: Floats, excitation_V: Floats) -> Floats:
+        """Return the front and the back voltage for the next step.
+
+        Parameters
+        ----------
+        angles : ndarray (3,)
+            Measured elevation, pitch and travel, rad.
+        reference_rad : ndarray (2,)
+            Elevation and travel to reach.
+        excitation_V : ndarray (2,)
+            Voltages added to the front and the back motor.
+        """
+        previous_rad = angles if self._previous_rad is None else self._previous_rad
+        self._previous_rad = angles
         share = self._step_s / (_FILTER_s + self._step_s)
-        self._rates = self._rates + share * ((angles - before) / self._step_s - self._rates)
-        wanted_before = wanted if self._wanted_before is None else self._wanted_before
-        self._wanted_before = wanted
-        speed = (wanted - wanted_before) / self._step_s
-        off = wanted - angles[[0, 2]]
-        slow = speed - self._rates[[0, 2]]
-        self._sums = np.clip(self._sums + off * self._step_s, -1.0, 1.0)
-        lift = float(self._lift @ [off[0], slow[0], self._sums[0]])
-        lean = self._roll[2:] @ [off[1], slow[1], self._sums[1]]
-        lean = float(np.clip(lean, -0.45, 0.45))
-        roll = self._roll[0] * (lean - angles[1]) - self._roll[1] * self._rates[1]
-        both_V = self._hover_V + self._V_per_lift * lift
-        apart_V = self._V_per_roll * roll
-        volts = np.array([both_V + apart_V, both_V - apart_V]) + excited_V
-        steps = np.round(np.clip(volts, self._lowest_V, self._highest_V) / self._whole_V)
-        return np.asarray(steps * self._whole_V)
+        self._rates = self._rates + share * ((angles - previous_rad) / self._step_s - self._rates)
+        previous_reference_rad = (
+            reference_rad if self._previous_reference_rad is None else self._previous_reference_rad
+        )
+        self._previous_reference_rad = reference_rad
+        speed = (reference_rad - previous_reference_rad) / self._step_s
+        error_rad = reference_rad - angles[[0, 2]]
+        rate_error = speed - self._rates[[0, 2]]
+        self._error_integrals = np.clip(self._error_integrals + error_rad * self._step_s, -1.0, 1.0)
+        elevation_rad_s2 = float(
+            self._elevation_gains @ [error_rad[0], rate_error[0], self._error_integrals[0]]
+        )
+        pitch_reference_rad = self._pitch_gains[2:] @ [error_rad[1], rate_error[1], self._error_integrals[1]]
+        pitch_reference_rad = float(np.clip(pitch_reference_rad, -0.45, 0.45))
+        pitch_rad_s2 = (
+            self._pitch_gains[0] * (pitch_reference_rad - angles[1]) - self._pitch_gains[1] * self._rates[1]
+        )
+        mean_V = self._hover_V + self._V_per_elevation_rad_s2 * elevation_rad_s2
+        difference_V = self._V_per_pitch_rad_s2 * pitch_rad_s2
+        volts = np.array([mean_V + difference_V, mean_V - difference_V]) + excitation_V
+        steps = np.round(np.clip(volts, self._lowest_V, self._highest_V) / self._voltage_step_V)
+        return np.asarray(steps * self._voltage_step_V)
 
 
-def _lift_gains(controller: str, bandwidth_rad_s: float) -> Floats:
-    """Gains of elevation's error, its rate and its integral, in 1/s2, 1/s and 1/s3."""
+def _elevation_controller_gains(controller: str, bandwidth_rad_s: float) -> Floats:
+    """Return the gains of elevation's error, its rate and its integral, in 1/s2, 1/s and 1/s3."""
     if controller == "state_feedback":
         # A chain of integrators that ends with the integral of the error.
         a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-        weights = np.diag([bandwidth_rad_s**4, 0.5 * bandwidth_rad_s**2, 0.1 * bandwidth_rad_s**6])
-        return _optimal(a, np.array([[0.0], [1.0], [0.0]]), weights)
+        state_weights = np.diag([bandwidth_rad_s**4, 0.5 * bandwidth_rad_s**2, 0.1 * bandwidth_rad_s**6])
+        return _lqr_gains(a, np.array([[0.0], [1.0], [0.0]]), state_weights)
     return np.array([bandwidth_rad_s**2, 1.8 * bandwidth_rad_s, 0.3 * bandwidth_rad_s**3])
 
 
-def _roll_gains(controller: str, swing: float, pitch_rad_s: float, travel_rad_s: float) -> Floats:
-    """Gains of pitch and its rate; of travel's error, its rate and its integral for the pitch wanted."""
+def _pitch_travel_controller_gains(
+    controller: str, travel_rad_s2_per_rad: float, pitch_rad_s: float, travel_rad_s: float
+) -> Floats:
+    """Return five gains: of pitch and its rate; of travel's error, its rate and its integral.
+
+    The last three give the pitch that moves travel to its reference.
+    """
     if controller == "state_feedback":
+        # States: pitch and its rate, travel rate, travel, and the integral of travel.
         a = np.zeros((5, 5))
-        a[0, 1], a[2, 3], a[3, 0], a[4, 2] = 1.0, 1.0, swing, 1.0
-        weights = np.diag([pitch_rad_s**4, 0.3 * pitch_rad_s**2, 40.0 * travel_rad_s**4, 40.0, 0.5])
-        k = _optimal(a, np.array([[0.0], [1.0], [0.0], [0.0], [0.0]]), weights)
+        a[0, 1], a[2, 3], a[3, 0], a[4, 2] = 1.0, 1.0, travel_rad_s2_per_rad, 1.0
+        state_weights = np.diag([pitch_rad_s**4, 0.3 * pitch_rad_s**2, 40.0 * travel_rad_s**4, 40.0, 0.5])
+        k = _lqr_gains(a, np.array([[0.0], [1.0], [0.0], [0.0], [0.0]]), state_weights)
         return np.array([k[0], k[1], *(k[2:] / k[0])])
-    travel = np.array([travel_rad_s**2, 1.8 * travel_rad_s, 0.1 * travel_rad_s**3]) / swing
+    travel = np.array([travel_rad_s**2, 1.8 * travel_rad_s, 0.1 * travel_rad_s**3]) / travel_rad_s2_per_rad
     return np.array([pitch_rad_s**2, 1.8 * pitch_rad_s, *travel])
 
 
-def _optimal(a: Floats, b: Floats, weights: Floats) -> Floats:
-    solution = solve_continuous_are(a, b, weights, np.eye(1))
+def _lqr_gains(a: Floats, b: Floats, state_weights: Floats) -> Floats:
+    """Return the gains of the linear-quadratic regulator of x' = a x + b u, with weight 1 of the input u."""
+    solution = solve_continuous_are(a, b, state_weights, np.eye(1))
     return np.asarray((b.T @ solution)[0])
 
 
-def _places(route: Route, times_s: Floats, rng: np.random.Generator) -> Floats:
-    """Reference of elevation and travel, rad, smooth and from level, shape (n, 2)."""
-    wanted = np.zeros((len(times_s), 2))
-    for i, (most_deg, slow) in enumerate(((route.elevation_deg, 1.0), (route.travel_deg, 2.0))):
+def _reference_motion(route: Route, times_s: Floats, rng: np.random.Generator) -> Floats:
+    """Draw the reference of elevation and travel, rad, which starts level and is smooth, shape (n, 2)."""
+    reference_rad = np.zeros((len(times_s), 2))
+    # Travel follows a reference that is twice as slow as that of elevation.
+    for i, (most_deg, slowness) in enumerate(((route.elevation_deg, 1.0), (route.travel_deg, 2.0))):
         most_rad = np.deg2rad(most_deg)
         if route.sines:
-            periods_s = slow * rng.uniform(8.0, 14.0) / np.array([1.0, 1.7])
+            periods_s = slowness * rng.uniform(8.0, 14.0) / np.array([1.0, 1.7])
             phases = rng.uniform(-np.pi, np.pi, 2)
             sizes = most_rad * np.array([0.75, 0.25])
             wave = sizes * np.sin(2.0 * np.pi * times_s[:, None] / periods_s + phases)
-            wanted[:, i] += wave.sum(axis=1)
-        at_s = np.cumsum(slow * rng.uniform(3.0, 6.0, 60))
-        places = most_rad * rng.uniform(-1.0, 1.0, 61) * (0.4 if route.sines else 1.0)
-        places[0] = 0.0
-        wanted[:, i] += places[np.searchsorted(at_s, times_s)]
+            reference_rad[:, i] += wave.sum(axis=1)
+        at_s = np.cumsum(slowness * rng.uniform(3.0, 6.0, 60))
+        steps_rad = most_rad * rng.uniform(-1.0, 1.0, 61) * (0.4 if route.sines else 1.0)
+        steps_rad[0] = 0.0
+        reference_rad[:, i] += steps_rad[np.searchsorted(at_s, times_s)]
     # Two lags each: no step remains, and the motion leads away from the hover.
     step_s = times_s[1] - times_s[0]
     for lag_s in (0.4, np.array([0.4, 0.8])):
         keep = np.exp(-step_s / lag_s)
         out = np.zeros(2)
-        for k in range(len(wanted)):
-            out = keep * out + (1.0 - keep) * wanted[k]
-            wanted[k] = out
-    return wanted
+        for k in range(len(reference_rad)):
+            out = keep * out + (1.0 - keep) * reference_rad[k]
+            reference_rad[k] = out
+    return reference_rad
 
 
 def _multisine(times_s: Floats, rng: np.random.Generator) -> Floats:
     """Multisine from 0.1 to 4 Hz with random phases for each motor, peaks of about 1, shape (n, 2)."""
     lines_Hz = np.arange(0.1, 4.0, 0.15)
     phases = rng.uniform(-np.pi, np.pi, (len(lines_Hz), 2))
-    turned = 2.0 * np.pi * times_s[:, None, None] * lines_Hz[:, None] + phases
-    return np.asarray(np.sin(turned).sum(axis=1) / np.sqrt(1.5 * len(lines_Hz)))
+    phases_rad = 2.0 * np.pi * times_s[:, None, None] * lines_Hz[:, None] + phases
+    return np.asarray(np.sin(phases_rad).sum(axis=1) / np.sqrt(1.5 * len(lines_Hz)))

@@ -87,6 +87,7 @@ def croissant_content(folder: Path, name: str, release: str, description: str) -
 
 
 def _flights(kind: str) -> dict[str, Any]:
+    """Return the description of all flight files of a kind, training or validation."""
     return {
         "@type": "cr:FileSet",
         "@id": f"{kind}-flights",
@@ -98,6 +99,7 @@ def _flights(kind: str) -> dict[str, Any]:
 
 
 def _rows(kind: str) -> dict[str, Any]:
+    """Return the description of the columns in the flight files of a kind."""
     source = {"fileSet": {"@id": f"{kind}-flights"}}
     columns = {
         "file": ("path of the flight", "sc:Text", {"fileProperty": "fullpath"}),

@@ -123,6 +123,7 @@ def _each(
 
 
 def _fly_and_write(case: PublishedCase, folder: Path, truth_folder: Path, seal: Seal | None) -> str:
+    """Fly a case, write its truth, then its flights, and return its name."""
     case, flights = fly_case(case)
     split_at = len(case.training_s)
     truth = truth_content(case, flights[0])

@@ -89,28 +89,16 @@ def check_answer(content: object, causes: Causes, where: str) -> Answer:
         raise BenchmarkError(f"{where}: unknown key '{unknown[0]}'", f"use {', '.join(sorted(_KEYS))}")
     if content.get("schema") != SCHEMA:
         raise BenchmarkError(f"{where}: schema is {content.get('schema')!r}", f"set schema to {SCHEMA}")
-    given = content.get("probabilities")
-    if not isinstance(given, Mapping) or not given:
+    probabilities = content.get("probabilities")
+    if not isinstance(probabilities, Mapping) or not probabilities:
         raise BenchmarkError(f"{where}: there are no probabilities", "add an object 'probabilities'")
-    for name, value in given.items():
-        if name not in causes.base_rates:
-            raise BenchmarkError(f"{where}: unknown cause '{name}'", "choose from causes.json")
-        if not _is_number(value) or not 0.0 <= value <= 1.0:
-            raise BenchmarkError(
-                f"{where}: the probability of '{name}' is {value!r}", "give a number from 0 to 1"
-            )
-    highest = max((value for name, value in given.items() if name != NOTHING), default=0.0)
-    if given.get(NOTHING, 0.0) + highest > 1.0 + _ROUNDING:
-        raise BenchmarkError(
-            f"{where}: the probabilities of 'nothing' and of a cause add up to more than 1",
-            "lower one of them; both cannot be true",
-        )
+    _check_probabilities(probabilities, causes, where)
     equation = content.get("equation", "")
     if not isinstance(equation, str):
         raise BenchmarkError(f"{where}: the equation is not text", "give text, or leave the key out")
-    parameters = _parameters(content.get("parameters", {}), causes, where)
+    parameters = _read_parameters(content.get("parameters", {}), causes, where)
     return Answer(
-        {name: float(value) for name, value in given.items()},
+        {name: float(value) for name, value in probabilities.items()},
         parameters,
         equation,
         read_series(content.get("equation_torques", {}), "Nm", f"{where}: 'equation_torques'"),
@@ -118,22 +106,43 @@ def check_answer(content: object, causes: Causes, where: str) -> Answer:
     )
 
 
-def _parameters(given: object, causes: Causes, where: str) -> dict[str, Estimate]:
-    if not isinstance(given, Mapping):
+def _check_probabilities(probabilities: Mapping[Any, Any], causes: Causes, where: str) -> None:
+    """Raise BenchmarkError if a name is unknown, or if the probabilities contradict each other."""
+    for name, value in probabilities.items():
+        if name not in causes.base_rates:
+            raise BenchmarkError(f"{where}: unknown cause '{name}'", "choose from causes.json")
+        if not _is_number(value) or not 0.0 <= value <= 1.0:
+            raise BenchmarkError(
+                f"{where}: the probability of '{name}' is {value!r}", "give a number from 0 to 1"
+            )
+    highest = max((value for name, value in probabilities.items() if name != NOTHING), default=0.0)
+    if probabilities.get(NOTHING, 0.0) + highest > 1.0 + _ROUNDING:
+        raise BenchmarkError(
+            f"{where}: the probabilities of 'nothing' and of a cause add up to more than 1",
+            "lower one of them; both cannot be true",
+        )
+
+
+def _read_parameters(content: object, causes: Causes, where: str) -> dict[str, Estimate]:
+    """Check and convert the estimates of an answer."""
+    if not isinstance(content, Mapping):
         raise BenchmarkError(f"{where}: 'parameters' is not an object", "give value and std by name")
-    for name, of in given.items():
+    for name, estimate in content.items():
         if name not in causes.parameter_names and name not in _RIG_PARAMETERS:
             raise BenchmarkError(
                 f"{where}: unknown parameter '{name}'", "choose from causes.json or rig.toml"
             )
-        if not isinstance(of, Mapping) or set(of) != {"value", "std"}:
+        if not isinstance(estimate, Mapping) or set(estimate) != {"value", "std"}:
             raise BenchmarkError(f"{where}: '{name}' needs a value and a std", "give both, nothing else")
-        if not _is_number(of["value"]) or not _is_number(of["std"]) or of["std"] <= 0.0:
+        value, std = estimate["value"], estimate["std"]
+        if not _is_number(value) or not _is_number(std) or std <= 0.0:
             raise BenchmarkError(
-                f"{where}: '{name}' has value {of['value']!r} and std {of['std']!r}",
+                f"{where}: '{name}' has value {value!r} and std {std!r}",
                 "give finite numbers and a positive std",
             )
-    return {name: Estimate(float(of["value"]), float(of["std"])) for name, of in given.items()}
+    return {
+        name: Estimate(float(estimate["value"]), float(estimate["std"])) for name, estimate in content.items()
+    }
 
 
 def _is_number(value: object) -> bool:
@@ -169,7 +178,7 @@ def answer_content(answer: Answer) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "probabilities": dict(answer.probabilities),
-        "parameters": {name: asdict(of) for name, of in answer.parameters.items()},
+        "parameters": {name: asdict(estimate) for name, estimate in answer.parameters.items()},
         "equation": answer.equation,
         "equation_torques": series_content(answer.equation_torques, "Nm"),
         "predicted_flights": series_content(answer.predicted_flights, "rad"),
@@ -188,18 +197,21 @@ def answer_with(
     causes : Causes
         Names that the answer may use.
     named : Mapping[str, float]
-        Probabilities by name. Without an entry for `nothing`, it gets the product of the others'
-        complements.
+        Probabilities by name. If `nothing` has no entry, its probability is that of none of the named causes
+        being hidden, as if they were independent.
     parameters : Mapping[str, Estimate], optional
         Estimates by parameter name.
     """
     # Several causes may be hidden together: a certain cause halves the rates of the others, no more.
     certain = max((value for name, value in named.items() if name != NOTHING), default=0.0)
     share = (1.0 - 0.5 * certain) * (1.0 - named.get(NOTHING, 0.0))
-    rest = {name: rate * share for name, rate in causes.base_rates.items()}
-    full = {**rest, **{name: min(max(value, 0.0), 1.0) for name, value in named.items()}}
+    remaining_rates = {name: rate * share for name, rate in causes.base_rates.items()}
+    all_probabilities = {
+        **remaining_rates,
+        **{name: min(max(value, 0.0), 1.0) for name, value in named.items()},
+    }
     if named and NOTHING not in named:
-        full[NOTHING] = math.prod(1.0 - value for value in named.values())
-    highest = max(value for name, value in full.items() if name != NOTHING)
-    full[NOTHING] = min(full[NOTHING], 1.0 - highest)
-    return answer_content(Answer(full, parameters or {}))
+        all_probabilities[NOTHING] = math.prod(1.0 - value for value in named.values())
+    highest = max(value for name, value in all_probabilities.items() if name != NOTHING)
+    all_probabilities[NOTHING] = min(all_probabilities[NOTHING], 1.0 - highest)
+    return answer_content(Answer(all_probabilities, parameters or {}))

@@ -1,4 +1,4 @@
-"""Numbers of the three axes along a validation flight, as an answer or a truth gives them."""
+"""Torques or angles of the three axes along a validation flight, as they are stored in JSON files."""
 
 from __future__ import annotations
 
@@ -76,22 +76,22 @@ def read_series(content: object, unit: str, where: str) -> dict[str, AxisSeries]
     if not isinstance(content, Mapping):
         raise BenchmarkError(f"{where} is not an object", "give one entry per validation flight")
     series = {}
-    for name, of in content.items():
+    for name, columns in content.items():
         if not _FLIGHT.fullmatch(str(name)):
             raise BenchmarkError(
                 f"{where}: unknown flight '{name}'", "name the flights validation-1 and so on"
             )
-        if not isinstance(of, Mapping) or set(of) != set(keys):
+        if not isinstance(columns, Mapping) or set(columns) != set(keys):
             raise BenchmarkError(f"{where}: {name} has other keys", f"give {', '.join(keys)}")
-        series[str(name)] = _series([of[key] for key in keys], f"{where}: {name}")
+        series[str(name)] = _series([columns[key] for key in keys], f"{where}: {name}")
     return series
 
 
 def _series(lists: list[Any], where: str) -> AxisSeries:
-    """Series of four lists of numbers; `where` names them in messages."""
+    """Check and convert the lists of times, elevation, pitch and travel; `where` names them in messages."""
     remedy = f"give four lists of {_MIN_ROWS} to {_MAX_ROWS} finite numbers, with rising times"
     try:
-        # Text, truth values and nested lists are no numbers.
+        # Below, the type of the array shows text, truth values and nested lists.
         columns = [np.array(numbers) for numbers in lists if isinstance(numbers, list)]
         table = np.stack(columns, axis=1)
     except ValueError:
@@ -109,7 +109,7 @@ def _series(lists: list[Any], where: str) -> AxisSeries:
 def series_content(series: Mapping[str, AxisSeries], unit: str) -> dict[str, dict[str, list[float]]]:
     """Return series by flight as the content of a file; `unit` ends the keys of the axes."""
     return {
-        name: {"t_s": of.t_s.tolist()}
-        | {f"{axis}_{unit}": column.tolist() for axis, column in zip(_AXES, of.values.T, strict=True)}
-        for name, of in series.items()
+        name: {"t_s": axes.t_s.tolist()}
+        | {f"{axis}_{unit}": column.tolist() for axis, column in zip(_AXES, axes.values.T, strict=True)}
+        for name, axes in series.items()
     }

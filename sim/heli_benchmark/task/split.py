@@ -52,7 +52,7 @@ class Causes:
     @cached_property
     def parameter_names(self) -> frozenset[str]:
         """Names of all parameters of all causes."""
-        return frozenset(name for of in self.parameters.values() for name in of)
+        return frozenset(name for parameters in self.parameters.values() for name in parameters)
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Split:
     Parameters
     ----------
     folder : Path
-        Place of `causes.json`, `cases`, and of `truth` if the split is open.
+        Folder that contains `causes.json`, `cases`, and, if the split is open, `truth`.
     name : str
         Its name: public, train, or another word.
     causes : Causes
@@ -168,6 +168,6 @@ def read_split(folder: Path, truth_folder: Path | None = None) -> Split:
 def causes_of(content: Mapping[str, Any]) -> Causes:
     """Return the causes in the `content` of a causes file."""
     return Causes(
-        {name: float(of["base_rate"]) for name, of in content["causes"].items()},
-        {name: dict(of["parameters"]) for name, of in content["causes"].items()},
+        {name: float(cause["base_rate"]) for name, cause in content["causes"].items()},
+        {name: dict(cause["parameters"]) for name, cause in content["causes"].items()},
     )

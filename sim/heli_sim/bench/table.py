@@ -48,7 +48,7 @@ def bench_tests_from(table: Mapping[str, Any]) -> tuple[Thrust | None, Balance |
     Raises
     ------
     RigError
-        When a key is missing, unknown or not a number that can be.
+        If a key is missing or unknown, or its value is invalid.
     """
     unknown = sorted(table.keys() - {"thrust", "balance", "swing"})
     if unknown:
@@ -70,22 +70,22 @@ def bench_tests_from(table: Mapping[str, Any]) -> tuple[Thrust | None, Balance |
 def _refuse_blanks(table: Mapping[str, Any]) -> None:
     """Refuse a table in which a reading of the template is still empty."""
     for name, value in table.items():
-        where = f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
+        table_name = f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
         for entry in value if isinstance(value, list) else [value]:
             for key, reading in entry.items() if isinstance(entry, dict) else ():
                 if BLANK in (reading if isinstance(reading, list) else [reading]):
                     raise RigError(
-                        f"{where} {key} is not filled in yet",
-                        f'write your reading in place of each "{BLANK}", or remove {where}',
+                        f"{table_name} {key} is not filled in yet",
+                        f'write your reading in place of each "{BLANK}", or remove {table_name}',
                     )
 
 
 def _thrust_from(table: Mapping[str, Any]) -> Thrust:
     """Read the thrust test: voltages [V] and readings of a scale [g] for one or both rotors."""
-    known = {"volts_V", "front_g", "back_g", "scale_g"}
-    if set(table) - known or "volts_V" not in table or not {"front_g", "back_g"} & set(table):
+    allowed = {"volts_V", "front_g", "back_g", "scale_g"}
+    if set(table) - allowed or "volts_V" not in table or not {"front_g", "back_g"} & set(table):
         raise RigError(
-            "[thrust] needs volts_V, and front_g or back_g or both", f"give only {', '.join(sorted(known))}"
+            "[thrust] needs volts_V, and front_g or back_g or both", f"give only {', '.join(sorted(allowed))}"
         )
     volts = _list("volts_V", table["volts_V"])
     sides = [_list(name, table[name]) for name in ("front_g", "back_g") if name in table]
@@ -93,7 +93,7 @@ def _thrust_from(table: Mapping[str, Any]) -> Thrust:
         raise RigError("[thrust] needs one reading per voltage", "give lists of the same length")
     scale_g = float(_numbers("[thrust]", {"scale_g": table.get("scale_g", 1.0)}, ("scale_g",), ())["scale_g"])
     _positive("[thrust]", scale_g=scale_g)
-    # One rotor on the scale stands for both.
+    # If only one rotor was on the scale, both are assumed equal.
     grams = np.array([sides[0], sides[-1]]).T
     curve = ThrustCurve(np.repeat(np.array(volts)[:, None], 2, axis=1), grams * SCALE_N)
     if len(sides) == 1:
@@ -111,8 +111,8 @@ def _swing_from(table: Mapping[str, Any]) -> Swing:
         )
     needed = ("swings", "seconds", "from_deg", "to_deg")
     optional = ("tolerance_s", "tolerance_deg", "elevation_deg")
-    rest = {name: value for name, value in table.items() if name != "axis"}
-    numbers = _numbers("[[swing]]", rest, needed, optional)
+    number_table = {name: value for name, value in table.items() if name != "axis"}
+    numbers = _numbers("[[swing]]", number_table, needed, optional)
     swing = Swing(axis, swings=round(numbers.pop("swings")), **numbers)
     _positive(
         "[[swing]]",
@@ -131,6 +131,7 @@ def _swing_from(table: Mapping[str, Any]) -> Swing:
 
 
 def _table(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """Return a table within a `table`; a RigError if the entry is something else."""
     entry = table[name]
     if not isinstance(entry, dict):
         raise RigError(f"{name} is not a table", f"write [{name}] above its numbers")
@@ -138,23 +139,24 @@ def _table(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def _list(name: str, value: object) -> list[float]:
+    """Return a list of readings; a RigError if `value` is something else."""
     if not isinstance(value, list) or not value or not all(_is_number(number) for number in value):
         raise RigError(f"[thrust] {name} is not a list of numbers", "write it as [2, 4, 6]")
     return [float(number) for number in value]
 
 
 def _numbers(
-    where: str, table: Mapping[str, Any], needed: Sequence[str], optional: Sequence[str]
+    table_name: str, table: Mapping[str, Any], needed: Sequence[str], optional: Sequence[str]
 ) -> dict[str, float]:
     """Return the numbers of a table by name; a RigError names a missing, unknown or invalid key."""
     for name in needed:
         if name not in table:
-            raise RigError(f"{where} lacks {name}", "add it")
+            raise RigError(f"{table_name} lacks {name}", "add it")
     for name, value in table.items():
         if name not in (*needed, *optional):
-            raise RigError(f"{where} has no {name}", f"give only {', '.join((*needed, *optional))}")
+            raise RigError(f"{table_name} has no {name}", f"give only {', '.join((*needed, *optional))}")
         if not _is_number(value):
-            raise RigError(f"{where} {name} = {value!r} is not a number", "give a number")
+            raise RigError(f"{table_name} {name} = {value!r} is not a number", "give a number")
     return {name: float(value) for name, value in table.items()}
 
 
@@ -162,7 +164,8 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
-def _positive(where: str, **values: float) -> None:
+def _positive(table_name: str, **values: float) -> None:
+    """Raise a RigError for the first of the `values` that is not positive."""
     for name, value in values.items():
         if not value > 0.0:
-            raise RigError(f"{where} {name} = {value:g} is not positive", "give a number above 0")
+            raise RigError(f"{table_name} {name} = {value:g} is not positive", "give a number above 0")

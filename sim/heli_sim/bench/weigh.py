@@ -27,12 +27,14 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Number, Rig
 
 OFF: Final = 2.0
-"""Tolerances by which a test may miss what the numbers found give before it is said: 1 is missed by chance
-once in twenty tests, 2 once in 15,000. Lower: chance. Higher: a wrong reading, or something that the model of
-the rig lacks, goes unsaid."""
-_LEARNED: Final = 0.95
-"""Share of its tolerance that a number must keep at most to be said to be found by the tests."""
-_NEWTON: Final = 30
+"""Difference of a reading from the fitted rig, in tolerances, from which it is reported as suspicious.
+
+By chance, one reading in 20 differs by more than 1, and one in 15,000 by more than 2. With a higher limit, a
+wrong reading or a missing term of the model would not be noticed.
+"""
+_MAX_SHARE_LEARNED: Final = 0.95
+"""Largest ratio of the new to the old tolerance with which a parameter counts as determined by the tests."""
+_MAX_ITERATIONS: Final = 30
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class Balance:
     Parameters
     ----------
     elevation_deg, tolerance_deg : float
-        The angle, and half the width that holds it with 95 %.
+        The angle, and the half width of its 95 % interval.
     """
 
     elevation_deg: float
@@ -76,13 +78,13 @@ class Swing:
     swings : int
         Full periods that were timed.
     seconds, tolerance_s : float
-        How long they took, and half the width that holds that with 95 %.
+        Time of all these periods, and the half width of its 95 % interval.
     from_deg, to_deg : float
         Amplitude before the first and after the last of them.
     tolerance_deg : float
-        Half the width that holds each amplitude with 95 %.
+        Half width of the 95 % interval of each amplitude.
     elevation_deg : float
-        Where the long arm is held while pitch swings.
+        Elevation at which the long arm is held while pitch swings.
     """
 
     axis: str
@@ -96,9 +98,7 @@ class Swing:
 
     @property
     def decrement(self) -> float:
-        """Logarithmic decrement: the logarithm of the ratio of an amplitude to the amplitude one period
-        later.
-        """
+        """Logarithmic decrement: the logarithm of the ratio of two amplitudes that are one period apart."""
         return float(np.log(self.from_deg / self.to_deg) / self.swings)
 
     @property
@@ -117,7 +117,7 @@ class Tested:
     what, unit : str
         The reading in words, and its unit.
     read, tolerance : float
-        The reading, and half the width that holds it with 95 %.
+        The reading, and the half width of its 95 % interval.
     before, after : float
         Prediction with the parameters before and after the fit.
     """
@@ -131,7 +131,7 @@ class Tested:
 
     @property
     def off(self) -> float:
-        """Prediction by the fitted rig minus the reading, in tolerances."""
+        """Distance of the reading from the prediction by the fitted rig, in tolerances."""
         return abs(self.after - self.read) / self.tolerance
 
 
@@ -144,7 +144,8 @@ class Weighed:
     rig : Rig
         The rig with the estimated parameters, their tolerances and sources.
     found : tuple of str
-        Names of the parameters whose tolerance the tests reduce, or that they move by more than it.
+        Names of the parameters that the tests determine: their tolerance is reduced, or they change by more
+        than their tolerance.
     tested : tuple of Tested
         All readings with their predictions.
     """
@@ -167,25 +168,25 @@ def weigh(
     Raises
     ------
     RigError
-        When nothing was tested, readings make no thrust line, or an axis does not swing.
+        If no test is given, the thrust readings are not on a rising line, or an axis does not swing.
     """
     if thrust is None and balance is None and not swings:
         raise RigError("no bench test is given", "give at least one of [thrust], [balance] and [[swing]]")
     result, tested = rig, []
-    learned: list[str] = []
+    determined: list[str] = []
     if thrust is not None:
         result, of_thrust = _with_thrust(rig, thrust)
-        learned += ["thrust_gain", "dead_zone"]
+        determined += ["thrust_gain", "dead_zone"]
         tested += of_thrust
     if balance is not None or swings:
         result, names, of_masses = _with_masses(result, balance, swings)
-        learned += names
+        determined += names
         tested += of_masses
-    return Weighed(result, tuple(learned), tuple(tested))
+    return Weighed(result, tuple(determined), tuple(tested))
 
 
 def _with_thrust(rig: Rig, thrust: Thrust) -> tuple[Rig, list[Tested]]:
-    """Set gain and dead zone of a rig by the thrust test; return the rig, and each reading as tested."""
+    """Set gain and dead zone of a rig by the thrust test; return the rig and all readings."""
     line = thrust.curve.line()
     volts = thrust.curve.volts_V
     source = f"bench: line through thrust on a scale at {np.unique(volts).size} voltages"
@@ -200,7 +201,7 @@ def _with_thrust(rig: Rig, thrust: Thrust) -> tuple[Rig, list[Tested]]:
         Tested(
             f"{side} thrust at {volt:g} V",
             "N",
-            float(read),
+            float(measured),
             float(tolerance_N),
             *(
                 numbers["thrust_gain"].value * max(volt - numbers["dead_zone"].value, 0.0)
@@ -208,7 +209,7 @@ def _with_thrust(rig: Rig, thrust: Thrust) -> tuple[Rig, list[Tested]]:
             ),
         )
         for volts_V, reads in zip(volts, thrust.curve.thrust_N, strict=True)
-        for side, volt, read in zip(sides, map(float, volts_V), reads, strict=True)
+        for side, volt, measured in zip(sides, map(float, volts_V), reads, strict=True)
     ]
     return after, tested
 
@@ -217,30 +218,33 @@ def _number(rig: Rig, name: str, value: float, tolerance: float, source: str) ->
     return Number(float(value), rig[name].unit, float(tolerance), source)
 
 
-class _Axes:
-    """Predictions of the readings by the model."""
+class _BenchModel:
+    """Predicts the readings of bench tests with the model of the rig."""
 
     def __init__(self, rig: Rig) -> None:
         model = MultibodyModel()
         x, p, locked = ca.SX.sym("x", 6), ca.SX.sym("p", len(model.parameters)), ca.SX.sym("l", 3)
         acceleration = model.dynamics(x, ca.SX.zeros(2), p, ca.SX(0), locked)[3:6]
-        self._of = ca.Function("axes", [x, p, locked], [acceleration, ca.jacobian(acceleration, x)])
+        self._function = ca.Function("axes", [x, p, locked], [acceleration, ca.jacobian(acceleration, x)])
         self.names = model.parameter_names
         self.values: Floats = model.parameter_values(rig)
 
-    def _at(self, p: Floats, axis: int, angles_rad: Floats) -> tuple[float, float, float]:
-        """Acceleration of an axis at rest with the others held, and its derivatives by angle and rate."""
-        held = np.ones(3)
-        held[axis] = 0.0
+    def _linearised(self, p: Floats, axis: int, angles_rad: Floats) -> tuple[float, float, float]:
+        """Return the acceleration of an axis at rest, and its derivatives by angle and rate.
+
+        The other axes are locked.
+        """
+        locked = np.ones(3)
+        locked[axis] = 0.0
         state = np.concatenate((angles_rad, np.zeros(3)))
-        acceleration, by_state = (np.array(part) for part in self._of(state, p, held))
+        acceleration, by_state = (np.array(result) for result in self._function(state, p, locked))
         return float(acceleration[axis, 0]), float(by_state[axis, axis]), float(by_state[axis, 3 + axis])
 
     def balance_deg(self, p: Floats, near_deg: float) -> float:
-        """Angle of equilibrium that is nearest to the reading."""
+        """Return the angle of equilibrium that is nearest to the reading, by Newton's method."""
         angles = np.array([np.deg2rad(near_deg), 0.0, 0.0])
-        for _ in range(_NEWTON):
-            value, slope, _ = self._at(p, 0, angles)
+        for _ in range(_MAX_ITERATIONS):
+            value, slope, _ = self._linearised(p, 0, angles)
             if slope >= 0.0:
                 raise RigError(
                     f"the arm of this rig does not balance near {near_deg:g} degrees: it falls there",
@@ -252,16 +256,17 @@ class _Axes:
         return float(np.rad2deg(angles[0]))
 
     def swing(self, p: Floats, swing: Swing) -> tuple[float, float]:
-        """Time of all swings [s], and the logarithmic decrement."""
+        """Return the time of all swings [s], and the logarithmic decrement."""
         axis = AXES.index(swing.axis)
         rest_deg = self.balance_deg(p, -20.0) if axis == 0 else 0.0
         angles_rad = np.deg2rad([rest_deg if axis == 0 else swing.elevation_deg, 0.0, 0.0])
-        _, by_angle, by_rate = self._at(p, axis, angles_rad)
-        damped = -by_angle - 0.25 * by_rate**2
-        if damped <= 0.0:
+        _, by_angle, by_rate = self._linearised(p, axis, angles_rad)
+        # Damped oscillation x'' = by_angle x + by_rate x': the square of its angular frequency.
+        frequency2 = -by_angle - 0.25 * by_rate**2
+        if frequency2 <= 0.0:
             raise RigError(f"{swing.axis} of this rig does not swing", "check its lengths and frictions")
         amplitude_rad = np.deg2rad(0.5 * (swing.from_deg + swing.to_deg))
-        period_s = 2.0 * np.pi / np.sqrt(damped)
+        period_s = 2.0 * np.pi / np.sqrt(frequency2)
         # A pendulum is slower at large amplitudes, by the first term of its series.
         return swing.swings * period_s * (1.0 + amplitude_rad**2 / 16.0), -0.5 * by_rate * period_s
 
@@ -269,41 +274,43 @@ class _Axes:
 def _with_masses(
     rig: Rig, balance: Balance | None, swings: Sequence[Swing]
 ) -> tuple[Rig, list[str], list[Tested]]:
-    """Estimate masses and lengths of a rig from balance and swings, with its tolerances as priors (least
-    squares). Return the rig, the names of the parameters that the tests determine, and each reading with its
-    predictions.
+    """Estimate masses and lengths of a rig from balance and swings by least squares.
+
+    The tolerances of the rig are priors. Returns the rig, the names of the parameters that the tests
+    determine, and each reading with its predictions.
     """
     from scipy.optimize import least_squares
 
-    axes = _Axes(rig)
+    axes = _BenchModel(rig)
     free = [name for name in axes.names if rig[name].tolerance > 0.0 and not name.startswith("offset")]
     free = [name for name in free if name not in ("thrust_gain", "dead_zone")]
-    places = [axes.names.index(name) for name in free]
+    indices = [axes.names.index(name) for name in free]
     mean = np.array([rig[name].value for name in free])
     tolerance = np.array([rig[name].tolerance for name in free])
     readings = _readings(balance, swings)
 
-    def given(values: Floats) -> Floats:
+    def predict(values: Floats) -> Floats:
+        """Return the predicted readings for the free parameters, in the order of `readings`."""
         p = axes.values.copy()
-        p[places] = values
+        p[indices] = values
         predicted = [] if balance is None else [axes.balance_deg(p, balance.elevation_deg)]
         for swing in swings:
             predicted += axes.swing(p, swing)
         return np.array(predicted)
 
-    read = np.array([reading[2] for reading in readings])
-    half = np.array([reading[3] for reading in readings])
+    measured = np.array([reading[2] for reading in readings])
+    reading_tolerances = np.array([reading[3] for reading in readings])
 
-    def misses(scaled: Floats) -> Floats:
-        return np.concatenate(((given(mean + scaled * tolerance) - read) / half, scaled))
+    def residuals(scaled: Floats) -> Floats:
+        return np.concatenate(((predict(mean + scaled * tolerance) - measured) / reading_tolerances, scaled))
 
     low = np.array([-np.inf if rig.may_be_negative(name) else 1e-6 * rig[name].value for name in free])
     start = np.zeros(len(free))
-    fitted = least_squares(misses, start, bounds=((low - mean) / tolerance, np.full(len(free), np.inf)))
-    # In tolerances throughout: those of 95 %, so that no factor 2 appears.
-    spread = np.sqrt(np.diag(np.linalg.inv(fitted.jac.T @ fitted.jac)))
+    fitted = least_squares(residuals, start, bounds=((low - mean) / tolerance, np.full(len(free), np.inf)))
+    # Readings and parameters are all scaled by 95 % tolerances, so that no factor 2 appears.
+    posterior_share = np.sqrt(np.diag(np.linalg.inv(fitted.jac.T @ fitted.jac)))
     values = mean + fitted.x * tolerance
-    which = " and ".join(
+    test_names = " and ".join(
         [
             *(["the angle of balance"] if balance else []),
             *dict.fromkeys(f"swings of {s.axis}" for s in swings),
@@ -311,14 +318,14 @@ def _with_masses(
     )
     names = [
         name
-        for name, share, moved in zip(free, spread, fitted.x, strict=True)
-        if share < _LEARNED or abs(moved) > 1.0
+        for name, share, shift in zip(free, posterior_share, fitted.x, strict=True)
+        if share < _MAX_SHARE_LEARNED or abs(shift) > 1.0
     ]
     numbers = dict(rig.numbers)
-    # All of them move, if by little: the tests hold for all together.
-    for name, value, share, was in zip(free, values, spread, tolerance, strict=True):
-        source = f"bench: {which}, with {rig[name].source}"
-        numbers[name] = _number(rig, name, float(value), float(share * was), source)
+    # All parameters change, some only a little, because the tests were fitted to all of them together.
+    for name, value, share, prior_tolerance in zip(free, values, posterior_share, tolerance, strict=True):
+        source = f"bench: {test_names}, with {rig[name].source}"
+        numbers[name] = _number(rig, name, float(value), float(share * prior_tolerance), source)
     after = replace(rig, numbers=numbers)
     final = np.array([after[name].value for name in free])
     return (
@@ -327,7 +334,7 @@ def _with_masses(
         [
             Tested(what, unit, reading, width, float(before), float(now))
             for (what, unit, reading, width), before, now in zip(
-                readings, given(mean), given(final), strict=True
+                readings, predict(mean), predict(final), strict=True
             )
         ],
     )

@@ -198,6 +198,7 @@ def _attributes(variable: Variable) -> dict[str, str]:
 
 
 def _add_units(root: ElementTree.Element, listed: list[Variable]) -> None:
+    """Add the units of all variables, with their factors to SI units."""
     definitions = ElementTree.SubElement(root, "UnitDefinitions")
     for unit in sorted({variable.unit for variable in listed} - {"1"}):
         entry = ElementTree.SubElement(definitions, "Unit", name=unit)

@@ -1,4 +1,4 @@
-"""A plant's equations as the functions that an FMU calls, in C."""
+"""Write the equations of a plant as the C functions that an FMU (a model for co-simulation) calls."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import dataclass
 import casadi as ca
 
 from heli_sim.model.effect import Effect
-from heli_sim.plant import Plant, end_of_step, late_volts
+from heli_sim.plant import Plant, delayed_volts_V, end_of_step
 
 
 @dataclass(frozen=True)
 class Generated:
-    """C files of one plant.
+    """Generated C files of one plant.
 
     Parameters
     ----------
     files : dict of str to str
-        Their texts by name.
-    sampled : bool
-        Whether something of the plant happens once a millisecond: late voltages, resets, chance.
+        Contents by file name.
+    has_millisecond_events : bool
+        Whether the plant changes discretely every millisecond: by delayed voltages, resets or random inputs.
     """
 
     files: dict[str, str]
-    sampled: bool
+    has_millisecond_events: bool
 
 
 def generate(plant: Plant, token: str) -> Generated:
@@ -35,24 +35,32 @@ def generate(plant: Plant, token: str) -> Generated:
         The instantiation token, by which an importer shows that it has read the right description.
     """
     model, extras = plant.model, plant.extras
-    late_ticks = sum(state.name.startswith("front_V_") for state in extras.states)
+    delay_ticks = sum(state.name.startswith("front_V_") for state in extras.states)
     x, u = ca.SX.sym("state", len(model.states)), ca.SX.sym("acting_V", 2)
-    p, t, chance = ca.SX.sym("parameters", len(plant.parameters)), ca.SX.sym("t"), ca.SX.sym("chance")
+    p, t, generator_state = (
+        ca.SX.sym("parameters", len(plant.parameters)),
+        ca.SX.sym("t"),
+        ca.SX.sym("chance"),
+    )
     p_model = p[: len(model.parameters)]
-    after, _, next_chance = end_of_step(model, x, u, p, t, chance, ca.SX.zeros(3))
+    after, _, next_generator_state = end_of_step(model, x, u, p, t, generator_state, ca.SX.zeros(3))
     functions = [
         plant.function,
         _function("model_rates", [x, u, p, t], [model.dynamics(x, u, p_model, t)]),
         _function("model_measured", [x, u, p, t], [model.measurement(x, u, p_model, t)]),
-        _function("model_end_of_step", [x, u, p, t, chance], [after, next_chance]),
+        _function("model_end_of_step", [x, u, p, t, generator_state], [after, next_generator_state]),
     ]
-    if late_ticks:
-        past = ca.SX.sym("past_V", 2 * late_ticks)
-        functions.append(_function("model_late_volts", [u, past], [late_volts(u, past, plant.extras.late_s)]))
+    if delay_ticks:
+        past_V = ca.SX.sym("past_V", 2 * delay_ticks)
+        functions.append(
+            _function("model_late_volts", [u, past_V], [delayed_volts_V(u, past_V, plant.extras.delay_s)])
+        )
     generator = ca.CodeGenerator("model", {"with_header": False})
     for function in functions:
         generator.add(function)
-    sampled = bool(late_ticks) or extras.random or any(_resets(effect) for effect in model.effects)
+    has_millisecond_events = (
+        bool(delay_ticks) or extras.random or any(_resets(effect) for effect in model.effects)
+    )
     numbers = {
         "STATES": len(model.states),
         "WHOLE": len(plant.rest_state()),
@@ -60,8 +68,8 @@ def generate(plant: Plant, token: str) -> Generated:
         "LIMITS": len(model.parameters),
         "TIMED": int(extras.timed),
         "RANDOM": int(extras.random),
-        "LATE": late_ticks,
-        "SAMPLED": int(sampled),
+        "LATE": delay_ticks,
+        "SAMPLED": int(has_millisecond_events),
         "INPUTS": max(function.n_in() for function in functions),
         "OUTPUTS": max(function.n_out() for function in functions),
         "WORK_ARGUMENTS": max(function.sz_arg() for function in functions) + 1,
@@ -73,23 +81,24 @@ def generate(plant: Plant, token: str) -> Generated:
     lines += [f"#define MODEL_{name} {number}" for name, number in numbers.items()]
     lines += [f'#define MODEL_TOKEN "{token}"']
     lines += ["extern const double model_start_state[];", "extern const double model_start_parameters[];"]
-    starts = (
+    start_values = (
         '#include "model_numbers.h"\n'
-        f"const double model_start_state[] = {{{_listed(plant.rest_state().tolist())}}};\n"
-        f"const double model_start_parameters[] = {{{_listed(plant.parameters.tolist())}}};\n"
+        f"const double model_start_state[] = {{{_c_numbers(plant.rest_state().tolist())}}};\n"
+        f"const double model_start_parameters[] = {{{_c_numbers(plant.parameters.tolist())}}};\n"
     )
     return Generated(
         {
             "model.c": generator.dump(),
             "model.h": _header(functions),
             "model_numbers.h": "\n".join([*lines, "#endif", ""]),
-            "model_start.c": starts,
+            "model_start.c": start_values,
         },
-        sampled,
+        has_millisecond_events,
     )
 
 
 def _header(functions: list[ca.Function]) -> str:
+    """Return the C header with the prototypes of the generated functions."""
     prototypes = [
         f"int {function.name()}(const double** arg, double** res, long long int* iw, double* w, int mem);"
         for function in functions
@@ -102,8 +111,10 @@ def _function(name: str, inputs: list[ca.SX], results: list[ca.SX]) -> ca.Functi
 
 
 def _resets(effect: Effect) -> bool:
+    """Whether an effect resets a state at the end of a step."""
     return type(effect).reset_map is not Effect.reset_map
 
 
-def _listed(numbers: list[float]) -> str:
+def _c_numbers(numbers: list[float]) -> str:
+    """Return numbers as the initialiser of a C array."""
     return ", ".join(repr(float(number)) for number in numbers)

@@ -77,16 +77,12 @@ class Model(ABC):
         )
         effect_parameters = [q.name for q in self.parameters[len(names) :]]
         all_names = [s.name for s in self.states] + effect_parameters
-        twice = sorted(
-            {
-                name
-                for name in all_names
-                if all_names.count(name) > 1 or (name in effect_parameters and name in _RIG)
-            }
-        )
-        if twice:
+        conflicts = {name for name in all_names if all_names.count(name) > 1}
+        conflicts |= {name for name in effect_parameters if name in _RIG}
+        if conflicts:
             raise PlantError(
-                f"effects of '{self.name}' share the names {', '.join(twice)}", "give each another name"
+                f"effects of '{self.name}' share the names {', '.join(sorted(conflicts))}",
+                "give each another name",
             )
         delays = [effect.delay for effect in effects if effect.delay]
         if len(delays) > 1:
@@ -107,8 +103,10 @@ class Model(ABC):
         return not self.effects and type(self).__init__ is Model.__init__
 
     def values_in(self, label: str, values: Floats) -> Floats:
-        """Return the values of all parameters in the flight `label`: the moment of an event belongs to one
-        flight.
+        """Return the values of all parameters in one flight, named by `label`.
+
+        They differ between flights if an effect is an event, such as a step of the thrust: its moment belongs
+        to one flight, and in the others the event never happens.
 
         Parameters
         ----------
@@ -118,24 +116,24 @@ class Model(ABC):
         result = values.copy()
         for effect in self.effects:
             if effect.flight and effect.moment:
-                place = self.parameter_names.index(effect.moment)
-                result[place] = effect.values_in(label, {effect.moment: values[place]})[effect.moment]
+                index = self.parameter_names.index(effect.moment)
+                result[index] = effect.values_in(label, {effect.moment: values[index]})[effect.moment]
         return result
 
     def dead_zone_V(self, parameters: Floats, free: Collection[str] = ()) -> float | None:
-        """Voltage below which no rotor gives thrust.
+        """Return the voltage below which no rotor gives thrust, if there is one.
 
         Parameters
         ----------
         parameters : ndarray (p,)
             All parameters, in the order of `parameters`.
         free : collection of str
-            Parameters that are being estimated: a result at their present values may not hold at others.
+            Parameters that are being estimated; the result must hold for all their values.
 
         Returns
         -------
         float or None
-            None where rotors may push at lower voltages: reversed, or by an effect within the dead zone.
+            None if rotors may push at lower voltages, because they can be reversed or by an effect.
         """
         names = self.parameter_names
         if parameters[names.index("reverse_thrust")] or "reverse_thrust" in free:
@@ -146,25 +144,24 @@ class Model(ABC):
 
     @abstractmethod
     def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
-        """Angular acceleration of elevation, pitch and travel [rad/s2], shape (3, 1), for a given thrust and
-        torque.
+        """Return the angular acceleration of elevation, pitch and travel [rad/s2], shape (3, 1).
 
-        A locked axis (`Operands.locked`) has none, and the lock gives whatever torque that takes: where axes
-        are coupled, the others accelerate otherwise than they would with that axis free.
+        A locked axis (`Operands.locked`) does not accelerate. Its lock gives the torque that this needs,
+        which also changes the acceleration of axes that are coupled with it.
 
         Parameters
         ----------
         thrust_N : casadi.SX
             Thrust of the front and the back rotor, shape (2, 1).
         torque_Nm : casadi.SX
-            Friction and other torques about the elevation, pitch and travel axes, shape (3, 1); gravity and
-            thrust are the model's own business.
+            Friction and other torques about the elevation, pitch and travel axes, shape (3, 1), without those
+            of gravity and thrust, which the model adds.
         """
 
     def operands(
         self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, locked: ca.SX | None = None
     ) -> Operands:
-        """Split the three vectors into operands by name.
+        """Collect the arguments of an equation by the names of states and parameters.
 
         Parameters
         ----------
@@ -175,9 +172,9 @@ class Model(ABC):
         p : casadi.SX
             Parameters, in the order of `parameters`.
         time_s : casadi.SX, optional
-            Time since the flight's first sample; 0 where it is not given.
+            Time since the flight's first sample; 0 by default.
         locked : casadi.SX, optional
-            1 for each axis that is locked, shape (3, 1); none where it is not given.
+            1 for each locked axis, shape (3, 1); by default, no axis is locked.
         """
         return Operands(
             {state.name: x[i] for i, state in enumerate(self.states)},
@@ -190,32 +187,41 @@ class Model(ABC):
     def dynamics(
         self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, locked: ca.SX | None = None
     ) -> ca.SX:
-        """Rate of each state in its unit per second. `x`, `u`, `p`, `time_s` and `locked` are those of
-        `operands`; `u` are the voltages that act, after any delay. A locked axis does not accelerate.
+        """Return the rate of each state in its unit per second.
+
+        `x`, `u`, `p`, `time_s` and `locked` are those of `operands`; `u` are the voltages that act, after any
+        delay. A locked axis does not accelerate.
         """
-        at, rates = self._driven(x, u, p, time_s, locked)
-        p_at, thrust = at.parameter, at.thrust_N
-        torque = friction_torque_Nm(x[3:6], p_at) + ca.vertcat(*(p_at[f"torque_{axis}"] for axis in AXES))
+        at, effect_rates = self._driven(x, u, p, time_s, locked)
+        parameter, thrust = at.parameter, at.thrust_N
+        constant = ca.vertcat(*(parameter[f"torque_{axis}"] for axis in AXES))
+        torque = friction_torque_Nm(x[3:6], parameter) + constant
         for effect in self.effects:
             torque = torque + effect.torque_Nm(at)
         acceleration = self._with_friction(at, thrust, self.acceleration(at, thrust, torque))
-        return ca.vertcat(x[3:6], (1 - at.locked) * acceleration, *rates)
+        return ca.vertcat(x[3:6], (1 - at.locked) * acceleration, *effect_rates)
 
     def driven(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> Operands:
-        """Operands of the torques with the final voltages and thrust. `x`, `u`, `p` and `time_s` are those of
-        `operands`.
+        """Return the operands as the torques see them: with the voltages and thrusts after all effects.
+
+        `x`, `u`, `p` and `time_s` are those of `operands`.
         """
         return self._driven(x, u, p, time_s, None)[0]
 
     def _driven(
         self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None, locked: ca.SX | None
     ) -> tuple[Operands, list[ca.SX]]:
-        """Operands of the torques, and the rates of the states that the effects add."""
+        """Return the operands of the torques, and the rates of the states that the effects add.
+
+        Effects change the parameters first, then the voltages, then the thrusts.
+        """
         at = self._with_modified_parameters(self.operands(x, u, p, time_s, locked))
         for effect in self.effects:
             at = replace(at, volts_V=effect.voltage_V(at, at.volts_V))
-        p_at = at.parameter
-        thrust = thrust_N(at.volts_V, p_at["thrust_gain"], p_at["dead_zone"], p_at["reverse_thrust"])
+        parameter = at.parameter
+        thrust = thrust_N(
+            at.volts_V, parameter["thrust_gain"], parameter["dead_zone"], parameter["reverse_thrust"]
+        )
         rates = []
         for effect in self.effects:
             at = replace(at, thrust_N=thrust)
@@ -225,8 +231,9 @@ class Model(ABC):
         return replace(at, thrust_N=thrust), rates
 
     def _with_friction(self, at: Operands, thrust: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Acceleration with the torques that depend on the acceleration itself; in each model it is linear in
-        the torque.
+        """Add the effect of dry friction, whose torque depends on the acceleration without it.
+
+        In each model, the acceleration is linear in the torque; the factor is the mobility, shape (3, 3).
         """
         frictional = [effect for effect in self.effects if effect.has_friction]
         if not frictional:
@@ -238,16 +245,16 @@ class Model(ABC):
         return acceleration + mobility @ sum(friction, ca.SX.zeros(3))
 
     def reset_map(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
-        """Reset the state after each step of an integration, for effects that rates do not describe. Returns
-        `x` itself if no effect resets a state. State `x` and time `time_s` are those after the step; `u` and
-        `p` are those of `operands`.
+        """Return the state after the resets that effects make at the end of each integration step.
+
+        An example is play, whose state jumps. `x` and `time_s` are the state and time after the step; `u` and
+        `p` are those of `operands`. The result is `x` if no effect resets a state.
         """
         at = self._with_modified_parameters(self.operands(x, u, p, time_s))
         return ca.vertcat(x[:6], *(effect.reset_map(at) for effect in self.effects if effect.states))
 
     def diffusion(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX, step_s: float, normal: ca.SX) -> ca.SX:
-        """Increment of the state in one step of a simulation by the noise that drives the effects, in the
-        order of `states`.
+        """Return the increment of the state in one step of a simulation by the noise that drives the effects.
 
         Parameters
         ----------
@@ -265,11 +272,11 @@ class Model(ABC):
             Independent random numbers with mean 0 and variance 1, shape (noise_inputs, 1).
         """
         at = self._with_modified_parameters(self.operands(x, u, p, time_s))
-        increments, used = [ca.SX.zeros(6)], 0
+        increments, first = [ca.SX.zeros(6)], 0
         for effect in self.effects:
             if effect.states:
-                increments.append(effect.diffusion(at, step_s, normal[used : used + effect.noise_inputs]))
-                used += effect.noise_inputs
+                increments.append(effect.diffusion(at, step_s, normal[first : first + effect.noise_inputs]))
+                first += effect.noise_inputs
         return ca.vertcat(*increments)
 
     @property
@@ -278,14 +285,16 @@ class Model(ABC):
         return sum(effect.noise_inputs for effect in self.effects)
 
     def _with_modified_parameters(self, at: Operands) -> Operands:
+        """Let each effect replace parameters of the rig; a later effect sees what earlier ones replaced."""
         for effect in self.effects:
             at = replace(at, parameter={**at.parameter, **effect.modified_parameters(at)})
         return at
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
-        """Angles of elevation, pitch and travel [rad], shape (3, 1), that encoders without quantisation would
-        measure: the angles of the state with zero offsets and effects. `x`, `u`, `p` and `time_s` are those
-        of `operands`.
+        """Return the angles that encoders without quantisation would measure [rad], shape (3, 1).
+
+        These are elevation, pitch and travel of the state, with zero offsets and with the effects that act in
+        the encoders. `x`, `u`, `p` and `time_s` are those of `operands`.
         """
         at = self._with_modified_parameters(self.operands(x, u, p, time_s))
         offsets_deg = ca.vertcat(at.parameter["offset_elevation"], at.parameter["offset_pitch"], 0)
@@ -295,7 +304,7 @@ class Model(ABC):
         return angles
 
     def parameter_values(self, rig: Rig) -> Floats:
-        """Values of `parameters` in their units, shape (len(parameters),), from the `rig` and the effects."""
+        """Return the values of `parameters`, from the `rig` and the effects, shape (len(parameters),)."""
         effect_values = {name: value for effect in self.effects for name, value in effect.values.items()}
         return np.array(
             [rig[q.name].value if q.name in rig else effect_values[q.name] for q in self.parameters]

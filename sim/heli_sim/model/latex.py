@@ -1,8 +1,8 @@
-r"""Equations of a model as LaTeX, from the symbols that are simulated.
+r"""Equations of a model as LaTeX, from the same CasADi expressions that are simulated.
 
-Only what matplotlib's mathtext knows is used. Parts that come up more than once get names of their own, a_1,
-a_2 and so on, each in a line before the one that first needs it. Products are written with ``\,`` between
-their factors, so that no name can be taken for two.
+The LaTeX is limited to what matplotlib's mathtext can draw. A subexpression that occurs more than once gets a
+name, a_1, a_2 and so on, with an equation before its first use. Factors of a product are separated by ``\,``,
+so that a name of several letters is not read as a product.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ _NAMES: Final[Mapping[str, str]] = {
     "drag_area_body": "A_{2}",
 }
 _MIN_OPERATIONS: Final = 2
-"""A part that comes up again is named from this many operations on."""
+"""Smallest number of operations in a repeated subexpression that gets a name."""
 
 
 @dataclass(frozen=True)
 class Equation:
-    """One line, `left` = `right`, in LaTeX without dollar signs."""
+    """One equation, `left` = `right`, in LaTeX without dollar signs."""
 
     left: str
     right: str
@@ -67,46 +67,47 @@ def symbol(name: str) -> str:
 
 
 def equations(model: Model) -> list[Equation]:
-    """Write a model's equations of motion, in an order in which every name is known before it is used. F_f
-    and F_b are the thrusts, f friction, D constant torques. A multibody model is written with its mass matrix
-    M, potential energy U and generalised forces Q; Coriolis and centrifugal forces c follow from M by the
-    rule in its first line. Dry friction goes by the acceleration without it, with the index 0, and the
-    inertia J of the axis.
+    """Return a model's equations of motion, each symbol defined before its first use.
+
+    F_f and F_b are the thrusts, f viscous frictions, and D constant torques. A multibody model is written
+    with its mass matrix M, potential energy U and generalised forces Q; the first equation shows how Coriolis
+    and centrifugal forces follow from M. Dry friction is written with the acceleration that the axis would
+    have without it, which has the index 0, and with the inertia J of the axis.
 
     Parameters
     ----------
     model : Model
-        The model; its effects follow its own equations.
+        The model; the equations of its effects come last.
 
     Raises
     ------
     PlantError
         When an effect uses an operation that has no LaTeX here.
     """
-    at = _situation(model)
+    at = _symbolic_operands(model)
     F = ca.vertcat(ca.SX.sym("F_{f}"), ca.SX.sym("F_{b}"))
-    out = _thrust(at)
+    result = _thrust(at)
     rates = ca.vertcat(*(at.state[f"{axis}_rate_rad_s"] for axis in AXES))
     torque = friction_torque_Nm(rates, at.parameter) + ca.vertcat(
         *(at.parameter[f"torque_{axis}"] for axis in AXES)
     )
     writer = _Writer()
     if isinstance(model, MultibodyModel):
-        out += _multibody(model, at, F, torque, rates, writer)
+        result += _multibody(model, at, F, torque, rates, writer)
     else:
-        out += _accelerations(model.acceleration(at, F, torque), writer)
-    free = ca.vertcat(*(ca.SX.sym(rf"\ddot{{{angle}}}_{{0}}") for angle in _ANGLES))
+        result += _accelerations(model.acceleration(at, F, torque), writer)
+    acceleration_without_friction = ca.vertcat(*(ca.SX.sym(rf"\ddot{{{angle}}}_{{0}}") for angle in _ANGLES))
     inertia = ca.vertcat(*(ca.SX.sym(f"J_{{{angle}}}") for angle in _ANGLES))
     for effect in model.effects:
-        added = effect.torque_Nm(at) + effect.friction_Nm(at, free, inertia)
-        out += _effect(effect.name, added, effect.thrust_N(at, F), F, writer)
+        added = effect.torque_Nm(at) + effect.friction_Nm(at, acceleration_without_friction, inertia)
+        result += _effect(effect.name, added, effect.thrust_N(at, F), F, writer)
         if effect.states:
-            lefts = [rf"\dot{{{symbol(state.name)}}}" for state in effect.states]
-            out += writer.lines(lefts, effect.state_rates(replace(at, thrust_N=F)))
-    return out
+            left_sides = [rf"\dot{{{symbol(state.name)}}}" for state in effect.states]
+            result += writer.equations_of(left_sides, effect.state_rates(replace(at, thrust_N=F)))
+    return result
 
 
-def _situation(model: Model) -> Operands:
+def _symbolic_operands(model: Model) -> Operands:
     """Return states, voltages and parameters of a model as symbols with their names in LaTeX."""
     names = {q.name: ca.SX.sym(symbol(q.name)) for q in (*model.states, *model.parameters)}
     volts = ca.vertcat(ca.SX.sym("V_{f}"), ca.SX.sym("V_{b}"))
@@ -119,10 +120,11 @@ def _situation(model: Model) -> Operands:
 
 
 def _thrust(at: Operands) -> list[Equation]:
+    """Return the thrust of rotor i above its dead zone."""
     p = at.parameter
     volts = ca.SX.sym("V_{i}")
     straight = p["thrust_gain"] * ca.fmax(volts - p["dead_zone"], 0.0)
-    return _Writer().lines(["F_{i}"], straight)
+    return _Writer().equations_of(["F_{i}"], straight)
 
 
 def _multibody(
@@ -134,46 +136,48 @@ def _multibody(
     inertia = model.inertia_kg_m2(at)
     potential = ca.substitute(model.energy_J(at), rates, ca.SX.zeros(3))
     forces = model.thrust_torque_Nm(at, F) + torque
-    places = [(row, column) for row in range(3) for column in range(row, 3)]
-    lefts = [f"M_{{{_ANGLES[row]}{_ANGLES[column]}}}" for row, column in places]
-    lefts += ["U", *(f"Q_{{{angle}}}" for angle in _ANGLES)]
-    rights = ca.vertcat(*(inertia[row, column] for row, column in places), potential, forces)
+    entries = [(row, column) for row in range(3) for column in range(row, 3)]
+    left_sides = [f"M_{{{_ANGLES[row]}{_ANGLES[column]}}}" for row, column in entries]
+    left_sides += ["U", *(f"Q_{{{angle}}}" for angle in _ANGLES)]
+    right_sides = ca.vertcat(*(inertia[row, column] for row, column in entries), potential, forces)
     rule = Equation(
         r"M\,\ddot{q} + \dot{M}\,\dot{q} - \frac{1}{2}\,\frac{\partial}{\partial q}"
         r"\left(\dot{q}^{T}\,M\,\dot{q}\right) + \frac{\partial U}{\partial q}",
         r"Q,\quad q = \left(\theta, \phi, \psi\right)",
     )
-    return [rule, *writer.lines(lefts, rights)]
+    return [rule, *writer.equations_of(left_sides, right_sides)]
 
 
 def _accelerations(acceleration: ca.SX, writer: _Writer) -> list[Equation]:
     """Write torque over inertia as inertia times acceleration; leave anything else unchanged."""
     parts = [acceleration[row] for row in range(3)]
     if not all(part.is_op(ca.OP_DIV) for part in parts):
-        return writer.lines(_ACCELERATIONS, acceleration)
+        return writer.equations_of(_ACCELERATIONS, acceleration)
     inertias = [f"J_{{{angle}}}" for angle in _ANGLES]
-    lefts = [rf"{J}\,{rate}" for J, rate in zip(inertias, _ACCELERATIONS, strict=True)]
+    left_sides = [rf"{J}\,{rate}" for J, rate in zip(inertias, _ACCELERATIONS, strict=True)]
     return [
-        *writer.lines(inertias, ca.vertcat(*(part.dep(1) for part in parts))),
-        *writer.lines(lefts, ca.vertcat(*(part.dep(0) for part in parts))),
+        *writer.equations_of(inertias, ca.vertcat(*(part.dep(1) for part in parts))),
+        *writer.equations_of(left_sides, ca.vertcat(*(part.dep(0) for part in parts))),
     ]
 
 
 def _effect(name: str, torque: ca.SX, thrust: ca.SX, F: ca.SX, writer: _Writer) -> list[Equation]:
-    """Return what an effect adds to the torques, and how it changes the thrusts."""
-    upright = symbol(name)
-    out = []
+    """Return the torques that an effect adds, and the thrusts that it changes, as equations."""
+    superscript = symbol(name)
+    result = []
     for row, angle in enumerate(_ANGLES):
         if not torque[row].is_zero():
-            out += writer.lines([rf"\Delta Q_{{{angle}}}^{{{upright}}}"], torque[row])
+            result += writer.equations_of([rf"\Delta Q_{{{angle}}}^{{{superscript}}}"], torque[row])
     for row, rotor in enumerate("fb"):
         if not ca.is_equal(thrust[row], F[row]):
-            out += writer.lines([rf"F_{{{rotor}}}^{{{upright}}}"], thrust[row])
-    return out
+            result += writer.equations_of([rf"F_{{{rotor}}}^{{{superscript}}}"], thrust[row])
+    return result
 
 
-# How tightly an operation binds what it joins.
+# Binding strength of an expression: an operand that binds less strongly than its operation needs parentheses.
 _SUM, _SIGNED, _PRODUCT, _POWER, _ATOM = range(5)
+_BoundText = tuple[str, int]
+"""LaTeX of an expression, and its binding strength."""
 _FUNCTIONS: Final[Mapping[int, str]] = {
     ca.OP_SIN: r"\sin",
     ca.OP_COS: r"\cos",
@@ -185,180 +189,210 @@ _FUNCTIONS: Final[Mapping[int, str]] = {
 }
 
 
-_LAST: Final = tuple(_FUNCTIONS.values())
+_FUNCTION_NAMES: Final = tuple(_FUNCTIONS.values())
 _HALF: Final = 0.5
 
 
 class _Writer:
-    """Converts expressions to LaTeX, and keeps the names that it has given."""
+    """Converts expressions to LaTeX, and remembers the names of their repeated subexpressions."""
 
     def __init__(self) -> None:
-        self._named: dict[int, str] = {}
-        self._cached: list[ca.SX] = []  # an expression that is let go of may lend its hash to another
-        self._again: set[int] = set()
+        self._names: dict[int, str] = {}
+        # The hash of a deleted expression may be reused, so all expressions are kept.
+        self._cached: list[ca.SX] = []
+        self._repeated: set[int] = set()
 
-    def lines(self, lefts: Sequence[str], rights: ca.SX) -> list[Equation]:
-        """Write each expression, and before it the subexpressions that it uses first."""
-        parts = [ca.SX(rights[row]) for row in range(rights.numel())]
+    def equations_of(self, left_sides: Sequence[str], right_sides: ca.SX) -> list[Equation]:
+        """Return one equation per element of `right_sides`, each after those of its named subexpressions."""
+        parts = [ca.SX(right_sides[row]) for row in range(right_sides.numel())]
         self._cached += parts
-        self._again |= _shared(parts)
-        out: list[Equation] = []
-        for left, part in zip(lefts, parts, strict=True):
-            self._name_parts(part, out)
-            out.append(Equation(left, self._text(part)[0]))
-        return out
+        self._repeated |= _repeated_parts(parts)
+        result: list[Equation] = []
+        for left, part in zip(left_sides, parts, strict=True):
+            self._name_parts(part, result)
+            result.append(Equation(left, self._text(part)[0]))
+        return result
 
-    def _name_parts(self, of: ca.SX, out: list[Equation]) -> None:
-        """Give a name to each part of an expression that occurs again, with an equation for it in `out`."""
-        for child in _below(of):
+    def _name_parts(self, expression: ca.SX, result: list[Equation]) -> None:
+        """Name the repeated subexpressions of an expression, and append their equations to `result`."""
+        for child in _operands(expression):
             key = child.element_hash()
-            if key in self._named:
+            if key in self._names:
                 continue
-            self._name_parts(child, out)
-            if key in self._again:
+            self._name_parts(child, result)
+            if key in self._repeated:
                 right = self._text(child)[0]
-                self._named[key] = self._new_name(child)
-                out.append(Equation(self._named[key], right))
+                self._names[key] = self._new_name(child)
+                result.append(Equation(self._names[key], right))
 
-    def _new_name(self, of: ca.SX) -> str:
-        letter = r"\zeta" if of.op() == ca.OP_ATAN else "a"
-        taken = sum(name.startswith(letter) for name in self._named.values())
+    def _new_name(self, expression: ca.SX) -> str:
+        """Return the next free name: zeta_1, zeta_2 for angles, otherwise a_1, a_2."""
+        letter = r"\zeta" if expression.op() == ca.OP_ATAN else "a"
+        taken = sum(name.startswith(letter) for name in self._names.values())
         return f"{letter}_{{{taken + 1}}}"
 
-    def _text(self, of: ca.SX) -> tuple[str, int]:
-        """Return an expression in LaTeX, and how strongly it binds, for the parentheses around it."""
-        if of.element_hash() in self._named:
-            return self._named[of.element_hash()], _ATOM
-        if of.is_constant():
-            number = float(of)
+    def _text(self, expression: ca.SX) -> _BoundText:
+        """Return an expression in LaTeX, and its binding strength."""
+        if expression.element_hash() in self._names:
+            return self._names[expression.element_hash()], _ATOM
+        if expression.is_constant():
+            number = float(expression)
             text = r"\frac{1}{2}" if abs(number) == _HALF else f"{abs(number):.12g}"
             return (f"-{text}", _SIGNED) if number < 0.0 else (text, _ATOM)
-        if of.is_symbolic():
-            return of.name(), _ATOM
-        write = _OPERATIONS.get(of.op())
+        if expression.is_symbolic():
+            return expression.name(), _ATOM
+        write = _OPERATIONS.get(expression.op())
         if write is None:
             raise PlantError(
-                f"an effect uses the operation '{of}', which has no LaTeX", "leave the effect out"
+                f"an effect uses the operation '{expression}', which has no LaTeX", "leave the effect out"
             )
-        return write(self, of)
+        return write(self, expression)
 
-    def within(self, of: ca.SX, least: int) -> str:
-        """Write an operand, in brackets if it binds less strongly than required."""
-        text, binds = self._text(of)
-        return text if binds >= least else rf"\left({text}\right)"
+    def operand_text(self, expression: ca.SX, min_binding: int) -> str:
+        """Return an operand in LaTeX, in parentheses if it binds less strongly than required."""
+        text, binding = self._text(expression)
+        return text if binding >= min_binding else rf"\left({text}\right)"
 
-    def sum(self, of: ca.SX) -> tuple[str, int]:
+    def sum(self, expression: ca.SX) -> _BoundText:
         """Return a sum or difference in LaTeX."""
-        first, (second, binds) = self._text(of.dep(0))[0], self._text(of.dep(1))
-        minus = of.op() == ca.OP_SUB
-        if binds == _SIGNED or (not minus and second.startswith("-")):
-            minus, second = not minus, second[1:]
-        elif minus and binds == _SUM:
+        first, (second, binding) = self._text(expression.dep(0))[0], self._text(expression.dep(1))
+        negated = expression.op() == ca.OP_SUB
+        if binding == _SIGNED or (not negated and second.startswith("-")):
+            negated, second = not negated, second[1:]
+        elif negated and binding == _SUM:
             second = rf"\left({second}\right)"
-        return f"{first} {'-' if minus else '+'} {second}", _SUM
+        return f"{first} {'-' if negated else '+'} {second}", _SUM
 
-    def product(self, of: ca.SX) -> tuple[str, int]:
+    def product(self, expression: ca.SX) -> _BoundText:
         """Return a product in LaTeX: numbers first, then symbols, sums in parentheses, and functions."""
         negative, factors = False, []
-        for factor in self._factors(of):
-            text, binds = self._text(factor)
-            if binds == _SIGNED:
-                negative, text, binds = not negative, text[1:], _PRODUCT
+        for factor in self._factors(expression):
+            text, binding = self._text(factor)
+            if binding == _SIGNED:
+                negative, text, binding = not negative, text[1:], _PRODUCT
             if factor.is_constant():
                 order = 0
-            elif binds <= _SUM:
+            elif binding <= _SUM:
                 order, text = 2, rf"\left({text}\right)"
             else:
-                # A function comes last: what follows it would read as part of its argument.
-                order = 3 if text.startswith(_LAST) else 1
+                # A function comes last, because a factor after it would look like a part of its argument.
+                order = 3 if text.startswith(_FUNCTION_NAMES) else 1
             factors.append((order, text))
         joined = r"\,".join(text for _, text in sorted(factors, key=lambda pair: pair[0]))
         return (f"-{joined}", _SIGNED) if negative else (joined, _PRODUCT)
 
-    def _factors(self, of: ca.SX) -> list[ca.SX]:
-        if of.element_hash() in self._named or of.op() != ca.OP_MUL or of.is_constant() or of.is_symbolic():
-            return [of]
-        return [*self._factors(of.dep(0)), *self._factors(of.dep(1))]
+    def _factors(self, expression: ca.SX) -> list[ca.SX]:
+        """Return the factors of a product of products, in their order."""
+        if (
+            expression.element_hash() in self._names
+            or expression.op() != ca.OP_MUL
+            or expression.is_constant()
+            or expression.is_symbolic()
+        ):
+            return [expression]
+        return [*self._factors(expression.dep(0)), *self._factors(expression.dep(1))]
 
-    def fraction(self, of: ca.SX) -> tuple[str, int]:
-        return rf"\frac{{{self._text(of.dep(0))[0]}}}{{{self._text(of.dep(1))[0]}}}", _ATOM
+    def fraction(self, expression: ca.SX) -> _BoundText:
+        return rf"\frac{{{self._text(expression.dep(0))[0]}}}{{{self._text(expression.dep(1))[0]}}}", _ATOM
 
-    def minus(self, of: ca.SX) -> tuple[str, int]:
-        return f"-{self.within(of.dep(0), _PRODUCT)}", _SIGNED
+    def negated(self, expression: ca.SX) -> _BoundText:
+        return f"-{self.operand_text(expression.dep(0), _PRODUCT)}", _SIGNED
 
-    def twice(self, of: ca.SX) -> tuple[str, int]:
-        text, binds = self._text(of.dep(0))
-        if binds == _SIGNED:
+    def doubled(self, expression: ca.SX) -> _BoundText:
+        """Return twice an expression; a minus sign comes before the 2."""
+        text, binding = self._text(expression.dep(0))
+        if binding == _SIGNED:
             return rf"-2\,{text[1:]}", _SIGNED
-        return rf"2\,{self.within(of.dep(0), _PRODUCT)}", _PRODUCT
+        return rf"2\,{self.operand_text(expression.dep(0), _PRODUCT)}", _PRODUCT
 
-    def inverse(self, of: ca.SX) -> tuple[str, int]:
-        return rf"\frac{{1}}{{{self._text(of.dep(0))[0]}}}", _ATOM
+    def inverse(self, expression: ca.SX) -> _BoundText:
+        return rf"\frac{{1}}{{{self._text(expression.dep(0))[0]}}}", _ATOM
 
-    def square(self, of: ca.SX) -> tuple[str, int]:
-        inner = of.dep(0)
-        if inner.op() in _FUNCTIONS and inner.element_hash() not in self._named:
+    def square(self, expression: ca.SX) -> _BoundText:
+        """Return a square; that of a function is written as sin^2(x)."""
+        inner = expression.dep(0)
+        if inner.op() in _FUNCTIONS and inner.element_hash() not in self._names:
             return f"{_FUNCTIONS[inner.op()]}^{{2}}{self._argument(inner)}", _POWER
-        return f"{self.within(inner, _ATOM)}^{{2}}", _POWER
+        return f"{self.operand_text(inner, _ATOM)}^{{2}}", _POWER
 
-    def power(self, of: ca.SX) -> tuple[str, int]:
-        return f"{self.within(of.dep(0), _ATOM)}^{{{self._text(of.dep(1))[0]}}}", _POWER
+    def power(self, expression: ca.SX) -> _BoundText:
+        return f"{self.operand_text(expression.dep(0), _ATOM)}^{{{self._text(expression.dep(1))[0]}}}", _POWER
 
-    def root(self, of: ca.SX) -> tuple[str, int]:
-        return rf"\sqrt{{{self._text(of.dep(0))[0]}}}", _ATOM
+    def square_root(self, expression: ca.SX) -> _BoundText:
+        return rf"\sqrt{{{self._text(expression.dep(0))[0]}}}", _ATOM
 
-    def size(self, of: ca.SX) -> tuple[str, int]:
-        return rf"\left|{self._text(of.dep(0))[0]}\right|", _ATOM
+    def absolute(self, expression: ca.SX) -> _BoundText:
+        return rf"\left|{self._text(expression.dep(0))[0]}\right|", _ATOM
 
-    def function(self, of: ca.SX) -> tuple[str, int]:
-        return f"{_FUNCTIONS[of.op()]}{self._argument(of)}", _POWER
+    def function(self, expression: ca.SX) -> _BoundText:
+        return f"{_FUNCTIONS[expression.op()]}{self._argument(expression)}", _POWER
 
-    def extreme(self, of: ca.SX) -> tuple[str, int]:
-        name = r"\max" if of.op() == ca.OP_FMAX else r"\min"
-        return rf"{name}\left({self._text(of.dep(0))[0]}, {self._text(of.dep(1))[0]}\right)", _ATOM
+    def extremum(self, expression: ca.SX) -> _BoundText:
+        """Return a maximum or minimum of two operands."""
+        name = r"\max" if expression.op() == ca.OP_FMAX else r"\min"
+        return (
+            rf"{name}\left({self._text(expression.dep(0))[0]}, {self._text(expression.dep(1))[0]}\right)",
+            _ATOM,
+        )
 
-    def _argument(self, of: ca.SX) -> str:
-        inner = of.dep(0)
-        text, binds = self._text(inner)
-        return f" {text}" if binds == _ATOM and inner.is_symbolic() else rf"\left({text}\right)"
+    def _argument(self, expression: ca.SX) -> str:
+        """Return the argument of a function in LaTeX, without parentheses if it is a symbol."""
+        inner = expression.dep(0)
+        text, binding = self._text(inner)
+        return f" {text}" if binding == _ATOM and inner.is_symbolic() else rf"\left({text}\right)"
 
 
-_OPERATIONS: Final[Mapping[int, Callable[[_Writer, ca.SX], tuple[str, int]]]] = {
+_OPERATIONS: Final[Mapping[int, Callable[[_Writer, ca.SX], _BoundText]]] = {
     **dict.fromkeys((ca.OP_ADD, ca.OP_SUB), _Writer.sum),
     ca.OP_MUL: _Writer.product,
     ca.OP_DIV: _Writer.fraction,
-    ca.OP_NEG: _Writer.minus,
-    ca.OP_TWICE: _Writer.twice,
+    ca.OP_NEG: _Writer.negated,
+    ca.OP_TWICE: _Writer.doubled,
     ca.OP_INV: _Writer.inverse,
     ca.OP_SQ: _Writer.square,
     **dict.fromkeys((ca.OP_POW, ca.OP_CONSTPOW), _Writer.power),
-    ca.OP_SQRT: _Writer.root,
-    ca.OP_FABS: _Writer.size,
+    ca.OP_SQRT: _Writer.square_root,
+    ca.OP_FABS: _Writer.absolute,
     **dict.fromkeys(_FUNCTIONS, _Writer.function),
-    **dict.fromkeys((ca.OP_FMAX, ca.OP_FMIN), _Writer.extreme),
+    **dict.fromkeys((ca.OP_FMAX, ca.OP_FMIN), _Writer.extremum),
 }
 
 
-def _below(of: ca.SX) -> Iterable[ca.SX]:
-    return () if of.is_constant() or of.is_symbolic() else (of.dep(i) for i in range(of.n_dep()))
+def _operands(expression: ca.SX) -> Iterable[ca.SX]:
+    """Return the operands of the last operation in an expression."""
+    return (
+        ()
+        if expression.is_constant() or expression.is_symbolic()
+        else (expression.dep(i) for i in range(expression.n_dep()))
+    )
 
 
-def _shared(roots: Iterable[ca.SX]) -> set[int]:
-    """Hashes of subexpressions that occur more than once and are large enough for a name."""
-    parents: dict[int, int] = {}
-    size: dict[int, int] = {}
-    signs: set[int] = set()  # a sign or a factor of 2 deserves no name
+def _repeated_parts(roots: Iterable[ca.SX]) -> set[int]:
+    """Return the hashes of subexpressions that occur more than once and are large enough for a name."""
+    occurrences: dict[int, int] = {}
+    absolute: dict[int, int] = {}
+    signs: set[int] = set()  # an expression with only a sign or a factor 2 in front needs no name
 
-    def visit(of: ca.SX) -> int:
+    def visit(expression: ca.SX) -> int:
         """Count the operations of an expression, and how often each of its parts occurs."""
-        key = of.element_hash()
-        parents[key] = parents.get(key, 0) + 1
-        if not of.is_constant() and not of.is_symbolic() and of.op() in (ca.OP_NEG, ca.OP_TWICE):
+        key = expression.element_hash()
+        occurrences[key] = occurrences.get(key, 0) + 1
+        if (
+            not expression.is_constant()
+            and not expression.is_symbolic()
+            and expression.op() in (ca.OP_NEG, ca.OP_TWICE)
+        ):
             signs.add(key)
-        if key not in size:
-            size[key] = 0 if of.is_constant() or of.is_symbolic() else 1 + sum(map(visit, _below(of)))
-        return size[key]
+        if key not in absolute:
+            absolute[key] = (
+                0
+                if expression.is_constant() or expression.is_symbolic()
+                else 1 + sum(map(visit, _operands(expression)))
+            )
+        return absolute[key]
 
-    for root in roots:
-        visit(root)
-    return {key for key, count in parents.items() if count > 1 and size[key] >= _MIN_OPERATIONS} - signs
+    for square_root in roots:
+        visit(square_root)
+    return {
+        key for key, count in occurrences.items() if count > 1 and absolute[key] >= _MIN_OPERATIONS
+    } - signs

@@ -1,4 +1,4 @@
-"""Trim, exact Jacobians and linearisation of a model."""
+"""Trim of a model (an equilibrium in hover), its exact Jacobians, and its linearisation about the trim."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 
 OUTPUTS: Final = ("elevation_rad", "pitch_rad", "travel_rad")
-_RESIDUAL: Final = 1e-10  # of rad/s2, and of N/s of a lag: far below what an encoder could see
+_RESIDUAL: Final = 1e-10
+"""Largest rate of an equilibrium, in rad/s2, or in N/s for a lag: far below the resolution of an encoder."""
 _ITERATIONS: Final = 50
 
 
@@ -58,8 +59,9 @@ class Derivatives:
 
 @functools.lru_cache(maxsize=32)
 def derivative_function(model: Model) -> ca.Function:
-    """Exact Jacobians ``derivatives(x, u, p) -> (f, A, B, P, C, D)`` of a model, as in `Derivatives`, by
-    symbolic differentiation. Each model's function is made once.
+    """Return ``derivatives(x, u, p) -> (f, A, B, P, C, D)`` of a model, named as in `Derivatives`.
+
+    The Jacobians come from symbolic differentiation and are exact. The functions of 32 models are kept.
     """
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
     p = ca.SX.sym("p", len(model.parameters))
@@ -69,34 +71,44 @@ def derivative_function(model: Model) -> ca.Function:
 
 
 def derivatives(model: Model, rig: Rig, state: npt.ArrayLike, volts_V: npt.ArrayLike) -> Derivatives:
-    """Exact first derivatives at a point.
+    """Evaluate the rates and all first derivatives of a model at a state.
 
     Parameters
     ----------
     state : array_like (n,)
-        State, in the order of the model's.
+        State, in the order of the model's states.
     volts_V : array_like (2,)
         Front and back voltage.
     """
     results = derivative_function(model)(np.asarray(state), np.asarray(volts_V), model.parameter_values(rig))
-    f, *rest = (np.asarray(result) for result in results)
-    return Derivatives(f.ravel(), *rest)
+    f, *jacobians = (np.asarray(result) for result in results)
+    return Derivatives(f.ravel(), *jacobians)
 
 
 def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
-    """Find the voltages and the pitch that hold `elevation_rad` with all rates zero and travel at 0, by
-    Newton's method on the exact Jacobians. A PlantError when no voltage holds it, for example because a heavy
-    counterweight lifts the arm.
+    """Find the voltages and the pitch that hold an elevation, with all rates zero and travel at 0.
+
+    The equilibrium is computed by Newton's method with exact Jacobians.
+
+    Parameters
+    ----------
+    elevation_rad : float
+        Elevation to hold.
+
+    Raises
+    ------
+    PlantError
+        If no positive voltages hold it, for example because a heavy counterweight lifts the arm.
     """
     count = len(model.states)
-    # Unknown: pitch, the states of effects, both voltages. Known to be zero: travel and the three rates.
+    # Unknown are pitch, the states of effects, and both voltages. Travel and the three rates are zero.
     unknown = [1, *range(6, count)]
     state = np.zeros(count)
     state[0] = elevation_rad
-    # Any voltage above the dead zone: the static curve is nearly straight from there on.
+    # Start at any voltage above the dead zone, because the thrust is nearly linear there.
     volts_V = np.full(2, rig["dead_zone"].value + 1.0)
     if count > 6:
-        # A thrust that lags must not start from none: at no thrust, pitch moves nothing.
+        # Lagged thrusts start at their steady values: with zero thrust, pitch would have no effect.
         at = derivatives(model, rig, state, volts_V)
         state[6:] -= np.linalg.lstsq(at.A[6:, 6:], at.rates[6:], rcond=None)[0]
     for _ in range(_ITERATIONS):
@@ -106,7 +118,7 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
             if state[1] ** 2 < (np.pi / 2) ** 2 and (volts_V > rig["dead_zone"].value).all():
                 return Trim(state, volts_V)
             break
-        # Least squares: an effect's state that nothing moves, such as an encoder's play, stays where it is.
+        # Least squares leaves a state that has no influence, such as an encoder's play, unchanged.
         step = np.linalg.lstsq(np.hstack((at.A[3:, unknown], at.B[3:])), -residual, rcond=None)[0]
         state[unknown] += step[:-2]
         volts_V = volts_V + step[-2:]
@@ -117,21 +129,21 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
 
 
 def linearise(model: Model, rig: Rig, at: Trim | None = None) -> control.StateSpace:
-    """Linearise about a trim `at`, a level hover by default, with exact derivatives.
+    """Linearise a model about a trim, by default a level hover, with exact derivatives.
 
-    The result is in deviations from the trim and has named signals: the states of the model, the inputs
-    front_V and back_V, and as outputs the three angles that the encoders see. A PlantError when the rig
-    cannot hover.
+    The signals of the result are deviations from the trim and have names: the states of the model, the inputs
+    front_V and back_V, and as outputs the three angles that the encoders see. A PlantError is raised if the
+    rig cannot hover.
     """
     import control
 
     at = at if at is not None else trim(model, rig)
-    first = derivatives(model, rig, at.state, at.volts_V)
+    jacobians = derivatives(model, rig, at.state, at.volts_V)
     return control.ss(
-        first.A,
-        first.B,
-        first.C,
-        first.D,
+        jacobians.A,
+        jacobians.B,
+        jacobians.C,
+        jacobians.D,
         states=[state.name for state in model.states],
         inputs=[quantity.name for quantity in model.inputs],
         outputs=list(OUTPUTS),

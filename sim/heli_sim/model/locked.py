@@ -12,15 +12,21 @@ from heli_sim.rig import Rig
 
 
 class Locked(Model):
-    """A model with locked axes; `locked` states which of elevation, pitch and travel are. They do not
-    accelerate, and the others feel the reactions of the locks.
+    """A model with locked axes: they do not accelerate, and the others feel the reactions of the locks.
+
+    Parameters
+    ----------
+    model : Model
+        The model to lock.
+    locked : tuple of bool
+        Whether elevation, pitch and travel are locked.
     """
 
     def __init__(self, model: Model, locked: tuple[bool, bool, bool]) -> None:
         self._model = model
-        self._locked = ca.SX([float(held) for held in locked])
-        held = [axis for axis, on in zip(AXES, locked, strict=True) if on]
-        self.name = f"{model.name} with {' and '.join(held) or 'nothing'} locked"
+        self._locked = ca.SX([float(is_locked) for is_locked in locked])
+        locked_axes = [axis for axis, is_locked in zip(AXES, locked, strict=True) if is_locked]
+        self.name = f"{model.name} with {' and '.join(locked_axes) or 'nothing'} locked"
         self.effects = model.effects
         self.states, self.inputs, self.parameters = model.states, model.inputs, model.parameters
         self.delay = model.delay
@@ -33,9 +39,9 @@ class Locked(Model):
     def dynamics(
         self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, locked: ca.SX | None = None
     ) -> ca.SX:
-        # A locked axis keeps the rate that it has, which a fit then finds to be none.
-        held = self._locked if locked is None else ca.fmax(self._locked, locked)
-        return self._model.dynamics(x, u, p, time_s, held)
+        # A locked axis keeps its rate. A fit estimates that rate from the flight, and finds that it is 0.
+        all_locked = self._locked if locked is None else ca.fmax(self._locked, locked)
+        return self._model.dynamics(x, u, p, time_s, all_locked)
 
     @override
     def parameter_values(self, rig: Rig) -> Floats:

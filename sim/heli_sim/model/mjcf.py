@@ -1,7 +1,7 @@
 """A rig as MuJoCo's XML (MJCF): point masses on three hinges, thrust, friction, constant torques, stops.
 
-The equations of `multibody.py` and MuJoCo's recursive algorithms have nothing in common but the masses and
-where they are; a test lets both fly.
+MuJoCo's recursive algorithms share only the masses and their places with the equations of `multibody.py`. A
+test compares flights of both.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 
 from heli_sim.rig import Rig
 
-# MuJoCo wants an inertia of every body; this one is a point mass for all that counts.
+# MuJoCo requires an inertia of each body; this one is small enough for a point mass.
 _POINT: Final = 'diaginertia="1e-12 1e-12 1e-12"'
 
 
 def left_out(rig: Rig) -> list[str]:
-    """Properties of a `rig` that its MJCF file does not contain, one line each."""
+    """Return the properties of a `rig` that its MJCF file does not contain, one line each."""
     lines = [f"the effect {name}" for name in rig.effects]
     if rig["reverse_thrust"].value:
         lines.append("thrust at reversed voltage: rotors pull one way")
@@ -40,7 +40,7 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
     Parameters
     ----------
     rig : Rig
-        Its numbers; its effects are left out, see `left_out`.
+        Its parameters are written; its effects are not, see `left_out`.
     step_s : float
         Time step.
     stops : bool
@@ -50,7 +50,8 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
     arm_z, body_z = -v["L_theta"], -v["L_phi"]
 
     def mass(name: str, kg: float, x: float, y: float, z: float) -> str:
-        # No body may weigh nothing.
+        """Return a point mass at a place in m, relative to the body that contains it, as XML."""
+        # MuJoCo rejects a body without mass.
         return (
             f'<body name="{name}" pos="{x:.9g} {y:.9g} {z:.9g}">'
             f'<inertial pos="0 0 0" mass="{max(kg, 1e-9):.9g}" {_POINT}/>'
@@ -63,14 +64,14 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
         return f'<joint name="{name}" axis="{axis}" damping="{v[f"friction_{name}"]:.9g}"{ends}/>'
 
     def rotor(side: str) -> str:
-        """Return the actuator of a rotor: thrust on a line over the voltage, from the dead zone on."""
+        """Return the actuator of a rotor: above the dead zone, thrust increases linearly with the voltage."""
         zero_N = -v["thrust_gain"] * v["dead_zone"]
-        most_N = v["thrust_gain"] * max(v["supply"] - v["dead_zone"], 1e-6)
+        max_N = v["thrust_gain"] * max(v["supply"] - v["dead_zone"], 1e-6)
         return (
             f'<general name="{side}" site="{side}" gear="0 0 1 0 0 0" gainprm="{v["thrust_gain"]:.9g}" '
             f'biastype="affine" biasprm="{zero_N:.9g} 0 0" '
             f'ctrllimited="true" ctrlrange="0 {v["supply"]:.9g}" '
-            f'forcelimited="true" forcerange="0 {most_N:.9g}"/>'
+            f'forcelimited="true" forcerange="0 {max_N:.9g}"/>'
         )
 
     def torque(axis: str) -> str:
@@ -128,7 +129,7 @@ Written by heli-host rig export. Controls: front and back motor, V. The model le
 
 
 def _comment(text: str) -> str:
-    # Two hyphens end nothing in an XML comment but are forbidden there.
+    # XML forbids two hyphens in a comment.
     return text.replace("--", "- -")
 
 

@@ -5,9 +5,9 @@ potential energy V(q),
 
     M(q) q'' + c(q, q') + dV/dq = Q,    c = d(M q')/dq q' - d(q'' M q' / 2)/dq,
 
-so centrifugal and Coriolis forces (the paper's assumption 1 leaves them out), inertial coupling between the
-axes (the short arm's mass hangs below the pitch axis), and gravity with every offset follow by themselves.
-Each thrust acts along the short arm's own up axis at its rotor: Q is its virtual work.
+follow the centrifugal and Coriolis forces (which the paper's assumption 1 omits), the inertial coupling of
+the axes (the mass of the short arm hangs below the pitch axis), and gravity with every offset. Each thrust
+acts at its rotor along the up axis of the short arm; Q is its virtual work.
 
 Positions and velocities are written in a frame that turns with the long arm: x along it, z up at level, the
 front rotor at -y. Elevation turns about -y, pitch about -x, travel about the vertical. Therefore M and V do
@@ -41,7 +41,7 @@ class _ShortArm:
 
 @dataclass(frozen=True)
 class _LongArm:
-    """Sums over the masses that elevation turns; all of them lie L_theta below the elevation axis."""
+    """Sums over the masses that elevation turns; each mass is L_theta below the elevation axis."""
 
     mass: ca.SX
     x: ca.SX
@@ -49,7 +49,7 @@ class _LongArm:
 
 
 class MultibodyModel(Model):
-    """Full Lagrangian of the point masses of Table 2, and on top of it `effects`, applied in this order."""
+    """Full Lagrangian of the point masses in Table 2 of the paper, with optional `effects`."""
 
     name = "multibody"
     rig_parameters = ("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g")
@@ -57,37 +57,40 @@ class MultibodyModel(Model):
     @override
     def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
         p = at.parameter
-        known = ca.vertcat(*(p[name] for name in self.rig_parameters))
-        result = _mechanics(type(self))(_angles(at), _rates(at), thrust_N, torque_Nm, at.locked, known)
+        constants = ca.vertcat(*(p[name] for name in self.rig_parameters))
+        result = _mechanics(type(self))(_angles(at), _rates(at), thrust_N, torque_Nm, at.locked, constants)
         assert isinstance(result, ca.SX)
         return result
 
     def inertia_kg_m2(self, at: Operands) -> ca.SX:
-        """Mass matrix M(q) at the present angles: symmetric, shape (3, 3), in the order elevation, pitch,
-        travel.
-        """
+        """Return the mass matrix M(q), shape (3, 3), in the order elevation, pitch, travel."""
         return self._inertia_kg_m2(at, _angles(at))
 
     def energy_J(self, at: Operands) -> ca.SX:
-        """Kinetic and potential energy, with that of effects; zero at rest with all masses at the height of
-        the axes.
+        """Return the kinetic and potential energy, including that of effects.
+
+        It is zero at rest with all masses at the height of the axes.
         """
         rates = _rates(at)
         potential_J = self._potential_J(at, _angles(at)) + sum(e.energy_J(at) for e in self.effects)
         return 0.5 * rates.T @ self.inertia_kg_m2(at) @ rates + potential_J
 
     def thrust_torque_Nm(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        """Generalised forces of the rotors' `thrust_N`, front and back, shape (2, 1), at the present angles,
-        about elevation, pitch and travel, shape (3, 1).
+        """Return the torques of the rotors about elevation, pitch and travel, shape (3, 1).
+
+        Parameters
+        ----------
+        thrust_N : casadi.SX
+            Thrust of the front and the back rotor, shape (2, 1).
         """
         return self._thrust_Nm(at, _angles(at), thrust_N)
 
     def _inertia_kg_m2(self, at: Operands, q: ca.SX) -> ca.SX:
-        """M(q) from the velocity of a point of each link.
+        """Derive M(q) from the velocity of a point of each link.
 
-        A point at x of the long arm moves with (elevation' L_theta, travel' r, elevation' x), its distance
-        from the vertical being r = x cos + L_theta sin of the elevation. A point of the short arm that pitch
-        has brought to (L_a, y, z - L_theta) moves with
+        A point at x of the long arm moves with (elevation' L_theta, travel' r, elevation' x), where
+        r = x cos(elevation) + L_theta sin(elevation) is its distance from the travel axis. A point of the
+        short arm whose place, after pitch, is (L_a, y, z - L_theta) moves with
 
             x: -elevation' (z - L_theta) - travel' y cos
             y:  travel' r + pitch' z,            r = L_a cos - (z - L_theta) sin
@@ -117,14 +120,19 @@ class MultibodyModel(Model):
         )
 
     def _potential_J(self, at: Operands, q: ca.SX) -> ca.SX:
+        """Return the potential energy of gravity at the angles `q`, V(q)."""
         p = at.parameter
         long, short = self._long_arm(at), self._short_arm(at, q[1])
-        along = long.x + short.mass * p["L_a"]
-        above = short.z - p["L_theta"] * (long.mass + short.mass)
-        return p["g"] * (along * ca.sin(q[0]) + above * ca.cos(q[0]))
+        moment_along_kg_m = long.x + short.mass * p["L_a"]
+        moment_up_kg_m = short.z - p["L_theta"] * (long.mass + short.mass)
+        return p["g"] * (moment_along_kg_m * ca.sin(q[0]) + moment_up_kg_m * ca.cos(q[0]))
 
     def _thrust_Nm(self, at: Operands, q: ca.SX, thrust_N: ca.SX) -> ca.SX:
-        """Virtual work: at elevation, a difference of the thrusts also turns travel, with arm L_h sin."""
+        """Return the generalised forces Q of the thrusts at the angles `q`, from their virtual work.
+
+        If the arm is raised, a difference of the thrusts also turns travel, with the lever
+        L_h sin(elevation).
+        """
         p = at.parameter
         c, s = ca.cos(q[0]), ca.sin(q[0])
         total_N, difference_N = thrust_N[0] + thrust_N[1], thrust_N[0] - thrust_N[1]
@@ -136,12 +144,10 @@ class MultibodyModel(Model):
         )
 
     def _short_arm(self, at: Operands, pitch: ca.SX) -> _ShortArm:
-        """Return mass, first moments [kg m] and second moments [kg m2] of the pitched short arm about the end
-        of the long arm.
-        """
+        """Return the sums of the short arm at a `pitch`: mass, first [kg m] and second moments [kg m2]."""
         p = at.parameter
         c, s = ca.cos(pitch), ca.sin(pitch)
-        # Before it is pitched, every mass lies L_phi below the axis, the rotors L_h beside it.
+        # At pitch 0, every mass is L_phi below the axis, and the rotors are L_h to either side.
         mass = p["M_f"] + p["M_b"] + p["M_h"]
         y, z = (p["M_b"] - p["M_f"]) * p["L_h"], -p["L_phi"] * mass
         yy, zz, yz = (p["M_f"] + p["M_b"]) * p["L_h"] ** 2, p["L_phi"] ** 2 * mass, -p["L_phi"] * y
@@ -155,6 +161,7 @@ class MultibodyModel(Model):
         )
 
     def _long_arm(self, at: Operands) -> _LongArm:
+        """Return the sums of the long arm and the counterweight."""
         p = at.parameter
         return _LongArm(
             mass=p["M_l"] + p["M_w"],
@@ -165,21 +172,22 @@ class MultibodyModel(Model):
 
 @cache
 def _mechanics(kind: type[MultibodyModel]) -> ca.Function:
-    """Accelerations from angles, rates, thrusts, torques, locks and `rig_parameters`. They are derived once,
-    because differentiation takes most of the time, and no effect changes them.
+    """Return the accelerations as a function of angles, rates, thrusts, torques, locks and `rig_parameters`.
+
+    Differentiation takes most of the time, so the function of a class is built once; no effect changes it.
     """
     model = kind()
     q, rates, thrust_N = ca.SX.sym("q", 3), ca.SX.sym("rates", 3), ca.SX.sym("thrust", 2)
     torque_Nm, locked = ca.SX.sym("torque", 3), ca.SX.sym("locked", 3)
-    known = ca.SX.sym("known", len(model.rig_parameters))
-    parameters = {name: known[i] for i, name in enumerate(model.rig_parameters)}
+    constants = ca.SX.sym("known", len(model.rig_parameters))
+    parameters = {name: constants[i] for i, name in enumerate(model.rig_parameters)}
     at = Operands({}, ca.SX.zeros(2), parameters, ca.SX(0), locked)
     inertia = model._inertia_kg_m2(at, q)
     momentum = inertia @ rates
     coriolis = ca.jtimes(momentum, q, rates) - 0.5 * ca.gradient(ca.dot(rates, momentum), q)
     force = model._thrust_Nm(at, q, thrust_N) - coriolis - ca.gradient(model._potential_J(at, q), q)
-    acceleration = _solve(*_with_locks(inertia, force + torque_Nm, locked))
-    return ca.Function("mechanics", [q, rates, thrust_N, torque_Nm, locked, known], [acceleration])
+    acceleration = _solve_ldl(*_with_locks(inertia, force + torque_Nm, locked))
+    return ca.Function("mechanics", [q, rates, thrust_N, torque_Nm, locked, constants], [acceleration])
 
 
 def _angles(at: Operands) -> ca.SX:
@@ -190,26 +198,27 @@ def _rates(at: Operands) -> ca.SX:
     return ca.vertcat(*(at.state[f"{axis}_rate_rad_s"] for axis in AXES))
 
 
-def _with_locks(matrix: ca.SX, right: ca.SX, locked: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Keep the block of the free axes in the equations; for a locked axis, set 1 times its acceleration
-    = 0.
-    """
+def _with_locks(matrix: ca.SX, right_side: ca.SX, locked: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Replace the equation of each locked axis by "acceleration = 0"; return matrix and right-hand side."""
     free = 1 - locked
-    return free @ free.T * matrix + ca.diag(locked), free * right
+    return free @ free.T * matrix + ca.diag(locked), free * right_side
 
 
-def _solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    """Solve for a symmetric positive definite 3 x 3 matrix by L D L': a third of a general solver's work."""
-    first, middle, last = 1, 0, 2  # pitch's own inertia is constant, and so is its reciprocal
-    over_first = 1 / matrix[first, first]
-    low_middle, low_last = matrix[middle, first] * over_first, matrix[last, first] * over_first
-    over_middle = 1 / (matrix[middle, middle] - low_middle * matrix[middle, first])
-    rest = matrix[last, middle] - low_last * matrix[middle, first]
-    low = rest * over_middle
-    d_last = matrix[last, last] - low_last * matrix[last, first] - low * rest
+def _solve_ldl(matrix: ca.SX, right_side: ca.SX) -> ca.SX:
+    """Solve for a symmetric positive definite 3 x 3 matrix by L D L': a third of a general solver's work.
 
-    middle_right = right[middle] - low_middle * right[first]
-    x_last = (right[last] - low_last * right[first] - low * middle_right) / d_last
-    x_middle = middle_right * over_middle - low * x_last
-    x_first = right[first] * over_first - low_middle * x_middle - low_last * x_last
+    Pitch is eliminated first, because its inertia, and so its reciprocal, is constant in flight.
+    """
+    first, middle, last = 1, 0, 2
+    inverse_first = 1 / matrix[first, first]
+    factor_middle, factor_last = matrix[middle, first] * inverse_first, matrix[last, first] * inverse_first
+    inverse_middle = 1 / (matrix[middle, middle] - factor_middle * matrix[middle, first])
+    cross_term = matrix[last, middle] - factor_last * matrix[middle, first]
+    factor_cross = cross_term * inverse_middle
+    d_last = matrix[last, last] - factor_last * matrix[last, first] - factor_cross * cross_term
+
+    middle_right = right_side[middle] - factor_middle * right_side[first]
+    x_last = (right_side[last] - factor_last * right_side[first] - factor_cross * middle_right) / d_last
+    x_middle = middle_right * inverse_middle - factor_cross * x_last
+    x_first = right_side[first] * inverse_first - factor_middle * x_middle - factor_last * x_last
     return ca.vertcat(x_middle, x_first, x_last)

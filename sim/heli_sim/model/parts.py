@@ -18,14 +18,14 @@ __all__ = [
     "thrust_N",
     "upright_torque_Nm",
 ]
-_ABRUPT_s: Final = 0.01
+_STEP_WIDTH_s: Final = 0.01
 
 
 def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: ca.SX | float = 0.0) -> ca.SX:
-    """Thrust of rotors against voltage, shape of `volts_V`: F = k (V - V_0) above V_0 and none below (31).
+    """Return the thrust of rotors at given voltages: F = k (V - V_0) above V_0, otherwise 0 (equation 31).
 
-    The paper fits the straight line above the dead zone only. Rotors that may be driven backwards push down
-    with a share of it beyond the dead zone at negative voltage.
+    The paper measured only positive voltages. A rotor that can be driven backwards gives, beyond the dead
+    zone, a share of this thrust in the opposite direction.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: c
     dead_zone_V : casadi.SX
         V_0, volts.
     reverse : casadi.SX or float
-        Share of its thrust that a rotor gives at reversed voltage; 0 where the drivers do not reverse.
+        Share of its thrust that a rotor gives at reversed voltage; 0 if the drivers cannot reverse.
     """
     forward_V = ca.fmax(volts_V - dead_zone_V, 0.0)
     backward_V = ca.fmax(-volts_V - dead_zone_V, 0.0)
@@ -44,7 +44,7 @@ def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: c
 
 
 def friction_torque_Nm(rates_rad_s: ca.SX, parameter: Mapping[str, ca.SX]) -> ca.SX:
-    """Viscous friction of the three bearings, R = -f rate (12), (17), (21), shape (3, 1).
+    """Return the viscous friction of the three bearings, R = -f rate, shape (3, 1): equations 12, 17, 21.
 
     `rates_rad_s` holds the rates of elevation, pitch and travel, shape (3, 1). The coefficients in
     `parameter` are friction_elevation, friction_pitch and friction_travel in N m s/rad.
@@ -56,49 +56,56 @@ def friction_torque_Nm(rates_rad_s: ca.SX, parameter: Mapping[str, ca.SX]) -> ca
 
 
 def rotor_climb_m_s(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -> ca.SX:
-    """Speed of the front and the back rotor along its thrust axis, shape (2, 1), positive when it climbs.
+    """Return the speed of the front and the back rotor along the thrust axis, shape (2, 1).
 
-    It depends on the angles and rates in `state`, and on L_a, L_h and L_theta in m in `parameter`. It follows
-    from virtual work: thrust times climb is the power that the thrust gives to the axes.
+    The speed is positive if the rotor climbs. It depends on the angles and rates in `state`, and on L_a, L_h
+    and L_theta in `parameter` [m]. It follows from virtual work: thrust times climb is the power that the
+    thrust gives to the axes.
     """
     c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
     c_pitch, s_pitch = ca.cos(state["pitch_rad"]), ca.sin(state["pitch_rad"])
     travel = state["travel_rate_rad_s"]
-    both = (
+    mean_m_s = (
         parameter["L_a"] * c_pitch * state["elevation_rate_rad_s"]
         + (parameter["L_a"] * c + parameter["L_theta"] * s) * s_pitch * travel
     )
-    apart = parameter["L_h"] * (state["pitch_rate_rad_s"] - s * travel)
-    return ca.vertcat(both + apart, both - apart)
+    difference_m_s = parameter["L_h"] * (state["pitch_rate_rad_s"] - s * travel)
+    return ca.vertcat(mean_m_s + difference_m_s, mean_m_s - difference_m_s)
 
 
 def rotor_height_m(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -> ca.SX:
-    """Height of the centres of the front and the back rotor above the elevation axis, shape (2, 1), from the
-    angles in `state` and L_a, L_h and L_theta [m] in `parameter`.
+    """Return the height of the front and the back rotor above the elevation axis, shape (2, 1).
+
+    It depends on the angles in `state`, and on L_a, L_h and L_theta in `parameter` [m].
     """
     c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
-    middle = parameter["L_a"] * s - parameter["L_theta"] * c
-    beside = parameter["L_h"] * ca.sin(state["pitch_rad"]) * c
-    return ca.vertcat(middle + beside, middle - beside)
+    mean_m = parameter["L_a"] * s - parameter["L_theta"] * c
+    difference_m = parameter["L_h"] * ca.sin(state["pitch_rad"]) * c
+    return ca.vertcat(mean_m + difference_m, mean_m - difference_m)
 
 
 def upright_torque_Nm(state: Mapping[str, ca.SX], torque_Nm: ca.SX) -> ca.SX:
-    """Torque about the three axes, shape (3, 1), of a torque `torque_Nm` [N m] about the upright of the short
-    arm, from the angles in `state`.
+    """Convert a torque about the thrust direction of the short arm to torques about the axes, shape (3, 1).
+
+    Parameters
+    ----------
+    state : Mapping[str, casadi.SX]
+        Angles of the rig.
+    torque_Nm : casadi.SX
+        Torque about the thrust direction, such as the reaction torque of the rotors.
     """
     pitch, elevation = state["pitch_rad"], state["elevation_rad"]
     return torque_Nm * ca.vertcat(-ca.sin(pitch), 0, ca.cos(pitch) * ca.cos(elevation))
 
 
 def smooth_step(time_s: ca.SX, moment_s: ca.SX) -> ca.SX:
-    """Unit step at `moment_s` [s] as a function of the time `time_s` [s], smoothed over about 20 ms so that
-    it has a derivative by the moment.
+    """Return 0 before and 1 after `moment_s` as a function of `time_s` [s], smoothed over about 20 ms.
+
+    The smoothing gives the step a derivative by the moment, which a fit needs.
     """
-    return 0.5 * (1 + ca.tanh((time_s - moment_s) / _ABRUPT_s))
+    return 0.5 * (1 + ca.tanh((time_s - moment_s) / _STEP_WIDTH_s))
 
 
 def on_axis(axis: str, value: ca.SX) -> ca.SX:
-    """Vector of shape (3, 1) with a scalar `value` at the place of an `axis`, elevation, pitch or travel, and
-    0 otherwise.
-    """
+    """Return a vector over the axes, shape (3, 1), with `value` for one `axis` and 0 for the others."""
     return ca.vertcat(*(value if axis == name else ca.SX(0) for name in AXES))

@@ -56,6 +56,7 @@ def compare_rigs(left: Rig, right: Rig) -> list[Difference]:
 
 
 def _numbers(rig: Rig) -> Iterator[tuple[str, Number]]:
+    """Yield all numbers of a rig with their names, including those of its effects."""
     yield from rig.items()
     for effect, numbers in rig.effects.items():
         for name, number in numbers.items():

@@ -134,7 +134,7 @@ def numbers_from_table(text: str, where: str) -> dict[str, Number]:
     Raises
     ------
     RigError
-        When a row names no number of a rig, one twice, or holds none.
+        A name is unknown or occurs twice, or a value is not a number.
     """
     rows = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
     heads = [head.strip() for head in rows.fieldnames or ()]
@@ -171,6 +171,7 @@ def numbers_from_words(words: Iterable[str]) -> dict[str, Number]:
 
 
 def _quantity(name: str) -> Quantity:
+    """Return a quantity of rigs by its name."""
     for quantity in (*RIG_QUANTITIES, COMMON_COUNTS):
         if quantity.name == name:
             return quantity
@@ -193,19 +194,19 @@ def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, so
         raise RigError(f"{quantity.name} is in {unit}", f"give it in {' or '.join(units)}")
     try:
         size = factor * float(value)
-        half = _usual(quantity, size) if tolerance is None else factor * float(tolerance)
+        half_width = factor * float(tolerance) if tolerance is not None else _common_tolerance(quantity, size)
     except ValueError:
         raise RigError(
             f"{quantity.name}: '{value}' is not a number", "write it with a decimal point"
         ) from None
-    number = Number(
-        size, quantity.unit, half, source if tolerance is not None else f"{source}; {_why(quantity)}"
-    )
+    origin = source if tolerance is not None else f"{source}; {_tolerance_reason(quantity)}"
+    number = Number(size, quantity.unit, half_width, origin)
     check_size("stated", quantity.name, number.value, number.tolerance, number.unit)
     return number
 
 
-def _usual(quantity: Quantity, value: float) -> float:
+def _common_tolerance(quantity: Quantity, value: float) -> float:
+    """Return the tolerance that a value measured with common tools has."""
     if quantity.unit == "count" or quantity.name in ENCODER_DIRECTIONS:
         return 0.0
     if quantity.unit == "m":
@@ -213,7 +214,8 @@ def _usual(quantity: Quantity, value: float) -> float:
     return abs(value) * (_SCALE_SHARE if quantity.unit == "kg" else _OTHER_SHARE)
 
 
-def _why(quantity: Quantity) -> str:
+def _tolerance_reason(quantity: Quantity) -> str:
+    """Return the reason for the tolerance of `_common_tolerance`."""
     if quantity.name in ENCODER_DIRECTIONS:
         return "exact"
     assumed = {"m": "a ruler's tolerance", "kg": "a kitchen scale's tolerance", "count": "exact"}

@@ -285,7 +285,7 @@ def _number(path: Path, name: str, entry: object) -> Number:
         if not isinstance(entry[key], str) or not entry[key]:
             raise RigError(f"{where}: {key} must be a text, not {entry[key]!r}", "put it in quotes")
     number = Number(float(entry["value"]), entry["unit"], float(entry["tolerance"]), entry["source"])
-    # What is not finite is named by whoever knows what it may be.
+    # Numbers that are not finite are reported later, by functions that know the allowed range.
     if math.isfinite(number.value) and math.isfinite(number.tolerance):
         check_size(f"rig file {path}", name, number.value, number.tolerance, number.unit)
     return number

@@ -1,5 +1,6 @@
-"""How much simulated time may pass. Callers pass in the present time; nothing in this module reads a
-clock.
+"""Clocks decide how much simulated time may pass: in real time, or as fast as the host keeps up.
+
+Callers pass in the present time, so that a test can run without waiting.
 """
 
 from __future__ import annotations
@@ -11,20 +12,20 @@ from typing_extensions import override
 # A tick is one control step of the board, 1 ms of simulated time. A slice is the ticks that are simulated in
 # one call.
 _SLICE_WALL_s: Final = 0.004
-"""Host time between two slices [s]. A wake-up costs about 60 us of processor time whatever it simulates; 4 ms
-is also the rhythm in which the bridge of a real Due hands over its bytes."""
+"""Host time between two slices [s]. Each wake-up costs about 60 us of processor time. The bridge of a real
+Due also delivers its bytes about every 4 ms."""
 _MIN_SLICE_TICKS: Final = 4
 _MAX_SLICE_TICKS: Final = 20
 _MAX_BEHIND_s: Final = 0.5
-"""Host time [s]. A machine that slept or was overloaded for longer than this continues from the present tick
-instead of catching up."""
+"""Largest delay that is caught up, in host time [s]. After a longer sleep or overload of the machine,
+simulated time continues from the present tick."""
 
 
 class Clock(Protocol):
     """Decides how many ticks of 1 ms to simulate now. Host times are those of any monotonic clock."""
 
     follows_host: bool
-    """Whether bytes from the host let time go on, so that waiting for them is worth while."""
+    """Whether bytes from the host allow more simulated time, so that the server should wait for them."""
 
     def ticks_due(self, now_s: float, tick: int) -> int:
         """Return the number of ticks to simulate now; 0 if it is too early.
@@ -50,9 +51,7 @@ class Clock(Protocol):
 
 
 class TimedClock(Clock):
-    """Real time, or `speed` times as fast, on an absolute schedule: a late slice does not delay the
-    next one.
-    """
+    """Real time, or `speed` times as fast. A late slice does not delay the next one."""
 
     follows_host = False
 
@@ -67,7 +66,7 @@ class TimedClock(Clock):
 
     @override
     def ticks_due(self, now_s: float, tick: int) -> int:
-        start_s, start_tick = self._anchor(now_s, tick)
+        start_s, start_tick = self._schedule_start(now_s, tick)
         behind_ticks = (now_s - start_s) * self._ticks_per_s - (tick - start_tick)
         if behind_ticks > _MAX_BEHIND_s * self._ticks_per_s + self._slice_ticks:
             self.slipped_s += behind_ticks / self._ticks_per_s
@@ -76,14 +75,14 @@ class TimedClock(Clock):
 
     @override
     def wait_s(self, now_s: float, tick: int) -> float:
-        start_s, start_tick = self._anchor(now_s, tick)
+        start_s, start_tick = self._schedule_start(now_s, tick)
         return max(0.0, start_s + (tick - start_tick + self._slice_ticks) / self._ticks_per_s - now_s)
 
     @override
     def heard(self, now_s: float, tick: int) -> None:
         pass
 
-    def _anchor(self, now_s: float, tick: int) -> tuple[float, int]:
+    def _schedule_start(self, now_s: float, tick: int) -> tuple[float, int]:
         """Return host time and tick at which the schedule started: those of the first call."""
         if self._start is None:
             self._start = (now_s, tick)
@@ -91,23 +90,23 @@ class TimedClock(Clock):
 
 
 class LockstepClock(Clock):
-    """As fast as the host keeps up.
+    """As fast as the host keeps up, but not slower than real time.
 
-    Simulated time runs at most `window_ms` ahead of the last byte that came from the host, so a host that
-    streams setpoints by the board's clock is never overrun. It never runs slower than real time either: a
-    host that is silent, slow or dead sees what it would see with hardware, and the failsafe acts.
+    Simulated time runs at most `window_ms` ahead of the last byte from the host, so that a host that streams
+    setpoints by the board's clock is not overrun. If the host is silent or slow, time passes as on hardware,
+    and the failsafe acts.
 
     Parameters
     ----------
     window_ms : int
-        How far ahead, ms. Two periods of a 50 Hz stream, so that host and board can work at the same time.
+        Largest lead, ms. Two periods of a 50 Hz stream, so that host and board can work at the same time.
     """
 
     follows_host = True
 
     def __init__(self, window_ms: int = 40) -> None:
         self._window_ticks = window_ms
-        self._heard: tuple[float, int] | None = None
+        self._last_heard: tuple[float, int] | None = None
 
     @override
     def ticks_due(self, now_s: float, tick: int) -> int:
@@ -120,13 +119,13 @@ class LockstepClock(Clock):
 
     @override
     def heard(self, now_s: float, tick: int) -> None:
-        self._heard = (now_s, tick)
+        self._last_heard = (now_s, tick)
 
     def _allowed_tick(self, now_s: float, tick: int) -> float:
         """Return the tick up to which time may run: the window after the last byte, and real time since."""
-        if self._heard is None:
-            self._heard = (now_s, tick)
-        heard_s, heard_tick = self._heard
+        if self._last_heard is None:
+            self._last_heard = (now_s, tick)
+        heard_s, heard_tick = self._last_heard
         return heard_tick + self._window_ticks + 1e3 * (now_s - heard_s)
 
 

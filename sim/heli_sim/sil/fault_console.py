@@ -116,6 +116,7 @@ class FaultConsole:
         return text
 
     def _hand(self, axis: str, angle_rad: float) -> None:
+        """Hold an axis at an angle, as a person's hand would."""
         native = self._world.native
         hand_rad = list(native.hand_rad)
         hand_rad[AXES.index(axis)] = angle_rad
@@ -152,6 +153,7 @@ class FaultConsole:
 
 
 def _is_angle(text: str) -> bool:
+    """Whether a text is an angle within the range of the axes."""
     try:
         return abs(float(text)) <= _MAX_ANGLE_deg
     except ValueError:

@@ -1,5 +1,6 @@
-"""Random faults of the link. The same seed damages the same bytes, whatever the sizes of the pieces in which
-they arrive.
+"""Random faults of the link: flipped bits, lost and doubled bytes, stalls, and an unplugged cable.
+
+With the same seed, the same bytes are damaged, independent of how the stream is cut into pieces.
 """
 
 from __future__ import annotations
@@ -26,9 +27,11 @@ class FaultPlan:
     double : float
         Probability that a byte arrives twice.
     stalls : tuple of Span
-        The host neither reads nor writes: bytes towards it overflow the bridge, bytes from it wait.
+        Times in which the host neither reads nor writes: bytes towards it overflow the bridge, bytes from it
+        wait.
     unplugs : tuple of Span
-        The cable is out: the port is gone, bytes under way are lost; the board keeps its power.
+        Times in which the cable is unplugged: the port is gone, and bytes in transit are lost; the board
+        keeps its power.
 
     Raises
     ------
@@ -49,8 +52,9 @@ class FaultPlan:
                 raise OptionError(f"{name}={value} is not a probability", "give a number from 0 to 1")
 
     def next_edge(self, tick: int) -> int:
-        """First tick after `tick` at which a stall or an unplugging begins or ends; a very large number if
-        there is none.
+        """Return the first tick after `tick` at which a stall or an unplugging begins or ends.
+
+        Without a further one, the result is `NEVER`.
         """
         return next_edge(self._edges, tick)
 
@@ -90,25 +94,33 @@ class FaultCounters:
 
 
 class FaultyStream:
-    """One direction of a link with random faults: `direction` is 0 to the board, 1 to the host. Each
-    direction draws other faults from the `seed`.
+    """One direction of a link with random faults.
+
+    Parameters
+    ----------
+    plan : FaultPlan
+        Probabilities of the faults.
+    seed : int
+        Seed of the faults.
+    direction : int
+        0 to the board, 1 to the host; each draws different faults from the same seed.
     """
 
     def __init__(self, plan: FaultPlan, seed: int, direction: int) -> None:
         self.counters = FaultCounters()
-        self._flip = _Gaps(plan.flip, seed, direction, 0)
-        self._drop = _Gaps(plan.drop, seed, direction, 1)
-        self._double = _Gaps(plan.double, seed, direction, 2)
-        self._clean = plan.flip == plan.drop == plan.double == 0.0
+        self._flip = _RareEvents(plan.flip, seed, direction, 0)
+        self._drop = _RareEvents(plan.drop, seed, direction, 1)
+        self._double = _RareEvents(plan.double, seed, direction, 2)
+        self._has_no_faults = plan.flip == plan.drop == plan.double == 0.0
 
     def pass_through(self, data: bytes) -> bytes:
         """Return the bytes of `data` after the faults that are due."""
         self.counters.bytes_seen += len(data)
-        if self._clean or not data:
+        if self._has_no_faults or not data:
             return data
-        flips = self._flip.within(8 * len(data))
-        drops = self._drop.within(len(data))
-        doubles = self._double.within(len(data))
+        flips = self._flip.next_positions(8 * len(data))
+        drops = self._drop.next_positions(len(data))
+        doubles = self._double.next_positions(len(data))
         if not (flips or drops or doubles):
             return data
         pieces = [bytearray([byte]) for byte in data]
@@ -124,24 +136,28 @@ class FaultyStream:
         return b"".join(pieces)
 
 
-class _Gaps:
-    """Positions of rare events in a long sequence of trials, drawn gap by gap."""
+class _RareEvents:
+    """Draws the positions of rare events in a long sequence of trials.
+
+    It draws the gaps between events, which takes less time than a draw for each trial.
+    """
 
     def __init__(self, probability: float, *seed: int) -> None:
         self._probability = probability
         self._random = np.random.default_rng(seed)
-        self._next = self._gap()
+        self._next = self._draw_gap()
 
-    def _gap(self) -> int:
+    def _draw_gap(self) -> int:
+        """Draw the number of trials without an event before the next event."""
         if self._probability == 0.0:
             return NEVER
         return int(self._random.geometric(self._probability)) - 1
 
-    def within(self, trials: int) -> list[int]:
-        """Positions of the events among the next `trials` trials."""
-        hits = []
+    def next_positions(self, trials: int) -> list[int]:
+        """Return the positions of the events among the next `trials` trials, and go on after them."""
+        positions = []
         while self._next < trials:
-            hits.append(self._next)
-            self._next += 1 + self._gap()
+            positions.append(self._next)
+            self._next += 1 + self._draw_gap()
         self._next -= trials
-        return hits
+        return positions

@@ -81,7 +81,7 @@ class InProcessTransport:
         Raises
         ------
         LinkLost
-            When the transport is closed, or the plan of faults has the cable out.
+            When the transport is closed, or the cable is unplugged by a planned fault.
         """
         self._check()
         ticks = max(1, round(1e3 * timeout_s))
@@ -121,6 +121,7 @@ class InProcessTransport:
         return InProcessTransport(self.world, self.url, self.label, self.note, self.recipe)
 
     def _check(self) -> None:
+        """Raise LinkLost if the port is closed or the simulated cable is unplugged."""
         if self._closed:
             raise LinkLost("the simulated port is closed", "open it again")
         if self.world.unplugged:

@@ -11,9 +11,9 @@ from typing import Final
 from heli_sim.errors import OptionError
 
 NEVER: Final = 1 << 62
-"""A tick that does not come."""
+"""A tick that no simulation reaches."""
 LATEST_S: Final = 1e9
-"""Latest time that may be named, s: thirty years; what ends later has no end."""
+"""Latest permitted time, s: thirty years; an interval that ends later counts as endless."""
 _TICKS_PER_S: Final = 1000
 
 
@@ -26,12 +26,12 @@ class Interval:
     start_s : float
         Beginning, seconds since the simulation started.
     duration_s : float
-        Length, s; infinite for one that lasts.
+        Length, s; infinite by default.
 
     Raises
     ------
     OptionError
-        When it begins before the simulation or after all, or takes less than a millisecond.
+        If it begins before the simulation or after `LATEST_S`, or lasts less than a millisecond.
     """
 
     start_s: float
@@ -52,7 +52,7 @@ class Interval:
         return OptionError(f"'{self.start_s}:{self.duration_s}' is not an interval of time", remedy)
 
     def edges(self) -> tuple[int, int]:
-        """First tick of the interval, and first tick after it, in ms since the simulation started."""
+        """Return the first tick of the interval, and the first tick after it."""
         end_s = self.start_s + self.duration_s
         end_tick = round(_TICKS_PER_S * end_s) if end_s <= LATEST_S else NEVER
         return round(_TICKS_PER_S * self.start_s), end_tick

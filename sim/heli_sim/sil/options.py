@@ -200,6 +200,7 @@ def _listed(values: dict[str, str], key: str) -> list[str]:
 
 
 def _number(key: str, text: str, *, whole: bool = False) -> float:
+    """Return the number of an option; an OptionError if the text is something else."""
     try:
         return int(text) if whole else float(text)
     except ValueError:
@@ -214,6 +215,7 @@ def _flag(key: str, text: str) -> bool:
 
 
 def _spans(key: str, text: str) -> tuple[Span, ...]:
+    """Read intervals such as ``5:1,20:3``: start and duration in s."""
     spans = []
     for part in filter(None, text.split(",")):
         start, _, duration = part.partition(":")

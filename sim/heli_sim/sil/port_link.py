@@ -113,6 +113,7 @@ class PortLink:
         return (words[0], words[1]) if len(words) == 2 else ("", "")
 
     def _refuse_a_file(self) -> None:
+        """Raise an EndpointError if the path is a file or folder, which must not be replaced."""
         if self.path.is_symlink() or not self.path.exists():
             return
         kind = "folder" if self.path.is_dir() else "file"

@@ -144,6 +144,7 @@ def _stream(stream: IO[str] | None) -> IO[str]:
 
 
 def _last_counters(output: str) -> dict[str, int]:
+    """Return the counters that the server printed last; empty if it printed none."""
     for line in reversed(output.splitlines()):
         values = json.loads(line)
         if "counters" in values:

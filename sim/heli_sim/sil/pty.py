@@ -16,7 +16,7 @@ from heli_sim.sil.endpoint import Endpoint, LineChange
 from heli_sim.sil.port_link import PortLink
 
 _CHUNK: Final = 65536
-# Places in what tcgetattr returns.
+# Indices into the list that tcgetattr returns.
 _CFLAG: Final = 2
 _OSPEED: Final = 5
 
@@ -24,10 +24,10 @@ _OSPEED: Final = 5
 class PtyEndpoint(Endpoint):
     """The board's side of a pseudo-terminal.
 
-    A host opens the link like a device file. When it closes the port, what it has not read is thrown away,
-    and the terminal stays for the next one. A pseudo-terminal has no DTR: opening counts as its rise, and
-    closing as its fall. If the host has cleared the hang-up flag (``stty -hupcl``), the line stays up and the
-    next opening is no edge, as with a serial port of Linux.
+    A host opens the link like a device file. When the host closes the port, its unread bytes are discarded,
+    and the terminal remains for the next host. A pseudo-terminal has no line DTR, so opening counts as its
+    rise and closing as its fall. If the host has cleared the hang-up flag (``stty -hupcl``), DTR stays high,
+    as with a serial port of Linux.
 
     Parameters
     ----------
@@ -37,13 +37,13 @@ class PtyEndpoint(Endpoint):
     Raises
     ------
     EndpointError
-        When another server holds the link's path, or the link cannot be made there: see `PortLink`.
+        If another server uses the path of the link, or the link cannot be created, see `PortLink`.
     """
 
     def __init__(self, link: str | Path | None = None) -> None:
         self._link = PortLink(Path(link)) if link is not None else None
-        self._master = -1
-        self._open = False
+        self._board_side = -1
+        self._is_open = False
         self._dtr = False
         self._changes: list[LineChange] = []
         self._unsent = b""
@@ -58,35 +58,35 @@ class PtyEndpoint(Endpoint):
     @property
     def ready(self) -> bool:
         """Whether a host has the port open and reads from it."""
-        return self._open and not self._unsent
+        return self._is_open and not self._unsent
 
     @override
     def receive(self) -> bytes:
-        if self._master < 0:
+        if self._board_side < 0:
             return b""
         try:
-            data = os.read(self._master, _CHUNK)
+            received = os.read(self._board_side, _CHUNK)
         except BlockingIOError:
-            data = b""
+            received = b""
         except OSError:
             # Linux answers EIO as long as no process has the other side open.
-            if self._open:
+            if self._is_open:
                 self._hang_up()
             return b""
-        if not self._open:
-            self._open = True
+        if not self._is_open:
+            self._is_open = True
             self._set_dtr(True)
-        return data
+        return received
 
     @override
     def send(self, data: bytes) -> None:
-        if not self._open:
+        if not self._is_open:
             return
         self._unsent += data
         if not self._unsent:
             return
         try:
-            self._unsent = self._unsent[os.write(self._master, self._unsent) :]
+            self._unsent = self._unsent[os.write(self._board_side, self._unsent) :]
         except BlockingIOError:
             pass
         except OSError:
@@ -99,41 +99,41 @@ class PtyEndpoint(Endpoint):
 
     @override
     def fileno(self) -> int:
-        # While no host has the port open the terminal would report its hang-up for ever.
-        return self._master if self._open else -1
+        # If no host has the port open, the terminal would report a hang-up all the time.
+        return self._board_side if self._is_open else -1
 
     @override
     def unplug(self) -> None:
-        if self._master < 0:
+        if self._board_side < 0:
             return
         if self._link is not None:
             self._link.remove()
-        os.close(self._master)
-        self._master = -1
-        self._open, self._dtr, self._unsent = False, False, b""
+        os.close(self._board_side)
+        self._board_side = -1
+        self._is_open, self._dtr, self._unsent = False, False, b""
 
     @override
     def plug(self) -> None:
-        if self._master >= 0:
+        if self._board_side >= 0:
             return
         try:
-            self._master, slave = os.openpty()
+            self._board_side, host_side = os.openpty()
         except OSError as error:
             raise EndpointError(
                 f"cannot create a pseudo-terminal: {error.strerror}",
                 "close programs that use pseudo-terminals",
             ) from None
-        self.terminal = os.ttyname(slave)
+        self.terminal = os.ttyname(host_side)
         """Name of the terminal itself, such as ``/dev/pts/3``."""
-        # Without this a host sees its own bytes, and the board's zeros and returns changed, until it sets the
-        # port up. The settings last as long as this side is open.
-        tty.setraw(slave)
-        # Serial ports start with this flag set, pseudo-terminals without.
-        settings = termios.tcgetattr(slave)
+        # In its default mode the terminal would echo a host's bytes and change some of the board's, until the
+        # host sets the port up. The settings last as long as this side is open.
+        tty.setraw(host_side)
+        # Serial ports start with this flag set, pseudo-terminals do not.
+        settings = termios.tcgetattr(host_side)
         settings[_CFLAG] |= termios.HUPCL
-        termios.tcsetattr(slave, termios.TCSANOW, settings)
-        os.close(slave)
-        os.set_blocking(self._master, False)
+        termios.tcsetattr(host_side, termios.TCSANOW, settings)
+        os.close(host_side)
+        os.set_blocking(self._board_side, False)
         self.url = self.terminal
         if self._link is not None:
             self._link.point_to(self.terminal)
@@ -146,24 +146,23 @@ class PtyEndpoint(Endpoint):
             self._link.release()
 
     def _hang_up(self) -> None:
-        """Process that the host has closed the port: drop what is not sent, and switch DTR off if the host
-        asked for it.
-        """
-        self._open, self._unsent = False, b""
-        if termios.tcgetattr(self._master)[_CFLAG] & termios.HUPCL:
+        """Discard unsent bytes after the host closed the port, and lower DTR unless the host forbade it."""
+        self._is_open, self._unsent = False, b""
+        if termios.tcgetattr(self._board_side)[_CFLAG] & termios.HUPCL:
             self._set_dtr(False)
-        # Linux keeps up to 4095 unread bytes for the next host; only the other side can drop them.
+        # Linux would keep up to 4095 unread bytes for the next host; only the host's side can discard them.
         with contextlib.suppress(OSError, termios.error):
-            slave = os.open(self.terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            host_side = os.open(self.terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
             try:
-                termios.tcflush(slave, termios.TCIOFLUSH)
+                termios.tcflush(host_side, termios.TCIOFLUSH)
             finally:
-                os.close(slave)
+                os.close(host_side)
 
     def _set_dtr(self, on: bool) -> None:
+        """Record a change of DTR together with the baud rate at that moment."""
         if on == self._dtr:
             return
         self._dtr = on
-        # Of the rates only the one that erases matters; the one of the link is in no table of constants.
-        erases = termios.tcgetattr(self._master)[_OSPEED] == termios.B1200
-        self._changes.append(LineChange(on, 1200 if erases else 0))
+        # Only the rate that erases the flash matters; termios has no constant for the rate of the link.
+        is_erasing_rate = termios.tcgetattr(self._board_side)[_OSPEED] == termios.B1200
+        self._changes.append(LineChange(on, 1200 if is_erasing_rate else 0))

@@ -1,4 +1,4 @@
-"""All that is needed to repeat a simulated flight, as text for the log."""
+"""The settings and file digests that a log needs so that its simulated flight can be repeated."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ _EXACT_DIGITS = 17
 
 
 def recipe_of(url: str, options: SilOptions, rig: Rig, choice: Choice) -> dict[str, str]:
-    """Return what a repetition needs: the address of the simulation, the whole rig, and digests of the files
-    that it executes.
+    """Return the address of the simulation, the whole rig, and digests of the files that it executes.
 
-    The host's `heli_host.cli.again` reads it from a log. Code is not in it: a log from another person must
-    not bring code that runs.
+    `heli_host.cli.again` reads this recipe from a log and repeats the flight. The recipe contains no code,
+    because a log from another person must not execute code.
 
     Parameters
     ----------
@@ -29,7 +28,7 @@ def recipe_of(url: str, options: SilOptions, rig: Rig, choice: Choice) -> dict[s
     options : SilOptions
         Options of that address.
     choice : Choice
-        The board that flies.
+        The selected board.
     """
     return {
         "address": url,

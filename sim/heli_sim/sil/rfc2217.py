@@ -1,7 +1,7 @@
 """A TCP port that also carries control lines and baud rate, for pyserial's ``rfc2217://HOST:PORT``.
 
-The protocol is pyserial's own `serial.rfc2217.PortManager`; here is what it needs of a serial port and of a
-connection. DTR is low until the host raises it, and falls when the host goes.
+pyserial's `serial.rfc2217.PortManager` implements the protocol; this module gives it a serial port and a
+connection. DTR is low until the host raises it, and falls when the host disconnects.
 """
 
 from __future__ import annotations
@@ -19,14 +19,18 @@ from heli_sim.sil.tcp import TcpEndpoint
 
 
 class Lines:
-    """The serial port that pyserial's server controls: settings for the 16U2, and control lines. Each change
-    of DTR is appended to `changes`.
+    """The serial port that pyserial's server controls: its settings and control lines.
+
+    Parameters
+    ----------
+    changes : list of LineChange
+        Each change of DTR is appended to it.
     """
 
     def __init__(self, changes: list[LineChange]) -> None:
         self._changes = changes
         self._dtr = False
-        # The rest is what the protocol asks about. The rate is the one that the 16U2 starts with.
+        # The protocol reads the following attributes. The rate is the default of the 16U2, the USB chip.
         self.baudrate = 9600
         self.bytesize = serial.EIGHTBITS
         self.parity = serial.PARITY_NONE
@@ -37,7 +41,7 @@ class Lines:
 
     @property
     def dtr(self) -> bool:
-        """The line DTR. Setting it to its present value is no change."""
+        """The line DTR; only a new value counts as a change."""
         return self._dtr
 
     @dtr.setter
@@ -105,7 +109,7 @@ class Rfc2217Endpoint(TcpEndpoint):
     @override
     def _rise(self) -> None:
         self._lines = Lines(self._changes)
-        # The stubs ask for a whole serial port, the code for what is in Lines.
+        # The type stubs require a complete serial port; the code uses only the attributes of Lines.
         self._manager = rfc2217.PortManager(cast(Any, self._lines), cast(Any, self))
 
     @override

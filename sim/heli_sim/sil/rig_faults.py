@@ -28,14 +28,14 @@ class RigFaults:
     Parameters
     ----------
     encoders_out : tuple of (str, Interval)
-        Axes whose encoder is unplugged: nothing counts, and motion in this time is lost.
+        Axes whose encoder is unplugged, and when: motion in this time is not counted.
     stop_switch : tuple of Interval
-        The hardware stop input is active.
+        Times in which the hardware stop input is active.
     supply_out : tuple of Interval
-        The motors have no supply: the board drives, and nothing turns.
+        Times in which the motors have no supply, although the board commands a voltage.
     encoder_scales : tuple of float
-        Counts of each encoder per count that the rig's file states, from the start on: 0.5 is an encoder
-        with half the counts, -1 one that is wired backwards. Nothing reports them to the board.
+        Counts of each encoder per count in the rig file: 0.5 for an encoder with half the counts, -1 for one
+        that is wired backwards. The board does not know them.
     motor_signs : tuple of int
         -1 for a motor, front or back, whose leads are exchanged.
     motors_swapped : bool
@@ -44,7 +44,7 @@ class RigFaults:
     Raises
     ------
     OptionError
-        When there is no such axis, or a scale is 0 or not finite.
+        If an axis is unknown, or a scale is 0 or not finite.
     """
 
     encoders_out: tuple[tuple[str, Interval], ...] = ()
@@ -70,15 +70,16 @@ class RigFaults:
 
     @property
     def uncompared_signs(self) -> dict[str, float]:
-        """Return 0 as the sign of each motor with wrong wires, so that no sign of the board contradicts the
-        rig.
+        """Return 0 as the sign of each motor with wrong wires.
+
+        Sign 0 means "unknown": the host then does not compare the sign in the board with the rig.
         """
         wrong = (self.motors_swapped or sign < 0 for sign in self.motor_signs)
         names = ("motor_front_sign", "motor_back_sign")
         return {name: 0.0 for name, is_wrong in zip(names, wrong, strict=True) if is_wrong}
 
     def next_edge(self, tick: int) -> int:
-        """First tick after `tick` at which a fault begins or ends.
+        """Return the first tick after a given one at which a fault begins or ends.
 
         Parameters
         ----------
@@ -88,7 +89,7 @@ class RigFaults:
         Returns
         -------
         int
-            That tick; far away when there is none.
+            The tick, or `NEVER` if no fault follows.
         """
         return next_edge(self._edges, tick)
 
@@ -98,16 +99,16 @@ class RigFaults:
         return edges_of((*encoders_out, *self.stop_switch, *self.supply_out))
 
     def apply(self, tick: int, native: _native.World, board: _SimBoard) -> None:
-        """Set the rig's faults to those of a tick.
+        """Apply the faults that are active at a tick to the simulated rig.
 
         Parameters
         ----------
         tick : int
             Present tick.
         native : _native.World
-            The world whose encoders and supply are meant.
+            The world that contains encoders and supply.
         board : SimBoard
-            Where the stop switch is wired to.
+            The board to which the stop switch is wired.
         """
         if self.encoders_out:
             native.encoders_out = [

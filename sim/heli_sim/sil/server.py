@@ -1,7 +1,7 @@
 """A simulated board behind a pseudo-terminal, a TCP port or an RFC 2217 port.
 
-``python -m heli_sim.sil.server --pty PATH --options 'rig=makki2024&seed=1&speed=1'`` serves until a signal
-stops it, or, with ``--watch-stdin``, the end of its standard input.
+``python -m heli_sim.sil.server --pty PATH --options 'rig=makki2024&seed=1&speed=1'`` serves a board until it
+receives a signal, or, with ``--watch-stdin``, until its standard input ends.
 """
 
 from __future__ import annotations
@@ -34,8 +34,18 @@ from heli_sim.sil.world import SilWorld
 
 
 class SilServer:
-    """Moves bytes between a port and a simulated world, and advances the world by its `clock` and the
-    machine's monotonic time `now_s`.
+    """Moves bytes between a port and a simulated world, and advances the world by its clock.
+
+    Parameters
+    ----------
+    endpoint : Endpoint
+        Port that the host opens.
+    world : SilWorld
+        Simulated board and rig.
+    clock : Clock
+        Decides how much simulated time may pass.
+    now_s : callable
+        Monotonic time of the machine.
     """
 
     def __init__(
@@ -49,14 +59,15 @@ class SilServer:
         self._world = world
         self._clock = clock
         self._now_s = now_s
-        resets = world.options.reset_on_open
-        self._resets = resets if resets is not None else world.options.board == DUE
+        reset_on_open = world.options.reset_on_open
+        self._reset_on_open = reset_on_open if reset_on_open is not None else world.options.board == DUE
         self._plugged = True
         self._received = b""
 
     def turn(self) -> float:
-        """Move the available bytes and simulate the time that is due, without waiting. Return the seconds
-        until the next call is needed; 0 means immediately.
+        """Move the available bytes and simulate the time that is due, without waiting.
+
+        Returns the seconds until the next call is needed; 0 means immediately.
         """
         endpoint, world, now_s = self._endpoint, self._world, self._now_s()
         self._follow_cable()
@@ -65,7 +76,7 @@ class SilServer:
             self._received += received
             self._clock.heard(now_s, world.tick)
         for change in endpoint.take_lines():
-            if self._resets:
+            if self._reset_on_open:
                 world.control_lines(dtr=change.dtr, baud=change.baud)
         ticks = self._clock.ticks_due(now_s, world.tick)
         if ticks == 0:
@@ -84,7 +95,7 @@ class SilServer:
         return [fd] if self._clock.follows_host and fd >= 0 else []
 
     def _follow_cable(self) -> None:
-        """Plug or unplug the port as the simulated cable is."""
+        """Plug or unplug the port when the simulated cable is plugged or unplugged."""
         if self._world.unplugged == self._plugged:
             self._plugged = not self._plugged
             if self._plugged:
@@ -106,7 +117,7 @@ def serve(
     Parameters
     ----------
     clock : Clock
-        How fast simulated time may pass.
+        Decides how much simulated time may pass.
     stop_fd : int or None
         File descriptor; serving ends as soon as something can be read from it, or it is at its end.
     console : FaultConsole or None
@@ -116,9 +127,9 @@ def serve(
     stops = [] if stop_fd is None else [stop_fd]
     while True:
         wait_s = server.turn()
-        # Looking for the stop costs little beside a turn, so it is done even when there is no time to wait.
-        words = console.watched() if console is not None else []
-        ready, _, _ = select.select(stops + server.watched() + words, [], [], wait_s)
+        # Checking for a stop costs little compared with a turn, so it is done even with a wait of 0 s.
+        console_fds = console.watched() if console is not None else []
+        ready, _, _ = select.select(stops + server.watched() + console_fds, [], [], wait_s)
         if stop_fd in ready:
             return
         if console is not None:
@@ -150,9 +161,9 @@ def run_server(
     stop_fd : int or None
         File descriptor; serving ends as soon as something can be read from it, or it is at its end.
     words_fd : int or None
-        File descriptor of a terminal or pipe at which a person says what goes wrong on the rig.
+        File descriptor of a terminal or pipe at which a person types faults of the rig.
     answer : callable
-        Called with a line for each of those.
+        Called with a line of text after each such command.
     on_ready : callable
         Called with the port's address when a host can open it.
 
@@ -186,8 +197,8 @@ def run_server(
 
 
 def _pseudo_terminal(path: str | Path | None) -> Endpoint:
-    """Open a pseudo-terminal with a link `path` to it; an error where the system has none."""
-    # Windows has none, and so no module termios either.
+    """Open a pseudo-terminal with a link `path` to it; raise EndpointError if the system has none."""
+    # Windows has no pseudo-terminals and no module termios.
     try:
         from heli_sim.sil.pty import PtyEndpoint
     except ImportError:
@@ -198,9 +209,9 @@ def _pseudo_terminal(path: str | Path | None) -> Endpoint:
 
 
 def end_of_input() -> int:
-    """File descriptor that becomes readable when standard input ends.
+    """Return a file descriptor that becomes readable when standard input ends.
 
-    Windows waits for sockets only: there a thread reads, and closes one end of a pair of them.
+    Windows can wait for sockets only. There, a thread reads the input and then closes one of two sockets.
     """
     if os.name == "posix":
         return sys.stdin.fileno()
@@ -222,7 +233,7 @@ def is_local(url: str) -> bool:
     Parameters
     ----------
     url : str
-        As an endpoint gives it.
+        Address of the port, from `Endpoint.url`.
     """
     host = urlsplit(url).hostname
     if host is None or host == "localhost":
@@ -234,6 +245,7 @@ def is_local(url: str) -> bool:
 
 
 def _address(text: str) -> tuple[str, int]:
+    """Split ``HOST:PORT``; without a host, the address is that of this machine."""
     host, _, port = text.rpartition(":")
     if not port.isdigit():
         raise OptionError(f"'{text}' is not an address", "write HOST:PORT")
@@ -241,7 +253,8 @@ def _address(text: str) -> tuple[str, int]:
 
 
 def _say(**values: Any) -> None:
-    # Whoever started this process may be gone.
+    """Print `values` as one line of JSON for the process that started this one."""
+    # That process may have ended.
     with contextlib.suppress(BrokenPipeError):
         sys.stdout.write(json.dumps(values) + "\n")
         sys.stdout.flush()
@@ -264,15 +277,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rfc2217", help="the same, with the control lines")
     parser.add_argument("--options", default="", help="rig=makki2024&seed=1&speed=max&...")
     parser.add_argument("--watch-stdin", action="store_true", help="stop when standard input ends")
-    given = parser.parse_args(arguments)
+    parsed = parser.parse_args(arguments)
     try:
-        options = parse_options(dict(parse_qsl(given.options, keep_blank_values=True)))
+        options = parse_options(dict(parse_qsl(parsed.options, keep_blank_values=True)))
         counters = run_server(
             options,
-            pty=given.pty,
-            tcp=given.tcp,
-            rfc2217=given.rfc2217,
-            stop_fd=end_of_input() if given.watch_stdin else None,
+            pty=parsed.pty,
+            tcp=parsed.tcp,
+            rfc2217=parsed.rfc2217,
+            stop_fd=end_of_input() if parsed.watch_stdin else None,
             on_ready=lambda url: _say(url=url),
         )
     except KeyboardInterrupt:

@@ -15,22 +15,22 @@ from heli_sim.errors import EndpointError
 from heli_sim.sil.endpoint import Endpoint, LineChange
 
 _CHUNK: Final = 65536
-# A host that does not read must see the bridge overflow in the end, as with a serial driver, and not only
-# after the megabytes that a system may buffer.
 _SEND_BUFFER: Final = 16384
+"""Size of the send buffer in bytes. For a host that does not read, the bridge must soon overflow, as with a
+serial driver; the default buffer of a system may hold megabytes."""
 
 
 SILENT_S: Final = 3.0
-"""A host that has sent nothing for so long gives way to one that waits; a session sends every 0.2 s."""
+"""A host that sends nothing for this time is replaced by a waiting one; a session sends every 0.2 s."""
 PATIENCE_S: Final = 1.0
-"""How long the next host waits before it is informed who holds the board."""
+"""Time after which a waiting host receives the line that names the connected host."""
 
 
 class TcpEndpoint(Endpoint):
     """The board's side of a TCP connection. One host is connected at a time. The next host waits, and
     receives a line that names the connected host.
 
-    A connection carries no DTR: its beginning stands for a rise of the line, its end for a fall.
+    A connection does not transfer DTR. Its beginning counts as a rise of the line, and its end as a fall.
 
     Parameters
     ----------
@@ -55,11 +55,11 @@ class TcpEndpoint(Endpoint):
     ) -> None:
         self._address = (host, port)
         self._now_s = now_s
-        self._holder = ""
-        self._heard_s = 0.0
-        self._next: socket.socket | None = None
-        self._next_since_s = 0.0
-        self._next_told = False
+        self._connected_name = ""
+        self._last_received_s = 0.0
+        self._waiting: socket.socket | None = None
+        self._waiting_since_s = 0.0
+        self._is_informed = False
         self._listener: socket.socket | None = None
         self._peer: socket.socket | None = None
         self._changes: list[LineChange] = []
@@ -75,20 +75,20 @@ class TcpEndpoint(Endpoint):
 
     @override
     def receive(self) -> bytes:
-        self._attend_to_next()
+        self._serve_waiting_host()
         if self._peer is None:
             return b""
         try:
-            data = self._peer.recv(_CHUNK)
+            received = self._peer.recv(_CHUNK)
         except BlockingIOError:
             return b""
         except OSError:
-            data = b""
-        if data:
-            self._heard_s = self._now_s()
+            received = b""
+        if received:
+            self._last_received_s = self._now_s()
         else:
             self._hang_up()
-        return data
+        return received
 
     @override
     def send(self, data: bytes) -> None:
@@ -111,15 +111,15 @@ class TcpEndpoint(Endpoint):
 
     @override
     def fileno(self) -> int:
-        watched = self._peer or self._listener
-        return watched.fileno() if watched is not None else -1
+        socket_to_watch = self._peer or self._listener
+        return socket_to_watch.fileno() if socket_to_watch is not None else -1
 
     @override
     def unplug(self) -> None:
         self._hang_up()
-        if self._next is not None:
-            self._next.close()
-            self._next = None
+        if self._waiting is not None:
+            self._waiting.close()
+            self._waiting = None
         if self._listener is not None:
             self._listener.close()
             self._listener = None
@@ -144,27 +144,25 @@ class TcpEndpoint(Endpoint):
     def close(self) -> None:
         self.unplug()
 
-    def _attend_to_next(self) -> None:
-        """Connect the waiting host if the board is free; otherwise send it the line that names the connected
-        host.
-        """
-        if self._next is None:
+    def _serve_waiting_host(self) -> None:
+        """Connect the waiting host if the board is free; otherwise send it the name of the connected host."""
+        if self._waiting is None:
             self._accept()
-        if self._next is None:
+        if self._waiting is None:
             return
         now_s = self._now_s()
-        if self._peer is not None and now_s - self._heard_s >= SILENT_S:
+        if self._peer is not None and now_s - self._last_received_s >= SILENT_S:
             self._hang_up()
         if self._peer is None:
-            self._peer, self._next = self._next, None
-            self._holder = _name(self._peer)
-            self._heard_s = now_s
+            self._peer, self._waiting = self._waiting, None
+            self._connected_name = _name(self._peer)
+            self._last_received_s = now_s
             self._rise()
-        elif now_s - self._next_since_s >= PATIENCE_S and not self._next_told:
-            self._next_told = True
-            # A zero ends what might be taken for the beginning of the board's first frame.
+        elif now_s - self._waiting_since_s >= PATIENCE_S and not self._is_informed:
+            self._is_informed = True
+            # Frames end with a zero, so this line does not become part of the board's first frame.
             with contextlib.suppress(OSError):
-                self._next.send(f"\r\nthis board is held by {self._holder}\r\n\0".encode())
+                self._waiting.send(f"\r\nthis board is held by {self._connected_name}\r\n\0".encode())
         else:
             self._drop_gone()
 
@@ -177,36 +175,40 @@ class TcpEndpoint(Endpoint):
             peer.setblocking(False)
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
-            self._next, self._next_since_s, self._next_told = peer, self._now_s(), False
+            self._waiting, self._waiting_since_s, self._is_informed = peer, self._now_s(), False
 
     def _drop_gone(self) -> None:
         """Remove a waiting host that has closed its connection, because another one may wait behind it."""
-        if self._next is None:
+        if self._waiting is None:
             return
         try:
-            gone = self._next.recv(1, socket.MSG_PEEK) == b""
+            gone = self._waiting.recv(1, socket.MSG_PEEK) == b""
         except BlockingIOError:
             return
         except OSError:
             gone = True
         if gone:
-            self._next.close()
-            self._next = None
+            self._waiting.close()
+            self._waiting = None
 
     def _hang_up(self) -> None:
+        """Disconnect the host, and discard bytes that were not sent."""
         peer, self._peer, self._unsent = self._peer, None, b""
         if peer is not None:
             peer.close()
             self._fall()
 
     def _rise(self) -> None:
+        """Record that DTR rises, because a host has connected."""
         self._changes.append(LineChange(True))
 
     def _fall(self) -> None:
+        """Record that DTR falls, because the host has disconnected."""
         self._changes.append(LineChange(False))
 
 
 def _name(peer: socket.socket) -> str:
+    """Return address and port of a connected host."""
     try:
         host, port = peer.getpeername()[:2]
     except OSError:

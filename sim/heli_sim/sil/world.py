@@ -22,14 +22,16 @@ from heli_sim.sil.flash_pages import saved
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.plant_factory import plant_of
 
-# Counters of the encoders stand anywhere at power-up.
 _OFFSET_COUNTS: Final = 50_000.0
+"""Bound of the random values that the encoder counters have at power-up."""
 ERASING_BAUD: Final = 1200
+"""Baud rate by which a host asks the USB chip of a Due to erase the flash."""
 
 
 def set_from_rig(options: SilOptions, rig: Rig) -> dict[str, float]:
-    """Return the parameters that a simulated board takes from its rig instead of the defaults. Return none if
-    `options` name an existing flash file: then its parameters are used.
+    """Return the parameters that a simulated board takes from its rig instead of its defaults.
+
+    The result is empty if `options` name an existing flash file, because the board then uses its parameters.
     """
     if options.flash_file and Path(options.flash_file).exists():
         return {}
@@ -44,19 +46,19 @@ class SilWorld:
     plant : Plant or None
         Plant to fly instead of the one that the options ask for.
     boot_seed : int or None
-        Seed of the boot ids. None takes the options' seed, so that a simulation repeats; who serves a board
-        to other processes gives a random one, as two power-ups of a real board have nothing in common.
+        Seed of the boot ids. By default, it is the seed of the options, so that a simulation repeats. A
+        server of boards gives a random one, because a real board has a new boot id at each power-up.
 
     Raises
     ------
     RigError
-        When the rig cannot be read, or its board cannot be set to its counts, rest angle or supply.
+        If the rig cannot be read, or if no parameters of the board suit its counts, rest angle or supply.
     EffectError
-        When an effect is unknown or has a value that it may not have.
+        If an effect is unknown or has an invalid value.
     PlantError
-        When the plant cannot be compiled.
+        If the plant cannot be compiled.
     DueError
-        When there is no firmware for the emulated Due, or only for another version of the link.
+        If the firmware for the emulated Due is missing, or has another version of the link.
     """
 
     def __init__(
@@ -64,14 +66,14 @@ class SilWorld:
     ) -> None:
         self.options = options = resolved(options)
         self.rig_faults = options.rig_faults
-        """What goes wrong on the rig; may be replaced while time stands, for what comes then."""
+        """Faults of the rig. Replace them between two calls of `advance` to change later faults."""
         self.plant = plant if plant is not None else plant_of(options)
         self.rig: Rig = self.plant.rig
         random = np.random.default_rng(options.seed)
         scales = np.array(options.rig_faults.encoder_scales)
         counts_per_rad = directions(self.rig) * scales / count_rad(self.rig)
         self.board = make_board(options, options.seed if boot_seed is None else boot_seed)
-        """The board; its ``sim`` is what the world drives."""
+        """The board; the world simulates its ``sim``."""
         self.rig_source = options.rig if plant is None else self.rig.name
         """Name or file of the rig."""
         self.rig_parameters: Mapping[str, float] = (
@@ -79,7 +81,7 @@ class SilWorld:
         )
         """Parameters of the board that the rig determines."""
         self.set_from_rig: Mapping[str, float] = set_from_rig(options, self.rig)
-        """Those that the board starts with instead of its defaults."""
+        """Parameters from the rig that the board starts with instead of its defaults."""
         if self.set_from_rig:
             self.board.fill_flash(saved(self.set_from_rig))
         self.native = _native.World(
@@ -98,8 +100,8 @@ class SilWorld:
         self.to_board = FaultyStream(options.faults, options.seed, 0)
         self.to_host = FaultyStream(options.faults, options.seed, 1)
         self.host_reading = True
-        """Whether the host takes bytes; while it does not, the bridge towards it overflows."""
-        self._held = b""
+        """Whether the host reads; otherwise, the bridge towards it overflows."""
+        self._undelivered = b""
         self._was_unplugged = False
 
     @property
@@ -114,7 +116,7 @@ class SilWorld:
 
     @property
     def unplugged(self) -> bool:
-        """Whether the plan of faults has the cable unplugged now."""
+        """Whether the cable is unplugged now, according to the plan of faults."""
         return self.options.faults.unplugged(self.native.tick)
 
     @property
@@ -140,15 +142,15 @@ class SilWorld:
         until_output : bool
             Return as soon as bytes reached the host.
         min_ticks : int
-            With `until_output`: number of ticks that are simulated in any case.
+            With `until_output`: number of ticks to simulate even if bytes arrive earlier.
 
         Raises
         ------
         BoardStopped
-            When the emulated Due met what the chip does not promise to take.
+            If the firmware uses the emulated Due in a way that the data sheet of the chip does not permit.
         """
         faults = self.options.faults
-        self._held += self.to_board.pass_through(rx)
+        self._undelivered += self.to_board.pass_through(rx)
         received = b""
         while ticks > 0 and not (until_output and received and min_ticks <= 0):
             tick = self.native.tick
@@ -156,34 +158,40 @@ class SilWorld:
             if unplugged or self._was_unplugged:
                 self.native.unplug()
             if unplugged:
-                self._held = b""
+                self._undelivered = b""
             self._was_unplugged = unplugged
             self.native.host_reading = self.host_reading and not (stalled or unplugged)
-            write = b"" if stalled else self._held
-            if write:
-                self._held = b""
+            to_deliver = b"" if stalled else self._undelivered
+            if to_deliver:
+                self._undelivered = b""
             max_ticks = min(ticks, min_ticks) if until_output and received else ticks
             self.rig_faults.apply(tick, self.native, self.board.sim)
             edge = min(faults.next_edge(tick), self.rig_faults.next_edge(tick))
-            passed, data = self._pass(min(max_ticks, edge - tick), write, until_output, max(1, min_ticks))
-            received += data
-            ticks -= passed
-            min_ticks -= passed
+            elapsed_ticks, sent = self._advance_native(
+                min(max_ticks, edge - tick), to_deliver, until_output, max(1, min_ticks)
+            )
+            received += sent
+            ticks -= elapsed_ticks
+            min_ticks -= elapsed_ticks
         return self.to_host.pass_through(received)
 
     def reset_board(self) -> None:
-        """Pulse the board's reset line: the motors go off immediately, and the flight code starts 205 ms
-        later.
-        """
+        """Pulse the board's reset line: the motors stop immediately; 205 ms later the flight code starts."""
         self.board.sim.reset()
 
     def cycle_power(self) -> None:
-        """Switch the board's supply off and on: only the content of its flash and the line remain."""
+        """Switch the board's supply off and on: only the content of its flash, and the link, remain."""
         self.board.sim.power_cycle()
 
     def control_lines(self, *, dtr: bool, baud: int) -> None:
-        """Act as the Due's USB interface (16U2) when the host changes DTR to `dtr`. A rising line resets the
-        board. At a `baud` of 1200 any change erases the flash, and the board then waits for a program.
+        """Act as the Due's USB interface (16U2) when the host changes the line DTR.
+
+        Parameters
+        ----------
+        dtr : bool
+            The line after the change. A rise resets the board.
+        baud : int
+            Rate of the port. At 1200, any change erases the flash, and the board then waits for a program.
         """
         if baud == ERASING_BAUD:
             self.board.sim.erase()
@@ -191,25 +199,29 @@ class SilWorld:
             self.reset_board()
 
     def counters(self) -> dict[str, int]:
-        """Bytes carried, lost and damaged so far: the line's counters, and flipped_bits, dropped_bytes and
-        doubled_bytes of both directions.
+        """Return the bytes carried, lost and damaged so far, over both directions.
+
+        The result has the counters of the line, and flipped_bits, dropped_bytes and doubled_bytes.
         """
-        both = (self.to_board.counters, self.to_host.counters)
-        line = self.native.line_counters()
+        streams = (self.to_board.counters, self.to_host.counters)
+        line_counters = self.native.line_counters()
         return {
-            **line,
-            "to_board_overflow": line["to_board_overflow"] + self.board.bytes_lost,
-            "flipped_bits": sum(counters.flipped for counters in both),
-            "dropped_bytes": sum(counters.dropped for counters in both),
-            "doubled_bytes": sum(counters.doubled for counters in both),
+            **line_counters,
+            "to_board_overflow": line_counters["to_board_overflow"] + self.board.bytes_lost,
+            "flipped_bits": sum(counters.flipped for counters in streams),
+            "dropped_bytes": sum(counters.dropped for counters in streams),
+            "doubled_bytes": sum(counters.doubled for counters in streams),
         }
 
-    def _pass(self, ticks: int, write: bytes, until_output: bool, min_ticks: int) -> tuple[int, bytes]:
+    def _advance_native(
+        self, ticks: int, to_deliver: bytes, until_output: bool, min_ticks: int
+    ) -> tuple[int, bytes]:
+        """Simulate without a change of faults; return the elapsed ticks and the bytes that the board sent."""
         try:
-            passed = self.native.advance(ticks, write, until_output, min_ticks)
+            elapsed_ticks = self.native.advance(ticks, to_deliver, until_output, min_ticks)
         except self.board.stops as error:
             raise BoardStopped(
                 f"the emulated Due stopped: {error}", "correct the firmware; see docs/how-to/gdb.md"
             ) from error
         self.board.keep_flash()
-        return passed
+        return elapsed_ticks

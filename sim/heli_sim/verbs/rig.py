@@ -581,6 +581,7 @@ def _compared(difference: Difference) -> dict[str, Any]:
 
 
 def _console() -> Console:
+    """Return the console for tables, which are not cut if the output is a file."""
     from rich.console import Console
 
     console = Console(highlight=False)

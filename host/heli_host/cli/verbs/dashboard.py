@@ -242,6 +242,7 @@ def _replay(log: Path, rig: str | None, host: str, http_port: int) -> None:
 
 
 def _outline(rig: str | None, *, simulated_board: bool) -> dict[str, float]:
+    """Return lengths and masses of the rig for the page; empty if the rig is unknown."""
     from heli_host.page.rigs import outline
 
     if rig is None and not simulated_board:

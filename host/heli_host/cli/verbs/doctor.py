@@ -122,6 +122,7 @@ def check_extras(is_installed: Callable[[str], bool] | None = None) -> Iterator[
 
 
 def _is_installed(name: str) -> bool:
+    """Whether a Python package is installed."""
     try:
         importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:

@@ -90,6 +90,7 @@ def flash(
 
 
 def _doubt(uploader: Bossac) -> str:
+    """Return a warning about an uploader that does not suit all Dues."""
     from heli_host.flash.bossac import GET_BOSSAC
 
     return (

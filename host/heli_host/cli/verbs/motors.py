@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from heli_host.heli import Heli
 
 MAX_S = 30.0
-# The board switches off by itself when it has not heard of open loop for setpoint_hold_s (0.5 s).
+# The board switches the motors off if no open-loop message arrives for setpoint_hold_s (0.5 s).
 REFRESH_S = 0.1
 
 
@@ -71,7 +71,7 @@ def _drive(heli: Heli, front_V: float, back_V: float, duration_s: float) -> None
         try:
             heli.control(Axes(0), front_V, back_V)
         except CommandRefused as refused:
-            # Telemetry says a moment later which fault it was.
+            # Telemetry reports the kind of fault slightly later.
             heli.wait(REFRESH_S)
             if heli.state is not State.FAULT:
                 raise

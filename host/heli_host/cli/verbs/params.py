@@ -47,9 +47,6 @@ def list_parameters(
 
     Example: `heli-host params list pitch --long --port /dev/ttyACM0`
     """
-    from rich.console import Console
-    from rich.table import Table
-
     from heli_host.controllers import controller_names
 
     with _board(port, sil) as heli:
@@ -77,11 +74,19 @@ def list_parameters(
         if long:
             _print_with_meanings(specs, values, names)
             return
-        table = Table(box=None, pad_edge=False)
-        for heading in ("name", "", "value", "unit", "range"):
-            table.add_column(heading, no_wrap=True)
-        for name, spec in specs.items():
-            table.add_row(name, _mark(spec, values[name]), f"{values[name]:g}", spec.unit, _limits(spec))
+        _print_table(specs, values)
+
+
+def _print_table(specs: Mapping[str, ParamSpec], values: Mapping[str, float]) -> None:
+    """Print each parameter as a row of a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("name", "", "value", "unit", "range"):
+        table.add_column(heading, no_wrap=True)
+    for name, spec in specs.items():
+        table.add_row(name, _mark(spec, values[name]), f"{values[name]:g}", spec.unit, _limits(spec))
     Console(highlight=False).print(table)
 
 
@@ -216,12 +221,12 @@ def restore(
     """
     from heli_host.parameter_file import read_parameter_set
 
-    given = read_parameter_set(file)
-    values = given.values
+    parameter_set = read_parameter_set(file)
+    values = parameter_set.values
     data_on_stdout(json)
-    say_dropped(given.dropped)
+    say_dropped(parameter_set.dropped)
     with _board(port, sil) as heli:
-        for name in given.new:
+        for name in parameter_set.new:
             say(f"not in {file}: {name} stays {heli.params[name]:g}")
         changed = heli.params.restore(values)
         for name, value in changed.items():
@@ -230,8 +235,8 @@ def restore(
         say(f"{len(changed)} of {len(values)} changed{_saved(saved)}")
         result = {
             "changed": dict(changed),
-            "dropped": list(given.dropped),
-            "new": list(given.new),
+            "dropped": list(parameter_set.dropped),
+            "new": list(parameter_set.new),
             "saved": saved is not None,
         }
         write_result(json, result)

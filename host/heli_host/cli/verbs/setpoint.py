@@ -61,8 +61,8 @@ def setpoint(
 
     Example: `heli-host setpoint --sil --take-off --elevation-deg 5 --duration 20`
     """
-    given = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
-    targets_deg = {axis: value for axis, value in given.items() if value is not None}
+    options_deg = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
+    targets_deg = {axis: value for axis, value in options_deg.items() if value is not None}
     if not targets_deg:
         raise typer.BadParameter(
             "no setpoint is given; give at least one of --elevation-deg, --travel-deg and --pitch-deg"

@@ -1,4 +1,4 @@
-"""Terms of the baseline that a rig may not have."""
+"""Effects that remove a term of the model, because a rig may not have it."""
 
 from __future__ import annotations
 
@@ -15,16 +15,21 @@ from heli_sim.rig.quantity import Prior
 
 
 class RemovedTerm(Effect):
-    """A share of some rig parameters is taken away."""
+    """The rig parameters that cause a term are reduced by a share."""
 
     @override
     def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
-        left = 1 - self.own(at, "share")
-        return {name: left * at.parameter[name] for name in TERMS[self.name][1] if name in at.parameter}
+        remaining_share = 1 - self.own(at, "share")
+        return {
+            name: remaining_share * at.parameter[name] for name in TERMS[self.name][1] if name in at.parameter
+        }
 
 
 class RemovedDifferentialTravel(Effect):
-    """P_18 is taken away: (F_f - F_b) L_h sin(pitch), which has no origin in a multibody rig."""
+    """A share of the paper's term P_18 is removed: (F_f - F_b) L_h sin(pitch).
+
+    The equations of point masses do not contain this term.
+    """
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:

@@ -1,4 +1,4 @@
-"""The travel axis is not plumb, so that gravity turns travel towards the low side."""
+"""The travel axis is not vertical, so that gravity turns travel towards the low side."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from heli_sim.rig.quantity import Prior
 
 
 class AxisTilt(Effect):
-    """Gravity of all masses along a direction that leans in the rig's own frame.
+    """Gravity of all masses, if the true vertical leans in the frame of the rig.
 
-    The plumb line is given by where it points up: by `x_rad` towards the direction of the long arm at travel
-    0, by `y_rad` a quarter of a turn in positive travel from there.
+    The upward vertical leans by `x_rad` towards the direction of the long arm at travel 0, and by `y_rad`
+    towards its direction after a quarter turn of positive travel.
     """
 
     @override
@@ -33,21 +33,23 @@ class AxisTilt(Effect):
         return self._potential_J(at, ca.vertcat(*(at.state[f"{axis}_rad"] for axis in AXES)))
 
     def _potential_J(self, at: Operands, q: ca.SX) -> ca.SX:
+        """Return the potential energy that the tilt adds at the angles `q`."""
         x, y = self.own(at, "x_rad"), self.own(at, "y_rad")
-        size2 = x**2 + y**2
-        # The unit vector (sin, cos) of small angles, finite at 0: sin|a|/|a| to 4th order is enough to 1 rad.
-        up = ca.vertcat(ca.vertcat(x, y) * (1 - size2 / 6 + size2**2 / 120), -size2 / 2 + size2**2 / 24)
+        angle2 = x**2 + y**2
+        # Change of the unit vector by the lean a: horizontal part sin|a| (x, y)/|a|, vertical part cos|a| -
+        # 1. Taylor series to 4th order have derivatives at 0, and are exact enough up to 1 rad.
+        up = ca.vertcat(ca.vertcat(x, y) * (1 - angle2 / 6 + angle2**2 / 120), -angle2 / 2 + angle2**2 / 24)
         return at.parameter["g"] * ca.dot(up, _moment_kg_m(at.parameter, q))
 
 
 def _moment_kg_m(p: Mapping[str, ca.SX], q: ca.SX) -> ca.SX:
-    """Sum of mass times place over the five masses, in the rig's frame."""
+    """Return the sum of mass times position of the five masses, in the frame of the rig, shape (3, 1)."""
     c, s = ca.cos(q[0]), ca.sin(q[0])
     c_pitch, s_pitch = ca.cos(q[1]), ca.sin(q[1])
     short = p["M_f"] + p["M_b"] + p["M_h"]
-    # Before pitch, the short arm's masses lie L_phi below its axis, the rotors L_h beside it.
-    beside, below = (p["M_b"] - p["M_f"]) * p["L_h"], -p["L_phi"] * short
-    y, z = beside * c_pitch + below * s_pitch, below * c_pitch - beside * s_pitch
+    # At pitch 0, the masses of the short arm are L_phi below its axis, and the rotors L_h to either side.
+    y_level, z_level = (p["M_b"] - p["M_f"]) * p["L_h"], -p["L_phi"] * short
+    y, z = y_level * c_pitch + z_level * s_pitch, z_level * c_pitch - y_level * s_pitch
     x = p["M_l"] * p["L_x"] - p["M_w"] * p["L_b"] + short * p["L_a"]
     z = z - p["L_theta"] * (p["M_l"] + p["M_w"] + short)
     along, up = x * c - z * s, x * s + z * c

@@ -1,4 +1,4 @@
-"""Play between an axis and its encoder, as of a worn coupling or a gear."""
+"""Play between an axis and its encoder, for example because of a worn coupling or a gear."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from heli_sim.rig.quantity import Prior, Quantity
 
 
 class Backlash(Effect):
-    """The encoder's shaft stays where it is until the axis has crossed the play and takes it along.
+    """The encoder's shaft does not move until the axis has crossed the play and pushes it.
 
-    The rotors sit on the arm itself, so there is no drive train whose play could matter: the play is between
-    axis and encoder, and moves nothing but what is measured.
+    The rotors are mounted on the arm, so that no drive train has play. The play is between axis and encoder,
+    and changes only the measured angle.
     """
 
     @override
@@ -28,7 +28,7 @@ class Backlash(Effect):
 
     @override
     def alternative_starts(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
-        # The angles seen put the axis into the middle of its play; it may lie at either end.
+        # The measured angle is the middle of the play; the axis may be at either end.
         half_rad = 0.5 * parameters[f"{self.prefix}_rad"]
         return ({f"{self.place}_rad": half_rad}, {f"{self.place}_rad": -half_rad})
 
@@ -50,22 +50,21 @@ class Backlash(Effect):
     @override
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         index, shaft = AXES.index(self.place), self.reset_map(at)
-        behind = shaft - at.state[f"{self.place}_rad"]
-        return angles_rad + ca.vertcat(*(behind if i == index else ca.SX(0) for i in range(3)))
+        error_rad = shaft - at.state[f"{self.place}_rad"]
+        return angles_rad + ca.vertcat(*(error_rad if i == index else ca.SX(0) for i in range(3)))
 
 
 class BacklashOfKnownSide(Effect):
-    """Backlash along a measured flight: the encoder's shaft lags behind its axis by half the play, on the
-    side that the axis comes from.
+    """Backlash along a measured flight: the encoder's shaft lags behind its moving axis by half the play.
 
-    This form is linear in the play; the play operator is not. Measured angles are those of the shaft. About
-    them the play operator would take the axis through the play a second time, after the shaft has moved.
+    Unlike the play operator of `Backlash`, this form is linear in the play. The measured angles are already
+    those of the shaft; the play operator would apply the play to them a second time.
     """
 
     @override
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
-        behind = -0.5 * self.own(at, "rad") * self.own(at, "direction")
-        return angles_rad + on_axis(self.place, behind)
+        error_rad = -0.5 * self.own(at, "rad") * self.own(at, "direction")
+        return angles_rad + on_axis(self.place, error_rad)
 
 
 def _spec(axis: str) -> EffectSpec:

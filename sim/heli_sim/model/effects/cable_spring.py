@@ -1,4 +1,4 @@
-"""A cable bends like a spring as an axis turns."""
+"""A cable acts like a spring when an axis turns."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from heli_sim.rig.quantity import Prior
 
 
 class CableSpring(Effect):
-    """Torque towards the angle at which the cable is at rest."""
+    """Torque towards the angle at which the cable is relaxed, in proportion to the distance from it."""
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:

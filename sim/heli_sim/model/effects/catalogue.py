@@ -1,5 +1,6 @@
-"""The catalogue of effects: those of the files in this folder, which it finds by itself, and those of users'
-files.
+"""The catalogue of effects: all effects that modules of this folder define, and those of users' files.
+
+A new module in this folder needs no registration.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ from heli_sim.rig import load_rig
 
 
 def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectSpec]:
-    """All effects by their ids: first those of the package, sorted by `EffectSpec.rank`, then the users', in
-    the order given.
+    """Return all effects by their ids.
+
+    The effects of the package come first, sorted by `EffectSpec.rank`, then those of users' files.
 
     Parameters
     ----------
@@ -38,11 +40,11 @@ def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectSpec]:
     Raises
     ------
     EffectError
-        When a file cannot be read, holds no effect, or one that is badly written or has a name in use.
+        If a file cannot be read or contains no effect, or if an effect fails its check or has an id in use.
     """
     kinds = {kind.id: kind for kind in _built_in()}
     for path in extra:
-        for kind in _kinds_of(Path(path)):
+        for kind in _effects_in_file(Path(path)):
             if kind.id in kinds:
                 raise EffectError(f"effect file {path}: '{kind.id}' exists already", "give it another id")
             kinds[kind.id] = kind
@@ -51,28 +53,28 @@ def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectSpec]:
 
 @functools.cache
 def _built_in() -> tuple[EffectSpec, ...]:
-    """Effects of all modules of this folder. The sort is stable, so that the order within a file is kept."""
+    """Return the effects of all modules of this folder; those of equal rank keep their order in the file."""
     package = importlib.import_module(__name__.rpartition(".")[0])
     names = sorted(f"{package.__name__}.{info.name}" for info in pkgutil.iter_modules(package.__path__))
     modules = [importlib.import_module(name) for name in names if name != __name__]
-    kinds = [kind for module in modules for kind in _kinds_in(module)]
+    kinds = [kind for module in modules for kind in _effects_in_module(module)]
     return tuple(sorted(kinds, key=lambda kind: kind.rank))
 
 
-def _kinds_of(path: Path) -> list[EffectSpec]:
-    """Return the effects that a user's file defines, after each was tried in a model."""
-    module = _module(path)
-    kinds = list(_kinds_in(module))
+def _effects_in_file(path: Path) -> list[EffectSpec]:
+    """Return the effects that a user's file defines, each checked in a model."""
+    module = _import_file(path)
+    kinds = list(_effects_in_module(module))
     if not kinds:
         raise EffectError(
             f"effect file {path} has no EffectSpec at its top level", "see docs/reference/effects.md"
         )
     for kind in kinds:
-        _try(path, kind)
+        _check_in_model(path, kind)
     return kinds
 
 
-def _module(path: Path) -> ModuleType:
+def _import_file(path: Path) -> ModuleType:
     """Import a user's effect file; an EffectError names the line that fails."""
     name = f"heli_sim_user_effects_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
@@ -86,49 +88,52 @@ def _module(path: Path) -> ModuleType:
             f"effect file {path}, line {error.lineno}: {error.msg}", "correct this line"
         ) from None
     except Exception as error:  # noqa: BLE001 - a user's file may raise anything
-        raise EffectError(f"effect file {path}: {_line(path, error)}", "correct this line") from None
+        raise EffectError(
+            f"effect file {path}: {_error_with_line(path, error)}", "correct this line"
+        ) from None
     return module
 
 
-def _kinds_in(module: ModuleType) -> Iterator[EffectSpec]:
-    seen = set()
+def _effects_in_module(module: ModuleType) -> Iterator[EffectSpec]:
+    """Yield the effects at the top level of a module, alone or in a tuple or list, each once."""
+    found_ids = set()
     for value in vars(module).values():
         for kind in value if isinstance(value, tuple | list) else (value,):
-            if isinstance(kind, EffectSpec) and id(kind) not in seen:
-                seen.add(id(kind))
+            if isinstance(kind, EffectSpec) and id(kind) not in found_ids:
+                found_ids.add(id(kind))
                 yield kind
 
 
-def _try(path: Path, kind: EffectSpec) -> None:
+def _check_in_model(path: Path, kind: EffectSpec) -> None:
     """Evaluate a model with the effect, so that its errors appear here and not during a fit."""
-    where = f"effect file {path}: '{kind.id}'"
+    prefix = f"effect file {path}: '{kind.id}'"
     if not (inspect.isclass(kind.effect) and issubclass(kind.effect, Effect)):
         raise EffectError(
-            f"{where}: effect must be a class derived from Effect", "see docs/reference/effects.md"
+            f"{prefix}: effect must be a class derived from Effect", "see docs/reference/effects.md"
         )
     if not kind.numbers or not kind.size:
         raise EffectError(
-            f"{where} has no number with size=True",
+            f"{prefix} has no number with size=True",
             "set size=True for the parameter that measures the effect",
         )
     models = [model for model in (MultibodyModel, PaperModel) if kind.suits(model())]
     if not models:
         raise EffectError(
-            f"{where} needs {', '.join({*kind.needs, *kind.override})}, which no model has",
+            f"{prefix} needs {', '.join({*kind.needs, *kind.override})}, which no model has",
             "name what a model has; see docs/reference/effects.md",
         )
     try:
         kind.describe(kind.typical)
         for values in (kind.neutral, kind.typical):
-            bad = _not_finite(models[0]((kind.make(values),)))
-            if bad:
+            problem = _not_finite(models[0]((kind.make(values),)))
+            if problem:
                 raise EffectError(
-                    f"{where}: {bad} is not a finite number at {values}", "make it finite there"
+                    f"{prefix}: {problem} is not a finite number at {values}", "make it finite there"
                 )
     except EffectError:
         raise
     except Exception as error:  # noqa: BLE001 - a user's file may raise anything
-        raise EffectError(f"{where}: {_line(path, error)}", "correct this line") from None
+        raise EffectError(f"{prefix}: {_error_with_line(path, error)}", "correct this line") from None
 
 
 def _not_finite(model: Model) -> str:
@@ -146,14 +151,15 @@ def _not_finite(model: Model) -> str:
     )
     state = np.full(len(model.states), 0.1)
     numbers = model.parameter_values(load_rig("makki2024"))
-    for what, result in zip(results, values(state, [2.0, 2.1], numbers, 1.0), strict=True):
+    for description, result in zip(results, values(state, [2.0, 2.1], numbers, 1.0), strict=True):
         if not np.isfinite(np.asarray(result)).all():
-            return what + " or its derivative"
+            return description + " or its derivative"
     return ""
 
 
-def _line(path: Path, error: Exception) -> str:
+def _error_with_line(path: Path, error: Exception) -> str:
+    """Return an error in one line, with the line of the user's file that caused it."""
     lines = str(error).strip().splitlines() or [""]
-    places = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == path]
-    where = f"line {places[-1]}: " if places else ""
-    return f"{where}{type(error).__name__} {lines[0]}".strip()
+    line_numbers = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == path]
+    prefix = f"line {line_numbers[-1]}: " if line_numbers else ""
+    return f"{prefix}{type(error).__name__} {lines[0]}".strip()

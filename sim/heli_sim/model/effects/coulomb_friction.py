@@ -1,4 +1,4 @@
-"""Dry friction of an axis: as large at any speed, and while it can it holds the axis where it is."""
+"""Dry friction of an axis: its size does not depend on the speed, and it can hold the axis at rest."""
 
 from __future__ import annotations
 
@@ -14,29 +14,31 @@ from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
 _RATE_STD_COUNTS_PER_s: Final = 2.9335
-"""How closely a flight shows the rate of an axis that moves, in counts of its encoder per second: 0.0045
-rad/s with 4096 counts. Set on nineteen simulated flights with dry friction (2026-11), most likely with 0.004
-rad/s without disturbances and with 0.004 to 0.012 in gusts. Half as much: in gusts friction comes out up to
-an eighth too small, and the rest of it passes for gusts of no memory. Twice as much: without disturbances it
-comes out a tenth too large."""
+"""Standard error of a moving axis' rate as a flight shows it, in encoder counts per second: 0.0045 rad/s with
+4096 counts.
+
+It was set on nineteen simulated flights with dry friction (2026-11), where the most likely values were 0.004
+rad/s without disturbances and 0.004 to 0.012 rad/s in gusts. With half of it, friction in gusts is estimated
+up to an eighth too small, and the difference is attributed to fast gusts. With twice of it, friction without
+disturbances is estimated a tenth too large."""
 
 
 class CoulombFriction(Effect):
-    """The torque that would bring the axis to rest within a short time, but no more than dry friction gives.
+    """The torque that would bring the axis to rest within a short time, limited to the size of dry friction.
 
-    A sign of the speed could neither be integrated nor differentiated, and one that is rounded off below some
-    speed creeps where it should hold. This one holds, and its steepness, 1 over the time, is the same for a
-    heavy and a light axis.
+    Friction with the sign of the speed could neither be integrated nor differentiated. A smoothed sign would
+    let the axis creep under a load that friction should hold. This form holds the axis, and its steepness,
+    1 over the time, is the same for a heavy and a light axis.
     """
 
     @override
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
-        needed_Nm = inertia_kg_m2[AXES.index(self.place)] * self._slowing_rad_s2(at, acceleration_rad_s2)
-        most_Nm = self.own(at, "Nm")
-        return on_axis(self.place, -ca.fmin(ca.fmax(needed_Nm, -most_Nm), most_Nm))
+        stopping_Nm = inertia_kg_m2[AXES.index(self.place)] * self._stopping_rad_s2(at, acceleration_rad_s2)
+        max_Nm = self.own(at, "Nm")
+        return on_axis(self.place, -ca.fmin(ca.fmax(stopping_Nm, -max_Nm), max_Nm))
 
-    def _slowing_rad_s2(self, at: Operands, acceleration_rad_s2: ca.SX) -> ca.SX:
-        """Deceleration that brings the axis to rest within the short time."""
+    def _stopping_rad_s2(self, at: Operands, acceleration_rad_s2: ca.SX) -> ca.SX:
+        """Return the deceleration that brings the axis to rest within the short time."""
         rate_rad_s = at.state[f"{self.place}_rate_rad_s"]
         return acceleration_rad_s2[AXES.index(self.place)] + rate_rad_s / self.own(at, "hold_s")
 
@@ -52,19 +54,19 @@ class CoulombFriction(Effect):
 
 
 class CoulombFrictionOfMeasuredRate(CoulombFriction):
-    """Coulomb friction along a measured flight: its mean over the rates that the encoders leave open (a
-    describing function; Gelb and Vander Velde 1968).
+    """Coulomb friction along a measured flight: its mean over the uncertain rate of the axis.
 
-    Near standstill the encoders do not show in which direction the axis creeps, so only a part of the
-    friction acts. If an axis is at rest, its rate is exactly zero.
+    Such a mean is a describing function (Gelb and Vander Velde 1968). Near standstill the encoders do not
+    show in which direction the axis creeps, so the mean friction is smaller than the full one. A rate of
+    exactly zero marks an axis at rest, whose friction is not averaged.
     """
 
     @override
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
         count_rad = 2.0 * math.pi / at.parameter[f"encoder_counts_{self.place}"]
-        open_rad_s2 = _RATE_STD_COUNTS_PER_s * count_rad / self.own(at, "hold_s")
-        slowing_rad_s2 = self._slowing_rad_s2(at, acceleration_rad_s2)
-        moving_Nm = self.own(at, "Nm") * ca.erf(slowing_rad_s2 / (math.sqrt(2.0) * open_rad_s2))
+        uncertainty_rad_s2 = _RATE_STD_COUNTS_PER_s * count_rad / self.own(at, "hold_s")
+        stopping_rad_s2 = self._stopping_rad_s2(at, acceleration_rad_s2)
+        moving_Nm = self.own(at, "Nm") * ca.erf(stopping_rad_s2 / (math.sqrt(2.0) * uncertainty_rad_s2))
         at_rest_Nm = super().friction_Nm(at, acceleration_rad_s2, inertia_kg_m2)
         is_at_rest = at.state[f"{self.place}_rate_rad_s"] == 0.0
         return ca.if_else(is_at_rest, at_rest_Nm, -on_axis(self.place, moving_Nm))

@@ -16,12 +16,12 @@ from heli_sim.rig.quantity import Prior
 
 
 class CounterweightShift(Effect):
-    """From an unknown moment on the counterweight is elsewhere on the arm."""
+    """From an unknown moment on, the counterweight is farther out on the arm."""
 
     @override
     def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
-        moved = self.own(at, "m") * smooth_step(at.time_s, self.own(at, "at_s"))
-        return {"L_b": at.parameter["L_b"] + moved}
+        shift_m = self.own(at, "m") * smooth_step(at.time_s, self.own(at, "at_s"))
+        return {"L_b": at.parameter["L_b"] + shift_m}
 
 
 SPEC: Final = EffectSpec(

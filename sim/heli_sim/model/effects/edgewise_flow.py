@@ -1,4 +1,4 @@
-"""The rotor that leads in travel meets undisturbed air, and pushes more than the one in its wake."""
+"""The rotor that leads in travel meets undisturbed air, and gives more thrust than the one in its wake."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from heli_sim.rig.quantity import Prior
 
 
 class EdgewiseFlow(Effect):
-    """Thrust moves from the rotor that follows to the one that leads, with the speed along the short arm.
+    """The leading rotor gains thrust and the other one loses it, in proportion to the edgewise speed.
 
-    A rotor that moves edgewise sucks in more air at its leading edge, and so does a pair of them. The torque
-    about pitch raises the side that leads, against the lean that drives travel: speed steadies the rig.
+    A rotor that moves in its own plane takes in more air at its leading edge, and so does a pair of rotors.
+    The resulting torque raises the leading side. It opposes the pitch that drives travel, and so stabilises
+    the rig.
     """
 
     @override

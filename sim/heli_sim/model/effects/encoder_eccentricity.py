@@ -1,4 +1,4 @@
-"""An encoder disc off its centre shows the angle wrong by a sine of the angle."""
+"""An encoder disc that is mounted off centre adds a sine of the angle to the measured angle."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class EncoderEccentricity(Effect):
 
     @override
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
-        turned = self.own(at, "order") * angles_rad[AXES.index(self.place)]
-        error = self.own(at, "sin_rad") * ca.sin(turned) + self.own(at, "cos_rad") * ca.cos(turned)
-        return angles_rad + on_axis(self.place, error)
+        angle_rad = self.own(at, "order") * angles_rad[AXES.index(self.place)]
+        error_rad = self.own(at, "sin_rad") * ca.sin(angle_rad) + self.own(at, "cos_rad") * ca.cos(angle_rad)
+        return angles_rad + on_axis(self.place, error_rad)
 
 
 def _spec(axis: str) -> EffectSpec:

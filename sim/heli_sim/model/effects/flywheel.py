@@ -1,4 +1,4 @@
-"""Rotors are flywheels: their angular momentum goes with their speed, which follows the voltage late."""
+"""Rotors are flywheels: their angular momentum is proportional to their speed, which lags the voltage."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from heli_sim.rig.quantity import Prior, Quantity
 
 
 class Flywheel(Effect):
-    """Angular momentum of the rotors along the short arm's upright, in proportion to the sum of their speeds.
+    """Angular momentum of the rotors along the thrust direction, in proportion to the sum of their speeds.
 
-    `gyroscopic_torque` has it go with the thrust. Thrust ends at the dead zone and goes with the square of
-    the speed, so momentum varies less than that. A speed is given by the voltage that holds it. The torque
-    that speeds the rotors up turns the rig the other way, as described with `spin_up`.
+    In `gyroscopic_torque`, the momentum is proportional to the thrust instead. Thrust is zero in the dead
+    zone and grows with the square of the speed, so it varies more than the momentum. A speed is expressed as
+    the voltage that holds it. The torque that accelerates the rotors also turns the rig the other way;
+    `spin_up` is its share.
     """
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
-        size, change = self.own(at, "Nms_per_V"), self.state_rates(at)
-        reaction = upright_torque_Nm(at.state, -self.own(at, "spin_up") * size * change)
-        return wheel_torque_Nm(at, size * self.own(at, "both_V")) + reaction
+        momentum_per_V, speed_rate = self.own(at, "Nms_per_V"), self.state_rates(at)
+        reaction = upright_torque_Nm(at.state, -self.own(at, "spin_up") * momentum_per_V * speed_rate)
+        return wheel_torque_Nm(at, momentum_per_V * self.own(at, "both_V")) + reaction
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:

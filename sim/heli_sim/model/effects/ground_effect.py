@@ -1,4 +1,4 @@
-"""Near the table a rotor pushes more, because its wake cannot leave freely."""
+"""Near the table a rotor gives more thrust, because its wake cannot leave freely."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from heli_sim.rig.quantity import Prior
 
 
 class GroundEffect(Effect):
-    """Each rotor gains a share that dies out exponentially with its height above the table.
+    """The thrust of each rotor grows by a share that decays exponentially with the height above the table.
 
-    A small rotor feels its own height, which pitch changes; where the whole short arm is over one cushion of
-    air, both feel the height of the arm's end (`own` = 0).
+    For small rotors, the height is that of the rotor itself, which changes with pitch (`own` = 1). If both
+    rotors share one cushion of air, it is the height of the arm's end (`own` = 0).
     """
 
     @override

@@ -1,4 +1,4 @@
-"""Rotors that spin resist being turned: the rig answers a turn about one axis with a torque about another."""
+"""Spinning rotors are gyroscopes: a rotation about one axis causes a torque about another axis."""
 
 from __future__ import annotations
 
@@ -26,9 +26,14 @@ class GyroscopicTorque(Effect):
 
 
 def wheel_torque_Nm(at: Operands, momentum_Nms: ca.SX) -> ca.SX:
-    """Torque about the three axes, shape (3, 1), of a wheel on the short arm that turns with the arm.
+    """Return the gyroscopic torque of a wheel on the short arm about the three axes, shape (3, 1).
 
-    It is n x omega H, for an angular momentum H = `momentum_Nms` [N m s] along the short arm's upright n.
+    It is n x omega H, with the angular velocity omega of the short arm and its thrust direction n.
+
+    Parameters
+    ----------
+    momentum_Nms : casadi.SX
+        Angular momentum H along n.
     """
     state = at.state
     c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])

@@ -1,4 +1,4 @@
-"""A rotor that climbs meets its air faster and pushes less."""
+"""A rotor that moves along its own axis meets its air faster, and gives less thrust."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from heli_sim.rig.quantity import Prior
 class InflowDamping(Effect):
     """Each rotor loses thrust in proportion to its own speed along its thrust axis.
 
-    A propeller that turns with the voltage loses more the more it pushes; one that turns at nearly one speed
-    loses the same at any thrust. If the air in the room is at rest, travel at a pitch angle is such a speed
-    too. In a small room the air soon turns with the rig; then it is not.
+    If the speed of the propeller follows the voltage, the loss grows with the thrust (`loaded` = 1). If the
+    speed is nearly constant, the loss is the same at any thrust (`loaded` = 0). Travel at a pitch angle also
+    moves the rotors along their axes, if the air in the room is at rest (`still` = 1). In a small room the
+    air soon turns with the rig, so that travel has no effect (`still` = 0).
     """
 
     @override
@@ -30,7 +31,7 @@ class InflowDamping(Effect):
 
 
 _AT_N: Final = 1.0
-"""Thrust of which the share is lost, where the loss is the same at any."""
+"""Thrust at which the loss is defined, if it is the same at any thrust."""
 
 
 SPEC: Final = EffectSpec(

@@ -1,4 +1,4 @@
-"""Effects as text, on command lines and in rig files."""
+"""Read effects from command lines, such as ``--effect rotor_lag=0.1``, and from rig files."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ def parse_effects(texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tup
     Parameters
     ----------
     texts : sequence of str
-        ``ID`` alone has its typical size; ``ID=VALUE`` sets its first number, and others that are sizes too
-        in the typical proportion; ``ID=VALUE@SECONDS`` also the moment ``at_s``; ``ID=NAME:VALUE,NAME:VALUE``
-        any of them. The rest is typical. Units are those of the numbers.
+        ``ID`` alone gives all parameters their typical values. ``ID=VALUE`` sets the first parameter, and
+        scales other sizes in proportion. ``ID=VALUE@SECONDS`` also sets the moment ``at_s``.
+        ``ID=NAME:VALUE,NAME:VALUE`` sets parameters by name. Parameters that are not set keep their typical
+        values. Units are those of the parameters.
     extra : sequence of str or Path
         Users' files with more effects.
 
@@ -33,11 +34,11 @@ def parse_effects(texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tup
         When a text cannot be read, names an unknown effect or one twice, or a value is out of range.
     """
     kinds = catalogue(extra)
-    return tuple(kind.make(values) for kind, values in _each(texts, kinds))
+    return tuple(kind.make(values) for kind, values in _parse_texts(texts, kinds))
 
 
 def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
-    """Effects that a rig file states.
+    """Return the effects that a rig file states, with priors from its tolerances.
 
     Parameters
     ----------
@@ -52,17 +53,18 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
     kinds = catalogue(extra)
     made = []
     for name, numbers in rig.effects.items():
-        where = f"rig '{rig.name}'"
-        kind = _known(kinds, name, where)
+        source_name = f"rig '{rig.name}'"
+        kind = _find_effect(kinds, name, source_name)
         units = {parameter.name: parameter.unit for parameter in kind.numbers}
-        for what, number in numbers.items():
-            if what not in units:
+        for short_name, number in numbers.items():
+            if short_name not in units:
                 raise EffectError(
-                    f"{where}: effect '{name}' has no '{what}'", f"choose from {', '.join(units)}"
+                    f"{source_name}: effect '{name}' has no '{short_name}'", f"choose from {', '.join(units)}"
                 )
-            if number.unit != units[what]:
+            if number.unit != units[short_name]:
                 raise EffectError(
-                    f"{where}: {what} of '{name}' is in '{number.unit}'", f"give it in '{units[what]}'"
+                    f"{source_name}: {short_name} of '{name}' is in '{number.unit}'",
+                    f"give it in '{units[short_name]}'",
                 )
         missing = [
             parameter.name
@@ -70,19 +72,19 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
             if parameter.prior is not None and parameter.name not in numbers
         ]
         if missing:
-            raise EffectError(f"{where}: effect '{name}' lacks {', '.join(missing)}", "add each")
-        effect = kind.make({kind.full(what): number.value for what, number in numbers.items()})
+            raise EffectError(f"{source_name}: effect '{name}' lacks {', '.join(missing)}", "add each")
+        effect = kind.make({kind.full(short_name): number.value for short_name, number in numbers.items()})
         made.append(replace(effect, priors={**effect.priors, **_stated_priors(kind, numbers)}))
     return tuple(made)
 
 
 def effects_with(rig: Rig, texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
-    """Effects that a rig file states, then those of `texts`, which replace stated ones of the same name.
+    """Return the effects of a rig file and of `texts`; an effect in `texts` replaces that of the rig file.
 
     Parameters
     ----------
     texts : sequence of str
-        As `parse_effects` takes them.
+        Effects in the form that `parse_effects` reads.
     extra : sequence of str or Path
         Users' files with more effects.
 
@@ -91,41 +93,44 @@ def effects_with(rig: Rig, texts: Sequence[str], extra: Sequence[str | Path] = (
     EffectError
         When an effect of either is unknown or invalid.
     """
-    given = parse_effects(texts, extra)
-    names = {effect.name for effect in given}
-    return *(effect for effect in effects_of(rig, extra) if effect.name not in names), *given
+    from_texts = parse_effects(texts, extra)
+    replaced = {effect.name for effect in from_texts}
+    return *(effect for effect in effects_of(rig, extra) if effect.name not in replaced), *from_texts
 
 
 def _stated_priors(kind: EffectSpec, numbers: Mapping[str, Number]) -> dict[str, Prior]:
-    """Priors, by full name, of the parameters whose tolerance a rig file states: normal within the effect's
-    bounds, with half the tolerance as standard deviation, as for the rig's parameters.
+    """Return priors, by full name, for the parameters whose tolerance a rig file states.
+
+    A prior is normal within the effect's bounds. Its standard deviation is half the tolerance, as for the
+    parameters of the rig.
     """
-    return {
-        name: replace(prior, mean=numbers[what].value, std=0.5 * numbers[what].tolerance)
-        for what, name in ((parameter.name, kind.full(parameter.name)) for parameter in kind.numbers)
-        for prior in [kind.priors.get(name)]
-        if prior is not None and what in numbers and numbers[what].tolerance > 0.0
-    }
+    priors = {}
+    for parameter in kind.numbers:
+        name, number = kind.full(parameter.name), numbers.get(parameter.name)
+        prior = kind.priors.get(name)
+        if prior is not None and number is not None and number.tolerance > 0.0:
+            priors[name] = replace(prior, mean=number.value, std=0.5 * number.tolerance)
+    return priors
 
 
 def effect_numbers(
     kind: EffectSpec, values: Mapping[str, float], tolerances: Mapping[str, float], source: str
 ) -> dict[str, Number]:
-    """Parameters of an effect by short name, as in ``rig.effects``.
+    """Return the parameters of an effect by short name, in the form of ``rig.effects``.
 
     Parameters
     ----------
     values : Mapping[str, float]
-        Values by full name; `EffectSpec.neutral` for those not given.
+        Values by full name; a missing one is that of `EffectSpec.neutral`.
     tolerances : Mapping[str, float]
-        Half widths of the 95 % intervals by full name; 0 for those not given.
+        Half widths of the 95 % intervals by full name; a missing one is 0.
     source : str
-        Where they come from.
+        Origin of the numbers, for readers of the rig file.
     """
-    known = {**kind.neutral, **values}
+    all_values = {**kind.neutral, **values}
     return {
         parameter.name: Number(
-            known[kind.full(parameter.name)],
+            all_values[kind.full(parameter.name)],
             parameter.unit,
             tolerances.get(kind.full(parameter.name), 0.0),
             source,
@@ -134,32 +139,35 @@ def effect_numbers(
     }
 
 
-def _each(texts: Sequence[str], kinds: Mapping[str, EffectSpec]) -> list[tuple[EffectSpec, dict[str, float]]]:
+def _parse_texts(
+    texts: Sequence[str], kinds: Mapping[str, EffectSpec]
+) -> list[tuple[EffectSpec, dict[str, float]]]:
     """Read texts such as ``rotor_lag=0.1`` to effects with their parameters by full name."""
     result: list[tuple[EffectSpec, dict[str, float]]] = []
     for text in texts:
-        name, equals, rest = text.partition("=")
-        kind = _known(kinds, name.strip(), f"--effect {text}")
+        name, equals_sign, values_text = text.partition("=")
+        kind = _find_effect(kinds, name.strip(), f"--effect {text}")
         if any(kind is other for other, _ in result):
             raise EffectError(f"--effect {text}: '{kind.id}' is given twice", "give it once")
         values = dict(kind.typical)
-        if equals:
-            values.update(_values(kind, rest, text))
+        if equals_sign:
+            values.update(_parse_values(kind, values_text, text))
         result.append((kind, values))
     return result
 
 
-def _known(kinds: Mapping[str, EffectSpec], name: str, where: str) -> EffectSpec:
+def _find_effect(kinds: Mapping[str, EffectSpec], name: str, source_name: str) -> EffectSpec:
+    """Return an effect by its id; an EffectError that begins with `source_name` lists similar ids."""
     if name in kinds:
         return kinds[name]
-    near = [kind for kind in kinds if kind.startswith(f"{name}.")]
-    near = near or difflib.get_close_matches(name, kinds, n=1)
-    hint = f"did you mean {' or '.join(near)}?" if near else f"effects are: {', '.join(kinds)}"
-    raise EffectError(f"{where}: unknown effect '{name}'", hint)
+    similar = [kind for kind in kinds if kind.startswith(f"{name}.")]
+    similar = similar or difflib.get_close_matches(name, kinds, n=1)
+    hint = f"did you mean {' or '.join(similar)}?" if similar else f"effects are: {', '.join(kinds)}"
+    raise EffectError(f"{source_name}: unknown effect '{name}'", hint)
 
 
-def _in_proportion(kind: EffectSpec, value: str) -> dict[str, str]:
-    """Return the texts of the other sizes in proportion to the first one, if that is a number."""
+def _proportional_sizes(kind: EffectSpec, value: str) -> dict[str, str]:
+    """Scale the other sizes of an effect like its first one, `value`; empty if that is not a number."""
     first, *others = (parameter for parameter in kind.numbers if parameter.size)
     try:
         factor = float(value) / first.typical
@@ -168,31 +176,32 @@ def _in_proportion(kind: EffectSpec, value: str) -> dict[str, str]:
     return {parameter.name: repr(factor * parameter.typical) for parameter in others}
 
 
-def _values(kind: EffectSpec, rest: str, text: str) -> dict[str, float]:
-    """Read what follows the equals sign: one value, with ``@`` and a time for an event, or pairs
-    ``name:value`` between commas.
+def _parse_values(kind: EffectSpec, values_text: str, text: str) -> dict[str, float]:
+    """Read the text after the equals sign, `values_text`; `text` is the whole text, for messages.
+
+    The text is one value, with ``@`` and a time for an event, or pairs ``name:value`` separated by commas.
     """
-    if ":" not in rest:
-        value, at, moment = rest.partition("@")
-        given = {kind.numbers[0].name: value, **_in_proportion(kind, value)}
-        if at:
-            given["at_s"] = moment
+    if ":" not in values_text:
+        value, at_sign, moment = values_text.partition("@")
+        texts_by_name = {kind.numbers[0].name: value, **_proportional_sizes(kind, value)}
+        if at_sign:
+            texts_by_name["at_s"] = moment
     else:
-        pairs = [pair.partition(":") for pair in rest.split(",")]
-        given = {what.strip(): value for what, _, value in pairs}
+        pairs = [pair.partition(":") for pair in values_text.split(",")]
+        texts_by_name = {short_name.strip(): value for short_name, _, value in pairs}
     names = [parameter.name for parameter in kind.numbers]
     values = {}
-    for spelled, value in given.items():
-        what = spelled.removeprefix(f"{kind.prefix}_")
-        if what not in names:
+    for spelled, value in texts_by_name.items():
+        short_name = spelled.removeprefix(f"{kind.prefix}_")
+        if short_name not in names:
             raise EffectError(
-                f"--effect {text}: '{kind.id}' has no '{what}'", f"choose from {', '.join(names)}"
+                f"--effect {text}: '{kind.id}' has no '{short_name}'", f"choose from {', '.join(names)}"
             )
         try:
-            values[kind.full(what)] = float(value)
+            values[kind.full(short_name)] = float(value)
         except ValueError:
             raise EffectError(
-                f"--effect {text}: {kind.full(what)} = '{value}' is not a number",
+                f"--effect {text}: {kind.full(short_name)} = '{value}' is not a number",
                 "write it with a decimal point and without a unit",
             ) from None
     return values

@@ -1,4 +1,4 @@
-"""A torque that comes and goes at a fixed frequency, as of an unbalanced shaft or a shaking table."""
+"""A torque that oscillates at a fixed frequency, for example by an unbalanced shaft or a shaking table."""
 
 from __future__ import annotations
 
@@ -14,21 +14,24 @@ from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
 _HIGHEST_Hz: Final = 5.0
-"""Above it an axis is too heavy to show what a torque of this kind does."""
+"""Highest frequency of the search; above it, the inertia of an axis hides the effect of the torque."""
 
 
 class PeriodicTorque(Effect):
-    """Sine and cosine of time."""
+    """A torque that is the sum of a sine and a cosine of time."""
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
-        turned = 2 * np.pi * self.own(at, "Hz") * at.time_s
-        torque = self.own(at, "sin_Nm") * ca.sin(turned) + self.own(at, "cos_Nm") * ca.cos(turned)
+        phase = 2 * np.pi * self.own(at, "Hz") * at.time_s
+        torque = self.own(at, "sin_Nm") * ca.sin(phase) + self.own(at, "cos_Nm") * ca.cos(phase)
         return on_axis(self.place, torque)
 
 
 def _frequencies_Hz(seconds: float) -> tuple[float, ...]:
-    """Half the spacing at which a flight of this length distinguishes two frequencies."""
+    """Return the frequencies at which a fit starts.
+
+    Their spacing is half the difference that a flight of `seconds` can resolve.
+    """
     return tuple(np.arange(0.05, _HIGHEST_Hz, 0.5 / seconds).tolist())
 
 

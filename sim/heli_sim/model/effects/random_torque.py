@@ -16,8 +16,8 @@ from heli_sim.rig.quantity import Prior, Quantity
 class RandomTorque(Effect):
     """Ornstein-Uhlenbeck process: white noise through a first-order lag.
 
-    A simulation draws it from its seed. Identification, which cannot know the draw, sees the mean: what there
-    was at a window's beginning dies out.
+    A simulation draws the noise from its seed. Identification cannot know the noise and uses the mean of the
+    process, which decays from its value at the start of a window.
     """
 
     @override
@@ -30,7 +30,7 @@ class RandomTorque(Effect):
 
     @override
     def diffusion(self, at: Operands, step_s: float, normal: ca.SX) -> ca.SX:
-        # The process sampled exactly: the stationary standard deviation is Nm at any length of step.
+        # Exact sampling: the stationary standard deviation is Nm for any length of step.
         return self.own(at, "Nm") * ca.sqrt(1 - ca.exp(-2 * step_s / self.own(at, "s"))) * normal
 
 

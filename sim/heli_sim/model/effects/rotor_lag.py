@@ -1,4 +1,4 @@
-"""Thrust follows the voltage late: motor and propeller have to change their speed first."""
+"""Thrust lags the voltage, because motor and propeller must change their speed first."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ from heli_sim.model.effects.spec import EffectFamily, EffectSpec, Parameter
 from heli_sim.rig.quantity import Prior, Quantity
 
 MIN_LAG_s: Final = 0.004
-"""Shortest lag that is integrated, s: Runge-Kutta steps of 10 ms, as identification takes them, are stable
-down to 3.6 ms."""
+"""Shortest lag that is integrated, s. Identification takes Runge-Kutta steps of 10 ms, which are stable for
+lags above 3.6 ms."""
 
 
 class RotorLag(Effect):
     """First-order lag of each rotor's thrust behind the thrust that its voltage commands.
 
-    A lag T below 4 ms cannot be integrated in steps of 10 ms. The thrust is then a weighted mean of a thrust
-    that lags by 4 ms and one that does not lag. The weights make the mean delay T. At T = 0 the effect does
-    nothing, and has a derivative.
+    If the lag T is below 4 ms, the thrust is a weighted mean of a thrust that lags by 4 ms and one that does
+    not lag, with a mean delay of T. At T = 0 the effect does nothing, and still has a derivative.
 
     Parameters
     ----------
@@ -58,13 +57,15 @@ class RotorLag(Effect):
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         share = ca.fmin(self.own(at, self.time_constant) / MIN_LAG_s, 1.0)
-        return share * self._reached_N(at) + (1 - share) * thrust_N
+        return share * self._lagged_thrust_N(at) + (1 - share) * thrust_N
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:
-        return (at.thrust_N - self._reached_N(at)) / ca.fmax(self.own(at, self.time_constant), MIN_LAG_s)
+        return (at.thrust_N - self._lagged_thrust_N(at)) / ca.fmax(
+            self.own(at, self.time_constant), MIN_LAG_s
+        )
 
-    def _reached_N(self, at: Operands) -> ca.SX:
+    def _lagged_thrust_N(self, at: Operands) -> ca.SX:
         return ca.vertcat(self.own(at, "front_N"), self.own(at, "back_N"))
 
 

@@ -1,4 +1,4 @@
-"""A rotor that turns the air one way is itself turned the other way."""
+"""Reaction torque of the rotors: the air that a rotor turns one way turns the rig the other way."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from heli_sim.rig.quantity import Prior
 class RotorReactionTorque(Effect):
     """Torque of each rotor about its thrust axis, in proportion to its thrust.
 
-    Each rotor has its own number, with a sign: equal signs where both turn the same way, opposite ones where
-    they turn against each other.
+    Each rotor has its own ratio. The signs are equal if both rotors turn the same way, and opposite
+    otherwise.
     """
 
     @override

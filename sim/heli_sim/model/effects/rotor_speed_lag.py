@@ -1,4 +1,4 @@
-"""Motor and propeller change their speed late, and the thrust is the square of the speed that they have."""
+"""The speed of motor and propeller lags the voltage, and the thrust is the square of the speed."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from heli_sim.rig.quantity import Prior, Quantity
 
 
 class RotorSpeedLag(Effect):
-    """First-order lag of each rotor's speed behind its voltage, and thrust as the square of the speed, in the
-    place of the model's straight line.
+    """First-order lag of each rotor's speed behind its voltage, and thrust as the square of the speed.
 
-    A speed is given by the voltage that holds it. The square begins at no speed, as a propeller's does, or
-    where the straight line begins. Either is so scaled that at the voltage `pivot_V` it is the straight line
-    of a rig whose dead zone is half of that; from no speed on it is its tangent there. The rig's own thrust
-    gain scales both. Factors on the thrust, and what bends its curve, act on what the speed gives.
+    The square replaces the model's straight line of thrust over voltage. The speed is expressed as the
+    voltage that holds it. With `begins` = 0 the parabola starts at speed 0, as for a propeller; with `begins`
+    = 1 it starts at the end of the dead zone. The thrust gain of the rig scales it. At the voltage `pivot_V`
+    it agrees with the straight line of a rig whose dead zone is half of `pivot_V`; with `begins` = 0 it is
+    also tangent there. Effects on the thrust act on the result.
 
-    A lag T below 4 ms cannot be integrated in steps of 10 ms. There the thrust is the mean of one that lags
-    4 ms and of the straight line, so weighted that at T = 0 the effect does nothing.
+    If the lag T is below 4 ms, the thrust is a weighted mean of the parabola that lags by 4 ms and of the
+    straight line. At T = 0 the effect does nothing.
     """
 
     @property
@@ -51,6 +51,7 @@ class RotorSpeedLag(Effect):
         return True
 
     def _squared_N(self, at: Operands) -> ca.SX:
+        """Return the thrust of both rotors at their present speeds, shape (2, 1)."""
         p, speed_V, begins = at.parameter, self._speed_V(at), self.own(at, "begins")
         forward_V = ca.fmax(speed_V - begins * p["dead_zone"], 0.0)
         backward_V = ca.fmax(-speed_V - begins * p["dead_zone"], 0.0)

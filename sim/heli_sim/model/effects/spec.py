@@ -373,6 +373,7 @@ class EffectSpec:
         return tuple(value for value in values if prior.low <= value <= prior.high) or (self.typical[name],)
 
     def _check(self, name: str, value: float) -> None:
+        """Raise an EffectError for an unknown parameter or a value out of range."""
         ranges = {q.name: self.priors.get(q.name) for q in self.parameters}
         if name not in ranges:
             raise EffectError(f"'{self.id}' has no '{name}'", f"choose from {', '.join(ranges)}")

@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.spec import EffectSpec, Parameter
-from heli_sim.model.effects.thrust_fade import FADES, bends_per_s, share_left
+from heli_sim.model.effects.thrust_fade import FADES, bends_per_s, remaining_share
 from heli_sim.rig.quantity import Prior
 
 
@@ -23,7 +23,7 @@ class SupplyFade(Effect):
 
     @override
     def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
-        return volts_V * share_left(at.time_s, self.own(at, "per_s"), self.own(at, "bend_per_s"))
+        return volts_V * remaining_share(at.time_s, self.own(at, "per_s"), self.own(at, "bend_per_s"))
 
 
 SPEC: Final = EffectSpec(

@@ -1,4 +1,4 @@
-"""The supply's voltage falls under load: both motors get less when either of them works hard."""
+"""The voltage of the supply falls under load, so that each motor gets less when the other is driven."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from heli_sim.rig.quantity import Prior
 class SupplySag(Effect):
     """Both motors lose voltage in proportion to the load, which is the sum of their voltages.
 
-    A driver that switches passes on a share of the supply and so loses a share of its own voltage; a supply
-    line that both share takes the same voltage from each.
+    If switching drivers share the supply, each motor loses a share of its own voltage (`line` = 0). If the
+    motors share a supply line with a resistance, both lose the same voltage (`line` = 1).
     """
 
     @override
@@ -27,7 +27,7 @@ class SupplySag(Effect):
 
 
 _LINE_V: Final = 1.0
-"""With a shared line, the share lost is that of a motor at this voltage."""
+"""Motor voltage to which the loss refers, if both motors lose the same voltage."""
 
 SPEC: Final = EffectSpec(
     id="supply_sag",

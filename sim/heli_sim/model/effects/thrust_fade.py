@@ -13,27 +13,36 @@ from heli_sim.rig.quantity import Prior
 
 
 class ThrustFade(Effect):
-    """Both thrusts fall with time, in a straight line or towards a lower level."""
+    """Both thrusts fall with time, linearly or towards a lower level."""
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        return thrust_N * share_left(at.time_s, self.own(at, "per_s"), self.own(at, "bend_per_s"))
+        return thrust_N * remaining_share(at.time_s, self.own(at, "per_s"), self.own(at, "bend_per_s"))
 
 
-def share_left(time_s: ca.SX, per_s: ca.SX, bend_per_s: ca.SX) -> ca.SX:
-    """Share that remains at `time_s` [s] of a quantity that at first loses the share `per_s` [1/s], and
-    levels off at the rate `bend_per_s` [1/s]: a straight line at 0.
+def remaining_share(time_s: ca.SX, per_s: ca.SX, bend_per_s: ca.SX) -> ca.SX:
+    """Return the remaining share of a fading quantity: 1 - r (1 - exp(-b t)) / b, or 1 - r t if b is 0.
+
+    Parameters
+    ----------
+    time_s : casadi.SX
+        Time t.
+    per_s : casadi.SX
+        Share r that is lost per second at first.
+    bend_per_s : casadi.SX
+        Rate b at which the loss levels off.
     """
-    bent = bend_per_s * time_s
-    straight = ca.fabs(bent) < 1e-3  # there the quotient below is 0 / 0
-    safe = ca.if_else(straight, 1.0, bent)
-    course = ca.if_else(straight, 1 - bent / 2 + bent**2 / 6, (1 - ca.exp(-safe)) / safe)
-    return 1 - per_s * time_s * course
+    bend = bend_per_s * time_s
+    is_straight = ca.fabs(bend) < 1e-3  # a series avoids 0 / 0
+    safe_bend = ca.if_else(is_straight, 1.0, bend)
+    mean_decay = ca.if_else(is_straight, 1 - bend / 2 + bend**2 / 6, (1 - ca.exp(-safe_bend)) / safe_bend)
+    return 1 - per_s * time_s * mean_decay
 
 
 def bends_per_s(seconds: float) -> tuple[float, ...]:
-    """Rates of levelling off to start from [1/s]: none, and after twice, once and a third of a flight of
-    `seconds`.
+    """Return the rates of levelling off at which a fit starts [1/s].
+
+    They are 0, and 1 over twice, once and a third of the length of the flight, `seconds`.
     """
     return (0.0, 0.5 / seconds, 1.0 / seconds, 3.0 / seconds)
 

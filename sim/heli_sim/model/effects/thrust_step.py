@@ -14,16 +14,16 @@ from heli_sim.rig.quantity import Prior
 
 
 class ThrustStep(Effect):
-    """From an unknown moment on one rotor pushes less."""
+    """From an unknown moment on, one rotor gives less thrust."""
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        left = 1 - self.own(at, "share") * smooth_step(at.time_s, self.own(at, "at_s"))
-        return thrust_N * (ca.vertcat(left, 1) if self.place == "front" else ca.vertcat(1, left))
+        factor = 1 - self.own(at, "share") * smooth_step(at.time_s, self.own(at, "at_s"))
+        return thrust_N * (ca.vertcat(factor, 1) if self.place == "front" else ca.vertcat(1, factor))
 
 
 def moments_s(seconds: float) -> tuple[float, ...]:
-    """Moments [s] to start from: each second of a flight of `seconds`."""
+    """Return the moments at which a fit starts its search: each second of a flight of `seconds`."""
     return tuple(float(second) for second in range(1, max(2, int(seconds))))
 
 

@@ -1,4 +1,4 @@
-"""An encoder's zero is not where the axis is level."""
+"""An encoder shows zero although the axis is not level."""
 
 from __future__ import annotations
 
