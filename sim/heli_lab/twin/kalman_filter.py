@@ -29,11 +29,14 @@ from heli_lab.twin.twin_model import ZEROS, TwinModel
 
 _ROUNDING_STD_COUNTS: Final = 12.0**-0.5
 """Standard deviation of a zero that is uniformly distributed over a count, in counts."""
-_ANGLE_STD_rad: Final = 0.005
+_ANGLE_STD_rad: Final = 1.0
+"""Standard deviation of the initial angles, rad: they are unknown before the first measurement. An encoder
+shows the sum of an angle and the error of its zero. Smaller: the first measurement is evidence against each
+error of a zero, which then appears as a torque."""
 _RATE_STD_rad_s: Final = 0.3
+"""Standard deviation of the initial rates, which are means over 0.1 s, rad/s."""
 _EFFECT_STATE_STD: Final = 0.3
-"""Standard deviations of the initial state: angles to some counts, rates from two means over 0.1 s, states of
-effects after a simulation from rest."""
+"""Standard deviation of the initial states of effects, which are simulated from rest, SI."""
 
 
 _EXCURSION_s: Final = 0.2
