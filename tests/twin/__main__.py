@@ -68,22 +68,25 @@ def main() -> None:
 def fly_missing(options: argparse.Namespace, results: Results) -> None:
     """Fly all flights that the results do not contain, and save the results after each step."""
     seeds = range(options.first_rig, options.first_rig + options.rigs)
+    all_cases = cases_of(seeds, options.changed, middle_sizes=options.middle_sizes)
     trained_rig = cache(partial(rig_with_twin, drawn_minutes=options.drawn))
 
     def save(text: str) -> None:
         options.out.write_text(json.dumps(results, indent=1))
         print(text, flush=True)
 
+    # Rig after rig, so that the results of an interrupted run are those of some rigs, unchanged and changed.
     for seed in seeds:
         if str(seed) not in results:
             results[str(seed)] = fly_healthy(trained_rig(seed), options.healthy, options.seconds)
             save(f"rig {seed} flown healthy")
-    for case in cases_of(seeds, options.changed, middle_sizes=options.middle_sizes):
-        entries = results[str(case.rig_seed)]["changed"]
-        if not any(entry["number"] == [case.repeat, case.number] for entry in entries):
-            entry = fly_changed(trained_rig(case.rig_seed), case.change, case.size, case.flight_seed)
-            entries.append({**entry, "number": [case.repeat, case.number]})
-            save(f"rig {case.rig_seed} flown with {case.change} of {case.size:g}")
+        entries = results[str(seed)]["changed"]
+        for case in all_cases:
+            is_done = any(entry["number"] == [case.repeat, case.number] for entry in entries)
+            if case.rig_seed == seed and not is_done:
+                entry = fly_changed(trained_rig(seed), case.change, case.size, case.flight_seed)
+                entries.append({**entry, "number": [case.repeat, case.number]})
+                save(f"rig {seed} flown with {case.change} of {case.size:g}")
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,8 +53,8 @@ def recorded_innovations(monkeypatch: pytest.MonkeyPatch, rig: Rig) -> list[Inno
     recorded = []
     update = KalmanFilter.update
 
-    def recording_update(self: KalmanFilter, *arguments: object) -> Innovation:
-        innovation = update(self, *arguments)  # type: ignore[arg-type]
+    def recording_update(self: KalmanFilter, *arguments: Any, **named_arguments: Any) -> Innovation:
+        innovation = update(self, *arguments, **named_arguments)
         # The filter changes the arrays of sensitivities in place.
         recorded.append(Innovation(innovation.value.copy(), innovation.sensitivity.copy()))
         return innovation

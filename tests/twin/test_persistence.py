@@ -52,7 +52,7 @@ class _Filter:
 
     def propagate_sensitivity(self, *_: Any) -> None: ...
 
-    def update(self, *_: Any) -> Innovation:
+    def update(self, *_: Any, **__: Any) -> Innovation:
         return Innovation(self.value, np.zeros((3, COLUMNS, ONSETS)))
 
 
