@@ -91,11 +91,12 @@ def test_sensitivities_equal_finite_differences(monkeypatch: pytest.MonkeyPatch)
     # A change of the flown rig has the opposite effect of a change of the model.
     finite_difference = -(innovations[1.0] - innovations[-1.0]) / (2 * shift_m)
 
-    numbers = [number for change in TwinModel(MultibodyModel(), RIG).changes for number in change.numbers]
+    changes = TwinModel(MultibodyModel(), RIG).changes
+    parameters = [parameter for change in changes for parameter in change.parameters]
     # Every change begins before the first measurement, and no other onset is added.
     monkeypatch.setattr(twin_module, "FILTER_SETTLING_s", np.inf)
-    monkeypatch.setattr(LikelihoodRatio, "ages", lambda self, block: np.ones((len(numbers), ONSETS)))
-    column = numbers.index("counterweight_shift_m")
+    monkeypatch.setattr(LikelihoodRatio, "ages", lambda self, block: np.ones((len(parameters), ONSETS)))
+    column = parameters.index("counterweight_shift_m")
     recorded = recorded_innovations(monkeypatch, RIG)
     sensitivity = np.array([innovation.sensitivity[:, column, 0] for innovation in recorded])
 

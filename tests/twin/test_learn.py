@@ -105,7 +105,7 @@ def test_draws_are_pieces_of_the_innovations_without_kicks() -> None:
 def test_parallel_draws_have_the_evidence_of_separate_ones() -> None:
     rng = np.random.default_rng(9)
     changes = all_changes()
-    columns = sum(len(change.numbers) for change in changes)
+    columns = sum(len(change.parameters) for change in changes)
     blocks, draws, order = 10, 4, 2
     values = rng.normal(size=(blocks, draws, 3))
     sensitivity = rng.normal(size=(blocks, 3, columns, ONSETS))

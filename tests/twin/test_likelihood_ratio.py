@@ -22,7 +22,7 @@ from tests.estimation.density import log_density
 
 CHANGES = all_changes()
 COUNT_rad = np.full(3, 2 * np.pi / 4096)
-COLUMNS = sum(len(change.numbers) for change in CHANGES)
+COLUMNS = sum(len(change.parameters) for change in CHANGES)
 ORDER = 4
 """Order of the filter's state; any number will do, because no filter runs here."""
 
@@ -37,8 +37,8 @@ def columns_of(name: str) -> slice:
     first = 0
     for change in CHANGES:
         if change.id == name:
-            return slice(first, first + len(change.numbers))
-        first += len(change.numbers)
+            return slice(first, first + len(change.parameters))
+        first += len(change.parameters)
     raise KeyError(name)
 
 

@@ -22,7 +22,7 @@ from heli_lab.twin.twin import DIAGNOSIS_DELAY_s, Twin
 from heli_sim.rig import load_rig
 
 CHANGES = all_changes()
-COLUMNS = sum(len(change.numbers) for change in CHANGES)
+COLUMNS = sum(len(change.parameters) for change in CHANGES)
 THRESHOLD_nats = 15.0
 ABOVE, BELOW = [16.0], [1.0]
 """Evidence of one measurement above and below the threshold [nats]; ``3 * ABOVE`` are three measurements."""

@@ -1,9 +1,9 @@
 """Calibrates a twin on nominal flights: disturbances, uncertainty of the rig, and the tail of the evidence.
 
-The evidence without a change is drawn along the nominal flights themselves. The filter follows the flight,
-and its innovations are replaced by pieces of its own innovations in another order and with random signs. So
-no simulation under gains that may not hold the rig is needed. The errors of the rig's parameters are states
-of the filter, drawn from their covariance: innovations and sensitivities already contain them.
+The evidence without a change is drawn along the nominal flights themselves. The filter follows a flight, and
+its innovations are replaced by pieces of its own innovations in another order and with random signs. A
+simulation would instead need gains that stabilise the rig. The errors of the rig's parameters are states of
+the filter, so that innovations and sensitivities already contain them.
 """
 
 from __future__ import annotations
@@ -58,11 +58,12 @@ Shorter: the lower bound exceeds the gusts of a quiet room."""
 _FEW_SHARE: Final = 1.0 / 3.0
 """Share of a quiet room's gusts below which a warning is given."""
 _DRAWS_STREAM: Final = 32
-"""Second part of the seed of the draws. Any other number gives other draws, equally good; this one keeps them
-apart from flights that are simulated with the same seed."""
+"""Second part of the seed of the draws, so that they are independent of flights that are simulated with the
+same seed. Any other number gives other draws, equally good."""
 _EVIDENCE_SHARE: Final = 0.3
 """Share of the work before the draws, for the progress: the draws take most of the time."""
 Say = Callable[[str, float], None]
+"""Function that takes the present stage and the share of the work that is done."""
 
 
 def at_least_rounding(
@@ -133,7 +134,7 @@ def learn_rig(
     twin_model = TwinModel(model, rig).model
     records = [prepare(flight, rig, label) for flight, label in zip(healthy, labels, strict=True)]
     references = [filter_record(record) for record in records]
-    # First the disturbances and constants of each flight, with the rig's parameters fixed.
+    # First estimate the disturbances and the constants of each flight, with the rig's parameters fixed.
     all_parameters = RigParameters(twin_model, rig, records)
     names = twin_model.parameter_names
     rig_values = dict(zip(names, twin_model.parameter_values(rig), strict=True))
@@ -144,7 +145,7 @@ def learn_rig(
     constants = estimate(flight_constants, references, functions, flight_constants.start)
     count_rad = np.min([count_rad_of(flight, rig) for flight in healthy], axis=0)
     disturbances = at_least_rounding(constants.disturbances, twin_model, rig, count_rad)
-    # Then the covariance of all parameters about this point.
+    # Then compute the covariance of all parameters at these estimates.
     theta = np.concatenate(([fixed[name] for name in shared], constants.theta))
     functions = model_functions(twin_model, all_parameters.quantities)
     linearised = [

@@ -4,9 +4,9 @@ The method is that of Willsky and Jones (1976). A change of size v at onset thet
 innovation k, which is white otherwise. With S = sum G'G and b = sum G' e, the log-likelihood therefore grows
 by b' S^-1 b / 2 at the size S^-1 b. With a prior N(0, P) of the size, the evidence is, in nats,
 
-    b' (S + 1/P)^-1 b / 2 - log det(1 + P S) / 2,
+    b' (S + 1/P)^-1 b / 2 - log det(1 + P S) / 2.
 
-so that hypotheses with more, or with vaguer, numbers do not win by having them.
+The determinant lowers the evidence of changes with two parameters, or with a wide prior.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class ChangeCandidate:
     onset_block : int
         Number of the filter's block after which the change began.
     size, std : float
-        Estimate and standard error of the first number of the change, SI.
+        Estimate and standard error of the change of the first parameter, SI.
     log_evidence : float
         Log-likelihood ratio of the change, averaged over its onsets, against no change [nats].
     """
@@ -71,7 +71,7 @@ class Innovation:
     Parameters
     ----------
     value : ndarray (3,)
-        Innovations in their standard deviations; 0 where nothing was measured.
+        Measured minus predicted angles, in standard deviations; 0 without a measurement.
     sensitivity : ndarray (3, columns, onsets)
         Increase of the innovations by one unit of each change from each onset.
     """
@@ -81,12 +81,12 @@ class Innovation:
 
 
 class _Estimates(NamedTuple):
-    """Estimates of each change at each onset, with S, b and the prior covariance P of its numbers.
+    """Estimates of each change at each onset, with S, b and the prior covariance P of its parameters.
 
     Parameters
     ----------
     size : ndarray (draws, changes, onsets) or (changes, onsets)
-        Estimate of the first number.
+        Estimate of the first parameter.
     std : ndarray (changes, onsets)
         Its standard error.
     quadratic_form : ndarray like size
@@ -123,24 +123,27 @@ class LikelihoodRatio:
 
     def __init__(self, changes: Sequence[Change], count_rad: Floats, draws: int | None = None) -> None:
         self.changes = tuple(changes)
-        # Properties of each change. A change has one or two numbers, each with a column of sensitivities.
+        # Properties of each change. A change has one or two parameters, each with a column of sensitivities.
         min_sizes_rad = {
             f"zero_offset.{axis}": MIN_ZERO_SHIFT_COUNTS * count
             for axis, count in zip(AXES, count_rad, strict=True)
         }
         self._min_size: Floats = np.array([[min_sizes_rad.get(change.id, 0.0)] for change in changes])
-        counts = [len(change.numbers) for change in changes]
+        counts = [len(change.parameters) for change in changes]
         has_second = np.array([count > 1 for count in counts])
         self._first_column: Integers = np.cumsum([0, *counts])[:-1].astype(np.int64)
         self._second_column: Integers = np.where(has_second, self._first_column + 1, self._first_column)
         self._has_second = has_second[:, None]
         self._change_of_column = np.repeat(np.arange(len(changes)), counts)
-        self._precision = np.array([[size**-2.0 for size in (*c.sizes, 1.0)[:2]] for c in changes]).T
+        # Prior precision of the first and the second parameter, (2, changes). Without a second parameter, any
+        # precision will do, because its sums stay zero.
+        two_sizes = [(*change.sizes, 1.0)[:2] for change in changes]
+        self._precision = np.array([[size**-2.0 for size in sizes] for sizes in two_sizes]).T
         self._non_negative = np.array([change.non_negative for change in changes])
         self._is_jump_change = np.array([change.is_jump for change in changes])
         self.is_ramp: npt.NDArray[np.bool_] = np.repeat([change.is_ramp for change in changes], counts)
-        # Sums over innovations: S = sum of s s', (changes, onsets), and b = sum of s e, (draws, changes,
-        # onsets), with the sensitivities s of an innovation e by the first and the second number.
+        # Sums over innovations e with the sensitivities s1 and s2 to the first and the second parameter:
+        # S = sum of s s', (changes, onsets), and b = sum of s e, (draws, changes, onsets).
         shape = (len(self.changes), ONSETS)
         self._s11, self._s12, self._s22 = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         draws_shape = shape if draws is None else (draws, *shape)
@@ -178,13 +181,14 @@ class LikelihoodRatio:
         state_sensitivity : ndarray (order, columns, onsets)
             Array of the filter. The columns of the replaced onsets are overwritten.
         """
-        recent = block % RECENT
-        if recent == 0 and np.isfinite(self._onset[:, :RECENT]).all():
+        # The recent onsets are a ring of the places 0 to RECENT - 1, the kept ones a ring of those after it.
+        place = block % RECENT
+        if place == 0 and np.isfinite(self._onset[:, :RECENT]).all():
             self._keep_best_onset(state_sensitivity)
-        state_sensitivity[:, :, recent] = 0.0
+        state_sensitivity[:, :, place] = 0.0
         for sums in (self._s11, self._s12, self._s22, self._b1, self._b2):
-            sums[..., recent] = 0.0
-        self._onset[:, recent] = block
+            sums[..., place] = 0.0
+        self._onset[:, place] = block
 
     def _keep_best_onset(self, state_sensitivity: Floats) -> None:
         """Copy the most likely recent onset of each change over the oldest kept one."""
@@ -238,7 +242,10 @@ class LikelihoodRatio:
         return np.asarray(evidence.max(axis=(-2, -1)))
 
     def _estimates(self) -> _Estimates:
-        """Estimate the numbers of each change at each onset by the normal equations of two unknowns."""
+        """Solve the normal equations (S + 1/P) v = b of each change at each onset, by Cramer's rule.
+
+        Without a second parameter, its sums are zero and its solution is zero.
+        """
         precision1, precision2 = self._precision[0][:, None], self._precision[1][:, None]
         a11, a12, a22 = self._s11 + precision1, self._s12, self._s22 + precision2
         determinant = a11 * a22 - a12**2
@@ -252,7 +259,7 @@ class LikelihoodRatio:
         )
 
     def standard_error(self, change: str, onset_block: float) -> float | None:
-        """Return the standard error of the first number of a change, SI; None while the window is empty.
+        """Return the standard error of the first parameter of a change, SI; None while the window is empty.
 
         Parameters
         ----------

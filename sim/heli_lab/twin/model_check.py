@@ -19,7 +19,7 @@ edges. Larger: such a decoder is not named. Smaller: a model of another day's ri
 
 
 class ModelCheck:
-    """Mean square of the innovations of each axis. It owns their sums since the filter began."""
+    """Mean square of the innovations of each axis since the filter began."""
 
     def __init__(self) -> None:
         self._squares: Floats = np.zeros(3)

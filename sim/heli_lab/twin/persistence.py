@@ -1,4 +1,4 @@
-"""Evidence counts only as far as it persists and does not come from single outliers."""
+"""Which evidence counts for an alarm: that which persists, and does not come from single outliers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ those of nominal flights set the threshold: 38 nats at 5, 15 at 4. Smaller: larg
 
 
 class PersistentEvidence:
-    """The least evidence of the latest `PERSISTENCE_BLOCKS` measurements [nats]; -inf before so many."""
+    """The smallest evidence of the latest `PERSISTENCE_BLOCKS` measurements [nats]; -inf before so many."""
 
     def __init__(self) -> None:
         self._recent_nats: deque[float] = deque(maxlen=PERSISTENCE_BLOCKS)
@@ -27,6 +27,6 @@ class PersistentEvidence:
         self._recent_nats.extend([-math.inf] * PERSISTENCE_BLOCKS)
 
     def add(self, nats: float) -> float:
-        """Add the evidence `nats` of a measurement, and return what persists [nats]."""
+        """Add the evidence `nats` of a measurement, and return the persistent evidence [nats]."""
         self._recent_nats.append(nats)
         return min(self._recent_nats)

@@ -110,7 +110,7 @@ class Twin(FilteredFlight):
         return self._ghost.angles_rad if self._ghost is not None and self._kalman is not None else None
 
     def standard_error(self, change: str, onset_s: float) -> float | None:
-        """Return the standard error of the first number of a change, SI; None while the twin waits.
+        """Return the standard error of the first parameter of a change, SI; None while the twin waits.
 
         Parameters
         ----------
