@@ -42,10 +42,6 @@ class _LateFriction(CoulombFriction):
         full_friction_Nm = super().friction_Nm(at, acceleration_rad_s2, inertia_kg_m2)
         return smooth_step(at.time_s, ca.SX(ONSET_s)) * full_friction_Nm
 
-    @property
-    def has_friction(self) -> bool:
-        return True
-
 
 class _LateZero(ZeroOffset):
     """A wrong encoder zero from `ONSET_s` on."""

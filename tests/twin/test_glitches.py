@@ -64,7 +64,7 @@ def decisions(
         if watch.alternative is None:
             return "-"
         watch.alternative.kalman.differences_rad[PITCH] = counts
-        if watch.returned():
+        if watch.decide_return():
             watch.end_jump(t_s=1.0, block_s=BLOCK_s)
             return "returned"
         return "-" if watch.alternative is None else "open"

@@ -78,11 +78,11 @@ def _catalogue_changes() -> tuple[Change, ...]:
     return tuple(
         Change(
             spec.id,
-            spec.change.numbers or (spec.full(spec.numbers[0].name),),
-            spec.change.sizes,
-            spec.numbers[0].unit,
-            spec.change.positive,
-            spec.change.negative,
+            parameters=spec.change.numbers or (spec.full(spec.numbers[0].name),),
+            sizes=spec.change.sizes,
+            unit=spec.numbers[0].unit,
+            positive_text=spec.change.positive,
+            negative_text=spec.change.negative,
             is_ramp=spec.change.is_ramp,
             non_negative=spec.is_one_sided,
         )

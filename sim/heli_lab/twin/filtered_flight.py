@@ -120,7 +120,7 @@ class FilteredFlight:
         if innovation is None:
             return False
         second.ratio.update_cut(innovation, CUT_OFF_STD)
-        return self._glitches.returned()
+        return self._glitches.decide_return()
 
     def _continue_without_glitch(self, t_s: float) -> TwinEvent:
         """Replace the filter by the one without the jump, and return the event that describes the jump."""

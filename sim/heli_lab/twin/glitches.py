@@ -119,11 +119,11 @@ class GlitchWatch(Generic[F]):
         before.kalman.left_out = axis
         self.alternative, self._differences_rad = before, []
 
-    def returned(self) -> bool:
-        """Return whether the encoder has returned to the predictions of the second filter.
+    def decide_return(self) -> bool:
+        """Decide about the measurement that the second filter has just left out.
 
-        The second filter has just left out a measurement of the encoder. If the encoder can no longer return,
-        the second filter is discarded.
+        Returns True if the encoder has returned to the prediction of the second filter. If the encoder can no
+        longer return, the second filter is discarded.
         """
         assert self.alternative is not None
         kalman = self.alternative.kalman

@@ -206,20 +206,37 @@ class LikelihoodRatio:
         return float(self.update_draws(innovation.value, innovation.sensitivity))
 
     def update_cut(self, innovation: Innovation, outlier: float) -> float:
-        """Add an innovation to two draws: cut off at `outlier` standard deviations, and as it is.
+        """Add an innovation to two draws: cut off at `outlier` standard deviations, and uncut.
 
-        Returns the evidence of the most likely change of the cut draw [nats]. A jump of an encoder is an
-        outlier itself, so its evidence is that of the other draw.
+        Returns the evidence of the most likely change of the cut draw [nats]. A jump of an encoder is itself
+        an outlier, so its evidence is that of the uncut draw.
         """
         values = np.stack((np.clip(innovation.value, -outlier, outlier), innovation.value))
         self.update_draws(values, innovation.sensitivity)
-        jumps = self._last_evidence[self._is_jump_change]
-        return float(max(self._first_evidence.max(), jumps.max(initial=-np.inf)))
+        cut_evidence, uncut_evidence = self._first_evidence, self._last_evidence
+        jump_evidence = uncut_evidence[self._is_jump_change]
+        return float(max(cut_evidence.max(), jump_evidence.max(initial=-np.inf)))
 
     def update_draws(self, value: Floats, sensitivity: Floats) -> Floats:
-        """Add the innovation `value`, (3,) or (draws, 3), with a `sensitivity` as of `Innovation`; return the
-        evidence of the most likely change and onset of each draw [nats].
+        """Add an innovation, and return the evidence of the most likely change and onset of each draw [nats].
+
+        Parameters
+        ----------
+        value : ndarray (3,) or (draws, 3)
+            Innovations in standard deviations.
+        sensitivity : ndarray (3, columns, onsets)
+            Sensitivity of the innovations to the changes, as in `Innovation`.
         """
+        self._add_to_sums(value, sensitivity)
+        evidence = self._evidence_of_onsets()
+        evidence_by_draw = evidence.reshape(-1, *self._onset.shape)
+        self.evidence, self._last_evidence = evidence_by_draw.max(axis=0), evidence_by_draw[-1]
+        self._first_evidence = evidence_by_draw[0]
+        return np.asarray(evidence.max(axis=(-2, -1)))
+
+    def _add_to_sums(self, value: Floats, sensitivity: Floats) -> None:
+        """Add the products of an innovation and its sensitivity to S and b."""
+        # Subscripts: a is the axis, h the hypothesis (change), o the onset.
         first = sensitivity[:, self._first_column]
         second = sensitivity[:, self._second_column]
         self._s11 += np.einsum("aho,aho->ho", first, first)
@@ -227,19 +244,22 @@ class LikelihoodRatio:
         self._s12 += np.where(self._has_second, np.einsum("aho,aho->ho", first, second), 0.0)
         self._s22 += np.where(self._has_second, np.einsum("aho,aho->ho", second, second), 0.0)
         self._b2 += np.where(self._has_second, np.einsum("aho,...a->...ho", second, value), 0.0)
+
+    def _evidence_of_onsets(self) -> Floats:
+        """Return the evidence [nats] of each change at each onset, (changes, onsets) or with draws in front.
+
+        Unused onsets and jumps of an encoder below the smallest reported one have the evidence -inf.
+        """
         estimates = self._estimates()
         # Log of the Bayes factor with normal priors: 1/2 b' (S + 1/P)^-1 b - 1/2 log det(1 + P S).
         evidence = 0.5 * estimates.quadratic_form - 0.5 * np.log(estimates.determinant)
-        # A half-normal prior: twice the posterior mass above zero.
+        # A half-normal prior has twice the density of a normal one, above zero only. The evidence therefore
+        # grows by the logarithm of twice the posterior probability of a positive size.
         non_negative = self._non_negative
         z = estimates.size[..., non_negative, :] / estimates.std[non_negative]
         evidence[..., non_negative, :] += np.log(2.0) + log_ndtr(z)
         is_candidate = np.isfinite(self._onset) & (np.abs(estimates.size) >= self._min_size)
-        evidence = np.where(is_candidate, evidence, -np.inf)
-        evidence_by_draw = evidence.reshape(-1, *self._onset.shape)
-        self.evidence, self._last_evidence = evidence_by_draw.max(axis=0), evidence_by_draw[-1]
-        self._first_evidence = evidence_by_draw[0]
-        return np.asarray(evidence.max(axis=(-2, -1)))
+        return np.where(is_candidate, evidence, -np.inf)
 
     def _estimates(self) -> _Estimates:
         """Solve the normal equations (S + 1/P) v = b of each change at each onset, by Cramer's rule.

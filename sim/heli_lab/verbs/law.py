@@ -370,24 +370,29 @@ def _read_logs(paths: Sequence[Path]) -> dict[str, Flight]:
 def _fly_laws(
     paths: Sequence[Path], options: FlightOptions, duration_s: float, limit_s: float
 ) -> dict[str, Flight]:
-    """Fly the trial plan with each control law; a single law is compared with the board's own."""
+    """Fly the trial plan with each control law; a single law is compared with the board's own.
+
+    Returns the flights by the name of the law, or by its path if another law has the same name.
+    """
     from heli_lab.classroom.grade import REFERENCE
     from heli_lab.law.files import load_law
     from heli_lab.law.trial import trial_plan
     from heli_lab.law_flight import fly_trial
 
+    # All files are loaded before the first flight. None is the board's own control law.
+    programs: dict[str, LawProgram | None] = {}
+    for path in paths:
+        law = load_law(path, limit_s, options.rig)
+        label = law.name if law.name not in programs else str(path)
+        programs[label] = law.program
+    if len(paths) == 1:
+        programs[REFERENCE] = None
     flights: dict[str, Flight] = {}
-    laws = [load_law(path, limit_s, options.rig) for path in paths]
-    compared: list[tuple[str, str, LawProgram | None]] = [
-        (law.name, str(path), law.program) for law, path in zip(laws, paths, strict=True)
-    ]
-    if len(laws) == 1:
-        compared.append((REFERENCE, "", None))
-    for name, path, program in compared:
+    for label, program in programs.items():
         trial = fly_trial(program, options, trial_plan(duration_s))
-        flights[name if name not in flights else path] = trial.flight
+        flights[label] = trial.flight
         if trial.taken_over:
-            say(f"law {name}: the board's control law took over: {trial.taken_over}")
+            say(f"law {label}: the board's control law took over: {trial.taken_over}")
     return flights
 
 
