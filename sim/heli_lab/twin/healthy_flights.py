@@ -61,16 +61,18 @@ duration_s = 8
 
 
 def random_plan(seed: int, duration_s: float = 60.0) -> Plan:
-    """Return a random plan of about `duration_s` in the air, drawn from a `seed`: sines, waypoints, hover,
-    and in half of the plans an excitation.
+    """Draw a plan of about `duration_s` in the air: sines, waypoints and hover.
+
+    In half of the plans, a multisine excites the rotors during the sines.
     """
     rng = np.random.default_rng(seed)
-    travel = round(float(rng.uniform(10, 40)), 1)
+    travel_deg = round(float(rng.uniform(10, 40)), 1)
     excite = 'excite = { signal = "multisine", front_V = 0.2, back_V = 0.2, start_Hz = 0.1, stop_Hz = 3 }'
     text = _PLAN.format(
         seed=seed,
-        travel=travel,
-        travel_s=round(max(16.0, 0.62 * travel), 1),
+        travel=travel_deg,
+        # A period in proportion to the amplitude limits the rate of travel.
+        travel_s=round(max(16.0, 0.62 * travel_deg), 1),
         elevation=round(float(rng.uniform(2, 9)), 1),
         elevation_s=round(float(rng.uniform(7, 12)), 1),
         sines_s=round(max(duration_s - _OTHER_SEGMENTS_s, _MIN_SINES_s), 1),

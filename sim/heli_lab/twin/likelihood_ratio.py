@@ -296,22 +296,26 @@ class LikelihoodRatio:
         return float(self._estimates().std[row, nearest])
 
     def ranking(self) -> list[ChangeCandidate]:
-        """Return all changes, the most likely first; all onsets have the same prior probability."""
+        """Return all changes, the most likely first.
+
+        The evidence of a change is the mean of its likelihood ratios over the onsets, which have the same
+        prior probability. Size and onset are those of the most likely onset. The last draw counts.
+        """
         estimates = self._estimates()
         size = estimates.size.reshape(-1, *self._onset.shape)[-1]
-        best_onsets = np.argmax(self._last_evidence, axis=1)
+        best_places = np.argmax(self._last_evidence, axis=1)
         onset_count = max(1, int(np.isfinite(self._onset[0]).sum()))
         log_evidence = logsumexp(self._last_evidence, axis=1) - np.log(onset_count)
         candidates = []
-        for i, (change, best) in enumerate(zip(self.changes, best_onsets, strict=True)):
-            onset = self._onset[i, best]
+        for row, (change, place) in enumerate(zip(self.changes, best_places, strict=True)):
+            onset_block = self._onset[row, place]
             candidates.append(
                 ChangeCandidate(
                     change,
-                    onset_block=int(onset) if np.isfinite(onset) else 0,
-                    size=float(size[i, best]),
-                    std=float(estimates.std[i, best]),
-                    log_evidence=float(log_evidence[i]),
+                    onset_block=int(onset_block) if np.isfinite(onset_block) else 0,
+                    size=float(size[row, place]),
+                    std=float(estimates.std[row, place]),
+                    log_evidence=float(log_evidence[row]),
                 )
             )
         return sorted(candidates, key=lambda candidate: -candidate.log_evidence)

@@ -98,8 +98,10 @@ class Tail:
         """
         # The Fisher information is infinite at a shape of -1/2.
         xi = max(self.shape, -0.4)
+        # Information of a single excess about shape and log scale (Smith 1987), (2, 2).
         fisher = np.array([[2.0 / (1.0 + xi), 1.0 / (1.0 + xi)], [1.0 / (1.0 + xi), 1.0]]) / (1.0 + 2.0 * xi)
         precision = self.excesses * fisher + np.diag([_SHAPE_STD**-2.0, 0.0])
+        # Shape and log scale are their means plus root @ u, with a standard normal u, (2,).
         root = np.linalg.cholesky(np.linalg.inv(precision))
         nodes, node_weights = np.polynomial.hermite_e.hermegauss(_NODES)
         first, second = (grid.ravel() for grid in np.meshgrid(nodes, nodes))

@@ -86,7 +86,9 @@ class Twin(FilteredFlight):
         self.model, self.calibration = model, calibration
         self.threshold_nats = calibration.threshold_nats(false_alarm_interval_h)
         self.evidence_nats = -math.inf
-        self.free = self.contradicts = self.records_evidence = False
+        self.free = False
+        self.contradicts = False
+        self.records_evidence = False
         self.unjudged_blocks = 0
         self.evidence_history: list[tuple[float, float]] = []
         self._count_rad, self._zero_s = count_rad, zero_s
@@ -99,9 +101,14 @@ class Twin(FilteredFlight):
         self._ghost = Ghost(model, self.step_s) if with_ghost else None
         self._inputs = InputHistory(model, self.step_s)
         self._ratio = self._new_ratio()
-        self._first_step = 0  # of the comparison
+        # First step of the comparison, and block of the latest alarm, counted from that step.
+        self._first_step = 0
         self._alarm_block: int | None = None
-        self._is_diagnosed = self._recalibrates = self._is_early = False
+        # Whether that alarm has its final ranking, and whether it came during the calibration.
+        self._is_diagnosed = False
+        self._is_early = False
+        # Whether the filter has restarted after an alarm.
+        self._is_changed = False
         self._check = ModelCheck()
 
     @property
@@ -200,7 +207,7 @@ class Twin(FilteredFlight):
         self._ratio = self._new_ratio()
         self._persistent.clear()
         self._first_step, self._block_count = index, 0
-        self._alarm_block, self._is_diagnosed, self._recalibrates = None, False, changed
+        self._alarm_block, self._is_diagnosed, self._is_changed = None, False, changed
         self._check, self._glitches = ModelCheck(), GlitchWatch(self._count_rad)
         return self._kalman
 
@@ -237,7 +244,7 @@ class Twin(FilteredFlight):
         with its final ranking.
         """
         block = self._block_count
-        is_early = not self._recalibrates and block * self.block_s <= CALIBRATION_s
+        is_early = not self._is_changed and block * self.block_s <= CALIBRATION_s
         if is_early:
             yield from self._check_model_once(block, t_s)
         may_be_glitch = self._glitches.alternative is not None

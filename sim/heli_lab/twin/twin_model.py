@@ -58,6 +58,10 @@ class TwinModel:
         Prior standard deviation of each parameter of the changes.
     prior_changes : ndarray (free parameters + 1, columns)
         Amount of each free parameter per prior standard deviation of each parameter of the changes.
+    measure : AlongTrajectory
+        Measured angles and their derivatives.
+    resets : AlongTrajectory or None
+        State after the effects that set states have acted; None without such effects.
     frictions : list of (int, int)
         Index among the free parameters, and axis, of each dry friction.
     scales : list of (int, int)
@@ -71,27 +75,24 @@ class TwinModel:
         deterministic = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
         self.rig, self.model, self.uncertainty = rig, deterministic, uncertainty
         self.changes: tuple[Change, ...] = changes_of(deterministic)
+        # Parameters by which derivatives are needed: those of the changes, and the uncertain ones.
         free = tuple(dict.fromkeys((*model_parameters(self.changes), *uncertainty.names)))
         self.functions = model_functions(extended(deterministic), free)
         extended_model = self.functions.model.source
         self.functions_without_derivatives = model_functions(extended_model, ())
         self.parameters: Floats = extended_model.parameter_values(rig)
         self.states = len(extended_model.states)
-        names = self.functions.names
-        self.delay_s = (
-            float(self.parameters[names.index(extended_model.delay)]) if extended_model.delay else 0.0
-        )
+        self.delay_s = self._delay_of(extended_model)
         dead_zone_V = extended_model.dead_zone_V(self.parameters)
         self.min_thrust_V = -np.inf if dead_zone_V is None else dead_zone_V
         self.measure = self._measurement(extended_model)
-        has_resets = any(type(effect).reset_map is not Effect.reset_map for effect in deterministic.effects)
-        # The state at the end of a step, for effects that set states.
-        self.resets = (
-            model_along(extended_model, lambda x, u, p, t: [extended_model.reset_map(x, u, p, t)])
-            if has_resets
-            else None
-        )
+        self.resets = self._resets(extended_model)
         self.directions: Floats = uncertainty.directions(free)
+        self._describe_changes()
+        self.zero_tolerance_rad: Floats = np.deg2rad([rig[name].tolerance for name in ZEROS])
+
+    def _describe_changes(self) -> None:
+        """Set the attributes that state what each change does: weights, priors, frictions and scales."""
         change_parameters = [name for change in self.changes for name in change.parameters]
         self.weights: Floats = self._weights(change_parameters)
         self.prior_sizes: Floats = np.array([size for change in self.changes for size in change.sizes])
@@ -106,7 +107,18 @@ class TwinModel:
             for column, name in enumerate(change_parameters)
             if name in SCALES
         ]
-        self.zero_tolerance_rad: Floats = np.deg2rad([rig[name].tolerance for name in ZEROS])
+
+    def _delay_of(self, model: Model) -> float:
+        """Return the delay between a voltage and its action [s]; 0 if the model has none."""
+        if not model.delay:
+            return 0.0
+        return float(self.parameters[self.functions.names.index(model.delay)])
+
+    def _resets(self, model: Model) -> AlongTrajectory | None:
+        """Return the function that sets states at the end of a step; None if no effect sets states."""
+        if all(type(effect).reset_map is Effect.reset_map for effect in self.model.effects):
+            return None
+        return model_along(model, lambda x, u, p, t: [model.reset_map(x, u, p, t)])
 
     def _weights(self, change_parameters: Sequence[str]) -> Floats:
         """Return the amount of each free parameter and, in the last row, of the supply, per unit of each
@@ -126,6 +138,7 @@ class TwinModel:
     def _measurement(self, model: Model) -> AlongTrajectory:
         """Return the measured angles, (3,), with their derivatives by states and by free parameters."""
 
+        # State x, voltages u, parameters p and time t, as symbols.
         def angles_and_derivatives(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> list[ca.SX]:
             angles = model.measurement(x, u, p, t)
             free = ca.vertcat(*(p[i] for i in self.functions.places))
