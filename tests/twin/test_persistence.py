@@ -15,10 +15,10 @@ from heli_lab.twin.changes import Change, all_changes
 from heli_lab.twin.files import DEFAULT_CALIBRATION
 from heli_lab.twin.likelihood_ratio import ONSETS, ChangeCandidate, Innovation, LikelihoodRatio
 from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
-from heli_lab.twin.persistence import PERSISTENCE_BLOCKS
+from heli_lab.twin.persistence import PERSISTENCE_BLOCKS, DIAGNOSIS_DELAY_s
 from heli_lab.twin.samples import Samples
 from heli_lab.twin.tail import Tail
-from heli_lab.twin.twin import DIAGNOSIS_DELAY_s, Twin
+from heli_lab.twin.twin import Twin
 from heli_sim.rig import load_rig
 
 CHANGES = all_changes()

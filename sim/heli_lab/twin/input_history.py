@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -33,6 +34,25 @@ class Motion(NamedTuple):
     times_s: Floats
     angles_rad: Floats
     volts_V: Floats
+
+
+@dataclass(frozen=True)
+class BlockEnd:
+    """The end of a block of steps, at which the filter uses a measurement.
+
+    Parameters
+    ----------
+    step : Step
+        The step that begins there, with the measured angles.
+    motor_time_s : float
+        Time since the motors started [s].
+    acting_V : ndarray (2,)
+        Voltages that act there [V].
+    """
+
+    step: Step
+    motor_time_s: float
+    acting_V: Floats
 
 
 class InputHistory:

@@ -31,9 +31,9 @@ from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration
 from heli_lab.twin.draws import Draws, FollowedFlight, drawn_evidence, evidence
 from heli_lab.twin.flights import count_rad_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
+from heli_lab.twin.model_check import FILTER_SETTLING_s
 from heli_lab.twin.parameter_uncertainty import SUPPLY_STD, ParameterUncertainty
 from heli_lab.twin.tail import fit_tail
-from heli_lab.twin.twin import FILTER_SETTLING_s
 from heli_lab.twin.twin_model import TwinModel
 
 DRAWN_s: Final = 720.0

@@ -6,6 +6,9 @@ import math
 from collections import deque
 from typing import Final
 
+DIAGNOSIS_DELAY_s: Final = 3.0
+"""Time from the alarm to the final ranking of changes, s. Longer: the ranking is more certain but less
+useful. Shorter: a step and a fade look alike."""
 PERSISTENCE_BLOCKS: Final = 6
 """Number of measurements, 40 ms apart, over which evidence must persist before it counts: 0.24 s. Fewer:
 rounding that a gust makes larger raises an alarm. More: sudden changes are reported that much later."""

@@ -4,38 +4,107 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Final
+from typing import ClassVar
 
+import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.estimation import BLOCK_s
+from heli_lab.twin.angle_history import AngleHistory
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.events import TwinEvent, contradiction_event, ranked_event
-from heli_lab.twin.filtered_flight import BlockEnd, FilteredFlight, FilterPair
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
-from heli_lab.twin.glitches import GlitchWatch
-from heli_lab.twin.input_history import InputHistory
+from heli_lab.twin.glitches import GlitchWatch, WithoutEncoder
+from heli_lab.twin.input_history import BlockEnd, InputHistory
 from heli_lab.twin.kalman_filter import KalmanFilter
 from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, Innovation, LikelihoodRatio
-from heli_lab.twin.model_check import MIN_SCALE_ERROR, ModelCheck
-from heli_lab.twin.persistence import CUT_OFF_STD
+from heli_lab.twin.model_check import MIN_SCALE_ERROR, CALIBRATION_s, FILTER_SETTLING_s, ModelCheck
+from heli_lab.twin.persistence import CUT_OFF_STD, DIAGNOSIS_DELAY_s, PersistentEvidence
 from heli_lab.twin.samples import Samples, Step, Stepper
 from heli_lab.twin.twin_model import TwinModel, start_state
+from heli_lab.twin.voltage_range import VoltageRange
 
-DIAGNOSIS_DELAY_s: Final = 3.0
-"""Time from the alarm to the final ranking of changes, s. Longer: the ranking is more certain but less
-useful. Shorter: a step and a fade look alike."""
-FILTER_SETTLING_s: Final = 1.0
-"""Time for which the filter estimates state, encoder zeros and torques before it looks for changes, s."""
-CALIBRATION_s: Final = 8.0
-"""Time in which the filter estimates what differs between days, s: supply, encoder zeros, constant torques,
-and the parameters within their covariance. `diagnose` uses the same time. A model that is contradicted so
-early was wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken
-for a change."""
+_FilterPair = WithoutEncoder[KalmanFilter]
 
 
-class Twin(FilteredFlight):
+class _FilteredFlight:
+    """Filter of a flight and its likelihood ratio.
+
+    While an encoder may return from a jump, a second filter with its own likelihood ratio runs without that
+    encoder.
+    """
+
+    watches_glitches: ClassVar = True
+    """False: an encoder that jumps and returns is evidence of a change."""
+
+    def __init__(self, model: TwinModel, count_rad: Floats, step_s: float, history_blocks: int) -> None:
+        self._kalman: KalmanFilter | None = None
+        self._ratio = LikelihoodRatio(model.changes, count_rad, draws=2)
+        self._persistent = PersistentEvidence()
+        self._glitches: GlitchWatch[KalmanFilter] = GlitchWatch(count_rad)
+        self._angles = AngleHistory(history_blocks, model.scales)
+        self._range, self._step = VoltageRange(model.uncertainty, step_s), 0
+        self._block_count, self._steps_per_block = 0, max(1, round(BLOCK_s / step_s))
+        self.block_s = self._steps_per_block * step_s
+
+    @property
+    def judges(self) -> bool:
+        """False while measurements are ignored, after voltages that the nominal flights do not contain."""
+        return self._range.is_known(self._step)
+
+    def _use_measurement(
+        self, kalman: KalmanFilter, ratio: LikelihoodRatio, block_end: BlockEnd
+    ) -> Innovation | None:
+        """Update a filter with a measurement; return its innovation, None without a measurement.
+
+        The innovation and its sensitivity are zero after voltages that the nominal flights do not contain, so
+        that the evidence stays.
+        """
+        ages_s = ratio.ages(self._block_count) * self.block_s
+        kalman.propagate_sensitivity(ages_s, ratio.is_ramp)
+        step = block_end.step
+        if step.measured_rad is None:
+            return None
+        innovation = kalman.update(
+            block_end.motor_time_s,
+            step.measured_rad,
+            step.samples,
+            block_end.acting_V,
+            amount=np.where(ages_s > 0.0, 1.0, 0.0),
+            onset_rad=self._angles.at_onsets(ratio),
+        )
+        if self.judges:
+            return innovation
+        return Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
+
+    def _encoder_returned(self, block_end: BlockEnd) -> bool:
+        """Update the second filter if it runs; return whether the encoder has returned to its prediction."""
+        second = self._glitches.alternative
+        if second is None:
+            return False
+        innovation = self._use_measurement(second.kalman, second.ratio, block_end)
+        if innovation is None:
+            return False
+        second.ratio.update_cut(innovation, CUT_OFF_STD)
+        return self._glitches.decide_return()
+
+    def _continue_without_glitch(self, t_s: float) -> TwinEvent:
+        """Replace the filter by the one without the jump, and return the event that describes the jump."""
+        second, text = self._glitches.end_jump(t_s, self.block_s)
+        self._kalman, self._ratio = second.kalman, second.ratio
+        self._persistent.clear()
+        return TwinEvent("glitch", t_s, text)
+
+    def _filters(self) -> Iterator[tuple[KalmanFilter, LikelihoodRatio]]:
+        """Yield the filter and, while an encoder may return from a jump, the second filter."""
+        if self._kalman is not None:
+            yield self._kalman, self._ratio
+        if (second := self._glitches.alternative) is not None:
+            yield second.kalman, second.ratio
+
+
+class Twin(_FilteredFlight):
     """Compares a flight with a model of the rig and raises an alarm when the rig changes.
 
     Parameters
@@ -86,9 +155,7 @@ class Twin(FilteredFlight):
         self.model, self.calibration = model, calibration
         self.threshold_nats = calibration.threshold_nats(false_alarm_interval_h)
         self.evidence_nats = -math.inf
-        self.free = False
-        self.contradicts = False
-        self.records_evidence = False
+        self.free, self.contradicts, self.records_evidence = False, False, False
         self.unjudged_blocks = 0
         self.evidence_history: list[tuple[float, float]] = []
         self._count_rad, self._zero_s = count_rad, zero_s
@@ -105,8 +172,7 @@ class Twin(FilteredFlight):
         self._first_step = 0
         self._alarm_block: int | None = None
         # Whether that alarm has its final ranking, and whether it came during the calibration.
-        self._is_diagnosed = False
-        self._is_early = False
+        self._is_diagnosed, self._is_early = False, False
         # Whether the filter has restarted after an alarm.
         self._is_changed = False
         self._check = ModelCheck()
@@ -217,7 +283,8 @@ class Twin(FilteredFlight):
         block, step = self._block_count, block_end.step
         t_s = step.index * self.step_s - self._zero_s
         before = self._process_measurement(kalman, block_end)
-        self._begin_possible_jump(kalman, before, block_end)
+        if self.watches_glitches and step.measured_rad is not None:
+            self._glitches.begin_jump(kalman, before)
         if self._encoder_returned(block_end):
             yield self._continue_without_glitch(t_s)
         if self.records_evidence:
@@ -253,7 +320,7 @@ class Twin(FilteredFlight):
             if not is_early:
                 yield self._ranked("alarm", t_s)
 
-    def _process_measurement(self, kalman: KalmanFilter, block_end: BlockEnd) -> FilterPair | None:
+    def _process_measurement(self, kalman: KalmanFilter, block_end: BlockEnd) -> _FilterPair | None:
         """Update the filter with a measurement, and the evidence with its innovation.
 
         Returns copies of filter and ratio before that measurement; None if no jump of an encoder can begin.
