@@ -21,7 +21,7 @@ def smooth_samples(first: int, count: int) -> Samples:
 
 
 def comparable(steps: list[Step]) -> list[object]:
-    """Return the steps in a form that ``==`` compares; it does not compare arrays."""
+    """Return the steps with lists instead of arrays, so that ``==`` can compare them."""
     return [
         (
             step.index,

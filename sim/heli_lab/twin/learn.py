@@ -25,7 +25,7 @@ from heli_sim.rig import Rig
 from heli_lab.errors import TwinError
 from heli_lab.estimation import BLOCK_s, DisturbanceModel, InnovationsModel, LinearisedFlight, estimate
 from heli_lab.estimation.posterior_step import posterior_step
-from heli_lab.identify import prepare
+from heli_lab.identify import Record, prepare
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration
 from heli_lab.twin.draws import Draws, FollowedFlight, drawn_evidence, evidence
@@ -145,7 +145,7 @@ def learn_rig(
     constants = estimate(flight_constants, references, functions, flight_constants.start)
     count_rad = np.min([count_rad_of(flight, rig) for flight in healthy], axis=0)
     disturbances = at_least_rounding(constants.disturbances, twin_model, rig, count_rad)
-    # Then compute the covariance of all parameters at these estimates.
+    # Then compute the covariance of all parameters at these estimates. The rig's parameters are the first.
     theta = np.concatenate(([fixed[name] for name in shared], constants.theta))
     functions = model_functions(twin_model, all_parameters.quantities)
     linearised = [
@@ -162,6 +162,12 @@ def learn_rig(
         per_flight=innovations.per_flight,
     )
     covariance = posterior.covariance[: len(shared), : len(shared)]
+    low_V, high_V = _known_voltages(records)
+    return disturbances, ParameterUncertainty(tuple(shared), covariance, SUPPLY_STD, low_V, high_V)
+
+
+def _known_voltages(records: Sequence[Record]) -> tuple[Floats, Floats]:
+    """Return the lowest and the highest voltage of each rotor for which parameters hold [V], (2,) each."""
     free_V = np.vstack(
         [record.voltages_V[start:stop] for record in records for start, stop in record.segments]
     )
@@ -170,7 +176,7 @@ def learn_rig(
     # A rotor that reverses for the first time is unknown, however slowly it turned before.
     low_V = np.where(lowest_V >= 0.0, np.maximum(low_V, 0.0), low_V)
     high_V = (1.0 + _VOLTAGE_MARGIN) * highest_V
-    return disturbances, ParameterUncertainty(tuple(shared), covariance, SUPPLY_STD, low_V, high_V)
+    return low_V, high_V
 
 
 def learn(

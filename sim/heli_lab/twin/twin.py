@@ -377,7 +377,7 @@ class Twin(_FilteredFlight):
     def _final_ranking(self, index: int) -> Iterator[TwinEvent]:
         """Yield the final ranking of an alarm that has none yet.
 
-        An early alarm ranks only a wrong encoder scale; any other early alarm contradicts the model.
+        If an early alarm is not a wrong encoder scale, the flight contradicts the model instead.
         """
         if self._alarm_block is None or self._is_diagnosed:
             return
