@@ -59,14 +59,14 @@ class Flown:
 
 def fly_drawn(plan: str, seed: int, axis: int = 0, scale: float = 1.0) -> tuple[str, Flight]:
     """Fly a shipped plan on the rig of a seed, one of its encoders with a wrong scale."""
-    rig, calm, weather = true_rig(seed)
+    drawn = true_rig(seed)
     scales = [1.0, 1.0, 1.0]
     scales[axis] = scale
     faults = RigFaults(encoder_scales=(scales[0], scales[1], scales[2]))
     # Settings of the operator of this rig.
-    hover_V = float(sum(trim(MultibodyModel(), rig).volts_V)) - 2.0 * rig["dead_zone"].value
+    hover_V = float(sum(trim(MultibodyModel(), drawn.rig).volts_V)) - 2.0 * drawn.rig["dead_zone"].value
     options = SilOptions(seed=seed, rig_faults=faults)
-    return fly_one(with_process_noise(calm, weather), rig, plan, options, {"hover_V": hover_V})
+    return fly_one(drawn.disturbed_model, drawn.rig, plan, options, {"hover_V": hover_V})
 
 
 def fly_one(
@@ -168,10 +168,8 @@ def other_lines(flights: int) -> list[str]:
         flown = []
         for plan in plan_names():
             for seed in range(HEALTHY_FROM, HEALTHY_FROM + flights):
-                *_, weather = true_rig(seed)
-                outcome, flight = fly_one(
-                    with_process_noise(model, weather), rig, plan, SilOptions(seed=seed), negative_text
-                )
+                disturbed_model = with_process_noise(model, true_rig(seed).disturbances)
+                outcome, flight = fly_one(disturbed_model, rig, plan, SilOptions(seed=seed), negative_text)
                 if np.any(flight.voltages_V):
                     estimates = scales_of(flight, rig, model)
                     flown.append(Flown(outcome, estimates, wrong_scale(estimates)))

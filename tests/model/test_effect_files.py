@@ -186,7 +186,7 @@ def test_a_new_effect_is_one_file_and_the_generated_table(tmp_path: Path) -> Non
         (change,) = (
             change for change in changes.changes_of(MultibodyModel()) if change.id == "window_draught"
         )
-        assert change.numbers == ("window_draught_Nm",) and not change.non_negative
+        assert change.parameters == ("window_draught_Nm",) and not change.non_negative
         assert change.words(0.03, 0.01) == "a draught of 30 ± 10 mN m came"
         assert "window_draught" in {effect.name for effect in changes.extended(MultibodyModel()).effects}
         assert segment_for(catalogue()["window_draught"]) == "travel"

@@ -1,8 +1,8 @@
 """Twins of real machines: ``python -m tests.twin.measured``; needs ../shared/data/measured.
 
-The rig is identified on one flight of a pair, with the effects that docs/validation/measured-flights.md
-names. Its twin is trained on the same flight, then watches the other one: as it is, and with a loss of
-voltage hidden from the middle on. Both flights of a pair take both parts.
+There are two flights of each machine. The rig is identified on one flight, with the effects of `EFFECTS`, and
+its twin is trained on the same flight. The twin then monitors the other flight: as it was recorded, and with
+a simulated loss in its second half. Each flight of a pair serves once for training.
 """
 
 from __future__ import annotations
@@ -29,21 +29,33 @@ from tests.field.cases import NO_DATA
 from tests.measured.pairs import MEASURED, PAIRS, RIG, FROM_s, LANDS_s, add_pairs, flights
 
 EFFECTS: Final = ("rotor_speed_lag", "gyroscopic_torque", "edgewise_flow")
+"""Effects of all machines, from docs/validation/measured-flights.md."""
 FALSE_ALARM_INTERVAL_h: Final = 10.0
 WITHIN_s: Final = 3.0
-"""Required median delay of an alarm, s."""
+"""Required median delay of an alarm [s]."""
 
 
 @dataclass(frozen=True)
 class Loss:
-    """A hidden loss: the share of each voltage that does not reach its rotor, and the names that are
-    right.
+    """A simulated loss of voltage.
+
+    Thrust of these models is a linear function of the voltage, so a share of voltage is a share of thrust.
+
+    Parameters
+    ----------
+    label : str
+        Description for the printed result.
+    front, back : float
+        Share of the logged voltage that does not reach the rotor.
+    right_names : frozenset of str
+        Ids of the changes that name this loss. A weaker supply and two rotors that fade look alike, because
+        both rotors lose the same share.
     """
 
-    text: str
+    label: str
     front: float
     back: float
-    family: frozenset[str]
+    right_names: frozenset[str]
 
 
 LOSSES: Final = (
@@ -51,153 +63,193 @@ LOSSES: Final = (
     Loss("front -8 %", 0.08, 0.0, frozenset({"thrust_step.front"})),
     Loss("back -8 %", 0.0, 0.08, frozenset({"thrust_step.back"})),
 )
-"""Thrust of these models is linear in the voltage, so a share of voltage is a share of thrust. A supply that
-falls and two rotors that fade are one family: both rotors lose the same share."""
 
 
 @dataclass(frozen=True)
-class Watched:
-    """Report of a twin about a flight with a loss.
+class LossResult:
+    """Result of monitoring a flight with a loss.
 
     Parameters
     ----------
     loss : Loss
-        What is hidden.
-    early : bool
-        Whether an alarm came before the loss.
+        The simulated loss.
+    has_early_alarm : bool
+        True if an alarm or a contradiction came before the loss.
     delay_s : float or None
         Time from the loss to its alarm [s]; None without an alarm.
     name : str
-        Change that the final ranking of that alarm puts first.
+        Id of the change that the final ranking of that alarm puts first; empty without a ranking.
     is_judged : bool
-        Whether the twin judged at least half of the flight.
+        True if the twin judged at least half of the flight.
     """
 
     loss: Loss
-    early: bool
+    has_early_alarm: bool
     delay_s: float | None
     name: str
     is_judged: bool
 
     @property
-    def is_named(self) -> bool:
-        """Whether the right family is named."""
-        return self.name in self.loss.family
+    def is_detected(self) -> bool:
+        """Whether the loss has an alarm, and the flight none before it."""
+        return self.delay_s is not None and not self.has_early_alarm
+
+    @property
+    def has_right_name(self) -> bool:
+        """Whether the twin named the loss."""
+        return self.name in self.loss.right_names
 
 
-def part(name: str) -> Flight:
-    """Read the part of a flight that its description calls sound."""
+def undamaged_part(name: str) -> Flight:
+    """Read the part of a flight between take-off and landing, as the description of the data limits it."""
     flight = read_flight(MEASURED / f"{name}.csv.gz")
-    rows = (flight.t_s >= FROM_s) & (flight.t_s < LANDS_s.get(name, np.inf))
-    elevation_rad, pitch_rad, travel_rad = flight.angles_rad[rows].T
-    front_V, back_V = flight.front_V[rows], flight.back_V[rows]
-    return Flight(flight.t_s[rows], front_V, back_V, elevation_rad, pitch_rad, travel_rad, meta=flight.meta)
-
-
-def identified(pair: str, back: bool = False) -> TwinRig:
-    """Identify the rig on the flight of a pair that teaches; the calibration is the usual one."""
-    rig = load_rig(RIG)
-    record, _ = flights(pair, back)
-    model = MultibodyModel(parse_effects(EFFECTS))
-    parameter_vector = RigParameters(model, rig, [record])
-    functions = model_functions(model, parameter_vector.quantities)
-    found = estimate(parameter_vector, [filter_record(record)], functions, parameter_vector.start)
-    values = {
-        parameter.quantity: float(value)
-        for parameter, value in zip(parameter_vector.free, found.theta, strict=True)
-    }
-    numbers = rig.replace(**{name: value for name, value in values.items() if name in rig})
-    effects = tuple(
-        replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
-        for effect in model.effects
+    is_inside = (flight.t_s >= FROM_s) & (flight.t_s < LANDS_s.get(name, np.inf))
+    elevation_rad, pitch_rad, travel_rad = flight.angles_rad[is_inside].T
+    return Flight(
+        flight.t_s[is_inside],
+        flight.front_V[is_inside],
+        flight.back_V[is_inside],
+        elevation_rad,
+        pitch_rad,
+        travel_rad,
+        meta=flight.meta,
     )
-    return TwinRig(numbers, MultibodyModel(effects), DEFAULT_CALIBRATION, pair)
 
 
-def trained(twin: TwinRig, name: str, drawn_s: float = DRAWN_s) -> TwinRig:
-    """Train a twin on a flight, as `heli-host twin --learn` does."""
-    calibration = learn(twin.model, twin.rig, [part(name)], [name], drawn_s=drawn_s)
+def identified_twin(pair: str, *, exchanged: bool = False) -> TwinRig:
+    """Identify the rig on the first flight of a pair, or on the second one if `exchanged`.
+
+    The twin has the default calibration.
+    """
+    rig = load_rig(RIG)
+    record, _ = flights(pair, exchanged)
+    typical_model = MultibodyModel(parse_effects(EFFECTS))
+    parameter_vector = RigParameters(typical_model, rig, [record])
+    functions = model_functions(typical_model, parameter_vector.quantities)
+    fit = estimate(parameter_vector, [filter_record(record)], functions, parameter_vector.start)
+    estimates = {
+        parameter.quantity: float(value)
+        for parameter, value in zip(parameter_vector.free, fit.theta, strict=True)
+    }
+    identified_rig = rig.replace(**{name: value for name, value in estimates.items() if name in rig})
+    effects = tuple(
+        replace(
+            effect, values={name: estimates.get(name, typical) for name, typical in effect.values.items()}
+        )
+        for effect in typical_model.effects
+    )
+    return TwinRig(identified_rig, MultibodyModel(effects), DEFAULT_CALIBRATION, pair)
+
+
+def trained_twin(twin: TwinRig, name: str, drawn_s: float = DRAWN_s) -> TwinRig:
+    """Train a twin on the flight `name`, as `heli-host twin --learn` does."""
+    calibration = learn(twin.model, twin.rig, [undamaged_part(name)], [name], drawn_s=drawn_s)
     return replace(twin, calibration=calibration)
 
 
-def lost(flight: Flight, loss: Loss, at_s: float) -> Flight:
-    """Hide a loss in a flight from a moment on: the rotors get less than is logged."""
-    after = flight.t_s >= at_s
-    front_V = flight.front_V / np.where(after, 1.0 - loss.front, 1.0)
-    back_V = flight.back_V / np.where(after, 1.0 - loss.back, 1.0)
+def with_loss(flight: Flight, loss: Loss, onset_s: float) -> Flight:
+    """Return a flight with a loss from `onset_s` on.
+
+    The measured motion stays. The logged voltages are raised, so that the rotors have less thrust than the
+    log states.
+    """
+    has_loss = flight.t_s >= onset_s
+    front_V = flight.front_V / np.where(has_loss, 1.0 - loss.front, 1.0)
+    back_V = flight.back_V / np.where(has_loss, 1.0 - loss.back, 1.0)
     return replace(flight, front_V=front_V, back_V=back_V)
 
 
-def watched(twin: TwinRig, flight: Flight, loss: Loss) -> Watched:
-    """Watch a flight with a loss from its middle on."""
-    at_s = 0.5 * float(flight.t_s[0] + flight.t_s[-1])
-    report = monitor_flight(twin, lost(flight, loss, at_s), loss.text, FALSE_ALARM_INTERVAL_h)
-    alarms_s = [event.t_s for event in report.events if event.kind == "alarm" and event.t_s >= at_s]
-    # The final ranking comes after its alarm; an alarm just before the loss may still get its own.
+def monitor_loss(twin: TwinRig, flight: Flight, loss: Loss) -> LossResult:
+    """Monitor a flight with a loss in its second half."""
+    onset_s = 0.5 * float(flight.t_s[0] + flight.t_s[-1])
+    report = monitor_flight(twin, with_loss(flight, loss, onset_s), loss.label, FALSE_ALARM_INTERVAL_h)
+    alarms_s = [event.t_s for event in report.events if event.kind == "alarm" and event.t_s >= onset_s]
+    # The final ranking comes after its alarm. The final ranking of an alarm just before the loss may come
+    # after the loss: it does not count.
     names = [event.ranking[0].change.id for event in report.alarms if alarms_s and event.t_s >= alarms_s[0]]
-    early = any(event.kind in ("alarm", "contradicts") and event.t_s < at_s for event in report.events)
-    return Watched(
+    return LossResult(
         loss,
-        early,
-        alarms_s[0] - at_s if alarms_s else None,
-        names[0] if names else "",
-        report.unjudged_s < 0.5 * report.free_s,
+        has_early_alarm=any(
+            event.kind in ("alarm", "contradicts") and event.t_s < onset_s for event in report.events
+        ),
+        delay_s=alarms_s[0] - onset_s if alarms_s else None,
+        name=names[0] if names else "",
+        is_judged=report.unjudged_s < 0.5 * report.free_s,
     )
 
 
-def healthy_words(report: TwinReport) -> str:
-    """Describe what a twin reports about a flight in which nothing changed."""
-    said = [event.text for event in report.events if event.kind in ("alarm", "contradicts")]
+def healthy_text(report: TwinReport) -> str:
+    """Describe what a twin reports about a flight without a loss."""
+    alarms = [event.text for event in report.events if event.kind in ("alarm", "contradicts")]
     jumps = [event.text for event in report.events if event.kind == "glitch"]
-    words = [said[0] if said else "quiet", *jumps]
+    texts = [alarms[0] if alarms else "quiet", *jumps]
     if report.unjudged_s:
-        words.append(f"not judged {report.unjudged_s:.1f} s of {report.free_s:.1f} s")
-    return f"most {report.max_evidence_nats:.1f} nats; {'; '.join(words)}"
+        texts.append(f"not judged {report.unjudged_s:.1f} s of {report.free_s:.1f} s")
+    return f"most {report.max_evidence_nats:.1f} nats; {'; '.join(texts)}"
+
+
+def loss_text(result: LossResult) -> str:
+    """Describe what a twin reports about a flight with a loss."""
+    delay = "none" if result.delay_s is None else f"{result.delay_s:.1f} s {result.name}"
+    before = "an alarm before; " if result.has_early_alarm else ""
+    unjudged = "" if result.is_judged else "; most of the flight is not judged"
+    return f"{result.loss.label}: {before}{delay}{unjudged}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print some lines for each pair and direction, then the totals; exit status 2 without the flights."""
+    """Print the results of each pair in both directions, then the totals; exit status 2 without the data."""
     parser = argparse.ArgumentParser(prog="python -m tests.twin.measured", description=__doc__)
     add_pairs(parser)
     parser.add_argument("--drawn-s", type=float, default=DRAWN_s, help="drawn evidence of each training")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     if not MEASURED.exists():
         print(NO_DATA)
         return 2
     warnings.simplefilter("error", RuntimeWarning)
-    quiet, contradicted, thresholds_nats, cases = 0, 0, [], []
-    for pair in given.pairs or PAIRS:
-        for back in (False, True):
-            teaches, judges = PAIRS[pair][::-1] if back else PAIRS[pair]
-            twin = trained(identified(pair, back), teaches, given.drawn_s)
-            threshold_nats = twin.calibration.threshold_nats(FALSE_ALARM_INTERVAL_h)
-            flight = part(judges)
-            report = monitor_flight(twin, flight, judges, FALSE_ALARM_INTERVAL_h)
-            kinds = {event.kind for event in report.events}
-            quiet += not kinds & {"alarm", "contradicts"}
-            contradicted += "contradicts" in kinds and "alarm" not in kinds
-            thresholds_nats.append(threshold_nats)
-            print(f"{judges}: alarm at {threshold_nats:.1f} nats; {healthy_words(report)}", flush=True)
+    healthy_reports: list[TwinReport] = []
+    results: list[LossResult] = []
+    for pair in options.pairs or PAIRS:
+        for exchanged in (False, True):
+            training_name, monitored_name = PAIRS[pair][::-1] if exchanged else PAIRS[pair]
+            identified = identified_twin(pair, exchanged=exchanged)
+            twin = trained_twin(identified, training_name, options.drawn_s)
+            flight = undamaged_part(monitored_name)
+            report = monitor_flight(twin, flight, monitored_name, FALSE_ALARM_INTERVAL_h)
+            healthy_reports.append(report)
+            print(
+                f"{monitored_name}: alarm at {report.threshold_nats:.1f} nats; {healthy_text(report)}",
+                flush=True,
+            )
             for loss in LOSSES:
-                case = watched(twin, flight, loss)
-                cases.append(case)
-                delay = "none" if case.delay_s is None else f"{case.delay_s:.1f} s {case.name}"
-                before = "an alarm before; " if case.early else ""
-                unjudged = "" if case.is_judged else "; most of the flight is not judged"
-                print(f"  {loss.text}: {before}{delay}{unjudged}", flush=True)
-    found_s = [case.delay_s for case in cases if case.delay_s is not None and not case.early]
-    named = sum(case.is_named for case in cases if case.delay_s is not None and not case.early)
-    unjudged_count = sum(case.delay_s is None and not case.is_judged for case in cases)
-    later = [case for case in cases if case.early and case.delay_s is not None]
-    print(
-        f"healthy: {quiet} quiet, {contradicted} not this model from the start, of {len(thresholds_nats)}; "
-        f"highest alarm level {max(thresholds_nats):.1f} nats\n"
-        f"losses: {len(found_s)} of {len(cases)} found, {named} named; "
-        f"median delay {np.median(found_s) if found_s else np.nan:.1f} s\n"
-        f"{unjudged_count} losses missed in flights that are mostly not judged; "
-        f"{len(later)} found after an earlier alarm, {sum(case.is_named for case in later)} of them named"
-    )
+                result = monitor_loss(twin, flight, loss)
+                results.append(result)
+                print(f"  {loss_text(result)}", flush=True)
+    print("\n".join(_totals(healthy_reports, results)))
     return 0
+
+
+def _totals(healthy_reports: Sequence[TwinReport], results: Sequence[LossResult]) -> list[str]:
+    """Count the quiet flights, the detected and the named losses, as text."""
+    event_kinds = [{event.kind for event in report.events} for report in healthy_reports]
+    quiet = sum(not kinds & {"alarm", "contradicts"} for kinds in event_kinds)
+    contradicted = sum("contradicts" in kinds and "alarm" not in kinds for kinds in event_kinds)
+    highest_nats = max(report.threshold_nats for report in healthy_reports)
+    detected = [result for result in results if result.is_detected]
+    delays_s = [result.delay_s for result in detected if result.delay_s is not None]
+    unjudged = sum(result.delay_s is None and not result.is_judged for result in results)
+    after_early_alarm = [
+        result for result in results if result.has_early_alarm and result.delay_s is not None
+    ]
+    return [
+        f"healthy: {quiet} quiet, {contradicted} not this model from the start, of {len(healthy_reports)}; "
+        f"highest alarm threshold {highest_nats:.1f} nats",
+        f"losses: {len(detected)} of {len(results)} detected, "
+        f"{sum(result.has_right_name for result in detected)} named; "
+        f"median delay {np.median(delays_s) if delays_s else np.nan:.1f} s (required: {WITHIN_s:g} s)",
+        f"{unjudged} losses missed in flights that are mostly not judged; "
+        f"{len(after_early_alarm)} detected after an earlier alarm, "
+        f"{sum(result.has_right_name for result in after_early_alarm)} of them named",
+    ]
 
 
 if __name__ == "__main__":

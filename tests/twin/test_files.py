@@ -1,4 +1,4 @@
-"""The files of the twin keep their content; a mistake in one is an error of one line."""
+"""Twin files keep their content; a mistake in a file or an option is reported in one line."""
 
 from __future__ import annotations
 
@@ -18,39 +18,46 @@ from heli_lab.twin.parameter_uncertainty import ParameterUncertainty
 from heli_lab.twin.tail import Tail
 
 CALIBRATION = Calibration(
-    DisturbanceModel(np.array([0.01, 0.002, 0.003]), np.array([0.4, 0.5, 0.6]), np.full(3, 1e-3), np.ones(3)),
-    Tail(5.0, 140.0, 1.25, 30, 0.04, 52.5),
-    'two flights, "a" and b',
-    ParameterUncertainty(
-        ("L_a", "M_w"),
-        np.array([[4e-6, 1e-5], [1e-5, 9e-4]]),
-        0.03,
-        np.array([1.5, -0.5]),
-        np.array([4.0, 5.0]),
+    DisturbanceModel(
+        fast_std=np.array([0.01, 0.002, 0.003]),
+        correlation_time_s=np.array([0.4, 0.5, 0.6]),
+        slow_std=np.full(3, 1e-3),
+        quantisation=np.ones(3),
+    ),
+    Tail(level_nats=5.0, per_hour=140.0, scale_nats=1.25, excesses=30, shape=0.04, healthy_s=52.5),
+    source='two flights, "a" and b',
+    uncertainty=ParameterUncertainty(
+        names=("L_a", "M_w"),
+        covariance=np.array([[4e-6, 1e-5], [1e-5, 9e-4]]),
+        supply_std=0.03,
+        low_V=np.array([1.5, -0.5]),
+        high_V=np.array([4.0, 5.0]),
     ),
 )
 
 
-def test_a_file_gives_back_what_was_learned(tmp_path: Path) -> None:
+def test_a_twin_file_keeps_the_calibration(tmp_path: Path) -> None:
     path = tmp_path / "mine.twin.toml"
     write_calibration(path, CALIBRATION, "quanser-course")
-    read = open_rig(str(path))
-    assert read.rig.name == "quanser-course"
-    assert read.calibration.tail == CALIBRATION.tail and read.calibration.source == CALIBRATION.source
-    assert np.array_equal(read.calibration.disturbances.fast_std, CALIBRATION.disturbances.fast_std)
-    known, written = read.calibration.uncertainty, CALIBRATION.uncertainty
-    assert known.names == written.names and known.supply_std == written.supply_std
+    twin_rig = open_rig(str(path))
+    read, written = twin_rig.calibration, CALIBRATION
+    assert twin_rig.rig.name == "quanser-course"
+    assert read.tail == written.tail and read.source == written.source
+    assert np.array_equal(read.disturbances.fast_std, written.disturbances.fast_std)
+    assert read.uncertainty.names == written.uncertainty.names
+    assert read.uncertainty.supply_std == written.uncertainty.supply_std
     for name in ("covariance", "low_V", "high_V"):
-        assert np.array_equal(getattr(known, name), getattr(written, name))
+        assert np.array_equal(getattr(read.uncertainty, name), getattr(written.uncertainty, name))
 
 
 def test_a_trained_twin_has_no_lower_threshold_than_an_ideal_one() -> None:
-    """Twelve seconds of a quiet flight once gave a threshold of 8 nats, and a false alarm."""
-    calm = replace(CALIBRATION, tail=Tail(2.0, 144.0, 1.0, 30, healthy_s=12.0))
-    assert calm.threshold_nats(10.0) == DEFAULT_CALIBRATION.threshold_nats(10.0)
+    """Without that bound, twelve seconds of a quiet flight give a threshold of 8 nats, and a false alarm."""
+    tail_of_quiet_flight = Tail(level_nats=2.0, per_hour=144.0, scale_nats=1.0, excesses=30, healthy_s=12.0)
+    trained = replace(CALIBRATION, tail=tail_of_quiet_flight)
+    assert trained.threshold_nats(10.0) == DEFAULT_CALIBRATION.threshold_nats(10.0)
 
 
-def test_a_rig_alone_has_the_default_disturbances() -> None:
+def test_a_rig_without_a_twin_file_has_the_default_calibration() -> None:
     assert open_rig("makki2024").calibration is DEFAULT_CALIBRATION
 
 
@@ -79,7 +86,7 @@ def test_a_mistake_in_a_file_is_reported(tmp_path: Path, old: str, new: str, mes
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("command", "message"),
     [
         ("twin", "no flight is given; give one"),
         ("twin nowhere.mcap", "nowhere.mcap"),
@@ -96,40 +103,42 @@ def test_a_mistake_in_a_file_is_reported(tmp_path: Path, old: str, new: str, mes
         ("dashboard --sil --law mine.py", "mine.py is not a file"),
     ],
 )
-def test_words_that_cannot_be_are_refused_in_one_line(
-    words: str, message: str, capsys: pytest.CaptureFixture[str]
+def test_invalid_options_are_refused_before_a_board_is_opened(
+    command: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(words.split()) != 0
-    shown = capsys.readouterr()
-    assert message in " ".join((shown.out + shown.err).split())
-    # Before any board is opened.
-    assert "firmware 0" not in shown.out + shown.err
-    assert "Traceback" not in shown.err
+    assert run(command.split()) != 0
+    captured = capsys.readouterr()
+    output = captured.out + captured.err
+    # The message may be broken into lines.
+    assert message in " ".join(output.split())
+    board_was_opened = "firmware 0" in output
+    assert not board_was_opened
+    assert "Traceback" not in captured.err
 
 
 @pytest.mark.slow
-def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
+def test_a_twin_file_that_was_learned_from_a_flight_can_be_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    flown, file = tmp_path / "monday.mcap", tmp_path / "mine.toml"
-    assert run(["fly", "hover", "--sil", "--speed", "max", "--log", str(flown)]) == 0
-    # Draws take seconds: here the evidence of each is this.
+    log, twin_file = tmp_path / "monday.mcap", tmp_path / "mine.toml"
+    assert run(["fly", "hover", "--sil", "--speed", "max", "--log", str(log)]) == 0
+    # Drawing evidence takes seconds, so each draw has the same invented evidence of a minute.
     evidence = [(0.04 * number, 0.001 * (number % 977)) for number in range(1500)]
     monkeypatch.setattr(learn, "evidence", lambda *_: FollowedFlight(evidence, np.ones((1500, 3)), ()))
     monkeypatch.setattr(learn, "drawn_evidence", lambda *_: 12 * [evidence])
-    assert run(["twin", "--rig", "makki2024", "--nominal", str(flown), "--learn", str(file)]) == 0
+    assert run(["twin", "--rig", "makki2024", "--nominal", str(log), "--learn", str(twin_file)]) == 0
     printed = capsys.readouterr().out
-    assert f"files: {file}" in printed and "almost no disturbances" in printed
-    learned = open_rig(str(file))
+    assert f"files: {twin_file}" in printed and "almost no disturbances" in printed
+    learned = open_rig(str(twin_file))
     assert learned.rig.name == "makki2024"
-    assert run(["twin", str(flown), "--rig", "quanser-course", "--to", "9"]) == 0
+    assert run(["twin", str(log), "--rig", "quanser-course", "--to", "9"]) == 0
     assert "is a flight of rig makki2024, but the twin is of rig quanser-course" in capsys.readouterr().out
     assert learned.calibration.source == "monday.mcap"
     # A minute of flight supports one false alarm in two hours.
     assert learned.calibration.tail.healthy_s == pytest.approx(60.0)
     assert "one false alarm in 2 h in the air at best" in printed
-    # Estimated disturbances of a flight without any are almost zero.
+    # The flight had no disturbances. The learned ones are small, but not smaller than encoders can show.
     fast_std_Nm = learned.calibration.disturbances.fast_std
     assert np.any(fast_std_Nm < DEFAULT_CALIBRATION.disturbances.fast_std)
-    # Learned disturbances are not smaller than encoders can show.
-    assert np.all(learned.calibration.disturbances.quantisation >= 1.0) and np.all(fast_std_Nm > 1e-4)
+    assert np.all(fast_std_Nm > 1e-4)
+    assert np.all(learned.calibration.disturbances.quantisation >= 1.0)

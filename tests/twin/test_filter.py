@@ -1,9 +1,10 @@
-"""Innovations are white where nothing changed, and sensitivities are what changes do to them."""
+"""The twin's filter: white innovations without a change, and correct sensitivities to changes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,127 +12,146 @@ from heli_host.flight import Flight
 from heli_lab.estimation import DisturbanceModel
 from heli_lab.twin import twin as twin_module
 from heli_lab.twin.calibration import Calibration
-from heli_lab.twin.draws import evidence
+from heli_lab.twin.draws import NO_ALARM, evidence
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
 from heli_lab.twin.kalman_filter import KalmanFilter
-from heli_lab.twin.likelihood_ratio import ONSETS
+from heli_lab.twin.likelihood_ratio import ONSETS, Innovation, LikelihoodRatio
 from heli_lab.twin.parameter_uncertainty import EXACT, SUPPLY_STD
-from heli_lab.twin.tail import Tail
 from heli_lab.twin.twin import Twin
-from heli_lab.twin.twin_model import TwinModel
+from heli_lab.twin.twin_model import ZEROS, TwinModel
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import trim
 from heli_sim.rig import Rig, load_rig
 
-NO_ALARM = Tail(np.inf, 0.0, 0.0, 1)
 DISTURBANCES = DisturbanceModel(
-    np.array([0.01, 0.003, 0.006]), np.full(3, 0.5), np.array([1e-3, 5e-4, 5e-4]), np.array([1.6, 1.4, 1.1])
+    fast_std=np.array([0.01, 0.003, 0.006]),
+    correlation_time_s=np.full(3, 0.5),
+    slow_std=np.array([1e-3, 5e-4, 5e-4]),
+    quantisation=np.array([1.6, 1.4, 1.1]),
 )
+RIG = load_rig("makki2024")
+SAMPLE_s, STEP_s, STEPS_PER_BLOCK = 1e-3, 0.01, 4
 
 
 @cache
-def healthy() -> tuple[Rig, Flight]:
-    rig = load_rig("makki2024")
-    return rig, fly_simulated(
-        with_process_noise(MultibodyModel(), DISTURBANCES), rig, random_plan(4, 46.0), 4
+def disturbed_flight() -> Flight:
+    return fly_simulated(
+        with_process_noise(MultibodyModel(), DISTURBANCES), RIG, random_plan(4, 46.0), seed=4
     )
 
 
-def innovations(monkeypatch: pytest.MonkeyPatch, twin: Twin, flight: Flight) -> np.ndarray:
-    found = []
+def recorded_innovations(monkeypatch: pytest.MonkeyPatch, rig: Rig) -> list[Innovation]:
+    """Follow the flight with a twin of `rig`, and return the innovation of each measurement."""
+    flight = disturbed_flight()
+    twin = Twin(
+        TwinModel(MultibodyModel(), rig),
+        Calibration(DISTURBANCES, NO_ALARM),
+        count_rad_of(flight, RIG),
+        SAMPLE_s,
+    )
+    recorded = []
     update = KalmanFilter.update
 
-    def kept(self: KalmanFilter, *arguments: object) -> object:
-        result = update(self, *arguments)  # type: ignore[arg-type]
-        found.append(result.value.copy())
-        return result
+    def recording_update(self: KalmanFilter, *arguments: Any, **named_arguments: Any) -> Innovation:
+        innovation = update(self, *arguments, **named_arguments)
+        # The filter changes the arrays of sensitivities in place.
+        recorded.append(Innovation(innovation.value.copy(), innovation.sensitivity.copy()))
+        return innovation
 
-    monkeypatch.setattr(KalmanFilter, "update", kept)
-    twin.update(samples_of(flight)[0])
-    return np.array(found)
+    with monkeypatch.context() as patch:
+        patch.setattr(KalmanFilter, "update", recording_update)
+        twin.update(samples_of(flight)[0])
+    return recorded
 
 
 @pytest.mark.slow
 def test_innovations_are_white_and_of_unit_variance(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig, flight = healthy()
-    twin = Twin(
-        TwinModel(MultibodyModel(), rig), Calibration(DISTURBANCES, NO_ALARM), count_rad_of(flight, rig), 1e-3
-    )
-    seen = innovations(monkeypatch, twin, flight)
-    assert len(seen) > 900
-    # The filter assumes too large errors for angles at rest: a variance below one is safe, above it alarms
-    # are false.
-    assert np.all((seen.std(axis=0) > 0.6) & (seen.std(axis=0) < 1.15))
-    lag = (seen[1:] * seen[:-1]).mean(axis=0) / (seen**2).mean(axis=0)
-    assert np.all(np.abs(lag) < 0.15)
+    innovations = np.array([innovation.value for innovation in recorded_innovations(monkeypatch, RIG)])
+    assert len(innovations) > 900
+    # The filter assumes too large rounding errors for angles at rest, so the variance may be below one. A
+    # variance above one would raise false alarms.
+    std = innovations.std(axis=0)
+    assert np.all((std > 0.6) & (std < 1.15))
+    autocorrelation = (innovations[1:] * innovations[:-1]).mean(axis=0) / (innovations**2).mean(axis=0)
+    assert np.all(np.abs(autocorrelation) < 0.15)
 
 
 @pytest.mark.slow
-def test_sensitivities_are_what_a_change_does_to_the_innovations(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The oracle is the filter itself on a rig whose number is otherwise from the beginning."""
-    rig, flight = healthy()
-    share = 1e-3
-    values = {}
+def test_sensitivities_equal_finite_differences(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A counterweight that is shifted from the start on changes the innovations by its sensitivity. Twins of
+    two slightly different rigs give the same derivative by finite differences.
+    """
+    shift_m = 1e-3
+    innovations = {}
     for sign in (-1.0, 1.0):
-        moved = rig.replace(L_b=rig["L_b"].value + sign * share)
-        model = TwinModel(MultibodyModel(), moved)
-        twin = Twin(model, Calibration(DISTURBANCES, NO_ALARM), count_rad_of(flight, rig), 1e-3)
-        values[sign] = innovations(monkeypatch, twin, flight)
-        monkeypatch.undo()
-    numeric = -(values[1.0] - values[-1.0]) / (2 * share)
-    kept: list[np.ndarray] = []
+        shifted_rig = RIG.replace(L_b=RIG["L_b"].value + sign * shift_m)
+        recorded = recorded_innovations(monkeypatch, shifted_rig)
+        innovations[sign] = np.array([innovation.value for innovation in recorded])
+    # A change of the flown rig has the opposite effect of a change of the model.
+    finite_difference = -(innovations[1.0] - innovations[-1.0]) / (2 * shift_m)
+
+    changes = TwinModel(MultibodyModel(), RIG).changes
+    parameters = [parameter for change in changes for parameter in change.parameters]
+    # Every change begins before the first measurement, and no other onset is added.
     monkeypatch.setattr(twin_module, "FILTER_SETTLING_s", np.inf)
-    update = KalmanFilter.update
+    monkeypatch.setattr(LikelihoodRatio, "ages", lambda self, block: np.ones((len(parameters), ONSETS)))
+    column = parameters.index("counterweight_shift_m")
+    recorded = recorded_innovations(monkeypatch, RIG)
+    sensitivity = np.array([innovation.sensitivity[:, column, 0] for innovation in recorded])
 
-    def told(self: KalmanFilter, *arguments: object) -> object:
-        # A single onset, before the filter began.
-        result = update(self, *arguments)  # type: ignore[arg-type]
-        place = next(i for i, c in enumerate(columns) if c == "counterweight_shift_m")
-        kept.append(result.sensitivity[:, place, 0].copy())
-        return result
-
-    model = TwinModel(MultibodyModel(), rig)
-    columns = [entry for change in model.changes for entry in change.numbers]
-    twin = Twin(model, Calibration(DISTURBANCES, NO_ALARM), count_rad_of(flight, rig), 1e-3)
-    monkeypatch.setattr(KalmanFilter, "update", told)
-    monkeypatch.setattr(
-        "heli_lab.twin.likelihood_ratio.LikelihoodRatio.ages", lambda self, block: np.ones((len(columns), 42))
-    )
-    twin.update(samples_of(flight)[0])
-    linear = np.array(kept)
-    scale = np.abs(numeric).max()
-    assert scale > 10.0
-    assert np.sqrt(((linear - numeric) ** 2).mean()) < 0.05 * scale
+    largest = np.abs(finite_difference).max()
+    assert largest > 10.0
+    assert np.sqrt(((sensitivity - finite_difference) ** 2).mean()) < 0.05 * largest
 
 
 @pytest.mark.medium
-def test_no_variance_turns_negative_however_large_the_disturbances_are() -> None:
-    """Rounding made one negative in a filter that subtracts from its covariance; its power was not a
-    number.
-    """
-    rig = load_rig("makki2024")
-    model = TwinModel(MultibodyModel(), rig)
-    hover = trim(MultibodyModel(), rig)
-    vast = DisturbanceModel(np.full(3, 1e7), np.full(3, 5.0), np.full(3, 1e-3), np.full(3, 0.02))
-    kalman = KalmanFilter(model, vast, np.full(3, 1e-9), 0.01, 4, hover.state.copy())
-    amount, onset_rad = np.ones((model.weights.shape[1], ONSETS)), np.zeros((len(model.scales), ONSETS))
+def test_variances_stay_positive_under_huge_disturbances() -> None:
+    """A filter that subtracts from the covariance itself gets negative variances from rounding errors."""
+    model = TwinModel(MultibodyModel(), RIG)
+    hover = trim(MultibodyModel(), RIG)
+    huge = DisturbanceModel(np.full(3, 1e7), np.full(3, 5.0), np.full(3, 1e-3), np.full(3, 0.02))
+    count_rad = np.full(3, 1e-9)
+    kalman = KalmanFilter(model, huge, count_rad, STEP_s, STEPS_PER_BLOCK, hover.state.copy())
+    columns = model.weights.shape[1]
+    amount, onset_rad = np.ones((columns, ONSETS)), np.zeros((len(model.scales), ONSETS))
     for _ in range(20):
-        for _ in range(4):
+        for _ in range(STEPS_PER_BLOCK):
             kalman.predict(0.0, hover.volts_V)
         kalman.update(0.0, hover.state[:3], 1, hover.volts_V, amount, onset_rad)
         assert np.all(np.diagonal(kalman.covariance) > 0.0)
 
 
 @pytest.mark.slow
-def test_another_supply_than_the_rig_s_is_estimated_and_no_change() -> None:
-    """Differences between days are states of the filter, estimated from their prior and the first
-    seconds."""
-    rig, flight = healthy()
-    weak = replace(flight, front_V=flight.front_V / 0.96, back_V=flight.back_V / 0.96)
-    most = {}
+def test_an_untypical_supply_is_estimated_and_no_change() -> None:
+    """With an uncertain supply, the filter estimates it from the first seconds of a flight."""
+    flight = disturbed_flight()
+    weak_supply = replace(flight, front_V=flight.front_V / 0.96, back_V=flight.back_V / 0.96)
+    max_evidence_nats = {}
     for uncertainty in (EXACT, replace(EXACT, supply_std=SUPPLY_STD)):
-        twin = TwinModel(MultibodyModel(), rig, uncertainty)
-        history = evidence(twin, DISTURBANCES, weak).history
-        most[uncertainty.supply_std] = max(nats for _, nats in history if np.isfinite(nats))
-    assert most[SUPPLY_STD] < 10.0 < most[0.0]
+        twin = TwinModel(MultibodyModel(), RIG, uncertainty)
+        history = evidence(twin, DISTURBANCES, weak_supply).history
+        max_evidence_nats[uncertainty.supply_std] = max(nats for _, nats in history if np.isfinite(nats))
+    assert max_evidence_nats[SUPPLY_STD] < 10.0 < max_evidence_nats[0.0]
+
+
+@pytest.mark.medium
+def test_the_first_measurement_leaves_the_zeros_of_the_encoders_unknown() -> None:
+    """An encoder shows the sum of an angle and the error of its zero. A filter that starts with known angles
+    takes an error of a zero for a torque.
+    """
+    tolerance_deg = 3.0
+    rig = replace(
+        RIG, numbers={**RIG.numbers, **{name: replace(RIG[name], tolerance=tolerance_deg) for name in ZEROS}}
+    )
+    model = TwinModel(MultibodyModel(), rig)
+    hover = trim(MultibodyModel(), rig)
+    count_rad = np.full(3, 2 * np.pi / 4096)
+    kalman = KalmanFilter(model, DISTURBANCES, count_rad, STEP_s, STEPS_PER_BLOCK, hover.state.copy())
+    amount, onset_rad = np.ones((model.weights.shape[1], ONSETS)), np.zeros((len(model.scales), ONSETS))
+    for _ in range(STEPS_PER_BLOCK):
+        kalman.predict(0.0, hover.volts_V)
+    kalman.update(0.0, hover.state[:3], 1, hover.volts_V, amount, onset_rad)
+    first_zero = model.states + 9  # after the model's state, gusts, drift and constant torques
+    zero_std_rad = np.sqrt(np.diagonal(kalman.covariance)[first_zero : first_zero + len(ZEROS)])
+    assert np.all(zero_std_rad > 0.9 * np.deg2rad(0.5 * tolerance_deg))

@@ -1,4 +1,4 @@
-"""Disturbances learned from calm flights are at least those that the quantisation hides."""
+"""Learning: disturbances that an encoder cannot show are raised, and evidence is drawn along a flight."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from heli_lab.twin.changes import all_changes
 from heli_lab.twin.draws import Draws
 from heli_lab.twin.learn import DETECTABLE_WITHIN_s, at_least_rounding
 from heli_lab.twin.likelihood_ratio import ONSETS, Innovation, LikelihoodRatio
+from heli_lab.twin.persistence import CUT_OFF_STD
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import derivatives, trim
 from heli_sim.model.parts import AXES
@@ -16,91 +17,105 @@ from heli_sim.rig import Rig, load_rig
 from scipy.integrate import solve_ivp
 
 COUNT_rad = np.full(3, 2 * np.pi / 4096)
-ROUNDING_rad = COUNT_rad / np.sqrt(12.0)
-CALM = DisturbanceModel(np.full(3, 2e-5), np.full(3, 0.03), np.full(3, 2e-5), np.array([0.02, 0.5, 1.7]))
+ROUNDING_STD_rad = COUNT_rad / np.sqrt(12.0)
+CALM = DisturbanceModel(
+    fast_std=np.full(3, 2e-5),
+    correlation_time_s=np.full(3, 0.03),
+    slow_std=np.full(3, 2e-5),
+    quantisation=np.array([0.02, 0.5, 1.7]),
+)
+"""Estimates from a flight without disturbances, all below the smallest detectable ones."""
 
 
-def floored(disturbances: DisturbanceModel) -> DisturbanceModel:
+def with_lower_bound(disturbances: DisturbanceModel) -> DisturbanceModel:
     return at_least_rounding(disturbances, MultibodyModel(), load_rig("makki2024"), COUNT_rad)
 
 
-def moved_rad(rig: Rig, axis: int, torque_Nm: float) -> float:
-    """How far a torque moves an axis from hover within `DETECTABLE_WITHIN_s`, by the equations of motion."""
+def motion_rad(rig: Rig, axis: int, torque_Nm: float) -> float:
+    """Integrate the equations of motion from hover with an additional torque, and return how far the axis
+    moves within `DETECTABLE_WITHIN_s` [rad].
+    """
     model = MultibodyModel()
     hover = trim(model, rig)
-    pushed = rig.replace(**{f"torque_{AXES[axis]}": rig[f"torque_{AXES[axis]}"].value + torque_Nm})
-    run = solve_ivp(
-        lambda _, state: derivatives(model, pushed, state, hover.volts_V).rates,
+    torque_name = f"torque_{AXES[axis]}"
+    rig_with_torque = rig.replace(**{torque_name: rig[torque_name].value + torque_Nm})
+    solution = solve_ivp(
+        lambda _, state: derivatives(model, rig_with_torque, state, hover.volts_V).rates,
         (0, DETECTABLE_WITHIN_s),
         hover.state,
     )
-    return float(run.y[axis, -1] - hover.state[axis])
+    return float(solution.y[axis, -1] - hover.state[axis])
 
 
 @pytest.mark.parametrize("axis", range(3), ids=AXES)
-def test_the_least_gust_moves_its_axis_by_the_rounding(axis: int) -> None:
-    least = floored(CALM)
-    moved = moved_rad(load_rig("makki2024"), axis, float(least.fast_std[axis]))
-    # Pitch is a pendulum and damped: in half a second that takes a fifth.
-    assert 0.75 * ROUNDING_rad[axis] < moved < 1.05 * ROUNDING_rad[axis]
-    assert least.correlation_time_s[axis] == DETECTABLE_WITHIN_s
+def test_the_smallest_gust_moves_its_axis_by_the_rounding(axis: int) -> None:
+    smallest = with_lower_bound(CALM)
+    moved_rad = motion_rad(load_rig("makki2024"), axis, float(smallest.fast_std[axis]))
+    # Pitch is a damped pendulum, which moves a fifth less in half a second than a free axis.
+    assert 0.75 * ROUNDING_STD_rad[axis] < moved_rad < 1.05 * ROUNDING_STD_rad[axis]
+    assert smallest.correlation_time_s[axis] == DETECTABLE_WITHIN_s
 
 
-def test_rounding_is_no_less_than_that_of_an_encoder() -> None:
-    assert floored(CALM).quantisation.tolist() == [1.0, 1.0, 1.7]
+def test_rounding_is_at_least_that_of_an_encoder() -> None:
+    assert with_lower_bound(CALM).quantisation.tolist() == [1.0, 1.0, 1.7]
 
 
-def test_visible_disturbances_are_kept_as_estimated() -> None:
-    room = DisturbanceModel(
-        np.array([0.006, 0.002, 0.004]), np.array([0.3, 1.2, 0.6]), np.full(3, 1e-3), np.full(3, 1.2)
+def test_detectable_disturbances_stay_as_estimated() -> None:
+    estimated = DisturbanceModel(
+        fast_std=np.array([0.006, 0.002, 0.004]),
+        correlation_time_s=np.array([0.3, 1.2, 0.6]),
+        slow_std=np.full(3, 1e-3),
+        quantisation=np.full(3, 1.2),
     )
-    found = floored(room)
-    assert np.array_equal(found.fast_std, room.fast_std) and np.array_equal(
-        found.correlation_time_s, room.correlation_time_s
-    )
-    assert np.array_equal(found.slow_std, room.slow_std)
+    bounded = with_lower_bound(estimated)
+    for name in ("fast_std", "correlation_time_s", "slow_std"):
+        assert np.array_equal(getattr(bounded, name), getattr(estimated, name))
 
 
-def test_a_gust_too_short_to_show_is_raised_too() -> None:
-    """Three times the least for a thirtieth of the time moves an axis less than the least does."""
+@pytest.mark.parametrize(("shortening", "is_raised"), [(30, True), (10, False)])
+def test_a_short_gust_needs_more_torque_to_be_detectable(shortening: int, is_raised: bool) -> None:
+    """A gust with three times the smallest detectable torque moves an axis too little if it is 30 times
+    shorter, and enough if it is 10 times shorter.
+    """
+    smallest = with_lower_bound(CALM)
     short = DisturbanceModel(
-        3.0 * floored(CALM).fast_std, np.full(3, DETECTABLE_WITHIN_s / 30), CALM.slow_std, np.ones(3)
+        fast_std=3.0 * smallest.fast_std,
+        correlation_time_s=np.full(3, DETECTABLE_WITHIN_s / shortening),
+        slow_std=CALM.slow_std,
+        quantisation=np.ones(3),
     )
-    assert np.array_equal(floored(short).fast_std, floored(CALM).fast_std)
-    long = DisturbanceModel(
-        3.0 * floored(CALM).fast_std, np.full(3, DETECTABLE_WITHIN_s / 10), CALM.slow_std, np.ones(3)
-    )
-    assert np.array_equal(floored(long).fast_std, long.fast_std)
+    expected = smallest if is_raised else short
+    assert np.array_equal(with_lower_bound(short).fast_std, expected.fast_std)
 
 
 def test_draws_are_pieces_of_the_innovations_without_kicks() -> None:
-    rng = np.random.default_rng(7)
-    innovations = rng.normal(size=(2000, 3))
-    innovations = np.clip(innovations, -3.5, 3.5)
-    innovations[900:903, 1] = 12.0, -9.0, 6.0
+    innovations = np.clip(np.random.default_rng(7).normal(size=(2000, 3)), -3.5, 3.5)
+    innovations[900:903, 1] = 12.0, -9.0, 6.0  # a kick
+    assert np.abs(innovations[900:903, 1]).min() > CUT_OFF_STD
     draws = Draws([innovations], 50, np.random.default_rng(8))
     drawn = np.array([draws.next() for _ in range(400)])
     assert drawn.shape == (400, 50, 3)
-    # The kick is an event of its own; days differ by a tenth.
+    # Each draw has its own scale, with a standard deviation of a tenth: no value of the kick is among them.
     assert np.abs(drawn).max() < 3.5 * np.exp(4 * 0.1)
     assert np.allclose(np.sqrt(np.mean(drawn**2, axis=(0, 1))), 1.0, atol=0.1)
-    # Both signs of each piece occur, so a mean that a flight happens to have is not kept.
+    # Each piece occurs with both signs, so that the mean of a single flight has no effect.
     assert np.all(np.abs(drawn.mean(axis=(0, 1))) < 0.1)
 
 
-def test_draws_followed_together_have_the_evidence_of_each_alone() -> None:
+def test_parallel_draws_have_the_evidence_of_separate_ones() -> None:
     rng = np.random.default_rng(9)
     changes = all_changes()
-    columns = sum(len(change.numbers) for change in changes)
-    values = rng.normal(size=(10, 4, 3))
-    sensitivity = rng.normal(size=(10, 3, columns, ONSETS))
-    together = LikelihoodRatio(changes, COUNT_rad, 4)
-    alone = [LikelihoodRatio(changes, COUNT_rad) for _ in range(4)]
-    for block in range(10):
-        for ratio in (together, *alone):
-            ratio.begin_onset(block, np.zeros((2, columns, ONSETS)))
-        each = [
+    columns = sum(len(change.parameters) for change in changes)
+    blocks, draws, order = 10, 4, 2
+    values = rng.normal(size=(blocks, draws, 3))
+    sensitivity = rng.normal(size=(blocks, 3, columns, ONSETS))
+    parallel = LikelihoodRatio(changes, COUNT_rad, draws)
+    separate = [LikelihoodRatio(changes, COUNT_rad) for _ in range(draws)]
+    for block in range(blocks):
+        for ratio in (parallel, *separate):
+            ratio.begin_onset(block, np.zeros((order, columns, ONSETS)))
+        expected_nats = [
             ratio.update(Innovation(values[block, draw], sensitivity[block]))
-            for draw, ratio in enumerate(alone)
+            for draw, ratio in enumerate(separate)
         ]
-        assert np.allclose(together.update_draws(values[block], sensitivity[block]), each)
+        assert np.allclose(parallel.update_draws(values[block], sensitivity[block]), expected_nats)

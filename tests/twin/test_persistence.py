@@ -1,4 +1,4 @@
-"""Evidence is an alarm where it lasts, and after as long as it has to; a new flight begins from none."""
+"""When the twin raises, names and suppresses alarms, for given sequences of evidence."""
 
 from __future__ import annotations
 
@@ -15,46 +15,50 @@ from heli_lab.twin.changes import Change, all_changes
 from heli_lab.twin.files import DEFAULT_CALIBRATION
 from heli_lab.twin.likelihood_ratio import ONSETS, ChangeCandidate, Innovation, LikelihoodRatio
 from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
-from heli_lab.twin.persistence import PERSISTENCE_BLOCKS
+from heli_lab.twin.persistence import PERSISTENCE_BLOCKS, DIAGNOSIS_DELAY_s
 from heli_lab.twin.samples import Samples
 from heli_lab.twin.tail import Tail
-from heli_lab.twin.twin import DIAGNOSIS_DELAY_s, Twin
+from heli_lab.twin.twin import Twin
 from heli_sim.rig import load_rig
 
 CHANGES = all_changes()
-
+COLUMNS = sum(len(change.parameters) for change in CHANGES)
 THRESHOLD_nats = 15.0
-MUCH, LITTLE = [16.0], [1.0]
+ABOVE, BELOW = [16.0], [1.0]
+"""Evidence of one measurement above and below the threshold [nats]; ``3 * ABOVE`` are three measurements."""
 COUNT_rad = np.full(3, 2 * np.pi / 4096)
 BLOCK_s = 0.04
+BLOCK_ms = 40
 FREE_ms = 1520
-"""When it begins to compare: one step after the table's air is left behind."""
-COLUMNS = sum(len(change.numbers) for change in CHANGES)
+"""Time at which the comparison begins [ms]: one step after the settling time off the table."""
+MOTORS_OFF_ms = 50
+DIAGNOSIS_BLOCKS = round(DIAGNOSIS_DELAY_s / BLOCK_s)
+"""Number of measurements from an alarm to its final ranking."""
+CALIBRATION_s = 8.0
+"""Time at the beginning of a flight in which evidence contradicts the model [s]."""
 
 
 class _Filter:
-    """Stands for a filter of which only the times of the measurements count."""
-
-    def __init__(self, *_: Any, **__: Any) -> None:
-        self.mean, self.state, self.state_sensitivity = (
-            np.zeros(17),
-            np.zeros(6),
-            np.zeros((17, COLUMNS, ONSETS)),
-        )
+    """A filter whose innovations have the given `value`, and that estimates nothing."""
 
     value: ClassVar = np.zeros(3)
 
-    def _nothing(self, *_: Any) -> None: ...
+    def __init__(self, *_: Any, **__: Any) -> None:
+        states, order = 6, 17
+        self.state, self.mean = np.zeros(states), np.zeros(order)
+        self.state_sensitivity = np.zeros((order, COLUMNS, ONSETS))
 
-    def update(self, *_: Any) -> Innovation:
+    def predict(self, *_: Any) -> None: ...
+
+    def propagate_sensitivity(self, *_: Any) -> None: ...
+
+    def update(self, *_: Any, **__: Any) -> Innovation:
         return Innovation(self.value, np.zeros((3, COLUMNS, ONSETS)))
-
-    predict = propagate_sensitivity = _nothing
 
 
 def reported_events(
     monkeypatch: pytest.MonkeyPatch,
-    evidence: list[float],
+    evidence_nats: list[float],
     *,
     off_after: int | None = None,
     lands_after: int | None = None,
@@ -63,17 +67,36 @@ def reported_events(
     change: Change = CHANGES[0],
     size: float = 0.1,
 ) -> list[tuple[str, int]]:
-    """Report of the twin, and the number of measurements until then, for this evidence. The motors are off
-    for a moment after the given number of measurements, or a landing begins there.
+    """Run a twin on a flight at rest with the given evidence, and return its events.
+
+    Parameters
+    ----------
+    monkeypatch : MonkeyPatch
+        Replaces filter and evidence of the twin.
+    evidence_nats : list of float
+        Evidence of each measurement.
+    off_after, lands_after : int, optional
+        Number of measurements after which the motors are off for a moment, and a landing begins.
+    calibration_s : float
+        Time at the beginning in which evidence contradicts the model [s].
+    uncertainty : ParameterUncertainty
+        Contains the range of known voltages; both rotors get 1 V.
+    change, size : Change, float
+        Most likely change, and the estimate of its size.
+
+    Returns
+    -------
+    list of (str, int)
+        Kind of each event, and the number of measurements before it.
     """
-    remaining_evidence = iter(evidence)
-    first = ChangeCandidate(change, 0, size, 0.01, THRESHOLD_nats)
+    remaining_evidence = iter(evidence_nats)
+    candidate = ChangeCandidate(change, 0, size, 0.01, THRESHOLD_nats)
     monkeypatch.setattr(twin_module, "CALIBRATION_s", calibration_s)
     monkeypatch.setattr(twin_module, "KalmanFilter", _Filter)
     monkeypatch.setattr(Twin, "watches_glitches", False)
     monkeypatch.setattr(twin_module, "start_state", lambda *_: np.zeros(6))
     monkeypatch.setattr(LikelihoodRatio, "update_cut", lambda *_: next(remaining_evidence, 0.0))
-    monkeypatch.setattr(LikelihoodRatio, "ranking", lambda _: [first, first])
+    monkeypatch.setattr(LikelihoodRatio, "ranking", lambda _: [candidate, candidate])
     model: Any = SimpleNamespace(
         rig=load_rig("makki2024"),
         delay_s=0.0,
@@ -82,100 +105,111 @@ def reported_events(
         scales=(),
         uncertainty=uncertainty,
     )
-    twin = Twin(
-        model,
-        Calibration(DEFAULT_CALIBRATION.disturbances, Tail(THRESHOLD_nats, 1e-9, 1.0, 20)),
-        COUNT_rad,
-        1e-3,
-    )
-    flying = np.ones(4000 + 40 * len(evidence), bool)
-    count = len(flying)
-    landing = np.zeros(count, bool)
+    # So few excursions per hour that the threshold is the level of the tail.
+    tail = Tail(THRESHOLD_nats, per_hour=1e-9, scale_nats=1.0, excesses=20)
+    twin = Twin(model, Calibration(DEFAULT_CALIBRATION.disturbances, tail), COUNT_rad, sample_s=1e-3)
+    count = 4000 + BLOCK_ms * len(evidence_nats)
+    flying, landing = np.ones(count, bool), np.zeros(count, bool)
     if off_after is not None:
-        flying[FREE_ms + 40 * off_after :][:50] = False
+        off_ms = FREE_ms + BLOCK_ms * off_after
+        flying[off_ms : off_ms + MOTORS_OFF_ms] = False
     if lands_after is not None:
-        landing[FREE_ms + 40 * lands_after :] = True
-    events = twin.update(
-        Samples(np.arange(count), np.zeros((count, 3)), np.ones((count, 2)), flying, landing)
-    )
+        landing[FREE_ms + BLOCK_ms * lands_after :] = True
+    samples = Samples(np.arange(count), np.zeros((count, 3)), np.ones((count, 2)), flying, landing)
+    events = twin.update(samples)
     free_s = next(event.t_s for event in events if event.kind == "free")
     return [(event.kind, round((event.t_s - free_s) / BLOCK_s)) for event in events]
 
 
+def kinds_of(events: list[tuple[str, int]]) -> list[str]:
+    return [kind for kind, _ in events]
+
+
 def alarm_blocks(
-    monkeypatch: pytest.MonkeyPatch, evidence: list[float], off_after: int | None = None
+    monkeypatch: pytest.MonkeyPatch, evidence_nats: list[float], off_after: int | None = None
 ) -> list[int]:
-    """Numbers of the measurements that are alarms."""
-    events = reported_events(monkeypatch, evidence, off_after=off_after)
-    return [number for kind, number in events if kind == "alarm"]
+    """Return the number of measurements before each alarm."""
+    events = reported_events(monkeypatch, evidence_nats, off_after=off_after)
+    return [block for kind, block in events if kind == "alarm"]
 
 
-def test_evidence_that_falls_back_is_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
-    pulse = 9 * LITTLE + (PERSISTENCE_BLOCKS - 1) * MUCH
+def test_short_pulses_of_evidence_raise_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
+    pulse = 9 * BELOW + (PERSISTENCE_BLOCKS - 1) * ABOVE
     assert alarm_blocks(monkeypatch, 4 * pulse) == []
 
 
-def test_evidence_that_lasts_a_quarter_of_a_second_is_an_alarm_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert alarm_blocks(monkeypatch, 9 * LITTLE + 30 * MUCH) == [9 + PERSISTENCE_BLOCKS]
+def test_evidence_that_lasts_a_quarter_of_a_second_raises_an_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert alarm_blocks(monkeypatch, 9 * BELOW + 30 * ABOVE) == [9 + PERSISTENCE_BLOCKS]
     assert 0.2 <= PERSISTENCE_BLOCKS * BLOCK_s <= 0.25
 
 
-def test_what_was_seen_in_one_flight_counts_for_nothing_in_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    before, after = (PERSISTENCE_BLOCKS - 1) * MUCH, MUCH + 20 * LITTLE
-    assert alarm_blocks(monkeypatch, before + after) == [PERSISTENCE_BLOCKS]
-    assert alarm_blocks(monkeypatch, before + after, off_after=PERSISTENCE_BLOCKS - 1) == []
+def test_evidence_before_a_stop_of_the_motors_does_not_count_after_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    evidence_nats = PERSISTENCE_BLOCKS * ABOVE + 20 * BELOW
+    assert alarm_blocks(monkeypatch, evidence_nats) == [PERSISTENCE_BLOCKS]
+    assert alarm_blocks(monkeypatch, evidence_nats, off_after=PERSISTENCE_BLOCKS - 1) == []
 
 
-def test_a_landing_begins_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The motors run at the border of their dead zone, where nominal flights have raised alarms."""
-    flown = 20 * LITTLE + 60 * MUCH
-    assert ("alarm", 20 + PERSISTENCE_BLOCKS) in reported_events(monkeypatch, flown)
-    landed = reported_events(monkeypatch, flown, lands_after=20)
-    assert [kind for kind, _ in landed] == ["free", "waits"] and landed[1][1] == 20
+def test_no_alarm_begins_during_a_landing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a landing the motors run at the border of their dead zone, where nominal flights show evidence."""
+    evidence_nats = 20 * BELOW + 60 * ABOVE
+    assert ("alarm", 20 + PERSISTENCE_BLOCKS) in reported_events(monkeypatch, evidence_nats)
+    events = reported_events(monkeypatch, evidence_nats, lands_after=20)
+    assert events == [("free", 0), ("waits", 20)]
 
 
-def test_what_parts_before_a_landing_is_named_in_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    events = reported_events(monkeypatch, 120 * MUCH, lands_after=PERSISTENCE_BLOCKS + 2)
-    named = PERSISTENCE_BLOCKS + round(DIAGNOSIS_DELAY_s / BLOCK_s)
-    assert [kind for kind, _ in events] == ["free", "alarm", "diagnosed", "waits"]
-    assert [number for _, number in events[1:3]] == [PERSISTENCE_BLOCKS, named]
+def test_an_alarm_before_a_landing_is_named_during_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    events = reported_events(monkeypatch, 120 * ABOVE, lands_after=PERSISTENCE_BLOCKS + 2)
+    assert kinds_of(events) == ["free", "alarm", "diagnosed", "waits"]
+    assert events[1] == ("alarm", PERSISTENCE_BLOCKS)
+    assert events[2] == ("diagnosed", PERSISTENCE_BLOCKS + DIAGNOSIS_BLOCKS)
 
 
-def test_after_an_alarm_a_second_change_raises_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    named = PERSISTENCE_BLOCKS + round(DIAGNOSIS_DELAY_s / BLOCK_s)
-    events = reported_events(monkeypatch, named * MUCH + 50 * LITTLE + named * MUCH)
-    assert [kind for kind, _ in events] == ["free", "alarm", "diagnosed", "alarm", "diagnosed"]
-    assert events[3][1] == named + 50 + PERSISTENCE_BLOCKS
+def test_a_second_change_raises_a_second_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
+    until_diagnosis = PERSISTENCE_BLOCKS + DIAGNOSIS_BLOCKS
+    evidence_nats = until_diagnosis * ABOVE + 50 * BELOW + until_diagnosis * ABOVE
+    events = reported_events(monkeypatch, evidence_nats)
+    assert kinds_of(events) == ["free", "alarm", "diagnosed", "alarm", "diagnosed"]
+    assert events[3] == ("alarm", until_diagnosis + 50 + PERSISTENCE_BLOCKS)
 
 
-def test_a_flight_that_contradicts_the_rig_at_once_names_no_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    events = reported_events(monkeypatch, 10 * LITTLE + 400 * MUCH, calibration_s=8.0)
-    assert [kind for kind, _ in events] == ["free", "contradicts"]
+def test_early_evidence_contradicts_the_rig_and_names_no_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    events = reported_events(monkeypatch, 10 * BELOW + 400 * ABOVE, calibration_s=CALIBRATION_s)
+    assert kinds_of(events) == ["free", "contradicts"]
 
 
-def test_evidence_after_the_first_seconds_is_a_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    events = reported_events(monkeypatch, 201 * LITTLE + 80 * MUCH, calibration_s=8.0)
-    assert [kind for kind, _ in events] == ["free", "alarm", "diagnosed"]
+def test_evidence_after_the_calibration_names_a_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    first_later_block = round(CALIBRATION_s / BLOCK_s) + 1
+    evidence_nats = first_later_block * BELOW + 80 * ABOVE
+    events = reported_events(monkeypatch, evidence_nats, calibration_s=CALIBRATION_s)
+    assert kinds_of(events) == ["free", "alarm", "diagnosed"]
 
 
-def test_a_decoder_that_counts_half_the_edges_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("scale_error", "expected_kind"), [(-0.5, "alarm"), (-0.05, "contradicts")])
+def test_early_evidence_names_only_a_large_error_of_an_encoder_scale(
+    monkeypatch: pytest.MonkeyPatch, scale_error: float, expected_kind: str
+) -> None:
     (scale,) = (change for change in CHANGES if change.id == "encoder_scale.travel")
-    kinds = []
-    for size in (-0.5, -0.05):
-        events = reported_events(monkeypatch, 100 * MUCH, calibration_s=8.0, change=scale, size=size)
-        kinds.append([kind for kind, _ in events][1])
-    assert kinds == ["alarm", "contradicts"]
+    events = reported_events(
+        monkeypatch, 100 * ABOVE, calibration_s=CALIBRATION_s, change=scale, size=scale_error
+    )
+    assert kinds_of(events)[1] == expected_kind
 
 
-def test_innovations_twice_as_large_as_stated_contradict_the_rig(monkeypatch: pytest.MonkeyPatch) -> None:
-    for value, expected in ((1.2, ["free"]), (2.0, ["free", "contradicts"])):
-        monkeypatch.setattr(_Filter, "value", np.array([0.0, value, 0.0]))
-        events = reported_events(monkeypatch, 300 * LITTLE, calibration_s=8.0)
-        assert [kind for kind, _ in events] == expected
+@pytest.mark.parametrize(("innovation", "contradictions"), [(1.2, []), (2.0, ["contradicts"])])
+def test_innovations_twice_as_large_as_stated_contradict_the_rig(
+    monkeypatch: pytest.MonkeyPatch, innovation: float, contradictions: list[str]
+) -> None:
+    monkeypatch.setattr(_Filter, "value", np.array([0.0, innovation, 0.0]))
+    events = reported_events(monkeypatch, 300 * BELOW, calibration_s=CALIBRATION_s)
+    assert kinds_of(events) == ["free", *contradictions]
 
 
-def test_a_voltage_that_no_nominal_flight_had_carries_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_measurements_at_unknown_voltages_carry_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_Filter, "value", np.array([0.0, 2.0, 0.0]))
-    gentle = replace(EXACT, low_V=np.full(2, 1.5))
-    events = reported_events(monkeypatch, 300 * LITTLE, calibration_s=8.0, uncertainty=gentle)
-    assert [kind for kind, _ in events] == ["unjudged", "free"]
+    known_from_1_5_V = replace(EXACT, low_V=np.full(2, 1.5))
+    events = reported_events(
+        monkeypatch, 300 * BELOW, calibration_s=CALIBRATION_s, uncertainty=known_from_1_5_V
+    )
+    assert kinds_of(events) == ["unjudged", "free"]

@@ -1,4 +1,4 @@
-"""A twin that is too slow for its computer: it skips what waits, and neither memory nor its delay grows."""
+"""A twin that is too slow for its computer skips samples; its memory and its delay stay bounded."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks
 from heli_host.twins import TwinNews, TwinWatch
 
-PART = 1000
+BATCH_TICKS = 1000
+BATCHES = 100
 
 
 class _Session:
+    """A session whose ticks the test sends itself."""
+
     lockstep = False
 
     def subscribe_ticks(self, callback: Callable[[Ticks], None]) -> Callable[[], None]:
@@ -27,14 +30,16 @@ class _Session:
 
 
 class _SlowTwin:
+    """A twin whose first update lasts until `may_continue` is set."""
+
     def __init__(self) -> None:
-        self.begun, self.goes_on = threading.Event(), threading.Event()
-        self.seen: list[int] = []
+        self.has_begun, self.may_continue = threading.Event(), threading.Event()
+        self.first_ticks: list[int] = []
 
     def update(self, tick: Any, raw: Any) -> Sequence[TwinNews]:
-        self.begun.set()
-        self.goes_on.wait(60.0)
-        self.seen.append(int(tick[0]))
+        self.has_begun.set()
+        self.may_continue.wait(60.0)
+        self.first_ticks.append(int(tick[0]))
         return []
 
     def ghost_rad(self) -> None:
@@ -44,17 +49,18 @@ class _SlowTwin:
         return "follows"
 
 
-def test_a_twin_that_is_too_slow_skips_what_waits_and_says_so() -> None:
+def test_a_slow_twin_skips_samples_and_reports_it() -> None:
     session, twin = _Session(), _SlowTwin()
     watch = TwinWatch(cast(Session, session), twin)
-    raw = np.zeros((PART, len(CHANNELS)), np.int32)
-    for part in range(100):
-        session.send(Ticks(np.arange(part * PART, (part + 1) * PART, dtype=np.uint32), raw))
-        twin.begun.wait(60.0)
-    twin.goes_on.set()
+    raw = np.zeros((BATCH_TICKS, len(CHANNELS)), np.int32)
+    for batch in range(BATCHES):
+        ticks = np.arange(batch * BATCH_TICKS, (batch + 1) * BATCH_TICKS, dtype=np.uint32)
+        session.send(Ticks(ticks, raw))
+        twin.has_begun.wait(60.0)
+    twin.may_continue.set()
     watch.close()
-    # 10 s wait at most; the newest sample is always processed.
-    assert len(twin.seen) <= 13 and twin.seen[-1] == 99 * PART
-    assert watch.skipped_ticks == 100 * PART - len(twin.seen) * PART
+    # At most 10 s of samples wait for the twin; the newest batch is always processed.
+    assert len(twin.first_ticks) <= 13 and twin.first_ticks[-1] == (BATCHES - 1) * BATCH_TICKS
+    assert watch.skipped_ticks == (BATCHES - len(twin.first_ticks)) * BATCH_TICKS
     skipped_s = watch.skipped_ticks // 1000
     assert watch.words() == f"follows; {skipped_s} s of samples skipped, because this computer is slow"

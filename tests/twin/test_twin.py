@@ -1,7 +1,8 @@
-"""A twin finds what changed in a flight, names it, measures it; live as afterwards, and lands if asked to."""
+"""A twin detects, names and measures a change, in flight as afterwards, and lands the rig on request."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -16,6 +17,9 @@ from heli_lab.twin.monitor import TwinReport, monitor_file
 
 pytestmark = pytest.mark.slow
 CHANGED_s = 12.0
+"""Time from the first turn of the motors to the change [s]."""
+TICK_s = 1e-3
+FALSE_ALARM_INTERVAL_h = 10.0
 PLAN = """
 title = "Short"
 [start]
@@ -32,70 +36,81 @@ duration_s = 15
 """
 
 
+@dataclass(frozen=True)
+class WatchedFlight:
+    """A flight whose front rotor loses 8 % of its thrust, with a twin that lands the rig on an alarm."""
+
+    path: Path
+    exit_code: int
+    log: Log
+    report: TwinReport
+
+    def messages(self, name: str) -> list[str]:
+        """Return the messages of the log's events `name`."""
+        return [str(event["message"]) for event in self.log.events if event["name"] == name]
+
+
 @cache
-def flown() -> tuple[Path, int]:
-    """A flight whose front rotor loses 8 % of its thrust, with a twin that lands it; and how it ended."""
+def watched_flight() -> WatchedFlight:
     folder = Path(mkdtemp())
-    (folder / "short.toml").write_text(PLAN)
-    log = folder / "flight.mcap"
-    words = f"fly {folder / 'short.toml'} --sil --speed max --effect thrust_step.front=0.08@{CHANGED_s:g}"
-    code = run([*words.split(), "--twin", "makki2024", "--on-alarm", "land", "--log", str(log)])
-    return log, code
+    plan, path = folder / "short.toml", folder / "flight.mcap"
+    plan.write_text(PLAN)
+    command = f"fly {plan} --sil --speed max --effect thrust_step.front=0.08@{CHANGED_s:g}"
+    exit_code = run([*command.split(), "--twin", "makki2024", "--on-alarm", "land", "--log", str(path)])
+    report = monitor_file(open_rig("makki2024"), path, FALSE_ALARM_INTERVAL_h)
+    return WatchedFlight(path, exit_code, read_log(path), report)
 
 
-@cache
-def logged() -> tuple[Log, TwinReport]:
-    path, _ = flown()
-    return read_log(path), monitor_file(open_rig("makki2024"), path, 10.0)
+def test_a_loss_of_thrust_is_detected_named_and_measured() -> None:
+    flight = watched_flight()
+    (alarm,) = flight.report.alarms
+    most_likely = alarm.ranking[0]
+    front_V, t_s = flight.log.flight().front_V, flight.log.ticks["t_s"]
+    motors_on_s = float(t_s[np.flatnonzero(front_V > 0)[0]])
+    assert most_likely.change.id == "thrust_step.front"
+    assert abs(most_likely.size - 0.08) < 3 * most_likely.std
+    assert abs(alarm.onset_s - (motors_on_s + CHANGED_s)) < 1.0
+    assert "the front rotor lost" in alarm.text and "times more likely than the next" in alarm.text
 
 
-def test_the_change_is_found_named_and_measured() -> None:
-    log, seen = logged()
-    (named,) = seen.alarms
-    first = named.ranking[0]
-    motors_s = float(log.ticks["t_s"][np.flatnonzero(log.flight().front_V > 0)[0]])
-    assert first.change.id == "thrust_step.front"
-    assert abs(first.size - 0.08) < 3 * first.std
-    assert abs(named.onset_s - (motors_s + CHANGED_s)) < 1.0
-    assert "the front rotor lost" in named.text and "times more likely than the next" in named.text
+def test_the_flight_ends_in_a_landing_and_the_log_states_why() -> None:
+    flight = watched_flight()
+    assert flight.exit_code != 0
+    assert any(message.startswith("alarm at") for message in flight.messages("twin"))
+    assert flight.messages("phase")[-1] == "landing"
+    # The whole plan would take longer.
+    assert flight.log.ticks["t_s"][-1] < 21.0
 
 
-def test_the_flight_ends_in_a_landing_and_says_why() -> None:
-    _, code = flown()
-    log, _ = logged()
-    words = [str(event["message"]) for event in log.events if event["name"] == "twin"]
-    phases = [str(event["message"]) for event in log.events if event["name"] == "phase"]
-    assert code != 0
-    assert any(text.startswith("alarm at") for text in words)
-    assert phases[-1] == "landing"
-    # Before the plan would have ended it.
-    assert log.ticks["t_s"][-1] < 21.0
+def test_the_events_in_flight_and_afterwards_are_equal() -> None:
+    """In flight the ticks arrive in batches of random length."""
+    flight = watched_flight()
+    log = flight.log
+    twin = open_twin("makki2024")(log.parameters, FALSE_ALARM_INTERVAL_h)
+    tick = int(log.ticks["tick"][0]) + np.rint(log.ticks["t_s"] / TICK_s).astype(np.int64)
+    rng = np.random.default_rng(1)
+    start, live_events = 0, []
+    while start < len(tick):
+        stop = start + int(rng.integers(1, 150))
+        live_events += twin.update(tick[start:stop], log.raw[start:stop])
+        start = stop
+    later_events = [event for event in flight.report.events if event.kind != "diagnosed" or event.ranking]
+    assert [event.kind for event in live_events] == [event.kind for event in later_events]
+    live_ticks = [event.tick - int(tick[0]) for event in live_events]
+    assert live_ticks == [round(event.t_s / TICK_s) for event in later_events]
 
 
-def test_live_and_afterwards_are_the_same_tick_for_tick() -> None:
-    log, seen = logged()
-    twin = open_twin("makki2024")(log.parameters, 10.0)
-    number = int(log.ticks["tick"][0]) + np.rint(log.ticks["t_s"] / 1e-3).astype(np.int64)
-    rng, low, live = np.random.default_rng(1), 0, []
-    while low < len(number):
-        high = low + int(rng.integers(1, 150))
-        live += twin.update(number[low:high], log.raw[low:high])
-        low = high
-    afterwards = [event for event in seen.events if event.kind != "diagnosed" or event.ranking]
-    zero = int(number[0])
-    assert [news.kind for news in live] == [event.kind for event in afterwards]
-    assert [news.tick - zero for news in live] == [round(event.t_s * 1e3) for event in afterwards]
+def test_the_log_has_the_alarm_at_the_time_of_the_later_report() -> None:
+    flight = watched_flight()
+    logged_s = [
+        float(event["t_s"]) for event in flight.log.events if str(event["message"]).startswith("alarm at")
+    ]
+    reported_s = [event.t_s for event in flight.report.events if event.kind == "alarm"]
+    # The alarm is logged when its step of 10 ms is complete and its batch of ticks has arrived.
+    assert 0.0 <= logged_s[0] - reported_s[0] < 0.06
 
 
-def test_what_the_log_has_of_it_came_at_these_ticks() -> None:
-    log, seen = logged()
-    written = [float(event["t_s"]) for event in log.events if str(event["message"]).startswith("alarm at")]
-    alarms = [event.t_s for event in seen.events if event.kind == "alarm"]
-    # A step of 10 ms is reported when it is complete, and a batch of ticks comes at once.
-    assert 0.0 <= written[0] - alarms[0] < 0.06
-
-
-def test_nothing_is_said_of_a_part_before_the_change() -> None:
-    path, _ = flown()
-    before = monitor_file(open_rig("makki2024"), path, 10.0, stop_s=CHANGED_s)
-    assert before.free_s > 5.0 and not before.alarms
+def test_the_part_of_a_flight_before_the_change_has_no_alarm() -> None:
+    path = watched_flight().path
+    report = monitor_file(open_rig("makki2024"), path, FALSE_ALARM_INTERVAL_h, stop_s=CHANGED_s)
+    assert report.free_s > 5.0 and not report.alarms

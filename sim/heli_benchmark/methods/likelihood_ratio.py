@@ -38,7 +38,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     if best is None or best.log_evidence < _MIN_NATS:
         return answer_with(case.causes, {NOTHING: _NO_CHANGE}, parameters)
     name = best.change.id if best.change.id in case.causes.listed else UNLISTED
-    parameter = best.change.numbers[0]
+    parameter = best.change.parameters[0]
     if parameter in case.causes.parameter_names and best.std > 0.0:
         parameters[parameter] = Estimate(best.size, best.std)
     certain = 1.0 - math.exp(-0.1 * best.log_evidence)

@@ -1,4 +1,4 @@
-"""Angles at the recent onsets, from which a wrong scale of an encoder counts."""
+"""Keeps the angles at the recent onsets, since which the error of a wrong encoder scale grows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from heli_lab.twin.likelihood_ratio import LikelihoodRatio
 
 
 class AngleHistory:
-    """Angles at the ends of the latest blocks. It owns a ring: block k is in row k modulo the rows.
+    """Angles at the ends of the latest blocks. Block k is in row k modulo the number of rows.
 
     Parameters
     ----------

@@ -49,9 +49,10 @@ class Calibration:
     uncertainty: ParameterUncertainty = EXACT
 
     def threshold_nats(self, false_alarm_interval_h: float) -> float:
-        """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`, or for the
-        longest interval that the healthy flights support; never less than a twin with the true parameters
-        needs.
+        """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`.
+
+        If the nominal flights support only a shorter interval, the threshold is that of the longest supported
+        interval. The threshold is at least that of a twin with the true parameters.
         """
         return max(
             self.tail.threshold_nats(false_alarm_interval_h), IDEAL.threshold_nats(false_alarm_interval_h)
@@ -114,28 +115,37 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
     TwinError
         A key is missing, or a value is invalid.
     """
-    numbers: dict[str, Any] = {}
-    disturbances, tail_table = _table_of(data, "disturbances", name), _table_of(data, "tail", name)
-    for key in _DISTURBANCES:
-        values = disturbances.get(key)
-        if not isinstance(values, list) or len(values) != _AXES or not all(map(_is_positive, values)):
-            raise TwinError(f"{name}: disturbances.{key} is not three positive numbers", _REMEDY)
-        numbers[key.removesuffix("_Nm")] = np.array(values, float)
-    excesses = tail_table.get("excesses")
-    if not isinstance(excesses, int) or isinstance(excesses, bool) or excesses < 1:
-        raise TwinError(f"{name}: tail.excesses is not a count", _REMEDY)
-    tail = {}
-    for key, default in _TAIL_NUMBERS.items():
-        value = tail_table.get(key, default)
-        if not _is_number(value) and value != math.inf:
-            raise TwinError(f"{name}: tail.{key} is not a number", _REMEDY)
-        tail[key] = float(value)
     return Calibration(
-        DisturbanceModel(**numbers),
-        Tail(**tail, excesses=excesses),
+        _parse_disturbances(_table_of(data, "disturbances", name), name),
+        _parse_tail(_table_of(data, "tail", name), name),
         str(data.get("source", "")),
         _parse_uncertainty(_table_of(data, "parameters", name), name) if "parameters" in data else EXACT,
     )
+
+
+def _parse_disturbances(table: Mapping[str, Any], name: str) -> DisturbanceModel:
+    """Read the table [disturbances] of a twin file."""
+    arrays: dict[str, Any] = {}
+    for key in _DISTURBANCES:
+        values = table.get(key)
+        if not isinstance(values, list) or len(values) != _AXES or not all(map(_is_positive, values)):
+            raise TwinError(f"{name}: disturbances.{key} is not three positive numbers", _REMEDY)
+        arrays[key.removesuffix("_Nm")] = np.array(values, float)
+    return DisturbanceModel(**arrays)
+
+
+def _parse_tail(table: Mapping[str, Any], name: str) -> Tail:
+    """Read the table [tail] of a twin file."""
+    excesses = table.get("excesses")
+    if not isinstance(excesses, int) or isinstance(excesses, bool) or excesses < 1:
+        raise TwinError(f"{name}: tail.excesses is not a count", _REMEDY)
+    tail_numbers: dict[str, float] = {}
+    for key, default in _TAIL_DEFAULTS.items():
+        value = table.get(key, default)
+        if not _is_number(value) and value != math.inf:
+            raise TwinError(f"{name}: tail.{key} is not a number", _REMEDY)
+        tail_numbers[key] = float(value)
+    return Tail(**tail_numbers, excesses=excesses)
 
 
 def _parse_uncertainty(table: Mapping[str, Any], name: str) -> ParameterUncertainty:
@@ -159,20 +169,20 @@ def _parse_uncertainty(table: Mapping[str, Any], name: str) -> ParameterUncertai
 
 
 def _number_array(values: Any, count: int, what: str) -> Floats:
-    """Check that `values` are `count` numbers, and return them, (count,)."""
+    """Return `values` as an array, (count,); a TwinError about `what` is raised for other values."""
     if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
         raise TwinError(f"{what} is not {count} numbers", _REMEDY)
     return np.array(values, float)
 
 
-_TAIL_NUMBERS: Final[Mapping[str, float | None]] = {
+_TAIL_DEFAULTS: Final[Mapping[str, float | None]] = {
     "level_nats": None,
     "per_hour": None,
     "scale_nats": None,
     "shape": 0.0,
     "healthy_s": math.inf,
 }
-"""Numbers of the tail in a twin file, and what holds where a file has none."""
+"""Numbers in the table [tail], each with its default; None if a file must have it."""
 
 
 _REMEDY: Final = "write it again with heli-host twin --learn"
@@ -195,5 +205,5 @@ def _is_positive(value: Any) -> bool:
 
 
 def _listed(values: Floats, digits: int = 6) -> str:
-    """Write values, (n,), as a list of TOML with so many significant digits."""
+    """Return values, (n,), as a list of TOML with this number of significant digits."""
     return "[" + ", ".join(f"{value:.{digits}g}" for value in values) + "]"

@@ -1,4 +1,4 @@
-"""Possible changes of a rig in flight: hypotheses, each a derivative of the model by one or two parameters.
+"""Possible changes of a rig in flight: each one changes one or two parameters of the model.
 
 Effects of the catalogue describe themselves as changes (`heli_sim.model.effects.ChangeSpec`). This file lists
 only changes that are no effect of the catalogue.
@@ -16,10 +16,11 @@ from heli_sim.model.effects.spec import format_estimate
 from heli_sim.model.parts import AXES
 
 SUPPLY: Final = "supply"
-"""Name that stands for a share of both motor voltages among the numbers of a change."""
+"""Parameter of a change that is no parameter of the model: a share of both motor voltages."""
 SCALES: Final = {f"encoder_scale_{axis}": axis for axis in AXES}
-"""Names that stand for a share of the counts per turn of an encoder, and the axis of each. From the onset on,
-the encoder adds that share of each turn; its angle does not jump at the onset."""
+"""Parameters of changes that are no parameters of the model: a share of the counts per turn of an encoder,
+with the axis of each. From the onset on, the encoder adds that share of each turn; its angle does not jump
+at the onset."""
 
 
 @dataclass(frozen=True)
@@ -30,24 +31,24 @@ class Change:
     ----------
     id : str
         Id of the effect of the catalogue, or another unique name.
-    numbers : tuple of str
-        Parameters of the extended model by which the change is a derivative, one or two; `SUPPLY` for a share
-        of both voltages, one of `SCALES` for a share of an encoder's counts. Names joined by ``+`` change
-        alike.
+    parameters : tuple of str
+        One or two parameters of the extended model that the change adds to, or `SUPPLY`, or one of `SCALES`.
+        Parameters joined by ``+`` change by the same amount.
     sizes : tuple of float
-        Prior standard deviation of each number, SI. A wider prior costs evidence (Occam's razor).
+        Prior standard deviation of the change of each parameter, SI. A wider prior costs evidence (Occam's
+        razor).
     unit : str
-        Unit of the first number.
+        Unit of the first parameter.
     positive_text, negative_text : str
-        Sentence for a positive and for a negative first number; ``{}`` is its amount.
+        Sentence if the first parameter grows or falls; ``{}`` is the amount.
     is_ramp : bool
         True if the change grows from its onset at a constant rate; False for a step.
     non_negative : bool
-        True if the first number cannot be negative.
+        True if the first parameter cannot fall.
     """
 
     id: str
-    numbers: tuple[str, ...]
+    parameters: tuple[str, ...]
     sizes: tuple[float, ...]
     unit: str
     positive_text: str
@@ -58,7 +59,7 @@ class Change:
     @property
     def is_scale(self) -> bool:
         """Whether it is a wrong scale of an encoder."""
-        return self.numbers[0] in SCALES
+        return self.parameters[0] in SCALES
 
     @property
     def is_jump(self) -> bool:
@@ -66,7 +67,7 @@ class Change:
         return self.id.startswith("zero_offset.")
 
     def words(self, size: float, std: float) -> str:
-        """Describe the change with the estimate `size` of its first number and its standard error `std`."""
+        """Describe the change by the estimate `size` of its first parameter and the standard error `std`."""
         return (self.negative_text if size < 0 else self.positive_text).format(
             format_estimate(abs(size), std, self.unit)
         )
@@ -77,11 +78,11 @@ def _catalogue_changes() -> tuple[Change, ...]:
     return tuple(
         Change(
             spec.id,
-            spec.change.numbers or (spec.full(spec.numbers[0].name),),
-            spec.change.sizes,
-            spec.numbers[0].unit,
-            spec.change.positive,
-            spec.change.negative,
+            parameters=spec.change.numbers or (spec.full(spec.numbers[0].name),),
+            sizes=spec.change.sizes,
+            unit=spec.numbers[0].unit,
+            positive_text=spec.change.positive,
+            negative_text=spec.change.negative,
             is_ramp=spec.change.is_ramp,
             non_negative=spec.is_one_sided,
         )
@@ -101,13 +102,13 @@ _SUPPLY_STEP: Final = Change(
 _ENCODER_SCALES: Final = tuple(
     Change(
         f"encoder_scale.{axis}",
-        (number,),
+        (parameter,),
         (0.5,),  # a decoder that counts one edge of two, or a disc with half the lines
         "1",
         f"the {axis} encoder counts {{}} more than its counts per turn",
         f"the {axis} encoder counts {{}} fewer than its counts per turn",
     )
-    for number, axis in SCALES.items()
+    for parameter, axis in SCALES.items()
 )
 
 
@@ -117,29 +118,33 @@ def all_changes() -> tuple[Change, ...]:
 
 
 def extended(model: Model) -> Model:
-    """Add the effects of all possible changes to a model, at values at which they do nothing."""
-    kinds = catalogue()
+    """Add the effects of all possible changes to a model, at values at which they do nothing.
+
+    The derivatives by their parameters are then derivatives by the changes. The effects act from 0 s on. The
+    filter itself sets the derivatives to zero before an onset.
+    """
+    specs = catalogue()
     present_names = {effect.name for effect in model.effects}
     effects: dict[str, Effect] = {}
     for change in changes_of(model):
-        if change.id in kinds and change.id not in present_names:
-            kind = kinds[change.id]
-            values = {name: 0.0 for name in kind.neutral if name.endswith("_at_s")}
-            effects[change.id] = kind.make({**kind.neutral, **values})
+        if change.id in specs and change.id not in present_names:
+            spec = specs[change.id]
+            onsets_s = {name: 0.0 for name in spec.neutral if name.endswith("_at_s")}
+            effects[change.id] = spec.make({**spec.neutral, **onsets_s})
     return type(model)((*model.effects, *effects.values()))
 
 
 def changes_of(model: Model) -> tuple[Change, ...]:
     """Return the possible changes of a rig with these equations."""
-    kinds = catalogue()
+    specs = catalogue()
 
     def is_possible(change: Change) -> bool:
-        return change.id not in kinds or kinds[change.id].suits(model)
+        return change.id not in specs or specs[change.id].suits(model)
 
     return tuple(filter(is_possible, all_changes()))
 
 
-def free_numbers(changes: Sequence[Change]) -> tuple[str, ...]:
-    """Return the parameters of the extended model by which the changes are derivatives."""
-    names = (name for change in changes for entry in change.numbers for name in entry.split("+"))
+def model_parameters(changes: Sequence[Change]) -> tuple[str, ...]:
+    """Return the parameters of the extended model that the changes add to, each once."""
+    names = (name for change in changes for entry in change.parameters for name in entry.split("+"))
     return tuple(dict.fromkeys(name for name in names if name != SUPPLY and name not in SCALES))

@@ -1,4 +1,4 @@
-"""Draws of the evidence along a healthy flight: its own innovations in another order, with random signs."""
+"""Draws evidence along a healthy flight: from its own innovations in another order, with random signs."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ NO_ALARM: Final = Tail(np.inf, 0.0, 0.0, 1)
 """Tail of a twin that raises no alarm."""
 
 History = list[tuple[float, float]]
+"""Time [s] and evidence [nats] of each measurement of a flight."""
 
 
 class Draws:
@@ -52,21 +53,23 @@ class Draws:
     def __init__(self, innovations: Sequence[Floats], count: int, rng: np.random.Generator) -> None:
         self._innovations: Floats = np.vstack([flight[~_near_kicks(flight)] for flight in innovations])
         self._rng, self.count = rng, count
-        # Of each draw: row of its next innovation, sign of its piece, and scale about each axis.
+        # For each draw: row of its next innovation, sign of its present piece, (count,), and the scale of its
+        # day for each axis, (count, 3).
         self._row, self._sign = np.zeros(count, int), np.ones(count)
         self._scale: Floats = np.exp(_DAY_STD * rng.normal(size=(count, 3)))
-        self._rows_left = 0
+        self._rows_left_in_piece = 0
 
     def next(self) -> Floats:
         """Return the next innovation of each draw, (count, 3)."""
-        if not self._rows_left:
+        if not self._rows_left_in_piece:
             self._row = self._rng.integers(len(self._innovations), size=self.count)
             self._sign = self._rng.choice((-1.0, 1.0), size=self.count)
-            self._rows_left = PIECE
-        self._rows_left -= 1
-        values = self._scale * self._sign[:, None] * self._innovations[self._row % len(self._innovations)]
+            self._rows_left_in_piece = PIECE
+        self._rows_left_in_piece -= 1
+        # A piece that reaches the last row continues with the first one.
+        measured = self._innovations[self._row % len(self._innovations)]
         self._row = self._row + 1
-        return np.asarray(values)
+        return np.asarray(self._scale * self._sign[:, None] * measured)
 
 
 def _near_kicks(innovations: Floats) -> npt.NDArray[np.bool_]:
@@ -107,24 +110,24 @@ class _DrawnTwin(Twin):
     def __init__(
         self, model: TwinModel, calibration: Calibration, count_rad: Floats, sample_s: float, draws: Draws
     ) -> None:
-        self._draws = draws
+        self._draws = draws  # before the other attributes, because `_new_ratio` needs it
         super().__init__(model, calibration, count_rad, sample_s)
-        self._latest: list[Floats] = []
         self.histories: list[History] = [[] for _ in range(draws.count)]
 
     @override
     def _new_ratio(self) -> LikelihoodRatio:
-        self._latest = []
+        # Evidence of each draw, (count,), at the latest measurements.
+        self._latest_nats: list[Floats] = []
         return LikelihoodRatio(self.model.changes, self._count_rad, self._draws.count)
 
     @override
     def _update_evidence(self, innovation: Innovation) -> None:
         """Add the next drawn innovations instead of the measured one, with its sensitivity."""
-        value = np.clip(self._draws.next(), -CUT_OFF_STD, CUT_OFF_STD)
-        evidence = self._ratio.update_draws(value, innovation.sensitivity)
-        self._latest = [*self._latest[1 - PERSISTENCE_BLOCKS :], evidence]
-        if len(self._latest) == PERSISTENCE_BLOCKS:
-            persistent_nats = np.min(self._latest, axis=0)
+        drawn = np.clip(self._draws.next(), -CUT_OFF_STD, CUT_OFF_STD)
+        evidence_nats = self._ratio.update_draws(drawn, innovation.sensitivity)
+        self._latest_nats = [*self._latest_nats[1 - PERSISTENCE_BLOCKS :], evidence_nats]
+        if len(self._latest_nats) == PERSISTENCE_BLOCKS:
+            persistent_nats = np.min(self._latest_nats, axis=0)
             t_s = self._block_end_s(self._block_count)
             for history, nats in zip(self.histories, persistent_nats, strict=True):
                 history.append((t_s, float(nats)))

@@ -1,4 +1,4 @@
-"""Messages of a twin, and their words."""
+"""The messages of a twin, such as alarms, and their texts."""
 
 from __future__ import annotations
 

@@ -19,11 +19,11 @@ def draw_evidence(flights: Sequence[TwinReport], path: Path) -> None:
     figure = Figure(figsize=(9.0, 0.6 + 2.2 * len(flights)), layout="constrained")
     axes = figure.subplots(len(flights), 1, squeeze=False)[:, 0]
     for ax, flight in zip(axes, flights, strict=True):
-        times, evidence = np.array(flight.evidence_nats, float).reshape(-1, 2).T
-        is_known = np.isfinite(evidence)
+        t_s, evidence_nats = np.array(flight.evidence_nats, float).reshape(-1, 2).T
+        is_known = np.isfinite(evidence_nats)
         ax.plot(
-            times[is_known],
-            np.maximum(evidence[is_known], 0.0),
+            t_s[is_known],
+            np.maximum(evidence_nats[is_known], 0.0),
             color="#0b5394",
             lw=1.2,
             label="most likely change",

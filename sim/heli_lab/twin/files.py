@@ -24,7 +24,7 @@ these disturbances."""
 
 @dataclass(frozen=True)
 class TwinRig:
-    """Everything that a twin is made from.
+    """A rig, its model and the calibration: everything that a twin needs.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Samples of flights in files and of ticks from boards: both give the same numbers."""
+"""Converts flights in files, and ticks from boards, to samples; both give the same samples for a flight."""
 
 from __future__ import annotations
 
@@ -40,14 +40,16 @@ def samples_of(flight: Flight) -> tuple[Samples, float]:
     TwinError
         The rows are not evenly spaced.
     """
-    t_s = flight.t_s
-    step_s = flight.step_s
-    if abs(step_s - 1e-3) < 1e-5:
-        sample_s = 1e-3
+    t_s, step_s = flight.t_s, flight.step_s
+    if abs(step_s - TICK_S) < 1e-5:
+        # The rows are ticks of the board.
+        sample_s = TICK_S
+        steps = t_s / sample_s
     else:
         intervals_s = np.diff(t_s)
-        sample_s = float(intervals_s[intervals_s < 1.5 * step_s].mean())
-    steps = t_s / sample_s if sample_s == 1e-3 else (t_s - t_s[0]) / sample_s
+        is_gap = intervals_s >= 1.5 * step_s
+        sample_s = float(intervals_s[~is_gap].mean())
+        steps = (t_s - t_s[0]) / sample_s
     number: Integers = np.rint(steps).astype(np.int64)
     if np.any(np.diff(number) < 1) or np.max(np.abs(steps - number)) > _MAX_TIME_ERROR_STEPS:
         raise TwinError("the rows of the flight are not evenly spaced", "log with an even clock, or resample")

@@ -30,10 +30,12 @@ class FreeFlight:
 
     def __init__(self, rig: Rig, step_s: float) -> None:
         self._settling_steps = round(SETTLE_s / step_s)
+        # Number of successive steps off the table and the stops.
         self._clear_steps = 0
         uncertainty_deg = min(rig["elevation_min"].tolerance, thresholds.MAX_UNSURE_DEG)
         self._table_deg = rig["elevation_min"].value
         self._low_deg = self._table_deg + uncertainty_deg + thresholds.TABLE_MARGIN_DEG
+        # Distance of a rotor's edge from the arm, as a share of the arm's length.
         self._rotor_reach = (rig["L_h"].value + thresholds.ROTOR_m) / rig["L_a"].value
         stops = [rig[name] for name in ("elevation_max", "pitch_max", "travel_max")]
         self._stop_deg = [
@@ -42,8 +44,14 @@ class FreeFlight:
         ]
 
     def update(self, angles_rad: Floats | None, flying: bool) -> bool:
-        """Return whether the step that begins at `angles_rad` [rad], (3,), is free; `flying` states whether
-        the motors may run.
+        """Return whether a step is free.
+
+        Parameters
+        ----------
+        angles_rad : ndarray (3,) or None
+            Angles at the beginning of the step [rad]; None without a measurement.
+        flying : bool
+            True if the motors may run.
         """
         if not flying:
             self._clear_steps = 0
@@ -53,12 +61,15 @@ class FreeFlight:
 
     def _touches(self, angles_rad: Floats) -> bool:
         """Whether the arm or a rotor may touch the table, or an axis a stop, at angles [rad]."""
+        elevation_rad, pitch_rad, _ = angles_rad
         elevation_deg, pitch_deg, travel_deg = np.rad2deg(angles_rad)
         if elevation_deg < self._low_deg:
             return True
-        # An arm that leans far reaches the table with its lower rotor long before it stands on it.
-        reach = self._rotor_reach * abs(math.sin(angles_rad[1])) * math.cos(angles_rad[0])
-        if math.sin(angles_rad[0]) - reach < math.sin(math.radians(self._table_deg)):
+        # If the arm is pitched, its lower rotor reaches the table before the arm does. Heights are above the
+        # pivot, in lengths of the arm.
+        depth = self._rotor_reach * abs(math.sin(pitch_rad)) * math.cos(elevation_rad)
+        lowest_height = math.sin(elevation_rad) - depth
+        if lowest_height < math.sin(math.radians(self._table_deg)):
             return True
         elevation_max_deg, pitch_max_deg, travel_max_deg = self._stop_deg
         return bool(

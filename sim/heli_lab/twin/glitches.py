@@ -54,7 +54,7 @@ F = TypeVar("F", bound=AngleFilter)
 
 @dataclass
 class WithoutEncoder(Generic[F]):
-    """A filter with its likelihood ratio, for which the measurements of a jumping encoder do not exist.
+    """A filter with its likelihood ratio that does not use the measurements of a jumping encoder.
 
     Parameters
     ----------
@@ -85,50 +85,59 @@ class GlitchWatch(Generic[F]):
     def __init__(self, count_rad: Floats) -> None:
         self._count_rad = count_rad
         self.alternative: WithoutEncoder[F] | None = None
+        # Number of measurements that may still be left out.
         self._budget = float(MAX_BLOCKS)
-        self._near_blocks = 0
+        # Number of successive measurements near their predictions.
+        self._settled_blocks = 0
+        # Differences of the jumping encoder from its predictions since the jump began [rad].
         self._differences_rad: list[float] = []
 
     def copies(self, kalman: F, ratio: LikelihoodRatio) -> WithoutEncoder[F] | None:
         """Return copies of `kalman` and `ratio` before a measurement; None if no jump can begin with it."""
         self._budget = min(self._budget + REFILL, float(MAX_BLOCKS))
-        if self.alternative is not None or self._near_blocks < _ARMING_BLOCKS or self._budget < 1.0:
+        if self.alternative is not None or self._settled_blocks < _ARMING_BLOCKS or self._budget < 1.0:
             return None
         return WithoutEncoder(kalman.copy(), ratio.copy())
 
     def begin_jump(self, kalman: F, before: WithoutEncoder[F] | None) -> None:
-        """Begin a jump if the measurement that `kalman` has just used is one.
+        """Begin a jump if the measurement that `kalman` has just used is far from its prediction.
 
-        Its copies `before` that measurement then become the second filter.
+        The copies `before` that measurement then become the second filter. They are None if no jump can
+        begin, because the filter has not settled, or too many measurements were left out.
         """
         if self.alternative is not None:
             return
         size_rad = np.abs(kalman.differences_rad)
-        least_rad = np.maximum(JUMP_STD * kalman.stds_rad, MIN_JUMP_COUNTS * self._count_rad)
-        axis = int(np.argmax(size_rad / least_rad))
-        if size_rad[axis] <= least_rad[axis]:
-            self._near_blocks += 1
-        elif before is None:
-            self._near_blocks = 0
-        else:
-            before.kalman.left_out = axis
-            self.alternative, self._differences_rad = before, []
+        min_jump_rad = np.maximum(JUMP_STD * kalman.stds_rad, MIN_JUMP_COUNTS * self._count_rad)
+        axis = int(np.argmax(size_rad / min_jump_rad))
+        if size_rad[axis] <= min_jump_rad[axis]:
+            self._settled_blocks += 1
+            return
+        if before is None:
+            self._settled_blocks = 0
+            return
+        before.kalman.left_out = axis
+        self.alternative, self._differences_rad = before, []
 
-    def returned(self) -> bool:
-        """Return whether the encoder has returned with the measurement that the second filter has just left
-        out; discard that filter if it no longer can.
+    def decide_return(self) -> bool:
+        """Decide about the measurement that the second filter has just left out.
+
+        Returns True if the encoder has returned to the prediction of the second filter. If the encoder can no
+        longer return, the second filter is discarded.
         """
         assert self.alternative is not None
         kalman = self.alternative.kalman
         assert kalman.left_out is not None
         size_rad = abs(float(kalman.differences_rad[kalman.left_out]))
         std_rad = float(kalman.stds_rad[kalman.left_out])
-        jump_rad = max(map(abs, [*self._differences_rad, size_rad][:2]))
+        # The mean within a block may contain only a part of the jump, so the second difference counts too.
+        jump_rad = max([*self._differences_rad, size_rad][:2])
         if self._differences_rad and size_rad < 0.5 * jump_rad:
             return True
+        axis_moves_away = size_rad > _MAX_GROWTH * jump_rad
         is_decidable = jump_rad > _DECIDABLE_STD * std_rad
-        if self._budget < 1.0 or size_rad > _MAX_GROWTH * jump_rad or not is_decidable:
-            self.alternative, self._near_blocks = None, 0
+        if self._budget < 1.0 or axis_moves_away or not is_decidable:
+            self.alternative, self._settled_blocks = None, 0
             return False
         self._budget -= 1.0
         self._differences_rad.append(size_rad)

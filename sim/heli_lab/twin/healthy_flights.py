@@ -26,6 +26,8 @@ _TORQUE_SHARE: Final = 0.5
 """Standard deviation of the constant torques of simulated flights as a share of `TORQUE_STD_Nm`: the torques
 of an identified rig are better known than their prior."""
 
+_TIME_RANGE_s: Final = (0.02, 20.0)
+"""Shortest and longest correlation time of gusts that the simulation accepts [s]."""
 _OTHER_SEGMENTS_s: Final = 28.0
 """Duration of a random plan without its sines [s]: take-off, settling, waypoints and hover."""
 _MIN_SINES_s: Final = 17.0
@@ -59,16 +61,18 @@ duration_s = 8
 
 
 def random_plan(seed: int, duration_s: float = 60.0) -> Plan:
-    """Return a random plan of about `duration_s` in the air, drawn from a `seed`: sines, waypoints, hover,
-    and in half of the plans an excitation.
+    """Draw a plan of about `duration_s` in the air: sines, waypoints and hover.
+
+    In half of the plans, a multisine excites the rotors during the sines.
     """
     rng = np.random.default_rng(seed)
-    travel = round(float(rng.uniform(10, 40)), 1)
+    travel_deg = round(float(rng.uniform(10, 40)), 1)
     excite = 'excite = { signal = "multisine", front_V = 0.2, back_V = 0.2, start_Hz = 0.1, stop_Hz = 3 }'
     text = _PLAN.format(
         seed=seed,
-        travel=travel,
-        travel_s=round(max(16.0, 0.62 * travel), 1),
+        travel=travel_deg,
+        # A period in proportion to the amplitude limits the rate of travel.
+        travel_s=round(max(16.0, 0.62 * travel_deg), 1),
         elevation=round(float(rng.uniform(2, 9)), 1),
         elevation_s=round(float(rng.uniform(7, 12)), 1),
         sines_s=round(max(duration_s - _OTHER_SEGMENTS_s, _MIN_SINES_s), 1),
@@ -81,14 +85,14 @@ def random_plan(seed: int, duration_s: float = 60.0) -> Plan:
 
 def with_process_noise(model: Model, disturbances: DisturbanceModel) -> Model:
     """Add random gusts and a slow random drift about each axis to a model, for its simulation."""
-    kinds = catalogue()
+    specs = catalogue()
     effects: list[Effect] = [effect for effect in model.effects if not effect.noise_inputs]
     for axis, name in enumerate(AXES):
-        kind = kinds[f"random_torque.{name}"]
-        gusts = kind.make(
+        spec = specs[f"random_torque.{name}"]
+        gusts = spec.make(
             {
-                kind.full("Nm"): float(disturbances.fast_std[axis]),
-                kind.full("s"): float(np.clip(disturbances.correlation_time_s[axis], 0.02, 20.0)),
+                spec.full("Nm"): float(disturbances.fast_std[axis]),
+                spec.full("s"): float(np.clip(disturbances.correlation_time_s[axis], *_TIME_RANGE_s)),
             }
         )
         slow_std_Nm = float(disturbances.slow_std[axis])
@@ -101,25 +105,27 @@ def with_process_noise(model: Model, disturbances: DisturbanceModel) -> Model:
 
 def _with_other_parameters(gusts: Effect, name: str, std_Nm: float, correlation_time_s: float) -> Effect:
     """Return the same process with another name, standard deviation and correlation time."""
-    old, new = gusts.prefix, name.replace(".", "_")
+    # Names of parameters and states begin with the effect's name, in which a dot becomes an underscore.
+    old_prefix, new_prefix = gusts.prefix, name.replace(".", "_")
 
-    def quantity(original: Quantity) -> Quantity:
-        return replace(original, name=original.name.replace(old, new))
+    def renamed(quantity: Quantity) -> Quantity:
+        return replace(quantity, name=quantity.name.replace(old_prefix, new_prefix))
 
     return replace(
         gusts,
         name=name,
-        parameters=tuple(quantity(item) for item in gusts.parameters),
-        states=tuple(quantity(item) for item in gusts.states),
-        values={f"{new}_Nm": std_Nm, f"{new}_s": correlation_time_s},
+        parameters=tuple(renamed(parameter) for parameter in gusts.parameters),
+        states=tuple(renamed(state) for state in gusts.states),
+        values={f"{new_prefix}_Nm": std_Nm, f"{new_prefix}_s": correlation_time_s},
         priors={},
         multimodal=(),
     )
 
 
 def fly_simulated(model: Model, rig: Rig, plans: Plan | Sequence[Plan], seed: int) -> Flight:
-    """Simulate a flight of plans with the flight code on the simulated board, with a random constant torque
-    about each axis.
+    """Simulate a flight of plans with the flight code on the simulated board.
+
+    A random constant torque acts about each axis.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 def independent_copy(original: T) -> T:
-    """Return a copy with separate arrays; it shares everything else, which no update changes.
+    """Return a copy with separate arrays. Other attributes are shared; no update changes them in place.
 
     Parameters
     ----------

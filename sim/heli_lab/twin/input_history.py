@@ -1,9 +1,10 @@
-"""Inputs of the model at each step: the voltage that acts, and the time since the motors started."""
+"""Inputs of the model at each step: the voltages that act, and the time since the motors started."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -18,16 +19,16 @@ longer than the lag of any rotor."""
 
 
 class Motion(NamedTuple):
-    """Motion over some steps.
+    """Measured motion and acting voltages over some steps.
 
     Parameters
     ----------
     times_s : ndarray (n,)
-        Times since the motors started.
+        Times since the motors started [s].
     angles_rad : ndarray (n, 3)
-        Measured angles.
+        Measured angles [rad].
     volts_V : ndarray (n, 2)
-        Acting voltages.
+        Acting voltages [V].
     """
 
     times_s: Floats
@@ -35,41 +36,62 @@ class Motion(NamedTuple):
     volts_V: Floats
 
 
+@dataclass(frozen=True)
+class BlockEnd:
+    """The end of a block of steps, at which the filter uses a measurement.
+
+    Parameters
+    ----------
+    step : Step
+        The step that begins there, with the measured angles.
+    motor_time_s : float
+        Time since the motors started [s].
+    acting_V : ndarray (2,)
+        Voltages that act there [V].
+    """
+
+    step: Step
+    motor_time_s: float
+    acting_V: Floats
+
+
 class InputHistory:
-    """Inputs of the latest steps. It owns the delay between a voltage and its action.
+    """Inputs of the latest steps, with the delay between a voltage and its action.
 
     Parameters
     ----------
     model : TwinModel
-        States the delay and the least voltage that acts.
+        Contains the delay and the smallest voltage with a thrust.
     step_s : float
         Time between two steps [s].
 
     Attributes
     ----------
-    since_s : float
+    motor_time_s : float
         Time since the motors started [s]; 0 while they are off.
     acting_V : ndarray (2,)
         Voltages that act at the present step [V].
     """
 
     def __init__(self, model: TwinModel, step_s: float) -> None:
-        self.since_s = 0.0
+        self.motor_time_s = 0.0
         self.acting_V: Floats = np.zeros(2)
-        self._least_V = model.min_thrust_V
+        self._min_thrust_V = model.min_thrust_V
         self._delayed_volts_V: deque[Floats] = deque(maxlen=round(model.delay_s / step_s) + 1)
-        self._motors_since_s = math.nan
+        self._motor_start_s = math.nan
         self._motion: deque[tuple[float, Floats, Floats]] = deque(maxlen=round(_HISTORY_s / step_s))
 
     def update(self, step: Step, t_s: float) -> None:
-        """Take the inputs of a `step` at time `t_s` [s]."""
-        self._delayed_volts_V.append(np.maximum(step.volts_V, self._least_V).mean(axis=0))
+        """Compute the inputs of a `step` at time `t_s` [s]."""
+        mean_volts_V = np.maximum(step.volts_V, self._min_thrust_V).mean(axis=0)
+        self._delayed_volts_V.append(mean_volts_V)
+        # The queue is as long as the delay: its oldest voltage acts now.
         self.acting_V = self._delayed_volts_V[0]
         if not step.flying:
-            self._motors_since_s = math.nan
-        elif math.isnan(self._motors_since_s) and np.any(step.volts_V):
-            self._motors_since_s = t_s
-        self.since_s = 0.0 if math.isnan(self._motors_since_s) else t_s - self._motors_since_s
+            self._motor_start_s = math.nan
+        elif math.isnan(self._motor_start_s) and np.any(step.volts_V):
+            self._motor_start_s = t_s
+        self.motor_time_s = 0.0 if math.isnan(self._motor_start_s) else t_s - self._motor_start_s
 
     def remember(self, measured_rad: Floats) -> None:
         """Keep the present inputs with angles that were measured at the same step.
@@ -79,7 +101,7 @@ class InputHistory:
         measured_rad : ndarray (3,)
             Measured angles [rad].
         """
-        self._motion.append((self.since_s, measured_rad, self.acting_V))
+        self._motion.append((self.motor_time_s, measured_rad, self.acting_V))
 
     def forget_motion(self) -> None:
         """Discard the kept inputs."""
@@ -89,7 +111,7 @@ class InputHistory:
         """Discard everything, because samples are missing."""
         self._motion.clear()
         self._delayed_volts_V.clear()
-        self._motors_since_s = math.nan
+        self._motor_start_s = math.nan
 
     def initial_motion(self) -> Motion:
         """Return the motion before the present step, from which the filter starts."""

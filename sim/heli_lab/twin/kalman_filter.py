@@ -1,14 +1,15 @@
 """The extended Kalman filter of a twin, with the sensitivities of its state to possible changes of the rig.
 
-Its state z = (x, g, d, c, o) holds the model's state x and the errors o of the zeros of two encoders. About
-each axis it holds disturbances (gusts g and a slow drift d) and a constant torque c. Over a step of 10 ms the
-linearly implicit midpoint rule predicts
+The state of the filter is z = (x, g, d, c, o, p). It contains the model's state x, the errors o of the zeros
+of two encoders, and the errors p of the rig's parameters. For each axis it contains a gust g, a slow drift d
+and a constant torque c. Over a step of 10 ms, the linearly implicit midpoint rule predicts
 
     x+ = x + Gamma (f(x, u) + B (g + d + c)),
     Gamma = (I - h A / 2)^-1 h,   Phi = (I - h A / 2)^-1 (I + h A / 2),
 
-with the Jacobian A of f: the rule by which `heli_lab.estimation` linearises, at the filter's own state. The
-sensitivity s of the state to a parameter p is propagated with it: s+ = F s + Gamma df/dp.
+with the Jacobian A of f at the filter's state. `heli_lab.estimation` linearises by the same rule. Let F be
+the transition of z. The sensitivity s of z to a change v of a parameter is propagated by
+s+ = F s + Gamma df/dv.
 """
 
 from __future__ import annotations
@@ -29,17 +30,20 @@ from heli_lab.twin.twin_model import ZEROS, TwinModel
 
 _ROUNDING_STD_COUNTS: Final = 12.0**-0.5
 """Standard deviation of a zero that is uniformly distributed over a count, in counts."""
-_ANGLE_STD_rad: Final = 0.005
+_ANGLE_STD_rad: Final = 1.0
+"""Standard deviation of the initial angles, rad: they are unknown before the first measurement. An encoder
+shows the sum of an angle and the error of its zero. Smaller: the first measurement is evidence against each
+error of a zero, which then appears as a torque."""
 _RATE_STD_rad_s: Final = 0.3
+"""Standard deviation of the initial rates, which are means over 0.1 s, rad/s."""
 _EFFECT_STATE_STD: Final = 0.3
-"""Standard deviations of the initial state: angles to some counts, rates from two means over 0.1 s, states of
-effects after a simulation from rest."""
+"""Standard deviation of the initial states of effects, which are simulated from rest, SI."""
 
 
 _EXCURSION_s: Final = 0.2
-"""Length of an excursion of the voltage beyond those of the nominal flights, s: for so long, the effect of
-the excess is unknown by as much as it is. A rotor that is braked for a moment, for example. Longer: a
-single excursion hides changes for seconds. Shorter: what the rig does there is taken for a change."""
+"""Typical length of an excursion of the voltage beyond those of the nominal flights, s, such as a rotor that
+is braked for a moment. Over this time, the effect of the excess is uncertain by its own size. Longer: a
+single excursion hides changes for seconds. Shorter: the effect of unknown voltages is taken for a change."""
 _MAX_REPEATS: Final = 10.0
 """Greatest number of measurements, 40 ms apart, of an angle within one count that together count as one,
 because their errors are equal, not independent. At 1, slow travel in hover shows 19 nats of dry friction in
@@ -63,7 +67,7 @@ class KalmanFilter:
         Angle of one count of each encoder [rad].
     step_s : float
         Length of a step [s].
-    block : int
+    steps_per_block : int
         Number of steps between two measurements.
     state : ndarray (n,)
         Initial state of the model.
@@ -89,14 +93,15 @@ class KalmanFilter:
         disturbances: DisturbanceModel,
         count_rad: Floats,
         step_s: float,
-        block: int,
+        steps_per_block: int,
         state: Floats,
         *,
         is_changed: bool = False,
     ) -> None:
         self.twin, self.disturbances, self.step_s = twin, disturbances, step_s
-        self._count_rad, self._block_s = count_rad, block * step_s
-        # Free parameters per standard deviation of each unknown error, (parameters + 1, errors)
+        self._count_rad, self._block_s = count_rad, steps_per_block * step_s
+        # Amount of each free parameter, and of the supply, per standard deviation of each unknown error,
+        # (free parameters + 1, errors). After a change, the possible changes are unknown errors too.
         self._directions: Floats = twin.directions
         # For each unknown encoder scale: its index among the errors, its axis and standard deviation.
         self._scale_errors: list[tuple[int, int, float]] = []
@@ -180,6 +185,7 @@ class KalmanFilter:
     def predict(self, t_s: float, volts_V: Floats) -> None:
         """Predict over a step that begins at `t_s`, with the mean acting voltages `volts_V`, (2,)."""
         twin, nx, h = self.twin, self._nx, self.step_s
+        # Derivatives of the rates at the middle of the step, in arrays whose first index is the only point.
         midpoint = twin.at(t_s + 0.5 * h, self.state, volts_V, h)
         rates, jacobian, by_torque, by_volts, _, _ = twin.functions.along(midpoint)
         phi, gamma = (matrices[0] for matrices in _kalman.midpoint(jacobian, h))
@@ -188,9 +194,10 @@ class KalmanFilter:
         # The functions return the negative derivative of the rates by a parameter.
         state_by_parameter[:, :-1] = -gamma @ rates[0, :, 1:]
         state_by_parameter[:, -1] = -gamma @ (by_volts[0] @ volts_V)
-        rate_std = np.linalg.norm(self._root[3:6], axis=1)
+        # Dry friction has the sign of the rate. The mean sign of an uncertain rate is smaller than one.
+        rate_std_rad_s = np.linalg.norm(self._root[3:6], axis=1)
         for column, axis in twin.frictions:
-            mean_sign = erf(abs(self.mean[3 + axis]) / (_SIGN_WIDTH_STDS * rate_std[axis]))
+            mean_sign = erf(abs(self.mean[3 + axis]) / (_SIGN_WIDTH_STDS * rate_std_rad_s[axis]))
             state_by_parameter[:, column] *= mean_sign
         state_by_error = state_by_parameter @ self._directions
         transition = np.zeros((self._order, self._order))
@@ -218,8 +225,18 @@ class KalmanFilter:
     def _propagate_root(self, transition: Floats, by_volts: Floats, volts_V: Floats) -> None:
         """Propagate the root of the covariance by a QR decomposition (array algorithm).
 
-        Voltages that no nominal flight shows add noise, by the derivatives `by_volts` of the state, (n, 2).
+        Voltages that no nominal flight shows add process noise.
+
+        Parameters
+        ----------
+        transition : ndarray (order, order)
+            Transition of z over the step.
+        by_volts : ndarray (n, 2)
+            Derivative of the model's state after the step by the voltages.
+        volts_V : ndarray (2,)
+            Acting voltages [V].
         """
+        # P+ = F P F' + Q = M' M for the rows M = (F R, Q^1/2)'. The triangle of its QR decomposition is R+'.
         rows = np.vstack(((transition @ self._root).T, self._noise))
         outside_V = self.twin.uncertainty.outside_V(volts_V)
         if np.any(outside_V > 0.0):
@@ -232,9 +249,10 @@ class KalmanFilter:
     def propagate_sensitivity(self, ages_s: Floats, is_ramp: npt.NDArray[np.bool_]) -> None:
         """Propagate the sensitivities over the steps since the last call, s+ = F s + G w a.
 
-        `predict` accumulates the transition F of z and its derivative G by the free parameters, which a unit
-        of each change moves by the twin's `weights` w. The amount a is 0 before the onset of a change, 1
-        after that of a step, and for a ramp the time since its onset at the middle of the block.
+        `predict` accumulates the transition F of z, and the derivative G of z by the free parameters. A unit
+        of each change adds the twin's `weights` w to these parameters. The amount a of a change is 0 before
+        its onset. After it, the amount of a step is 1, and the amount of a ramp is the time since the onset
+        at the middle of the block.
 
         Parameters
         ----------
@@ -253,8 +271,9 @@ class KalmanFilter:
         self._parameter_sensitivity = np.zeros_like(self._parameter_sensitivity)
 
     def _measurement_variance(self, samples: int) -> Floats:
-        """Return the variance of the mean of so many `samples` of each angle, (3,) [rad2]."""
+        """Return the variance of the mean of this number of `samples` of each angle, (3,) [rad2]."""
         speed_rad_s = np.abs(self.mean[3:6])
+        # The samples of a mean have independent rounding errors as far as the axis moves by a count per step.
         crossings = np.minimum(speed_rad_s * self.step_s / self._count_rad, 1.0)
         # Repeated measurements of an angle within one count carry no new information.
         time_per_count_s = self._count_rad / np.maximum(speed_rad_s, 1e-6)
@@ -325,14 +344,15 @@ class KalmanFilter:
         variance_rad2 : ndarray (3,)
             Variances of the measured angles.
         """
-        value = np.zeros(3)
+        innovation = np.zeros(3)
         sensitivity = np.empty((3, *self.state_sensitivity.shape[1:]))
         order, columns, onsets = self.state_sensitivity.shape
-        state_sensitivity = self.state_sensitivity.reshape(order, columns * onsets)  # a view
+        # A view, so that its changes are those of `self.state_sensitivity`.
+        state_sensitivity = self.state_sensitivity.reshape(order, columns * onsets)
         correction = np.zeros(order)
         for axis, output_row in enumerate(output_matrix):
             root_row = self._root.T @ output_row
-            covariance = self._root @ root_row
+            covariance = self._root @ root_row  # of z with this angle
             innovation_variance = float(root_row @ root_row) + variance_rad2[axis]
             scale = innovation_variance**-0.5
             self.differences_rad[axis] = residual_rad[axis] - output_row @ correction
@@ -340,14 +360,14 @@ class KalmanFilter:
             if axis == self.left_out:
                 sensitivity[axis] = 0.0
                 continue
-            value[axis] = self.differences_rad[axis] * scale
+            innovation[axis] = self.differences_rad[axis] * scale
             sensitivity[axis] = (output_row @ state_sensitivity).reshape(columns, onsets)
             sensitivity[axis] += direct_changes[axis]
             sensitivity[axis] *= scale
-            correction += covariance * (scale * value[axis])
+            correction += covariance * (scale * innovation[axis])
             state_sensitivity -= np.outer(covariance * scale, sensitivity[axis])
             # Measurement update of the root by Potter.
             potter = innovation_variance + (innovation_variance * variance_rad2[axis]) ** 0.5
             self._root -= np.outer(covariance, root_row) / potter
         self.mean += correction
-        return Innovation(value, sensitivity)
+        return Innovation(innovation, sensitivity)

@@ -1,9 +1,9 @@
 """Calibrates a twin on nominal flights: disturbances, uncertainty of the rig, and the tail of the evidence.
 
-The evidence without a change is drawn along the nominal flights themselves. The filter follows the flight,
-and its innovations are replaced by pieces of its own innovations in another order and with random signs. So
-no simulation under gains that may not hold the rig is needed. The errors of the rig's parameters are states
-of the filter, drawn from their covariance: innovations and sensitivities already contain them.
+The evidence without a change is drawn along the nominal flights themselves. The filter follows a flight, and
+its innovations are replaced by pieces of its own innovations in another order and with random signs. A
+simulation would instead need gains that stabilise the rig. The errors of the rig's parameters are states of
+the filter, so that innovations and sensitivities already contain them.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from heli_sim.rig import Rig
 from heli_lab.errors import TwinError
 from heli_lab.estimation import BLOCK_s, DisturbanceModel, InnovationsModel, LinearisedFlight, estimate
 from heli_lab.estimation.posterior_step import posterior_step
-from heli_lab.identify import prepare
+from heli_lab.identify import Record, prepare
 from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.twin.calibration import DEFAULT_DISTURBANCES, Calibration
 from heli_lab.twin.draws import Draws, FollowedFlight, drawn_evidence, evidence
 from heli_lab.twin.flights import count_rad_of
 from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
+from heli_lab.twin.model_check import FILTER_SETTLING_s
 from heli_lab.twin.parameter_uncertainty import SUPPLY_STD, ParameterUncertainty
 from heli_lab.twin.tail import fit_tail
-from heli_lab.twin.twin import FILTER_SETTLING_s
 from heli_lab.twin.twin_model import TwinModel
 
 DRAWN_s: Final = 720.0
@@ -58,11 +58,12 @@ Shorter: the lower bound exceeds the gusts of a quiet room."""
 _FEW_SHARE: Final = 1.0 / 3.0
 """Share of a quiet room's gusts below which a warning is given."""
 _DRAWS_STREAM: Final = 32
-"""Second part of the seed of the draws. Any other number gives other draws, equally good; this one keeps them
-apart from flights that are simulated with the same seed."""
+"""Second part of the seed of the draws, so that they are independent of flights that are simulated with the
+same seed. Any other number gives other draws, equally good."""
 _EVIDENCE_SHARE: Final = 0.3
 """Share of the work before the draws, for the progress: the draws take most of the time."""
 Say = Callable[[str, float], None]
+"""Function that takes the present stage and the share of the work that is done."""
 
 
 def at_least_rounding(
@@ -133,7 +134,7 @@ def learn_rig(
     twin_model = TwinModel(model, rig).model
     records = [prepare(flight, rig, label) for flight, label in zip(healthy, labels, strict=True)]
     references = [filter_record(record) for record in records]
-    # First the disturbances and constants of each flight, with the rig's parameters fixed.
+    # First estimate the disturbances and the constants of each flight, with the rig's parameters fixed.
     all_parameters = RigParameters(twin_model, rig, records)
     names = twin_model.parameter_names
     rig_values = dict(zip(names, twin_model.parameter_values(rig), strict=True))
@@ -144,7 +145,7 @@ def learn_rig(
     constants = estimate(flight_constants, references, functions, flight_constants.start)
     count_rad = np.min([count_rad_of(flight, rig) for flight in healthy], axis=0)
     disturbances = at_least_rounding(constants.disturbances, twin_model, rig, count_rad)
-    # Then the covariance of all parameters about this point.
+    # Then compute the covariance of all parameters at these estimates. The rig's parameters are the first.
     theta = np.concatenate(([fixed[name] for name in shared], constants.theta))
     functions = model_functions(twin_model, all_parameters.quantities)
     linearised = [
@@ -161,6 +162,12 @@ def learn_rig(
         per_flight=innovations.per_flight,
     )
     covariance = posterior.covariance[: len(shared), : len(shared)]
+    low_V, high_V = _known_voltages(records)
+    return disturbances, ParameterUncertainty(tuple(shared), covariance, SUPPLY_STD, low_V, high_V)
+
+
+def _known_voltages(records: Sequence[Record]) -> tuple[Floats, Floats]:
+    """Return the lowest and the highest voltage of each rotor for which parameters hold [V], (2,) each."""
     free_V = np.vstack(
         [record.voltages_V[start:stop] for record in records for start, stop in record.segments]
     )
@@ -169,7 +176,7 @@ def learn_rig(
     # A rotor that reverses for the first time is unknown, however slowly it turned before.
     low_V = np.where(lowest_V >= 0.0, np.maximum(low_V, 0.0), low_V)
     high_V = (1.0 + _VOLTAGE_MARGIN) * highest_V
-    return disturbances, ParameterUncertainty(tuple(shared), covariance, SUPPLY_STD, low_V, high_V)
+    return low_V, high_V
 
 
 def learn(

@@ -4,9 +4,9 @@ The method is that of Willsky and Jones (1976). A change of size v at onset thet
 innovation k, which is white otherwise. With S = sum G'G and b = sum G' e, the log-likelihood therefore grows
 by b' S^-1 b / 2 at the size S^-1 b. With a prior N(0, P) of the size, the evidence is, in nats,
 
-    b' (S + 1/P)^-1 b / 2 - log det(1 + P S) / 2,
+    b' (S + 1/P)^-1 b / 2 - log det(1 + P S) / 2.
 
-so that hypotheses with more, or with vaguer, numbers do not win by having them.
+The determinant lowers the evidence of changes with two parameters, or with a wide prior.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class ChangeCandidate:
     onset_block : int
         Number of the filter's block after which the change began.
     size, std : float
-        Estimate and standard error of the first number of the change, SI.
+        Estimate and standard error of the change of the first parameter, SI.
     log_evidence : float
         Log-likelihood ratio of the change, averaged over its onsets, against no change [nats].
     """
@@ -71,7 +71,7 @@ class Innovation:
     Parameters
     ----------
     value : ndarray (3,)
-        Innovations in their standard deviations; 0 where nothing was measured.
+        Measured minus predicted angles, in standard deviations; 0 without a measurement.
     sensitivity : ndarray (3, columns, onsets)
         Increase of the innovations by one unit of each change from each onset.
     """
@@ -81,12 +81,12 @@ class Innovation:
 
 
 class _Estimates(NamedTuple):
-    """Estimates of each change at each onset, with S, b and the prior covariance P of its numbers.
+    """Estimates of each change at each onset, with S, b and the prior covariance P of its parameters.
 
     Parameters
     ----------
     size : ndarray (draws, changes, onsets) or (changes, onsets)
-        Estimate of the first number.
+        Estimate of the first parameter.
     std : ndarray (changes, onsets)
         Its standard error.
     quadratic_form : ndarray like size
@@ -123,24 +123,27 @@ class LikelihoodRatio:
 
     def __init__(self, changes: Sequence[Change], count_rad: Floats, draws: int | None = None) -> None:
         self.changes = tuple(changes)
-        # Properties of each change. A change has one or two numbers, each with a column of sensitivities.
+        # Properties of each change. A change has one or two parameters, each with a column of sensitivities.
         min_sizes_rad = {
             f"zero_offset.{axis}": MIN_ZERO_SHIFT_COUNTS * count
             for axis, count in zip(AXES, count_rad, strict=True)
         }
         self._min_size: Floats = np.array([[min_sizes_rad.get(change.id, 0.0)] for change in changes])
-        counts = [len(change.numbers) for change in changes]
+        counts = [len(change.parameters) for change in changes]
         has_second = np.array([count > 1 for count in counts])
         self._first_column: Integers = np.cumsum([0, *counts])[:-1].astype(np.int64)
         self._second_column: Integers = np.where(has_second, self._first_column + 1, self._first_column)
         self._has_second = has_second[:, None]
         self._change_of_column = np.repeat(np.arange(len(changes)), counts)
-        self._precision = np.array([[size**-2.0 for size in (*c.sizes, 1.0)[:2]] for c in changes]).T
+        # Prior precision of the first and the second parameter, (2, changes). Without a second parameter, any
+        # precision will do, because its sums stay zero.
+        two_sizes = [(*change.sizes, 1.0)[:2] for change in changes]
+        self._precision = np.array([[size**-2.0 for size in sizes] for sizes in two_sizes]).T
         self._non_negative = np.array([change.non_negative for change in changes])
         self._is_jump_change = np.array([change.is_jump for change in changes])
         self.is_ramp: npt.NDArray[np.bool_] = np.repeat([change.is_ramp for change in changes], counts)
-        # Sums over innovations: S = sum of s s', (changes, onsets), and b = sum of s e, (draws, changes,
-        # onsets), with the sensitivities s of an innovation e by the first and the second number.
+        # Sums over innovations e with the sensitivities s1 and s2 to the first and the second parameter:
+        # S = sum of s s', (changes, onsets), and b = sum of s e, (draws, changes, onsets).
         shape = (len(self.changes), ONSETS)
         self._s11, self._s12, self._s22 = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         draws_shape = shape if draws is None else (draws, *shape)
@@ -178,13 +181,14 @@ class LikelihoodRatio:
         state_sensitivity : ndarray (order, columns, onsets)
             Array of the filter. The columns of the replaced onsets are overwritten.
         """
-        recent = block % RECENT
-        if recent == 0 and np.isfinite(self._onset[:, :RECENT]).all():
+        # The recent onsets are a ring of the places 0 to RECENT - 1, the kept ones a ring of those after it.
+        place = block % RECENT
+        if place == 0 and np.isfinite(self._onset[:, :RECENT]).all():
             self._keep_best_onset(state_sensitivity)
-        state_sensitivity[:, :, recent] = 0.0
+        state_sensitivity[:, :, place] = 0.0
         for sums in (self._s11, self._s12, self._s22, self._b1, self._b2):
-            sums[..., recent] = 0.0
-        self._onset[:, recent] = block
+            sums[..., place] = 0.0
+        self._onset[:, place] = block
 
     def _keep_best_onset(self, state_sensitivity: Floats) -> None:
         """Copy the most likely recent onset of each change over the oldest kept one."""
@@ -202,20 +206,37 @@ class LikelihoodRatio:
         return float(self.update_draws(innovation.value, innovation.sensitivity))
 
     def update_cut(self, innovation: Innovation, outlier: float) -> float:
-        """Add an innovation to two draws: cut off at `outlier` standard deviations, and as it is.
+        """Add an innovation to two draws: cut off at `outlier` standard deviations, and uncut.
 
-        Returns the evidence of the most likely change of the cut draw [nats]. A jump of an encoder is an
-        outlier itself, so its evidence is that of the other draw.
+        Returns the evidence of the most likely change of the cut draw [nats]. A jump of an encoder is itself
+        an outlier, so its evidence is that of the uncut draw.
         """
         values = np.stack((np.clip(innovation.value, -outlier, outlier), innovation.value))
         self.update_draws(values, innovation.sensitivity)
-        jumps = self._last_evidence[self._is_jump_change]
-        return float(max(self._first_evidence.max(), jumps.max(initial=-np.inf)))
+        cut_evidence, uncut_evidence = self._first_evidence, self._last_evidence
+        jump_evidence = uncut_evidence[self._is_jump_change]
+        return float(max(cut_evidence.max(), jump_evidence.max(initial=-np.inf)))
 
     def update_draws(self, value: Floats, sensitivity: Floats) -> Floats:
-        """Add the innovation `value`, (3,) or (draws, 3), with a `sensitivity` as of `Innovation`; return the
-        evidence of the most likely change and onset of each draw [nats].
+        """Add an innovation, and return the evidence of the most likely change and onset of each draw [nats].
+
+        Parameters
+        ----------
+        value : ndarray (3,) or (draws, 3)
+            Innovations in standard deviations.
+        sensitivity : ndarray (3, columns, onsets)
+            Sensitivity of the innovations to the changes, as in `Innovation`.
         """
+        self._add_to_sums(value, sensitivity)
+        evidence = self._evidence_of_onsets()
+        evidence_by_draw = evidence.reshape(-1, *self._onset.shape)
+        self.evidence, self._last_evidence = evidence_by_draw.max(axis=0), evidence_by_draw[-1]
+        self._first_evidence = evidence_by_draw[0]
+        return np.asarray(evidence.max(axis=(-2, -1)))
+
+    def _add_to_sums(self, value: Floats, sensitivity: Floats) -> None:
+        """Add the products of an innovation and its sensitivity to S and b."""
+        # Subscripts: a is the axis, h the hypothesis (change), o the onset.
         first = sensitivity[:, self._first_column]
         second = sensitivity[:, self._second_column]
         self._s11 += np.einsum("aho,aho->ho", first, first)
@@ -223,22 +244,28 @@ class LikelihoodRatio:
         self._s12 += np.where(self._has_second, np.einsum("aho,aho->ho", first, second), 0.0)
         self._s22 += np.where(self._has_second, np.einsum("aho,aho->ho", second, second), 0.0)
         self._b2 += np.where(self._has_second, np.einsum("aho,...a->...ho", second, value), 0.0)
+
+    def _evidence_of_onsets(self) -> Floats:
+        """Return the evidence [nats] of each change at each onset, (changes, onsets) or with draws in front.
+
+        Unused onsets and jumps of an encoder below the smallest reported one have the evidence -inf.
+        """
         estimates = self._estimates()
         # Log of the Bayes factor with normal priors: 1/2 b' (S + 1/P)^-1 b - 1/2 log det(1 + P S).
         evidence = 0.5 * estimates.quadratic_form - 0.5 * np.log(estimates.determinant)
-        # A half-normal prior: twice the posterior mass above zero.
+        # A half-normal prior has twice the density of a normal one, above zero only. The evidence therefore
+        # grows by the logarithm of twice the posterior probability of a positive size.
         non_negative = self._non_negative
         z = estimates.size[..., non_negative, :] / estimates.std[non_negative]
         evidence[..., non_negative, :] += np.log(2.0) + log_ndtr(z)
         is_candidate = np.isfinite(self._onset) & (np.abs(estimates.size) >= self._min_size)
-        evidence = np.where(is_candidate, evidence, -np.inf)
-        evidence_by_draw = evidence.reshape(-1, *self._onset.shape)
-        self.evidence, self._last_evidence = evidence_by_draw.max(axis=0), evidence_by_draw[-1]
-        self._first_evidence = evidence_by_draw[0]
-        return np.asarray(evidence.max(axis=(-2, -1)))
+        return np.where(is_candidate, evidence, -np.inf)
 
     def _estimates(self) -> _Estimates:
-        """Estimate the numbers of each change at each onset by the normal equations of two unknowns."""
+        """Solve the normal equations (S + 1/P) v = b of each change at each onset, by Cramer's rule.
+
+        Without a second parameter, its sums are zero and its solution is zero.
+        """
         precision1, precision2 = self._precision[0][:, None], self._precision[1][:, None]
         a11, a12, a22 = self._s11 + precision1, self._s12, self._s22 + precision2
         determinant = a11 * a22 - a12**2
@@ -252,7 +279,7 @@ class LikelihoodRatio:
         )
 
     def standard_error(self, change: str, onset_block: float) -> float | None:
-        """Return the standard error of the first number of a change, SI; None while the window is empty.
+        """Return the standard error of the first parameter of a change, SI; None while the window is empty.
 
         Parameters
         ----------
@@ -269,22 +296,26 @@ class LikelihoodRatio:
         return float(self._estimates().std[row, nearest])
 
     def ranking(self) -> list[ChangeCandidate]:
-        """Return all changes, the most likely first; all onsets have the same prior probability."""
+        """Return all changes, the most likely first.
+
+        The evidence of a change is the mean of its likelihood ratios over the onsets, which have the same
+        prior probability. Size and onset are those of the most likely onset. The last draw counts.
+        """
         estimates = self._estimates()
         size = estimates.size.reshape(-1, *self._onset.shape)[-1]
-        best_onsets = np.argmax(self._last_evidence, axis=1)
+        best_places = np.argmax(self._last_evidence, axis=1)
         onset_count = max(1, int(np.isfinite(self._onset[0]).sum()))
         log_evidence = logsumexp(self._last_evidence, axis=1) - np.log(onset_count)
         candidates = []
-        for i, (change, best) in enumerate(zip(self.changes, best_onsets, strict=True)):
-            onset = self._onset[i, best]
+        for row, (change, place) in enumerate(zip(self.changes, best_places, strict=True)):
+            onset_block = self._onset[row, place]
             candidates.append(
                 ChangeCandidate(
                     change,
-                    onset_block=int(onset) if np.isfinite(onset) else 0,
-                    size=float(size[i, best]),
-                    std=float(estimates.std[i, best]),
-                    log_evidence=float(log_evidence[i]),
+                    onset_block=int(onset_block) if np.isfinite(onset_block) else 0,
+                    size=float(size[row, place]),
+                    std=float(estimates.std[row, place]),
+                    log_evidence=float(log_evidence[row]),
                 )
             )
         return sorted(candidates, key=lambda candidate: -candidate.log_evidence)

@@ -8,8 +8,15 @@ import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.parts import AXES
 
+FILTER_SETTLING_s: Final = 1.0
+"""Time for which the filter estimates state, encoder zeros and torques before it looks for changes, s."""
+CALIBRATION_s: Final = 8.0
+"""Time in which the filter estimates what differs between days, s: supply, encoder zeros, constant torques,
+and the parameters within their covariance. `diagnose` uses the same time. A model that is contradicted so
+early was wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken
+for a change."""
 MAX_MEAN_SQUARE: Final = 2.0
-"""Mean square of an axis' innovations in `heli_lab.twin.twin.CALIBRATION_s` above which the model is not this
+"""Mean square of an axis' innovations in `CALIBRATION_s` above which the model is not this
 rig's; 1 is what the model states. 175 innovations with the outliers of real flights (kurtosis 6) have a
 standard error of 0.17, so chance needs six of them. Larger: flights that no model here explains raise alarms
 later. Smaller: a day with gusts 1.4 times as large contradicts the rig."""
@@ -19,7 +26,7 @@ edges. Larger: such a decoder is not named. Smaller: a model of another day's ri
 
 
 class ModelCheck:
-    """Mean square of the innovations of each axis. It owns their sums since the filter began."""
+    """Mean square of the innovations of each axis since the filter began."""
 
     def __init__(self) -> None:
         self._squares: Floats = np.zeros(3)

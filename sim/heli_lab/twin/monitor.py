@@ -42,9 +42,9 @@ class TwinReport:
     threshold_nats : float
         Evidence above which an alarm is raised [nats].
     free_s : float
-        Length of the flight that was compared [s].
+        Length of the part of the flight that was compared [s].
     unjudged_s : float
-        Part of it with voltages that the nominal flights do not contain, in which no alarm can begin [s].
+        Time in that part with voltages that the nominal flights do not contain; no alarm begins then [s].
     flown_rig : str
         Name of the rig in the flight's file; empty if it has none.
     """

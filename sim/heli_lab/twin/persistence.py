@@ -1,4 +1,4 @@
-"""Evidence counts only as far as it persists and does not come from single outliers."""
+"""Which evidence counts for an alarm: that which persists, and does not come from single outliers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import math
 from collections import deque
 from typing import Final
 
+DIAGNOSIS_DELAY_s: Final = 3.0
+"""Time from the alarm to the final ranking of changes, s. Longer: the ranking is more certain but less
+useful. Shorter: a step and a fade look alike."""
 PERSISTENCE_BLOCKS: Final = 6
 """Number of measurements, 40 ms apart, over which evidence must persist before it counts: 0.24 s. Fewer:
 rounding that a gust makes larger raises an alarm. More: sudden changes are reported that much later."""
@@ -16,7 +19,7 @@ those of nominal flights set the threshold: 38 nats at 5, 15 at 4. Smaller: larg
 
 
 class PersistentEvidence:
-    """The least evidence of the latest `PERSISTENCE_BLOCKS` measurements [nats]; -inf before so many."""
+    """The smallest evidence of the latest `PERSISTENCE_BLOCKS` measurements [nats]; -inf before so many."""
 
     def __init__(self) -> None:
         self._recent_nats: deque[float] = deque(maxlen=PERSISTENCE_BLOCKS)
@@ -27,6 +30,6 @@ class PersistentEvidence:
         self._recent_nats.extend([-math.inf] * PERSISTENCE_BLOCKS)
 
     def add(self, nats: float) -> float:
-        """Add the evidence `nats` of a measurement, and return what persists [nats]."""
+        """Add the evidence `nats` of a measurement, and return the persistent evidence [nats]."""
         self._recent_nats.append(nats)
         return min(self._recent_nats)

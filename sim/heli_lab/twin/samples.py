@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Final
@@ -115,8 +116,9 @@ class Stepper:
 
     def _reset(self, first: int) -> None:
         """Discard all samples; `first` is the number of the next one."""
-        # Samples that later steps need, the number of the first of them, and the number after the last.
+        # Samples that later steps need, and the newest of them.
         self._pending = self._newest = _NO_SAMPLES
+        # Number of the first of these samples, and the number after the last.
         self._first = self._next = first
 
     def update(self, samples: Samples) -> Iterator[Step]:
@@ -125,18 +127,21 @@ class Stepper:
         """
         if not len(samples):
             return
+        # Rows at which a run of successive numbers begins, and the row after the last.
         breaks = np.flatnonzero(np.diff(samples.number) != 1) + 1
-        for part in np.split(np.arange(len(samples)), breaks):
-            yield from self._update_contiguous(samples, slice(int(part[0]), int(part[-1]) + 1))
+        borders = [0, *map(int, breaks), len(samples)]
+        for start, stop in itertools.pairwise(borders):
+            yield from self._update_contiguous(samples, slice(start, stop))
 
     def _update_contiguous(self, samples: Samples, rows: slice) -> Iterator[Step]:
-        """Process samples with successive numbers, and yield the steps that they complete. A short gap is
-        filled.
+        """Process `rows` of samples with successive numbers, and yield the steps that they complete.
+
+        A short gap before them is filled. After a long one, or a restart of the clock, the steps begin again.
         """
         number = int(samples.number[rows.start])
         missing = number - self._next
         if not len(self._newest) or missing < 0 or missing > self._max_gap:
-            # Steps begin at multiples of their length, as in every other reader of the same log.
+            # Steps begin at multiples of their length, so that they do not depend on the first sample.
             skipped = -number % self.samples_per_step
             rows = slice(rows.start + skipped, rows.stop)
             if rows.start >= rows.stop:
@@ -146,14 +151,14 @@ class Stepper:
             self._reset(number + skipped)
             self._after_gap = True
         elif missing:
-            # The last sample holds over the gap, except for its angles.
+            # The last voltage holds over the gap; the angles are missing.
             repeated = self._newest.select(np.zeros(missing, int))
             self._append(replace(repeated, angles_rad=np.full((missing, 3), np.nan)))
         self._append(samples.select(rows))
         yield from self._complete_steps()
 
     def _append(self, samples: Samples) -> None:
-        """Append samples, whose angles are nan where they are missing."""
+        """Append samples to the pending ones; missing angles are nan."""
         self._pending = self._pending.followed_by(samples)
         self._newest = samples.select(slice(-1, None))
         self._next += len(samples)
@@ -164,6 +169,7 @@ class Stepper:
         pending = self._pending
         start = -self._first % step_rows
         while start + step_rows <= len(pending):
+            # The mean is symmetric about the beginning of the step.
             width = min(half_step, start)
             angles_rad = pending.angles_rad[start - width : start + width + 1]
             angles_rad = angles_rad[~np.isnan(angles_rad[:, 0])]
@@ -179,7 +185,7 @@ class Stepper:
             )
             self._after_gap = False
             start += step_rows
-        # The mean about the next step's beginning needs half a step before it.
+        # The mean about the beginning of the next step needs half a step before it.
         used = max(0, start - half_step)
         self._first += used
         self._pending = pending.select(slice(used, None))

@@ -19,7 +19,7 @@ SEGMENT_s: Final = 5.0
 window for some seconds. Longer: few excursions to fit. Shorter: one excursion counts several times, and the
 alarms are rarer than stated."""
 _LEVEL: Final = 0.8
-"""Share of the segments whose maxima lie below the level from which the tail is a generalised Pareto one."""
+"""Share of the segments whose maxima are below the level at which the generalised Pareto tail begins."""
 _MIN_SCALE_nats: Final = 1.0
 """Scale of the tail of a likelihood ratio for white innovations, nats: by Wilks it falls by e per nat."""
 _SHAPE_STD: Final = 0.05
@@ -32,6 +32,7 @@ SUPPORTED_LENGTHS: Final = 120.0
 false alarm per hour. Their tail is then extrapolated by two powers of ten. More: the rate is a guess. Less:
 a useful rate needs more flights than users have."""
 _NODES: Final = 15
+"""Number of nodes of the Gauss-Hermite quadrature in each of its two dimensions."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +68,10 @@ class Tail:
         return SUPPORTED_LENGTHS * self.healthy_s / 3600.0
 
     def threshold_nats(self, false_alarm_interval_h: float) -> float:
-        """Return the evidence that is exceeded once per `false_alarm_interval_h` of free flight [nats], on
-        average over the tails that could have given the excesses. An interval that the healthy flights do not
-        support counts as the longest that they do.
+        """Return the evidence that is exceeded once per `false_alarm_interval_h` of free flight [nats].
+
+        The rate is averaged over the tails that could have given the excesses. If the healthy flights do not
+        support the interval, the longest supported one is used.
         """
         interval_h = min(false_alarm_interval_h, self.supported_interval_h)
         expected_excursions = self.per_hour * interval_h
@@ -77,24 +79,29 @@ class Tail:
             return self.level_nats
         shapes, scales_nats, weights = self._posterior_tails()
 
-        def log_ratio(excess_nats: float) -> float:
+        def log_expected_alarms(excess_nats: float) -> float:
+            """Logarithm of the expected number of excursions in the interval above an excess."""
             chance = weights @ genpareto.sf(excess_nats, shapes, scale=scales_nats)
             return math.log(max(float(chance), 1e-300)) + math.log(expected_excursions)
 
+        # The threshold is where one alarm is expected: double the excess until fewer are, then find the root.
         high_nats = self.scale_nats
-        while log_ratio(high_nats) > 0.0:
+        while log_expected_alarms(high_nats) > 0.0:
             high_nats *= 2.0
-        return self.level_nats + float(brentq(log_ratio, 0.0, high_nats, xtol=1e-6))
+        return self.level_nats + float(brentq(log_expected_alarms, 0.0, high_nats, xtol=1e-6))
 
     def _posterior_tails(self) -> _PosteriorTails:
-        """Return the posterior of shape and log scale, approximately normal, by Gauss-Hermite quadrature.
+        """Return tails from the posterior of shape and log scale, with weights of Gauss-Hermite quadrature.
 
-        Its precision is the Fisher information of the generalised Pareto distribution and the shape's prior.
+        The posterior is approximately normal. Its precision is the sum of the Fisher information of the
+        generalised Pareto distribution and the precision of the shape's prior.
         """
-        # The information is infinite at a shape of -1/2, where the tail ends too abruptly.
+        # The Fisher information is infinite at a shape of -1/2.
         xi = max(self.shape, -0.4)
+        # Information of a single excess about shape and log scale (Smith 1987), (2, 2).
         fisher = np.array([[2.0 / (1.0 + xi), 1.0 / (1.0 + xi)], [1.0 / (1.0 + xi), 1.0]]) / (1.0 + 2.0 * xi)
         precision = self.excesses * fisher + np.diag([_SHAPE_STD**-2.0, 0.0])
+        # Shape and log scale are their means plus root @ u, with a standard normal u, (2,).
         root = np.linalg.cholesky(np.linalg.inv(precision))
         nodes, node_weights = np.polynomial.hermite_e.hermegauss(_NODES)
         first, second = (grid.ravel() for grid in np.meshgrid(nodes, nodes))
@@ -121,16 +128,20 @@ chance."""
 
 
 def segment_maxima(history: Sequence[tuple[float, float]]) -> list[float]:
-    """Return the largest evidence [nats] of each segment of `SEGMENT_s`; `history` holds times [s] and
-    evidence.
+    """Return the largest evidence [nats] of each segment of `SEGMENT_s`.
+
+    Parameters
+    ----------
+    history : sequence of (float, float)
+        Times [s] and evidence [nats].
     """
-    times, evidence = np.array(history, float).reshape(-1, 2).T
-    is_known = np.isfinite(evidence)
-    times, evidence = times[is_known], evidence[is_known]
-    if not len(times):
+    t_s, evidence_nats = np.array(history, float).reshape(-1, 2).T
+    is_known = np.isfinite(evidence_nats)
+    t_s, evidence_nats = t_s[is_known], evidence_nats[is_known]
+    if not len(t_s):
         return []
-    segment_number = ((times - times[0]) // SEGMENT_s).astype(int)
-    return [float(evidence[segment_number == segment].max()) for segment in np.unique(segment_number)]
+    segment_number = ((t_s - t_s[0]) // SEGMENT_s).astype(int)
+    return [float(evidence_nats[segment_number == segment].max()) for segment in np.unique(segment_number)]
 
 
 def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], healthy_s: float = math.inf) -> Tail:
@@ -171,12 +182,17 @@ def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], healthy_s: float 
 def _fit_excesses(excesses_nats: Floats) -> tuple[float, float]:
     """Return the most probable shape and scale [nats] of a generalised Pareto distribution of excesses."""
 
-    def cost(point: Floats) -> float:
-        shape, scale = float(point[0]), math.exp(point[1])
-        density = genpareto.logpdf(excesses_nats, shape, scale=scale).sum()
-        return 0.5 * (shape / _SHAPE_STD) ** 2 - float(density) if math.isfinite(density) else 1e9
+    def minus_log_posterior(shape_and_log_scale: Floats) -> float:
+        shape, scale = float(shape_and_log_scale[0]), math.exp(shape_and_log_scale[1])
+        log_likelihood = genpareto.logpdf(excesses_nats, shape, scale=scale).sum()
+        if not math.isfinite(log_likelihood):
+            return 1e9  # an excess is beyond the end of this tail
+        return 0.5 * (shape / _SHAPE_STD) ** 2 - float(log_likelihood)
 
     best = minimize(
-        cost, [0.0, math.log(excesses_nats.mean())], method="Nelder-Mead", options={"xatol": 1e-4}
+        minus_log_posterior,
+        [0.0, math.log(excesses_nats.mean())],
+        method="Nelder-Mead",
+        options={"xatol": 1e-4},
     )
     return float(best.x[0]), math.exp(best.x[1])

@@ -1,10 +1,10 @@
-"""The twin of a rig: detects from its samples that the rig has changed, and ranks what may have changed."""
+"""The twin of a rig: detects from the samples of a flight that the rig has changed, and ranks the causes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -16,86 +16,78 @@ from heli_lab.twin.events import TwinEvent, contradiction_event, ranked_event
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
 from heli_lab.twin.glitches import GlitchWatch, WithoutEncoder
-from heli_lab.twin.input_history import InputHistory
+from heli_lab.twin.input_history import BlockEnd, InputHistory
 from heli_lab.twin.kalman_filter import KalmanFilter
 from heli_lab.twin.likelihood_ratio import RECENT, WINDOW_BLOCKS, Innovation, LikelihoodRatio
-from heli_lab.twin.model_check import MIN_SCALE_ERROR, ModelCheck
-from heli_lab.twin.persistence import CUT_OFF_STD, PersistentEvidence
+from heli_lab.twin.model_check import MIN_SCALE_ERROR, CALIBRATION_s, FILTER_SETTLING_s, ModelCheck
+from heli_lab.twin.persistence import CUT_OFF_STD, DIAGNOSIS_DELAY_s, PersistentEvidence
 from heli_lab.twin.samples import Samples, Step, Stepper
 from heli_lab.twin.twin_model import TwinModel, start_state
 from heli_lab.twin.voltage_range import VoltageRange
 
-DIAGNOSIS_DELAY_s: Final = 3.0
-"""Time from the alarm to the final ranking of changes, s. Longer: the ranking is more certain but less
-useful. Shorter: a step and a fade look alike."""
-FILTER_SETTLING_s: Final = 1.0
-"""Time for which the filter estimates state, encoder zeros and torques before it looks for changes, s."""
-CALIBRATION_s: Final = 8.0
-"""Time in which the filter estimates what differs between days, s: supply, encoder zeros, constant torques,
-and the parameters within their covariance. `diagnose` takes the same. A model that is contradicted so early
-was wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken for a
-change."""
-
-
-_Second = WithoutEncoder[KalmanFilter]
+_FilterPair = WithoutEncoder[KalmanFilter]
 
 
 class _FilteredFlight:
-    """Filter of a flight with its likelihood ratio; also without an encoder that may return from a jump."""
+    """Filter of a flight and its likelihood ratio.
 
-    watches_glitches: ClassVar = True  # False: jumps of encoders that return are evidence as any other
+    While an encoder may return from a jump, a second filter with its own likelihood ratio runs without that
+    encoder.
+    """
 
-    def __init__(self, model: TwinModel, count_rad: Floats, step_s: float) -> None:
+    watches_glitches: ClassVar = True
+    """False: an encoder that jumps and returns is evidence of a change."""
+
+    def __init__(self, model: TwinModel, count_rad: Floats, step_s: float, history_blocks: int) -> None:
         self._kalman: KalmanFilter | None = None
         self._ratio = LikelihoodRatio(model.changes, count_rad, draws=2)
         self._persistent = PersistentEvidence()
         self._glitches: GlitchWatch[KalmanFilter] = GlitchWatch(count_rad)
-        self._angles = AngleHistory(WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) + 1, model.scales)
+        self._angles = AngleHistory(history_blocks, model.scales)
         self._range, self._step = VoltageRange(model.uncertainty, step_s), 0
         self._block_count, self._steps_per_block = 0, max(1, round(BLOCK_s / step_s))
         self.block_s = self._steps_per_block * step_s
 
     @property
     def judges(self) -> bool:
-        """True unless it ignores measurements because of voltages that the nominal flights do not contain."""
+        """False while measurements are ignored, after voltages that the nominal flights do not contain."""
         return self._range.is_known(self._step)
 
     def _use_measurement(
-        self, kalman: KalmanFilter, ratio: LikelihoodRatio, step: Step, since_s: float, volts_V: Floats
+        self, kalman: KalmanFilter, ratio: LikelihoodRatio, block_end: BlockEnd
     ) -> Innovation | None:
         """Update a filter with a measurement; return its innovation, None without a measurement.
 
-        The innovation is empty after voltages that the nominal flights do not contain.
+        The innovation and its sensitivity are zero after voltages that the nominal flights do not contain, so
+        that the evidence stays.
         """
         ages_s = ratio.ages(self._block_count) * self.block_s
         kalman.propagate_sensitivity(ages_s, ratio.is_ramp)
+        step = block_end.step
         if step.measured_rad is None:
             return None
-        has_begun = np.where(ages_s > 0.0, 1.0, 0.0)
-        onset_rad = self._angles.at_onsets(ratio)
-        innovation = kalman.update(since_s, step.measured_rad, step.samples, volts_V, has_begun, onset_rad)
+        innovation = kalman.update(
+            block_end.motor_time_s,
+            step.measured_rad,
+            step.samples,
+            block_end.acting_V,
+            amount=np.where(ages_s > 0.0, 1.0, 0.0),
+            onset_rad=self._angles.at_onsets(ratio),
+        )
         if self.judges:
             return innovation
         return Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
 
-    def _encoder_returned(
-        self,
-        kalman: KalmanFilter,
-        before: _Second | None,
-        step: Step,
-        since_s: float,
-        volts_V: Floats,
-    ) -> bool:
-        """Update the filter without the encoder that jumped; return whether that encoder has returned."""
-        glitches = self._glitches
-        if step.measured_rad is not None and self.watches_glitches:
-            glitches.begin_jump(kalman, before)
-        if (second := glitches.alternative) is None:
+    def _encoder_returned(self, block_end: BlockEnd) -> bool:
+        """Update the second filter if it runs; return whether the encoder has returned to its prediction."""
+        second = self._glitches.alternative
+        if second is None:
             return False
-        innovation = self._use_measurement(second.kalman, second.ratio, step, since_s, volts_V)
-        if innovation is not None:
-            second.ratio.update_cut(innovation, CUT_OFF_STD)
-        return innovation is not None and glitches.returned()
+        innovation = self._use_measurement(second.kalman, second.ratio, block_end)
+        if innovation is None:
+            return False
+        second.ratio.update_cut(innovation, CUT_OFF_STD)
+        return self._glitches.decide_return()
 
     def _continue_without_glitch(self, t_s: float) -> TwinEvent:
         """Replace the filter by the one without the jump, and return the event that describes the jump."""
@@ -105,7 +97,7 @@ class _FilteredFlight:
         return TwinEvent("glitch", t_s, text)
 
     def _filters(self) -> Iterator[tuple[KalmanFilter, LikelihoodRatio]]:
-        """Yield the filter and, while an encoder may return from a jump, the filter without that encoder."""
+        """Yield the filter and, while an encoder may return from a jump, the second filter."""
         if self._kalman is not None:
             yield self._kalman, self._ratio
         if (second := self._glitches.alternative) is not None:
@@ -163,20 +155,26 @@ class Twin(_FilteredFlight):
         self.model, self.calibration = model, calibration
         self.threshold_nats = calibration.threshold_nats(false_alarm_interval_h)
         self.evidence_nats = -math.inf
-        self.free = self.contradicts = self.records_evidence = False
+        self.free, self.contradicts, self.records_evidence = False, False, False
         self.unjudged_blocks = 0
         self.evidence_history: list[tuple[float, float]] = []
         self._count_rad, self._zero_s = count_rad, zero_s
         self._stepper = Stepper(sample_s)
         self.step_s = self._stepper.step_s
-        super().__init__(model, count_rad, self.step_s)
+        # Onsets of the window, which stays fixed from an alarm until the final ranking.
+        history_blocks = WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) + 1
+        super().__init__(model, count_rad, self.step_s, history_blocks)
         self._free_flight = FreeFlight(model.rig, self.step_s)
         self._ghost = Ghost(model, self.step_s) if with_ghost else None
         self._inputs = InputHistory(model, self.step_s)
         self._ratio = self._new_ratio()
-        self._first_step = 0  # of the comparison
+        # First step of the comparison, and block of the latest alarm, counted from that step.
+        self._first_step = 0
         self._alarm_block: int | None = None
-        self._is_diagnosed = self._recalibrates = self._is_early = False
+        # Whether that alarm has its final ranking, and whether it came during the calibration.
+        self._is_diagnosed, self._is_early = False, False
+        # Whether the filter has restarted after an alarm.
+        self._is_changed = False
         self._check = ModelCheck()
 
     @property
@@ -185,7 +183,7 @@ class Twin(_FilteredFlight):
         return self._ghost.angles_rad if self._ghost is not None and self._kalman is not None else None
 
     def standard_error(self, change: str, onset_s: float) -> float | None:
-        """Return the standard error of the first number of a change, SI; None while the twin waits.
+        """Return the standard error of the first parameter of a change, SI; None while the twin waits.
 
         Parameters
         ----------
@@ -210,7 +208,9 @@ class Twin(_FilteredFlight):
         return list(self._final_ranking(self._first_step + self._block_count * self._steps_per_block))
 
     def _update_step(self, step: Step) -> Iterator[TwinEvent]:
-        """Process a step: wait, begin, compare at the end of a block, and predict."""
+        """Process a step: wait for free flight, begin to filter, use a measurement at the end of a block of
+        steps, and predict to the next step.
+        """
         if step.after_gap:
             yield from self._stop_comparison(step.index, "samples are missing")
             self._inputs.restart()
@@ -218,7 +218,7 @@ class Twin(_FilteredFlight):
         self._step = step.index
         inputs = self._inputs
         inputs.update(step, t_s)
-        since_s, acting_V = inputs.since_s, inputs.acting_V
+        motor_time_s, acting_V = inputs.motor_time_s, inputs.acting_V
         is_free = self._free_flight.update(step.measured_rad, step.flying)
         if step.measured_rad is not None:
             inputs.remember(step.measured_rad)
@@ -238,14 +238,14 @@ class Twin(_FilteredFlight):
             kalman = self._begin_comparison(step.index)
             yield TwinEvent("free", t_s, "the comparison with the model begins")
         elif (step.index - self._first_step) % self._steps_per_block == 0:
-            yield from self._end_block(kalman, step, since_s, acting_V)
+            yield from self._end_block(kalman, BlockEnd(step, motor_time_s, acting_V))
             assert self._kalman is not None
             kalman = self._kalman
         if self._ghost is not None:
             zero_rad = kalman.zero_rad
-            self._ghost.step(since_s, acting_V, kalman.state, kalman.steady_torque_Nm, zero_rad)
+            self._ghost.step(motor_time_s, acting_V, kalman.state, kalman.steady_torque_Nm, zero_rad)
         for filter_, _ in self._filters():
-            filter_.predict(since_s, acting_V)
+            filter_.predict(motor_time_s, acting_V)
 
     def _new_ratio(self) -> LikelihoodRatio:
         # The first draw, with outliers cut off, raises alarms; the second, as measured, ranks the changes.
@@ -273,18 +273,19 @@ class Twin(_FilteredFlight):
         self._ratio = self._new_ratio()
         self._persistent.clear()
         self._first_step, self._block_count = index, 0
-        self._alarm_block, self._is_diagnosed, self._recalibrates = None, False, changed
+        self._alarm_block, self._is_diagnosed, self._is_changed = None, False, changed
         self._check, self._glitches = ModelCheck(), GlitchWatch(self._count_rad)
         return self._kalman
 
-    def _end_block(
-        self, kalman: KalmanFilter, step: Step, since_s: float, volts_V: Floats
-    ) -> Iterator[TwinEvent]:
+    def _end_block(self, kalman: KalmanFilter, block_end: BlockEnd) -> Iterator[TwinEvent]:
         """Compare the measurement with the prediction, raise alarms, and add an onset."""
         self._block_count += 1
-        block, t_s = self._block_count, step.index * self.step_s - self._zero_s
-        before = self._process_measurement(kalman, step, since_s, volts_V)
-        if self._encoder_returned(kalman, before, step, since_s, volts_V):
+        block, step = self._block_count, block_end.step
+        t_s = step.index * self.step_s - self._zero_s
+        before = self._process_measurement(kalman, block_end)
+        if self.watches_glitches and step.measured_rad is not None:
+            self._glitches.begin_jump(kalman, before)
+        if self._encoder_returned(block_end):
             yield self._continue_without_glitch(t_s)
         if self.records_evidence:
             self.evidence_history.append((t_s, self.evidence_nats))
@@ -296,8 +297,8 @@ class Twin(_FilteredFlight):
                 assert self._kalman is not None
                 self._restart(step.index, self._kalman.state, changed=True)
             return
-        # A sudden change raises the alarm before its true onset is in the window: onsets are added for half a
-        # second more, then the window stays fixed.
+        # A sudden change raises the alarm before its true onset is in the window. Onsets are therefore added
+        # for half a second after an alarm. Then the window stays fixed until the final ranking.
         adds_onsets = self._alarm_block is None or block - self._alarm_block < RECENT
         if adds_onsets and block * self.block_s >= FILTER_SETTLING_s:
             for filter_, ratio in self._filters():
@@ -306,30 +307,27 @@ class Twin(_FilteredFlight):
     def _raise_alarm(self, t_s: float) -> Iterator[TwinEvent]:
         """Raise an alarm if the evidence is above the threshold.
 
-        In the calibration at the beginning of a flight, the model itself may be wrong: an early alarm is
-        reported with its final ranking only.
+        At the beginning of a flight, the model itself may be wrong. An alarm in that time is reported only
+        with its final ranking.
         """
         block = self._block_count
-        is_early = not self._recalibrates and block * self.block_s <= CALIBRATION_s
+        is_early = not self._is_changed and block * self.block_s <= CALIBRATION_s
         if is_early:
             yield from self._check_model_once(block, t_s)
-        # Whether an encoder that jumped returns is decided first.
-        is_open = self._glitches.alternative is not None
-        if self.evidence_nats > self.threshold_nats and not self.contradicts and not is_open:
+        may_be_glitch = self._glitches.alternative is not None
+        if self.evidence_nats > self.threshold_nats and not self.contradicts and not may_be_glitch:
             self._alarm_block, self._is_early = block, is_early
             if not is_early:
                 yield self._ranked("alarm", t_s)
 
-    def _process_measurement(
-        self, kalman: KalmanFilter, step: Step, since_s: float, volts_V: Floats
-    ) -> _Second | None:
+    def _process_measurement(self, kalman: KalmanFilter, block_end: BlockEnd) -> _FilterPair | None:
         """Update the filter with a measurement, and the evidence with its innovation.
 
-        Returns copies of filter and ratio before that measurement if a jump of an encoder can begin with it.
+        Returns copies of filter and ratio before that measurement; None if no jump of an encoder can begin.
         """
-        watches = self.watches_glitches and step.measured_rad is not None
+        watches = self.watches_glitches and block_end.step.measured_rad is not None
         before = self._glitches.copies(kalman, self._ratio) if watches else None
-        innovation = self._use_measurement(kalman, self._ratio, step, since_s, volts_V)
+        innovation = self._use_measurement(kalman, self._ratio, block_end)
         if innovation is not None:
             if not self.judges:
                 self.unjudged_blocks += 1
@@ -344,21 +342,24 @@ class Twin(_FilteredFlight):
         return (self._first_step + block * self._steps_per_block) * self.step_s - self._zero_s
 
     def _update_evidence(self, innovation: Innovation) -> None:
-        """Add an innovation to the evidence, which counts as far as it persists: the least of the latest
-        `PERSISTENCE_BLOCKS` measurements. It does not count while an encoder may still return from a jump.
+        """Add an innovation to the evidence.
+
+        The evidence counts only as far as it persists: the smallest of the latest `PERSISTENCE_BLOCKS`
+        measurements. It stays unchanged while an encoder may still return from a jump.
         """
         persistent_nats = self._persistent.add(self._ratio.update_cut(innovation, CUT_OFF_STD))
         if self._glitches.alternative is None:
             self.evidence_nats = persistent_nats
 
     def _check_model_once(self, block: int, t_s: float) -> Iterator[TwinEvent]:
-        """Compare the innovations' mean square with the stated one, once, at the end of `CALIBRATION_s`."""
+        """Report once, at the end of `CALIBRATION_s`, if the innovations are larger than the model states."""
         is_due = block == math.floor(CALIBRATION_s / self.block_s)
-        if is_due and self.threshold_nats != math.inf and (why := self._check.contradiction()):
-            yield self._contradiction_event(t_s, why)
+        can_raise_alarms = self.threshold_nats != math.inf
+        if is_due and can_raise_alarms and (reason := self._check.contradiction()):
+            yield self._contradict(t_s, reason)
 
-    def _contradiction_event(self, t_s: float, reason: str) -> TwinEvent:
-        """Stop naming changes, and return the event that states why."""
+    def _contradict(self, t_s: float, reason: str) -> TwinEvent:
+        """Stop naming changes, because the flight contradicts the model; return the event with the reason."""
         self.contradicts = True
         self._alarm_block = None
         return contradiction_event(t_s, CALIBRATION_s, reason)
@@ -376,7 +377,7 @@ class Twin(_FilteredFlight):
     def _final_ranking(self, index: int) -> Iterator[TwinEvent]:
         """Yield the final ranking of an alarm that has none yet.
 
-        An early alarm ranks only a wrong encoder scale; any other early alarm contradicts the model.
+        If an early alarm is not a wrong encoder scale, the flight contradicts the model instead.
         """
         if self._alarm_block is None or self._is_diagnosed:
             return
@@ -384,7 +385,7 @@ class Twin(_FilteredFlight):
         if self._is_early:
             most_likely = self._ratio.ranking()[0]
             if not most_likely.change.is_scale or abs(most_likely.size) < MIN_SCALE_ERROR:
-                yield self._contradiction_event(
+                yield self._contradict(
                     t_s, f"the flight contradicts the rig by {self.evidence_nats:.0f} nats"
                 )
                 return

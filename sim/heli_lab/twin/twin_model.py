@@ -15,7 +15,7 @@ from heli_sim.rig import Rig
 from heli_lab.estimation import AlongTrajectory, Trajectory
 from heli_lab.identify.flight_model import model_functions
 from heli_lab.identify.model_along import model_along
-from heli_lab.twin.changes import SCALES, SUPPLY, Change, changes_of, extended, free_numbers
+from heli_lab.twin.changes import SCALES, SUPPLY, Change, changes_of, extended, model_parameters
 from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
 
 ZEROS: Final = ("offset_elevation", "offset_pitch")
@@ -23,7 +23,7 @@ ZEROS: Final = ("offset_elevation", "offset_pitch")
 
 
 _RATE_STEPS: Final = 10
-"""Steps over which the initial rates are averaged, 0.1 s."""
+"""Number of steps over which the initial rates are averaged: 0.1 s."""
 
 
 class TwinModel:
@@ -42,23 +42,30 @@ class TwinModel:
     Attributes
     ----------
     changes : tuple of Change
-        Possible changes of this rig. Their numbers are the columns of the sensitivities.
+        Possible changes of this rig. Each of their parameters is a column of the sensitivities.
     parameters : ndarray (p,)
         Values of all parameters of the model with the effects of all changes.
-    functions, functions_without_derivatives : ModelFunctions
-        Rates and their derivatives by the free parameters; the latter have none, which is faster.
+    functions : ModelFunctions
+        Rates and their derivatives by the free parameters.
+    functions_without_derivatives : ModelFunctions
+        Rates without derivatives by parameters, which is faster.
     directions : ndarray (free parameters + 1, errors)
         Amount of each free parameter per standard deviation of each unknown error; the last row is the
         supply.
     weights : ndarray (free parameters + 1, columns)
-        Amount of each free parameter per unit of each number of the changes; the last row is the supply.
+        Amount of each free parameter per unit of each parameter of the changes; the last row is the supply.
     prior_sizes : ndarray (columns,)
-        Prior standard deviation of each number of the changes.
+        Prior standard deviation of each parameter of the changes.
     prior_changes : ndarray (free parameters + 1, columns)
-        Amount of each free parameter per standard deviation of each number.
-    frictions, scales : list of (int, int)
-        For each dry friction, its index among the free parameters, and its axis; for each encoder scale, its
-        column, and its axis.
+        Amount of each free parameter per prior standard deviation of each parameter of the changes.
+    measure : AlongTrajectory
+        Measured angles and their derivatives.
+    resets : AlongTrajectory or None
+        State after the effects that set states have acted; None without such effects.
+    frictions : list of (int, int)
+        Index among the free parameters, and axis, of each dry friction.
+    scales : list of (int, int)
+        Column and axis of each encoder scale among the changes.
     min_thrust_V : float
         Voltage below which a motor gives no thrust [V]; -inf without a dead zone.
     """
@@ -68,29 +75,26 @@ class TwinModel:
         deterministic = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
         self.rig, self.model, self.uncertainty = rig, deterministic, uncertainty
         self.changes: tuple[Change, ...] = changes_of(deterministic)
-        free = tuple(dict.fromkeys((*free_numbers(self.changes), *uncertainty.names)))
+        # Parameters by which derivatives are needed: those of the changes, and the uncertain ones.
+        free = tuple(dict.fromkeys((*model_parameters(self.changes), *uncertainty.names)))
         self.functions = model_functions(extended(deterministic), free)
         extended_model = self.functions.model.source
         self.functions_without_derivatives = model_functions(extended_model, ())
         self.parameters: Floats = extended_model.parameter_values(rig)
         self.states = len(extended_model.states)
-        names = self.functions.names
-        self.delay_s = (
-            float(self.parameters[names.index(extended_model.delay)]) if extended_model.delay else 0.0
-        )
+        self.delay_s = self._delay_of(extended_model)
         dead_zone_V = extended_model.dead_zone_V(self.parameters)
         self.min_thrust_V = -np.inf if dead_zone_V is None else dead_zone_V
         self.measure = self._measurement(extended_model)
-        has_resets = any(type(effect).reset_map is not Effect.reset_map for effect in deterministic.effects)
-        # The state at the end of a step, for effects that set states.
-        self.resets = (
-            model_along(extended_model, lambda x, u, p, t: [extended_model.reset_map(x, u, p, t)])
-            if has_resets
-            else None
-        )
+        self.resets = self._resets(extended_model)
         self.directions: Floats = uncertainty.directions(free)
-        numbers = [number for change in self.changes for number in change.numbers]
-        self.weights: Floats = self._weights(numbers)
+        self._describe_changes()
+        self.zero_tolerance_rad: Floats = np.deg2rad([rig[name].tolerance for name in ZEROS])
+
+    def _describe_changes(self) -> None:
+        """Set the attributes that state what each change does: weights, priors, frictions and scales."""
+        change_parameters = [name for change in self.changes for name in change.parameters]
+        self.weights: Floats = self._weights(change_parameters)
         self.prior_sizes: Floats = np.array([size for change in self.changes for size in change.sizes])
         self.prior_changes: Floats = self.weights * self.prior_sizes
         self.frictions = [
@@ -99,16 +103,33 @@ class TwinModel:
             if name in self.functions.free
         ]
         self.scales = [
-            (column, AXES.index(SCALES[number])) for column, number in enumerate(numbers) if number in SCALES
+            (column, AXES.index(SCALES[name]))
+            for column, name in enumerate(change_parameters)
+            if name in SCALES
         ]
-        self.zero_tolerance_rad: Floats = np.deg2rad([rig[name].tolerance for name in ZEROS])
 
-    def _weights(self, numbers: Sequence[str]) -> Floats:
-        """Return the amount of each free parameter per unit of each number of the changes."""
+    def _delay_of(self, model: Model) -> float:
+        """Return the delay between a voltage and its action [s]; 0 if the model has none."""
+        if not model.delay:
+            return 0.0
+        return float(self.parameters[self.functions.names.index(model.delay)])
+
+    def _resets(self, model: Model) -> AlongTrajectory | None:
+        """Return the function that sets states at the end of a step; None if no effect sets states."""
+        if all(type(effect).reset_map is Effect.reset_map for effect in self.model.effects):
+            return None
+        return model_along(model, lambda x, u, p, t: [model.reset_map(x, u, p, t)])
+
+    def _weights(self, change_parameters: Sequence[str]) -> Floats:
+        """Return the amount of each free parameter and, in the last row, of the supply, per unit of each
+        parameter of the changes, (free + 1, columns).
+
+        The columns of encoder scales are zero, because they change no parameter of the model.
+        """
         free = self.functions.free
-        weights = np.zeros((len(free) + 1, len(numbers)))
-        for column, number in enumerate(numbers):
-            for name in number.split("+"):
+        weights = np.zeros((len(free) + 1, len(change_parameters)))
+        for column, joined_names in enumerate(change_parameters):
+            for name in joined_names.split("+"):
                 if name not in SCALES:
                     row = len(free) if name == SUPPLY else free.index(name)
                     weights[row, column] = 1.0
@@ -117,6 +138,7 @@ class TwinModel:
     def _measurement(self, model: Model) -> AlongTrajectory:
         """Return the measured angles, (3,), with their derivatives by states and by free parameters."""
 
+        # State x, voltages u, parameters p and time t, as symbols.
         def angles_and_derivatives(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> list[ca.SX]:
             angles = model.measurement(x, u, p, t)
             free = ca.vertcat(*(p[i] for i in self.functions.places))
@@ -135,7 +157,7 @@ class TwinModel:
 
 
 def start_state(twin: TwinModel, t_s: Floats, angles_rad: Floats, volts_V: Floats, step_s: float) -> Floats:
-    """Return the state at the end of some measured steps, (states,).
+    """Return the state from which the filter starts, (states,): that at the end of some measured steps.
 
     Parameters
     ----------
@@ -150,12 +172,15 @@ def start_state(twin: TwinModel, t_s: Floats, angles_rad: Floats, volts_V: Float
     step_s : float
         Length of a step [s].
     """
-    span = min(_RATE_STEPS, len(t_s) - 1)
-    rates_rad_s = np.gradient(angles_rad, step_s, axis=0) if len(t_s) > 1 else np.zeros_like(angles_rad)
-    last_rate_rad_s = (angles_rad[-1] - angles_rad[-1 - span]) / (span * step_s) if span else np.zeros(3)
+    rate_steps = min(_RATE_STEPS, len(t_s) - 1)
+    last_rate_rad_s = np.zeros(3)
+    if rate_steps:
+        last_rate_rad_s = (angles_rad[-1] - angles_rad[-1 - rate_steps]) / (rate_steps * step_s)
     state = np.concatenate((angles_rad[-1], last_rate_rad_s))
     state[: len(ZEROS)] -= np.deg2rad([twin.rig[name].value for name in ZEROS])
     if twin.functions.extra_states:
+        # The states of effects follow from the measured motion.
+        rates_rad_s = np.gradient(angles_rad, step_s, axis=0) if len(t_s) > 1 else np.zeros_like(angles_rad)
         motion = np.hstack((angles_rad, rates_rad_s))
         trajectory = Trajectory(t_s + 0.5 * step_s, motion, volts_V, step_s, twin.parameters)
         effect_states = twin.functions.integrate(trajectory, np.sign(rates_rad_s))

@@ -107,7 +107,7 @@ def calibrate(
     from heli_sim.rig import load_rig
 
     from heli_lab.calibrate.calibration import calibrate as run
-    from heli_lab.calibrate.calibration import default_limits, set_parameters
+    from heli_lab.calibrate.calibration import default_limits
 
     if not sil:
         refuse_without_sil(miswired=miswired)
@@ -162,15 +162,10 @@ def calibrate(
         changed_parameters = {
             name: value for name, value in result.parameters.items() if value != parameters_before[name]
         }
-        is_saved = (
-            bool(changed_parameters)
-            and operator.choose("Set and save these on the board?", ("yes", "no")) == "yes"
-        )
-        if is_saved:
-            set_parameters(heli, operator, changed_parameters)
+        is_saved = _save_after_question(heli, operator, changed_parameters)
         recorder.note("calibrate", f"parameters {'saved' if is_saved else 'not saved'}: {changed_parameters}")
     say("the board's parameters are saved" if is_saved else "the board's parameters stay as they were")
-    result_content = _content(result, nominal_rig, parameters_before)
+    result_content = _json_object(result, nominal_rig, parameters_before)
     if not write_result(json, {**result_content, "saved": is_saved, "rig": str(new_rig), "log": str(path)}):
         say_files([new_rig, save_params, path, json])
     if result.motors_exchanged:
@@ -205,8 +200,20 @@ def _simulated_board_address(rig: str | None, miswired: str) -> str:
     return "&".join(filter(None, (sil_address(rig=rig, speed=MAX_SPEED), query)))
 
 
+def _save_after_question(heli: Heli, operator: Operator, parameters: dict[str, float]) -> bool:
+    """Set and save parameters on the board if there are any and the operator agrees; return whether they are
+    saved.
+    """
+    from heli_lab.calibrate.calibration import set_parameters
+
+    if not parameters or operator.choose("Set and save these on the board?", ("yes", "no")) != "yes":
+        return False
+    set_parameters(heli, operator, parameters)
+    return True
+
+
 def _operator_of(heli: Heli, *, simulated: bool) -> Operator:
-    """Return who moves the axes and answers questions: a simulated hand, or the person at the terminal."""
+    """Return the operator, who moves the axes and answers questions: simulated, or a user at the terminal."""
     import sys
 
     from heli_sim.sil.inprocess import InProcessTransport
@@ -247,15 +254,14 @@ def _say_result(result: BenchCalibration, base: Rig, before: dict[str, float]) -
     say("+- is one standard error")
     for motor in result.motors:
         wiring = "as wired" if motor.sign > 0 else "reversed"
-        line = motor.thrust
-        thrust = (
-            f"thrust {line.gain_N_per_V:.4g} +- {line.gain_std:.2g} N/V above "
-            f"{line.dead_zone_V:.3g} +- {line.dead_zone_std:.1g} V ({line.pulses} pulses)"
-            if isinstance(line, ThrustLine)
-            else "thrust not known"
-        )
         onset = f"moves pitch from {motor.begins_V:g} V"
-        say(f"{motor.output} output: {motor.rotor} rotor, {wiring}, {onset}; {thrust}")
+        thrust_text = "thrust not known"
+        if isinstance(thrust := motor.thrust, ThrustLine):
+            thrust_text = (
+                f"thrust {thrust.gain_N_per_V:.4g} +- {thrust.gain_std:.2g} N/V above "
+                f"{thrust.dead_zone_V:.3g} +- {thrust.dead_zone_std:.1g} V ({thrust.pulses} pulses)"
+            )
+        say(f"{motor.output} output: {motor.rotor} rotor, {wiring}, {onset}; {thrust_text}")
     for row in _before_and_after(result, base, before):
         mark = "" if row["before"] == row["after"] else "  changed"
         before_text, after_text = f"{row['before']:.6g}", f"{row['after']:.6g}"
@@ -264,7 +270,9 @@ def _say_result(result: BenchCalibration, base: Rig, before: dict[str, float]) -
 
 
 def _before_and_after(result: BenchCalibration, base: Rig, before: dict[str, float]) -> list[dict[str, Any]]:
-    """Return the calibrated values of rig and board: of, name, before, after and unit."""
+    """Return the calibrated values of rig and board as JSON objects with the keys of, name, before, after
+    and unit.
+    """
     from heli_host.parameters import spec_of
 
     from heli_lab.calibrate.calibration import SOURCE
@@ -287,7 +295,7 @@ def _before_and_after(result: BenchCalibration, base: Rig, before: dict[str, flo
     return [*rig_rows, *board_rows]
 
 
-def _content(result: BenchCalibration, base: Rig, before: dict[str, float]) -> dict[str, Any]:
+def _json_object(result: BenchCalibration, base: Rig, before: dict[str, float]) -> dict[str, Any]:
     """Return the calibration as a JSON object."""
     return {
         "encoders": asdict(result.encoders),

@@ -111,7 +111,7 @@ def campaign(
     summary = summarise(study, rows)
     page = write_summary(study, summary, folder)
     _print(summary, len(study.cases))
-    write_result(json, _numbers(summary, len(study.cases)))
+    write_result(json, _json_object(summary, len(study.cases)))
     say_files([page, folder / TABLE])
     if summary.failed:
         raise typer.Exit(1)
@@ -120,7 +120,7 @@ def campaign(
 
 
 def _parameter_files(campaign: Campaign) -> list[Path]:
-    """Return the files of board parameters that its cases fly with, apart from those on workers only."""
+    """Return the files of board parameters of the cases, as far as they exist on this computer."""
     from heli_lab.campaign.works import WORKS
 
     cases = [case for case in campaign.cases if case.work in WORKS.values()]
@@ -133,8 +133,8 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _numbers(summary: Summary, cases: int) -> dict[str, Any]:
-    """Return the summary of a campaign of `cases` cases as a JSON object."""
+def _json_object(summary: Summary, cases: int) -> dict[str, Any]:
+    """Return the summary of a campaign with this number of cases as a JSON object."""
     return {
         "cases": cases,
         "ended": summary.cases,

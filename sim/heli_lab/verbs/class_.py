@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from heli_lab.classroom.marking import MarkedSubmission
 
 _LOAD_s = 10.0
-"""Processor time of a law's file [s]. The laws of the documents take under 2 s. With less, a law that solves
-a problem first is refused; with more, each endless loop delays the class."""
+"""Longest processor time for loading a law's file [s]. The laws of the documents take under 2 s. Shorter: a
+law that first solves an optimisation problem is refused. Longer: each endless loop delays the class."""
 MARKS = "marks.csv"
 
 
@@ -113,7 +113,7 @@ def class_(
             all_marked.append(marking.mark_submission(submission_folder))
             say(str(all_marked[-1].mark))
     finally:
-        # Marks that are complete are kept also if the teacher interrupts the rest.
+        # If the teacher interrupts the command, the marks so far are written.
         _write_marks([marked.mark for marked in all_marked], folder / MARKS)
     marks = [marked.mark for marked in all_marked]
     if port is not None:
@@ -131,10 +131,10 @@ def class_(
 def _fly_on_rig(
     all_marked: Sequence[MarkedSubmission], options: FlightOptions, plan: Plan, table: Path
 ) -> list[Mark]:
-    """Fly submissions on the rig, and return the marks of all with the outcome on the rig.
+    """Fly submissions on the rig, and return the marks of all submissions with the outcome on the rig.
 
-    Only those fly that flew to the end of the simulation. After each flight its mark and the `table` of all
-    marks are written, so that a later accident does not lose them.
+    Only submissions that flew to the end of the simulation fly. After each flight, its mark and the `table`
+    of all marks are written, so that no later error loses them.
     """
     from heli_lab.classroom.marking import MARK
     from heli_lab.classroom.rig_flights import fly_on_rig
@@ -159,7 +159,7 @@ def _confirm(question: str) -> bool | None:
 
 
 def _write_marks(marks: Sequence[Mark], path: Path) -> None:
-    """Write a CSV table of all marks; an existing file is replaced at once, after the table is complete."""
+    """Write a CSV table of all marks to `path`. An existing file is replaced only by the complete table."""
     import csv
     import tempfile
 

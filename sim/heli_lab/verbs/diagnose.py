@@ -78,7 +78,7 @@ def diagnose(
 
     Example: `heli-host diagnose a.mcap --validate b.mcap --report why --save-rig extended.toml`
     """
-    # The matrices are small, so that more BLAS threads only wait for each other.
+    # The matrices are small: several BLAS threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
@@ -136,6 +136,7 @@ def diagnose(
             if report is not None:
                 bar.show("drawing", 0.95)
                 output_files.append(write_report(result, report, drawing))
+            # A rig with a proposed equation term needs the effect file of that term.
             effect_folder = report or (save_rig.parent if save_rig is not None and with_term else None)
             if result.proposed_term is not None and effect_folder is not None:
                 output_files.append(write_effect_file(result, effect_folder))

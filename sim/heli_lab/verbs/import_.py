@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -72,48 +73,35 @@ def import_(
 
     Example: `heli-host import lab1.mat lab2.mat --guess --rig quanser-course -o flights/lab`
     """
-    from heli_host.tables import read_profile, read_table
+    from heli_host.tables import read_profile
     from heli_sim.rig import load_rig
-
-    from heli_lab.guess.import_targets import Target, digest, output_names
 
     if profile is None and not guess:
         raise typer.BadParameter("import needs --profile or --guess; give one of them")
     data_on_stdout(json)
     known_rig = load_rig(rig) if rig is not None else None
-    tables = [read_table(path) for path in files]
-    names = output_names(files)
-    digests = [digest([path]) for path in files]
-    if one_flight:
-        from heli_lab.guess import merge_tables
-
-        digests, names = [digest(files)], names[:1]
-        merged = merge_tables(tables)
-        tables, files = [merged], files[:1]
-        if merged.notes:
-            say(merged.notes)
-    output.mkdir(parents=True, exist_ok=True)
-    targets = [Target(output, name, sha) for name, sha in zip(names, digests, strict=True)]
-    for target in targets:
-        target.refuse_to_replace_another()
+    sources = _read_sources(files, output, one_flight=one_flight)
     if not guess and profile is not None:
-        write_result(json, {"flights": _write_flights(tables, read_profile(profile), targets)})
+        write_result(json, {"flights": _write_flights(sources, read_profile(profile))})
         return
-    guesses = _guesses(tables, known_rig, rate, profile)
+    guesses = _guesses([source.table for source in sources], known_rig, rate, profile)
+    # All files are from one program, and have the same profile.
     best = guesses[0]
     ambiguities = sorted(best.ambiguities, key=lambda ambiguity: ambiguity.danger)
     profile_path, profile_lines = _write_profile(best, ambiguities, output)
     output_files = [profile_path]
-    for path, file_guess, table, target in zip(files, guesses, tables, targets, strict=True):
-        output_files.append(_draw(file_guess, table, output / f"{target.name}.png"))
-        say(f"{path.name}: {'sure' if file_guess.sure else 'unsure'}")
+    for source, file_guess in zip(sources, guesses, strict=True):
+        output_files.append(_draw(file_guess, source.table, output / f"{source.target.name}.png"))
+        say(f"{source.path.name}: {'sure' if file_guess.sure else 'unsure'}")
     _say_reasons(best, ambiguities, profile_path, profile_lines)
     say_files(output_files)
     sentence_by_subject = {ambiguity.subject: ambiguity.sentence() for ambiguity in ambiguities}
     content = {
         "sure": not ambiguities,
         "ambiguities": sentence_by_subject,
-        "evidence": {str(path): guess.evidence for path, guess in zip(files, guesses, strict=True)},
+        "evidence": {
+            str(source.path): file_guess.evidence for source, file_guess in zip(sources, guesses, strict=True)
+        },
         "files": [str(path) for path in output_files],
     }
     if ambiguities and not force:
@@ -122,9 +110,47 @@ def import_(
 
         raise UnsureGuess(
             f"unsure of {', '.join(sentence_by_subject)}: no flight was written",
-            f"correct {output / 'profile.toml'} and import with --profile, or use it unchanged with --force",
+            f"correct {profile_path} and import with --profile, or use it unchanged with --force",
         )
-    write_result(json, {**content, "flights": _write_flights(tables, best.profile, targets)})
+    write_result(json, {**content, "flights": _write_flights(sources, best.profile)})
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A file to import, its table, and the place of its flights."""
+
+    path: Path
+    table: Table
+    target: Target
+
+
+def _read_sources(files: Sequence[Path], output: Path, *, one_flight: bool) -> list[_Source]:
+    """Read the files, and create the `output` folder; with `one_flight`, merge all tables into one source.
+
+    A flight in the folder that was imported from another file is an error.
+    """
+    from heli_host.tables import read_table
+
+    from heli_lab.guess.import_targets import Target, digest, output_names
+
+    tables = [read_table(path) for path in files]
+    names = output_names(files)
+    digests = [digest([path]) for path in files]
+    if one_flight:
+        from heli_lab.guess import merge_tables
+
+        merged = merge_tables(tables)
+        if merged.notes:
+            say(merged.notes)
+        files, tables, names, digests = files[:1], [merged], names[:1], [digest(files)]
+    output.mkdir(parents=True, exist_ok=True)
+    sources = [
+        _Source(path, table, Target(output, name, sha))
+        for path, table, name, sha in zip(files, tables, names, digests, strict=True)
+    ]
+    for source in sources:
+        source.target.refuse_to_replace_another()
+    return sources
 
 
 def _guesses(
@@ -187,21 +213,19 @@ def _draw(guess: Guess, table: Table, path: Path) -> Path:
     return draw(guess, max(flights_of(table, guess.profile), key=len), path)
 
 
-def _write_flights(
-    tables: Sequence[Table], profile: Profile, targets: Sequence[Target]
-) -> list[dict[str, Any]]:
-    """Write each flight of the tables as CSV; return file, rows and duration [s] of each as JSON objects."""
+def _write_flights(sources: Sequence[_Source], profile: Profile) -> list[dict[str, Any]]:
+    """Write each flight of the sources as CSV; return file, rows and duration [s] of each as JSON objects."""
     from heli_host.flight import check
     from heli_host.log.table import write_csv
     from heli_host.tables import flights_of
 
     flight_objects: list[dict[str, Any]] = []
-    for table, table_target in zip(tables, targets, strict=True):
-        flights = flights_of(table, profile)
+    for source in sources:
+        flights = flights_of(source.table, profile)
         for number, flight in enumerate(flights, 1):
-            check(flight, table.source)
-            path = table_target.path(number if len(flights) > 1 else None)
-            write_csv(table_target.signed(flight), path)
+            check(flight, source.table.source)
+            path = source.target.path(number if len(flights) > 1 else None)
+            write_csv(source.target.signed(flight), path)
             say(f"{len(flight)} rows, {flight.duration_s:.1f} s at {1.0 / flight.step_s:.0f} Hz -> {path}")
             for note in ("cut", "filled"):
                 if note in flight.meta:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from heli_host.flight import Flight
     from heli_host.law_program import LawProgram
 
+    from heli_lab.law.linear import LinearisedLaw
     from heli_lab.law.trial import LawTrial
 
 app = typer.Typer(
@@ -53,6 +54,7 @@ GradedPlanOption = Annotated[
     ),
 ]
 _MAX_POLES = 4
+"""Number of poles that `law check` prints."""
 _MIN_LOGS = 2
 _CHECK_s = 15.0
 """Flight time with the law on each rig of `law check` [s]."""
@@ -98,13 +100,7 @@ def check(
     from heli_lab.tune.plants import linear_plant
 
     linear = linearised(control_law, linear_plant(load_rig(rig)))
-    slowest_poles = sorted(linear.poles, key=lambda pole: -pole.real)[:_MAX_POLES]
-    poles = ", ".join(f"{pole.real:.2f}{pole.imag:+.2f}j" for pole in slowest_poles)
-    say(f"{'stable' if linear.stable else 'UNSTABLE'} around level; slowest poles {poles} 1/s")
-    for loop, gain, phase_deg in zip(
-        ("collective", "differential"), linear.gain_up, linear.phase_deg, strict=True
-    ):
-        say(f"{loop:13} gain margin {gain:.2f}, phase margin {phase_deg:.0f} deg")
+    say(*_stability_lines(linear))
     trials = _fly_random_rigs(program, rig, rigs, seed)
     write_result(
         json,
@@ -263,6 +259,7 @@ def grade(
 
     grades = [grade_law(REFERENCE, None, flights, fly_on)]
     for path in laws:
+        # Two laws with the same file name have their paths as labels.
         label = path.stem if path.stem not in {law_grade.label for law_grade in grades} else str(path)
         try:
             program = load_limited(path, FileLimits(load_timeout), rigs[0])
@@ -319,6 +316,17 @@ def export(
     say_files((output,))
 
 
+def _stability_lines(linear: LinearisedLaw) -> list[str]:
+    """Describe the slowest poles and the margins of both loops, as text."""
+    slowest_poles = sorted(linear.poles, key=lambda pole: -pole.real)[:_MAX_POLES]
+    poles = ", ".join(f"{pole.real:.2f}{pole.imag:+.2f}j" for pole in slowest_poles)
+    lines = [f"{'stable' if linear.stable else 'UNSTABLE'} around level; slowest poles {poles} 1/s"]
+    loops = zip(("collective", "differential"), linear.gain_up, linear.phase_deg, strict=True)
+    for loop, gain, phase_deg in loops:
+        lines.append(f"{loop:13} gain margin {gain:.2f}, phase margin {phase_deg:.0f} deg")
+    return lines
+
+
 def _fly_random_rigs(program: LawProgram, rig: str, count: int, seed: int) -> list[dict[str, Any]]:
     """Fly a control law on simulated rigs with random thrust and rotor lag; return their JSON objects."""
     import numpy as np
@@ -362,24 +370,29 @@ def _read_logs(paths: Sequence[Path]) -> dict[str, Flight]:
 def _fly_laws(
     paths: Sequence[Path], options: FlightOptions, duration_s: float, limit_s: float
 ) -> dict[str, Flight]:
-    """Fly the trial plan with each control law; a single law is compared with the board's own."""
+    """Fly the trial plan with each control law; a single law is compared with the board's own.
+
+    Returns the flights by the name of the law, or by its path if another law has the same name.
+    """
     from heli_lab.classroom.grade import REFERENCE
     from heli_lab.law.files import load_law
     from heli_lab.law.trial import trial_plan
     from heli_lab.law_flight import fly_trial
 
+    # All files are loaded before the first flight. None is the board's own control law.
+    programs: dict[str, LawProgram | None] = {}
+    for path in paths:
+        law = load_law(path, limit_s, options.rig)
+        label = law.name if law.name not in programs else str(path)
+        programs[label] = law.program
+    if len(paths) == 1:
+        programs[REFERENCE] = None
     flights: dict[str, Flight] = {}
-    laws = [load_law(path, limit_s, options.rig) for path in paths]
-    compared: list[tuple[str, str, LawProgram | None]] = [
-        (law.name, str(path), law.program) for law, path in zip(laws, paths, strict=True)
-    ]
-    if len(laws) == 1:
-        compared.append((REFERENCE, "", None))
-    for name, path, program in compared:
+    for label, program in programs.items():
         trial = fly_trial(program, options, trial_plan(duration_s))
-        flights[name if name not in flights else path] = trial.flight
+        flights[label] = trial.flight
         if trial.taken_over:
-            say(f"law {name}: the board's control law took over: {trial.taken_over}")
+            say(f"law {label}: the board's control law took over: {trial.taken_over}")
     return flights
 
 

@@ -34,7 +34,8 @@ ModelName = Annotated[
 _MODEL = "multibody"
 _DPI = 130
 _HEAVIER_ROTOR = "M_f"
-"""Parameter increased by its tolerance in flights: with equal rotors hover would be two straight lines."""
+"""Parameter that is increased by its tolerance in flights. With equal rotors, the figure of hover would show
+two straight lines."""
 
 
 @app.command("tables")
@@ -65,12 +66,8 @@ def tables(
         line = read_thrust(plant, seed).line()
         tables_ = []
         for place, number in enumerate(records):
-            share = 0.1 + 0.1 * place
-
-            def report(done: float, share: float = share, number: int = number) -> None:
-                bar.show(f"fitting Table {number}", share + 0.1 * done)
-
-            tables_.append(fit_table(number, plant.rig, records[number], report))
+            on_progress = _progress_part(bar.show, f"fitting Table {number}", 0.1 + 0.1 * place, 0.1)
+            tables_.append(fit_table(number, plant.rig, records[number], on_progress))
         by_rig = fit_rig(plant.rig, records, line, lambda done: bar.show("fitting Table 2", 0.4 + 0.6 * done))
     say(*table_lines(line, by_rig, tables_))
     write_result(json, tables_json(plant, line, by_rig, tables_))
@@ -199,8 +196,8 @@ def figures(
             write(f"fig{number}.png", flight.response_figure(flights[name], path, number))
             write(f"fig{number + 1}.png", flight.performance_figure(flights[name], path, number + 1))
     say_files(folder / name for name in figure_names)
-    for name, plan_flights in flights.items():
-        for plan_flight in plan_flights:
+    for name, flights_of_plan in flights.items():
+        for plan_flight in flights_of_plan:
             say(f"{name}, {plan_flight.label}: {plan_flight.outcome}{_errors_text(plan_flight)}")
 
 
@@ -247,13 +244,28 @@ def _flights(
     flights: dict[str, list[PaperFlight]] = {}
     for plan_number, name in enumerate(PLANS):
         for set_number, (label, gains) in enumerate(gain_sets):
-            earlier_share = (2 * plan_number + set_number) / (2 * len(PLANS))
-
-            def report(done: float, earlier_share: float = earlier_share, name: str = name) -> None:
-                on_progress(f"flying {name}", earlier_share + done / (2 * len(PLANS)))
-
-            flights.setdefault(name, []).append(fly_plan(name, plant, label, gains, seed, report))
+            share = 1.0 / (len(PLANS) * len(gain_sets))
+            earlier_share = share * (len(gain_sets) * plan_number + set_number)
+            on_flight_progress = _progress_part(on_progress, f"flying {name}", earlier_share, share)
+            flights.setdefault(name, []).append(fly_plan(name, plant, label, gains, seed, on_flight_progress))
     return flights
+
+
+def _progress_part(
+    on_progress: Callable[[str, float], None], stage: str, earlier_share: float, share: float
+) -> Callable[[float], None]:
+    """Return a function that takes the progress of one stage, from 0 to 1, and reports that of all stages.
+
+    Parameters
+    ----------
+    on_progress : callable taking str and float
+        Called with the stage and the share of all work that is done.
+    stage : str
+        Description of the stage.
+    earlier_share, share : float
+        Shares of all work before the stage, and of the stage.
+    """
+    return lambda done: on_progress(stage, earlier_share + share * done)
 
 
 def _errors_text(flight: PaperFlight) -> str:

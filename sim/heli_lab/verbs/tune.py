@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -100,11 +102,11 @@ def tune(
         parameters = rounded_parameters(design.parameters)
         for parameter, value in parameters.items():
             checked(parameter, value)
-        models: list[tuple[str, Model]] = [(_label(loop_effects), equations)]
+        test_models = [_TestModel(_lag_label(loop_effects.lag_s), equations)]
         if loop_effects.lag_s is None:
             model_with_lag = model_named(name, (*all_effects, RotorLag(TRIAL_LAG_s)))
-            models.append((f"lag {1e3 * TRIAL_LAG_s:.0f} ms", model_with_lag))
-        trials = _fly(models, base_rig, parameters, seed, bar)
+            test_models.append(_TestModel(_lag_label(TRIAL_LAG_s), model_with_lag))
+        trials = _fly(test_models, base_rig, parameters, seed, bar)
     say(*_rig_lines(base_rig, name, design, loop_effects), *_margin_lines(design), *_flight_lines(trials))
     if save_params is not None:
         design_text = ", ".join(
@@ -112,7 +114,7 @@ def tune(
         )
         text = parameters_text(parameters, f"heli-host tune: gains for {design_text}")
         save_params.write_text(text, encoding="utf-8")
-    write_result(json, _numbers(base_rig, name, design, loop_effects, parameters, trials))
+    write_result(json, _json_object(base_rig, name, design, loop_effects, parameters, trials))
     if figure is not None:
         from heli_lab.tune.figures import figure_of_design
 
@@ -134,33 +136,39 @@ def rounded_parameters(parameters: Mapping[str, float]) -> dict[str, float]:
     }
 
 
+@dataclass(frozen=True)
+class _TestModel:
+    """Equations of motion for a test flight; the label is the rotor lag."""
+
+    label: str
+    model: Model
+
+
 def _fly(
-    models: Sequence[tuple[str, Model]], rig: Rig, parameters: Mapping[str, float], seed: int, bar: WorkBar
+    test_models: Sequence[_TestModel], rig: Rig, parameters: Mapping[str, float], seed: int, bar: WorkBar
 ) -> list[Trial]:
-    """Fly the board's parameters on a rig of each model."""
+    """Simulate a test flight with the board's parameters for each model, and return the results."""
     from heli_sim.plant import Plant
 
     from heli_lab.tune.flights import try_gains
 
-    trials = []
-    for number, (label, model) in enumerate(models):
+    def show(number: int, done: float) -> None:
+        # The design before the test flights is half of the work.
+        share = 0.5 + 0.5 * (number + done) / len(test_models)
+        bar.show(f"test flight, {test_models[number].label}", share)
 
-        def report(done: float, label: str = label, number: int = number) -> None:
-            bar.show(f"test flight, {label}", 0.5 + 0.5 * (number + done) / len(models))
+    return [
+        try_gains(Plant(test.model, rig, seed), parameters, test.label, seed, partial(show, number))
+        for number, test in enumerate(test_models)
+    ]
 
-        trials.append(try_gains(Plant(model, rig, seed), parameters, label, seed, report))
-    return trials
 
-
-def _label(loop_effects: LoopEffects) -> str:
-    """Return the label of a test flight: the rotor lag of its model."""
-    return "no lag" if loop_effects.lag_s is None else f"lag {1e3 * loop_effects.lag_s:.0f} ms"
+def _lag_label(lag_s: float | None) -> str:
+    return "no lag" if lag_s is None else f"lag {1e3 * lag_s:.0f} ms"
 
 
 def _rig_lines(rig: Rig, model: str, design: Design, loop_effects: LoopEffects) -> list[str]:
-    """Describe rig, model and plants of the design, encoder directions that are unknown, and excluded
-    effects.
-    """
+    """Describe the rig and the plants of the design; name unknown encoder directions and excluded effects."""
     from heli_host.declaration import AXES
     from heli_sim.rig.encoders import direction_is_known
 
@@ -184,19 +192,19 @@ def _rig_lines(rig: Rig, model: str, design: Design, loop_effects: LoopEffects) 
 
 
 def _margin_lines(design: Design) -> list[str]:
-    """Return a table of the stability margins of each loop: at nominal thrust and mass, and the worst
-    case.
+    """Return a table of the stability margins of each loop, as text.
+
+    There is one row for each rotor lag at nominal thrust and counterweight, and one for the worst plant.
     """
     from heli_lab.tune import LOOPS
 
-    nominal_plants = [
-        index for index, plant in enumerate(design.plants) if plant.thrust == plant.counterweight == 1.0
-    ]
+    # Label of each row, and the margins of its plants.
     plant_rows = [
-        (f"lag {1e3 * design.plants[index].lag_s:.0f} ms", [design.margins[index]])
-        for index in nominal_plants
+        (_lag_label(plant.lag_s), [margins])
+        for plant, margins in zip(design.plants, design.margins, strict=True)
+        if plant.thrust == plant.counterweight == 1.0
     ]
-    plant_rows.append(("worst case", design.margins))
+    plant_rows.append(("worst case", list(design.margins)))
     lines = [f"{'loop':13}{'plant':13}{'gain up':>9}{'down':>8}{'phase':>9}{'delay':>10}{'peak S':>8}"]
     for loop in LOOPS:
         for row, (label, margins) in enumerate(plant_rows):
@@ -233,7 +241,7 @@ def _settling(time_s: float) -> str:
     return f"settling time {time_s:.1f} s" if math.isfinite(time_s) else "not settled"
 
 
-def _numbers(
+def _json_object(
     rig: Rig,
     model: str,
     design: Design,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +17,9 @@ from heli_host.cli.verb import Verb
 from heli_host.twins import FALSE_ALARM_INTERVAL_h
 
 if TYPE_CHECKING:
+    from heli_host.cli.progress_bar import WorkBar
+
+    from heli_lab.twin.events import TwinEvent
     from heli_lab.twin.files import TwinRig
     from heli_lab.twin.monitor import TwinReport
     from heli_lab.twin.tail import Tail
@@ -77,17 +81,14 @@ def twin(
 
     Example: `heli-host twin flight.mcap --rig my-rig.toml --nominal monday.mcap`
     """
-    # The matrices are small, so that more BLAS threads only wait for each other.
+    # The matrices are small: several BLAS threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
-    from heli_host.log.flight_file import read_flight
 
-    from heli_lab.twin.calibration import write_calibration
     from heli_lab.twin.figure import draw_evidence
     from heli_lab.twin.files import open_rig
-    from heli_lab.twin.learn import has_few_disturbances, learn_rig
-    from heli_lab.twin.learn import learn as learn_calibration
+    from heli_lab.twin.learn import has_few_disturbances
     from heli_lab.twin.monitor import monitor_file
 
     if not flights and learn is None:
@@ -100,29 +101,12 @@ def twin(
     nominal_paths = nominal or []
     reports: list[TwinReport] = []
     with WorkBar() as bar:
-        bar.show("reading", 0.0)
-        nominal_flights = [read_flight(path, allow_gaps=True) for path in nominal_paths]
-        labels = [path.name for path in nominal_paths]
-        if learn is not None:
-            calibration = learn_calibration(
-                twin_rig.model, twin_rig.rig, nominal_flights, labels, say=bar.show
-            )
-            write_calibration(learn, calibration, twin_rig.name)
-            twin_rig = replace(twin_rig, calibration=calibration)
-        elif nominal_paths:
-            disturbances, uncertainty = learn_rig(twin_rig.model, twin_rig.rig, nominal_flights, labels)
-            calibration = replace(twin_rig.calibration, disturbances=disturbances, uncertainty=uncertainty)
-            twin_rig = replace(twin_rig, calibration=calibration)
+        twin_rig = _calibrated(twin_rig, nominal_paths, learn, bar)
         for path in flights or ():
             bar.show(f"following {path.name}", 0.9)
             reports.append(monitor_file(twin_rig, path, false_alarm_interval_h, start_s, stop_s))
-    for flight in reports:
-        say(*(f"{flight.label}: {text}" for text in flight.sentences()))
-        if flight.flown_rig not in ("", twin_rig.rig.name, Path(twin_rig.name).stem):
-            say(
-                f"{flight.label} is a flight of rig {flight.flown_rig}, "
-                f"but the twin is of rig {twin_rig.rig.name}; give the right one with --rig"
-            )
+    for report in reports:
+        say(*_report_lines(report, twin_rig))
     if nominal_paths and has_few_disturbances(twin_rig.calibration.disturbances):
         say(
             "the nominal flights have almost no disturbances, so every later gust raises an alarm; "
@@ -131,14 +115,53 @@ def twin(
     threshold_nats = twin_rig.calibration.threshold_nats(false_alarm_interval_h)
     false_alarm_text = _false_alarm_text(twin_rig.calibration.tail, false_alarm_interval_h)
     say(f"alarm threshold: {threshold_nats:.1f} nats, {false_alarm_text}; {_calibration_source(twin_rig)}")
-    write_result(json, _numbers(twin_rig, reports, false_alarm_interval_h))
+    write_result(json, _json_object(twin_rig, reports, false_alarm_interval_h))
     if figure is not None and reports:
         draw_evidence(reports, figure)
     say_files((learn, json, figure if reports else None))
 
 
+def _calibrated(
+    twin_rig: TwinRig, nominal_paths: Sequence[Path], twin_file: Path | None, bar: WorkBar
+) -> TwinRig:
+    """Return the rig with a calibration on nominal flights; without these flights, its calibration stays.
+
+    With a `twin_file`, the alarm threshold is calibrated too, which takes minutes, and the file is written.
+    """
+    from heli_host.log.flight_file import read_flight
+
+    from heli_lab.twin.calibration import write_calibration
+    from heli_lab.twin.learn import learn, learn_rig
+
+    bar.show("reading", 0.0)
+    nominal_flights = [read_flight(path, allow_gaps=True) for path in nominal_paths]
+    labels = [path.name for path in nominal_paths]
+    if twin_file is not None:
+        calibration = learn(twin_rig.model, twin_rig.rig, nominal_flights, labels, say=bar.show)
+        write_calibration(twin_file, calibration, twin_rig.name)
+        return replace(twin_rig, calibration=calibration)
+    if nominal_flights:
+        disturbances, uncertainty = learn_rig(twin_rig.model, twin_rig.rig, nominal_flights, labels)
+        calibration = replace(twin_rig.calibration, disturbances=disturbances, uncertainty=uncertainty)
+        return replace(twin_rig, calibration=calibration)
+    return twin_rig
+
+
+def _report_lines(report: TwinReport, twin_rig: TwinRig) -> list[str]:
+    """Describe the result of a flight, with a warning if the flight is of another rig than the twin."""
+    lines = [f"{report.label}: {sentence}" for sentence in report.sentences()]
+    if report.flown_rig not in ("", twin_rig.rig.name, Path(twin_rig.name).stem):
+        lines.append(
+            f"{report.label} is a flight of rig {report.flown_rig}, "
+            f"but the twin is of rig {twin_rig.rig.name}; give the right one with --rig"
+        )
+    return lines
+
+
 def _false_alarm_text(tail: Tail, false_alarm_interval_h: float) -> str:
-    """State the interval between false alarms that the healthy flights support."""
+    """State the interval between false alarms that the user accepts, or the longest that the nominal flights
+    support.
+    """
     if tail.supported_interval_h >= false_alarm_interval_h:
         return f"one false alarm in {false_alarm_interval_h:g} h in the air"
     return (
@@ -153,7 +176,9 @@ def _calibration_source(twin_rig: TwinRig) -> str:
     return f"disturbances and threshold from {source}" if source else "default disturbances"
 
 
-def _numbers(twin_rig: TwinRig, flights: list[TwinReport], false_alarm_interval_h: float) -> dict[str, Any]:
+def _json_object(
+    twin_rig: TwinRig, reports: Sequence[TwinReport], false_alarm_interval_h: float
+) -> dict[str, Any]:
     """Return threshold, disturbances, alarms and rankings as a JSON object."""
     disturbances = twin_rig.calibration.disturbances
     return {
@@ -168,31 +193,33 @@ def _numbers(twin_rig: TwinRig, flights: list[TwinReport], false_alarm_interval_
         },
         "flights": [
             {
-                "flight": flight.label,
-                "free_s": flight.free_s,
-                "unjudged_s": flight.unjudged_s,
-                "max_evidence_nats": flight.max_evidence_nats,
-                "events": [
-                    {
-                        "kind": event.kind,
-                        "t_s": event.t_s,
-                        "text": event.text,
-                        "onset_s": event.onset_s if math.isfinite(event.onset_s) else None,
-                        "ranking": [
-                            {
-                                "change": candidate.change.id,
-                                "words": candidate.change.words(candidate.size, candidate.std),
-                                "size": candidate.size,
-                                "std": candidate.std,
-                                "log_evidence_nats": candidate.log_evidence,
-                            }
-                            for candidate in event.ranking
-                        ],
-                    }
-                    for event in flight.events
-                ],
+                "flight": report.label,
+                "free_s": report.free_s,
+                "unjudged_s": report.unjudged_s,
+                "max_evidence_nats": report.max_evidence_nats,
+                "events": [_event_object(event) for event in report.events],
             }
-            for flight in flights
+            for report in reports
+        ],
+    }
+
+
+def _event_object(event: TwinEvent) -> dict[str, Any]:
+    """Return an event with its ranking of the changes as a JSON object."""
+    return {
+        "kind": event.kind,
+        "t_s": event.t_s,
+        "text": event.text,
+        "onset_s": event.onset_s if math.isfinite(event.onset_s) else None,
+        "ranking": [
+            {
+                "change": candidate.change.id,
+                "words": candidate.change.words(candidate.size, candidate.std),
+                "size": candidate.size,
+                "std": candidate.std,
+                "log_evidence_nats": candidate.log_evidence,
+            }
+            for candidate in event.ranking
         ],
     }
 
