@@ -10,7 +10,8 @@ from heli_host.tables.units import SHARES
 from heli_sim.rig import Rig
 
 from heli_lab.guess import names, thresholds
-from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.regression.acceleration_fit import RegressionFit
+from heli_lab.guess.regression.assignment import ColumnAssignment
 from heli_lab.guess.regression.reference import Reference
 from heli_lab.guess.regression.scales import AXES, MeasuredMotion, Scale
 from heli_lab.guess.result import Ambiguity

@@ -1,16 +1,18 @@
-"""Delays between the columns: which ones the motion shows, and which ones it cannot rule out."""
+"""Report delays between the columns of a file, such as voltages that were logged later than the angles."""
 
 from __future__ import annotations
 
 from heli_lab.guess import thresholds
-from heli_lab.guess.regression.assignment import RegressionFit
+from heli_lab.guess.regression.acceleration_fit import RegressionFit
 from heli_lab.guess.regression.axis_regression import responds_without_lag
 from heli_lab.guess.regression.scales import AXES
 from heli_lab.guess.result import Ambiguity
 
 
 def lag_ambiguities(regressions: dict[str, RegressionFit]) -> tuple[list[Ambiguity], str]:
-    """Ambiguities of delays between the columns; no delay is sure enough to be removed.
+    """List implausible delays between the columns as ambiguities.
+
+    The guess removes no delay by itself, because a flight cannot separate a rotor lag from a late column.
 
     Parameters
     ----------
@@ -77,8 +79,8 @@ def lag_ambiguities(regressions: dict[str, RegressionFit]) -> tuple[list[Ambigui
 
 
 def _range_words(fit: RegressionFit, origin_s: float = 0.0) -> str:
-    """Words for the delays that a regression does not rule out, from `origin_s` on [s]; empty if they differ
-    by less than what a flight shows.
+    """Describe the range of delays that a regression does not rule out, counted from `origin_s` [s]; empty if
+    the range is short.
     """
     shortest_s, longest_s = (edge - origin_s for edge in fit.lag_range_s)
     if longest_s - shortest_s < thresholds.MAX_LAG_DIFFERENCE_S:
