@@ -1,9 +1,10 @@
 """Auxiliary residuals: score tests of a shock at every instant, by one backward pass of the smoother.
 
-For each output, two shocks of its disturbance are tested in every measurement interval: a level, which begins
-there and stays, and an impulse of one step. After Harvey and Koopman, J. Bus. Econ. Stat. 10 (1992) 377, and
-de Jong and Penzer, J. Am. Stat. Assoc. 93 (1998) 796. A constant state without variance is a level: the
-smoother's adjoint of that state is its score at every instant, the diagonal of its matrix the information.
+For each output, two shocks of its disturbance are tested in every measurement interval: a level shift, which
+begins there and stays, and an impulse of one step (Harvey and Koopman, J. Bus. Econ. Stat. 10 (1992) 377; de
+Jong and Penzer, J. Am. Stat. Assoc. 93 (1998) 796). Each shock is an additional state of the model without
+variance. The smoother's adjoint of that state is the score of a shock at every instant, and the diagonal of
+the adjoint's matrix is its information.
 """
 
 from __future__ import annotations
@@ -18,19 +19,19 @@ from heli_lab.estimation.disturbances import DisturbanceModel
 from heli_lab.estimation.innovations_model import FlightErrors, InnovationsModel
 
 _LEVEL, _IMPULSE = 1.0, 0.0
-"""Autocorrelation of the two shocks from a step to the next."""
+"""Autocorrelation of the two shocks over a step: a level stays, an impulse vanishes."""
 
 
 @dataclass(frozen=True)
 class ShockScores:
-    """Score tests of one kind of shock in one flight, with all parameters and disturbance scales held.
+    """Score tests of one kind of shock in one flight, with all parameters and disturbances fixed.
 
     Parameters
     ----------
     score : ndarray (k, m)
         Derivative of the log-likelihood to a shock of each output's disturbance at each instant.
     information : ndarray (k, m)
-        Its Fisher information; 0 where nothing is measured afterwards.
+        Fisher information of that shock; 0 if nothing is measured afterwards.
     """
 
     score: Floats
@@ -47,7 +48,7 @@ class ShockScores:
         return self._score_over(self.information)
 
     def _score_over(self, divisor: Floats) -> Floats:
-        """Score over a `divisor`, shape (k, m); 0 without information."""
+        """Divide the score by a `divisor`, shape (k, m); the result is 0 if the divisor is 0."""
         return np.divide(self.score, divisor, out=np.zeros_like(self.score), where=divisor > 0.0)
 
 
@@ -68,14 +69,14 @@ class AuxiliaryResiduals:
     impulse: ShockScores
 
     def largest_level(self) -> tuple[float, float]:
-        """The most significant level shift of any output.
+        """Find the most significant level shift of any output.
 
         Returns
         -------
         t_s : float
-            Its instant [s].
+            Instant of the shift [s].
         t_statistic : float
-            Absolute t statistic there.
+            Absolute t statistic of the shift.
         """
         statistic = np.abs(self.level.t_statistic).max(axis=1)
         largest = int(statistic.argmax())

@@ -1,4 +1,4 @@
-"""Free-run errors of a fit, on its own flights and on others (cross-validation)."""
+"""Measure the free-run (open-loop simulation) errors of a fit, on its own flights and on held-out ones."""
 
 from __future__ import annotations
 
@@ -119,11 +119,10 @@ def check(fit: Fit, index: int = 0) -> FreeRunErrors:
 
 
 def validate(fit: Fit, flights: Sequence[Flight | Record]) -> Fit:
-    """Apply a fit to held-out flights: its shared parameters stay fixed, only what differs from flight to
-    flight is estimated.
+    """Apply a fit to held-out flights, with its shared parameters fixed.
 
-    That is the initial states of the windows, and the encoders' zeros, which are set each time the board
-    starts.
+    Only the quantities that differ from flight to flight are estimated: the initial states of the windows,
+    and the encoders' zeros, which are set each time the board starts.
 
     Parameters
     ----------
