@@ -12,8 +12,9 @@ from heli_host.errors import BadLaw
 from heli_host.law_program import check_number, divisor_of
 
 MAX_STATES: Final = 255
+"""Largest number of states, and of parameters, that a board stores."""
 LONGEST_NAME: Final = 63
-"""Longest name that MATLAB takes."""
+"""Longest name that MATLAB accepts."""
 
 
 @dataclass(frozen=True)
@@ -96,5 +97,5 @@ def casadi_function(
 
 
 def column_of(scalars: Sequence[ca.SX]) -> ca.SX:
-    """Return `scalars` as a column, shape (n, 1), also if there are none."""
+    """Return a column of scalars, shape (n, 1); n may be 0, which `casadi.vertcat` does not accept."""
     return ca.vertcat(*scalars) if scalars else ca.SX(0, 1)
