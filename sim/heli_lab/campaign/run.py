@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 _FLUSH_s: Final = 5.0
 """Time between two parts of the table [s]. Shorter: many small files. Longer: after a kill, more rows are
-made again from the JSON files; nothing is lost.
-"""
+made again from the JSON files; nothing is lost."""
 _MAX_LOST_WORKERS: Final = 20
 """If a case has lost so many workers, it fails."""
 _NO_WORKER_REMEDY: Final = "install this version of heli-host on the workers, and start them again"

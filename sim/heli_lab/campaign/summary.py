@@ -24,8 +24,7 @@ _MAX_WORST: Final = 10
 """Largest number of worst cases that are listed."""
 _MAX_GROUPS: Final = 24
 """Largest number of values for which a setting groups the cases. A seed has more: as many as there are
-cases.
-"""
+cases."""
 _QUANTILES: Final = (0.05, 0.5, 0.95)
 Row = Mapping[str, Any]
 

@@ -11,8 +11,7 @@ from heli_lab.estimation.arrowhead import NO_BLOCKS, solve_arrowhead
 
 _ROUNDING: Final = 1e-12
 """Share of the largest gain of any single unknown. If releasing an unknown gains less, the gain is
-rounding.
-"""
+rounding."""
 
 
 def bounded_solve(

@@ -12,8 +12,7 @@ from heli_host.arrays import Floats
 SLOW_CORRELATION_TIME_s: Final = 15.0
 """Correlation time of the slow disturbance. It is set, not estimated, because a recording of a minute
 does not show it: a quarter of a minute. Longer: a constant torque of each flight has the same effect.
-Shorter: the fast disturbance has the same effect.
-"""
+Shorter: the fast disturbance has the same effect."""
 
 START_CORRELATION_TIME_s: Final = 0.5
 START_QUANTISATION: Final = 0.6

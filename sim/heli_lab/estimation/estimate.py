@@ -43,8 +43,7 @@ _MIN_ITERATION_GAIN_NATS: Final = 0.1
 """If parameters and disturbances together gain less in an iteration, the estimate has converged."""
 _DISTURBANCE_SHARE: Final = 0.05
 """The disturbances are estimated up to this share of the gain that the next step of the parameters
-promises.
-"""
+promises."""
 _CONVERGED_NATS: Final = 0.02
 """If the next step of the parameters promises less, the estimate has converged."""
 

@@ -39,8 +39,7 @@ depends on this number, the result does not."""
 
 _HELD: Final = 1e-6
 """If the response of a position to its disturbance is below this share of the largest response, friction
-holds the position. Moments of inertia differ by a factor of 100 at most; rounding gives 1e-15.
-"""
+holds the position. Moments of inertia differ by a factor of 100 at most; rounding gives 1e-15."""
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,7 @@ from heli_lab.estimation.grey_box import Recording, quantisation_std
 STEP_s: Final = 0.01
 """Longest step of the trajectory. The midpoint rule has an error of (w h)^2 / 24 of an acceleration: 0.04
 % if a position oscillates with 10 rad/s. Longer: inputs that change within a step are blurred. Shorter:
-the estimation takes longer.
-"""
+the estimation takes longer."""
 
 REST_s: Final = 0.5
 """Time for which the count of an axis must stay the same for it to be at rest. Set with `REST_EDGE_s` on
@@ -33,8 +32,7 @@ an axis that dry friction holds between two moves counts as moving."""
 REST_EDGE_s: Final = 0.06
 """Time at the beginning and at the end of a constant count that does not count as rest [s]: an axis
 starts and stops within a count. With a third of this time, friction is estimated up to 6 standard errors
-too small.
-"""
+too small."""
 
 RETURN_s: Final = 0.2
 """Time for which the count of an axis must stay the same for the axis to have moved into its play and back.
@@ -45,8 +43,7 @@ moves slowly counts as within its play."""
 _RETURN_SHARE: Final = 0.75
 """How far an axis moves back into its play, in halves of the play, before it continues in the old
 direction: 0.4 to 0.8 in two simulated flights in gusts (2026-11). With 0, the error of the axis' position
-is estimated as a disturbance without autocorrelation.
-"""
+is estimated as a disturbance without autocorrelation."""
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,7 @@ _WAIT_PER_CPU_s: Final = 5.0
 _EXTRA_WAIT_s: Final = 3.0
 """An untrusted file may run for this multiple of its processor time, plus this extra time [s]: the
 processor is shared, and the system ends an endless loop up to 2 s late. With less, a busy computer
-refuses valid files; with more, a file that sleeps delays a whole class.
-"""
+refuses valid files; with more, a file that sleeps delays a whole class."""
 _MAX_ANSWER_BYTES: Final = 1 << 20
 """Longest answer of an untrusted file: a program of 1,536 words takes less than 200 kB."""
 _FENCED_ENVIRONMENT: Final = {

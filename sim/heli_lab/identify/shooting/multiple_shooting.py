@@ -23,8 +23,7 @@ from heli_lab.identify.shooting.window_recovery import recover_windows, reoptimi
 
 _FINE_IDLE_SHARE: Final = 0.2
 """Factor on the smallest gain of a step that counts, when every sample is compared. Two steps below it
-end the search. It is less than 1 because the fit on the coarse grid is already near the minimum.
-"""
+end the search. It is less than 1 because the fit on the coarse grid is already near the minimum."""
 
 
 class MultipleShooting:

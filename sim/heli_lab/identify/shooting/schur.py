@@ -15,8 +15,7 @@ from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost
 SINGULAR_GUARD: Final = 1e-12
 """Added to the diagonal of a block, as a share of its largest entry. It keeps the block regular if a
 state has no influence on the measured angles. It is far above the rounding of doubles, and far below any
-information.
-"""
+information."""
 
 
 def eliminate(matrices: Floats, count: int, guard: float = 0.0) -> tuple[Floats, Floats]:
