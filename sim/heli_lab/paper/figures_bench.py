@@ -32,13 +32,12 @@ _AXIS_OF_TABLE: Final = {3: "pitch", 4: "elevation", 5: "travel"}
 _FIGURE_OF_TABLE: Final = {3: "16", 4: "17", 5: "18"}
 _PANEL_SIZE: Final = (6.4, 3.4)
 _SINGLE_WINDOW_s: Final = 1000.0
+"""Length of a window that contains any test as a whole."""
 FONT_SIZE: Final = 8
 
 
 def finish(panel: Axes, y_label: str, x_label: str = "", ncols: int = 1) -> None:
-    """Add the labels `y_label` and `x_label`, a grid, and a legend of `ncols` columns to a panel whose curves
-    are drawn.
-    """
+    """Add axis labels, a grid, and a legend of `ncols` columns to a panel whose curves are drawn."""
     panel.set(xlabel=x_label or panel.get_xlabel(), ylabel=y_label)
     panel.grid(alpha=0.25)
     panel.legend(fontsize=FONT_SIZE, ncols=ncols)
@@ -66,8 +65,14 @@ def thrust_figure(curve: ThrustCurve) -> Figure:
 
 
 def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
-    """Draw one of Figs. 16 to 18: both bench tests of a table, measured and simulated with the identified
-    (30).
+    """Draw one of Figs. 16 to 18: both bench tests of a table, measured, and simulated with (30).
+
+    Parameters
+    ----------
+    table : Table
+        The table, with its fit of the coefficients.
+    records : sequence of Record
+        Records of the tests.
     """
     from matplotlib.figure import Figure
 
@@ -124,7 +129,8 @@ def sensitivity_figure(rig: Rig) -> Figure:
 def _whole_run(table: Table, record: Record, rig: Rig) -> Trace:
     """Simulate a whole test open loop with the coefficients identified for its table."""
     fit = table.fit
-    index = next(i for i, record_ in enumerate(fit.problem.records) if record_.label == record.label)
+    labels = [fitted.label for fitted in fit.problem.records]
+    index = labels.index(record.label)
     values = {
         parameter.quantity: float(value)
         for parameter, value in zip(fit.problem.free, fit.theta, strict=True)

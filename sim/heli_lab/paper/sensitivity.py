@@ -1,4 +1,4 @@
-"""Sensitivity of the elevation step response to P_1 to P_6 of (30), for Fig. 19."""
+"""Simulate how the elevation step response depends on P_1 to P_6 of (30), for Fig. 19."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from heli_sim.runge_kutta import runge_kutta_step
 from heli_lab.paper.bench_tests import TABLE_DEG, BenchTest
 
 _STEP_s: Final = 0.01
+"""Longest step of the integration [s]."""
 
 
 @dataclass(frozen=True)
 class SensitivityCase:
-    """Curve of the figure with some coefficients changed.
+    """One curve of the figure: a step response with some coefficients changed.
 
     Parameters
     ----------
