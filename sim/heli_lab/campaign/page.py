@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -73,29 +74,39 @@ def _varied(campaign: Campaign) -> list[str]:
     return [name for name in first if any(case.settings.get(name) != first[name] for case in campaign.cases)]
 
 
-def _groups(
-    summary: Summary, drawn: Sequence[Column]
-) -> list[tuple[str, list[tuple[str, int, list[float]]]]]:
-    """Compute the medians of the first columns for each value of each setting.
+@dataclass(frozen=True)
+class _Group:
+    """Cases with one value of a setting, for the page.
 
-    Returns
-    -------
-    list of (str, list of (str, int, list of float))
-        For each setting its name and, for each of its values: the value, the number of cases, the medians.
+    Parameters
+    ----------
+    value : str
+        Value of the setting.
+    cases : int
+        Number of cases with this value.
+    medians : list of float
+        Medians of the first columns over these cases.
     """
+
+    value: str
+    cases: int
+    medians: list[float]
+
+
+def _groups(summary: Summary, drawn: Sequence[Column]) -> dict[str, list[_Group]]:
+    """Compute the medians of the first `drawn` columns for each value of each setting, by setting."""
     names = [column.name for column in drawn[:_MAX_MEDIANS]]
-    groups = []
-    for setting, rows_by_value in summary.groups.items():
-        medians_by_value = [
-            (value, len(rows), [_median(rows, name) for name in names])
+    return {
+        setting: [
+            _Group(value, len(rows), [_median(rows, name) for name in names])
             for value, rows in rows_by_value.items()
         ]
-        groups.append((setting, medians_by_value))
-    return groups
+        for setting, rows_by_value in summary.groups.items()
+    }
 
 
 def _median(rows: Sequence[Row], name: str) -> float:
-    """Median of the numbers in column `name`; nan if there is none."""
+    """Compute the median of the numbers in column `name`; nan if there is none."""
     values = [float(row[name]) for row in rows if isinstance(row.get(name), int | float)]
     return float(np.median(values)) if values else math.nan
 

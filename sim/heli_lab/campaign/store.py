@@ -138,6 +138,7 @@ def _check_packages() -> None:
         try:
             spec = importlib.util.find_spec(name)
         except ValueError:
+            # The module was imported without a specification, as a replaced one may be.
             spec = None
         if spec is None:
             raise CampaignError(

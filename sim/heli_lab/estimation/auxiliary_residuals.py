@@ -16,7 +16,7 @@ from heli_host.arrays import Floats
 
 from heli_lab.estimation import _kalman
 from heli_lab.estimation.disturbances import DisturbanceModel
-from heli_lab.estimation.innovations_model import FlightErrors, InnovationsModel
+from heli_lab.estimation.innovations_model import FilterSystem, FlightErrors, InnovationsModel
 
 _LEVEL, _IMPULSE = 1.0, 0.0
 """Autocorrelation of the two shocks over a step: a level stays, an impulse vanishes."""
@@ -106,29 +106,34 @@ def auxiliary_residuals(
     """
     if errors is None:
         errors = filtered.perturbed_residual()
-    outputs = len(filtered.model.outputs)
+    outputs, inputs = len(filtered.model.outputs), len(filtered.model.disturbed)
+    # Columns of the shock states: a level of each input, then an impulse of each. The outputs' disturbances
+    # are the first inputs; gains follow.
+    level, impulse = slice(0, outputs), slice(inputs, inputs + outputs)
     results = []
     for linearised, windows in zip(filtered.linearised_flights, errors, strict=True):
         times, scores, information = [], [], []
         for blocks, (drive, measured) in zip(linearised.blocks, windows, strict=True):
-            system = filtered.system(linearised, blocks, disturbances)
-            inputs = blocks.part_input.shape[3]
-            # Two more states per input, without variance: their autocorrelation makes them level or impulse.
-            system = system._replace(
-                autocorrelation=np.append(system.autocorrelation, np.repeat((_LEVEL, _IMPULSE), inputs)),
-                disturbance_variance=np.append(system.disturbance_variance, np.zeros(2 * inputs)),
-            )
+            system = _with_shock_states(filtered.system(linearised, blocks, disturbances), inputs)
             state_scores, state_information = _kalman.shock_scores(*system, drive, measured)
             times.append(linearised.nodes.t_s[blocks.rows])
+            # The shock states are the last ones.
             scores.append(state_scores[:, -2 * inputs :])
             information.append(state_information[:, -2 * inputs :])
-        score, weight = np.concatenate(scores), np.concatenate(information)
-        level, impulse = slice(0, outputs), slice(inputs, inputs + outputs)
+        all_scores, all_information = np.concatenate(scores), np.concatenate(information)
         results.append(
             AuxiliaryResiduals(
-                np.concatenate(times),
-                ShockScores(score[:, level], weight[:, level]),
-                ShockScores(score[:, impulse], weight[:, impulse]),
+                t_s=np.concatenate(times),
+                level=ShockScores(all_scores[:, level], all_information[:, level]),
+                impulse=ShockScores(all_scores[:, impulse], all_information[:, impulse]),
             )
         )
     return results
+
+
+def _with_shock_states(system: FilterSystem, inputs: int) -> FilterSystem:
+    """Append a level and an impulse of each input to a filter's states, both without variance."""
+    return system._replace(
+        autocorrelation=np.append(system.autocorrelation, np.repeat((_LEVEL, _IMPULSE), inputs)),
+        disturbance_variance=np.append(system.disturbance_variance, np.zeros(2 * inputs)),
+    )

@@ -92,7 +92,7 @@ class _Likelihood:
         ]
 
     def at(self, *points: Floats) -> Floats:
-        """Log-likelihood of each output's innovations at each of some points, shape (w, m)."""
+        """Evaluate the log-likelihood of each output's innovations at w points, shape (w, m)."""
         return self._value([self._start.with_logarithms(self.inside(point)) for point in points])
 
     def inside(self, point: Floats) -> Floats:
@@ -100,14 +100,19 @@ class _Likelihood:
         return np.clip(point, self.low, self.high)
 
     def gradient(self, point: Floats, values: Floats) -> Floats:
-        """Derivatives of the log-likelihood to the logarithms, shape (f,).
+        """Differentiate the log-likelihood by the logarithms.
 
         Parameters
         ----------
         point : ndarray (f,)
-            Logarithms. At a bound, a derivative that points outside is returned as 0.
+            Logarithms at which the derivatives are computed.
         values : ndarray (m,)
-            Log-likelihoods at this point.
+            Log-likelihood of each output's innovations at this point.
+
+        Returns
+        -------
+        ndarray (f,)
+            Derivatives; 0 if the point is at a bound and the derivative points outside.
         """
         # Near the upper bound, a difference goes downwards.
         steps = np.where(point > self.high - _DIFFERENCE, -_DIFFERENCE, _DIFFERENCE)

@@ -40,14 +40,14 @@ class Innovations:
         return per_flight_columns(self.columns, self.size)
 
     def information(self) -> Floats:
-        """Fisher information of the parameters, shape (f, f)."""
+        """Compute the Fisher information of the parameters, shape (f, f)."""
         information = np.zeros((self.size, self.size))
         for flight, columns in zip(self.flights, self.columns, strict=True):
             information[np.ix_(columns, columns)] += flight[:, 1:].T @ flight[:, 1:]
         return information
 
     def score(self) -> Floats:
-        """Score: derivatives of the log-likelihood by the parameters, shape (f,)."""
+        """Compute the score, the derivatives of the log-likelihood by the parameters, shape (f,)."""
         score = np.zeros(self.size)
         for flight, columns in zip(self.flights, self.columns, strict=True):
             score[columns] += flight[:, 1:].T @ flight[:, 0]

@@ -87,6 +87,7 @@ class InnovationsModel:
         ]
 
         def filter_window(window: tuple[LinearisedFlight, Blocks]) -> tuple[Floats, Floats]:
+            """Filter one window, and return what `_filter` returns."""
             linearised, blocks = window
             return self._filter(linearised, blocks, disturbances, blocks.drive, blocks.measured)
 

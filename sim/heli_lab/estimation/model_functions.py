@@ -76,7 +76,7 @@ class ModelFunctions:
             )
 
     def __reduce__(self) -> tuple[type[ModelFunctions], tuple[GreyBoxModel, tuple[str, ...]]]:
-        # Compiled programs cannot be pickled: unpickling compiles the model again.
+        """Pickle the arguments only, because compiled programs cannot be pickled."""
         return ModelFunctions, (self.model, self.free)
 
     def integrate(self, trajectory: Trajectory, directions: Floats) -> Floats:

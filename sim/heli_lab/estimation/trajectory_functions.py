@@ -150,7 +150,7 @@ class AlongTrajectory:
         self._program = _expression_vm.TableProgram(*expressions.arguments, expressions.outputs)
 
     def __reduce__(self) -> tuple[type[AlongTrajectory], tuple[ca.Function]]:
-        # Compiled programs cannot be pickled: unpickling compiles the function again.
+        """Pickle the function only, because compiled programs cannot be pickled."""
         return AlongTrajectory, (self._function,)
 
     def __call__(self, trajectory: Trajectory) -> list[Floats]:
@@ -182,6 +182,7 @@ class EffectStates:
         self._integrator = _expression_vm.CourseIntegrator(*expressions.arguments, *expressions.outputs)
 
     def __reduce__(self) -> tuple[type[EffectStates], tuple[ca.Function, ca.Function]]:
+        """Pickle the functions only, because compiled programs cannot be pickled."""
         return EffectStates, self._functions
 
     def integrate(self, trajectory: Trajectory, returned_substep: int = EFFECT_SUBSTEPS - 1) -> Floats:

@@ -93,7 +93,7 @@ class _Regression:
 
 
 def _regressions(flight: Flight) -> list[_Regression]:
-    """Regressions of elevation, pitch and travel."""
+    """Prepare the regressions of elevation, pitch and travel for drawing."""
     t_s = np.arange(flight.t_s[0], flight.t_s[-1], SAMPLE_STEP_s)
     elevation, pitch, travel = (
         filtered_signal(np.interp(t_s, flight.t_s, values)) for values in flight.angles_rad.T

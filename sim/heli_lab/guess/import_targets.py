@@ -86,7 +86,7 @@ class Target:
         """Path of the flight, or of its part with this `number`."""
         return self.folder / (f"{self.name}.csv" if number is None else f"{self.name}-{number}.csv")
 
-    def signed(self, flight: Flight) -> Flight:
+    def with_digest(self, flight: Flight) -> Flight:
         """Return the flight with the digest of its source in its notes."""
         return replace(flight, meta={**flight.meta, _DIGEST_NOTE: self.sha})
 

@@ -37,7 +37,6 @@ def one_way_nats(
 ) -> float:
     """Compare motors that do not reverse with motors that do.
 
-
     Parameters
     ----------
     regress : callable

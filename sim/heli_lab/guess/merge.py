@@ -89,4 +89,5 @@ def _partner(number: int, tables: Sequence[Table], times_s: Sequence[Floats | No
 
 
 def _name(table: Table) -> str:
+    """Name of the file of a table."""
     return Path(table.source).name

@@ -113,7 +113,7 @@ def propose(
     # Signs: the axes have to accelerate in the direction of their causes.
     flights = _FlightsInUnits(files, assignment, scale, reference, limits)
     regressions = flights.regressions()
-    if not names_state_voltages(assignment) and not known.voltages:
+    if not names_state_voltages(assignment) and not known.knows_voltages:
         check_voltages(source, regressions, assignment)
         ambiguities += voltage_ambiguities(regressions, assignment, columns, dropped)
     signs = fewest_sign_changes(regressions, flights.feedback(), known)
@@ -223,6 +223,7 @@ class _FlightsInUnits:
         """Log-likelihood ratio of motors that do not reverse against motors within the limits [nats]."""
 
         def regress(limits: tuple[float, float]) -> Mapping[str, RegressionFit]:
+            """Regressions of the axes with other limits."""
             return replace(self, limits=limits).regressions()
 
         return one_way_nats(regress, self.limits)
@@ -318,7 +319,7 @@ def check_by_simulation(proposed: Guess, tables: Sequence[Table], rig: Rig) -> l
 def fewest_sign_changes(
     regressions: Mapping[str, RegressionFit], feedback: float, known: KnownEntries
 ) -> SignChanges:
-    """The fewest changes of sign after which all axes follow their causes, and which agree with `known`.
+    """Find the fewest changes of sign after which all axes follow their causes, and which agree with `known`.
 
     Parameters
     ----------
@@ -340,7 +341,7 @@ def fewest_sign_changes(
         pitch = known.sign("pitch")
     elif known.sign("travel"):
         pitch = travel_gain_sign * known.sign("travel")
-    elif known.motors:
+    elif known.knows_motors:
         pitch = pitch_gain_sign
     elif pitch_gain_sign < 0.0 and travel_gain_sign < 0.0:
         # One change, of pitch, corrects both.
@@ -365,7 +366,7 @@ def _regression_sentence(axis: str, regression: RegressionFit) -> str:
 def _angles(
     assignment: ColumnAssignment, scale: Scale, signs: SignChanges, reference: Reference, offset_deg: float
 ) -> dict[str, Angle]:
-    """Entries of the profile for the angles, by axis; `offset_deg` is added to the elevation."""
+    """Make the entries of the profile for the angles, by axis; `offset_deg` is added to the elevation."""
     return {
         axis: Angle(
             getattr(assignment, axis),
@@ -381,7 +382,7 @@ def _angles(
 def _voltages(
     assignment: ColumnAssignment, scale: Scale, signs: SignChanges, reference: Reference
 ) -> dict[str, Voltage]:
-    """Entries of the profile for the voltages: sum and difference, or front and back."""
+    """Make the entries of the profile for the voltages: sum and difference, or front and back."""
     pair = [
         Voltage(column, scale.voltage, scale.full_scale, reference.supply_V, polarity, factor=scale.factor)
         for column, polarity in zip(assignment.voltages, assignment.polarity, strict=True)

@@ -47,7 +47,7 @@ def try_sign_choices(flight: Flight, rig: Rig) -> tuple[SignChoice, ...]:
     errors_deg = {}
     for signs in itertools.product((1.0, -1.0), repeat=3):
         angles = record.angles_rad * np.array(signs)
-        errors_deg[signs] = _error_deg(replace(record, angles_rad=angles, label=f"{signs}"), rig)
+        errors_deg[signs] = _fitted_error_deg(replace(record, angles_rad=angles, label=f"{signs}"), rig)
     unchanged_deg = errors_deg[1.0, 1.0, 1.0]
     choices = []
     for signs, error_deg in errors_deg.items():
@@ -84,9 +84,13 @@ def _most_excited_part(record: Record) -> Record:
     return replace(record, segments=tuple(chosen))
 
 
-def _error_deg(record: Record, rig: Rig) -> Floats:
-    """Open-loop rms error of the baseline model on a record, shape (3,) [deg]; 180 if the simulation
-    diverges.
+def _fitted_error_deg(record: Record, rig: Rig) -> Floats:
+    """Fit the baseline model to a record, and return the rms error of its open-loop simulations.
+
+    Returns
+    -------
+    ndarray (3,)
+        Error of each axis [deg]; 180 if the simulation diverges.
     """
     problem = Problem(MultibodyModel(), rig, [record], window_s=TRIAL_WINDOW_S, step_s=0.02)
     try:
@@ -95,6 +99,6 @@ def _error_deg(record: Record, rig: Rig) -> Floats:
         return np.full(3, 180.0)
     with np.errstate(all="ignore"):
         residual = problem.residual(0, fit.theta, fit.states[0])
-        error = np.degrees(np.sqrt(np.mean(residual**2, axis=0)) * record.sigma_rad)
-    finite: Floats = np.nan_to_num(error, nan=180.0, posinf=180.0)
-    return finite
+        error_deg = np.degrees(np.sqrt(np.mean(residual**2, axis=0)) * record.sigma_rad)
+    finite_error_deg: Floats = np.nan_to_num(error_deg, nan=180.0, posinf=180.0)
+    return finite_error_deg

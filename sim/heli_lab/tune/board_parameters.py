@@ -68,7 +68,7 @@ def travel_motion_deg(gain: float) -> float:
 
 
 def largest_differential_V(rig: Rig, hover_V: float) -> float:
-    """Largest difference of the voltages at which their sum still holds the arm [V].
+    """Compute the largest difference of the voltages at which their sum still holds the arm [V].
 
     Beyond the hover voltage, one rotor stops and the other lifts the arm. Beyond the reserve of the stronger
     motor, the arm sinks.

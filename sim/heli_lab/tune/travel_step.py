@@ -80,13 +80,16 @@ class TravelStep:
 
     def _discrete_plants(self, pitch: Pid, closed: Floats) -> DiscretePlants:
         """Discretise the closed loops; their inputs are pitch setpoint, travel setpoint, then each load."""
-        inputs = np.zeros((len(self.plants), loops.TILT_STATES, 2 + len(self.loads_deg_s2)))
+        input_matrices = np.zeros((len(self.plants), loops.TILT_STATES, 2 + len(self.loads_deg_s2)))
+        # The pitch setpoint acts on the voltage, at the first five states, and on the integral of its error.
         for index, plant in enumerate(self.plants):
-            inputs[index, :5, 0] = plant.tilt_B * (pitch.kp + self.pitch_hold)
-        inputs[:, loops.PITCH_INTEGRAL, 0], inputs[:, loops.TRAVEL_INTEGRAL, 1] = 1.0, 1.0
+            input_matrices[index, :5, 0] = plant.tilt_B * (pitch.kp + self.pitch_hold)
+        input_matrices[:, loops.PITCH_INTEGRAL, 0] = 1.0
+        # The travel setpoint acts on the integral; its other actions are part of the pitch setpoint.
+        input_matrices[:, loops.TRAVEL_INTEGRAL, 1] = 1.0
         for number, (state, (load_deg_s2, _)) in enumerate(self.loads_deg_s2.items()):
-            inputs[:, state, 2 + number] = load_deg_s2
-        return discretise(closed, inputs)
+            input_matrices[:, state, 2 + number] = load_deg_s2
+        return discretise(closed, input_matrices)
 
     def _step_squares(self, error_deg: Floats) -> Floats:
         """Compute the weighted mean square of the travel error during the step, shape (plants,).
@@ -104,20 +107,24 @@ class TravelStep:
         return np.asarray(squares + _OVERSHOOT_WEIGHT * np.maximum(final_deg.max(axis=0), 0.0) ** 2)
 
     def _load_squares(self, plants: DiscretePlants) -> Floats:
-        """Compute the weighted mean square of the travel error by the loads, shape (corners,), after the
-        integrators had `_TRIM_TIME_s` to compensate them.
+        """Compute the weighted mean square of the travel error by the constant loads, shape (corners,).
+
+        The loads begin at time 0. The error counts from `_TRIM_TIME_s` on, when the integrators have
+        compensated most of it.
         """
         nominal_count = count_nominal(self.plants)
         corners = DiscretePlants(plants.transition[nominal_count:], plants.inputs[nominal_count:, :, 2:])
         trim_row = round(_TRIM_TIME_s / SIMULATION_STEP_s)
-        remaining_deg = corners.step_response(trim_row + len(self.path) // 2)[:, 1, :, trim_row:]
+        # Shape (corners, states, loads, times); state 1 is travel.
+        response_deg = corners.step_response(trim_row + len(self.path) // 2)
+        travel_error_deg = response_deg[:, 1, :, trim_row:]
         squares = np.zeros(len(corners.transition))
         for number, (_, weight) in enumerate(self.loads_deg_s2.values()):
-            squares += weight * np.mean(remaining_deg[:, number] ** 2, axis=1)
+            squares += weight * np.mean(travel_error_deg[:, number] ** 2, axis=1)
         return squares
 
     def _largest_differential_V(self, states: Floats, setpoint_deg: Floats, pitch: Pid, travel: Pid) -> float:
-        """Largest differential during the step on the nominal plants [V]."""
+        """Compute the largest differential voltage of the nominal plants during the step [V]."""
         nominal = states[:, : count_nominal(self.plants)]
         output_row = loops.tilt_output(pitch, travel, self.pitch_hold)
         # Indices: time t, plant p, state n.

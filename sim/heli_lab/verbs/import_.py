@@ -201,7 +201,7 @@ def _write_flights(
         for number, flight in enumerate(flights, 1):
             check(flight, table.source)
             path = table_target.path(number if len(flights) > 1 else None)
-            write_csv(table_target.signed(flight), path)
+            write_csv(table_target.with_digest(flight), path)
             say(f"{len(flight)} rows, {flight.duration_s:.1f} s at {1.0 / flight.step_s:.0f} Hz -> {path}")
             for note in ("cut", "filled"):
                 if note in flight.meta:

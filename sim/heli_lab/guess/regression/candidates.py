@@ -149,7 +149,7 @@ def _derivatives(signals: Signals, columns: list[str]) -> dict[str, str]:
     correlations = _derivative_correlations(signals, columns)
 
     def origins(name: str) -> list[str]:
-        """Columns of which `name` may be the derivative."""
+        """List the columns of which `name` may be the derivative."""
         return [origin for derivative, origin in correlations if derivative == name]
 
     derivatives: set[str] = set()
@@ -205,13 +205,14 @@ def _has_unit_slope(rate: Floats, value: Floats, counts_per_turn: Collection[flo
     value : ndarray (n,)
         The signal that may be this rate.
     counts_per_turn : collection of float
-        Counts per turn of the encoders in whose counts one of the two may be.
+        Counts per turn of the rig's encoders; the angle may be logged in counts, and its rate in rad/s or
+        deg/s.
     """
     variance = float(rate.var())
     slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
-    from_counts = (turn / counts for turn in (2.0 * np.pi, 360.0) for counts in counts_per_turn)
+    scales_from_counts = (turn / counts for turn in (2.0 * np.pi, 360.0) for counts in counts_per_turn)
     min_ratio, max_ratio = _UNIT_SLOPE_RANGE
-    return any(min_ratio < slope / scale < max_ratio for scale in (*_RATE_SCALES, *from_counts))
+    return any(min_ratio < slope / scale < max_ratio for scale in (*_RATE_SCALES, *scales_from_counts))
 
 
 def _abs_correlation(first: Floats, second: Floats) -> float:

@@ -242,7 +242,16 @@ def _voltage_unit_score(choice: VoltageScale, motion: MeasuredMotion, reference:
 def _gain_deviations(
     angles: Mapping[str, str], choice: VoltageScale, motion: MeasuredMotion, reference: Reference
 ) -> dict[str, float]:
-    """Deviation of each axis' gain from the rig file's, in standard deviations."""
+    """Compare each axis' measured gain with the rig file's; return deviations in standard deviations, by
+    axis.
+
+    Parameters
+    ----------
+    angles : Mapping[str, str]
+        Unit of each axis.
+    choice : VoltageScale
+        Unit of the voltages.
+    """
     volts, gain = choice.volts(reference), motion.limited.get(choice, motion).gain
     rad = {axis: rad_of(angles[axis], axis, reference) for axis in AXES}
     measured = {
@@ -309,7 +318,11 @@ def _unit_score(stated: str, unit: str) -> float:
 
 
 def _quantisation_score(motion: MeasuredMotion, axis: str, unit: str, reference: Reference) -> float:
-    """Log-likelihood of the `unit` of an axis [nats], by the quantisation step of its column."""
+    """Log-likelihood of the `unit` of an axis [nats], by the quantisation step of its column.
+
+    Whole numbers are counts. In another unit, a step that is one count of the rig's encoder is evidence for
+    that unit.
+    """
     if motion.integer_valued[axis]:
         return 0.0 if unit == COUNT else -_QUANTISATION_NATS
     if unit == COUNT:
@@ -335,9 +348,14 @@ def is_encoder(values: Floats, reference: Reference) -> bool:
 
 
 def quantisation_step(values: Floats) -> float:
-    """Quantisation step of a column's `values`, shape (n,), in its unit; 0 if it is not quantised.
+    """Find the quantisation step of a column, in its unit; 0 if the column is not quantised.
 
-    A column is quantised if over nine tenths of its small changes are multiples of the smallest one.
+    A column is quantised if more than nine tenths of its small changes are multiples of the smallest one.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        Values of the column.
     """
     changes = np.abs(np.diff(values[np.isfinite(values)]))
     # Without the rounding errors of floats.

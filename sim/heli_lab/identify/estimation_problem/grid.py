@@ -52,7 +52,13 @@ class Grid:
         ]
 
     def steps_of(self, windows: Integers) -> Integers:
-        """Numbers of all steps of the given `windows`, ndarray of int64 (k,), window after window."""
+        """Return the numbers of all steps of the given windows, window after window.
+
+        Parameters
+        ----------
+        windows : ndarray of int64 (k,)
+            Numbers of the windows.
+        """
         slices = self.slices
         return np.concatenate([np.arange(slices[i].start, slices[i].stop) for i in windows])
 
@@ -194,7 +200,9 @@ class WindowGrids:
         self._grids: dict[tuple[int, bool], tuple[object, Grid]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        # A pickled copy is small without the grids, which are computed again when needed.
+        """Return everything except the grids, for pickling: they are large, and computed again when
+        needed.
+        """
         return {**self.__dict__, "_grids": {}}
 
     def copy(self, *, window_s: float | None = None, parts: int | None = None) -> WindowGrids:
@@ -202,7 +210,7 @@ class WindowGrids:
         return WindowGrids(self.records, window_s or self.window_s, self.step_s, parts or self.parts)
 
     def windows(self, index: int) -> list[tuple[int, int]]:
-        """First row and number of rows of each window of flight `index`.
+        """Return first row and number of rows of each window of flight `index`.
 
         Each window is a whole number of coarse steps and of blocks of `thresholds.BLOCK_S`.
         """
@@ -214,7 +222,9 @@ class WindowGrids:
     def grid(
         self, index: int, fine: bool, delay: tuple[str, float] | None, dead_zone_V: float | None
     ) -> Grid:
-        """Grid of the windows of one flight; the coarse and the fine grid have the same windows.
+        """Return the grid of one flight, which is computed at its first use.
+
+        The coarse and the fine grid have the same windows.
 
         Parameters
         ----------

@@ -125,28 +125,41 @@ def _starts_of_effects(problem: Problem, index: int, theta: Floats) -> list[Floa
 
 
 def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, theta: Floats) -> Floats:
-    """Simulate up to each row, and return the states of effects there, shape (w, states - 6).
+    """Estimate the states of effects at given rows by simulations that end there.
 
-    The simulation may begin before the free segment, because the voltages drive the rotors also while the arm
-    lies on its table. It then starts with the angles at its end, in `states`, shape (w, states).
+    A simulation begins `SETTLED_S` before its row, with effects at rest. It may begin before the segment of
+    free flight, because the voltages drive the rotors also while the arm lies on its table. There, angles and
+    rates are not those of free flight, and the simulation starts with the ones at its end instead.
+
+    Parameters
+    ----------
+    rows : ndarray of int64 (w,)
+        Rows of the record.
+    states : ndarray (w, states)
+        States at these rows, of which the angles and rates are known.
+
+    Returns
+    -------
+    ndarray (w, states - 6)
+        States of effects at these rows; 0 if a simulation diverges.
     """
     record, parameters = problem.records[index], problem.parameters(theta, index)
     effect_states = np.zeros((len(rows), problem.state_count - RIGID_STATES))
-    # A run ends at its row, and begins `SETTLED_S` before it, but not before a gap.
-    after_gaps = np.array([0, *(gap + 1 for gap in record.gaps)])
-    earliest = after_gaps[np.searchsorted(after_gaps, rows, side="right") - 1]
+    # No simulation may cross a gap of the log.
+    starts_after_gaps = np.array([0, *(gap + 1 for gap in record.gaps)])
+    earliest = starts_after_gaps[np.searchsorted(starts_after_gaps, rows, side="right") - 1]
     lengths = np.minimum(rows - earliest, round(SETTLED_S / record.step_s))
-    chosen = np.flatnonzero(lengths > 0)
-    if len(chosen):
-        run_starts = rows[chosen] - lengths[chosen]
-        windows = list(zip(run_starts.tolist(), lengths[chosen].tolist(), strict=True))
+    simulated = np.flatnonzero(lengths > 0)
+    if len(simulated):
+        first_rows = rows[simulated] - lengths[simulated]
+        windows = list(zip(first_rows.tolist(), lengths[simulated].tolist(), strict=True))
         grid = make_grid(record, windows, 1, delay=delay_of(problem.model, parameters))
-        start = states[chosen].copy()
+        start = states[simulated].copy()
         start[:, RIGID_STATES:] = 0.0
-        in_segment = run_starts >= _segments_of(record, rows[chosen])[:, 0]
-        start[in_segment, :RIGID_STATES] = _parabolas(record, run_starts[in_segment], STATE_FIT_S)
+        in_segment = first_rows >= _segments_of(record, rows[simulated])[:, 0]
+        start[in_segment, :RIGID_STATES] = _parabolas(record, first_rows[in_segment], STATE_FIT_S)
         _, end = problem.kernel.predict(grid.inputs, start, parameters)
-        effect_states[chosen] = end[:, RIGID_STATES:]
+        effect_states[simulated] = end[:, RIGID_STATES:]
     return np.where(np.isfinite(effect_states), effect_states, 0.0)
 
 

@@ -43,6 +43,7 @@ class Evaluation:
     @property
     def squares(self) -> Floats:
         """Sum of the squared residuals of each window and axis, shape (w, 3)."""
+        # The last column of [Jacobian | residual] is the residual.
         return self.normal_matrix[:, :, -1, -1]
 
 
@@ -123,10 +124,12 @@ class Problem:
         self.kernel = kernel(model, self._kernel_free, threads)
 
     def __getstate__(self) -> dict[str, Any]:
+        """Return everything except the kernel, for pickling."""
         # A kernel is code that is loaded into this process: the process that unpickles builds its own.
         return {**self.__dict__, "kernel": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        """Build the kernel again after unpickling."""
         self.__dict__.update(state)
         self.kernel = kernel(self.model, self._kernel_free, self.threads)
 
@@ -189,7 +192,8 @@ class Problem:
         return self.model.values_in(self.records[index].label, values)
 
     def grid(self, index: int, fine: bool, theta: Floats) -> Grid:
-        """Windows of a record, with their inputs; the coarse and the fine grid have the same windows.
+        """Return the windows of a record with their voltages; the coarse and the fine grid have the same
+        windows.
 
         Parameters
         ----------

@@ -111,7 +111,7 @@ def _not_shown(identification: Identification, at_rest: Sequence[str]) -> list[s
 
 
 def _free_run_table(identification: Identification) -> dict[str, Any]:
-    """Table of the free-run errors, one row per flight: heads and rows."""
+    """Make the table of the free-run errors, with one row per flight: its heads and rows."""
     heads = ["flight", "used for", *(f"{axis} [deg]" for axis in AXES), "normalised"]
     rows = []
     for role, flights in (("train", identification.training), ("validation", identification.validation)):
@@ -123,7 +123,7 @@ def _free_run_table(identification: Identification) -> dict[str, Any]:
 
 
 def _parameter_table(identification: Identification) -> dict[str, Any]:
-    """Table of the estimates, one row per free parameter: heads and rows."""
+    """Make the table of the estimates, with one row per free parameter: its heads and rows."""
     fit, problem = identification.fit, identification.fit.problem
     rows = []
     for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):

@@ -99,7 +99,7 @@ def trace(fit: Fit, index: int = 0) -> Trace:
 
 
 def check(fit: Fit, index: int = 0) -> FreeRunErrors:
-    """Free-run errors of a fit on its flight number `index`: their size, and whether they are white."""
+    """Measure the free-run errors of a fit on its flight number `index`, and test whether they are white."""
     flight = trace(fit, index)
     step_s = fit.problem.records[index].step_s
     lag_rows = max(1, round(WHITE_LAG_S / step_s))
@@ -157,5 +157,5 @@ def validate(fit: Fit, flights: Sequence[Flight | Record]) -> Fit:
 
 
 def _by_axis(values: Floats) -> dict[str, float]:
-    """The `values`, shape (3,), by the names of the axes."""
+    """Return `values`, shape (3,), by the names of the axes."""
     return {axis: float(value) for axis, value in zip(AXES, values, strict=True)}

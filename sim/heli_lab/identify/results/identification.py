@@ -108,7 +108,9 @@ class Identification:
         return estimates
 
     def _effects(self) -> dict[str, dict[str, Number]]:
-        """Parameters of the model's effects as in a rig file: by effect, then by short name."""
+        """Return the parameters of the model's effects as a rig file has them: by effect, then by short
+        name.
+        """
         problem = self.fit.problem
         values = problem.parameter_vector.values_by_name
         estimates, std = self.fit.values, self.fit.std
@@ -208,12 +210,12 @@ def short_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _rms_normalised(flights: Sequence[FreeRunErrors]) -> float:
-    """Normalised error of all flights."""
+    """Combine the normalised errors of all flights into one."""
     return _rms_over_flights(flights, [errors.normalised for errors in flights])
 
 
 def _rms_over_flights(flights: Sequence[FreeRunErrors], values: Sequence[float]) -> float:
-    """Root mean square of one value per flight, weighted by the length of the flights."""
+    """Return the root mean square of one value per flight, weighted by the length of the flights."""
     weights = np.array([errors.seconds_used for errors in flights])
     return float(np.sqrt(np.average(np.square(values), weights=weights)))
 
