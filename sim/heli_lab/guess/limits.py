@@ -79,17 +79,28 @@ def limited(
     ambiguities : list of Ambiguity
         One for each limit that the file does not decide.
     """
-    profile, ambiguities = _clipped_to_supply(tables, profile, reference.supply_V)
+    profile, supply_ambiguities = _clipped_to_supply(tables, profile, reference.supply_V)
+    profile, zero_ambiguities = _clipped_to_zero(tables, profile, reference, nats_for_one_way)
+    return profile, supply_ambiguities + zero_ambiguities
+
+
+def _clipped_to_zero(
+    tables: Sequence[Table], profile: Profile, reference: Reference, nats_for_one_way: Callable[[], float]
+) -> tuple[Profile, list[Ambiguity]]:
+    """Clip negative voltages of a profile to 0 V if the rig's motors do not reverse and the motion does not
+    contradict it; return the profile, and an ambiguity if the motion may be that of motors that do not
+    reverse.
+    """
     volts_V = np.concatenate([flight.voltages_V for table in tables for flight in flights_of(table, profile)])
     share_below = float(np.mean(volts_V < (1.0 - thresholds.CLIP_SHARE) * reference.supply_V))
     # Rotors that push down most of the time cannot fly: then signs or zeros are wrong, not the limits.
     if not thresholds.MIN_CLIPPED_SHARE <= share_below <= thresholds.MAX_CLIPPED_SHARE:
-        return profile, ambiguities
+        return profile, []
     nats = nats_for_one_way()
     # If the rig file says that motors do not reverse, only clear evidence to the contrary keeps the commands.
     required_nats = thresholds.DECISIVE_NATS if reference.reverses else -thresholds.DECISIVE_NATS
     if nats < required_nats:
-        return profile, ambiguities
+        return profile, []
     # A reversed propeller may hardly push although its driver reverses, so the motion alone clips nothing. In
     # a rig file whose reversed rotors do not push, clipped commands fly like the commands themselves.
     is_clipped = not reference.reverses
@@ -106,7 +117,7 @@ def limited(
     )
     if is_clipped:
         profile = replace(profile, clip_V=(0.0, top_V))
-    return profile, [*ambiguities, ambiguity]
+    return profile, [ambiguity]
 
 
 def _clipped_to_supply(

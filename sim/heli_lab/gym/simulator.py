@@ -30,8 +30,8 @@ from heli_lab.gym.domain import EpisodeRig
 _BATCH_TICKS: Final = 4
 """Smallest telemetry batch of the board [ms]: observations are at most 4 ms old."""
 _CARRY_S, _CARRY_STEPS = 0.5, 50
-"""Time [s] and number of steps in which the arm is moved to its initial state. The arm then turns at most 20
-deg/s, far below the rate at which the board reports a fault."""
+"""Time [s] and number of steps in which the arm is moved to its initial state, and again in which it is held
+there. The arm then turns at most 20 deg/s, far below the rate at which the board reports a fault."""
 _MAX_PLANTS: Final = 32
 """Largest number of compiled plants to keep."""
 _LIMITS: Final = ("elevation_min", "elevation_max", "pitch_max", "travel_max", "table_damping")
@@ -196,29 +196,15 @@ class BoardInLockstep(Simulator):
     @override
     def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
         self._disconnect()
-        path = Path(self._folder.name) / "rig.toml"
-        write_rig(drawn.rig, path)
-        options = {"rig": str(path), "seed": str(seed), "slice_ms": "1"}
-        if drawn.texts:
-            options["effect"] = ";".join(drawn.texts)
-        self._heli = heli = heli_host.connect(f"sil://?{urlencode(options)}", history_s=1.0)
+        self._heli = heli = heli_host.connect(self._address(drawn, seed), history_s=1.0)
         heli.take_off()
         heli.params["telemetry_batch_ticks"] = _BATCH_TICKS
         heli.session.read_interval_s = 0.001
-        transport = heli.session.transport
-        if not isinstance(transport, InProcessTransport):
-            raise LearningError("the board runs in another process", "remove the option board")
-        world, volts_V = transport.world, self._clip_to_limits(hover_V)
-        state_before = world.state
+        volts_V = self._clip_to_limits(hover_V)
         # The simulation moves the arm now, and in open loop the board does not check that voltages explain a
         # motion.
         heli.control(Axes(0), *volts_V)
-        # The arm is moved gradually, because the board reports a jump as a runaway axis. Then it is held
-        # until the board's rate filters have settled.
-        for share in np.minimum(np.linspace(0.0, 2.0, 2 * _CARRY_STEPS), 1.0):
-            carried = state_before + share * (np.array([*state, *state_before[6:]]) - state_before)
-            world.state = np.array([*carried[:3], *state[3:], *world.state[6:]])
-            heli.wait(_CARRY_S / _CARRY_STEPS)
+        self._carry_arm(state)
         heli.stream()
         heli.voltages(*volts_V)
         return self._result()
@@ -237,6 +223,32 @@ class BoardInLockstep(Simulator):
     def close(self) -> None:
         self._disconnect()
         self._folder.cleanup()
+
+    def _address(self, drawn: EpisodeRig, seed: int) -> str:
+        """Return the address of a simulated board with the episode's rig, which is written to a file."""
+        path = Path(self._folder.name) / "rig.toml"
+        write_rig(drawn.rig, path)
+        options = {"rig": str(path), "seed": str(seed), "slice_ms": "1"}
+        if drawn.texts:
+            options["effect"] = ";".join(drawn.texts)
+        return f"sil://?{urlencode(options)}"
+
+    def _carry_arm(self, state: Floats) -> None:
+        """Move the arm to `state`, angles [rad] and rates [rad/s], and hold it until the board's rate filters
+        have settled.
+        """
+        heli = self._connected()
+        transport = heli.session.transport
+        if not isinstance(transport, InProcessTransport):
+            raise LearningError("the board runs in another process", "remove the option board")
+        world = transport.world
+        angles_before_rad = world.state[:3].copy()
+        # The arm moves gradually, because the board reports a jump as a runaway axis. A share beyond 1 holds
+        # it.
+        for share in np.minimum(np.linspace(0.0, 2.0, 2 * _CARRY_STEPS), 1.0):
+            angles_rad = angles_before_rad + share * (state[:3] - angles_before_rad)
+            world.state = np.array([*angles_rad, *state[3:], *world.state[6:]])
+            heli.wait(_CARRY_S / _CARRY_STEPS)
 
     def _connected(self) -> heli_host.Heli:
         """Return the connected board; a LearningError reports that no episode has begun."""

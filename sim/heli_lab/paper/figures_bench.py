@@ -112,8 +112,10 @@ def sensitivity_figure(rig: Rig) -> Figure:
     for case, colour in zip(CASES, colours, strict=True):
         changed = base | {name: factor * base[name] for name, factor in case.changes.items()}
         width = 1.8 if not case.changes else 1.1
-        path_deg = response_deg(changed, test, t_s)
-        panel.plot(t_s, np.where(path_deg < 90.0, path_deg, np.nan), color=colour, lw=width, label=case.label)
+        elevation_deg = response_deg(changed, test, t_s)
+        # Without an upper stop, some responses grow without limit; nothing above 60 deg is visible.
+        visible_deg = np.where(elevation_deg < 90.0, elevation_deg, np.nan)
+        panel.plot(t_s, visible_deg, color=colour, lw=width, label=case.label)
     panel.set_ylim(-30.0, 60.0)
     panel.axhspan(rig["elevation_max"].value, 60.0, color="#eeeeee", label="beyond the upper stop")
     finish(

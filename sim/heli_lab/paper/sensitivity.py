@@ -65,9 +65,9 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
     table_rad = math.radians(TABLE_DEG)
     constant_rad_s2 = p["P_1"] + p["P_5"] + p["P_6"] * sum_V
 
-    def derivative(x: Floats, _: float) -> Floats:
-        """Return rate and acceleration of elevation from `x`, elevation [rad] and its rate [rad/s]."""
-        elevation_rad, rate_rad_s = x
+    def derivative(state: Floats, _: float) -> Floats:
+        """Return rate and acceleration of elevation from elevation [rad] and its rate [rad/s]."""
+        elevation_rad, rate_rad_s = state
         acceleration_rad_s2 = (
             constant_rad_s2
             + p["P_2"] * math.cos(elevation_rad)
@@ -76,14 +76,15 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
         )
         return np.array([rate_rad_s, acceleration_rad_s2])
 
-    x = np.array([table_rad, 0.0])
-    substeps = max(1, math.ceil((t_s[1] - t_s[0]) / _STEP_s))
-    h = float(t_s[1] - t_s[0]) / substeps
-    elevation_rad_by_row = np.empty(t_s.size)
+    state = np.array([table_rad, 0.0])
+    row_s = float(t_s[1] - t_s[0])
+    substeps = max(1, math.ceil(row_s / _STEP_s))
+    elevations_rad = np.empty(t_s.size)
     for row in range(t_s.size):
-        elevation_rad_by_row[row] = x[0]
+        elevations_rad[row] = state[0]
         for _ in range(substeps):
-            x = runge_kutta_step(derivative, x, h)
-            if x[0] <= table_rad:
-                x = np.array([table_rad, max(x[1], 0.0)])
-    return np.degrees(elevation_rad_by_row)
+            state = runge_kutta_step(derivative, state, row_s / substeps)
+            if state[0] <= table_rad:
+                # The table stops a falling arm, and does not hold one that rises.
+                state = np.array([table_rad, max(state[1], 0.0)])
+    return np.degrees(elevations_rad)
