@@ -104,6 +104,7 @@ class Marking:
                     mark = replace(mark, reason=str(error))
                 write_result(files / MARK, mark.as_dict())
         except HeliError as error:
+            # Files that cannot be read or returned: a submission without its result has no points.
             mark = replace(mark, points=0.0, reason=mark.reason or str(error))
         return MarkedSubmission(folder, mark, submission)
 

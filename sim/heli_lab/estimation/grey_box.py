@@ -145,7 +145,7 @@ class GreyBoxModel:
     source: Any = None
 
     def __post_init__(self) -> None:
-        if len(self.disturbed) < len(self.outputs) or len(self.states) < self.followed:
+        if len(self.states) < self.followed or len(self.disturbed) < len(self.outputs):
             raise ValueError("a model needs a position, a rate and a disturbance for each of its outputs")
 
     @property

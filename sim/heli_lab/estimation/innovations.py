@@ -43,14 +43,16 @@ class Innovations:
         """Compute the Fisher information of the parameters, shape (f, f)."""
         information = np.zeros((self.size, self.size))
         for flight, columns in zip(self.flights, self.columns, strict=True):
-            information[np.ix_(columns, columns)] += flight[:, 1:].T @ flight[:, 1:]
+            _, sensitivity = _split(flight)
+            information[np.ix_(columns, columns)] += sensitivity.T @ sensitivity
         return information
 
     def score(self) -> Floats:
         """Compute the score, the derivatives of the log-likelihood by the parameters, shape (f,)."""
         score = np.zeros(self.size)
         for flight, columns in zip(self.flights, self.columns, strict=True):
-            score[columns] += flight[:, 1:].T @ flight[:, 0]
+            innovations, sensitivity = _split(flight)
+            score[columns] += sensitivity.T @ innovations
         return score
 
     @cached_property
@@ -62,14 +64,24 @@ class Innovations:
         outputs = len(self.log_variances)
         squares = np.zeros(outputs)
         for flight in self.flights:
-            squares = squares + np.square(flight[:, 0]).reshape(-1, outputs).sum(axis=0)
+            innovations, _ = _split(flight)
+            # One row per block, so that the sum is that of each output.
+            squares = squares + np.square(innovations.reshape(-1, outputs)).sum(axis=0)
         return -0.5 * (squares + self.log_variances)
 
     def after(self, move: Floats) -> list[Floats]:
         """Predict, to first order, the innovations of each flight, shape (b,), after the parameters change by
         `move`, shape (f,).
         """
-        return [
-            flight[:, 0] - flight[:, 1:] @ move[columns]
-            for flight, columns in zip(self.flights, self.columns, strict=True)
-        ]
+        moved = []
+        for flight, columns in zip(self.flights, self.columns, strict=True):
+            innovations, sensitivity = _split(flight)
+            moved.append(innovations - sensitivity @ move[columns])
+        return moved
+
+
+def _split(flight: Floats) -> tuple[Floats, Floats]:
+    """Return the innovations of a flight, shape (b,), and their reduction per unit of each parameter, shape
+    (b, k).
+    """
+    return flight[:, 0], flight[:, 1:]

@@ -39,7 +39,7 @@ from heli_lab.guess.regression.assignment import ColumnAssignment
 from heli_lab.guess.regression.axis_regression import axis_regressions, sum_and_difference
 from heli_lab.guess.regression.candidates import feedback_sign
 from heli_lab.guess.regression.reference import Reference, reference_of
-from heli_lab.guess.regression.scales import AXES, Scale, rad_of
+from heli_lab.guess.regression.scales import AXES, MeasuredMotion, Scale, rad_of
 from heli_lab.guess.regression.signals import filtered_signal
 from heli_lab.guess.result import Ambiguity, Guess
 from heli_lab.guess.sign_trials import try_sign_choices
@@ -137,11 +137,8 @@ def propose(
     )
     if dropped:
         evidence.append("left out: " + ", ".join(f"{name} ({reason})" for name, reason in dropped.items()))
-    evidence += [_regression_sentence(axis, regressions[axis]) for axis in AXES] + [lag_sentence]
-    hover_V = abs(motions[0].mean_sum) * scale.volts(reference)
-    evidence.append(
-        f"hover: the voltages add up to {hover_V:.2f} V, and to {reference.hover_V:.2f} V in the rig file"
-    )
+    evidence += [_regression_sentence(axis, regressions[axis]) for axis in AXES]
+    evidence += [lag_sentence, _hover_sentence(motions[0], scale, reference)]
     longest_parts = [file.table for file in files]
     # Programs log commands that the motors cannot follow: voltages above the supply were limited to it.
     if profile.clip_V is None:
@@ -361,6 +358,12 @@ def _regression_sentence(axis: str, regression: RegressionFit) -> str:
     cause = {"elevation": "the sum of the voltages", "pitch": "their difference", "travel": "pitch"}[axis]
     direction = "with" if regression.gain >= 0.0 else "against"
     return f"{axis} accelerates {direction} {cause}: {regression.log_likelihood_ratio:.0f} nats"
+
+
+def _hover_sentence(motion: MeasuredMotion, scale: Scale, reference: Reference) -> str:
+    """Compare the mean sum of the voltages with that of hover in the rig file."""
+    hover_V = abs(motion.mean_sum) * scale.volts(reference)
+    return f"hover: the voltages add up to {hover_V:.2f} V, and to {reference.hover_V:.2f} V in the rig file"
 
 
 def _angles(

@@ -203,7 +203,7 @@ def _filter(machine: str) -> list[tuple[int, int, int, int]]:
     refuse_bits(_CLONE, 0, _CLONE_THREAD, wanted=True)
     refuse_bits(_OPEN, 1, _WRITES, wanted=False)
     refuse_bits(_OPENAT, 2, _WRITES, wanted=False)
-    # prlimit64 with new limits: the pointer to them is not null.
+    # prlimit64 with new limits: the pointer to them, argument 2, is not null in one of its halves.
     on_call(
         _PRLIMIT,
         (_LOAD, 0, 0, _ARGUMENT_AT + 16),

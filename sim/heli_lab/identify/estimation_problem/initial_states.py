@@ -97,7 +97,7 @@ def _ends_of_previous_windows(problem: Problem, index: int, theta: Floats, state
     The state of a window stays as in `states` if no window ends just before it, or if that prediction
     diverges.
     """
-    grid, parameters = problem.grid(index, False, theta), problem.parameters(theta, index)
+    grid, parameters = problem.grid(index, fine=False, theta=theta), problem.parameters(theta, index)
     _, ends = problem.kernel.predict(grid.inputs, states, parameters)
     first, count = np.array(problem.windows(index)).T
     adjoins = first[:-1] + count[:-1] == first[1:]

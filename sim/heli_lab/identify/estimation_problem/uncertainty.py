@@ -43,7 +43,7 @@ def quantisation_scatter(
     scores = np.zeros((DITHER_PHASES, len(theta)))
     state_count = problem.state_count
     for index, record in enumerate(problem.records):
-        grid = problem.grid(index, True, theta)
+        grid = problem.grid(index, fine=True, theta=theta)
         parameters = problem.parameters(theta, index)
         angles_rad, jacobian = problem.kernel.jacobian(grid.inputs, states[index], parameters)
         counts = angles_rad / record.count_rad

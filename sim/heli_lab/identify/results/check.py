@@ -84,7 +84,7 @@ class Trace:
 def trace(fit: Fit, index: int = 0) -> Trace:
     """Predict flight number `index` of a fit at every sample, window by window."""
     residual = fit.problem.residual(index, fit.theta, fit.states[index], fine=True)
-    grid = fit.problem.grid(index, True, fit.theta)
+    grid = fit.problem.grid(index, fine=True, theta=fit.theta)
     record = grid.record
     measured = grid.measured_rad
     return Trace(

@@ -55,10 +55,11 @@ def restart_outliers(cost: ShootingCost, iterate: Iterate) -> bool:
     for index in range(len(iterate.evaluations)):
         for turn in range(thresholds.RESTARTS):
             steps = problem.grid(index, cost.fine, iterate.theta).inputs.steps
+            # Mean over the three angles and the steps of each window.
             mean_square = iterate.evaluations[index].squares.sum(axis=1) / (3 * steps)
-            typical = float(np.median(mean_square))
-            outlying = np.flatnonzero(mean_square > thresholds.RESTART_OUTLIER * typical)
-            if not len(outlying) or typical > thresholds.TOO_WRONG:
+            median = float(np.median(mean_square))
+            outlying = np.flatnonzero(mean_square > thresholds.RESTART_OUTLIER * median)
+            if not len(outlying) or median > thresholds.MAX_RESTART_MEDIAN:
                 break
             alternatives = alternative_states(problem, index, iterate.theta, iterate.states[index])
             # In later turns only the first alternative is new: the end of the previous window, which may have
