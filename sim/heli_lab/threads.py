@@ -50,7 +50,7 @@ def limit_malloc_arenas() -> None:
 
 @contextmanager
 def using_threads(threads: int | None) -> Iterator[None]:
-    """Set the default number of threads, at least 1, until the block ends; None changes nothing."""
+    """Set the default number of `threads`, at least 1, until the block ends; None changes nothing."""
     token = _thread_count.set(_thread_count.get() if threads is None else threads)
     try:
         yield
@@ -70,7 +70,7 @@ def batches(items: Iterable[_Item], size_of: Callable[[_Item], int], max_size: i
     Parameters
     ----------
     items : iterable
-        The items.
+        Items of any type; each is in one batch.
     size_of : callable
         Takes an item, and returns its size.
     max_size : int

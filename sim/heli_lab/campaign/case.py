@@ -15,7 +15,7 @@ _NUMBER = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
 
 
 def natural_order(name: str) -> list[str | float]:
-    """Return a sort key that puts ``seed 2`` before ``seed 10``."""
+    """Return a sort key for a `name` with numbers, which puts ``seed 2`` before ``seed 10``."""
     texts_and_numbers = _NUMBER.split(name)
     # Texts have even positions and numbers odd ones, so that elements at the same position can be compared.
     return [float(part) if position % 2 else part for position, part in enumerate(texts_and_numbers)]
@@ -83,5 +83,7 @@ class JobResult:
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> JobResult:
-        """Return the result that `to_json` wrote; other content raises a KeyError or a TypeError."""
+        """Return the result in the `content` that `to_json` wrote; other content raises a KeyError or a
+        TypeError.
+        """
         return cls(**{name: content[name] for name in cls.__dataclass_fields__})

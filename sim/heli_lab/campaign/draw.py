@@ -106,7 +106,7 @@ def _draw_within_tolerances(rig: Rig, random: np.random.Generator) -> dict[str, 
 
 
 def check_distribution(name: str, distribution: object) -> None:
-    """Check the distribution of the parameter `name` in a campaign file.
+    """Check the `distribution` of the parameter `name` in a campaign file.
 
     Raises
     ------

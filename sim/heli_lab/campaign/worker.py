@@ -26,7 +26,7 @@ class Job:
     key : str
         Key under which the result is stored.
     case : Case
-        The case.
+        Case to run.
     code : str
         Digest of the campaign's code.
     works : tuple of str

@@ -58,7 +58,9 @@ _VALIDATION_SEED: Final = 500_000
 
 
 def fly(settings: Settings) -> Result:
-    """Fly a plan on a rig that may differ from its rig file, and report how well the plan was tracked."""
+    """Fly a plan on a rig that may differ from its rig file, and report how well the plan was tracked;
+    `settings` are those of the case.
+    """
     simulated = _fly(settings, settings["plan"])
     flight, summary = simulated.flight, simulated.summary
     row = {
@@ -74,7 +76,7 @@ def fly(settings: Settings) -> Result:
 
 def identify(settings: Settings) -> Result:
     """Fit parameters to a flight of a rig that differs from its rig file, and compare them with the true
-    parameters.
+    parameters; `settings` are those of the case.
     """
     from heli_lab.identify.run import identify as identify_rig
 
@@ -176,7 +178,7 @@ def gains(settings: Settings) -> Result:
 
 
 def drawn_row(settings: Settings) -> dict[str, Cell]:
-    """Return the drawn values of a case as columns of the table, without running the case."""
+    """Return the drawn values of a case with these `settings` as columns of the table, without running it."""
     _, drawn = _draw(settings)
     return drawn.row
 

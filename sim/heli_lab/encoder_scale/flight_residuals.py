@@ -86,7 +86,7 @@ class FlightInWeakForm:
         return np.concatenate([of_part[axis] for of_part in self._measured])
 
     def residuals(self, unknowns: Floats) -> tuple[list[Floats], list[Floats]]:
-        """Compute measured minus predicted mean accelerations, and their derivatives.
+        """Compute measured minus predicted mean accelerations, and their derivatives by the `unknowns`.
 
         Returns
         -------

@@ -160,8 +160,8 @@ class GreyBoxModel:
 
 
 def no_reset(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> ca.SX:
-    """Return the state `x` unchanged, as the reset map of models without jumps; arguments as in
-    `Equations`.
+    """Return the state `x` unchanged, as the reset map of models without jumps; inputs `u`, parameters `p`
+    and time `t` have no effect.
     """
     return x
 

@@ -90,7 +90,7 @@ class Domain:
             load_rig(rig)
 
     def draw(self, random: np.random.Generator) -> EpisodeRig:
-        """Draw the rig and the effects of the next episode."""
+        """Draw the rig and the effects of the next episode with the generator `random`."""
         rig = self._draw_rig(random)
         texts = tuple(
             f"{name}={float(random.uniform(low, high))!r}"

@@ -44,6 +44,11 @@ def reasons_to_cut(
 ) -> tuple[list[tuple[Booleans, str]], list[str]]:
     """Find the rows of a flight that are not free flight.
 
+    Parameters
+    ----------
+    start_s, stop_s : float, optional
+        Times of the flight between which the rows are wanted [s]; None for its beginning and its end.
+
     Returns
     -------
     reasons : list of (ndarray of bool (n,), str)

@@ -11,15 +11,7 @@ BLEND_V = 0.05
 
 
 def saturated(value: Any, least: Any, most: Any) -> Any:
-    """Limit a value.
-
-    Parameters
-    ----------
-    value : SX or float
-        The value.
-    least, most : SX or float
-        Smallest and largest result, in the same unit.
-    """
+    """Limit a `value` to the range from `least` to `most`; each is an SX or a number, in the same unit."""
     return ca.fmin(ca.fmax(value, least), most)
 
 

@@ -112,5 +112,5 @@ def casadi_function(
 
 
 def column_of(scalars: Sequence[ca.SX]) -> ca.SX:
-    """Return a column of scalars, shape (n, 1); n may be 0, which `casadi.vertcat` does not accept."""
+    """Return a column of `scalars`, shape (n, 1); n may be 0, which `casadi.vertcat` does not accept."""
     return ca.vertcat(*scalars) if scalars else ca.SX(0, 1)

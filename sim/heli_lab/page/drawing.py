@@ -48,7 +48,7 @@ class Picture:
         self._png = b""
 
     def store(self, png: bytes) -> None:
-        """Write the rendered image into its file, and keep it in memory."""
+        """Write the rendered image, `png`, into its file, and keep it in memory."""
         self.path.write_bytes(png)
         self._png = png
 

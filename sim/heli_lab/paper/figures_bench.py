@@ -37,7 +37,9 @@ FONT_SIZE: Final = 8
 
 
 def finish(panel: Axes, y_label: str, x_label: str = "", ncols: int = 1) -> None:
-    """Add axis labels, a grid, and a legend of `ncols` columns to a panel whose curves are drawn."""
+    """Add the labels `x_label` and `y_label` of the axes, a grid, and a legend of `ncols` columns to a panel
+    whose curves are drawn. Without an `x_label`, the panel keeps the one that it has.
+    """
     panel.set(xlabel=x_label or panel.get_xlabel(), ylabel=y_label)
     panel.grid(alpha=0.25)
     panel.legend(fontsize=FONT_SIZE, ncols=ncols)

@@ -88,7 +88,7 @@ def free_rows(signals: Signals, name: str) -> Booleans:
 
 
 def polarity_of(values: Floats) -> float:
-    """Return the sign, 1 or -1, that makes the mean of a voltage positive; 1 if the mean is near 0."""
+    """Return the sign, 1 or -1, that makes the mean of a voltage's `values` positive; 1 if it is near 0."""
     mean = float(values.mean())
     return -1.0 if mean < 0.0 and abs(mean) > 0.5 * float(values.std()) else 1.0
 

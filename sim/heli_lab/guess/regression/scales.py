@@ -336,7 +336,7 @@ def _quantisation_score(motion: MeasuredMotion, axis: str, unit: str, reference:
 
 
 def is_encoder(values: Floats, reference: Reference) -> bool:
-    """Whether the values of a column are quantised by an encoder of the rig, in radians or degrees."""
+    """Whether the `values` of a column are quantised by an encoder of the rig, in radians or degrees."""
     step = quantisation_step(values)
     if step == 0.0:
         return False

@@ -95,8 +95,8 @@ def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats)
 
 
 def normalised(residual: Floats) -> float:
-    """Root mean square of the residuals, in standard deviations of the quantisation: 1 if the residuals are
-    quantisation alone.
+    """Root mean square of a `residual`, in standard deviations of the quantisation: 1 if it is quantisation
+    alone.
     """
     return float(np.sqrt(np.mean(residual**2)))
 

@@ -200,7 +200,9 @@ class Identification:
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
-    """Name flights for reports by their files, with as many folders as make the names unique."""
+    """Name flights for reports by the `paths` of their files, with as many folders as make the names
+    unique.
+    """
     depth = 1
     while True:
         names = ["/".join(path.parts[-depth:]) for path in paths]
