@@ -1,14 +1,17 @@
-"""Checks of a flight before it is fitted: even times, angles that move, voltages that act."""
+"""Checks of a flight before it is fitted: encoder counts, even times, angles that move, voltages that act."""
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
+from heli_host.flight.counts import count_rad
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
+from heli_sim.rig.encoders import count_rad as rig_count_rad
 
 from heli_lab.errors import IdentifyError, NotExcited
 
@@ -20,6 +23,29 @@ judgement; at 500 Hz it is 500 rad/s."""
 _MAX_STRAY_STEPS: Final = 5.0
 """Largest deviation of the times from an even clock, in steps. Five steps of 2 ms at the fastest travel are
 half a degree: far more than any other error. Below 1, times in whole milliseconds are refused."""
+
+
+def encoder_counts(flight: Flight, rig: Rig) -> tuple[Floats, list[str]]:
+    """Return the angle of one count of each encoder of a flight.
+
+    A log of the board states this angle. In a table, it is the smallest step of the angles. If the angles are
+    not in whole counts, the count of the rig file is used.
+
+    Returns
+    -------
+    count_rad : ndarray (3,)
+        Angle of one count [rad].
+    notes : list of str
+        A sentence for each encoder whose count is that of the rig.
+    """
+    counts, notes = count_rad(flight), []
+    for index, axis in enumerate(AXES):
+        if math.isfinite(counts[index]):
+            continue
+        counts[index] = rig_count_rad(rig)[index]
+        if np.ptp(flight.angles_rad[:, index]) > 0.0:
+            notes.append(f"{axis} is not in whole counts: {2.0 * math.pi / counts[index]:g} a turn assumed")
+    return counts, notes
 
 
 def even_step_s(flight: Flight, label: str) -> float:
