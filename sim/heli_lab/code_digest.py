@@ -1,4 +1,4 @@
-"""The digest of the code that computes a result: results of other code are other results."""
+"""Digest the code that computes results, so that a stored result is not used after a change of the code."""
 
 from __future__ import annotations
 
@@ -13,40 +13,42 @@ from pathlib import Path
 from typing import Final
 
 PACKAGES: Final = ("due_emulator", "heli_host", "heli_sim", "heli_lab")
-_ENDS: Final = (".py", ".toml", ".so", ".pyd", ".hpp", ".cpp", ".c", ".h")
-"""Sources, rigs and plans, and what is compiled. Pages and documents compute nothing."""
+"""Packages of this project on which results depend."""
+_SUFFIXES: Final = (".py", ".toml", ".so", ".pyd", ".hpp", ".cpp", ".c", ".h")
+"""Endings of the files that can change a result: sources, rigs, plans, and compiled modules."""
 
 
 def code_digest(works: Iterable[str] = (), folder: str = "", packages: Iterable[str] = PACKAGES) -> str:
-    """Digest all files of `packages`, and of the packages of the functions `works` (as
-    ``package.module:function``), that can change a number, with Python's version: 16 letters.
+    """Digest all files that can change a result, together with the version of Python; return 16 letters.
 
-    Compiled modules count, and their sources too, which may be newer.
+    Compiled modules count, and so do their sources, which may be newer.
 
     Parameters
     ----------
     works : iterable of str
-        Functions that do the cases.
+        Functions that run cases, as ``package.module:function``; their packages count too.
     folder : str
-        Folder of modules that are not installed, such as the campaign file's.
+        Folder of modules that are not installed, such as that of a campaign file.
     packages : iterable of str
         Installed packages that the result depends on.
 
     Raises
     ------
     ImportError
-        When a package of `works` is neither installed here nor in the folder.
+        When a package of `works` is neither installed nor in the folder.
     """
     packages = tuple(packages)
-    names = {work.partition(":")[0].rpartition(".")[0] or work.partition(":")[0] for work in works}
+    modules = [work.partition(":")[0] for work in works]
+    # The package of a module, or the module itself if it is in no package.
+    names = {module.rpartition(".")[0] or module for module in modules}
     others = sorted(name for name in names if name.partition(".")[0] not in PACKAGES)
     digest = hashlib.sha256(f"{sys.version_info[:2]}".encode())
     for package in (*packages, *others):
-        digest.update(package_digest(package) if _installed(package) else _loose_digest(package, folder))
+        digest.update(package_digest(package) if _is_installed(package) else _folder_digest(package, folder))
     return digest.hexdigest()[:16]
 
 
-def _installed(package: str) -> bool:
+def _is_installed(package: str) -> bool:
     """Whether a package can be imported without the folder of a campaign file."""
     try:
         return importlib.util.find_spec(package) is not None
@@ -54,16 +56,20 @@ def _installed(package: str) -> bool:
         return False
 
 
-def _loose_digest(package: str, folder: str) -> bytes:
-    """Digest a module or package in a folder, and the modules next to it, which it may import."""
+def _folder_digest(package: str, folder: str) -> bytes:
+    """Digest a module or package that is not installed, and all modules in its `folder`, which it may
+    import.
+    """
     top = package.partition(".")[0]
     spec = PathFinder.find_spec(top, [folder]) if folder else None
     if spec is None:
         where = f" or in {folder}" if folder else ""
         raise ImportError(f"there is no module {top} installed{where}")
     paths = list(Path(folder).glob("*.py"))
-    for inside in spec.submodule_search_locations or ():
-        paths += [path for path in Path(inside).rglob("*") if path.suffix in _ENDS and path.is_file()]
+    for package_folder in spec.submodule_search_locations or ():
+        paths += [
+            path for path in Path(package_folder).rglob("*") if path.suffix in _SUFFIXES and path.is_file()
+        ]
     digest = hashlib.sha256(package.encode())
     for path in sorted(set(paths)):
         digest.update(path.relative_to(folder).as_posix().encode())
@@ -73,7 +79,7 @@ def _loose_digest(package: str, folder: str) -> bytes:
 
 @cache
 def package_digest(package: str) -> bytes:
-    """Digest an installed `package`; its files are read once."""
+    """Digest an installed package; its files are read once per process."""
     digest = hashlib.sha256(package.encode())
     for name, path in sorted(_files(package)):
         digest.update(name.encode())
@@ -82,18 +88,18 @@ def package_digest(package: str) -> bytes:
 
 
 def _files(package: str) -> Iterator[tuple[str, Path]]:
-    """Files of a package, with their names within it; one that is a single module has one."""
+    """List the files of an installed package, or of a single module, with their names within the package."""
     spec = importlib.util.find_spec(package)
     if spec is None:
         raise ImportError(f"there is no package {package}")
     if spec.submodule_search_locations is None:
-        # Python's version stands for its built-in modules.
+        # A built-in module has no file; the version of Python, which is digested too, stands for it.
         if spec.has_location:
             path = Path(str(spec.origin))
             yield path.name, path
         return
-    # An editable installation has sources in one folder and what is compiled in another.
+    # An editable installation has sources in one folder, and compiled modules in another.
     for folder in map(Path, spec.submodule_search_locations):
         for path in folder.rglob("*"):
-            if path.suffix in _ENDS and path.is_file():
+            if path.suffix in _SUFFIXES and path.is_file():
                 yield path.relative_to(folder).as_posix(), path

@@ -71,10 +71,10 @@ def fit_inputs(
 
     from heli_lab.identify.results import short_names
 
-    chosen = load_rig(rig)
-    all_effects = effects_with(chosen, effects, effect_files)
-    equations = model_named(model or chosen.model or DEFAULT_MODEL, all_effects)
-    return FitInputs(chosen, equations, short_names([*flights, *validate]))
+    loaded_rig = load_rig(rig)
+    all_effects = effects_with(loaded_rig, effects, effect_files)
+    model_with_effects = model_named(model or loaded_rig.model or DEFAULT_MODEL, all_effects)
+    return FitInputs(loaded_rig, model_with_effects, short_names([*flights, *validate]))
 
 
 def parts(
@@ -97,9 +97,9 @@ def parts(
     Raises
     ------
     IdentifyError
-        When the number of times is another one, or a part ends before it begins.
+        When there is another number of times, or a part ends before it begins.
     """
-    ends = []
+    limits_by_option = []
     for option, times in (("--from", from_s), ("--to", to_s)):
         if len(times) > 1 and len(times) not in (fitted, fitted + validated):
             raise IdentifyError(
@@ -107,8 +107,9 @@ def parts(
                 "give one time for all flights, or one per flight",
             )
         limits: list[float | None] = list(times) if len(times) != 1 else [*times] * fitted
-        ends.append(limits + [None] * (fitted + validated - len(limits)))
-    spans = list(zip(*ends, strict=True))
+        # Flights without a time are not limited.
+        limits_by_option.append(limits + [None] * (fitted + validated - len(limits)))
+    spans = list(zip(*limits_by_option, strict=True))
     for start_s, stop_s in spans:
         if start_s is not None and stop_s is not None and stop_s <= start_s:
             raise IdentifyError(
@@ -137,7 +138,8 @@ def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Ri
         try:
             prepare(flight, rig, label)
         except NotExcited:
-            # An elevation with the wrong sign is below the table for the whole flight.
+            # An elevation with the wrong sign is below the table during the whole flight, which then looks
+            # like one that never leaves it.
             pass
         except IdentifyError:
             # Signs of an invalid flight are undefined; the fit reports what is wrong with it.
@@ -158,7 +160,7 @@ def read_parts(
     skip_sign_check: bool,
     show: Callable[[str, float], None],
 ) -> Iterator[Flight | Record]:
-    """Read flight files, refuse wrong signs, and return the part of each flight that is to be used.
+    """Read flight files, refuse wrong signs, and return the part of each flight that a fit uses.
 
     Parameters
     ----------
@@ -173,12 +175,12 @@ def read_parts(
     skip_sign_check : bool
         Whether signs may be wrong.
     show : callable
-        Called with each stage and the share of the work that is done.
+        Called with the name of each stage and the completed share of the work, 0 to 1.
 
     Returns
     -------
     iterator of Flight or Record
-        A flight that is used as a whole, or the prepared part of it.
+        The whole flight, or a prepared part of it.
 
     Raises
     ------
@@ -197,7 +199,7 @@ def read_parts(
     if not skip_sign_check:
         show("checking signs and zeros", 0.0)
         refuse_wrong_signs(flights, inputs.labels, inputs.rig)
-    # Flights are passed one by one and not kept: ten minutes at 1 kHz take 45 MB.
+    # Flights are passed on one by one, and no list keeps them in memory: ten minutes at 1 kHz take 45 MB.
     flights.reverse()
     return (
         flights.pop()

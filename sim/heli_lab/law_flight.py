@@ -1,4 +1,4 @@
-"""Flights of control laws from the options of the command line, for `law` and `class`."""
+"""Fly control laws with the options of the command line, for the verbs `law` and `class`."""
 
 from __future__ import annotations
 
@@ -19,32 +19,38 @@ if TYPE_CHECKING:
     from heli_host.heli import Heli
 
 _LANDED: Final = Takeover.STATE.name.lower()
+"""Reason of the takeover that the board reports at each landing."""
 
 
 def fly_law(
     program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
 ) -> tuple[FlownFlight, LawTrial]:
-    """Fly a plan with a law. The caller writes the files of a completed flight; those of another flight are
-    written here.
+    """Fly a plan with a law.
+
+    After a completed flight, the caller must write its files.
 
     Parameters
     ----------
     program : LawProgram or None
-        Law as the board takes it; None for the board's own.
+        Program of the law; None for the board's own law.
+    options : FlightOptions
+        Board, rig, and files to write.
+    plan : Plan
+        Plan of the flight.
     typed : str
-        Plan as typed, for the truth file of a blind flight.
+        Plan as typed on the command line, for the truth file of a blind flight.
 
     Returns
     -------
-    FlownFlight
+    flown : FlownFlight
         The completed flight.
-    LawTrial
-        How the law followed its setpoints.
+    trial : LawTrial
+        How well the law followed its setpoints.
 
     Raises
     ------
     FlightAborted
-        The flight was not completed; its files are written.
+        The flight was not completed. Its files have been written.
     HeliError
         As `fly_plans`.
     """
@@ -52,15 +58,20 @@ def fly_law(
     if not flown.summary.completed:
         flown.report()
         flown.write()
-        flown.end()  # raises FlightAborted
+        # This raises FlightAborted.
+        flown.end()
     return flown, LawTrial.of_log(flown.log, taken_over)
 
 
 def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) -> LawTrial:
-    """Fly a plan with a law, or with the board's own for None, and print and keep nothing of the flight;
-    `options` and `plan` as in `fly_law`.
+    """Fly a plan with a law, and return the result only: no output is printed, and no file is kept.
+
+    Parameters
+    ----------
+    program, options, plan
+        As in `fly_law`.
     """
-    before = QUIET.set(True)
+    quiet_setting = QUIET.set(True)
     try:
         with tempfile.TemporaryDirectory() as folder:
             trial_options = replace(options, log=Path(folder) / "trial.mcap")
@@ -68,25 +79,37 @@ def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) ->
             flown.end()
             return LawTrial.of_log(flown.log, taken_over)
     finally:
-        QUIET.reset(before)
+        QUIET.reset(quiet_setting)
 
 
 def flown_with(
     program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
 ) -> tuple[FlownFlight, str]:
-    """Fly a plan with a law; the flight, completed or not, and why the board's own law took over.
+    """Fly a plan with a law, and return the flight, whether it was completed or not.
 
     Parameters
     ----------
     program, options, plan, typed
-        As in `fly_law`; so are the errors.
+        As in `fly_law`.
+
+    Returns
+    -------
+    flown : FlownFlight
+        The flight.
+    taken_over : str
+        Why the board's own law took over; empty if it did not.
+
+    Raises
+    ------
+    HeliError
+        As `fly_plans`.
     """
     from heli_host.guest_law import engage, takeover_text
 
     reasons: list[str] = []
 
     def note_takeovers(heli: Heli) -> None:
-        # The landing ends closed loop, which the board reports as a takeover too.
+        """Collect the reasons of all takeovers except that of the landing, which ends the closed loop."""
         texts = (takeover_text(event) for event in heli.session.events)
         reasons.extend(text[0] for text in texts if text is not None and text[0] != _LANDED)
 

@@ -1,4 +1,4 @@
-"""The flight code on a simulated rig, in lockstep in this process: connect, fly, read the log."""
+"""Fly the flight code on a simulated rig, in lockstep in this process: connect, fly, read the log."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from heli_sim.sil.world import SilWorld
 
 
 def world_of(plant: Plant, seed: int) -> SilWorld:
-    """Return a simulated board on a plant.
+    """Return the simulation of a board that is connected to a plant.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def world_of(plant: Plant, seed: int) -> SilWorld:
 
 @contextmanager
 def connected(world: SilWorld) -> Iterator[Heli]:
-    """Connect to the simulated board of a world; at the end the motors are off."""
+    """Connect to the simulated board of a `world`, until the block ends; then the motors are off."""
     session = Session(InProcessTransport(world), session_number=1)
     session.connect()
     with Heli(session) as heli:
@@ -44,12 +44,12 @@ def connected(world: SilWorld) -> Iterator[Heli]:
 
 
 def set_hover(heli: Heli, model: Model, rig: Rig) -> None:
-    """Set what the operator of a rig sets: the hover voltage, and the tolerance of the arm at rest.
+    """Set the parameters that an operator must set for a rig: the hover voltage, and the rest tolerance.
 
     Parameters
     ----------
     heli : Heli
-        Connected.
+        The connected board.
     model : Model
         Equations of motion; their effects are left out.
     """
@@ -66,9 +66,9 @@ def fly_and_read(
     Parameters
     ----------
     heli : Heli
-        Connected.
+        The connected board.
     plans : Plan, str or sequence of Plan
-        As `heli_host.fly.runner.fly` takes them.
+        As in `heli_host.fly.runner.fly`.
     on_progress : callable, optional
         Called with the progress of the flight.
     """

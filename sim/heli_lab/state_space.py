@@ -1,4 +1,4 @@
-"""Linear state space of a rig for control design."""
+"""Linearise a rig, for control design with python-control."""
 
 from __future__ import annotations
 
@@ -56,9 +56,11 @@ def linearise(
     >>> plant = heli_lab.linearise("makki2024")
     >>> pitch = plant["pitch_rad", "front_V"]
     """
-    loaded = rig if isinstance(rig, Rig) else load_rig(rig)
+    loaded_rig = rig if isinstance(rig, Rig) else load_rig(rig)
     given_effects = parse_effects(tuple(effects))
-    names = {effect.name for effect in given_effects}
-    stated = tuple(effect for effect in effects_of(loaded) if effect.name not in names)
-    chosen = model_named(model or loaded.model or MultibodyModel.name, stated + given_effects)
-    return linearise_model(chosen, loaded, trim(chosen, loaded, float(np.deg2rad(elevation_deg))))
+    # A given effect replaces that of the same name in the rig file.
+    given_names = {effect.name for effect in given_effects}
+    rig_effects = tuple(effect for effect in effects_of(loaded_rig) if effect.name not in given_names)
+    equations = model_named(model or loaded_rig.model or MultibodyModel.name, rig_effects + given_effects)
+    hover = trim(equations, loaded_rig, float(np.deg2rad(elevation_deg)))
+    return linearise_model(equations, loaded_rig, hover)

@@ -1,6 +1,7 @@
-"""Parallel maps on threads, and batches for them.
+"""Run work on several threads.
 
-Filters, compiled programs and array arithmetic release Python's lock.
+This is faster than one thread, because filters, compiled programs and array arithmetic release Python's
+global lock.
 """
 
 from __future__ import annotations
@@ -20,14 +21,15 @@ _T = TypeVar("_T")
 _Item = TypeVar("_Item")
 
 _thread_count: ContextVar[int | None] = ContextVar("thread_count", default=None)
-"""Threads of a `using_threads` block, None outside; 1 in the threads of a pool, which start no others."""
+"""Number of threads in a `using_threads` block, None outside of it; 1 in the threads of a pool, which
+must not start further ones."""
 
 
 def default_thread_count() -> int:
-    """Return the default number of threads: that of the `using_threads` block, otherwise two, or one if
-    ``OMP_NUM_THREADS`` is 1.
+    """Return the default number of threads: that of the `using_threads` block, or otherwise two.
 
-    That setting states that other processes use the other cores.
+    Without such a block, it is one if ``OMP_NUM_THREADS`` is 1, because other processes then use the other
+    cores.
     """
     threads = _thread_count.get()
     if threads is not None:
@@ -36,11 +38,11 @@ def default_thread_count() -> int:
 
 
 def limit_malloc_arenas() -> None:
-    """Make all threads share one heap if the C library is glibc, to save memory.
+    """Make all threads share one heap, to save memory; only with the C library glibc.
 
-    By default each thread has a heap, and other threads cannot use what it frees. The memory of a diagnosis
-    of ten minutes at 1 kHz was 0.58 GB, and 0.49 GB with one heap; of one minute 0.27 GB and 0.19 GB. Only a
-    program may call this, before it starts threads.
+    By default, each thread has a heap, and memory that it frees cannot be used by other threads. With one
+    heap, the diagnosis of ten minutes at 1 kHz takes 0.49 GB instead of 0.58 GB, and that of one minute 0.19
+    GB instead of 0.27 GB. Only a program may call this function, not a library, before it starts threads.
     """
     with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
@@ -48,7 +50,7 @@ def limit_malloc_arenas() -> None:
 
 @contextmanager
 def using_threads(threads: int | None) -> Iterator[None]:
-    """Set the default number of `threads`, 1 or more, inside of this block; None changes nothing."""
+    """Set the default number of `threads`, at least 1, until the block ends; None changes nothing."""
     token = _thread_count.set(_thread_count.get() if threads is None else threads)
     try:
         yield
@@ -58,35 +60,44 @@ def using_threads(threads: int | None) -> Iterator[None]:
 
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
+    """Return the pool with this number of threads, which is created at its first use."""
     return ThreadPoolExecutor(threads, initializer=_thread_count.set, initargs=(1,))
 
 
 def batches(items: Iterable[_Item], size_of: Callable[[_Item], int], max_size: int) -> list[list[_Item]]:
-    """Divide `items` in their order into batches whose sizes, as `size_of` returns them, add up to at most
-    `max_size`; a larger item is a batch by itself.
+    """Divide items into batches of limited size, in their order.
+
+    Parameters
+    ----------
+    items : iterable
+        Items of any type; each is in one batch.
+    size_of : callable
+        Takes an item, and returns its size.
+    max_size : int
+        Largest sum of the sizes in a batch. An item that is larger is a batch by itself.
     """
-    result: list[list[_Item]] = []
-    size = 0
+    batches_so_far: list[list[_Item]] = []
+    batch_size = 0
     for item in items:
-        if not result or size + size_of(item) > max_size:
-            result.append([])
-            size = 0
-        result[-1].append(item)
-        size += size_of(item)
-    return result
+        if not batches_so_far or batch_size + size_of(item) > max_size:
+            batches_so_far.append([])
+            batch_size = 0
+        batches_so_far[-1].append(item)
+        batch_size += size_of(item)
+    return batches_so_far
 
 
 def parallel_map(work: Callable[[_Item], _T], items: Sequence[_Item], threads: int | None = None) -> list[_T]:
     """Call `work` with each item in several threads, and return the results in the order of the items.
 
-    Calls from a worker thread are serial.
+    In a thread of such a map, a further map runs serially.
 
     Parameters
     ----------
     work : callable
-        Called with an item, in any thread; its exceptions are raised here.
+        Called with an item, in any thread. An exception is raised again in the calling thread.
     items : sequence
-        Arguments.
+        Arguments of the calls.
     threads : int, optional
         Number of threads, 1 or more; by default `default_thread_count`.
     """

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from heli_lab.campaign import Campaign, Case, Store, cluster, run_campaign
-from heli_lab.campaign.run import State
+from heli_lab.campaign.run import CampaignProgress
 from heli_lab.campaign.worker import CodeMismatch, Job, code_difference, run_job
 from heli_lab.campaign.worker_process import Limits
 from heli_lab.code_digest import code_digest
@@ -40,7 +40,7 @@ def test_an_address_that_does_not_answer_is_said_so(
 def test_a_worker_of_other_code_is_named_and_the_others_do_its_cases(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    states: list[State] = []
+    states: list[CampaignProgress] = []
     # One file differs on the path of the second worker, as after an upgrade of one machine.
     other = tmp_path / "other" / "tests" / "campaign"
     other.mkdir(parents=True)
@@ -79,7 +79,7 @@ def test_a_worker_without_the_package_says_so() -> None:
 @pytest.mark.medium
 def test_cases_that_fail_are_named_and_the_others_go_on(tmp_path: Path) -> None:
     bad = [Case(how, "tests.campaign.works:bad", {"how": how}) for how in ("crashes", "raises", "fine")]
-    states: list[State] = []
+    states: list[CampaignProgress] = []
     rows = run_campaign(
         Campaign("bad", tuple(bad), Limits(5.0, 60.0)), Store(tmp_path), on_progress=states.append
     )

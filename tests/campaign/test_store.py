@@ -81,7 +81,7 @@ def test_the_table_follows_from_parts_and_from_results_without_a_row(tmp_path: P
     store = Store(tmp_path)
     answers = [JobResult(case.name, case.key("test"), {"square": n**2}) for n, case in enumerate(CASES)]
     for answer in answers:
-        store.keep(answer)
+        store.write(answer)
     store.append([row_of(CASES[0], answers[0])])
     store.append([row_of(CASES[1], answers[1])])
     # Nothing is left to do: what was killed before its rows were written has them from the results.
@@ -98,7 +98,7 @@ def test_rows_are_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -> 
     names = ["rig seed 100", "rig seed 2", "lag=0.05 seed 10", "rig seed 10", "lag=0.5 seed 1", "rig"]
     ordered = ["lag=0.05 seed 10", "lag=0.5 seed 1", "rig", "rig seed 2", "rig seed 10", "rig seed 100"]
     store = Store(tmp_path)
-    store.settle([{"case": name, "key": name} for name in names])
+    store.write_table([{"case": name, "key": name} for name in names])
     assert [row["case"] for row in store.rows()] == ordered
     cases = tuple(Case(str(n), "tests.campaign.works:count", {"number": n}) for n in (100, 1, 10, 2))
     rows = run_campaign(Campaign("squares", cases), Store(tmp_path / "run"), code="test")
@@ -123,7 +123,7 @@ def test_columns_may_differ_from_case_to_case(tmp_path: Path) -> None:
     rows = {row["key"]: row for row in store.rows()}
     assert rows["a"]["x"] == 1 and rows["c"]["x"] == 0.5
     assert "x" not in rows["b"] and "x" not in rows["d"]
-    store.settle(store.rows())
+    store.write_table(store.rows())
     assert [row.get("said") for row in store.rows()] == ["yes", None, "3", None]
 
 

@@ -12,7 +12,7 @@ from heli_host.tables import Angle, Column, Profile, Table, Voltage
 from heli_lab.guess.evidence import pooled_fits
 from heli_lab.guess.lags import lag_ambiguities
 from heli_lab.guess.limits import limited, one_way_nats
-from heli_lab.guess.regression.assignment import RegressionFit
+from heli_lab.guess.regression.acceleration_fit import RegressionFit
 from heli_lab.guess.regression.reference import Reference
 from heli_lab.guess.regression.scales import AXES
 

@@ -17,7 +17,8 @@ from heli_lab.guess.evidence import pooled_fits, prepare_file, rank
 from heli_lab.guess.known import NOTHING_KNOWN, read_known
 from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
 from heli_lab.guess.refusals import too_few_columns
-from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.regression.acceleration_fit import RegressionFit
+from heli_lab.guess.regression.assignment import ColumnAssignment
 from heli_lab.guess.regression.candidates import candidates
 from heli_lab.guess.regression.reference import reference_of
 from heli_lab.guess.regression.scales import AXES, scales

@@ -39,7 +39,7 @@ def test_a_flight_of_another_source_is_not_replaced(tmp_path: Path) -> None:
         (tmp_path / name / "x.mat").write_text(content)
     mine, other = (Target(tmp_path, "x", digest([tmp_path / name / "x.mat"])) for name in ("a", "b"))
     mine.refuse_to_replace_another()
-    write_csv(mine.signed(FLIGHT), mine.path(None))
+    write_csv(mine.with_digest(FLIGHT), mine.path(None))
     mine.refuse_to_replace_another()
     with pytest.raises(FlightDataError, match=r"x.csv was imported from another file"):
         other.refuse_to_replace_another()

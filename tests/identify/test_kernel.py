@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from heli_host.arrays import Floats
 from heli_lab.code_digest import package_digest
-from heli_lab.identify.free_run import Functions, Inputs, kernel
+from heli_lab.identify.free_run import Functions, Inputs, VoltageDerivative, kernel
 from heli_lab.identify.free_run.compiled import CompiledKernel
 from heli_lab.identify.free_run.interpreted import InterpretedKernel
 from heli_sim.model import Model, MultibodyModel, PaperModel
@@ -46,7 +46,9 @@ def inputs(substeps: int, shaped: tuple[str, ...]) -> Inputs:
         1.75 + 0.2 * random.standard_normal((rows, 2)),
         0.05 * random.standard_normal((rows, 2)),
         substeps,
-        tuple((name, mean, change) for name, (mean, change) in zip(shaped, pairs, strict=True)),
+        tuple(
+            VoltageDerivative(name, mean, change) for name, (mean, change) in zip(shaped, pairs, strict=True)
+        ),
     )
 
 

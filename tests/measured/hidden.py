@@ -19,7 +19,7 @@ from heli_benchmark.real.score import HiddenResult, score
 from heli_host.flight import Flight
 from heli_lab.diagnose import diagnose, to_json
 from heli_lab.identify import Record
-from heli_lab.identify.record import encoder_counts
+from heli_lab.identify.flight_checks import encoder_counts
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from heli_host.declaration import Fault
 from heli_lab.campaign import Campaign, Case, Store, run_campaign
-from heli_lab.campaign.run import State
+from heli_lab.campaign.run import CampaignProgress
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.plant import Plant
@@ -81,8 +81,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for first in range(0, given.rigs, given.together)
     )
 
-    def say(state: State) -> None:
-        print(f"{state.ended}/{state.cases}", flush=True)
+    def say(progress: CampaignProgress) -> None:
+        print(f"{progress.ended}/{progress.cases}", flush=True)
 
     campaign = Campaign("tune", cases, worst="tilt_max_deg")
     rows = run_campaign(campaign, Store(given.folder), processes=given.processes, on_progress=say)

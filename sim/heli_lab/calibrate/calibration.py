@@ -1,4 +1,6 @@
-"""The whole calibration: encoders, motors, then a rig and the parameters of the board."""
+"""Calibrate a rig on its bench: first the encoders, then the motors; the result is a rig file and
+parameters.
+"""
 
 from __future__ import annotations
 
@@ -24,17 +26,20 @@ from heli_lab.calibrate.thrust import ThrustLine, geometry_share
 HARD_MAX_V: Final = 6.0
 """Voltage that no pulse exceeds, whatever the options say [V]."""
 MAX_ANGLE_deg: Final = 20.0
+"""Default of the angle by which an axis may move in a pulse [deg]."""
 _ABOVE_DEAD_ZONE_V: Final = 1.0
+"""Default of the highest voltage of a pulse, above the rig file's dead zone [V]."""
 _FIRST_SHARE: Final = 0.5
-_FIRST_V: Final = 0.2
+"""Default of the first voltage, as a share of the rig file's dead zone."""
+_MIN_FIRST_V: Final = 0.2
 _MIN_BLOCKED_deg: Final = 3.0
-"""Least elevation above the table in pulses: on its table an arm brakes pitch."""
+"""Smallest elevation above the table during pulses [deg]: an arm on its table brakes pitch."""
 _MAX_ATTEMPTS: Final = 3
-_REST_deg: Final = 1.0
-"""Tolerance of a rest angle whose level is a person's spirit level [deg]."""
+_REST_TOLERANCE_deg: Final = 1.0
+"""Tolerance of the measured rest angle [deg]: a person levels the arm with a spirit level."""
 _MIN_DEAD_ZONE_TOLERANCE_V: Final = 0.02
 _MAX_ROTOR_DIFFERENCE: Final = 0.1
-"""Difference of two rotors, as share, that is normal: as in docs/how-to/first-power-up.md, step 9."""
+"""Relative difference between two rotors that is normal: as in docs/how-to/first-power-up.md, step 9."""
 SOURCE: Final = "heli-host calibrate"
 """Beginning of the source of each number that a calibration measured."""
 
@@ -70,12 +75,12 @@ class BenchCalibration:
 
 
 def default_limits(rig: Rig) -> PulseLimits:
-    """Return the bounds of the pulses that a rig's dead zone suggests."""
+    """Return bounds of the pulses that suit the dead zone of a rig."""
     dead_zone_V = rig["dead_zone"].value
     return PulseLimits(
-        max(_FIRST_V, _FIRST_SHARE * dead_zone_V),
-        min(dead_zone_V + _ABOVE_DEAD_ZONE_V, HARD_MAX_V),
-        MAX_ANGLE_deg,
+        start_V=max(_MIN_FIRST_V, _FIRST_SHARE * dead_zone_V),
+        max_V=min(dead_zone_V + _ABOVE_DEAD_ZONE_V, HARD_MAX_V),
+        max_angle_deg=MAX_ANGLE_deg,
     )
 
 
@@ -146,12 +151,17 @@ def calibrate(
 
 
 def set_parameters(heli: Heli, operator: Operator, values: Mapping[str, float]) -> None:
-    """Set parameters, `values` by name, on the board with the arm at rest, zero its encoders, and save.
+    """Set parameters on the board with the arm at rest, zero its encoders, and save.
+
+    Parameters
+    ----------
+    values : Mapping of str to float
+        New values of parameters, by name.
 
     Raises
     ------
     CommandRefused
-        The board refused one; those set before it were put back, and nothing was saved.
+        The board refused a parameter. Those set before it have their old values again, and nothing is saved.
     """
     operator.act(HandAction.REST)
     heli.params.restore(values)
@@ -239,7 +249,10 @@ def _calibration(
     for axis, quantity in zip(AXES, ENCODER_DIRECTIONS, strict=True):
         numbers[quantity] = Number(float(encoders.direction[axis]), "1", 0.0, f"{SOURCE}: turned by hand")
     numbers["elevation_min"] = Number(
-        encoder_values["elevation_rest_deg"], "deg", _REST_deg, f"{SOURCE}: lifted to level by hand"
+        encoder_values["elevation_rest_deg"],
+        "deg",
+        _REST_TOLERANCE_deg,
+        f"{SOURCE}: lifted to level by hand",
     )
     parameters = dict(encoder_values) | sign_parameters
     if thrust_numbers:
@@ -257,10 +270,10 @@ def _motor_signs(motors: Sequence[MotorResult]) -> tuple[dict[str, float], list[
 
     Returns
     -------
-    dict of float
-            Parameters by name; empty if the plugs of the motors are exchanged.
-    list of str
-            Notes for the person.
+    parameters : dict of float
+        Parameters by name; empty if the plugs of the motors are exchanged.
+    notes : list of str
+        Notes for the operator.
     """
     rotors = [motor.rotor for motor in motors]
     if len(set(rotors)) < len(rotors):
@@ -282,9 +295,9 @@ def _thrust_numbers(motors: Sequence[MotorResult], rig: Rig) -> tuple[dict[str, 
 
     Returns
     -------
-    dict of Number
+    numbers : dict of Number
         ``thrust_gain`` and ``dead_zone``; empty unless both rotors were measured.
-    list of str
+    notes : list of str
         Reasons why a rotor has no measurement, and a warning if the rotors differ.
     """
     lines = {motor.rotor: motor.thrust for motor in motors if isinstance(motor.thrust, ThrustLine)}
@@ -298,15 +311,10 @@ def _thrust_numbers(motors: Sequence[MotorResult], rig: Rig) -> tuple[dict[str, 
     front, back = lines["front"], lines["back"]
     gain_N_per_V = 0.5 * (front.gain_N_per_V + back.gain_N_per_V)
     dead_zone_V = max(0.5 * (front.dead_zone_V + back.dead_zone_V), 0.0)
-    # Two standard errors of each mean.
-    gain_tolerance, dead_zone_tolerance = (
-        math.sqrt(front_std**2 + back_std**2)
-        for front_std, back_std in (
-            (front.gain_std, back.gain_std),
-            (front.dead_zone_std, back.dead_zone_std),
-        )
-    )
+    # A tolerance is two standard errors. The mean of two rotors has half the root of the sum of squares.
+    gain_tolerance = math.sqrt(front.gain_std**2 + back.gain_std**2)
     gain_tolerance = math.hypot(gain_tolerance, gain_N_per_V * geometry_share(rig))
+    dead_zone_tolerance = math.sqrt(front.dead_zone_std**2 + back.dead_zone_std**2)
     dead_zone_tolerance = max(dead_zone_tolerance, _MIN_DEAD_ZONE_TOLERANCE_V)
     source = f"{SOURCE}: pitch after short pulses"
     numbers = {

@@ -1,4 +1,4 @@
-"""Directions and zeros of the encoders, from movements by hand with the motors off."""
+"""Find the directions and zeros of the encoders from movements by hand, with the motors off."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from heli_lab.calibrate.errors import CalibrationError
 from heli_lab.calibrate.operator import HandAction, Operator
 
 MOVED_deg: Final = 5.0
-"""Change of an angle that counts as a movement. Less: the play of an axis that a hand touches counts too.
-More: travel of a short-cabled rig cannot be turned so far."""
+"""Change of an angle that counts as a movement [deg]. Less: the play of an axis that a hand touches
+counts too. More: travel of a rig with short cables cannot be turned so far."""
 RETURNED_deg: Final = 1.0
-"""Error of the elevation, back at rest, that is tolerated. Less: an arm on a soft table is refused. More: a
-slipping coupling passes."""
+"""Largest error of the elevation after its return to rest [deg]. Less: an arm on a soft table is refused.
+More: a slipping coupling is not noticed."""
 _MAX_ATTEMPTS: Final = 3
 _SETTLE_S: Final = 0.3
 _MOVES: Final = (
-    ("elevation", HandAction.LIFT, True),
-    ("pitch", HandAction.FRONT_UP, False),
-    ("travel", HandAction.BACK_LEADS, False),
+    ("elevation", HandAction.LIFT),
+    ("pitch", HandAction.FRONT_UP),
+    ("travel", HandAction.BACK_LEADS),
 )
-"""Axis, action that must make its angle grow, and whether the elevation shows the rest angle."""
+"""Each axis, and the action that must increase its angle."""
 
 
 @dataclass(frozen=True)
 class EncoderResult:
-    """Directions and zeros that the movements by hand show.
+    """Directions and zeros of the encoders, measured by movements by hand.
 
     Parameters
     ----------
     direction : Mapping of str to int
-        1 by axis where the encoder counts up with its angle, -1 where it counts down, without the sign that
-        the board's parameter has.
+        By axis: 1 if the encoder counts up when the angle grows, -1 if it counts down. This is the direction
+        of the encoder itself; the sign of the board's parameter is not included.
     rest_deg : float
         Elevation at rest on the table, if the operator's level is 0 [deg].
     moved_deg : Mapping of str to float
@@ -57,7 +57,8 @@ def calibrate_encoders(heli: Heli, operator: Operator) -> EncoderResult:
     Raises
     ------
     CalibrationError
-        No encoder, another one or two moved in each of three tries, or an angle did not return to zero.
+        In each of three attempts, no encoder, another one, or two encoders counted; or the elevation did not
+        return to its rest angle.
     """
     operator.act(HandAction.REST)
     heli.zero()
@@ -66,20 +67,21 @@ def calibrate_encoders(heli: Heli, operator: Operator) -> EncoderResult:
     direction: dict[str, int] = {}
     moved_deg: dict[str, float] = {}
     rest_deg = 0.0
-    for axis, action, is_lift in _MOVES:
+    for axis, action in _MOVES:
         moved_deg[axis] = change_deg = _movement_deg(heli, operator, axis, action)
         direction[axis] = int(np.sign(change_deg) * np.sign(heli.params[f"{axis}_counts_per_rev"]))
-        if is_lift:
+        if action is HandAction.LIFT:
+            # The operator lifts the arm from its rest to level.
             rest_deg = -abs(change_deg)
-        way = "up" if direction[axis] > 0 else "down"
-        operator.report(f"{axis}: {change_deg:+.1f} degrees, so the encoder counts {way}")
+        up_or_down = "up" if direction[axis] > 0 else "down"
+        operator.report(f"{axis}: {change_deg:+.1f} degrees, so the encoder counts {up_or_down}")
         operator.act(HandAction.REST)
         _check_return(heli, start_deg, axis)
     return EncoderResult(direction, rest_deg, moved_deg)
 
 
 def angles_deg(heli: Heli) -> Floats:
-    """Return the angles of the newest sample after a moment [deg], shape (3,)."""
+    """Wait until a movement has settled, and return the angles of the newest sample [deg], shape (3,)."""
     heli.wait(_SETTLE_S)
     return sample_angles_deg(heli.latest)
 
@@ -90,7 +92,10 @@ def sample_angles_deg(sample: Sample) -> Floats:
 
 
 def _movement_deg(heli: Heli, operator: Operator, axis: str, action: HandAction) -> float:
-    """Return the change of an axis's angle [deg] in the operator's movement; only that axis may move."""
+    """Let the operator move an axis, and return the change of its angle [deg].
+
+    If no axis or another one moves, the operator tries again.
+    """
     reason = remedy = ""
     for attempt in range(_MAX_ATTEMPTS):
         if attempt:
@@ -120,7 +125,7 @@ def _movement_deg(heli: Heli, operator: Operator, axis: str, action: HandAction)
 def _check_return(heli: Heli, start_deg: Floats, axis: str) -> None:
     """Raise a CalibrationError if the elevation does not return to its first reading."""
     error_deg = angles_deg(heli) - start_deg
-    # Nothing stops pitch and travel at a place: only the elevation has a table.
+    # Only the elevation has a table that stops it; pitch and travel may come to rest anywhere.
     if abs(error_deg[0]) > RETURNED_deg:
         raise CalibrationError(
             f"elevation reads {error_deg[0]:+.1f} degrees from its first rest after {axis} moved",

@@ -1,4 +1,4 @@
-"""Low limits of the board while the motors are calibrated, put back afterwards."""
+"""Lower the limits of the board while its motors are calibrated, and restore them afterwards."""
 
 from __future__ import annotations
 
@@ -17,10 +17,22 @@ from heli_lab.calibrate.errors import CalibrationError
 def temporary_parameters(
     heli: Heli, values: Mapping[str, float], warn: Callable[[str], None]
 ) -> Iterator[None]:
-    """Set parameters, `values` by name, in the board's memory, and restore the previous values at the end.
+    """Set parameters in the board's memory, and restore the previous values when the block ends.
 
-    The motors are switched off first, also after an error. If the board refuses a previous value, the new
-    value stays until a restart, because it was not saved. After an error, `warn` gets a line about it.
+    Before that, the motors are switched off, also after an error. If the board refuses a previous value, the
+    new value stays until the board is restarted.
+
+    Parameters
+    ----------
+    values : Mapping of str to float
+        Temporary values of parameters, by name.
+    warn : callable
+        Takes a line about a refused value, if the block ended by an error.
+
+    Raises
+    ------
+    CalibrationError
+        The board refuses a previous value, and the block ended without an error.
     """
     previous_values = {name: heli.params[name] for name in values}
     try:

@@ -1,4 +1,6 @@
-"""Which rotor an output drives, which way, from which voltage, and how strongly: pulses of rising voltage."""
+"""Calibrate a motor output with voltage pulses: which rotor it drives, and that rotor's direction, dead zone
+and thrust.
+"""
 
 from __future__ import annotations
 
@@ -32,19 +34,21 @@ from heli_lab.calibrate.thrust import (
 
 MOTOR_OUTPUTS: Final = ("front", "back")
 STEP_V: Final = 0.1
-"""Rise of the voltage from pulse to pulse, before pitch has moved. More: the first pulse above the dead zone
-turns a strong rotor too far. Less: more pulses, each with its confirmation."""
+"""Increase of the voltage from pulse to pulse before pitch has moved [V]. More: the first pulse above the
+dead zone turns a strong rotor too far. Less: more pulses are needed, each with a confirmation."""
 _MIN_STEP_V: Final = 0.02
 _MOVING_PULSES: Final = 8
+"""Number of pulses that move pitch, after which a series ends."""
 _MOVED_counts: Final = 4.0
-"""Change of pitch that counts as a movement. Less: a swing that has not died out yet counts. More: the dead
-zone is read too high."""
+"""Change of pitch that counts as a movement. Less: a swing that is still decaying counts. More: the estimated
+dead zone is too high."""
 _MOVED_STDS: Final = 4.0
+"""The same in standard deviations of pitch before the pulse; the larger one of both applies."""
 _MAX_ANGLE_SHARE: Final = 0.5
-"""Share of the largest angle at which the voltage rises no further."""
+"""Share of the largest angle at which the voltage is not increased any more."""
 _STILL_counts: Final = 3.0
 _STILL_s: Final = 1.0
-"""Time over which pitch must stay. Shorter: the turning point of a slow swing looks quiet."""
+"""Time over which pitch must be still [s]. Shorter: the turning point of a slow swing counts as still."""
 _STILL_TIMEOUT_s: Final = 5.0
 _POLL_s: Final = 0.02
 _MAX_ATTEMPTS: Final = 3
@@ -61,7 +65,8 @@ class PulseLimits:
     start_V, max_V : float
         First and highest voltage of the pulses [V].
     max_angle_deg : float
-        Angle by which an axis may move in a pulse; beyond it the motors go off and all ends [deg].
+        Angle by which an axis may move in a pulse [deg]. Beyond it, the motors are switched off and the
+        calibration ends.
     """
 
     start_V: float
@@ -71,7 +76,7 @@ class PulseLimits:
 
 @dataclass(frozen=True)
 class MotorResult:
-    """Rotor, direction, dead zone and thrust that the pulses of one output show.
+    """Rotor, direction, dead zone and thrust of one output, measured by pulses.
 
     Parameters
     ----------
@@ -80,7 +85,7 @@ class MotorResult:
     rotor : str
         Rotor that the output drives.
     sign : int
-        Parameter with which a positive voltage lifts this rotor: 1 or -1.
+        Value of the board's sign parameter, 1 or -1, with which a positive voltage lifts this rotor.
     begins_V : float
         Lowest voltage at which pitch moved [V].
     thrust : ThrustLine or str
@@ -96,7 +101,7 @@ class MotorResult:
 
 @dataclass
 class _Series:
-    """Pulses of one output with one sign of its voltage.
+    """Result of pulses of rising voltage at one output, with one sign of the voltage.
 
     Parameters
     ----------
@@ -121,8 +126,8 @@ def calibrate_motor(
 ) -> MotorResult:
     """Drive one output with pulses until its rotor, direction, dead zone and thrust are known.
 
-    A rotor that pushes down, or does nothing, is driven again with the other sign. The sign of the board is
-    put back before the return.
+    If the rotor pushes down or does not move pitch, the pulses are repeated with the opposite sign. The
+    board's sign parameter has its first value again when the function returns.
 
     Parameters
     ----------
@@ -149,10 +154,9 @@ def calibrate_motor(
     sign_parameter = f"motor_{output}_sign"
     first_sign = int(heli.params[sign_parameter])
     pulser = _Pulser(heli, operator, output, limits, check)
-    start_V = limits.start_V
     for sign in (first_sign, -first_sign):
         heli.params[sign_parameter] = sign
-        series = pulser.series(start_V)
+        series = pulser.series(limits.start_V)
         if series.pulses and series.turn == lift_turn(series.rotor):
             heli.params[sign_parameter] = first_sign
             thrust = thrust_of(series.pulses, lift_turn(series.rotor), rig)
@@ -183,7 +187,10 @@ class _Pulser:
         self._count_rad = 2.0 * np.pi / abs(heli.params["pitch_counts_per_rev"])
 
     def series(self, start_V: float) -> _Series:
-        """Return pulses of rising voltage from `start_V` on; a rotor that pushes down ends the series."""
+        """Give pulses of rising voltage from `start_V` on; end the series if the rotor pushes down.
+
+        The first pulse that moves pitch is also shown to the operator, who says which rotor turned.
+        """
         series = _Series()
         volts_V, step_V = start_V, STEP_V
         peaks: list[tuple[float, float]] = []
@@ -212,9 +219,12 @@ class _Pulser:
         return series
 
     def _next_step(self, peaks: list[tuple[float, float]]) -> float:
-        """Return the voltage step after which pitch is expected to stay below a share of the limit [V].
+        """Return the next increase of the voltage [V], small enough that pitch stays far below its limit.
 
-        `peaks` has voltage [V] and largest pitch angle [deg] of each pulse. They are extrapolated linearly.
+        Parameters
+        ----------
+        peaks : list of (float, float)
+            Voltage [V] and largest pitch angle [deg] of each pulse, which are extrapolated linearly.
         """
         volts_V, peak_deg = peaks[-1]
         previous_V, previous_deg = peaks[-2] if len(peaks) > 1 else (volts_V - STEP_V, 0.0)
@@ -234,7 +244,7 @@ class _Pulser:
         return rotor
 
     def pulse(self, volts_V: float) -> Pulse:
-        """Ask, wait until pitch is still, and give one pulse."""
+        """Ask the operator, wait until pitch is still, and give one pulse; return pitch around it."""
         if not self._confirmed:
             answer = self._operator.choose(
                 f"pulse: {self._output} output, {volts_V:g} V for {PULSE_s:g} s. "
@@ -259,7 +269,8 @@ class _Pulser:
         """Arm the motors; repeat while the board sees motion."""
         for attempt in range(_MAX_ARM_ATTEMPTS):
             try:
-                # Heli.arm compares a simulated board with its rig, which wrong wires contradict on purpose.
+                # Heli.arm would refuse a simulated board whose wires are wrong, and finding wrong wires is
+                # what a calibration is for.
                 Vehicle.arm(self._heli)
             except CommandRefused as error:
                 # A single count of a slow drift looks like 3 degrees per second for a moment.
@@ -270,10 +281,12 @@ class _Pulser:
                 return
 
     def _drive(self, volts_V: float) -> Samples:
-        """Give one voltage step to the armed board, and return its samples from before the step until after
-        it.
+        """Give one voltage pulse with the armed board, and return the samples around the pulse.
 
-        A FlightAborted is raised if the board stops, an axis moves too far, or the operator stops.
+        Raises
+        ------
+        FlightAborted
+            The board stops, an axis moves too far, or the operator stops.
         """
         heli = self._heli
         start_deg = angles_deg(heli)
@@ -302,9 +315,7 @@ class _Pulser:
         return heli.samples(BEFORE_s + PULSE_s + AFTER_s + 1.0)
 
     def _wait_until_still(self) -> None:
-        """Wait until pitch has been still and near level for a second; ask the operator to steady it if
-        needed.
-        """
+        """Wait until pitch is still and near level for a second; otherwise, ask the operator to steady it."""
         for _ in range(_MAX_ATTEMPTS):
             end_s = self._heli.latest.t_s + _STILL_TIMEOUT_s
             while self._heli.latest.t_s < end_s:
@@ -322,7 +333,7 @@ class _Pulser:
 
 
 def _pulse_of_samples(samples: Samples, output: str, volts_V: float) -> Pulse:
-    """Resample pitch around the pulse of an output to the grid of `Pulse`."""
+    """Cut out pitch around the pulse of an output, in steps of `PULSE_GRID_s`."""
     powered_rows = np.flatnonzero(getattr(samples, f"{output}_V"))
     if not len(powered_rows):
         raise CalibrationError(

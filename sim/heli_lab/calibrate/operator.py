@@ -1,4 +1,4 @@
-"""Actions and questions for the person at the bench."""
+"""The interface to the operator, who moves the rig by hand and answers questions at the bench."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class HandAction(Enum):
-    """A movement by hand, with its instruction. The arm is still when the operator answers."""
+    """A movement by hand; the value is its instruction. The arm must be still when the operator answers."""
 
     REST = (
         "Let the arm rest on its table, with the short arm level. Turn travel to the middle of its range. "
@@ -29,18 +29,20 @@ class HandAction(Enum):
 
     @property
     def text(self) -> str:
-        """Instruction for a person."""
+        """Instruction for the operator."""
         return self.value
 
 
 class Operator(Protocol):
-    """The person at the bench. Any method may raise KeyboardInterrupt or a HeliError, which ends all."""
+    """The operator at the bench. A method may raise KeyboardInterrupt or a HeliError, to end the
+    calibration.
+    """
 
     def act(self, action: HandAction) -> None:
-        """Let the operator do an action, and return when it is done and the arm is still."""
+        """Let the operator do an action, and return when the action is done and the arm is still."""
 
     def choose(self, question: str, choices: tuple[str, ...]) -> str:
-        """Ask a `question`; returns one of `choices`."""
+        """Ask a `question`, and return one of the `choices`."""
 
     def report(self, text: str) -> None:
         """Show a line of `text`."""

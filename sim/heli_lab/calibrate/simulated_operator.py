@@ -1,4 +1,4 @@
-"""The operator of a simulated rig: a hand that does each action, and an eye that sees which rotor turns."""
+"""The operator of a simulated rig, who moves its axes and sees which rotor turns."""
 
 from __future__ import annotations
 
@@ -46,6 +46,7 @@ class SimulatedOperator:
         self._report(f"hand: {action.text}")
         rest_rad = self._rest_rad
         lifted_rad = rest_rad + math.radians(_LIFTED_deg)
+        # First level, then with pitch released.
         steadied_rad = ((lifted_rad, 0.0, 0.0), (lifted_rad, nan, 0.0))
         targets_rad = {
             HandAction.REST: ((rest_rad, 0.0, 0.0), (nan, nan, nan)),
@@ -66,11 +67,11 @@ class SimulatedOperator:
         return self._turning_rotor
 
     def report(self, text: str) -> None:
-        """Pass a line of `text` on."""
+        """Show a line of `text`."""
         self._report(text)
 
     def wants_stop(self) -> bool:
-        """Return False: this operator does not stop."""
+        """Return False, because this operator never stops a calibration."""
         return False
 
     def _note_turning_rotor(self) -> None:

@@ -1,4 +1,4 @@
-"""The operator at a terminal: reads instructions, answers with lines."""
+"""The operator at a terminal, who reads instructions and types answers."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _STOP = "stop"
 
 
 class TerminalOperator:
-    """Asks a person, or a script, whose answers are lines.
+    """Asks a person, or a script, by lines of text.
 
     Parameters
     ----------
     answers : TextIO
-        Lines of answers; a terminal or a pipe.
+        Terminal or pipe from which answers are read, one per line.
     show : callable taking str
         Shows a line.
     """
@@ -48,7 +48,9 @@ class TerminalOperator:
         self._show(text)
 
     def wants_stop(self) -> bool:
-        """Return whether Enter was pressed at the terminal; a pipe never stops, because its answers wait."""
+        """Return whether Enter was pressed at the terminal; with a pipe, always False, because a script
+        writes its answers in advance.
+        """
         if not self._answers.isatty():
             return False
         if sys.platform == "win32":
@@ -61,8 +63,12 @@ class TerminalOperator:
         return bool(ready)
 
     def _read_answer(self, *, may_stop: bool = True) -> str:
-        """Return the next line in lower case; a FlightAborted is raised at the end of input or by
-        ``stop``.
+        """Read the next line, in lower case.
+
+        Raises
+        ------
+        FlightAborted
+            The input has ended, or the line is ``stop``.
         """
         line = self._answers.readline()
         answer = line.strip().lower()

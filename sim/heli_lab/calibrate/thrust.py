@@ -1,4 +1,4 @@
-"""Thrust and dead zone of a rotor, from the pitch angle after short pulses."""
+"""Estimate the thrust and the dead zone of a rotor from the pitch angle after short voltage pulses."""
 
 from __future__ import annotations
 
@@ -15,20 +15,23 @@ from heli_sim.rig.inertia import inertias_kg_m2
 from heli_lab.matrix_exponential import matrix_exponentials
 
 PULSE_GRID_s: Final = 0.005
-"""Step of the times at which the response is compared."""
+"""Time step at which measured and modelled pitch are compared [s]."""
 BEFORE_s: Final = 0.3
+"""Time before a pulse that is compared [s]."""
 PULSE_s: Final = 0.3
-"""Length of a pulse. Longer: a strong rotor turns pitch too far. Shorter: a slow rotor gives no thrust."""
+"""Length of a pulse [s]. Longer: a strong rotor turns pitch too far. Shorter: a slow rotor gives no
+thrust."""
 AFTER_s: Final = 1.2
-"""Time after the pulse that is compared; it holds the impulse of a slow rotor too."""
+"""Time after a pulse that is compared [s]; long enough for the thrust of a slow rotor to act."""
 MIN_PULSES: Final = 3
-"""Pulses that moved, of which a straight line has a standard error."""
+"""Smallest number of pulses that move pitch: a straight line through fewer has no standard error."""
 MAX_SHARE: Final = 0.2
-"""Standard error of a thrust gain, as share of it, above which the rig file's value stays."""
+"""Largest standard error of a thrust gain, as a share of the gain. Above it, the rig file's value stays."""
 _LOWER_BOUNDS: Final = (0.0, 0.0, 1e-3)
 _UPPER_BOUNDS: Final = (100.0, 20.0, 0.5)
 """Bounds of stiffness, damping and lag: of any rig that a hand can carry, with rotors of up to 0.5 s."""
-_GAIN_MASSES: Final = ("M_f", "M_b", "M_h", "L_h", "L_phi")
+_GEOMETRY: Final = ("M_f", "M_b", "M_h", "L_h", "L_phi")
+"""Rig parameters with which an acceleration of pitch is converted to thrust."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +72,23 @@ class ThrustLine:
 
 
 def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
-    """Return the design matrix of pitch around a pulse, shape (times, 4).
+    """Compute the design matrix of pitch around a pulse, of which measured pitch is a linear combination.
 
-    Its columns are the responses to a unit acceleration during the pulse, to an offset, to an initial angle
-    and to an initial rate. Pitch obeys phi'' = -`stiffness` phi - `damping` phi' + a, in 1/s2 and 1/s; the
-    acceleration a follows the voltage with the lag `lag_s`.
+    Pitch obeys phi'' = -stiffness phi - damping phi' + a, where the acceleration a by the thrust follows the
+    voltage with a first-order lag.
+
+    Parameters
+    ----------
+    stiffness, damping : float
+        Coefficients of the equation [1/s^2] and [1/s].
+    lag_s : float
+        Lag of the thrust [s].
+
+    Returns
+    -------
+    ndarray (times, 4)
+        Responses to a unit acceleration during the pulse, to a constant offset, to an initial angle, and to
+        an initial rate.
     """
     lag_s = max(lag_s, 1e-3)
     state_matrix = np.array(
@@ -100,23 +115,28 @@ def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
 
 @dataclass(frozen=True)
 class _PitchDynamics:
-    """Dynamics of pitch, common to all pulses: stiffness [1/s2], damping [1/s] and lag of the thrust [s]."""
+    """Dynamics of pitch that all pulses share: stiffness [1/s^2], damping [1/s] and lag of the thrust [s]."""
 
     stiffness: float
     damping: float
     lag_s: float
 
     def accelerations(self, measured: Floats) -> Floats:
-        """Return the pitch acceleration that each pulse caused [rad/s2], shape (n,).
+        """Estimate the pitch acceleration that each pulse caused [rad/s^2], shape (n,).
 
-        `measured` is pitch around each pulse [rad], shape (times, n).
+        Parameters
+        ----------
+        measured : ndarray (times, n)
+            Pitch around each pulse [rad].
         """
         design = response_design(self.stiffness, self.damping, self.lag_s)
         return np.asarray(_least_squares(design, measured)[0])
 
 
 def _pitch_dynamics_of_rig(rig: Rig) -> _PitchDynamics:
-    """Return the pitch dynamics by the rig file's masses and friction, with a lag of 0.02 s."""
+    """Compute the pitch dynamics from the rig file's masses and friction, with a lag of 0.02 s, as the start
+    of a fit.
+    """
     inertia_kg_m2 = _pitch_inertia(rig)
     tilting_kg = rig["M_f"].value + rig["M_b"].value + rig["M_h"].value
     stiffness = tilting_kg * rig["g"].value * rig["L_phi"].value / inertia_kg_m2
@@ -126,10 +146,12 @@ def _pitch_dynamics_of_rig(rig: Rig) -> _PitchDynamics:
 def _fit_pitch_dynamics(measured: Floats, start: _PitchDynamics) -> _PitchDynamics:
     """Fit the dynamics to pitch around all pulses, shape (times, n), by separable least squares.
 
-    The linear coefficients of each pulse are eliminated inside the residual.
+    The residual eliminates the four linear coefficients of each pulse, see `response_design`, so that the
+    search has three unknowns only.
     """
 
     def residual(parameters: Floats) -> Floats:
+        """Measured minus modelled pitch, shape (times n,), for stiffness, damping and lag."""
         design = response_design(*parameters)
         return np.asarray((measured - design @ _least_squares(design, measured)).ravel())
 
@@ -141,14 +163,14 @@ def _fit_pitch_dynamics(measured: Floats, start: _PitchDynamics) -> _PitchDynami
 
 
 def response_counts(pulse: Pulse, count_rad: float) -> tuple[float, float]:
-    """Return the response of pitch to a `pulse`, in counts of `count_rad`.
+    """Measure how much a pulse moves pitch, in encoder counts of `count_rad` [rad].
 
     Returns
     -------
-    float
-        Largest change of pitch after the pulse began, with its sign.
-    float
-        Standard deviation of the readings before the pulse.
+    change_counts : float
+        Largest change of pitch after the beginning of the pulse, with its sign.
+    std_counts : float
+        Standard deviation of pitch before the pulse.
     """
     before, during = round(BEFORE_s / PULSE_GRID_s), round(PULSE_s / PULSE_GRID_s)
     start_rad, std_rad = pulse.pitch_rad[:before].mean(), pulse.pitch_rad[:before].std()
@@ -178,6 +200,7 @@ def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> ThrustLine | str:
     if len(pulses) < MIN_PULSES:
         return f"{len(pulses)} pulses moved pitch, and a line needs {MIN_PULSES}"
     volts_V = np.array([pulse.volts_V for pulse in pulses])
+    # Thrust per acceleration of pitch: inertia over lever arm.
     newton_per_acceleration = sign * _pitch_inertia(rig) / rig["L_h"].value
     measured = np.column_stack([pulse.pitch_rad for pulse in pulses])
     dynamics = _fit_pitch_dynamics(measured, _pitch_dynamics_of_rig(rig))
@@ -201,10 +224,10 @@ def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> ThrustLine | str:
 
 
 def geometry_share(rig: Rig) -> float:
-    """Return the relative uncertainty of the gain that the tolerances of masses and lengths cause."""
+    """Compute the relative uncertainty of a thrust gain because of the tolerances of masses and lengths."""
     nominal_ratio = _pitch_inertia(rig) / rig["L_h"].value
     relative_changes = []
-    for name in _GAIN_MASSES:
+    for name in _GEOMETRY:
         changed_rig = rig.replace(**{name: rig[name].value + rig[name].tolerance})
         relative_changes.append(_pitch_inertia(changed_rig) / changed_rig["L_h"].value / nominal_ratio - 1.0)
     return float(np.sqrt(np.sum(np.square(relative_changes))))
@@ -217,15 +240,19 @@ def _gain_and_zero(volts: Floats, thrust_N: Floats) -> tuple[float, float]:
 
 
 def _pitch_inertia(rig: Rig) -> float:
+    """Moment of inertia about the pitch axis [kg m^2]."""
     return inertias_kg_m2({name: number.value for name, number in rig.items()})["J_phi"]
 
 
 def _least_squares(design: Floats, measured: Floats) -> Floats:
+    """Coefficients of the columns of `design`, shape (k, n), that fit each column of `measured`, (times,
+    n).
+    """
     return np.asarray(np.linalg.lstsq(design, measured, rcond=1e-10)[0])
 
 
 def _matrix_powers(matrix: Floats, count: int) -> Floats:
-    """Powers 0 to count - 1 of a matrix, shape (count, n, n)."""
+    """Compute the powers 0 to `count` - 1 of a matrix, shape (count, n, n), by doubling their number."""
     powers = np.eye(len(matrix))[np.newaxis]
     while len(powers) < count:
         powers = np.concatenate((powers, powers @ matrix))

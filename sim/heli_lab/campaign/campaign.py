@@ -14,7 +14,7 @@ _DEFAULT_LIMITS: Final = Limits()
 
 @dataclass(frozen=True)
 class Campaign:
-    """Cases of a campaign, with the limits of each case.
+    """A set of cases that are run together, with the limits of each case.
 
     Parameters
     ----------
@@ -48,5 +48,5 @@ class Campaign:
 
     @property
     def works(self) -> tuple[str, ...]:
-        """Functions that run its cases."""
+        """Functions that run the cases."""
         return tuple(sorted({case.work for case in self.cases}))

@@ -1,4 +1,4 @@
-"""A case of a campaign, the key under which its result is stored, and the result."""
+"""The case of a campaign, its result, and the key under which the result is stored."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _NUMBER = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
 
 
 def natural_order(name: str) -> list[str | float]:
-    """Key that sorts a `name` by the numbers in it: ``seed 2`` before ``seed 10``."""
-    parts = _NUMBER.split(name)
-    # Texts are at even places and numbers at odd ones, so that equal places always compare.
-    return [float(part) if place % 2 else part for place, part in enumerate(parts)]
+    """Return a sort key for a `name` with numbers, which puts ``seed 2`` before ``seed 10``."""
+    texts_and_numbers = _NUMBER.split(name)
+    # Texts have even positions and numbers odd ones, so that elements at the same position can be compared.
+    return [float(part) if position % 2 else part for position, part in enumerate(texts_and_numbers)]
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class Case:
     name : str
         Name for readers; it is unique in the campaign.
     work : str
-        Function that runs the case, as ``package.module:function``. It takes the settings. It returns the
-        row of the case, by column, and further results as JSON can hold them.
+        Function that runs the case, as ``package.module:function``. It takes the settings, and returns the
+        row of the case, by column, and further results that JSON can hold.
     settings : Mapping of str to Any
-        Arguments of the function, as JSON can hold them.
+        Argument of the function, which JSON can hold.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Case:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def key(self, code: str) -> str:
-        """Return the key of the case's result: a digest of the case and of `code`, the digest of the code."""
+        """Return the key of the case's result: a digest of the case and of its `code`, itself a digest."""
         content = json.dumps([code, self.name, self.work, self.settings], sort_keys=True, default=str)
         return hashlib.sha256(content.encode()).hexdigest()[:24]
 
@@ -78,10 +78,12 @@ class JobResult:
     where: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """Return the result as JSON can hold it."""
+        """Return the result as a dictionary that JSON can hold."""
         return asdict(self)
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> JobResult:
-        """Read `content`, which `to_json` wrote. Other content raises a KeyError or a TypeError."""
+        """Return the result in the `content` that `to_json` wrote; other content raises a KeyError or a
+        TypeError.
+        """
         return cls(**{name: content[name] for name in cls.__dataclass_fields__})

@@ -1,4 +1,4 @@
-"""Workers of a campaign: those of a running Dask cluster, or threads of this process with one case each."""
+"""Connect to the workers of a campaign: a running Dask cluster, or a cluster on this machine."""
 
 from __future__ import annotations
 
@@ -14,18 +14,24 @@ if TYPE_CHECKING:
     from distributed import Client
 
 LOOPBACK: Final = "127.0.0.1:0"
-"""Where Dask serves its HTTP. Without an address it listens on every interface, even with its dashboard off:
-measured with 2026.8."""
+"""Address of Dask's HTTP server. Without one, it listens on every interface, even if its dashboard is off
+(measured with version 2026.8)."""
 CONNECT_s: Final = 10.0
-"""Until an address counts as one that does not answer."""
+"""Longest wait for an answer of the scheduler [s]."""
 FIRST_WORKER_s: Final = 60.0
-"""Until a cluster counts as one without workers; a batch system's may be on their way."""
+"""Longest wait for the first worker of a cluster [s]; a batch system may still be starting its workers."""
 
 
 @contextmanager
 def campaign_client(scheduler: str | None, processes: int) -> Iterator[Client]:
-    """Connect to the cluster at the address `scheduler`. Without an address, start a cluster on this machine
-    that runs as many cases in parallel as `processes`.
+    """Connect to a cluster, or start one on this machine, until the block ends.
+
+    Parameters
+    ----------
+    scheduler : str or None
+        Address of a running Dask scheduler; None starts a cluster on this machine.
+    processes : int
+        Number of cases that the cluster on this machine runs in parallel.
 
     Raises
     ------
@@ -44,7 +50,7 @@ def campaign_client(scheduler: str | None, processes: int) -> Iterator[Client]:
         "distributed.comm.timeouts.connect": f"{CONNECT_s:g}s",
         "distributed.admin.tick.limit": "1h",
         "distributed.worker.memory.terminate": False,
-        # A campaign asks for none of its pages, so other users of this machine get none.
+        # A campaign does not need these pages, and other users of this machine must not see them.
         "distributed.scheduler.http.routes": [],
         "distributed.worker.http.routes": [],
     }
@@ -56,8 +62,9 @@ def campaign_client(scheduler: str | None, processes: int) -> Iterator[Client]:
 
 @contextmanager
 def _local_client(processes: int) -> Iterator[Client]:
-    """Start a cluster in this process. Cases have processes of their own: the worker's threads only wait for
-    them.
+    """Start a cluster in this process, with one thread per parallel case.
+
+    Each thread only waits for a separate process that runs the case.
     """
     from distributed import Client, LocalCluster
 

@@ -1,4 +1,4 @@
-"""Rigs whose parameters differ from their file by random draws from a seed."""
+"""Draw the parameters of rigs, and the sizes of effects, at random."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from heli_lab.errors import CampaignError
 
 TOLERANCES: Final = "tolerances"
 PREFIX: Final = "drawn_"
-"""Begins the names of the table's columns for what was drawn."""
+"""Beginning of the names of the table's columns with drawn values."""
 _FORMS: Final = ("share", "factor", "range")
 
 
@@ -88,7 +88,7 @@ def draw_rig(
                 f"[draw] {pattern}: no number of rig {rig.name} and no effect of the case without a size",
                 "correct the name; an effect needs a range",
             )
-        # The table has the size that the effect is given as text.
+        # Rounded by the text of the effect; the table must state the rounded size.
         size = f"{_draw(0.0, distribution, random):.6g}"
         effects_with_sizes[effects_with_sizes.index(pattern)] = f"{pattern}={size}"
         sizes[pattern] = float(size)
@@ -96,7 +96,7 @@ def draw_rig(
 
 
 def _draw_within_tolerances(rig: Rig, random: np.random.Generator) -> dict[str, float]:
-    """Draw every parameter that has a tolerance from a normal distribution, by name."""
+    """Draw every parameter of a rig that has a tolerance from a normal distribution; return them by name."""
     values = {}
     for name, number in rig.items():
         if number.tolerance > 0.0:
@@ -106,8 +106,13 @@ def _draw_within_tolerances(rig: Rig, random: np.random.Generator) -> dict[str, 
 
 
 def check_distribution(name: str, distribution: object) -> None:
-    """Check the `distribution` of the parameter `name`: a table with one of ``share``, ``factor`` and
-    ``range``. Otherwise raise a CampaignError.
+    """Check the `distribution` of the parameter `name` in a campaign file.
+
+    Raises
+    ------
+    CampaignError
+        The distribution is not a table with one of ``share``, ``factor`` and ``range``, or has a wrong
+        number.
     """
     if (
         not isinstance(distribution, Mapping)

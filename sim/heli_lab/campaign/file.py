@@ -1,4 +1,4 @@
-"""The file of a campaign: its work, and lists of settings, of which every combination is a case."""
+"""Read the TOML file of a campaign: its work, and lists of settings, of which each combination is a case."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from heli_lab.campaign.works import DEFAULT_RANKING, DEFAULTS, WORKS
 from heli_lab.errors import CampaignError
 
 MAX_CASES: Final = 200_000
-"""More than a store of one file a case should hold; a slip of the pen makes millions."""
+"""Largest number of cases: a store has one file per case, and a typing error may give millions of cases."""
 _OWN_WORK: Final = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
 _TOP: Final = ("title", "work", "cases", "draw", "limits", "worst")
 _LISTS: Final = ("effects", "effect_files")
-"""Settings whose one value is a list already."""
+"""Settings each of whose values is a list."""
 _FILES: Final = ("rig", "plan", "validate", "params", "effect_files")
-"""Settings that may be files, looked for in the folder of the campaign's file."""
+"""Settings whose values may be files in the folder of the campaign file."""
 
 
 def load_campaign(path: Path) -> Campaign:
@@ -49,7 +49,7 @@ def load_campaign(path: Path) -> Campaign:
 
 
 def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
-    """Convert the `table` of the file at `path`; a CampaignError names a wrong entry."""
+    """Convert the `table` of the file at `path` to a campaign; a CampaignError names a wrong entry."""
     _refuse_unknown_names(table, _TOP, "the file")
     if "work" not in table:
         raise CampaignError("work is missing", f"write work = one of {', '.join(WORKS)}")
@@ -84,8 +84,18 @@ def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
 
 
 def _cases(work: str, values: Mapping[str, Sequence[Any]], fixed: Mapping[str, Any]) -> tuple[Case, ...]:
-    """One case per combination of the `values` of the settings, in addition to the `fixed` settings. Settings
-    with several values give the case its name.
+    """Make one case per combination of settings.
+
+    The name of a case consists of the settings that have several values.
+
+    Parameters
+    ----------
+    work : str
+        Function that runs the cases.
+    values : mapping of str to sequence
+        Values of each setting.
+    fixed : mapping
+        Settings that all cases share.
     """
     varied = [name for name, choices in values.items() if len(choices) > 1]
     cases = []
@@ -106,7 +116,9 @@ def _refuse_unknown_names(table: Mapping[str, Any], names: Sequence[str], where:
 
 
 def _values(name: str, given: Any, folder: Path) -> list[Any]:
-    """Values of a setting: a list, a single value, or the range ``{ from = 1, to = 50 }`` with both ends."""
+    """List the values of a setting, which are given as a list, as a single value, or as a range with both
+    ends, ``{ from = 1, to = 50 }``.
+    """
     if isinstance(given, dict):
         first, last = given.get("from"), given.get("to")
         if len(given) != 2 or type(first) is not int or type(last) is not int or last < first:
@@ -114,41 +126,45 @@ def _values(name: str, given: Any, folder: Path) -> list[Any]:
         if last - first >= MAX_CASES:
             raise CampaignError(f"[cases] {name} has {last - first + 1} values", f"give at most {MAX_CASES}")
         return list(range(first, last + 1))
-    several = given if isinstance(given, list) else [given]
-    if name in _LISTS and not all(isinstance(entry, list) for entry in several):
-        several = [several]
-    if not several:
+    values = given if isinstance(given, list) else [given]
+    # A single list of texts is one value of such a setting.
+    if name in _LISTS and not all(isinstance(value, list) for value in values):
+        values = [values]
+    if not values:
         raise CampaignError(f"[cases] {name} has no value", "give it at least one value")
-    for entry in several:
-        _check(name, entry)
-    return [_placed(name, entry, folder) for entry in several]
+    for value in values:
+        _check_type(name, value)
+    return [_with_absolute_paths(name, value, folder) for value in values]
 
 
-def _check(name: str, value: Any) -> None:
-    """Raise an error if a value has another type than the setting."""
+def _check_type(name: str, value: Any) -> None:
+    """Raise a CampaignError if a value of the setting `name` has a wrong type, or is too small."""
     if name not in DEFAULTS:
         return
-    wanted = type(DEFAULTS[name])
-    texts = wanted is list and isinstance(value, list) and all(isinstance(text, str) for text in value)
-    if (wanted is list and not texts) or (wanted is not list and type(value) is not wanted):
-        kind = {list: "a list of texts", int: "a whole number", str: "a text"}[wanted]
+    required = type(DEFAULTS[name])
+    if required is list:
+        is_valid = isinstance(value, list) and all(isinstance(text, str) for text in value)
+    else:
+        is_valid = type(value) is required
+    if not is_valid:
+        kind = {list: "a list of texts", int: "a whole number", str: "a text"}[required]
         raise CampaignError(f"[cases] {name} = {value!r} is invalid", f"each value is {kind}")
-    if wanted is int and value < (0 if name == "seed" else 1):
+    if required is int and value < (0 if name == "seed" else 1):
         raise CampaignError(f"[cases] {name} = {value} is too small", "give a larger value")
 
 
-def _placed(name: str, value: Any, folder: Path) -> Any:
-    """Make the path of a file absolute, because each worker has its own folder."""
+def _with_absolute_paths(name: str, value: Any, folder: Path) -> Any:
+    """Make the path of a file absolute, because each worker runs in another folder; other values stay."""
     if name not in _FILES:
         return value
     if isinstance(value, list):
-        return [_placed(name, entry, folder) for entry in value]
-    beside = folder / value
-    return str(beside.resolve()) if value and beside.is_file() else value
+        return [_with_absolute_paths(name, entry, folder) for entry in value]
+    path = folder / value
+    return str(path.resolve()) if value and path.is_file() else value
 
 
 def _draw(given: Any) -> Any:
-    """Check the entry ``draw`` of a file, and return it: ``tolerances``, or distributions by name."""
+    """Check the entry ``draw`` of a file, ``tolerances`` or distributions by name, and return it."""
     if given in (TOLERANCES, {}):
         return given
     if not isinstance(given, dict):
@@ -159,7 +175,7 @@ def _draw(given: Any) -> Any:
 
 
 def _limits(given: Any) -> Limits:
-    """Convert the table ``[limits]`` of a file; missing limits have their defaults."""
+    """Convert the table ``[limits]`` of a file; missing limits get their defaults."""
     if not isinstance(given, dict):
         raise CampaignError("limits is not a table", "write [limits]")
     _refuse_unknown_names(given, ("cpu_s", "wait_s"), "[limits]")

@@ -1,4 +1,4 @@
-"""Results of a campaign, one after the other as its cases end."""
+"""Iterate over the results of a campaign while it runs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 from heli_lab.campaign.campaign import Campaign
 from heli_lab.campaign.case import JobResult
-from heli_lab.campaign.run import State, run_campaign
+from heli_lab.campaign.run import CampaignProgress, run_campaign
 from heli_lab.campaign.store import Store
 
 
@@ -21,7 +21,9 @@ def campaign_results(
     code: str | None = None,
     again: Callable[[JobResult], bool] | None = None,
 ) -> Iterator[JobResult]:
-    """Run a campaign in a thread, and yield the result of each case that ends now, with its details.
+    """Run a campaign in a thread, and yield the result of each case as soon as the case has ended.
+
+    Cases whose result was stored before are not yielded.
 
     Parameters
     ----------
@@ -31,16 +33,18 @@ def campaign_results(
     Raises
     ------
     CampaignError
-        When the cluster cannot be used, or is gone before all cases have ended; all results so far stay
+        When the cluster cannot be used, or stops before all cases have ended. All results up to then are
         stored.
     """
     results: queue.SimpleQueue[JobResult | BaseException | None] = queue.SimpleQueue()
 
-    def report(state: State) -> None:
-        if state.newest is not None:
-            results.put(state.newest)
+    def report(progress: CampaignProgress) -> None:
+        """Pass on the result of the case that has just ended."""
+        if progress.newest is not None:
+            results.put(progress.newest)
 
     def run() -> None:
+        """Run the campaign, and end the results by None or by an error."""
         try:
             run_campaign(
                 campaign,
@@ -52,12 +56,12 @@ def campaign_results(
                 on_progress=report,
             )
             results.put(None)
-        except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
+        except BaseException as error:  # noqa: BLE001 - raised again below, in the thread of the caller
             results.put(error)
 
     threading.Thread(target=run, daemon=True).start()
     while (result := results.get()) is not None:
         if isinstance(result, BaseException):
             raise result
-        # A worker that sees the store leaves the details there.
+        # A worker that can write to the store leaves the details there, and reports the row only.
         yield store.read([result.key]).get(result.key, result)

@@ -23,21 +23,21 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 _FLUSH_s: Final = 5.0
-"""Between two parts of the table. Shorter: many small files. Longer: more is read again from the JSON files
-of a campaign that was killed; nothing is lost."""
-_LOST_WORKERS: Final = 20
-"""Workers that may die under one case before the case is given up."""
+"""Time between two parts of the table [s]. Shorter: many small files. Longer: after a kill, more rows are
+made again from the JSON files; nothing is lost."""
+_MAX_LOST_WORKERS: Final = 20
+"""If a case has lost so many workers, it fails."""
 _NO_WORKER_REMEDY: Final = "install this version of heli-host on the workers, and start them again"
 
 
 @dataclass(frozen=True)
-class State:
+class CampaignProgress:
     """Progress of a campaign, after each case.
 
     Parameters
     ----------
     ended, failed, cases : int
-        Cases that have ended, those of them that failed, and all.
+        Number of cases that have ended, of those among them that failed, and of all cases.
     newest : JobResult or None
         The case that has just ended; None at the beginning.
     note : str
@@ -59,7 +59,7 @@ def run_campaign(
     processes: int = 1,
     code: str | None = None,
     again: Callable[[JobResult], bool] | None = None,
-    on_progress: Callable[[State], None] | None = None,
+    on_progress: Callable[[CampaignProgress], None] | None = None,
 ) -> list[dict[str, Any]]:
     """Run all cases that have no result yet, and write the table of all cases.
 
@@ -76,9 +76,9 @@ def run_campaign(
     code : str, optional
         Digest of the code, if results do not depend on the code of the installed packages.
     again : callable, optional
-        Takes the result of a case and returns whether the case is to be run again.
+        Takes a stored result, and returns whether the case is run again.
     on_progress : callable, optional
-        Called with the state of the campaign after each case.
+        Called with the progress of the campaign after each case.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def run_campaign(
     Raises
     ------
     CampaignError
-        When the cluster cannot be used, or is gone before all cases have ended; all results so far stay
+        When the cluster cannot be used, or stops before all cases have ended. All results up to then are
         stored.
     """
     report = on_progress or (lambda _: None)
@@ -97,38 +97,37 @@ def run_campaign(
     with store.locked():
         rows = _stored_rows(store, cases, again)
         failed = sum(bool(row.get("failure")) for row in rows.values())
-        report(State(len(rows), failed, len(cases)))
-        # Results that do not depend on the installed code need workers with the same packages nevertheless.
+        report(CampaignProgress(len(rows), failed, len(cases)))
+        # Even if results do not depend on the installed code, all workers need the same packages.
         works, worker_code = (campaign.works, digest) if code is None else ((), code_digest())
-        jobs = _jobs(
-            campaign, store, {key: case for key, case in cases.items() if key not in rows}, works, worker_code
-        )
+        open_cases = {key: case for key, case in cases.items() if key not in rows}
+        jobs = _jobs(campaign, store, open_cases, works, worker_code)
         # Rows that are not in the table yet.
         unwritten: list[dict[str, Cell]] = []
         written_s = time.monotonic()
         try:
             for result, note in _results(jobs, scheduler, processes):
                 if result is None:
-                    report(State(len(rows), failed, len(cases), None, note))
+                    report(CampaignProgress(len(rows), failed, len(cases), note=note))
                     continue
-                store.keep(result)
+                store.write(result)
                 rows[result.key] = _row(cases[result.key], result)
                 unwritten.append(rows[result.key])
                 failed += bool(result.failure)
                 if time.monotonic() - written_s > _FLUSH_s:
                     store.append(unwritten)
                     unwritten, written_s = [], time.monotonic()
-                report(State(len(rows), failed, len(cases), result))
+                report(CampaignProgress(len(rows), failed, len(cases), newest=result))
         finally:
             store.append(unwritten)
-        store.settle(rows.values())
+        store.write_table(rows.values())
     return sorted(rows.values(), key=lambda row: natural_order(str(row["case"])))
 
 
 def _jobs(
     campaign: Campaign, store: Store, cases: dict[str, Case], works: tuple[str, ...], code: str
 ) -> dict[str, Job]:
-    """Jobs of the `cases`, by key, for workers whose `works` have the digest `code`."""
+    """Make the jobs of the `cases`, by key, for workers whose functions `works` have the digest `code`."""
     return {
         key: Job(
             case=case,
@@ -145,7 +144,7 @@ def _jobs(
 
 
 def _digest(campaign: Campaign) -> str:
-    """Digest of the code that runs the cases; a CampaignError reports a module that is missing."""
+    """Compute the digest of the code that runs the cases; a CampaignError reports a missing module."""
     try:
         return code_digest(campaign.works, campaign.modules)
     except ImportError as error:
@@ -156,10 +155,10 @@ def _digest(campaign: Campaign) -> str:
 
 
 def _row(case: Case, result: JobResult) -> dict[str, Cell]:
-    """Return the row of a case in the table. A case without a result has its drawn values too."""
+    """Return the row of a case in the table; for a failed case, with the drawn values too."""
     row = row_of(case, result)
     if result.failure:
-        # Read only here: a campaign of other works needs no simulation.
+        # Imported here, because a campaign with other functions does not need the simulation.
         from heli_lab.campaign.works import WORKS, drawn_row
 
         if case.work in WORKS.values():
@@ -171,28 +170,30 @@ def _row(case: Case, result: JobResult) -> dict[str, Cell]:
 def _stored_rows(
     store: Store, cases: dict[str, Case], again: Callable[[JobResult], bool] | None
 ) -> dict[str, dict[str, Any]]:
-    """Rows of the cases that have a stored result, by key; rows that the table lacks are added to it. Results
-    that are to be computed `again` are removed.
+    """Return the rows of the cases that have a stored result, by key, and add missing ones to the table.
+
+    Results of cases that are run again, as in `run_campaign`, are removed from the store.
     """
     stored = store.read(cases)
     if again is not None:
-        store.forget(key for key, result in stored.items() if again(result))
+        store.remove(key for key, result in stored.items() if again(result))
         stored = {key: result for key, result in stored.items() if not again(result)}
     rows: dict[str, dict[str, Any]] = {key: _row(cases[key], result) for key, result in stored.items()}
-    known = {row["key"] for row in store.rows()}
-    store.append([row for key, row in rows.items() if key not in known])
+    keys_in_table = {row["key"] for row in store.rows()}
+    store.append([row for key, row in rows.items() if key not in keys_in_table])
     return rows
 
 
 def _results(
     jobs: dict[str, Job], scheduler: str | None, processes: int
 ) -> Iterator[tuple[JobResult | None, str]]:
-    """Run the jobs, and yield results as they arrive, or None with a note on a worker."""
+    """Run the jobs, and yield each result as it arrives, or None with a note on a worker."""
     if not jobs:
         return
-    job = next(iter(jobs.values()))
+    # Code, functions and modules are the same in all jobs.
+    any_job = next(iter(jobs.values()))
     with campaign_client(scheduler, min(processes, len(jobs))) as client:
-        usable_workers, unusable = workers_by_code(client, job.code, job.works, job.modules)
+        usable_workers, unusable = workers_by_code(client, any_job.code, any_job.works, any_job.modules)
         for address, why in unusable.items():
             yield None, f"worker {address} is not used: {why}"
         if not usable_workers:
@@ -207,12 +208,12 @@ def _results(
 def _run_on_workers(
     client: Client, jobs: dict[str, Job], unusable: set[str]
 ) -> Iterator[tuple[JobResult | None, str]]:
-    """Run jobs on a cluster; a job whose worker is lost or has other code is submitted again.
+    """Run jobs on a cluster. A job whose worker is lost, or has other code, is submitted again.
 
     Parameters
     ----------
     unusable : set of str
-        Addresses of workers that have other code; more are added.
+        Addresses of workers that have other code; newly found ones are added.
 
     Yields
     ------
@@ -224,12 +225,15 @@ def _run_on_workers(
     from distributed import as_completed
 
     def submit(job: Job) -> Future[Any]:
-        """Submit a job to the workers that are not unusable."""
+        """Submit a job to the usable workers.
+
+        If no worker is usable, any worker may take the job and then reports that its code differs. A job
+        without a worker would wait forever.
+        """
         workers = None
         if unusable:
-            # If none remains, an unusable worker reports its code; a job without a worker would wait forever.
             workers = [worker for worker in client.scheduler_info()["workers"] if worker not in unusable]
-        # With its own key, because another campaign may run the same case with other limits.
+        # Not pure: Dask must not share the result with another campaign that has other limits.
         return client.submit(
             run_job, job, pure=False, workers=workers or None, allow_other_workers=bool(workers)
         )
@@ -264,8 +268,12 @@ def _run_on_workers(
 
 
 def _result_of(future: Future[Any], job: Job, lost_workers: Counter[str]) -> JobResult | CodeMismatch | None:
-    """Result of a task; None if its worker was lost and another worker is to try. `lost_workers` counts the
-    workers that were lost, by key of the case.
+    """Return the result of a task; None if its worker was lost and another worker should run the job.
+
+    Parameters
+    ----------
+    lost_workers : Counter of str
+        Number of workers that each case has lost, by its key; updated.
     """
     from distributed import KilledWorker
 
@@ -273,7 +281,7 @@ def _result_of(future: Future[Any], job: Job, lost_workers: Counter[str]) -> Job
         result: JobResult | CodeMismatch = future.result()
     except KilledWorker:
         lost_workers[job.key] += 1
-        if lost_workers[job.key] < _LOST_WORKERS:
+        if lost_workers[job.key] < _MAX_LOST_WORKERS:
             return None
         return JobResult(job.case.name, job.key, failure="worker after worker was lost under it")
     except Exception as error:  # noqa: BLE001 - whatever a worker raises belongs to the case

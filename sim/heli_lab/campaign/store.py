@@ -1,9 +1,9 @@
-"""Results on disk: one JSON file per case, and a table with one row per case; a kill damages neither.
+"""Store the results of a campaign on disk: one JSON file per case, and a table with one row per case.
 
-The JSON files are authoritative. Each is written under a temporary name and then renamed, so that a file is
-either complete or missing. Rows of the table are written in parts, which are files that appear complete too.
-If a campaign was killed before it wrote a row, the row follows from the JSON files. At the end the parts
-become one file.
+If the campaign is killed, neither is damaged. The JSON files are authoritative: each is written under a
+temporary name and then renamed, so that a file is either complete or missing. Rows of the table are written
+in parts, in the same manner. A row that was not written before a kill is made again from its JSON file. At
+the end, the parts become one file.
 """
 
 from __future__ import annotations
@@ -25,14 +25,19 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 STORED_PACKAGES: Final = ("distributed", "pyarrow")
-"""Packages of the extra ``campaign`` that nothing else of the laboratory needs."""
+"""Packages of the extra ``campaign`` that the other parts of the laboratory do not need."""
 TABLE: Final = "cases.parquet"
 RESULT_COLUMNS: Final = ("failure", "cpu_s", "seconds", "where", "key")
 """Columns that every case has in addition to its name, its settings and the results of its work."""
 
 
 class Store:
-    """The results of a campaign in a `folder`, which is made if it is missing.
+    """The results of a campaign in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder; it is created if it is missing.
 
     Raises
     ------
@@ -64,14 +69,14 @@ class Store:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other campaigns out of the folder.
+        """Lock the folder against other campaigns until the block ends.
 
         Raises
         ------
         CampaignError
-            When one is there already.
+            When another campaign has locked it.
         """
-        # SQLite's own locks are there on every system, and end with the process that has them.
+        # SQLite's locks exist on every system, and end with the process that holds them.
         with closing(sqlite3.connect(self.folder / "lock", timeout=0.0)) as lock:
             try:
                 lock.execute("BEGIN EXCLUSIVE")
@@ -82,14 +87,14 @@ class Store:
             yield
 
     def path(self, key: str) -> Path:
-        """File of the result with the given `key`."""
+        """Return the file of the result with the given `key`."""
         return self.cases / f"{key}.json"
 
-    def keep(self, result: JobResult) -> None:
+    def write(self, result: JobResult) -> None:
         """Write a result, unless it is stored already."""
         write_result(self.cases, result)
 
-    def forget(self, keys: Iterable[str]) -> None:
+    def remove(self, keys: Iterable[str]) -> None:
         """Remove the results with the given `keys`."""
         for key in keys:
             self.path(key).unlink(missing_ok=True)
@@ -101,7 +106,7 @@ class Store:
         return {key: result for key, result in results.items() if result is not None}
 
     def append(self, rows: Sequence[Mapping[str, Cell]]) -> None:
-        """Append `rows` to the table, as a separate part."""
+        """Append `rows` to the table, as a separate file."""
         if rows:
             _write_parquet(self._parts / f"{secrets.token_hex(8)}.parquet", rows)
 
@@ -116,8 +121,10 @@ class Store:
                     rows[row["key"]] = {name: value for name, value in row.items() if value is not None}
         return list(rows.values())
 
-    def settle(self, rows: Iterable[Mapping[str, Cell]]) -> Path:
-        """Write one table of `rows`, sorted by names of cases, and remove all parts; return its file."""
+    def write_table(self, rows: Iterable[Mapping[str, Cell]]) -> Path:
+        """Write all `rows` into one table, sorted by names of cases, and remove the parts; return its
+        file.
+        """
         path = self.folder / TABLE
         _write_parquet(path, sorted(rows, key=lambda row: natural_order(str(row["case"]))))
         for part in self._parts.glob("*.parquet"):
@@ -126,13 +133,12 @@ class Store:
 
 
 def _check_packages() -> None:
-    """Check that the packages of the extra are installed before any work is done; other extras contain only
-    some of them.
-    """
+    """Raise a CampaignError, before any case is run, if a package of the extra ``campaign`` is missing."""
     for name in STORED_PACKAGES:
         try:
             spec = importlib.util.find_spec(name)
         except ValueError:
+            # The module was imported without a specification, as a replaced one may be.
             spec = None
         if spec is None:
             raise CampaignError(
@@ -175,7 +181,10 @@ def _cell(value: Any) -> Cell:
 
 @contextmanager
 def _appears_complete(path: Path) -> Iterator[Path]:
-    """Lend a temporary name, and rename the file at the end, so that it is complete or missing."""
+    """Lend a temporary name in place of `path`, and rename the file when the block ends.
+
+    Under its own name, the file is thus always complete.
+    """
     unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     yield unfinished
     unfinished.replace(path)
@@ -190,7 +199,7 @@ def _write_parquet(path: Path, rows: Sequence[Mapping[str, Cell]]) -> None:
 
 
 def _table(rows: Sequence[Mapping[str, Cell]]) -> pa.Table:
-    """Table with all columns of the `rows`; a column of mixed types holds texts."""
+    """Convert `rows` to a table with all their columns; a column of mixed types holds texts."""
     import pyarrow as pa
 
     columns: dict[str, list[Cell]] = {}
@@ -198,9 +207,13 @@ def _table(rows: Sequence[Mapping[str, Cell]]) -> pa.Table:
         values = [row.get(name) for row in rows]
         kinds = {type(value) for value in values if value is not None}
         if kinds <= {int, float} and float in kinds:
-            # A number that is none, such as the settling time of what never settles, is left out.
-            values = [float(v) if isinstance(v, int | float) and math.isfinite(v) else None for v in values]
+            # A number that is not finite, such as the settling time of a step that never settles, is left
+            # out.
+            values = [
+                float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+                for value in values
+            ]
         elif len(kinds) > 1:
-            values = [None if v is None else str(v) for v in values]
+            values = [None if value is None else str(value) for value in values]
         columns[name] = values
     return pa.table(columns)

@@ -1,4 +1,4 @@
-"""A campaign's table in numbers: how its columns are distributed, and where it is worst."""
+"""Summarise the table of a campaign: distributions of its columns, groups, and the worst cases."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ OUTCOME: Final = "outcome"
 """Column that states how a flight ended."""
 COMPLETED: Final = "completed"
 _FAULTS: Final = frozenset(fault.name.lower() for fault in Fault if fault)
-_WORST: Final = 10
+_MAX_WORST: Final = 10
+"""Largest number of worst cases that are listed."""
 _MAX_GROUPS: Final = 24
-"""Values of a setting beyond which it groups nothing: a seed has as many as there are cases."""
+"""Largest number of values for which a setting groups the cases. A seed has more: as many as there are
+cases."""
 _QUANTILES: Final = (0.05, 0.5, 0.95)
 Row = Mapping[str, Any]
 
@@ -58,7 +60,7 @@ class Summary:
     cases : int
         Cases that have ended.
     columns : tuple of Column
-        Results that are numbers; a result that is true or false is 1 or 0.
+        Results that are numbers; true and false count as 1 and 0.
     words : Mapping of str to Mapping of str to int
         Columns that hold words: for each column, how often each word occurs.
     groups : Mapping of str to Mapping of str to tuple of Row
@@ -87,7 +89,7 @@ class Summary:
 
 
 def summarise(campaign: Campaign, rows: Sequence[Row]) -> Summary:
-    """Summarise the table of a campaign, its `rows`."""
+    """Summarise the `rows` of a campaign's table."""
     settings = {name for case in campaign.cases for name in case.settings}
     complete = [row for row in rows if not row.get("failure")]
     not_results = {"case", OUTCOME, *RESULT_COLUMNS, *settings}
@@ -113,7 +115,9 @@ def summarise(campaign: Campaign, rows: Sequence[Row]) -> Summary:
 
 
 def _groups(rows: Sequence[Row], settings: Sequence[str]) -> dict[str, dict[str, tuple[Row, ...]]]:
-    """Rows by setting and value, for the settings that group them."""
+    """Group rows by setting and value, for each of the `settings` that has several values, but not too
+    many.
+    """
     groups = {}
     for name in settings:
         by_value: dict[str, list[Row]] = {}
@@ -125,22 +129,24 @@ def _groups(rows: Sequence[Row], settings: Sequence[str]) -> dict[str, dict[str,
 
 
 def _worst(rows: Sequence[Row], worst: str) -> tuple[Row, ...]:
-    """The worst rows by the column `worst`, as in `Campaign`, the worst first."""
+    """Return the worst rows by the column `worst`, as in `Campaign`; the worst first."""
     column = worst.removeprefix("-")
     sign = -1.0 if worst.startswith("-") else 1.0
     with_value = [row for row in rows if isinstance(row.get(column), int | float)]
-    return tuple(sorted(with_value, key=lambda row: -sign * float(row[column]))[:_WORST])
+    return tuple(sorted(with_value, key=lambda row: -sign * float(row[column]))[:_MAX_WORST])
 
 
 def _without_numbers(outcome: str) -> str:
-    """An `outcome` without its numbers: its first word, and the fault that it names."""
-    first, _, rest = outcome.partition(":")
-    fault = next((word for word in re.findall(r"\w+", rest) if word in _FAULTS), "")
-    return f"{first} ({fault})" if fault else first
+    """Shorten an `outcome` to its first word and the fault that it names, so that equal outcomes are counted
+    together.
+    """
+    first_word, _, explanation = outcome.partition(":")
+    fault = next((word for word in re.findall(r"\w+", explanation) if word in _FAULTS), "")
+    return f"{first_word} ({fault})" if fault else first_word
 
 
 def _column(name: str, values: Sequence[float]) -> Column:
-    """Distribution of the finite `values` of a column."""
+    """Compute the distribution of the finite `values` of a column."""
     array = np.array([float(value) for value in values if math.isfinite(value)])
     if not len(array):
         return Column(name, array, mean=math.nan, low=math.nan, median=math.nan, high=math.nan)

@@ -1,4 +1,4 @@
-"""A case on a Dask worker: the worker checks that it may run the case, runs it, and stores the result."""
+"""Run a case on a Dask worker, which first compares its code with the campaign's, and stores the result."""
 
 from __future__ import annotations
 
@@ -25,8 +25,10 @@ class Job:
     ----------
     key : str
         Key under which the result is stored.
+    case : Case
+        Case to run.
     code : str
-        Digest of the code that the campaign was begun with.
+        Digest of the campaign's code.
     works : tuple of str
         Functions that the digest covers.
     limits : Limits
@@ -52,7 +54,15 @@ class Job:
 
 @dataclass(frozen=True)
 class CodeMismatch:
-    """A worker, `where`, whose code differs from the campaign's; `why` states the difference in one line."""
+    """Reply of a worker whose code differs from the campaign's.
+
+    Parameters
+    ----------
+    where : str
+        Name of the worker.
+    why : str
+        The difference, in one line.
+    """
 
     where: str
     why: str
@@ -60,7 +70,7 @@ class CodeMismatch:
 
 @dataclass
 class _IdleProcesses:
-    """Processes of this worker that wait for a case; a case borrows one, or starts a new one.
+    """Processes of this worker that wait for a case. A case borrows one of them, or starts a new one.
 
     Parameters
     ----------
@@ -76,7 +86,7 @@ class _IdleProcesses:
     @contextmanager
     def borrowed(self, limits: Limits, modules: str) -> Iterator[WorkerProcess]:
         """Lend a process with these `modules` and as many threads as in `limits`, until the block ends."""
-        process = self._taken(limits, modules) or WorkerProcess(limits, modules)
+        process = self._take(limits, modules) or WorkerProcess(limits, modules)
         process.limits = limits
         try:
             yield process
@@ -84,8 +94,8 @@ class _IdleProcesses:
             with self.lock:
                 self.idle.append(process)
 
-    def _taken(self, limits: Limits, modules: str) -> WorkerProcess | None:
-        """Take a fitting process out of the list; None if there is none."""
+    def _take(self, limits: Limits, modules: str) -> WorkerProcess | None:
+        """Remove a suitable process from the list, and return it; None if there is none."""
         with self.lock:
             for process in self.idle:
                 if process.limits.threads == limits.threads and process.modules == modules:
@@ -103,6 +113,7 @@ class _IdleProcesses:
 
 @cache
 def _idle_processes() -> _IdleProcesses:
+    """Return the idle processes of this worker; there is one list per Python process."""
     return _IdleProcesses()
 
 
@@ -117,7 +128,7 @@ def worker_name() -> str:
 
 
 def code_difference(code: str, works: tuple[str, ...], modules: str = "") -> str:
-    """Difference between the code of this process and the campaign's, in one line; empty if there is none.
+    """Describe the difference between the code of this process and the campaign's; empty if there is none.
 
     Parameters
     ----------
@@ -136,10 +147,11 @@ def code_difference(code: str, works: tuple[str, ...], modules: str = "") -> str
 
 
 def run_job(job: Job) -> JobResult | CodeMismatch:
-    """Run a case in a separate process, and store its result.
+    """Run a case in a separate process, store its result, and return it.
 
-    A stored result is returned without a run, because a cluster that lost a worker asks again. If this worker
-    sees the folder of the results, it returns the row of the table only.
+    If the result is stored already, the case is not run again: a cluster that loses a worker submits its
+    cases a second time. If this worker can write to the folder of the results, it stores the result there and
+    returns the row of the table only.
     """
     why = code_difference(job.code, job.works, job.modules)
     if why:

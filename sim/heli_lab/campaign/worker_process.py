@@ -1,10 +1,10 @@
-"""A separate process that runs cases, so that a case which crashes or does not end harms nothing else.
+"""Run cases in a separate process, so that a case which crashes or does not end harms nothing else.
 
-Jobs and replies go through two pipes, one JSON text per line. The process ends itself when its pipe of
-jobs is closed, so that it does not outlive its worker. The kernel counts the CPU time of a case and ends a
-process that exceeds the limit, even in compiled code. A case that waits without end uses no CPU time; the
-limit by the clock ends it. If the kernel has no such limit for processes (Windows), a thread of the process
-counts instead; a case in compiled code that blocks Python is then ended by the clock.
+Jobs and replies go through two pipes, one JSON text per line. The process ends itself when its pipe of jobs
+is closed, so that it does not outlive its worker. The kernel counts the CPU time of a case, and ends a
+process that exceeds the limit, even in compiled code. A case that waits without end uses no CPU time, so that
+a limit by the clock ends it. If the kernel cannot limit the CPU time (Windows), a thread of the process
+counts it. That thread cannot run while compiled code blocks Python; such a case is ended by the clock.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from heli_host.process_limits import can_limit, limit_process
 from heli_lab.campaign.case import Case, JobResult
 
 _ONE_THREAD: Final = {f"{name}_NUM_THREADS": "{threads}" for name in ("OMP", "OPENBLAS", "MKL")}
-_KILLED_AGAIN: Final = 2
-"""Times that a case is begun again whose process somebody else killed: the system does so when memory is
-short, and the next time there may be enough."""
-_RAN_AWAY: Final = 152
-"""Exit status of a process that ended itself over its CPU time: what a shell calls SIGXCPU."""
-_WATCH_s: Final = 0.1
+_RETRIES_AFTER_KILL: Final = 2
+"""Number of times that a case is run again after its process was killed from outside. The system does so if
+memory is short, and the next time there may be enough."""
+_CPU_LIMIT_STATUS: Final = 152
+"""Exit status of a process that ends itself because of its CPU time: that of SIGXCPU in a shell."""
+_WATCH_INTERVAL_s: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Limits:
     Parameters
     ----------
     cpu_s : float
-        Most CPU time; counted in whole seconds, one at least.
+        Largest CPU time [s]; counted in whole seconds, at least 1.
     wait_s : float
-        Most time by the clock, for a case that waits and uses no CPU.
+        Longest time by the clock [s], for a case that waits and uses no CPU time.
     threads : int
         Number of threads of the libraries for linear algebra, and of the fits.
     """
@@ -58,10 +58,13 @@ class Limits:
 
 
 class WorkerProcess:
-    """Runs cases, one after the other, in a separate process; a new process replaces one that a case ended.
+    """Runs cases, one after the other, in a separate process. If a case ends the process, a new one is
+    started.
 
     Parameters
     ----------
+    limits : Limits
+        Limits of each case.
     modules : str
         Folder of modules that are not installed; installed modules of the same name come first.
     """
@@ -94,9 +97,13 @@ class WorkerProcess:
     def run(self, case: Case, key: str) -> JobResult:
         """Run a case, whose result is stored under `key`; a failure is reported in the result."""
         started_s = time.monotonic()
-        attempts = (self._attempt(case, key) for _ in range(1 + _KILLED_AGAIN))
-        killed = JobResult(case.name, key, failure="its process was killed from outside, again and again")
-        result = next((result for result in attempts if result is not None), killed)
+        result = None
+        for _ in range(1 + _RETRIES_AFTER_KILL):
+            result = self._attempt(case, key)
+            if result is not None:
+                break
+        if result is None:
+            result = JobResult(case.name, key, failure="its process was killed from outside, again and again")
         return replace(result, seconds=time.monotonic() - started_s)
 
     def _attempt(self, case: Case, key: str) -> JobResult | None:
@@ -122,12 +129,12 @@ class WorkerProcess:
         return JobResult(case.name, key, reply["row"], reply["detail"], reply["failure"], reply["cpu_s"])
 
     def _ended(self, case: Case, key: str) -> JobResult | None:
-        """Return the reason why the process has ended; None if it was killed from outside."""
+        """Return a result with the reason why the process has ended; None if it was killed from outside."""
         assert self._process
         code = self._process.wait()
         self.close()
         name = signal.Signals(-code).name if code < 0 else ""
-        if name == "SIGXCPU" or code == _RAN_AWAY:
+        if name == "SIGXCPU" or code == _CPU_LIMIT_STATUS:
             limit_s = self.limits.cpu_s
             return JobResult(
                 case.name, key, failure=f"the case used more than {limit_s:g} s of CPU", cpu_s=limit_s
@@ -140,7 +147,7 @@ class WorkerProcess:
         """Start the process, and a thread that reads its replies."""
         threads = {name: text.format(threads=self.limits.threads) for name, text in _ONE_THREAD.items()}
         paths = [*sys.path, self.modules]
-        # Not by multiprocessing, which refuses children to the daemonic processes that workers are.
+        # multiprocessing does not work here: it refuses children of daemonic processes, which workers may be.
         self._process = subprocess.Popen(
             [sys.executable, "-m", "heli_lab.campaign.worker_process"],
             env={**os.environ, **threads, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
@@ -150,12 +157,12 @@ class WorkerProcess:
         )
         self._jobs, self._replies = self._process.stdin, queue.SimpleQueue()
         pipes = (self._process.stdout, self._replies)
-        # Windows waits for sockets only, so a thread waits for the pipe.
-        threading.Thread(target=_pass_on, args=pipes, daemon=True).start()
+        # Windows cannot wait for a pipe with a time limit, so a thread reads the pipe.
+        threading.Thread(target=_read_lines, args=pipes, daemon=True).start()
 
 
-def _pass_on(pipe: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
-    """Put the lines of a pipe into a queue, and nothing, b"", at its end."""
+def _read_lines(pipe: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
+    """Read the lines of a pipe into a queue; at the end of the pipe, put an empty line, b""."""
     with pipe:
         for line in pipe:
             lines.put(line)
@@ -163,20 +170,28 @@ def _pass_on(pipe: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
 
 
 def serve_jobs(jobs: IO[bytes], replies: IO[bytes]) -> None:
-    """Run the job in each line of `jobs`, a JSON text, and write one line per job to `replies`. The process
-    ends when `jobs` is closed.
+    """Run jobs until the pipe of jobs is closed, which ends this process.
+
+    Parameters
+    ----------
+    jobs : binary file
+        One JSON text per line: the function, its settings, and the limit of CPU time.
+    replies : binary file
+        Gets one line per job: a JSON text with the result.
     """
     waiting: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
-    def read() -> None:
+    def read_jobs() -> None:
+        """Read jobs into the queue; end the process when the pipe is closed."""
         for line in jobs:
             waiting.put(line)
-        # The worker has ended: nothing reads the result of the present case.
+        # The worker has ended, and nobody reads the result of the present case.
         os._exit(0)
 
-    # Before the thread: an error would wait for ever at the end of the process, for the lock of its pipe.
+    # Set before the thread starts: if this fails later, the process cannot end, because the thread holds the
+    # lock of the pipe.
     allow_cpu = _cpu_limit()
-    threading.Thread(target=read, daemon=True).start()
+    threading.Thread(target=read_jobs, daemon=True).start()
     while True:
         job = json.loads(waiting.get())
         before_s = time.process_time()
@@ -187,14 +202,14 @@ def serve_jobs(jobs: IO[bytes], replies: IO[bytes]) -> None:
 
 
 def _reply(work: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Run a case: its row and detail, or the reason of its failure with the traceback."""
+    """Run a case, and return its row and detail, or the reason of its failure with the traceback."""
     from heli_host.errors import HeliError
 
     try:
         row, detail = _row_and_detail(work, _function(work)(settings))
     except HeliError as error:
         return {"row": {}, "detail": None, "failure": str(error)}
-    except Exception as error:  # noqa: BLE001 - whatever a case raises is its own failure and no other's
+    except Exception as error:  # noqa: BLE001 - an error of a case is a failure of this case only
         text = " ".join(f"{type(error).__name__}: {error}".split())
         return {"row": {}, "detail": {"traceback": traceback.format_exc()}, "failure": text}
     return {"row": row, "detail": detail, "failure": ""}
@@ -213,8 +228,8 @@ def _function(work: str) -> Callable[[Mapping[str, Any]], Any]:
 
 
 def _row_and_detail(work: str, returned: Any) -> tuple[dict[str, Any], Any]:
-    """Row and detail of the result that the function `work` has `returned`; a CampaignError reports a result
-    of another form.
+    """Check the value that the function `work` has `returned`, and return it as row and detail; a
+    CampaignError reports a value of another form.
     """
     from heli_lab.errors import CampaignError
 
@@ -251,43 +266,49 @@ def _plain(value: Any) -> Any:
 
 
 def _cpu_limit() -> Callable[[float], None]:
-    """Return a function that sets the CPU time, in s, after which this process is ended; the kernel counts it
-    if it can.
+    """Return a function that sets the CPU time of this process [s] at which the process is ended.
+
+    The kernel counts the time if it can; otherwise, a thread does.
     """
     if not can_limit():
-        return _own_cpu_limit()
+        return _cpu_limit_by_thread()
     limit_process("CORE", 0)
     return lambda until_s: limit_process("CPU", max(1, int(until_s) + 1))
 
 
-def _own_cpu_limit() -> Callable[[float], None]:
-    """As `_cpu_limit`, by a thread that watches the CPU time."""
-    until_s = [math.inf]
+def _cpu_limit_by_thread() -> Callable[[float], None]:
+    """Return the same function as `_cpu_limit`, for a thread that watches the CPU time."""
+    limit_s = math.inf
 
     def watch() -> None:
-        while time.process_time() < until_s[0]:
-            time.sleep(_WATCH_s)
-        os._exit(_RAN_AWAY)
+        """End the process when its CPU time reaches the limit."""
+        while time.process_time() < limit_s:
+            time.sleep(_WATCH_INTERVAL_s)
+        os._exit(_CPU_LIMIT_STATUS)
 
-    def allow(seconds: float) -> None:
-        until_s[0] = seconds
+    def set_limit(until_s: float) -> None:
+        """Set the limit [s]."""
+        nonlocal limit_s
+        limit_s = until_s
 
     threading.Thread(target=watch, daemon=True).start()
-    return allow
+    return set_limit
 
 
-def _private(descriptor: int, mode: str) -> IO[bytes]:
-    """Keep a pipe for jobs or replies, where a case that reads or prints finds nothing and disturbs
-    nothing.
+def _reserved_pipe(descriptor: int, mode: str) -> IO[bytes]:
+    """Open standard input or output for jobs or replies only, and connect the `descriptor` to nothing.
+
+    A case that reads or prints can then neither take a job nor disturb a reply.
     """
-    kept = os.fdopen(os.dup(descriptor), mode)
-    nothing = os.open(os.devnull, os.O_RDWR)
-    os.dup2(nothing, descriptor)
-    os.close(nothing)
-    return kept
+    pipe = os.fdopen(os.dup(descriptor), mode)
+    null_device = os.open(os.devnull, os.O_RDWR)
+    os.dup2(null_device, descriptor)
+    os.close(null_device)
+    return pipe
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the worker handles Ctrl-C
-    with _private(0, "rb") as jobs, _private(1, "wb") as replies:
+    # The worker handles Ctrl-C.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with _reserved_pipe(0, "rb") as jobs, _reserved_pipe(1, "wb") as replies:
         serve_jobs(jobs, replies)

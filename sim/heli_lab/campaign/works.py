@@ -1,5 +1,6 @@
-"""Functions that run cases: flights, fits, diagnoses and gain checks on simulated rigs. Each returns the
-result for the settings of a case.
+"""Run the cases of a campaign on simulated rigs: flights, fits, diagnoses and gain checks.
+
+Each of these functions takes the settings of a case, and returns its result.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from heli_lab.simulated_board import connected, fly_and_read, world_of
 
 Settings = Mapping[str, Any]
 Result = tuple[dict[str, Cell], Any]
-"""Row of a case by column, and further results as JSON can hold them."""
+"""Row of a case, by column, and further results that JSON can hold."""
 
 WORKS: Final = {name: f"{__name__}:{name}" for name in ("fly", "identify", "diagnose", "gains")}
 """Functions that run cases, by their name in a campaign file."""
@@ -57,7 +58,9 @@ _VALIDATION_SEED: Final = 500_000
 
 
 def fly(settings: Settings) -> Result:
-    """Fly a plan on a rig that may differ from its file by `settings`, and report how well it was tracked."""
+    """Fly a plan on a rig that may differ from its rig file, and report how well the plan was tracked;
+    `settings` are those of the case.
+    """
     simulated = _fly(settings, settings["plan"])
     flight, summary = simulated.flight, simulated.summary
     row = {
@@ -72,8 +75,8 @@ def fly(settings: Settings) -> Result:
 
 
 def identify(settings: Settings) -> Result:
-    """Fit parameters to a flight of a rig that differs from its file by `settings`, and compare them with the
-    true parameters.
+    """Fit parameters to a flight of a rig that differs from its rig file, and compare them with the true
+    parameters; `settings` are those of the case.
     """
     from heli_lab.identify.run import identify as identify_rig
 
@@ -110,8 +113,8 @@ def identify(settings: Settings) -> Result:
 
 
 def diagnose(settings: Settings) -> Result:
-    """Diagnose two flights with hidden effects, those of the `settings`, and report whether the diagnosis
-    finds these effects.
+    """Diagnose two flights in which the effects of the `settings` are hidden, and report whether the
+    diagnosis finds these effects.
     """
     from heli_lab.diagnose import diagnose as diagnose_flights
     from heli_lab.diagnose import to_json
@@ -152,8 +155,8 @@ def diagnose(settings: Settings) -> Result:
 
 
 def gains(settings: Settings) -> Result:
-    """Fly a demanding path, a step of travel and back and then sines, with the board's parameters of the
-    `settings`.
+    """Test the board's parameters of the `settings` on a demanding flight: a step of travel, back, then
+    sines.
     """
     from dataclasses import asdict
 
@@ -175,15 +178,13 @@ def gains(settings: Settings) -> Result:
 
 
 def drawn_row(settings: Settings) -> dict[str, Cell]:
-    """Return the columns of the table for the drawn values of a case with these `settings`, without running
-    the case.
-    """
+    """Return the drawn values of a case with these `settings` as columns of the table, without running it."""
     _, drawn = _draw(settings)
     return drawn.row
 
 
 def _draw(settings: Settings) -> tuple[Rig, RigDraw]:
-    """The rig of the file, and the rig with drawn parameters."""
+    """Return the rig of the rig file, and the rig with the drawn parameters of a case."""
     nominal = load_rig(settings["rig"])
     return nominal, draw_rig(nominal, settings["effects"], settings["draw"], settings["seed"])
 
@@ -199,9 +200,9 @@ class _SimulatedFlight:
     drawn : RigDraw
         The rig that flew, and its effects.
     flight : Flight
-        The log.
+        Log of the flight.
     summary : FlightSummary
-        Its outcome.
+        Outcome of the flight.
     """
 
     nominal: Rig
@@ -211,13 +212,20 @@ class _SimulatedFlight:
 
 
 def _outcome(*flights: _SimulatedFlight) -> str:
-    """Outcome of the first flight that was not completed; otherwise ``completed``."""
+    """Return the outcome of the first flight that was not completed; otherwise ``completed``."""
     return next((flight.summary.outcome for flight in flights if not flight.summary.completed), "completed")
 
 
 def _fly(settings: Settings, plan: str, seed_offset: int = 0) -> _SimulatedFlight:
-    """Fly a `plan` on the simulated rig of a case; `seed_offset` is added to the seed of encoders, line and
-    disturbances, not to that of the drawn parameters.
+    """Fly a plan on the simulated rig of a case.
+
+    Parameters
+    ----------
+    plan : str
+        Name or file of the plan.
+    seed_offset : int
+        Added to the seed of encoders, line and disturbances, but not to that of the drawn parameters: a case
+        flies several times on the same rig.
     """
     nominal, drawn = _draw(settings)
     model = _model(settings, nominal, effects_with(nominal, drawn.effects, settings["effect_files"]))
@@ -229,18 +237,18 @@ def _fly(settings: Settings, plan: str, seed_offset: int = 0) -> _SimulatedFligh
 
 
 def _parameters(settings: Settings) -> dict[str, float]:
-    """Parameters of the board to fly with, by name."""
+    """Read the board's parameters of a case, by name; empty if its settings name no file."""
     return read_parameter_set(Path(settings["params"])).values if settings["params"] else {}
 
 
 def _model(settings: Settings, rig: Rig, effects: tuple[Effect, ...]) -> Model:
-    """Model of the settings, otherwise that of the `rig`, with these `effects`."""
+    """Return the model that the settings name, or otherwise that of the `rig`, with these `effects`."""
     return model_named(settings["model"] or rig.model or MultibodyModel.name, effects)
 
 
 def _tracking_rms_deg(flight: Flight) -> dict[str, float]:
-    """Root mean square error of elevation and travel against their setpoints in closed loop, by axis; empty
-    for a flight without setpoints.
+    """Compute the RMS tracking error of elevation and travel in closed loop [deg], by axis; empty for a
+    flight without setpoints.
     """
     from heli_host.declaration import State
 

@@ -1,4 +1,4 @@
-"""Grades of control laws: the same plan on the same rigs with the same seeds."""
+"""Grade control laws by flights along the same plan, on the same rigs, with the same seeds."""
 
 from __future__ import annotations
 
@@ -36,26 +36,27 @@ HEADS: Final = (
 )
 
 _FIRST_SETPOINT: Final = 2
-"""Place of the elevation setpoint in the outputs of a program."""
+"""Index of the elevation setpoint in the outputs of a program."""
 
 FlyTrial = Callable[[LawProgram | None, str, int], LawTrial]
-"""Flies a law, or the board's own for None, on a rig with a seed."""
+"""Flies a law, or the board's own law for None, on the rig of a name with a seed."""
 
 
 @dataclass(frozen=True)
 class FlightScore:
-    """How well one flight followed its setpoints.
+    """Measures of how well one flight followed its setpoints.
 
     Parameters
     ----------
     settling_s, overshoot_percent : float
-        Metrics of the largest step of elevation or travel; nan without a step, infinite if it did not settle.
+        Settling time and overshoot of the largest setpoint step of elevation or travel; nan if there is no
+        step, infinite if the axis did not settle.
     elevation_rms_deg, travel_rms_deg : float
-        Following errors; nan for an axis without setpoints.
+        RMS tracking error; nan for an axis without setpoints.
     effort_V : float
         RMS of the motor voltages about their mean.
     ended : str
-        Why the law did not fly to the end; empty if it did.
+        Why the law did not complete the flight; empty if it did.
     """
 
     settling_s: float = math.nan
@@ -67,17 +68,17 @@ class FlightScore:
 
     @property
     def rms_deg(self) -> float:
-        """Following errors of both axes together."""
+        """Root of the sum of squares of both RMS tracking errors."""
         errors_deg = np.array([self.elevation_rms_deg, self.travel_rms_deg])
         return math.nan if np.isnan(errors_deg).all() else float(np.sqrt(np.nansum(errors_deg**2)))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the numbers for JSON."""
+        """Return the measures for JSON."""
         return asdict(self)
 
 
 NUMBERS: Final = ("settling_s", "overshoot_percent", "elevation_rms_deg", "travel_rms_deg", "effort_V")
-"""Names of a score's numbers."""
+"""Names of the measures of a score."""
 
 
 @dataclass(frozen=True)
@@ -87,13 +88,13 @@ class LawGrade:
     Parameters
     ----------
     label : str
-        Name for the reader, different for each law.
+        Name for readers; each law has another one.
     refused : str
-        Why the law did not fly at all; empty if it did.
+        Why the law did not fly at all; empty if it flew.
     scores : tuple of FlightScore
         One per rig and seed, in the order of the flights.
     gain_margin, phase_margin_deg : float
-        Lesser margin of the collective and the differential on the first rig; nan without one.
+        Smaller margin of the collective and the differential on the first rig; nan if there is none.
     flight : Flight or None
         First flight, for the figure.
     """
@@ -107,16 +108,16 @@ class LawGrade:
 
     @property
     def takeovers(self) -> int:
-        """Number of flights that the law did not fly to their end."""
+        """Number of flights that the law did not complete."""
         return sum(bool(score.ended) for score in self.scores)
 
     @property
     def passed(self) -> bool:
-        """Whether the law flew each flight to its end."""
+        """Whether the law completed all flights."""
         return not self.refused and not self.takeovers
 
     def mean(self, name: str) -> float:
-        """Return the mean of a number over the flights; nan if a flight lacks it.
+        """Return the mean of a measure over the flights; nan if a flight lacks the measure.
 
         Parameters
         ----------
@@ -160,17 +161,17 @@ def with_plan_setpoints(program: LawProgram) -> LawProgram:
     """Return a law with the same voltages that logs the plan's setpoints of elevation and travel.
 
     A law may log setpoints that it computes. A law that logs the measured angles as setpoints would have no
-    error, so a grade uses the setpoints of the plan.
+    error. Therefore, a grade uses the setpoints of the plan.
 
     Parameters
     ----------
     program : LawProgram
-        Law as the board takes it.
+        Program of the law.
 
     Raises
     ------
     BadLaw
-        No instruction is left for the setpoints.
+        The program has no room for the setpoints.
     """
     outputs = list(program.outputs)
     for axis in ("elevation", "travel"):
@@ -179,7 +180,7 @@ def with_plan_setpoints(program: LawProgram) -> LawProgram:
 
 
 def score_of_trial(trial: LawTrial) -> FlightScore:
-    """Return the score of a flight: errors of both axes, and the metrics of its largest setpoint step."""
+    """Compute the score of a flight: errors of both axes, and the metrics of its largest setpoint step."""
     elevation, _, travel = responses(trial.flight)
     step_response = max(
         elevation,
@@ -229,7 +230,7 @@ def grade(
         try:
             trial = fly(graded_program, rig, seed)
         except HeliError as error:
-            # Without a law, only a flight that ended early is a result; the board or the rig is at fault.
+            # With the board's own law, an error is not the law's fault, unless the flight itself ended early.
             if program is None and not isinstance(error, FlightAborted | FlightDataError):
                 raise
             scores.append(FlightScore(ended=error.cause))
@@ -247,18 +248,19 @@ def grade(
 
 
 def _margins(program: LawProgram | None, plant: LinearPlant | None) -> tuple[float, float]:
-    """Return gain margin (factor) and phase margin [deg] of a law: the lesser of collective and differential.
+    """Return gain margin (factor) and phase margin [deg] of a law: the smaller of collective and
+    differential.
 
     Both are nan without a law or a linear rig, and if the closed loop is unstable.
     """
     if program is None or plant is None:
         return math.nan, math.nan
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        # Frequencies above half of the law's rate, of which there is a warning for each.
+        # There is a warning for each frequency above half of the law's rate.
         warnings.simplefilter("ignore")
         try:
             linear = linearised(law_of_program(program), plant)
-        # A law that is not a number at level has no margins.
+        # A law whose output at level is nan has no margins.
         except (ValueError, np.linalg.LinAlgError):
             return math.nan, math.nan
     if not linear.stable:
@@ -284,4 +286,5 @@ def reasons(grades: Sequence[LawGrade]) -> list[str]:
 
 
 def _format_number(value: float, form: str) -> str:
+    """Format a number as the format specification `form` says; nan becomes a dash."""
     return "–" if math.isnan(value) else f"{value:{form}}"

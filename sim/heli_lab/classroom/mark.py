@@ -1,4 +1,4 @@
-"""The mark of a submission: its flights compared with those of the board's own control law."""
+"""Compute the mark of a submission: compare its flights with those of the board's own control law."""
 
 from __future__ import annotations
 
@@ -10,16 +10,19 @@ from typing import Any, Final
 from heli_lab.classroom.grade import FlightScore
 
 FULL: Final = 10.0
+"""Points of a submission that is as good as the board's own law."""
 WEIGHTS: Final = {"rms_deg": 4.0, "settling_s": 2.0, "overshoot_percent": 2.0, "effort_V": 2.0}
-"""Points of each number; they add up to `FULL`."""
+"""Largest points of each measure of a `FlightScore`; they add up to `FULL`."""
 FLOORS: Final = {"rms_deg": 0.2, "settling_s": 1.0, "overshoot_percent": 5.0, "effort_V": 0.02}
-"""Smaller values earn no more points: two steps of the encoder, and what a flight with another seed changes.
-With less, noise decides the mark; with more, a better law gets no better mark."""
+"""Values of the measures below which a better flight earns no more points: two encoder counts, or the
+difference between flights with other seeds. With lower values, noise decides the mark; with higher ones,
+a better law gets no better mark."""
 _GOOD_WITHOUT_MOTION: Final = ("overshoot_percent", "effort_V")
+"""Measures that are best if the motors do nothing."""
 NO_POINTS: Final = 10.0
-"""Multiple of the reference without points; in between, points fall with the logarithm. An LQR without
-integrals has 3 times the RMS error of the board's own law, and a slow PD law 7 times. With less, both get
-nothing; with more, they get nearly the same."""
+"""Multiple of the reference's value that earns no points; in between, points fall with the logarithm. An LQR
+without integrals has 3 times the RMS error of the board's own law, and a slow PD law 7 times. With a lower
+multiple, both get nothing; with a higher one, they get nearly the same."""
 
 
 @dataclass(frozen=True)
@@ -31,17 +34,18 @@ class Mark:
     name : str
         Name of the submission.
     points : float
-        From 0 to `FULL`.
+        Points, from 0 to `FULL`.
     reason : str
-        Why it was refused or did not fly to its end; empty if it did.
+        Why the submission was refused, or did not complete its flights; empty if it completed them.
     scores : tuple of FlightScore
-        One per flight; empty if it was refused.
+        One per flight; empty if the submission was refused.
     parts : dict of str to float
-        Points for each of `WEIGHTS` that the reference has, mean over the flights; they add up to `points`.
+        Points for each measure in `WEIGHTS` that the reference has, mean over the flights; they add up to
+        `points`.
     references : tuple of FlightScore
-        Flights of the board's own law with which `scores` were compared.
+        Flights of the board's own law, with which `scores` are compared.
     rig : str
-        Outcome of the flight on the rig; empty without one.
+        Outcome of the flight on the rig; empty if there was no such flight.
     """
 
     name: str
@@ -54,7 +58,7 @@ class Mark:
 
     @property
     def refused(self) -> bool:
-        """Whether it never flew."""
+        """Whether the submission did not fly at all."""
         return not self.scores
 
     def as_dict(self) -> dict[str, Any]:
@@ -76,10 +80,11 @@ class Mark:
 
 
 def points_by_measure(score: FlightScore, reference: FlightScore) -> dict[str, float]:
-    """Return the points for each number: full points if it is as good as the reference.
+    """Compute the points for each measure: full points if it is as good as that of the reference.
 
-    Numbers that the reference lacks do not count, and the others count for more. Little effort and little
-    overshoot only count as far as the law follows its setpoints: motors that do nothing have both.
+    If the reference lacks a measure, such as the overshoot of a plan without a step, the other measures count
+    more. Effort and overshoot earn at most the share of points that the RMS error earns, because motors that
+    do nothing have little effort and no overshoot.
 
     Parameters
     ----------
@@ -88,21 +93,21 @@ def points_by_measure(score: FlightScore, reference: FlightScore) -> dict[str, f
     reference : FlightScore
         The board's own law along the same plan.
     """
-    points_share = {name: _points_share(name, score, reference) for name in WEIGHTS}
-    tracking_share = 1.0 if math.isnan(points_share["rms_deg"]) else points_share["rms_deg"]
-    counted = {name: share for name, share in points_share.items() if not math.isnan(share)}
+    shares = {name: _points_share(name, score, reference) for name in WEIGHTS}
+    tracking_share = 1.0 if math.isnan(shares["rms_deg"]) else shares["rms_deg"]
+    counted_shares = {name: share for name, share in shares.items() if not math.isnan(share)}
     if score.ended:
-        return dict.fromkeys(counted, 0.0)
-    possible = sum(WEIGHTS[name] for name in counted)
+        return dict.fromkeys(counted_shares, 0.0)
+    total_weight = sum(WEIGHTS[name] for name in counted_shares)
     points = {}
-    for name, share in counted.items():
+    for name, share in counted_shares.items():
         earned_share = min(share, tracking_share) if name in _GOOD_WITHOUT_MOTION else share
-        points[name] = FULL * WEIGHTS[name] / possible * earned_share
+        points[name] = FULL * WEIGHTS[name] / total_weight * earned_share
     return points
 
 
 def points_of(score: FlightScore, reference: FlightScore) -> float:
-    """Return the points of a flight: the sum of `points_by_measure`, and full points if no number counts."""
+    """Return the points of a flight: the sum of `points_by_measure`; full points if no measure counts."""
     points = points_by_measure(score, reference)
     if not points:
         return 0.0 if score.ended else FULL
@@ -110,7 +115,9 @@ def points_of(score: FlightScore, reference: FlightScore) -> float:
 
 
 def _points_share(name: str, score: FlightScore, reference: FlightScore) -> float:
-    """Share of the points for a number, 0 to 1; nan if the reference lacks it."""
+    """Compute the share of the points for the measure `name`, 0 to 1; nan if the reference lacks the
+    measure.
+    """
     value, reference_value = getattr(score, name), getattr(reference, name)
     if math.isnan(reference_value):
         return math.nan
@@ -123,21 +130,27 @@ def _points_share(name: str, score: FlightScore, reference: FlightScore) -> floa
 
 
 def mark_of(name: str, scores: Sequence[FlightScore], references: Sequence[FlightScore]) -> Mark:
-    """Return the mark of a submission: the mean over its flights.
+    """Compute the mark of a submission: the mean of the points of its flights.
 
     Parameters
     ----------
     name : str
         Name of the submission.
     scores, references : sequence of FlightScore
-        Its flights, and those of the board's own law, in the same order.
+        Flights of the submission, and flights of the board's own law, in the same order.
     """
-    parts = [points_by_measure(score, reference) for score, reference in zip(scores, references, strict=True)]
-    means = {
-        measure: round(sum(of_flight.get(measure, 0.0) for of_flight in parts) / len(parts), 2)
-        for measure in parts[0]
+    flights = list(zip(scores, references, strict=True))
+    by_flight = [points_by_measure(score, reference) for score, reference in flights]
+    mean_by_measure = {
+        measure: round(sum(points.get(measure, 0.0) for points in by_flight) / len(by_flight), 2)
+        for measure in by_flight[0]
     }
-    reason = ", ".join(sorted({score.ended for score in scores if score.ended}))
-    points = list(map(points_of, scores, references))
-    mean = round(sum(points) / len(points), 1)
-    return Mark(name, mean, reason, tuple(scores), means, tuple(references))
+    flight_points = [points_of(score, reference) for score, reference in flights]
+    return Mark(
+        name=name,
+        points=round(sum(flight_points) / len(flight_points), 1),
+        reason=", ".join(sorted({score.ended for score in scores if score.ended})),
+        scores=tuple(scores),
+        parts=mean_by_measure,
+        references=tuple(references),
+    )

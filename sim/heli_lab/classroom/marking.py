@@ -1,4 +1,4 @@
-"""Flights of submissions on equal simulated boards, and the files that return to each submission."""
+"""Mark submissions: fly each on an equal simulated board, and write log, figure and mark into its folder."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
 
 _SIMULATED: Final = {"arm_rate_max_deg_s": 100.0}
-"""Parameters of every simulated flight. On a rig with a torque about travel, the arm creeps on the table. A
-count of the encoder is then a rate of 3.05 deg/s, at which the board refuses to arm, by chance of the moment.
-This limit protects hands, and there are none."""
+"""Parameters of every simulated flight. With a torque about travel, the arm moves slowly on its table. If
+an encoder count happens to fall into the moment of arming, it looks like a rate of 3.05 deg/s, and the
+board refuses to arm. This limit protects hands near the rig, and in simulation there are none."""
 LOG, FIGURE, MARK = "flight.mcap", "figure.png", "mark.json"
 
 
@@ -37,11 +37,11 @@ class MarkedSubmission:
     Parameters
     ----------
     folder : Path
-        Place of its files; log, figure and mark are returned into it.
+        Folder of the submission, into which log, figure and mark are written.
     mark : Mark
-        Its mark, or why it has none.
+        Mark of the submission, or the reason why it has none.
     submission : Submission or None
-        Its files; None if they are invalid.
+        Content of the submission; None if it is invalid.
     """
 
     folder: Path
@@ -50,7 +50,7 @@ class MarkedSubmission:
 
     @property
     def may_fly(self) -> bool:
-        """Whether it flew to the end of the simulation, so that it may fly on the rig."""
+        """Whether the submission may fly on the rig, because it completed its flights in simulation."""
         return self.submission is not None and not self.mark.reason
 
 
@@ -66,7 +66,7 @@ class Marking:
     seeds : sequence of int
         Seed of each flight.
     limits : FileLimits
-        Limits of a law's file.
+        Limits of the processes that run the students' files.
     """
 
     def __init__(self, options: FlightOptions, plan: Plan, seeds: Sequence[int], limits: FileLimits) -> None:
@@ -79,7 +79,7 @@ class Marking:
         Raises
         ------
         HeliError
-            An option of the simulated board is invalid; no submission is at fault.
+            An option of the simulated board is invalid. This is not the fault of a submission.
         """
         for seed in self.seeds:
             self._reference_score(self.plan, seed)
@@ -90,7 +90,7 @@ class Marking:
         Parameters
         ----------
         folder : Path
-            Folder of the submission. Each fault of it is the reason of its mark.
+            Folder of the submission. If the submission has an error, the mark states the reason.
         """
         mark, submission = Mark(folder.name), None
         try:
@@ -104,6 +104,7 @@ class Marking:
                     mark = replace(mark, reason=str(error))
                 write_result(files / MARK, mark.as_dict())
         except HeliError as error:
+            # Files that cannot be read or returned: a submission without its result has no points.
             mark = replace(mark, points=0.0, reason=mark.reason or str(error))
         return MarkedSubmission(folder, mark, submission)
 
@@ -118,7 +119,7 @@ class Marking:
         return mark_of(submission.name, scores, references)
 
     def _reference_score(self, plan: Plan, seed: int) -> FlightScore:
-        """Return the score of the board's own law along the same plan; it flies each plan and seed once."""
+        """Return the score of the board's own law along the same plan; each plan and seed is flown once."""
         key = plan.text, seed
         if key not in self._references:
             self._references[key] = self._fly(Submission("reference"), plan, seed, None)
@@ -144,7 +145,7 @@ def scored_flight(
     Parameters
     ----------
     submission : Submission
-        Law to fly; the board's own without one.
+        The submission. If it has no law, the board's own law flies.
     options : FlightOptions
         Board, and files to write.
     parameters : mapping of str to float

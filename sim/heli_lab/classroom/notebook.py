@@ -1,4 +1,4 @@
-"""Editions of a notebook for students and teachers, from one Python file with cells.
+"""Write the student edition and the teacher edition of a notebook from one Python file with cells.
 
 A cell begins with ``# %%``, optionally with ``[markdown]`` and ``tags=[...]``. The tags are:
 
@@ -23,36 +23,38 @@ from typing import Any, Final
 from heli_host.errors import HeliError, file_remedy
 from heli_host.files import read_file
 
-# Joined, because this repository takes the whole word for unfinished work of its own.
+# Written in two parts, because a test of this repository takes the whole word for unfinished work.
 CODE_STUB: Final = "# YOUR CODE HERE\nraise Not" + "ImplementedError()"
 TEXT_STUB: Final = "YOUR ANSWER HERE"
 BEGIN, END = "### BEGIN SOLUTION", "### END SOLUTION"
-"""What nbgrader puts in place of a solution, and how it recognises one."""
+"""The stubs replace a solution in the student edition; nbgrader recognises a solution by the two marks."""
 CHECK: Final = "Check"
 """Row of a rubric for the check."""
 _TAGS: Final = ("solution", "check", "rubric", "long")
+# First line of a cell, its tags, beginning of a task, row of a rubric, link to another page.
 _HEAD: Final = re.compile(r"(?m)^# %%(.*)\n")
 _TAG_LIST: Final = re.compile(r"tags=(\[.*\])")
 _TASK: Final = re.compile(r"^\*\*Task (\d+)", re.MULTILINE)
 _ROW: Final = re.compile(r"^\| *(\d+|Check) *\| *(\d+) *\|", re.MULTILINE)
 _LINK: Final = re.compile(r"\[([^\]]*)\]\(((?:\.\./)+[^)#]*)(?:#[^)]*)?\)")
-_BYTES: Final = 1 << 20
+_MAX_BYTES: Final = 1 << 20
+"""Largest size of a source file."""
 
 
 @dataclass(frozen=True)
 class NotebookCell:
-    """One cell.
+    """One cell of a notebook.
 
     Parameters
     ----------
     text : str
         Code, or Markdown without comment signs.
     is_code : bool
-        Whether it is code.
+        Whether the cell is code instead of Markdown.
     tags : tuple of str
-        Any of `solution`, `check`, `rubric` and `long`, which the module explains.
+        Any of `solution`, `check`, `rubric`, which the module explains, and `long`, for tests.
     task : str
-        Number of the task that it belongs to; empty before the first.
+        Number of the task that the cell belongs to; empty before the first task.
     """
 
     text: str
@@ -66,12 +68,12 @@ class NotebookError(HeliError):
 
 
 def cells_of(text: str, name: str) -> list[NotebookCell]:
-    """Read a notebook.
+    """Split a Python file into the cells of a notebook.
 
     Parameters
     ----------
     text : str
-        Python file with cells.
+        Content of the file.
     name : str
         Name of the file, for messages.
 
@@ -166,7 +168,7 @@ def rubric_text(cells: Sequence[NotebookCell]) -> str:
 
 
 def notebook_json(cells: Sequence[NotebookCell], points: dict[str, int]) -> str:
-    """Return a Jupyter notebook (format 4.5) with metadata of nbgrader.
+    """Return the JSON text of a Jupyter notebook (format 4.5) with metadata of nbgrader.
 
     Parameters
     ----------
@@ -216,12 +218,12 @@ def write_editions(sources: Sequence[Path], output: Path) -> list[Path]:
     sources : sequence of Path
         Python files with cells.
     output : Path
-        Folder, made if it is missing; former editions are replaced.
+        Folder of the editions, created if it is missing; existing editions are replaced.
 
     Returns
     -------
     list of Path
-        The files.
+        Paths of the written files.
 
     Raises
     ------
@@ -231,7 +233,7 @@ def write_editions(sources: Sequence[Path], output: Path) -> list[Path]:
     text_by_path: dict[Path, str] = {}
     for source in sources:
         try:
-            text = read_file(source, _BYTES).decode("utf-8").replace("\r\n", "\n")
+            text = read_file(source, _MAX_BYTES).decode("utf-8").replace("\r\n", "\n")
         except OSError as error:
             raise NotebookError(f"cannot read {source}: {error.strerror}", file_remedy(error)) from error
         except UnicodeDecodeError as error:
@@ -270,22 +272,23 @@ def _tags(head: str, name: str) -> tuple[str, ...]:
 def _markdown(body: str) -> str:
     """Return the text of a Markdown cell without comment signs; links to pages become names of files."""
     lines = [line.removeprefix("#").removeprefix(" ") for line in body.strip("\n").split("\n")]
-    # An edition is in another folder than the pages, so that a link would lead nowhere.
+    # An edition is not in the folder of its source, so that relative links would be broken.
     return _LINK.sub(lambda link: f"*{link[1]}* (`docs/{link[2].lstrip('./')}`)", "\n".join(lines))
 
 
 def _without_rubric(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
+    """Return all cells except those of the rubric."""
     return [cell for cell in cells if "rubric" not in cell.tags]
 
 
 def _with_solution_marks(code: str) -> str:
-    """Put code after its leading comments between the marks of nbgrader."""
-    comments, code_lines = _split_comments(code)
-    return "\n".join([*comments, BEGIN, code_lines, END])
+    """Put the marks of nbgrader around a solution, after its leading comments."""
+    comments, solution = _split_comments(code)
+    return "\n".join([*comments, BEGIN, solution, END])
 
 
 def _split_comments(code: str) -> tuple[list[str], str]:
-    """Split code into the lines of its leading comments and the text of the rest."""
+    """Split code into the lines of its leading comments, and the text after them."""
     lines = code.split("\n")
     comment_count = next(
         (number for number, line in enumerate(lines) if not line.startswith("#")), len(lines)
@@ -294,11 +297,25 @@ def _split_comments(code: str) -> tuple[list[str], str]:
 
 
 def _stub(cell: NotebookCell) -> str:
-    return "\n".join([*_split_comments(cell.text)[0], CODE_STUB]) if cell.is_code else TEXT_STUB
+    """Replace the solution in a cell by a stub; the leading comments of code stay."""
+    if not cell.is_code:
+        return TEXT_STUB
+    comments, _ = _split_comments(cell.text)
+    return "\n".join([*comments, CODE_STUB])
 
 
 def _grading(cell: NotebookCell, position: int, points: int, has_points: bool) -> dict[str, Any]:
-    """Return the nbgrader metadata of a cell at a position in the notebook."""
+    """Return the nbgrader metadata of a cell.
+
+    Parameters
+    ----------
+    position : int
+        Position of the cell in the notebook, which makes its identifier unique.
+    points : int
+        Points of the cell's task.
+    has_points : bool
+        Whether this cell carries the points of its task.
+    """
     is_solution = "solution" in cell.tags
     # A text that students write is always graded.
     has_grade = has_points or not is_solution or not cell.is_code

@@ -1,4 +1,4 @@
-"""The page of grades: the table, and figures with the flights over each other."""
+"""Write the HTML page of grades: a table, and figures that compare the flights of several laws."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ _TEMPLATE: Final = Path(__file__).with_name("grade.html")
 
 
 def write_grades(grades: Sequence[LawGrade], content: Mapping[str, Any], folder: Path) -> Path:
-    """Write index.html, result.json and the figures into a folder; return the page.
+    """Write index.html, result.json and the figures into a folder; return the path of the page.
 
     Parameters
     ----------
     grades : sequence of LawGrade
-        The first is the one to which each figure compares the others.
+        Grades of all laws. Each figure compares some of them with the first one.
     content : mapping
         Result for JSON, with the settings of the flights.
     folder : Path
-        Folder, made if it is missing.
+        The folder; it is created if it is missing.
     """
     folder = folder_with(content, folder)
     drawing = Drawing()
@@ -47,8 +47,18 @@ def write_grades(grades: Sequence[LawGrade], content: Mapping[str, Any], folder:
 
 
 def _figures(grades: Sequence[LawGrade]) -> list[tuple[dict[str, Flight], str]]:
-    """Flights of each figure by label, the first grade in each, and the names of the others."""
+    """Divide the flights into figures, each of which contains the flight of the first grade.
+
+    Returns
+    -------
+    list of (dict of Flight, str)
+        For each figure: its flights by label, and the names of all but the first, for the caption.
+    """
     flight_by_label = {grade.label: grade.flight for grade in grades if grade.flight is not None}
     if not flight_by_label:
         return []
-    return [(part, ", ".join(list(part)[1:] or part)) for part in split_into_figures(flight_by_label)]
+    figures = []
+    for flights in split_into_figures(flight_by_label):
+        labels = list(flights)
+        figures.append((flights, ", ".join(labels[1:] or labels)))
+    return figures

@@ -1,4 +1,4 @@
-"""Flights of submissions on the rig, with a confirmation before each."""
+"""Fly submissions on the physical rig, after a confirmation of each."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
 
 Confirm = Callable[[str], bool | None]
-"""Puts a question to the person at the rig; None ends the session."""
+"""Asks the person at the rig a question, and returns the answer; None ends the session."""
 NOT_FLOWN = "not flown"
+"""Outcome of a submission whose flight was not confirmed."""
 
 
 def fly_on_rig(
     submissions: Sequence[MarkedSubmission], options: FlightOptions, plan: Plan, confirm: Confirm
 ) -> Iterator[tuple[MarkedSubmission, str]]:
-    """Yield each submission with the outcome of its flight on the rig.
+    """Fly each submission on the rig, and yield the submission with the outcome.
 
-    Each flight begins with the parameters that the rig had, and the gains of the submission. Afterwards the
-    rig has its own parameters again.
+    Each flight begins with the rig's parameters and the gains of the submission. Afterwards, the rig has its
+    own parameters again.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ def fly_on_rig(
             except HeliError as error:
                 yield marked, str(error)
                 if isinstance(error, LinkError):
-                    # The board is in a state that a person has to look at.
+                    # Without a link, a person must first check the board.
                     return
             else:
                 yield marked, outcome
@@ -80,10 +81,10 @@ def _confirm_flight(port: str | None, name: str, confirm: Confirm) -> tuple[bool
 
     Returns
     -------
-    bool or None
-        Reply; None ends the session.
-    bool
-            Whether the board reports a fault of an earlier flight, which the flight has to clear.
+    is_confirmed : bool or None
+        Answer of the person; None ends the session.
+    has_fault : bool
+        Whether the board reports a fault of an earlier flight, which the flight has to clear.
     """
     with open_board(port) as heli:
         has_fault, fault = heli.state is State.FAULT, heli.fault
@@ -96,7 +97,7 @@ def _confirm_flight(port: str | None, name: str, confirm: Confirm) -> tuple[bool
 
 @contextmanager
 def _parameters_restored(port: str | None) -> Iterator[dict[str, float]]:
-    """Offer the parameters of a board, and restore them in the end."""
+    """Read the parameters of a board, and restore them when the block ends."""
     with open_board(port) as heli:
         parameters = heli.params.dump()
     try:

@@ -1,4 +1,4 @@
-"""Submissions of a class: a folder per student with a control law, a plan or parameters."""
+"""Read the submissions of a class: a folder per student with a control law, a plan or parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from heli_lab.law.files import load_limited
 from heli_lab.law.limits import FileLimits
 
 MARKED: Final = "marked"
-"""Folder of a submission for what comes back: log, figure and mark."""
+"""Folder in a submission for the files that are returned to the student: log, figure and mark."""
 LAW_FILE: Final = "law.py"
 RIG_LOG: Final = "rig.mcap"
 _RIG_FILES: Final = re.compile(r"rig(-\d+)?\.(mcap|png)")
@@ -31,12 +31,13 @@ LONGEST_PLAN_s: Final = 120.0
 """Longest plan of a submission [s]. The built-in plans take up to 80 s; thirty plans of an hour would occupy
 the rig for a day."""
 _MAX_FILES: Final = 200
+"""Largest number of files in a submission."""
 _GAINS: Final = re.compile(
     r"hover_(V|slope)|\w+_(kp|ki|kd|ff)|\w+_integral_max_(V|deg)|(elevation|pitch|travel)_filter_Hz"
     r"|pitch_setpoint_max_deg|differential_max_V|bumpless_s"
 )
-"""Parameters that a submission may change. The others describe the rig, are the limits that protect it, or
-shape the setpoints by which it is judged."""
+"""Parameters that a submission may change. The others describe the rig, protect it, or shape the
+setpoints with which a flight is compared."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,13 @@ class Submission:
     Parameters
     ----------
     name : str
-        Name of its folder.
+        Name of the folder.
     program : LawProgram or None
-        Its law; None for the board's own.
+        The student's control law; None for the board's own.
     plan : Plan or None
-        Its plan; None for that of the class.
+        The student's plan; None for the plan of the class.
     gains : mapping of str to float
-        Parameters of its file that tune the board's own law, by name.
+        Gains of the board's own law from the student's parameter file, by name.
     """
 
     name: str
@@ -78,7 +79,7 @@ def submissions_in(folder: Path) -> list[Path]:
 
 
 def read_submission(folder: Path, limits: FileLimits, rig: str | None = None) -> Submission:
-    """Read a submission; its law's code is run behind `limits`.
+    """Read a submission; the file of its law is run in a fenced process.
 
     Parameters
     ----------
@@ -180,7 +181,7 @@ def _gains(content: Mapping[str, Any], path: Path) -> dict[str, float]:
 
 
 def new_rig_log(folder: Path) -> Path:
-    """Return a path for the log of a flight on the rig that no file has.
+    """Return an unused path for the log of a flight on the rig.
 
     Parameters
     ----------
@@ -193,10 +194,11 @@ def new_rig_log(folder: Path) -> Path:
 
 @contextmanager
 def returned_files(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder that becomes ``marked`` in the submission at the end.
+    """Yield an empty temporary folder, which becomes the folder ``marked`` of a submission when the block
+    ends.
 
-    It replaces an existing ``marked``, except for the files of flights on the rig. Nothing is written through
-    that folder, because it may be a link to another place.
+    An existing ``marked`` is replaced, except for the files of flights on the rig. No file is written into
+    the existing folder, because it may be a link to another place.
 
     Raises
     ------
@@ -216,7 +218,8 @@ def returned_files(folder: Path) -> Iterator[Path]:
                 shutil.rmtree(marked_folder)
             Path(temporary_folder).chmod(0o755)
             Path(temporary_folder).rename(marked_folder)
-            Path(temporary_folder).mkdir()  # TemporaryDirectory removes this folder at its end
+            # TemporaryDirectory needs a folder that it can remove.
+            Path(temporary_folder).mkdir()
     except OSError as error:
         raise HeliError(
             f"cannot write {marked_folder}: {error.strerror or error}", file_remedy(error)

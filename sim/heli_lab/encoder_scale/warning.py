@@ -1,4 +1,7 @@
-"""Which encoder's scale a finished flight contradicts; the entry point ``heli_host.flight_checks``."""
+"""Warn after a flight if an encoder seems to have wrong counts per turn.
+
+`check_flight` is an entry point ``heli_host.flight_checks``.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +18,18 @@ from heli_sim.rig import load_rig
 from heli_lab.encoder_scale.estimate import ScaleEstimate, scales_of
 
 MAX_SIGMAS: Final = 3.0
-"""Distance of a scale from 1, in standard errors, from which on it is a warning."""
+"""Distance of a scale from 1, in standard errors, above which there is a warning."""
 MAX_NATS: Final = 0.5 * MAX_SIGMAS**2
-"""The same as a log-likelihood ratio, so that a scale far from 1 whose standard error is small there counts
-only if 1 fits worse."""
+"""The same threshold as a log-likelihood ratio. Both must be exceeded: far from 1, a standard error may
+be small although a scale of 1 fits as well."""
 
 
 def wrong_scale(estimates: Sequence[ScaleEstimate]) -> ScaleEstimate | None:
-    """The encoder whose scale explains a flight best, if it is significant; None if none is."""
-    clear = [estimate for estimate in estimates if estimate.sigmas > MAX_SIGMAS and estimate.nats > MAX_NATS]
-    return max(clear, key=lambda estimate: estimate.nats, default=None)
+    """Return the encoder scale that differs from 1 most clearly; None if no difference is significant."""
+    significant = [
+        estimate for estimate in estimates if estimate.sigmas > MAX_SIGMAS and estimate.nats > MAX_NATS
+    ]
+    return max(significant, key=lambda estimate: estimate.nats, default=None)
 
 
 def warning_text(estimate: ScaleEstimate) -> str:
@@ -38,23 +43,28 @@ def warning_text(estimate: ScaleEstimate) -> str:
 
 
 def check_flight(flight: Flight, rig: str) -> list[FlightFinding]:
-    """Return a finding for the encoder whose scale a flight contradicts; none for a healthy flight.
+    """Check the scales of all encoders with a finished flight.
 
     Parameters
     ----------
     flight : Flight
         A finished flight.
     rig : str
-        Name of its rig, or path of the file.
+        Name of the rig that flew, or path of its rig file.
+
+    Returns
+    -------
+    list of FlightFinding
+        One for the encoder whose scale is most clearly wrong; empty if none is.
 
     Raises
     ------
     SimError
-        The rig cannot be read.
+        The rig file cannot be read.
     """
-    numbers = load_rig(rig)
-    model = model_named(numbers.model or "multibody", effects_of(numbers))
-    wrong = wrong_scale(scales_of(flight, numbers, model))
+    rig_file = load_rig(rig)
+    model = model_named(rig_file.model or "multibody", effects_of(rig_file))
+    wrong = wrong_scale(scales_of(flight, rig_file, model))
     if wrong is None:
         return []
     name = f"{wrong.axis}_encoder_scale"

@@ -1,8 +1,9 @@
-"""Normal equations of many flights: unknowns that all flights share, and unknowns of single flights.
+"""Solve normal equations of many flights, with unknowns that all flights share and unknowns of single
+flights.
 
-Unknowns of different flights are not coupled directly: the matrix is block diagonal except for a border. Each
-block is eliminated separately, so that a solution costs one small system per flight, not the cube of the
-number of all unknowns.
+Unknowns of different flights are not coupled directly: the matrix is block diagonal except for a border (an
+arrowhead matrix). Each block is eliminated separately, so that a solution costs one small system per flight,
+not the cube of the number of all unknowns.
 """
 
 from __future__ import annotations
@@ -18,59 +19,77 @@ NO_BLOCKS: Final = np.zeros((0, 0), np.int64)
 
 
 def per_flight_columns(columns: Sequence[Integers], size: int) -> Integers:
-    """Indices of the unknowns that only one flight has, shape (flights, k); k is 0 for a single flight.
+    """Find the unknowns that only one flight depends on.
 
     Parameters
     ----------
     columns : sequence of ndarray
-        For each flight, which unknowns it depends on.
+        For each flight, indices of the unknowns that it depends on.
     size : int
         Number of unknowns.
+
+    Returns
+    -------
+    ndarray (flights, k)
+        Indices of the k unknowns of each flight; k is 0 for a single flight.
     """
-    used = np.zeros(size, int)
-    for column in columns:
-        used[column] += 1
+    flight_count = np.zeros(size, int)
+    for unknowns in columns:
+        flight_count[unknowns] += 1
     if len(columns) < 2:
         return np.zeros((len(columns), 0), np.int64)
-    return np.array([column[used[column] == 1] for column in columns], np.int64)
+    return np.array([unknowns[flight_count[unknowns] == 1] for unknowns in columns], np.int64)
 
 
 def solve_arrowhead(matrix: Floats, right: Floats, per_flight: Integers) -> Floats:
-    """Solution of a positive definite arrowhead system, of the shape of its right-hand side.
+    """Solve a positive definite arrowhead system.
 
     Parameters
     ----------
     matrix : ndarray (f, f)
-        Zero between unknowns of different flights.
-    right : ndarray (f,) or (f, s)
-        Right-hand side.
+        Matrix of the system; 0 between unknowns of different flights.
+    right : ndarray (f,) or (f, r)
+        Right-hand side, or several.
     per_flight : ndarray (flights, k)
-        As `per_flight_columns` finds them.
+        Unknowns of single flights, from `per_flight_columns`.
+
+    Returns
+    -------
+    ndarray (f,) or (f, r)
+        Solution, in the shape of the right-hand side.
     """
     columns = right[:, None] if right.ndim == 1 else right
     shared, gain, complement, blocks = _eliminated(matrix, per_flight)
     solution = np.empty(columns.shape)
-    local = np.linalg.solve(blocks, columns[per_flight]) if per_flight.size else columns[per_flight]
-    reduced = columns[shared] - np.einsum("nks,nkr->sr", gain, columns[per_flight])
+    of_flights = columns[per_flight]
+    without_shared = np.linalg.solve(blocks, of_flights) if per_flight.size else of_flights
+    reduced = columns[shared] - np.einsum("nks,nkr->sr", gain, of_flights)
     solution[shared] = np.linalg.solve(complement, reduced)
-    solution[per_flight] = local - gain @ solution[shared]
+    solution[per_flight] = without_shared - gain @ solution[shared]
     return solution[:, 0] if right.ndim == 1 else solution
 
 
 def invert_arrowhead(matrix: Floats, per_flight: Integers) -> Floats:
-    """Inverse of a positive definite `matrix`, shape (f, f), 0 between unknowns of different flights;
-    `per_flight` as `per_flight_columns` returns them.
+    """Invert a positive definite arrowhead matrix; return the full inverse, shape (f, f).
+
+    Parameters
+    ----------
+    matrix : ndarray (f, f)
+        0 between unknowns of different flights.
+    per_flight : ndarray (flights, k)
+        Unknowns of single flights, from `per_flight_columns`.
     """
     shared, gain, complement, blocks = _eliminated(matrix, per_flight)
     inverse = np.empty(matrix.shape)
     of_shared = np.linalg.inv(complement)
     inverse[np.ix_(shared, shared)] = of_shared
     if per_flight.size:
-        flat, border = per_flight.ravel(), gain.reshape(per_flight.size, len(shared))
-        product = border @ of_shared
-        inverse[np.ix_(flat, shared)] = -product
-        inverse[np.ix_(shared, flat)] = -product.T
-        inverse[np.ix_(flat, flat)] = product @ border.T
+        # Block inversion, with the unknowns of all flights in one list.
+        of_flights, gains = per_flight.ravel(), gain.reshape(per_flight.size, len(shared))
+        product = gains @ of_shared
+        inverse[np.ix_(of_flights, shared)] = -product
+        inverse[np.ix_(shared, of_flights)] = -product.T
+        inverse[np.ix_(of_flights, of_flights)] = product @ gains.T
         inverse[per_flight[:, :, None], per_flight[:, None, :]] += np.linalg.inv(blocks)
     return 0.5 * (inverse + inverse.T)
 

@@ -1,9 +1,10 @@
 """Auxiliary residuals: score tests of a shock at every instant, by one backward pass of the smoother.
 
-For each output, two shocks of its disturbance are tested in every measurement interval: a level, which begins
-there and stays, and an impulse of one step. After Harvey and Koopman, J. Bus. Econ. Stat. 10 (1992) 377, and
-de Jong and Penzer, J. Am. Stat. Assoc. 93 (1998) 796. A constant state without variance is a level: the
-smoother's adjoint of that state is its score at every instant, the diagonal of its matrix the information.
+For each output, two shocks of its disturbance are tested in every measurement interval: a level shift, which
+begins there and stays, and an impulse of one step (Harvey and Koopman, J. Bus. Econ. Stat. 10 (1992) 377; de
+Jong and Penzer, J. Am. Stat. Assoc. 93 (1998) 796). Each shock is an additional state of the model without
+variance. The smoother's adjoint of that state is the score of a shock at every instant, and the diagonal of
+the adjoint's matrix is its information.
 """
 
 from __future__ import annotations
@@ -15,22 +16,22 @@ from heli_host.arrays import Floats
 
 from heli_lab.estimation import _kalman
 from heli_lab.estimation.disturbances import DisturbanceModel
-from heli_lab.estimation.innovations_model import FlightErrors, InnovationsModel
+from heli_lab.estimation.innovations_model import FilterSystem, FlightErrors, InnovationsModel
 
 _LEVEL, _IMPULSE = 1.0, 0.0
-"""Autocorrelation of the two shocks from a step to the next."""
+"""Autocorrelation of the two shocks over a step: a level stays, an impulse vanishes."""
 
 
 @dataclass(frozen=True)
 class ShockScores:
-    """Score tests of one kind of shock in one flight, with all parameters and disturbance scales held.
+    """Score tests of one kind of shock in one flight, with all parameters and disturbances fixed.
 
     Parameters
     ----------
     score : ndarray (k, m)
         Derivative of the log-likelihood to a shock of each output's disturbance at each instant.
     information : ndarray (k, m)
-        Its Fisher information; 0 where nothing is measured afterwards.
+        Fisher information of that shock; 0 if nothing is measured afterwards.
     """
 
     score: Floats
@@ -47,7 +48,7 @@ class ShockScores:
         return self._score_over(self.information)
 
     def _score_over(self, divisor: Floats) -> Floats:
-        """Score over a `divisor`, shape (k, m); 0 without information."""
+        """Divide the score by a `divisor`, shape (k, m); the result is 0 if the divisor is 0."""
         return np.divide(self.score, divisor, out=np.zeros_like(self.score), where=divisor > 0.0)
 
 
@@ -68,14 +69,14 @@ class AuxiliaryResiduals:
     impulse: ShockScores
 
     def largest_level(self) -> tuple[float, float]:
-        """The most significant level shift of any output.
+        """Find the most significant level shift of any output.
 
         Returns
         -------
         t_s : float
-            Its instant [s].
+            Instant of the shift [s].
         t_statistic : float
-            Absolute t statistic there.
+            Absolute t statistic of the shift.
         """
         statistic = np.abs(self.level.t_statistic).max(axis=1)
         largest = int(statistic.argmax())
@@ -105,29 +106,34 @@ def auxiliary_residuals(
     """
     if errors is None:
         errors = filtered.perturbed_residual()
-    outputs = len(filtered.model.outputs)
+    outputs, inputs = len(filtered.model.outputs), len(filtered.model.disturbed)
+    # Columns of the shock states: a level of each input, then an impulse of each. The outputs' disturbances
+    # are the first inputs; gains follow.
+    level, impulse = slice(0, outputs), slice(inputs, inputs + outputs)
     results = []
     for linearised, windows in zip(filtered.linearised_flights, errors, strict=True):
         times, scores, information = [], [], []
         for blocks, (drive, measured) in zip(linearised.blocks, windows, strict=True):
-            system = filtered.system(linearised, blocks, disturbances)
-            inputs = blocks.part_input.shape[3]
-            # Two more states per input, without variance: their autocorrelation makes them level or impulse.
-            system = system._replace(
-                autocorrelation=np.append(system.autocorrelation, np.repeat((_LEVEL, _IMPULSE), inputs)),
-                disturbance_variance=np.append(system.disturbance_variance, np.zeros(2 * inputs)),
-            )
+            system = _with_shock_states(filtered.system(linearised, blocks, disturbances), inputs)
             state_scores, state_information = _kalman.shock_scores(*system, drive, measured)
             times.append(linearised.nodes.t_s[blocks.rows])
+            # The shock states are the last ones.
             scores.append(state_scores[:, -2 * inputs :])
             information.append(state_information[:, -2 * inputs :])
-        score, weight = np.concatenate(scores), np.concatenate(information)
-        level, impulse = slice(0, outputs), slice(inputs, inputs + outputs)
+        all_scores, all_information = np.concatenate(scores), np.concatenate(information)
         results.append(
             AuxiliaryResiduals(
-                np.concatenate(times),
-                ShockScores(score[:, level], weight[:, level]),
-                ShockScores(score[:, impulse], weight[:, impulse]),
+                t_s=np.concatenate(times),
+                level=ShockScores(all_scores[:, level], all_information[:, level]),
+                impulse=ShockScores(all_scores[:, impulse], all_information[:, impulse]),
             )
         )
     return results
+
+
+def _with_shock_states(system: FilterSystem, inputs: int) -> FilterSystem:
+    """Append a level and an impulse of each input to a filter's states, both without variance."""
+    return system._replace(
+        autocorrelation=np.append(system.autocorrelation, np.repeat((_LEVEL, _IMPULSE), inputs)),
+        disturbance_variance=np.append(system.disturbance_variance, np.zeros(2 * inputs)),
+    )

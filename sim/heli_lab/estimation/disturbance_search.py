@@ -1,4 +1,6 @@
-"""Search for the disturbances of largest likelihood: Newton's method in the logarithms of their numbers."""
+"""Find the disturbances of the largest likelihood, by Newton's method in the logarithms of their
+parameters.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +21,18 @@ _GAIN_STD_RANGE: Final = (1e-4, 0.3)
 _GAIN_CORRELATION_TIME_RANGE_s: Final = (0.03, SLOW_CORRELATION_TIME_s)
 
 _DIFFERENCE: Final = 0.03
-"""Change of a logarithm by which the likelihood is differentiated: 3 % of each number."""
+"""Change of a logarithm in numerical derivatives: 3 % of each parameter."""
 _LONGEST_MOVE: Final = 1.2
-"""Most that a logarithm moves at once."""
-_FLAT: Final = 0.5
-"""Smallest curvature, nats for a change by the factor e, that a step uses: below it the parameter is open."""
+"""Largest change of a logarithm in one step."""
+_MIN_CURVATURE: Final = 0.5
+"""Smallest curvature that a step uses, in nats for a change by the factor e. A parameter with less is hardly
+determined, and a Newton step of it would be far too long."""
 _SHARES: Final = (1.0, 0.4, 0.16, 0.06)
-"""Shares of a move that are tried together, the longest that gains enough is taken."""
-_MOVES: Final = 25
+"""Shares of a step that are evaluated together; the longest one that gains enough is taken."""
+_MAX_STEPS: Final = 25
 _CONVERGED_NATS: Final = 0.02
-"""Gain, nats, that changes no decision: the closest ones differ by tenths."""
+"""A step that gains less ends the search: such a gain changes no decision, because the closest decisions
+differ by tenths of a nat."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class _IndependentDisturbances:
     Parameters
     ----------
     parameters : ndarray (k, n)
-        Places of the n parameters of each disturbance in the vector of all logarithms.
+        Indices of the n parameters of each disturbance in the vector of all logarithms.
     affected : ndarray of bool (k, m)
         Outputs whose innovations each disturbance affects.
     """
@@ -47,19 +51,19 @@ class _IndependentDisturbances:
     affected: Booleans
 
     def likelihoods(self, values: Floats) -> Floats:
-        """Log-likelihood of the innovations that each disturbance affects, shape (k,), from those of each
-        output, `values`, shape (m,).
+        """Add up the log-likelihoods of the outputs that each disturbance affects, shape (k,), from those of
+        all outputs, `values`, shape (m,).
         """
         by_disturbance = np.broadcast_to(values, self.affected.shape)
         return np.asarray(by_disturbance.sum(axis=1, where=self.affected))
 
 
 class _Likelihood:
-    """Log-likelihood of the innovations as a function of the logarithms of the disturbances' parameters, with
-    numerical derivatives.
+    """Log-likelihood of the innovations as a function of the logarithms of the disturbances' parameters.
 
-    The disturbance of one output hardly affects the innovations of another: a gradient by those of all
-    outputs costs four evaluations. The disturbance of a gain affects all innovations: it costs two.
+    Derivatives are numerical. The disturbance of one output hardly affects the innovations of another one, so
+    that the disturbances of all outputs are differentiated together: their four parameters cost four
+    evaluations. A disturbance of a gain affects all innovations, and its two parameters cost two evaluations.
 
     Parameters
     ----------
@@ -88,36 +92,43 @@ class _Likelihood:
         ]
 
     def at(self, *points: Floats) -> Floats:
-        """Log-likelihood of each output's innovations at each of some points, shape (w, m)."""
+        """Evaluate the log-likelihood of each output's innovations at w points, shape (w, m)."""
         return self._value([self._start.with_logarithms(self.inside(point)) for point in points])
 
     def inside(self, point: Floats) -> Floats:
-        """The nearest point within the bounds, shape (f,)."""
+        """Return the nearest point within the bounds, shape (f,)."""
         return np.clip(point, self.low, self.high)
 
     def gradient(self, point: Floats, values: Floats) -> Floats:
-        """Derivatives of the log-likelihood to the logarithms, shape (f,).
+        """Differentiate the log-likelihood by the logarithms.
 
         Parameters
         ----------
         point : ndarray (f,)
-            Logarithms. At a bound, a derivative that points outside is returned as 0.
+            Logarithms at which the derivatives are computed.
         values : ndarray (m,)
-            Log-likelihoods at this point.
+            Log-likelihood of each output's innovations at this point.
+
+        Returns
+        -------
+        ndarray (f,)
+            Derivatives; 0 if the point is at a bound and the derivative points outside.
         """
+        # Near the upper bound, a difference goes downwards.
         steps = np.where(point > self.high - _DIFFERENCE, -_DIFFERENCE, _DIFFERENCE)
-        differences = [(group, column) for group in self.groups for column in group.parameters.T]
-        shifted = self.at(*(_shifted(point, column, steps[column]) for _, column in differences))
+        # Parameters that are differentiated together: one of each disturbance of a group.
+        differences = [(group, parameters) for group in self.groups for parameters in group.parameters.T]
+        shifted = self.at(*(_shifted(point, parameters, steps[parameters]) for _, parameters in differences))
         gradient = np.zeros(len(point))
-        for (group, column), shifted_values in zip(differences, shifted, strict=True):
+        for (group, parameters), shifted_values in zip(differences, shifted, strict=True):
             change = group.likelihoods(shifted_values) - group.likelihoods(values)
-            gradient[column] = change / steps[column]
+            gradient[parameters] = change / steps[parameters]
         gradient[(point <= self.low + 1e-9) & (gradient < 0.0)] = 0.0
         gradient[(point >= self.high - 1e-9) & (gradient > 0.0)] = 0.0
         return gradient
 
     def curvature(self, point: Floats) -> tuple[Floats, Floats]:
-        """Log-likelihood at a point, and its negative second derivatives near it.
+        """Compute the log-likelihood at a point, and its negative second derivatives near it.
 
         Returns
         -------
@@ -148,13 +159,13 @@ class _Likelihood:
             for i, column in enumerate(columns):
                 curvature[column, column] = -(up[i] - 2 * middle + down[i]) / h**2
             for i, j in combinations(range(len(columns)), 2):
-                # A forward difference of second order carries third derivatives; diagonals are exact to them.
+                # This forward difference has an error of third order; the diagonals above have none.
                 mixed = -(group.likelihoods(next(shifted)) - up[i] - up[j] + middle) / h**2
                 curvature[columns[i], columns[j]] = curvature[columns[j], columns[i]] = mixed
         return values, curvature
 
     def newton_move(self, gradient: Floats, curvature: Floats) -> Floats:
-        """Newton step of the logarithms, shape (f,), separately for each disturbance.
+        """Compute a Newton step of the logarithms, shape (f,), separately for each disturbance.
 
         Parameters
         ----------
@@ -202,10 +213,10 @@ def maximise(
         values, curvature = likelihood.curvature(point)
     else:
         values = likelihood.at(point)[0] if start_values is None else start_values
-    for _ in range(_MOVES):
+    for _ in range(_MAX_STEPS):
         gradient = likelihood.gradient(point, values)
         if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
-            # Parameters at which the model has no likelihood: no disturbances improve it.
+            # The model diverges, and no disturbances improve that.
             return start.with_logarithms(point, None)
         move = likelihood.newton_move(gradient, curvature)
         predicted_gain = 0.5 * float(gradient @ move)
@@ -225,7 +236,7 @@ def maximise(
         point, values = likelihood.inside(point + _SHARES[best] * move), trials[best]
         if gains[best] < tolerance_nats:
             break
-        # After a shortened or a long step the curvature of the last point is no longer good enough.
+        # After a shortened or a long step, the curvature of the last point is too inaccurate.
         curvature_is_new = _SHARES[best] < 1.0 or bool(np.abs(move).max() > 0.5)
         if curvature_is_new:
             values, curvature = likelihood.curvature(point)
@@ -233,15 +244,17 @@ def maximise(
 
 
 def _shifted(point: Floats, columns: Integers, step: float | Floats) -> Floats:
-    """The `point` with a `step` added to some of its elements."""
+    """Return the `point`, shape (f,), with a `step` added to the elements `columns`."""
     result = point.copy()
     result[columns] += step
     return result
 
 
 def _newton(gradient: Floats, curvature: Floats) -> Floats:
-    """Newton step of one disturbance, uphill along every eigenvector and of limited length."""
+    """Compute the Newton step of one disturbance, shape (n,): uphill along every eigenvector of the
+    curvature, and of limited length.
+    """
     values, vectors = np.linalg.eigh(curvature)
-    move: Floats = vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), _FLAT))
+    move: Floats = vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), _MIN_CURVATURE))
     longest = float(np.abs(move).max())
     return move * min(1.0, _LONGEST_MOVE / max(longest, 1e-12))

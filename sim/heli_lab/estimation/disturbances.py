@@ -10,26 +10,27 @@ import numpy as np
 from heli_host.arrays import Floats
 
 SLOW_CORRELATION_TIME_s: Final = 15.0
-"""Correlation time of the slow disturbance. Set, because a recording of a minute does not show it: a quarter
-of one. Longer: a constant of each flight says the same. Shorter: the fast disturbance says the same."""
+"""Correlation time of the slow disturbance. It is set, not estimated, because a recording of a minute
+does not show it: a quarter of a minute. Longer: a constant torque of each flight has the same effect.
+Shorter: the fast disturbance has the same effect."""
 
 START_CORRELATION_TIME_s: Final = 0.5
 START_QUANTISATION: Final = 0.6
-"""Where a search begins, by judgement: the middle of what flights show. Far from it a search takes longer."""
+"""Start of a search, set by judgement: the middle of the values of recorded flights."""
 
 
 @dataclass(frozen=True)
 class GainDisturbance:
-    """A first-order Gauss-Markov disturbance of a gain, relative.
+    """A first-order Gauss-Markov disturbance that varies a gain by a share of it.
 
-    The defaults are where a search begins: within the range of supplies and rotor wash.
+    The defaults are the start of a search: within the range of supplies and rotor wash.
 
     Parameters
     ----------
     std : float
-        Stationary standard deviation.
+        Stationary standard deviation, as a share of the gain.
     correlation_time_s : float
-        Time over which its autocorrelation falls to 1/e.
+        Time over which the autocorrelation falls to 1/e.
     """
 
     std: float = 0.02
@@ -38,8 +39,9 @@ class GainDisturbance:
 
 @dataclass(frozen=True)
 class DisturbanceModel:
-    """A fast and a slow first-order Gauss-Markov disturbance of each of m outputs, the noise of its sensor,
-    and the disturbances of g gains.
+    """Random disturbances of a machine with m outputs and g gains, and the noise of its sensors.
+
+    A fast and a slow first-order Gauss-Markov disturbance act on each output, and one on each gain.
 
     Parameters
     ----------
@@ -51,11 +53,12 @@ class DisturbanceModel:
         Stationary standard deviation of the slow disturbance, whose correlation time is
         `SLOW_CORRELATION_TIME_s`.
     quantisation : ndarray (m,)
-        Variance of the output's error over that of independent, uniform rounding errors.
+        Variance of the errors of each output, divided by that of independent, uniform rounding errors.
     gains : tuple of GainDisturbance
         Disturbances of the gains, in the order of the model's inputs.
     curvature : ndarray (4 m + 2 g, 4 m + 2 g) or None
-        Curvature of the log-likelihood by the logarithms at the estimate; 0 between different disturbances.
+        Negative second derivatives of the log-likelihood to the property `logarithms`, at the estimate; 0
+        between different disturbances. None if they are unknown.
     """
 
     fast_std: Floats
@@ -83,14 +86,14 @@ class DisturbanceModel:
         )
 
     def with_gains(self, gains: int) -> DisturbanceModel:
-        """Add disturbances of `gains` gains, from which a search starts."""
+        """Return the same disturbances with those of `gains` gains at the start of a search."""
         return replace(self, curvature=None, gains=(GainDisturbance(),) * gains)
 
     @property
     def logarithms(self) -> Floats:
         """Logarithms of all parameters: four for each output, then two for each gain."""
         outputs = np.stack((self.fast_std, self.correlation_time_s, self.slow_std, self.quantisation), axis=1)
-        gains = [number for gain in self.gains for number in (gain.std, gain.correlation_time_s)]
+        gains = [value for gain in self.gains for value in (gain.std, gain.correlation_time_s)]
         return np.log(np.concatenate((outputs.ravel(), gains)))
 
     def with_logarithms(self, logarithms: Floats, curvature: Floats | None = None) -> DisturbanceModel:
@@ -116,8 +119,13 @@ class DisturbanceModel:
         )
 
     def autocorrelation(self, step_s: float) -> Floats:
-        """Autocorrelation of each disturbance over a step of `step_s`, shape (2 (m + g),): the fast ones and
-        the gains, then the slow ones and as many places that stay zero.
+        """Return the autocorrelation of each disturbance over a step of `step_s` [s].
+
+        Returns
+        -------
+        ndarray (2 (m + g),)
+            First the fast disturbances of the outputs and those of the gains, then the slow disturbances of
+            the outputs. The filter has a slow disturbance of each gain, too, whose variance is 0.
         """
         gains_s = [gain.correlation_time_s for gain in self.gains]
         slow_s = np.full(len(self.fast_std) + len(gains_s), SLOW_CORRELATION_TIME_s)

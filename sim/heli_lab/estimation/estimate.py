@@ -1,11 +1,12 @@
-"""Maximum a posteriori estimate in innovations form: parameters of a model together with its disturbances.
+"""Estimate the parameters of a model together with its disturbances: maximum a posteriori in innovations
+form.
 
-The Kalman filter of a model linearised along a flight (`linearised_flight.py`), with random disturbances
-(`disturbances.py`), turns measured outputs into innovations, which are white where the model is right, also
-in closed loop. The filter is linear in its signals: derivatives by the parameters are filtered together with
-the measurement, and a Gauss-Newton step follows by weighted least squares with the priors. The disturbances
-maximise the same likelihood. After Kristensen, Madsen and Jorgensen, Automatica 40 (2004) 225, and Ljung,
-System Identification, chapter 7.
+The model is linearised along a flight (`linearised_flight.py`) and disturbed at random (`disturbances.py`).
+Its Kalman filter turns the measured outputs into innovations. If the model is right, the innovations are
+white, even in closed loop. The filter is linear in its signals: derivatives by the parameters are filtered
+together with the measurement. A Gauss-Newton step then follows by weighted least squares with the priors. The
+disturbances maximise the same likelihood. After Kristensen, Madsen and Jorgensen, Automatica 40 (2004) 225,
+and Ljung, System Identification, chapter 7.
 """
 
 from __future__ import annotations
@@ -28,17 +29,23 @@ from heli_lab.estimation.parameter_vector import ParameterVector
 from heli_lab.estimation.posterior_step import PosteriorStep, posterior_step
 from heli_lab.estimation.reference_trajectory import ReferenceTrajectory
 
-_MAX_MOVES: Final = 15
-_HALVINGS: Final = 4
+_MAX_ITERATIONS: Final = 15
+"""Largest number of steps of the parameters."""
+_MAX_TRIALS: Final = 4
+"""Largest number of lengths of a step that are tried."""
+_STEP_REDUCTION: Final = 0.3
+"""Factor from one of these lengths to the next."""
 _MIN_GAIN: Final = 0.02
-"""Share of the promised gain that a step must bring, of Armijo's rule (Nocedal and Wright, section 3.1)."""
-_FIRST_TURNS: Final = 2
-_TURN_NATS: Final = 0.1
-"""Gain of one more turn of parameters and disturbances below which the estimate has converged."""
+"""Share of its predicted gain that a step must gain, by Armijo's rule (Nocedal and Wright, section 3.1)."""
+_FIRST_ITERATIONS: Final = 2
+"""Number of estimates of the disturbances before the first step of the parameters."""
+_MIN_ITERATION_GAIN_NATS: Final = 0.1
+"""If parameters and disturbances together gain less in an iteration, the estimate has converged."""
 _DISTURBANCE_SHARE: Final = 0.05
-"""Disturbances are sought to this share of the gain that the next step of the parameters promises."""
+"""The disturbances are estimated up to this share of the gain that the next step of the parameters
+promises."""
 _CONVERGED_NATS: Final = 0.02
-"""Gain that one more step of the parameters may promise when the estimate has converged."""
+"""If the next step of the parameters promises less, the estimate has converged."""
 
 VectorT = TypeVar("VectorT", bound=ParameterVector, default=Any)
 
@@ -54,9 +61,9 @@ class Estimate(Generic[VectorT]):
     theta : ndarray (f,)
         Estimates of the free parameters.
     covariance : ndarray (f, f)
-        Their covariance, the inverse of the Fisher information with the priors'.
+        Covariance of the estimates: the inverse of the Fisher information, priors included.
     log_likelihood : float
-        In nats, with the priors, up to a constant that all models of the same references share.
+        Log-likelihood plus log-prior [nats], up to a constant that all models of the same references share.
     disturbances : DisturbanceModel
         Disturbances and quantisation.
     converged : bool
@@ -77,18 +84,24 @@ class Estimate(Generic[VectorT]):
     functions: ModelFunctions
 
     def filtered(self) -> InnovationsModel:
-        """Linearise the model at `theta`; not kept, because it takes megabytes per minute of flight."""
+        """Linearise the model at `theta`. The result is not stored, because it takes megabytes per minute of
+        flight.
+        """
         return _linearised(self.parameter_vector, self.references, self.functions, self.theta)
 
     def other_disturbances(self) -> DisturbanceModel | None:
-        """Estimate the disturbances again from the model's start values, with the parameters fixed; None if
-        the likelihood has no second, higher maximum there.
+        """Estimate the disturbances again from the model's start values, with the parameters fixed.
+
+        Returns
+        -------
+        DisturbanceModel or None
+            None if the likelihood has no second, higher maximum.
         """
         filtered = self.filtered()
         errors = filtered.perturbed_residual()
         other = estimate_disturbances(filtered, errors, filtered.model.disturbance_start)
-        own_nats, other_nats = filtered.log_likelihoods([self.disturbances, other], errors).sum(axis=1)
-        return other if other_nats > own_nats + _TURN_NATS else None
+        present_nats, other_nats = filtered.log_likelihoods([self.disturbances, other], errors).sum(axis=1)
+        return other if other_nats > present_nats + _MIN_ITERATION_GAIN_NATS else None
 
 
 def estimate_disturbances(
@@ -105,7 +118,7 @@ def estimate_disturbances(
     filtered : InnovationsModel
         The model along the flights.
     errors : sequence of sequence of ModelErrors
-        Its errors, from `InnovationsModel.perturbed_residual`.
+        Errors of the model, from `InnovationsModel.perturbed_residual`.
     start, tolerance_nats, start_values
         As in `disturbance_search.maximise`.
     """
@@ -141,11 +154,11 @@ class _Iterate:
     theta : ndarray (f,)
         Free parameters.
     disturbances : DisturbanceModel
-        Disturbances.
+        Disturbances and quantisation.
     filtered : InnovationsModel or None
-        The model linearised at `theta`; None once it is released: ten minutes of flight take 100 MB.
+        The model linearised at `theta`. None after its memory is released: ten minutes of flight take 100 MB.
     step : PosteriorStep
-        Gauss-Newton step from here.
+        Gauss-Newton step from this point.
     log_posterior : float
         Logarithm of the posterior density [nats], without its constant.
     log_likelihoods : ndarray (m,)
@@ -179,15 +192,24 @@ class _GaussNewton:
         self.parameter_vector, self.functions = parameter_vector, functions
         self.linearised = functools.partial(_linearised, parameter_vector, references, functions)
         """The model along all flights as a function of the free parameters, shape (f,)."""
-        # The size of a play also changes the variance of measurements, which a step neglects: it may fail
-        # under the disturbances of a model without the play.
-        self.retries = bool(functions.model.known_directions)
+        self.retries_failed_steps = bool(functions.model.known_directions)
+        """Whether a failed step is repeated under new disturbances. This helps if the model has a play, whose
+        size also changes the variance of measurements. A Gauss-Newton step neglects this, and may fail under
+        disturbances that were estimated without the play."""
 
     def iterate_at(
         self, theta: Floats, disturbances: DisturbanceModel, filtered: InnovationsModel
     ) -> _Iterate:
-        """Log-posterior, and the Gauss-Newton step, at `theta`, shape (f,), under some `disturbances`;
-        `filtered` is the model linearised there.
+        """Compute the log-posterior and the Gauss-Newton step at one point of the search.
+
+        Parameters
+        ----------
+        theta : ndarray (f,)
+            Free parameters.
+        disturbances : DisturbanceModel
+            Disturbances and quantisation.
+        filtered : InnovationsModel
+            The model linearised at `theta`.
         """
         innovations = filtered.innovations(disturbances)
         information, score = innovations.information(), innovations.score()
@@ -197,37 +219,44 @@ class _GaussNewton:
         log_prior = -0.5 * float(np.sum(((theta - vector.mean) / vector.std) ** 2))
         log_posterior = float(log_likelihoods.sum()) + log_prior
         if not np.isfinite(log_posterior):
-            # A model without a likelihood at its parameters is the worst one, in each comparison.
+            # A model that diverges loses each comparison.
             log_posterior = -np.inf
         return _Iterate(theta, disturbances, filtered, step, log_posterior, log_likelihoods)
 
     def first(self, theta: Floats, disturbances: DisturbanceModel | None) -> _Iterate:
-        """The first iterate. Without `disturbances`, they are estimated while the parameters follow to first
-        order.
+        """Compute the first iterate, at the start values `theta`, shape (f,).
+
+        If no `disturbances` are given, they are estimated for the parameters that the first step predicts.
         """
         filtered = self.linearised(theta)
         iterate = self.iterate_at(theta, disturbances or self.functions.model.disturbance_start, filtered)
         if disturbances is None:
-            for _ in range(_FIRST_TURNS):
+            for _ in range(_FIRST_ITERATIONS):
                 errors = filtered.perturbed_residual(iterate.step.move)
                 better = estimate_disturbances(filtered, errors, iterate.disturbances)
                 iterate = self.iterate_at(theta, better, filtered)
         return iterate
 
     def with_next_parameters(self, iterate: _Iterate) -> _Iterate | None:
-        """Step of the parameters with backtracking; None if no shorter step improves the posterior enough.
-        The linearised model of `iterate` is released first, because two are hardly ever needed together.
+        """Take a step of the parameters with backtracking.
+
+        The linearised model of `iterate` is released first, because two need too much memory.
+
+        Returns
+        -------
+        _Iterate or None
+            None if no length of the step improves the posterior enough.
         """
         iterate.filtered = None
         share = 1.0
-        for _ in range(_HALVINGS):
+        for _ in range(_MAX_TRIALS):
             theta = iterate.theta + share * iterate.step.move
             after = self.iterate_at(theta, iterate.disturbances, self.linearised(theta))
             required_nats = _MIN_GAIN * share * iterate.step.promised_nats
             if after.log_posterior > iterate.log_posterior + required_nats:
                 return after
             after.filtered = None
-            share *= 0.3
+            share *= _STEP_REDUCTION
         return None
 
     def with_next_disturbances(self, iterate: _Iterate, tolerance_nats: float) -> _Iterate:
@@ -243,9 +272,9 @@ class _GaussNewton:
         return self.iterate_at(iterate.theta, disturbances, filtered)
 
     def run(self, iterate: _Iterate) -> tuple[_Iterate, bool]:
-        """Search from an `iterate`; return the last one, and whether a further step would gain nothing."""
+        """Search from an `iterate`; return the last iterate, and whether the search has converged."""
         last_log_posterior = -np.inf
-        for _ in range(_MAX_MOVES):
+        for _ in range(_MAX_ITERATIONS):
             if iterate.log_posterior == -np.inf:
                 return iterate, False
             if iterate.step.promised_nats > _CONVERGED_NATS:
@@ -254,16 +283,16 @@ class _GaussNewton:
                     # A step may fail under wrong disturbances, and succeed under better ones.
                     other = self.with_next_disturbances(iterate, _CONVERGED_NATS)
                     gained_nats = other.log_posterior - iterate.log_posterior
-                    if not self.retries or gained_nats < _TURN_NATS:
+                    if not self.retries_failed_steps or gained_nats < _MIN_ITERATION_GAIN_NATS:
                         return other, False
                     iterate = other
                     continue
                 iterate = after
-            # While parameters still move far, rough disturbances are enough.
+            # As long as the parameters change much, rough disturbances are enough.
             tolerance_nats = max(_CONVERGED_NATS, _DISTURBANCE_SHARE * iterate.step.promised_nats)
             iterate = self.with_next_disturbances(iterate, tolerance_nats)
             gained_nats = iterate.log_posterior - last_log_posterior
-            if iterate.step.promised_nats < _CONVERGED_NATS and gained_nats < _TURN_NATS:
+            if iterate.step.promised_nats < _CONVERGED_NATS and gained_nats < _MIN_ITERATION_GAIN_NATS:
                 return iterate, True
             last_log_posterior = iterate.log_posterior
         return iterate, False
@@ -276,7 +305,7 @@ def estimate(
     theta: Floats,
     disturbances: DisturbanceModel | None = None,
 ) -> Estimate[VectorT]:
-    """Maximum a posteriori estimate of a model's free parameters, together with its disturbances.
+    """Estimate a model's free parameters together with its disturbances, maximum a posteriori.
 
     Parameters
     ----------
@@ -289,11 +318,7 @@ def estimate(
     theta : ndarray (f,)
         Parameters to start from.
     disturbances : DisturbanceModel, optional
-        Disturbances to start from; the estimate is never less likely than they and `theta`.
-
-    Returns
-    -------
-    Estimate
+        Disturbances to start from. The estimate is at least as likely as this start.
     """
     search = _GaussNewton(parameter_vector, references, functions)
     last, converged = search.run(search.first(theta, disturbances))

@@ -1,11 +1,11 @@
-"""The model that the estimation works on, and the recordings that it is estimated from.
+"""The interface of the estimation core: a grey-box model, and the recordings that it is estimated from.
 
 A grey-box model is a set of stochastic differential equations with unknown parameters, measured at discrete
 times (Kristensen, Madsen and Jorgensen, Automatica 40, 2004, eq. 1 and 2):
 
     dx/dt = f(x, u, p, t) + disturbances,    y_k = h(x_k, u_k, p, t_k) + e_k.
 
-Disturbances enter as parameters do: each is added to one parameter of the model, such as a constant torque.
+Each disturbance is added to one parameter of the model, such as a constant torque.
 """
 
 from __future__ import annotations
@@ -76,14 +76,14 @@ class ActingInputs:
 def mean_inputs(
     recording: Recording, every: int, count: int, parameters: Floats, free: Collection[str]
 ) -> ActingInputs:
-    """Average inputs that act as they were recorded; the `acting_inputs` of a model in general.
+    """Average the recorded inputs over each step, for a model whose inputs act without delay.
 
     Parameters
     ----------
     recording : Recording
-        Its rows up to `every * count` are used.
+        Recorded inputs; only the first `every * count` rows are used.
     every, count : int
-        Rows in a step, and number of steps.
+        Rows per step, and number of steps.
     parameters : ndarray (p,)
         All parameters of the model.
     free : collection of str
@@ -103,28 +103,28 @@ class GreyBoxModel:
         Positions first, one for each output, then their rates in the same order, then any others. An output
         measures its position, up to what the `measurement` adds.
     inputs, outputs, parameters : tuple of str
-        Their names; `m` is the number of outputs.
+        Names; `m` is the number of outputs.
     disturbed : tuple of str
-        For each output the parameter to which its disturbance is added: mainly this output must respond to
-        it. Then any number of gains, which are 0: parameters whose disturbances are relative, and move any
-        output.
+        First, for each output, the parameter to which its disturbance is added; this output must respond most
+        to it. Then any number of gains: parameters with the value 0 whose disturbances are relative and may
+        change all outputs.
     dynamics : callable
         Rates of the states, shape (states, 1).
     measurement : callable
         Outputs, shape (m, 1).
     reset_map : callable
-        Jump of the state after each step, shape (states, 1); of the states after the rates alone.
+        State after the jump at the end of each step, shape (states, 1). Positions and rates must not jump.
     initial_std : ndarray (states,)
-        Standard deviation of the state at the beginning of a window about the reference trajectory.
+        Standard deviation of the state at the beginning of a window, about the reference trajectory.
     disturbance_start : DisturbanceModel
-        Where the search for the disturbances begins.
+        Start of the search for the disturbances.
     disturbance_std_range : (float, float)
         Smallest and largest standard deviation of that search, in the unit of the disturbed parameters.
     acting_inputs : callable
-        Recorded inputs as they act, see `mean_inputs`.
+        Computes the inputs that act from the recorded ones, like `mean_inputs`.
     known_directions : tuple of (int, int)
-        States that are the direction in which an output moved last, counted from the first after the rates,
-        and the output's number.
+        States that hold the direction in which an output moved last: number of the state, counted from the
+        first one after the rates, and number of the output.
     source : object
         Description of the machine for the caller, not used here.
     """
@@ -145,12 +145,12 @@ class GreyBoxModel:
     source: Any = None
 
     def __post_init__(self) -> None:
-        if len(self.disturbed) < len(self.outputs) or len(self.states) < self.followed:
+        if len(self.states) < self.followed or len(self.disturbed) < len(self.outputs):
             raise ValueError("a model needs a position, a rate and a disturbance for each of its outputs")
 
     @property
     def followed(self) -> int:
-        """Number of states of a reference trajectory: positions and rates."""
+        """Number of states in a reference trajectory: positions and rates."""
         return 2 * len(self.outputs)
 
     @property
@@ -160,12 +160,14 @@ class GreyBoxModel:
 
 
 def no_reset(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> ca.SX:
-    """Keep the state `x`, for models without jumps; `u`, `p` and `t` as of `Equations`."""
+    """Return the state `x` unchanged, as the reset map of models without jumps; inputs `u`, parameters `p`
+    and time `t` have no effect.
+    """
     return x
 
 
 def quantisation_std(recording: Recording) -> Floats:
-    """Standard deviation of each output's rounding to counts, a count / sqrt(12) (Widrow and Kollar,
-    Quantization Noise, 2008), shape (m,).
+    """Return the standard deviation of each output's rounding to counts, shape (m,): a count / sqrt(12)
+    (Widrow and Kollar, Quantization Noise, 2008).
     """
     return recording.resolution / math.sqrt(12.0)

@@ -1,4 +1,4 @@
-"""Innovations of flights with their derivatives by the parameters, and what follows from them."""
+"""Innovations of flights with their derivatives: they give likelihood, score and Fisher information."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from heli_lab.estimation.arrowhead import per_flight_columns
 
 @dataclass(frozen=True)
 class Innovations:
-    """Innovations of several flights.
+    """Innovations of several flights: measured outputs minus the predictions of the Kalman filter.
 
     Parameters
     ----------
     flights : tuple of ndarray (b, 1 + k)
         One array per flight, in standard deviations. Column 0 holds the innovations. Each further column
-        holds by how much a unit of one parameter of the flight reduces them. The m outputs of a block are in
-        m consecutive rows.
+        holds the reduction of the innovations per unit of one parameter. The m outputs of a block are in m
+        consecutive rows.
     columns : tuple of ndarray (k,)
         For each flight, the indices of the k parameters that it depends on.
     size : int
@@ -40,35 +40,48 @@ class Innovations:
         return per_flight_columns(self.columns, self.size)
 
     def information(self) -> Floats:
-        """Fisher information of the parameters, shape (f, f)."""
+        """Compute the Fisher information of the parameters, shape (f, f)."""
         information = np.zeros((self.size, self.size))
         for flight, columns in zip(self.flights, self.columns, strict=True):
-            information[np.ix_(columns, columns)] += flight[:, 1:].T @ flight[:, 1:]
+            _, sensitivity = _split(flight)
+            information[np.ix_(columns, columns)] += sensitivity.T @ sensitivity
         return information
 
     def score(self) -> Floats:
-        """Score: derivatives of the log-likelihood by the parameters, shape (f,)."""
+        """Compute the score, the derivatives of the log-likelihood by the parameters, shape (f,)."""
         score = np.zeros(self.size)
         for flight, columns in zip(self.flights, self.columns, strict=True):
-            score[columns] += flight[:, 1:].T @ flight[:, 0]
+            innovations, sensitivity = _split(flight)
+            score[columns] += sensitivity.T @ innovations
         return score
 
     @cached_property
     def log_likelihoods(self) -> Floats:
-        """Log-likelihood of each output's innovations of the error, nats, without its constant, shape (m,):
-        the prediction error decomposition (Harvey, section 3.4).
+        """Log-likelihood of each output's innovations [nats], without its constant, shape (m,).
+
+        This is the prediction error decomposition (Harvey, section 3.4).
         """
-        m = len(self.log_variances)
-        squares = sum(
-            (np.square(flight[:, 0]).reshape(-1, m).sum(axis=0) for flight in self.flights), start=np.zeros(m)
-        )
+        outputs = len(self.log_variances)
+        squares = np.zeros(outputs)
+        for flight in self.flights:
+            innovations, _ = _split(flight)
+            # One row per block, so that the sum is that of each output.
+            squares = squares + np.square(innovations.reshape(-1, outputs)).sum(axis=0)
         return -0.5 * (squares + self.log_variances)
 
     def after(self, move: Floats) -> list[Floats]:
-        """Innovations of the error of each flight, shape (b,), when the parameters have moved by `move`,
-        shape (f,), to first order.
+        """Predict, to first order, the innovations of each flight, shape (b,), after the parameters change by
+        `move`, shape (f,).
         """
-        return [
-            flight[:, 0] - flight[:, 1:] @ move[columns]
-            for flight, columns in zip(self.flights, self.columns, strict=True)
-        ]
+        moved = []
+        for flight, columns in zip(self.flights, self.columns, strict=True):
+            innovations, sensitivity = _split(flight)
+            moved.append(innovations - sensitivity @ move[columns])
+        return moved
+
+
+def _split(flight: Floats) -> tuple[Floats, Floats]:
+    """Return the innovations of a flight, shape (b,), and their reduction per unit of each parameter, shape
+    (b, k).
+    """
+    return flight[:, 0], flight[:, 1:]

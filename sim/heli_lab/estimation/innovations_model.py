@@ -1,4 +1,7 @@
-"""Innovations of flights: a model linearised along them and filtered (Harvey, chapter 3)."""
+"""Compute the innovations of flights: a Kalman filter of a model that is linearised along them.
+
+The filter is that of Harvey, chapter 3.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,14 @@ from heli_lab.estimation.linearised_flight import Blocks, LinearisedFlight
 from heli_lab.threads import parallel_map
 
 _BATCH: Final = 4
-"""Disturbance models whose log-likelihoods cost as much as that of one."""
+"""Number of disturbance models whose log-likelihoods are computed together, at the cost of one."""
 
 
 ModelErrors = tuple[Floats, Floats]
-"""Errors of a linearised model in one window of b blocks, as s signals that are filtered together.
+"""Errors of a linearised model in one window of b blocks; s such signals are filtered together.
 
-The first array, (b, states, s), is the change of the state's deviation over each block by the error of the
-rates. The second one, (b, m, s), holds the errors of the measured outputs."""
+The first array, (b, states, s), is the change of the state's deviation over each block because of the
+error of the rates. The second one, (b, m, s), holds the errors of the measured outputs."""
 
 FlightErrors = Sequence[Sequence[ModelErrors]]
 """`ModelErrors` of each window of each flight."""
@@ -31,9 +34,9 @@ FlightErrors = Sequence[Sequence[ModelErrors]]
 class FilterSystem(NamedTuple):
     """Linear system of the Kalman filter in one window of b blocks.
 
-    Its fields are the arguments of the functions of `_kalman` that come before the signals. There are m + g
-    inputs, the disturbed parameters. Each has two Gauss-Markov states: first all fast ones, then all slow
-    ones.
+    Its fields are the leading arguments of the functions of `_kalman`; the signals follow. There are m + g
+    inputs, the disturbed parameters. Each has a fast and a slow Gauss-Markov state: first come all fast ones,
+    then all slow ones.
 
     Parameters
     ----------
@@ -57,12 +60,13 @@ class FilterSystem(NamedTuple):
 
 
 class InnovationsModel:
-    """Innovations form of a model in several flights at some parameters, with any disturbances.
+    """Innovations form of a model in several flights: it is linearised once, and filtered for any
+    disturbances.
 
     Parameters
     ----------
     linearised_flights : sequence of LinearisedFlight
-        The model along each flight; one at least.
+        The model along each flight; at least one.
     columns : sequence of ndarray
         For each flight, indices of the free parameters that it depends on.
     size : int
@@ -81,12 +85,14 @@ class InnovationsModel:
         windows = [
             (linearised, blocks) for linearised in self.linearised_flights for blocks in linearised.blocks
         ]
-        filtered = iter(
-            parallel_map(
-                lambda window: self._filter(*window, disturbances, window[1].drive, window[1].measured),
-                windows,
-            )
-        )
+
+        def filter_window(window: tuple[LinearisedFlight, Blocks]) -> tuple[Floats, Floats]:
+            """Filter one window, and return what `_filter` returns."""
+            linearised, blocks = window
+            return self._filter(linearised, blocks, disturbances, blocks.drive, blocks.measured)
+
+        # Consumed below in the order of `windows`.
+        filtered = iter(parallel_map(filter_window, windows))
         flights, log_variances = [], np.zeros(self._outputs)
         for linearised in self.linearised_flights:
             window_innovations = []
@@ -102,15 +108,15 @@ class InnovationsModel:
     def regressors(
         self, disturbances: DisturbanceModel, signals: Iterable[tuple[Floats, Floats | None]]
     ) -> Iterator[Floats]:
-        """Regressors: by how much a unit of each additional signal reduces the innovations.
+        """Compute regressors: the reduction of the innovations per unit of each additional signal.
 
         Parameters
         ----------
         disturbances : DisturbanceModel
             Disturbances and quantisation.
         signals : iterable of (ndarray, ndarray or None)
-            Change of the rates, (n, states, s), and of the outputs, (n, m, s), for each flight. An iterator
-            needs the memory of one flight only.
+            For each flight, changes of the rates, (n, states, s), and of the outputs, (n, m, s), by the
+            signals. An iterator needs the memory of one flight only.
 
         Yields
         ------
@@ -127,7 +133,8 @@ class InnovationsModel:
     def disturbance_regressors(
         self, disturbances: DisturbanceModel, output: int, values: Sequence[Floats]
     ) -> Iterator[Floats]:
-        """Regressors of additions to one output's disturbance: as `regressors`, at a quarter of the cost.
+        """Compute regressors of additions to one output's disturbance, at a quarter of the cost of
+        `regressors`.
 
         Parameters
         ----------
@@ -160,7 +167,14 @@ class InnovationsModel:
         drive: Floats,
         measured: Floats | None = None,
     ) -> tuple[Floats, Floats]:
-        """Filter signals, as in `ModelErrors`, in one window of a flight; `measured` is 0 by default.
+        """Filter s signals in one window of a flight.
+
+        Parameters
+        ----------
+        drive : ndarray (b, states, s)
+            First array of `ModelErrors`.
+        measured : ndarray (b, m, s), optional
+            Second array of `ModelErrors`; by default 0.
 
         Returns
         -------
@@ -176,33 +190,33 @@ class InnovationsModel:
         return innovations.reshape(-1, drive.shape[2]), np.array(log_variances)
 
     def perturbed_residual(self, move: Floats | None = None) -> list[list[ModelErrors]]:
-        """Errors of the model in each window of each flight, to first order.
+        """Predict, to first order, the errors of the model after a change of its parameters.
 
         Parameters
         ----------
         move : ndarray (f,), optional
-            Change of the parameters; without it, the errors are those of the model as it is.
+            Change of the parameters; by default 0.
 
         Returns
         -------
         list of list of ModelErrors
-            One per window of each flight.
+            Errors in each window of each flight.
         """
         move = np.zeros(self.size) if move is None else move
         # Column 0 of a block holds the errors, the others their reduction per unit of each parameter.
-        weights = [np.concatenate(([1.0], -move[columns])) for columns in self.columns]
+        weights_of_columns = [np.concatenate(([1.0], -move[columns])) for columns in self.columns]
         return [
             [
-                ((blocks.drive @ w)[:, :, None], (blocks.measured @ w)[:, :, None])
+                ((blocks.drive @ weights)[:, :, None], (blocks.measured @ weights)[:, :, None])
                 for blocks in linearised.blocks
             ]
-            for linearised, w in zip(self.linearised_flights, weights, strict=True)
+            for linearised, weights in zip(self.linearised_flights, weights_of_columns, strict=True)
         ]
 
     def system(
         self, linearised: LinearisedFlight, blocks: Blocks, disturbances: DisturbanceModel
     ) -> FilterSystem:
-        """Linear system of the filter in one window of a flight."""
+        """Assemble the linear system of the filter in one window of a flight."""
         return FilterSystem(
             blocks.transition,
             blocks.part_input,
@@ -214,12 +228,12 @@ class InnovationsModel:
         )
 
     def log_likelihoods(self, disturbance_models: Sequence[DisturbanceModel], errors: FlightErrors) -> Floats:
-        """Log-likelihood of each output's innovations under several disturbance models.
+        """Compute the log-likelihood of each output's innovations under several disturbance models.
 
         Parameters
         ----------
         disturbance_models : sequence of DisturbanceModel
-            The w models.
+            The w disturbance models.
         errors : sequence of sequence of ModelErrors
             Errors of the model, from `perturbed_residual`.
 
@@ -258,14 +272,18 @@ class InnovationsModel:
 def _repeated_nats(
     linearised: LinearisedFlight, blocks: Blocks, models: Sequence[DisturbanceModel]
 ) -> Floats:
-    """Correction of a window's log-likelihood under each of some models for repeated measurements, shape
-    (models, m) [nats].
+    """Correct a window's log-likelihood for measurements that repeat one error.
 
-    The N measurements while an axis crosses its play, or is at rest, have the same error, of variance v. For
-    the filter they are N measurements with independent errors of variance N v, which add the same
-    information. But together they have one normal density, not N: the other N - 1 have the density of
-    independent, uniform rounding errors. If their density had the estimated variance instead, a smaller
-    variance would be more likely the longer the count stays the same, whatever the measurements are.
+    While an axis crosses its play, or is at rest, N measurements have the same error, of variance v. The
+    filter treats them as N measurements with independent errors of variance N v, which give the same
+    information. But their density must be that of one measurement: the other N - 1 get the density of
+    independent, uniform rounding errors. Otherwise, a smaller variance would become more likely the longer a
+    count stays the same, whatever the measurements are.
+
+    Returns
+    -------
+    ndarray (models, m)
+        Number to add to the log-likelihood of each output under each disturbance model [nats].
     """
     at_rest = linearised.at_rest[blocks.rows]
     if not (linearised.model.known_directions or at_rest.any()):
@@ -275,7 +293,7 @@ def _repeated_nats(
     excess, dependent_share = blocks.variance / rounding - 1.0, 1.0 - 1.0 / repeats
 
     def nats(quantisation: Floats) -> Floats:
-        """Return the correction under an estimated factor of the rounding variance, shape (m,)."""
+        """Correction under an estimated factor of the rounding variance; both of shape (m,)."""
         at_rest_factor = quantisation * blocks.variance / rounding
         factor = np.where(at_rest, at_rest_factor, 1.0 + quantisation * excess)
         return np.asarray(0.5 * (np.log(factor) * dependent_share).sum(axis=0))

@@ -1,7 +1,7 @@
-"""Levenberg-Marquardt: control of the damping, and convergence (Nocedal and Wright, section 10.3).
+"""The Levenberg-Marquardt method: control of the damping, and convergence (Nocedal and Wright, section 10.3).
 
-The parameters are estimated with any other unknowns, which the problem eliminates: the initial states of
-windows, for example.
+A problem may have further unknowns besides its parameters, such as initial states. It eliminates them from
+its normal equations, so that only steps of the parameters are seen here.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import numpy as np
 from heli_host.arrays import Floats
 
 SMALL_STEP: Final = 0.02
-"""A step is small if no parameter moves by more of its standard error: the remaining error is
-then well inside the standard error. An undamped step of all unknowns that promises to reduce the cost by less
-than the square of this is not made."""
+"""A step is small if no parameter changes by more than this share of its standard error: the remaining error
+is then well inside the standard error. An undamped step ends the search if it is predicted to reduce the cost
+by less than the square of this."""
 _MAX_DAMPING: Final = 1e8
 """Damping beyond which the search ends: steps are then smaller than any printed digit."""
 _MIN_DAMPING: Final = 0.05
 """Damping below which it is set to 0, and Gauss-Newton steps are whole."""
 _IDLE_GAIN: Final = 1e-3
 """If the cost falls by less than this share in each of two steps, the search has converged, even if the steps
-are not small. Measured on flights with backlash and dry friction, whose kinks keep steps from becoming small.
-A single small step of this gain ends the search too."""
+are not small. Set on flights with backlash and dry friction, whose kinks keep steps from becoming small. A
+single step that is small and gains less than this ends the search too."""
 _CONVERGED_GAIN: Final = 1e-6
 """A lightly damped step that reduces the cost by less than this share ends the search."""
 
@@ -51,9 +51,9 @@ class DampedStep(Generic[IterateT]):
     std : ndarray (f,)
         Standard errors of the free parameters.
     promised : float
-        Reduction of the cost by the step, if the cost is quadratic.
+        Predicted reduction of the cost by the step, as if the cost were quadratic.
     evaluate : callable
-        Returns the iterate after the step.
+        Evaluates the model after the step, and returns the iterate there.
     """
 
     move: Floats
@@ -66,13 +66,13 @@ class LeastSquares(Protocol[IterateT]):
     """A nonlinear least-squares problem."""
 
     def step(self, iterate: IterateT, damping: float) -> DampedStep[IterateT]:
-        """Linearise at an `iterate` and solve for a step with this `damping`."""
+        """Linearise the problem at an `iterate`, and solve for a step with this `damping`."""
 
     def with_states_refined(self, iterate: IterateT) -> IterateT | None:
         """Optimise the eliminated unknowns of an `iterate` alone; None if that gains too little."""
 
     def is_out_of_budget(self) -> bool:
-        """Whether the search has cost as much as it may."""
+        """Whether the search has used up its limits of time or evaluations."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Minimum(Generic[IterateT]):
     converged : bool
         False if the budget ran out first.
     damping : float
-        Damping of the next step.
+        Damping that a further step would have.
     """
 
     iterate: IterateT
@@ -124,7 +124,7 @@ def minimise(
     idle_share: float = 1.0,
     on_step: Callable[[int, float], None] = lambda number, cost: None,
 ) -> Minimum[IterateT]:
-    """Minimise the cost by Levenberg-Marquardt steps, until they are small or gain little.
+    """Minimise the cost by Levenberg-Marquardt steps, until the steps are small or gain little.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def minimise(
     damping : float
         Damping of the first step; 0 for a Gauss-Newton step.
     max_steps : int
-        Most steps.
+        Largest number of steps.
     idle_share : float
         Factor on the gain below which two steps in a row end the search.
     on_step : callable
@@ -166,6 +166,6 @@ def minimise(
             break
         else:
             control.increase()
-            # Once more would gain nothing: they are refined for this iterate.
+            # The iterate stays the same, so that refining its states again would gain nothing.
             states_are_refined = True
     return Minimum(iterate, True, control.value)

@@ -1,13 +1,14 @@
 """A model linearised along the reference trajectory of a flight.
 
-Let x_k be the state that a filter predicts for the beginning of step k and y_k the one after its measurement,
-u_k the mean inputs of the step. With f and its Jacobian A in the middle, (y_k + x_k+1) / 2, the implicit
-midpoint rule gives for the deviation e_k of the true state from x_k
+Let x_k be the state that a filter predicts for the beginning of step k, y_k the state after the measurement
+there, and h the length of a step. The rates f and their Jacobian A are evaluated in the middle of the step,
+at the state (y_k + x_k+1) / 2 and the mean inputs. The implicit midpoint rule then gives for the deviation
+e_k of the true state from x_k
 
     e_k+1 = Phi_k (e_k + x_k - y_k) + Gamma_k (f - (x_k+1 - y_k) / h + w),
 
-Phi = (I - h A / 2)^-1 (I + h A / 2), Gamma = (I - h A / 2)^-1 h, w the disturbances. The change of f by a
-parameter enters in the same way as w.
+with Phi = (I - h A / 2)^-1 (I + h A / 2), Gamma = (I - h A / 2)^-1 h, and the disturbances w. The change of f
+by a parameter enters in the same way as w.
 """
 
 from __future__ import annotations
@@ -28,16 +29,17 @@ from heli_lab.estimation.trajectory_functions import Trajectory
 from heli_lab.threads import default_thread_count, parallel_map
 
 BLOCK_s: Final = 0.04
-"""Time from one measurement of the filter to the next. Encoders at rest repeat a count for tens of
-milliseconds. Every 10 ms their errors are correlated (0.15 to 0.43 from one to the next on simulated flights,
-2026-11) and pass for a fast disturbance. Every 40 ms they are white to 0.05. Longer: lags and delays blur."""
+"""Time from one measurement of the filter to the next. An axis that moves slowly repeats a count for tens of
+milliseconds. With a measurement every 10 ms, successive errors are correlated (0.15 to 0.43 on simulated
+flights, 2026-11), and would be estimated as a fast disturbance. Every 40 ms, the correlation is 0.05. Longer:
+lags and delays are blurred."""
 _CHUNK_STEPS: Final = 4096
-"""Steps that are linearised together: derivatives by all parameters take 2 kB each. The result does not
-depend on it, memory does."""
+"""Number of steps that are linearised together; derivatives by all parameters take 2 kB per step. Memory
+depends on this number, the result does not."""
 
 _HELD: Final = 1e-6
-"""Share of the largest response to a disturbance below which a position is held. Moments of inertia differ by
-a factor of 100 at most; rounding leaves 1e-15."""
+"""If the response of a position to its disturbance is below this share of the largest response, friction
+holds the position. Moments of inertia differ by a factor of 100 at most; rounding gives 1e-15."""
 
 
 @dataclass(frozen=True)
@@ -47,20 +49,20 @@ class Derivatives:
     Parameters
     ----------
     Phi, Gamma : ndarray (n, states, states)
-        Transition of the deviation over a step, and its response to rates changed during it.
+        Transition of the deviation over a step, and its response to a change of the rates during the step.
     rates : ndarray (n, states, 1 + f)
-        First the model's error: its rates minus those of the trajectory. Then by how much a unit of each free
-        parameter reduces it.
+        Column 0: the model's error, its rates minus those of the trajectory. Further columns: the reduction
+        of this error per unit of each free parameter.
     by_disturbance : ndarray (n, states, m + g)
         Derivatives of the rates by the disturbances.
     C : ndarray (n, m, states)
         Derivatives of the outputs by the state.
     outputs : ndarray (n, m, 1 + f)
-        First the measured outputs minus the model's at the trajectory, then by how much a unit of each free
-        parameter reduces that.
+        Column 0: the measured outputs minus the model's at the trajectory. Further columns: the reduction of
+        this difference per unit of each free parameter.
     variance : ndarray (n, m)
-        Variance of a measurement, of which there is one per block: by quantisation, and by the unknown place
-        of an output within a play.
+        Variance of a measurement, of which there is one per block: because of quantisation, and because the
+        position of an output within its play is unknown.
     """
 
     Phi: Floats
@@ -89,8 +91,8 @@ class Blocks:
     variance : ndarray (b, m)
         Variance of each measurement, as in `Derivatives`.
     drive : ndarray (b, states, 1 + f)
-        Change of the deviation over a block. Column 0: the change by the model's error. Further columns: by
-        how much a unit of each free parameter reduces it.
+        Change of the deviation over a block. Column 0: the change by the model's error. Further columns: the
+        reduction of this change per unit of each free parameter.
     measured : ndarray (b, m, 1 + f)
         Errors of the measured outputs, in the same columns as `drive`.
     """
@@ -106,7 +108,7 @@ class Blocks:
 
 @dataclass(frozen=True)
 class Steps:
-    """A flight in steps of its reference trajectory.
+    """A model linearised in each step of a flight, with its errors.
 
     Parameters
     ----------
@@ -129,8 +131,8 @@ class Steps:
 class LinearisedFlight:
     """A model linearised along the reference trajectory of one flight, as the input of the Kalman filter.
 
-    The steps of all windows follow one another: a flight has n steps. The filter takes one measurement per
-    block of steps.
+    The n steps of a flight are those of all its windows, one window after the other. The filter takes one
+    measurement per block of steps.
 
     Parameters
     ----------
@@ -148,19 +150,19 @@ class LinearisedFlight:
     trajectory : Trajectory
         Times, states and inputs in the middle of each step.
     nodes : Trajectory
-        The same at the beginning of each step, with the predicted state.
+        Times, predicted states and inputs at the beginning of each step.
     windows : list of slice
         Steps of each window.
     states : int
         Number of states of the model.
     block : int
-        Number of steps per measurement of the filter.
+        Number of steps in a block.
     variance : ndarray (n, m)
         Variance of the quantisation errors of each output.
     at_rest : ndarray (n, m)
         Whether each output is at rest.
     repeats : ndarray (n, m)
-        Number of successive measurements, 1 at least, in which the count of each output stays the same.
+        Number of successive measurements in which the count of each output stays the same; at least 1.
     """
 
     def __init__(self, reference: ReferenceTrajectory, functions: ModelFunctions, parameters: Floats) -> None:
@@ -212,16 +214,16 @@ class LinearisedFlight:
         for number, derivative in self._input_derivatives:
             rates[:, :, 1 + number] -= np.einsum("nij,nj->ni", by_inputs, derivative[rows])
         rates[:, :followed, 0] -= self._change[rows]
-        # The measurements of a rest have one rounding error, so together they are worth one.
+        # All measurements of a rest have the same rounding error, so that together they count as one.
         variance = self.variance[rows] * np.where(self.at_rest[rows], self.repeats[rows], 1.0)
-        # A known direction is not corrected by the filter; its error is one of the measurement.
-        for place, output in self.model.known_directions:
+        # The filter does not correct a state that is a known direction; its error adds to the measurement's.
+        for number, output in self.model.known_directions:
             noise = self._direction_variance[rows, output] * self.repeats[rows, output]
-            variance = variance + c[:, :, followed + place] ** 2 * noise[:, None]
-            c[:, :, followed + place] = 0.0
+            variance = variance + c[:, :, followed + number] ** 2 * noise[:, None]
+            c[:, :, followed + number] = 0.0
         # Extra states are integrated more finely than by the midpoint rule: they have no error in a step.
         rates[:, followed:, 0] = 0.0
-        # Outputs are measured at the beginning of a step, the model's are evaluated in its middle.
+        # Outputs are measured at the beginning of a step, but the model is evaluated in the middle.
         to_beginning = self.nodes.state[rows] - middle.state
         at_beginning = outputs[:, :, 0] + np.einsum("nij,nj->ni", c, to_beginning)
         outputs[:, :, 0] = self._measured[rows] - at_beginning
@@ -231,7 +233,7 @@ class LinearisedFlight:
     def blocks(self) -> list[Blocks]:
         """Each window as the input of the filter, cached until `release`."""
         n = self.block
-        # Whole blocks; every thread has work.
+        # A chunk has whole blocks, and is short enough that every thread has work.
         steps_per_thread = math.ceil(self.rows / default_thread_count())
         chunk_steps = max(1, min(_CHUNK_STEPS, steps_per_thread) // n) * n
         windows: list[Blocks] = []
@@ -248,7 +250,7 @@ class LinearisedFlight:
         return windows
 
     def _empty_blocks(self, rows: Integers) -> Blocks:
-        """Blocks that begin at the steps `rows`, shape (b,), with arrays that are not filled yet."""
+        """Allocate the blocks that begin at the steps `rows`, shape (b,); the arrays are not filled yet."""
         b, states, m, columns = len(rows), self.states, len(self.model.outputs), 1 + len(self.functions.free)
         return Blocks(
             rows=rows,
@@ -275,21 +277,21 @@ class LinearisedFlight:
         blocks.part_input[:, into] = responses.reshape(n, -1, *responses.shape[1:])
 
     def _corrections(self, rows: slice) -> Floats:
-        """Predicted minus filtered states of the trajectory, shape (n, states, 1)."""
+        """Return x_k - y_k in the steps `rows`: predicted minus filtered states, shape (n, states, 1)."""
         corrections = np.zeros((rows.stop - rows.start, self.states, 1))
         corrections[:, : self.model.followed, 0] = self._correction[rows]
         return corrections
 
     @cached_property
     def steps(self) -> Steps:
-        """The model in every step, cached until `release`."""
-        n, nx, m = self.rows, self.states, len(self.model.outputs)
+        """The model linearised in every step, cached until `release`."""
+        n, states, m = self.rows, self.states, len(self.model.outputs)
         steps = Steps(
-            Phi=np.empty((n, nx, nx)),
-            Gamma=np.empty((n, nx, nx)),
-            by_disturbance=np.empty((n, nx, len(self.model.disturbed))),
-            C=np.empty((n, m, nx)),
-            drive=np.empty((n, nx, 1)),
+            Phi=np.empty((n, states, states)),
+            Gamma=np.empty((n, states, states)),
+            by_disturbance=np.empty((n, states, len(self.model.disturbed))),
+            C=np.empty((n, m, states)),
+            drive=np.empty((n, states, 1)),
             output_error=np.empty((n, m, 1)),
         )
         for low in range(0, n, _CHUNK_STEPS):
@@ -310,9 +312,9 @@ class LinearisedFlight:
         self.__dict__.pop("blocks", None)
 
     def disturbance_for(self, accelerations: Floats) -> Floats:
-        """Disturbances that cause given accelerations along the trajectory, shape (n, m).
+        """Compute the disturbances that would cause given accelerations along the trajectory, shape (n, m).
 
-        While friction holds a position, no disturbance moves it; the disturbance there is 0.
+        While friction holds a position, no disturbance moves it; the result there is 0.
 
         Parameters
         ----------
@@ -324,8 +326,17 @@ class LinearisedFlight:
         return np.asarray(inverse @ accelerations[:, :, None], float)[:, :, 0]
 
     def over_blocks(self, rates: Floats) -> list[Floats]:
-        """Change of the state's deviation over each block by additional `rates`, shape (n, states, s): for
-        each window, shape (b, states, s).
+        """Compute the change of the deviation over each block by additional rates of the state.
+
+        Parameters
+        ----------
+        rates : ndarray (n, states, s)
+            Additional rates in each step, for s signals.
+
+        Returns
+        -------
+        list of ndarray (b, states, s)
+            Change over each block of each window.
         """
         Phi, Gamma = self.steps.Phi, self.steps.Gamma
         return [

@@ -1,4 +1,4 @@
-"""Long-run (HAC) variance of an autocorrelated series."""
+"""Estimate the long-run (HAC) variance of an autocorrelated series: that of a sum, divided by its length."""
 
 from __future__ import annotations
 
@@ -9,31 +9,41 @@ from heli_host.arrays import Floats
 
 
 def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Floats:
-    """Mean lagged product of a residual about zero, shape (lags + 1, a), pairs within windows only: sums of
-    products over the number of all rows, which keeps the spectrum positive.
+    """Estimate the autocovariance of residuals about zero, from pairs of rows in the same window.
+
+    At each lag, the sum of products is divided by the number of all rows, not of all pairs. This keeps the
+    spectrum positive.
 
     Parameters
     ----------
     residual : ndarray (m, a)
-        Residuals, one column an axis.
+        Residuals, one column per axis.
     windows : sequence of slice
         Rows of each window.
     lags : int
         Largest lag, in rows.
+
+    Returns
+    -------
+    ndarray (lags + 1, a)
+        Autocovariance by lag and axis.
     """
-    total = np.zeros((lags + 1, residual.shape[1]))
+    sums = np.zeros((lags + 1, residual.shape[1]))
     for window in windows:
-        part = residual[window]
-        size = 1 << int(2 * len(part) - 1).bit_length()
-        power = np.abs(np.fft.rfft(part, size, axis=0)) ** 2
-        products = np.fft.irfft(power, size, axis=0)
-        lag_count = min(lags + 1, len(part))
-        total[:lag_count] += products[:lag_count]
-    return np.asarray(total / max(1, sum(window.stop - window.start for window in windows)))
+        rows = residual[window]
+        # The inverse transform of the power spectrum is the sum of products at each lag. Zeros are appended
+        # so that the end of the window is not paired with its beginning.
+        fft_rows = 1 << int(2 * len(rows) - 1).bit_length()
+        power = np.abs(np.fft.rfft(rows, fft_rows, axis=0)) ** 2
+        products = np.fft.irfft(power, fft_rows, axis=0)
+        lag_count = min(lags + 1, len(rows))
+        sums[:lag_count] += products[:lag_count]
+    return np.asarray(sums / max(1, sum(window.stop - window.start for window in windows)))
 
 
 def newey_west_variance(covariance: Floats) -> Floats:
-    """Long-run variance of a series by Bartlett's weights (Newey and West, Econometrica 55, 1987, eq. 5).
+    """Estimate the long-run variance of a series with Bartlett's weights (Newey and West, Econometrica 55,
+    1987, eq. 5).
 
     Parameters
     ----------
@@ -43,7 +53,7 @@ def newey_west_variance(covariance: Floats) -> Floats:
     Returns
     -------
     ndarray (a,)
-        In the unit of the autocovariance; not negative but for rounding.
+        Variance of each column, in the unit of the autocovariance; negative by rounding at most.
     """
     taper = 1.0 - np.arange(len(covariance)) / len(covariance)
     return np.asarray(2.0 * (taper[:, None] * covariance).sum(axis=0) - covariance[0])

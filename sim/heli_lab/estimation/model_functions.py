@@ -19,7 +19,7 @@ class ModelFunctions:
     Parameters
     ----------
     model : GreyBoxModel
-        The equations.
+        The model whose equations are compiled.
     free : sequence of str
         Parameters by which derivatives are taken.
 
@@ -28,7 +28,7 @@ class ModelFunctions:
     names : tuple of str
         All parameters of the model.
     places : list of int
-        Indices of the free parameters among them.
+        Indices of the free parameters in `names`.
     along : AlongTrajectory
         Function of n points of a trajectory, with six results. The first four are the rates with their
         negative derivatives by the free parameters, (n, states, 1 + f), and the derivatives of the rates by
@@ -47,12 +47,12 @@ class ModelFunctions:
         rates, outputs = model.dynamics(x, u, p, t), model.measurement(x, u, p, t)
 
         def by_free(value: ca.SX) -> ca.SX:
-            """Derivatives of a column by the free parameters; no columns without any."""
+            """Jacobian of a column vector by the free parameters; without any, it has no columns."""
             if not self.places:
                 return ca.SX(value.numel(), 0)
             return ca.jacobian(value, ca.vertcat(*(p[i] for i in self.places)))
 
-        # With the opposite sign the filter gives what a parameter subtracts from the innovations.
+        # With the opposite sign, the filter gives the reduction of the innovations per unit of a parameter.
         results = [
             ca.horzcat(rates, -by_free(rates)),
             ca.jacobian(rates, x),
@@ -66,16 +66,17 @@ class ModelFunctions:
         )
         self.extra_states = model.extra_states
         if self.extra_states:
+            # y: positions and rates of the reference trajectory; z: the states that are integrated along it.
             z, y = ca.SX.sym("z", self.extra_states), ca.SX.sym("y", model.followed)
-            both, arguments = ca.vertcat(y, z), [z, t, y, u, p]
+            state, arguments = ca.vertcat(y, z), [z, t, y, u, p]
             extra = slice(model.followed, None)
             self._integrator = EffectStates(
-                ca.Function("rates", arguments, [ca.densify(model.dynamics(both, u, p, t)[extra])]),
-                ca.Function("resets", arguments, [ca.densify(model.reset_map(both, u, p, t)[extra])]),
+                ca.Function("rates", arguments, [ca.densify(model.dynamics(state, u, p, t)[extra])]),
+                ca.Function("resets", arguments, [ca.densify(model.reset_map(state, u, p, t)[extra])]),
             )
 
     def __reduce__(self) -> tuple[type[ModelFunctions], tuple[GreyBoxModel, tuple[str, ...]]]:
-        # Compiled programs do not pickle.
+        """Pickle the arguments only, because compiled programs cannot be pickled."""
         return ModelFunctions, (self.model, self.free)
 
     def integrate(self, trajectory: Trajectory, directions: Floats) -> Floats:
@@ -91,7 +92,7 @@ class ModelFunctions:
         Returns
         -------
         ndarray (n + 1, extra states)
-            At the beginning of each step, and at the end of the last.
+            States at the beginning of each step, and at the end of the last.
         """
         positions_and_rates = trajectory.state[:, : self.model.followed]
         ends = self._integrator.integrate(replace(trajectory, state=positions_and_rates))

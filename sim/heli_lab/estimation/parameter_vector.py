@@ -16,8 +16,8 @@ import numpy as np
 from heli_host.arrays import Floats, Integers
 
 _VAGUE: Final = 1e3
-"""Factor on the standard deviation of a prior that is removed: the information of one flight is larger by far
-than what is left of it. Much larger: information matrices lose digits."""
+"""Factor on the standard deviation of a prior that is removed: the information of one flight then outweighs
+the prior by far. A much larger factor makes information matrices lose digits."""
 
 
 class Prior(Protocol):
@@ -65,15 +65,15 @@ class FreeParameter:
     Parameters
     ----------
     name : str
-        Its name; one that differs between several flights has the flight's label in brackets.
+        Unique name. If the parameter differs between flights, the label of the flight follows in brackets.
     unit : str
         SI unit.
     prior : Prior
         Distribution before the flights are seen.
     quantity : str
-        Its name in the model.
+        Name of the parameter in the model.
     record : int or None
-        The flight that it belongs to; None for all.
+        Number of the flight that the parameter belongs to; None if all flights share it.
     """
 
     name: str
@@ -91,7 +91,7 @@ class ParameterVector:
     parameters : sequence of str
         All parameters of the model.
     values : ndarray (p,)
-        Their values where they are not free.
+        Values of these parameters, which hold for those that are not free.
     shared : sequence of FreeParameter
         Free parameters with one value for all flights.
     per_flight : sequence of FreeParameter
@@ -147,18 +147,22 @@ class ParameterVector:
         self.std: Floats = np.array([parameter.prior.std for parameter in free])
 
     def with_free(self, free: Sequence[FreeParameter]) -> ParameterVector:
-        """Return a vector of other `free` parameters of the same model, first the shared ones, then those of
-        one flight.
+        """Return a vector of other free parameters of the same model.
+
+        Parameters
+        ----------
+        free : sequence of FreeParameter
+            First the shared parameters, then those of single flights.
         """
         other = copy.copy(self)
         other._set_free(tuple(free), len(self.columns))
         return other
 
     def without_priors(self, names: Collection[str]) -> ParameterVector:
-        """Return the same vector with the priors of the parameters `names` removed; their bounds stay."""
+        """Return the same vector with very wide priors of the parameters `names`; the bounds stay."""
         other = copy.copy(self)
-        removed = np.array([parameter.name in names for parameter in self.free], bool)
-        other.std = np.where(removed, _VAGUE * self.std, self.std)
+        is_removed = np.array([parameter.name in names for parameter in self.free], bool)
+        other.std = np.where(is_removed, _VAGUE * self.std, self.std)
         return other
 
     @property
@@ -188,8 +192,8 @@ class ParameterVector:
         return dict(zip(self.names, theta.tolist(), strict=True))
 
     def shared_by_name(self, theta: Floats) -> dict[str, float]:
-        """Return those of the free parameters `theta`, shape (f,), that all flights share, by name in the
-        model.
+        """Return the free parameters that all flights share, by their name in the model, from all free
+        parameters `theta`, shape (f,).
         """
         return {
             parameter.quantity: value
@@ -198,15 +202,17 @@ class ParameterVector:
         }
 
     def started_from(self, values: Mapping[str, float]) -> Floats:
-        """Start values, shape (f,): the given `values` by name of the free parameter, otherwise `start`."""
+        """Return start values, shape (f,): those in `values`, by name of the free parameter; the others from
+        `start`.
+        """
         start = [values.get(name, value) for name, value in zip(self.names, self.start, strict=True)]
         return np.asarray(np.clip(np.array(start, float), *self.bounds))
 
     def parameters(self, theta: Floats, index: int = 0) -> Floats:
-        """All parameters of the model in flight number `index`, shape (p,), from the free parameters `theta`,
+        """Return all parameters of the model in flight `index`, shape (p,), for the free parameters `theta`,
         shape (f,).
         """
-        full = self.values.copy()
+        values = self.values.copy()
         columns = self.columns[index]
-        full[self._free_index[columns]] = theta[columns]
-        return full
+        values[self._free_index[columns]] = theta[columns]
+        return values

@@ -23,7 +23,7 @@ class PosteriorStep:
     covariance : ndarray (f, f)
         Inverse of the damped information, priors included.
     promised_nats : float
-        Increase of the log-posterior by the step, damping subtracted, if it is quadratic.
+        Increase of the log-posterior by the step, less the damping term, if the log-posterior is quadratic.
     """
 
     move: Floats

@@ -1,9 +1,10 @@
-"""States of a flight at even times as a filter follows them: models are linearised about them.
+"""Estimate the states of a flight at even times, about which models are then linearised.
 
-Sensors show positions far more finely than they move, so the trajectory hardly depends on the model: at first
-each position is filtered as if random accelerations alone drove it, then by the model's equations. The states
-before and after the measurement of a step are kept. Neither uses later measurements: a smoothed trajectory
-contains the innovations that it is to explain, so that a wrong scale of a sensor would always be significant.
+Encoders are far finer than the motion, so that the trajectory hardly depends on the model. At first, each
+position is filtered as if random accelerations drove it; later, by the model's equations. The states before
+and after the measurement of each step are kept. Neither depends on later measurements. A smoothed trajectory
+would contain the innovations that the model must explain, and a wrong scale of a sensor would then always be
+significant.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from heli_lab.estimation import _kalman
 from heli_lab.estimation.grey_box import Recording, quantisation_std
 
 STEP_s: Final = 0.01
-"""Longest step of the trajectory. By the midpoint rule it costs (w h)^2 / 24 of an acceleration: 0.04 % where
-a position oscillates with 10 rad/s. Longer: inputs that change within a step are blurred. Shorter: time."""
+"""Longest step of the trajectory. The midpoint rule has an error of (w h)^2 / 24 of an acceleration: 0.04
+% if a position oscillates with 10 rad/s. Longer: inputs that change within a step are blurred. Shorter:
+the estimation takes longer."""
 
 REST_s: Final = 0.5
 """Time for which the count of an axis must stay the same for it to be at rest. Set with `REST_EDGE_s` on
@@ -28,8 +30,9 @@ thirteen simulated flights with dry friction in gusts (2026-11): all friction to
 standard errors; with 0.3 s, three are not. Shorter: an axis that moves slowly counts as at rest. Much longer:
 an axis that dry friction holds between two moves counts as moving."""
 REST_EDGE_s: Final = 0.06
-"""Beginning and end of such a time that do not count as rest, because an axis starts and stops within a count
-unseen. With a third of it, friction is estimated up to 6 standard errors too small."""
+"""Time at the beginning and at the end of a constant count that does not count as rest [s]: an axis
+starts and stops within a count. With a third of this time, friction is estimated up to 6 standard errors
+too small."""
 
 RETURN_s: Final = 0.2
 """Time for which the count of an axis must stay the same for the axis to have moved into its play and back.
@@ -38,9 +41,9 @@ plays of pitch lose 190 and 230 nats. Shorter, 0.15 s: the likelihoods gain up t
 moves slowly counts as within its play."""
 
 _RETURN_SHARE: Final = 0.75
-"""How far an axis moves back in its play, in halves of the play, before it moves on as before: 0.4 to 0.8 on
-two simulated flights in gusts (2026-11). With 0, the error of its place is estimated as a disturbance without
-autocorrelation."""
+"""How far an axis moves back into its play, in halves of the play, before it continues in the old
+direction: 0.4 to 0.8 in two simulated flights in gusts (2026-11). With 0, the error of the axis' position
+is estimated as a disturbance without autocorrelation."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +55,9 @@ class KinematicModel:
     acceleration_std : float
         Standard deviation of the accelerations, in the outputs' unit per s2: more than the machine reaches.
     correlation_time_s : float
-        Their correlation time.
+        Correlation time of the accelerations.
     rate_std, position_std : float
-        Standard deviations of the first rates and positions, in the outputs' unit, the former per s.
+        Standard deviations of the initial rates and positions, in the outputs' unit per s and in that unit.
     """
 
     acceleration_std: float
@@ -76,22 +79,22 @@ class ReferenceTrajectory:
     measured : ndarray (n, m)
         Outputs at the beginning of each step, mean of the samples within half a step.
     variance : ndarray (n, m)
-        Variance of their quantisation errors.
+        Variance of the quantisation errors of `measured`.
     predicted, filtered : ndarray (n, 2 m)
         Positions and rates at the beginning of each step, before and after its measurement.
     windows : tuple of slice
         Steps of each part to use.
     at_rest : ndarray (n, m)
-        Whether each output is at rest. Its rate is zero there: otherwise the quantisation errors would decide
-        to which side dry friction acts.
+        Whether each output is at rest. The rate is then set to 0: otherwise quantisation errors would decide
+        in which direction dry friction acts.
     directions : ndarray (n, m)
-        In which direction each output moved last, -1 to 1: where it is in its play. While its count stays the
-        same between two moves of opposite direction it goes from one to the other.
+        Direction in which each output moved last, -1 to 1, which is also its position in its play. Between
+        two moves of opposite direction, it changes gradually from the one to the other.
     direction_variance : ndarray (n, m)
         Variance of the error of `directions`.
     pause_s : ndarray (n, m)
-        Time for which the count of each output stays the same. Errors of `directions` hardly change within
-        it.
+        Time for which the count of each output stays the same [s]. Errors of `directions` hardly change
+        during it.
     """
 
     record: Recording
@@ -134,7 +137,7 @@ class ReferenceTrajectory:
 
 
 def kinematic_filter(record: Recording, kinematics: KinematicModel) -> ReferenceTrajectory:
-    """Reference trajectory without a model of the machine: its positions are driven by random accelerations.
+    """Estimate a reference trajectory without a model of the machine, as if random accelerations drove it.
 
     Parameters
     ----------
@@ -151,7 +154,7 @@ def kinematic_filter(record: Recording, kinematics: KinematicModel) -> Reference
     m = measured.shape[1]
     variance = np.broadcast_to(quantisation_std(record) ** 2, measured.shape)
     _, rough = _filter_kinematics(measured, variance, step_s, kinematics)
-    # The errors of samples are independent where counts change between them; at rest they are the same.
+    # The errors of the averaged samples are independent if the count changes between them, and equal at rest.
     counts_per_step = np.abs(rough[:, m:]) * record.step_s * every / record.resolution
     variance = variance / (1.0 + (sample_count - 1.0) * np.minimum(counts_per_step, 1.0))
     predicted, filtered = _filter_kinematics(measured, variance, step_s, kinematics)
@@ -178,7 +181,7 @@ def kinematic_filter(record: Recording, kinematics: KinematicModel) -> Reference
 
 
 def _centred_means(record: Recording, rows: Integers, half: int) -> tuple[Floats, Floats]:
-    """Mean of the outputs around each of some rows, over at most `half` rows on either side.
+    """Average the outputs around each of some rows, over at most `half` rows on either side.
 
     Returns
     -------
@@ -196,27 +199,32 @@ def _centred_means(record: Recording, rows: Integers, half: int) -> tuple[Floats
 
 
 def _changed(record: Recording) -> Booleans:
-    """Whether each output's count changes from a row to the next, shape (n - 1, m)."""
+    """Find where the count of each output changes from a row to the next, shape (n - 1, m)."""
     return np.abs(np.diff(record.outputs, axis=0)) > 0.5 * record.resolution
 
 
 def _directions(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Floats]:
-    """Place of each output within its play, from the direction in which it moved last, in some rows of a
-    flight.
+    """Estimate the position of each output within its play, from the directions in which its count moved.
 
-    If an axis reverses, it moves through a play with the square of the time since its count stopped. If its
-    count rests for long and then continues in the same direction, the axis has moved into the play and back.
+    The position is 1 or -1, the direction of the last move, while the count changes. If an axis reverses, its
+    position changes with the square of the time since the count stopped. If the count rests for long and then
+    continues in the same direction, the axis has moved into the play and back.
 
-    Within the play the count does not depend on the place of the axis, so the play is one wide cell of a
-    quantiser (Widrow and Kollar, Quantization Noise, 2008). The place has a beta distribution between both
-    sides, uniform if its mean is in the middle: its variance is (1 - mean^2) / 3.
+    Within the play, the count does not depend on the position of the axis, so that the play is one wide cell
+    of a quantiser (Widrow and Kollar, Quantization Noise, 2008). The position has a beta distribution between
+    both sides, uniform if its mean is in the middle; its variance is (1 - mean^2) / 3.
+
+    Parameters
+    ----------
+    nodes : ndarray of int64 (n,)
+        Rows of the flight at which the position is estimated.
 
     Returns
     -------
     directions : ndarray (n, m)
-        Direction of the last move, -1 to 1.
+        Position within the play, -1 to 1.
     variance : ndarray (n, m)
-        Variance of its error.
+        Variance of the error of this position.
     pause_s : ndarray (n, m)
         Time for which the count stays the same [s].
     """
@@ -225,15 +233,17 @@ def _directions(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Flo
     pause_s = np.zeros_like(directions)
     for axis in range(changed.shape[1]):
         change_rows = np.flatnonzero(changed[:, axis])
-        # Before the first move and after the last the axis is anywhere in its play.
+        # Before the first move and after the last one, the axis is anywhere in its play: direction 0.
         moves = np.concatenate(([-1], change_rows, [len(changed)]))
         signs = np.concatenate(([0.0], np.sign(np.diff(record.outputs[:, axis])[change_rows]), [0.0]))
+        # Indices in `moves` of the next and of the last move, at each node.
         following = np.searchsorted(moves + 0.5, nodes)
         last = following - 1
         pause_rows = moves[following] - moves[last]
+        # Share of the pause that has passed, 0 to 1.
         share = (nodes - moves[last] - 0.5) / pause_rows
         reversal = signs[following] - signs[last]
-        # Slowly there, fast back: s^2 (1 - s) is at most 1 / 6.75.
+        # The axis moves slowly into the play and fast back: s^2 (1 - s) is at most 1 / 6.75.
         excursion = _RETURN_SHARE * 6.75 * share**2 * (1.0 - share)
         returns = (reversal == 0.0) & (pause_rows * record.step_s >= RETURN_s)
         directions[:, axis] = (
@@ -244,30 +254,31 @@ def _directions(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Flo
 
 
 def _at_rest(record: Recording, nodes: Integers) -> Booleans:
-    """Whether each output, shape (n, m), is at rest in these rows of a flight."""
+    """Find whether each output is at rest in the rows `nodes` of a flight, shape (n, m)."""
     changed = _changed(record)
     at_rest = np.zeros((len(nodes), changed.shape[1]), bool)
     for axis in range(changed.shape[1]):
+        # Edges of the runs of rows with the same count.
         edges = np.concatenate(([0], np.flatnonzero(changed[:, axis]) + 1, [len(record.outputs)]))
         run = np.searchsorted(edges, nodes, side="right") - 1
-        first, last = edges[run], edges[run + 1]
-        margin = REST_EDGE_s / record.step_s
-        long = (last - first) * record.step_s >= REST_s
-        at_rest[:, axis] = long & (nodes >= first + margin) & (nodes < last - margin)
+        start, stop = edges[run], edges[run + 1]
+        margin_rows = REST_EDGE_s / record.step_s
+        is_long = (stop - start) * record.step_s >= REST_s
+        at_rest[:, axis] = is_long & (nodes >= start + margin_rows) & (nodes < stop - margin_rows)
     return at_rest
 
 
 def _without_rates(states: Floats, at_rest: Booleans) -> Floats:
-    """The positions and rates `states`, shape (n, 2 m), with the rate of each output `at_rest` set to 0."""
-    m = at_rest.shape[1]
-    rates: Floats = np.where(at_rest, 0.0, states[:, m:])
-    return np.hstack((states[:, :m], rates))
+    """Set the rate of each output at rest to 0 in `states`, positions and rates, shape (n, 2 m)."""
+    outputs = at_rest.shape[1]
+    rates: Floats = np.where(at_rest, 0.0, states[:, outputs:])
+    return np.hstack((states[:, :outputs], rates))
 
 
 def _filter_kinematics(
     measured: Floats, variance: Floats, step_s: float, kinematics: KinematicModel
 ) -> tuple[Floats, Floats]:
-    """Kalman filter of positions that random accelerations drive.
+    """Estimate positions and rates by a Kalman filter, for positions that random accelerations drive.
 
     Parameters
     ----------
@@ -283,13 +294,14 @@ def _filter_kinematics(
     """
     count, size = measured.shape
     identity, zero = np.eye(size), np.zeros((size, size))
+    # State: positions, then rates. Both integrate an acceleration that is constant within a step.
     transition = np.block([[identity, step_s * identity], [zero, identity]])
-    push = np.vstack((0.5 * step_s**2 * identity, step_s * identity))
+    acceleration_input = np.vstack((0.5 * step_s**2 * identity, step_s * identity))
     measurement = np.hstack((identity, zero))
     relative = measured - measured[0]
     before, after = _kalman.track(
         np.broadcast_to(transition, (count, *transition.shape)).copy(),
-        np.broadcast_to(push, (1, count, *push.shape)).copy(),
+        np.broadcast_to(acceleration_input, (1, count, *acceleration_input.shape)).copy(),
         np.broadcast_to(measurement, (count, *measurement.shape)).copy(),
         np.ascontiguousarray(variance),
         np.full(size, np.exp(-step_s / kinematics.correlation_time_s)),

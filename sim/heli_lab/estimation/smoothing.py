@@ -1,4 +1,7 @@
-"""Disturbances and states given all measurements of a flight (Harvey, section 3.6)."""
+"""Estimate the disturbances of a flight from all its measurements, and follow its states again.
+
+The smoother is that of Harvey, section 3.6.
+"""
 
 from __future__ import annotations
 
@@ -26,27 +29,31 @@ def smoothed_disturbances(
     Returns
     -------
     list of (ndarray (k,), ndarray (k, m), ndarray (k, m))
-        For each flight times since its first sample (s), the sum of the fast and the slow disturbance of
-        each output in the unit of the disturbed parameter, and its standard error.
+        For each flight: times since its first sample [s], the sum of the fast and the slow disturbance of
+        each output in the unit of the disturbed parameter, and the standard error of this sum.
     """
     result = []
-    m = len(filtered.model.outputs)
+    outputs = len(filtered.model.outputs)
     for linearised, signals in zip(filtered.linearised_flights, filtered.perturbed_residual(), strict=True):
         times, values, errors = [], [], []
         for blocks, (drive, measured) in zip(linearised.blocks, signals, strict=True):
-            nx = blocks.transition.shape[1]
             system = filtered.system(linearised, blocks, disturbances)
+            # Columns: states of the model, then the fast disturbances, then the slow ones.
             mean, variance = _kalman.smooth(*system, drive, measured)
+            first_fast = blocks.transition.shape[1]
+            first_slow = first_fast + blocks.part_input.shape[3]
+            fast, slow = (slice(first, first + outputs) for first in (first_fast, first_slow))
             times.append(linearised.nodes.t_s[blocks.rows])
-            slow = nx + blocks.part_input.shape[3]
-            values.append(mean[:, nx : nx + m] + mean[:, slow : slow + m])
-            errors.append(np.sqrt(variance[:, nx : nx + m] + variance[:, slow : slow + m]))
+            values.append(mean[:, fast] + mean[:, slow])
+            errors.append(np.sqrt(variance[:, fast] + variance[:, slow]))
         result.append((np.concatenate(times), np.concatenate(values), np.concatenate(errors)))
     return result
 
 
 def refiltered(filtered: InnovationsModel, disturbances: DisturbanceModel) -> list[ReferenceTrajectory]:
-    """Follow the flights again with the filter of an innovations model, with a measurement in every step.
+    """Estimate the reference trajectories again, now with the model's equations and its disturbances.
+
+    Unlike the filter of the likelihood, this filter takes a measurement in every step.
 
     Parameters
     ----------
@@ -58,7 +65,7 @@ def refiltered(filtered: InnovationsModel, disturbances: DisturbanceModel) -> li
     Returns
     -------
     list of ReferenceTrajectory
-        One per flight.
+        New reference of each flight.
     """
     references = []
     for linearised in filtered.linearised_flights:

@@ -1,7 +1,8 @@
-"""Functions of state, inputs, time and parameters, evaluated in each step of a trajectory.
+"""Evaluate functions of state, inputs, time and parameters in each step of a trajectory.
 
-CasADi's expressions are straight-line programs. Its own interpreter evaluates them one row at a time; this
-one carries out each operation for many rows, which is several times faster and needs no compiler.
+A CasADi function is a list of elementary operations. CasADi's own interpreter runs the list for one step at a
+time. The interpreter used here carries out each operation for many steps together, which is several times
+faster and needs no compiler.
 """
 
 from __future__ import annotations
@@ -82,8 +83,9 @@ class _ExpressionList:
         self._index: dict[tuple[int, int, int, str], int] = {}
         """Index in the list of each operation.
 
-        An operation is its code in `_expression_vm.OPERATIONS`, the indices of its two operands, and the
-        value of a constant. For an input, the operands are the numbers of the input and of its element."""
+        An operation has four parts: its code in `_expression_vm.OPERATIONS`, the indices of its two operands,
+        and the value of a constant. For an input, the operands are the numbers of the input and of its
+        element."""
         zero = self._add(_CONST)
         self.outputs = [[zero] * function.numel_out(i) for i in range(function.n_out())]
         in_register: dict[int, int] = {}
@@ -127,14 +129,18 @@ class _ExpressionList:
 
 
 def _table(values: Floats) -> Floats:
-    """The `values`, shape (n,) or (n, k), as contiguous table of shape (n, k)."""
+    """Return `values`, shape (n,) or (n, k), as a contiguous array of shape (n, k)."""
     table: Floats = np.ascontiguousarray(values, float)
     return table[:, None] if table.ndim == 1 else table
 
 
 class AlongTrajectory:
-    """Evaluates a `function` of state, inputs, time and all parameters in each step of a trajectory; its
-    arguments and results are dense.
+    """A compiled function that is evaluated in each step of a trajectory.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Function of state, inputs, time and all parameters, with dense arguments and results.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -144,7 +150,7 @@ class AlongTrajectory:
         self._program = _expression_vm.TableProgram(*expressions.arguments, expressions.outputs)
 
     def __reduce__(self) -> tuple[type[AlongTrajectory], tuple[ca.Function]]:
-        # Compiled programs do not pickle.
+        """Pickle the function only, because compiled programs cannot be pickled."""
         return AlongTrajectory, (self._function,)
 
     def __call__(self, trajectory: Trajectory) -> list[Floats]:
@@ -158,7 +164,7 @@ class AlongTrajectory:
 
 
 class EffectStates:
-    """Integrates the states z of effects along a reference trajectory that they do not change.
+    """Integrates the states z of effects along a given trajectory of the other states.
 
     Parameters
     ----------
@@ -176,6 +182,7 @@ class EffectStates:
         self._integrator = _expression_vm.CourseIntegrator(*expressions.arguments, *expressions.outputs)
 
     def __reduce__(self) -> tuple[type[EffectStates], tuple[ca.Function, ca.Function]]:
+        """Pickle the functions only, because compiled programs cannot be pickled."""
         return EffectStates, self._functions
 
     def integrate(self, trajectory: Trajectory, returned_substep: int = EFFECT_SUBSTEPS - 1) -> Floats:

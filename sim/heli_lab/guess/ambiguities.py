@@ -1,4 +1,4 @@
-"""Ambiguities of a guess: columns, units, signs, zeros and times that the file leaves undecided."""
+"""List the ambiguities of a guess: columns, units and signs that the file does not decide."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from heli_host.tables.units import SHARES
 from heli_sim.rig import Rig
 
 from heli_lab.guess import names, thresholds
-from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.regression.acceleration_fit import RegressionFit
+from heli_lab.guess.regression.assignment import ColumnAssignment
 from heli_lab.guess.regression.reference import Reference
 from heli_lab.guess.regression.scales import AXES, MeasuredMotion, Scale
 from heli_lab.guess.result import Ambiguity
@@ -38,7 +39,7 @@ class SignChanges:
 
 
 def assignment_ambiguities(ranked: list[ColumnAssignment]) -> tuple[list[Ambiguity], list[str]]:
-    """Ambiguities of the columns: other assignments that are nearly as likely, or that fit the motion better.
+    """Report other assignments of the columns that are nearly as likely, or that fit the motion better.
 
     Parameters
     ----------
@@ -171,9 +172,10 @@ def unit_ambiguities(
 def _equally_likely_units(
     possible: list[Scale], motion: MeasuredMotion, reference: Reference, rig: Rig
 ) -> list[Ambiguity]:
-    """Ambiguity between the best units and others that are nearly as likely."""
+    """Report the other units that are nearly as likely as the best ones, in one ambiguity."""
     best = possible[0]
-    # The most likely choice of each other set of units: choices also differ in factors without a unit.
+    # Some choices have the same units, and differ only in whether the bias is removed: keep the most likely
+    # one.
     others: dict[tuple[str, ...], Scale] = {}
     for scale in possible:
         if scale.units != best.units:
@@ -201,7 +203,7 @@ def _equally_likely_units(
 
 
 def _implausible_scales(best: Scale, rig: Rig) -> list[Ambiguity]:
-    """Ambiguity of each quantity that is far from the rig's even in the best unit."""
+    """Report each quantity that differs much from the rig file even in the best unit."""
     return [
         Ambiguity(
             f"the scale of {quantity}",
@@ -216,7 +218,7 @@ def _implausible_scales(best: Scale, rig: Rig) -> list[Ambiguity]:
 
 
 def _contradicted_headers(best: Scale, motion: MeasuredMotion) -> list[Ambiguity]:
-    """Ambiguity of each unit that the header of the file states differently."""
+    """Report each chosen unit that contradicts the header of the file."""
     chosen_units = (
         *((axis, f"{axis}'s unit", best.angles[axis]) for axis in AXES),
         ("voltage", "the voltages' unit", best.voltage),
@@ -236,7 +238,7 @@ def _contradicted_headers(best: Scale, motion: MeasuredMotion) -> list[Ambiguity
 def _supply_ambiguities(
     possible: list[Scale], motion: MeasuredMotion, reference: Reference
 ) -> list[Ambiguity]:
-    """Ambiguities of the bias and of the supply, which the file does not state."""
+    """Report an unknown bias of the voltages, and an unknown supply."""
     best, ambiguities = possible[0], []
     if best.bias_removed:
         ambiguities.append(
@@ -260,29 +262,34 @@ def _supply_ambiguities(
 
 
 def _full_scale(scale: Scale) -> str:
+    """Words for the value of full supply, if the voltages are in ``pwm``; otherwise empty."""
     return f" of {scale.full_scale:g}" if scale.voltage == "pwm" else ""
 
 
 def _volts_of_another_gain(possible: list[Scale]) -> str:
-    """The words ``, or V`` if volts are not much less likely than a share of the supply; otherwise empty."""
+    """Words for volts as another unit, if they are not much less likely than a share of the supply; otherwise
+    empty.
+    """
     in_volts = [scale.log_likelihood for scale in possible if scale.voltage == "V"]
     lead_nats = possible[0].log_likelihood - max(in_volts, default=-math.inf)
     return ", or V" if lead_nats < 2.0 * thresholds.DECISIVE_NATS else ""
 
 
 def _clipping(scale: Scale, motion: MeasuredMotion, reference: Reference) -> str:
-    """Words for the limit that commands need in the units of a `scale`; empty if they need none."""
+    """Words for the limit of the voltages, if some commands exceed the supply in the units of a `scale`;
+    otherwise empty.
+    """
     return f", clipped to {reference.supply_V:g} V" if scale.voltage_scale in motion.limited else ""
 
 
 def _describe_units(scale: Scale) -> str:
-    """The units of a `scale` in words; the angles together if they have the same unit."""
+    """Describe the units of a `scale`, for a message; angles in the same unit are named together."""
     if len(set(scale.angles.values())) == 1:
-        shown = scale.angles[AXES[0]]
+        angle_units = scale.angles[AXES[0]]
     else:
-        shown = ", ".join(f"{axis} in {unit}" for axis, unit in scale.angles.items())
+        angle_units = ", ".join(f"{axis} in {unit}" for axis, unit in scale.angles.items())
     halves = ", sum and difference by halves" if scale.factor != 1.0 else ""
-    return f"angles in {shown}, voltages in {scale.voltage}{_full_scale(scale)}{halves}"
+    return f"angles in {angle_units}, voltages in {scale.voltage}{_full_scale(scale)}{halves}"
 
 
 def sign_ambiguities(
@@ -316,12 +323,13 @@ def sign_ambiguities(
                     "log a flight that excites this axis more",
                 )
             )
-    changed = signs.motors_swapped or signs.pitch < 0.0 or signs.travel < 0.0
+    is_changed = signs.motors_swapped or signs.pitch < 0.0 or signs.travel < 0.0
     named_roles = {names.role_of(column) for column in assignment.voltages}
-    stated = named_roles >= ({"difference"} if assignment.summed else {"front", "back"})
+    names_state_motors = named_roles >= ({"difference"} if assignment.summed else {"front", "back"})
     motors = "the difference is back less front" if assignment.summed else "the motors' names are exchanged"
-    if changed or not stated:
-        chosen = _changes(signs.motors_swapped, signs.pitch < 0.0, signs.travel < 0.0, motors)
+    # The motion alone does not distinguish a rig from its mirror image; names without changes do.
+    if is_changed or not names_state_motors:
+        unmirrored = _changes(signs.motors_swapped, signs.pitch < 0.0, signs.travel < 0.0, motors)
         image = _changes(not signs.motors_swapped, signs.pitch > 0.0, signs.travel > 0.0, motors)
         for_choice_nats = -torque_nats if mirrored else torque_nats
         torque = (
@@ -333,8 +341,8 @@ def sign_ambiguities(
         ambiguities.append(
             Ambiguity(
                 "which rotor is the front one",
-                image if mirrored else chosen,
-                chosen if mirrored else image,
+                image if mirrored else unmirrored,
+                unmirrored if mirrored else image,
                 f"the two are mirror images and move alike{torque}; lift the front rotor by hand: if pitch "
                 f"does not rise, set mirrored = {str(not mirrored).lower()}",
             )
@@ -342,13 +350,13 @@ def sign_ambiguities(
     return ambiguities
 
 
-def _changes(swapped: bool, pitch: bool, travel: bool, motors: str) -> str:
-    """Describe changes of sign: of `pitch`, of `travel`, and of the motors, as `motors` puts it in words."""
-    parts = []
-    if swapped:
-        parts.append(motors)
-    if pitch and travel:
-        parts.append("pitch and travel have the opposite sign")
-    elif pitch or travel:
-        parts.append(f"{'pitch' if pitch else 'travel'} has the opposite sign")
-    return ", and ".join(parts) or "front and back as proposed"
+def _changes(motors_swapped: bool, pitch_inverted: bool, travel_inverted: bool, motors_text: str) -> str:
+    """Describe changes of sign in words; `motors_text` describes that of the motors."""
+    changes = []
+    if motors_swapped:
+        changes.append(motors_text)
+    if pitch_inverted and travel_inverted:
+        changes.append("pitch and travel have the opposite sign")
+    elif pitch_inverted or travel_inverted:
+        changes.append(f"{'pitch' if pitch_inverted else 'travel'} has the opposite sign")
+    return ", and ".join(changes) or "front and back as proposed"

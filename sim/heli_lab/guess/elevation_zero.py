@@ -1,4 +1,4 @@
-"""Zero of the elevation, from the rest on the table at the beginning of a flight."""
+"""Find the zero of the elevation from the arm's rest on the table at the beginning of a flight."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class RestElevation:
     begins_lowest: bool
 
 
-def rest_elevation(signals: Signals, column: str, deg: float) -> RestElevation:
-    """Find the rest at the beginning of the elevation `column`.
+def rest_elevation(signals: Signals, column: str, deg_per_unit: float) -> RestElevation:
+    """Find the elevation at which the arm rests at the beginning of a flight.
 
     Parameters
     ----------
@@ -50,17 +50,17 @@ def rest_elevation(signals: Signals, column: str, deg: float) -> RestElevation:
         Columns of the flight.
     column : str
         Name of the elevation's column.
-    deg : float
-        Unit of the column in degrees, negative if its sign is wrong.
+    deg_per_unit : float
+        Degrees per unit of the column, negative if its sign is wrong.
     """
-    elevation_deg = deg * signals.raw[column]
+    elevation_deg = deg_per_unit * signals.raw[column]
     # An unsigned counter that starts below 0 has an offset of one turn.
     elevation_deg = elevation_deg - 360.0 * np.round(np.median(elevation_deg) / 360.0)
     rest_rows = round(thresholds.REST_DURATION_S / thresholds.SAMPLE_STEP_s)
-    begin_deg = elevation_deg[:rest_rows]
+    beginning_deg = elevation_deg[:rest_rows]
     median_deg = float(np.median(elevation_deg))
-    start_deg = float(np.median(begin_deg))
-    is_at_rest = float(np.ptp(begin_deg)) < _STILL_deg and abs(median_deg - start_deg) > _MIN_RISE_deg
+    start_deg = float(np.median(beginning_deg))
+    is_at_rest = float(np.ptp(beginning_deg)) < _STILL_deg and abs(median_deg - start_deg) > _MIN_RISE_deg
     return RestElevation(
         deg=start_deg if is_at_rest else None,
         median_deg=median_deg,
@@ -69,7 +69,10 @@ def rest_elevation(signals: Signals, column: str, deg: float) -> RestElevation:
 
 
 def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, list[Ambiguity]]:
-    """Zero of the elevation, from its value at rest on the table.
+    """Decide which angle to add to the elevation so that it is 0 at level.
+
+    Programs zero the elevation either at level or at rest on the table. The rest at the beginning of the
+    flight shows which, because the rig file states the angle of the arm on its table.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Evidence of one or several files of one rig, and how it is added up."""
+"""Add up the evidence of several files of one rig: for columns, for units, and for signs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, sp
 
 from heli_lab.guess import names, thresholds
 from heli_lab.guess.known import KnownEntries
-from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit, assignments, free_rows
+from heli_lab.guess.regression.acceleration_fit import RegressionFit
+from heli_lab.guess.regression.assignment import ColumnAssignment, assignments, free_rows
 from heli_lab.guess.regression.axis_regression import axis_regressions, sum_and_difference, voltages
 from heli_lab.guess.regression.candidates import candidates
 from heli_lab.guess.regression.reference import Reference
@@ -35,7 +36,8 @@ from heli_lab.guess.times import NO_RATE, Clock, clock_of, longest_run, times_in
 _ANGLE_UNITS: Final = frozenset({*ANGLE_UNITS, COUNT})
 _VOLTAGE_UNITS: Final = frozenset({*VOLTAGE_UNITS, *SHARES})
 _UNRANKED_NATS: Final = 40.0
-"""Distance below the best of an assignment or unit that one file excludes and another one does not [nats]."""
+"""Penalty of an assignment or unit that one file excludes and another one does not, below the best of the
+file that excludes it [nats]."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,9 @@ class PreparedFile:
     table : Table
         The longest part of the file in which times rise and no angle jumps.
     clock : Clock
-        Its times.
+        Time column of the file.
     signals : Signals
-        Its other columns at even times.
+        All other columns of the file, at even times.
     encoders : frozenset of str
         Columns that are quantised by an encoder of the rig.
     """
@@ -87,7 +89,7 @@ def prepare_file(table: Table, reference: Reference, rate_Hz: float | None) -> P
 def common_candidates(
     files: Sequence[PreparedFile], known: Mapping[str, str]
 ) -> tuple[list[str], dict[str, str]]:
-    """Columns that may be an angle or a voltage in all files.
+    """List the columns that may be an angle or a voltage in all files.
 
     Parameters
     ----------
@@ -97,7 +99,7 @@ def common_candidates(
     Returns
     -------
     columns : list of str
-        These columns.
+        Names of the columns.
     dropped : dict of str
         The reason for each of the other columns.
     """
@@ -113,7 +115,9 @@ def common_candidates(
 def rank(
     files: Sequence[PreparedFile], columns: list[str], reference: Reference, known: KnownEntries
 ) -> tuple[list[ColumnAssignment], list[MeasuredMotion]]:
-    """Rank the assignments of columns by the evidence of all files, with the likelihood of their best units.
+    """Rank the assignments of columns by the evidence of all files.
+
+    The likelihood of an assignment includes that of its best units: wrong columns have implausible gains.
 
     Parameters
     ----------
@@ -158,9 +162,15 @@ def rank(
 
 
 def _sum_over_files(ranked_by_file: Sequence[list[ColumnAssignment]]) -> list[ColumnAssignment]:
-    """Assignments with the log-likelihood of all files, the most likely first.
+    """Add up the log-likelihoods of each assignment over the files; return the most likely one first.
 
-    The evidence of the motion is added up; that of the columns' names counts once.
+    The evidence of the motion is added up. The evidence of the columns' names counts once, because all files
+    have the same names.
+
+    Parameters
+    ----------
+    ranked_by_file : sequence of list of ColumnAssignment
+        Assignments of each file.
     """
     if len(ranked_by_file) == 1:
         return ranked_by_file[0]
@@ -174,8 +184,8 @@ def _sum_over_files(ranked_by_file: Sequence[list[ColumnAssignment]]) -> list[Co
         for ranked in ranked_by_file
     ]
     result = []
-    for key in {key for by_file in by_columns for key in by_file}:
-        in_files = [by_file.get(key) for by_file in by_columns]
+    for columns_and_kind in {key for by_file in by_columns for key in by_file}:
+        in_files = [by_file.get(columns_and_kind) for by_file in by_columns]
         best = max(
             (assignment for assignment in in_files if assignment is not None),
             key=lambda assignment: assignment.log_likelihood,
@@ -192,17 +202,18 @@ def _sum_over_files(ranked_by_file: Sequence[list[ColumnAssignment]]) -> list[Co
 
 
 def pooled_scales(motions: Sequence[MeasuredMotion], reference: Reference) -> list[Scale]:
-    """All combinations of units, the most likely first, by the mean log-likelihood over all files.
+    """Score all combinations of units by the mean log-likelihood over all files; the most likely first.
 
-    Files of one rig share its deviation from the rig file, so that their likelihoods are not independent.
+    Files of one rig share the rig's deviation from its rig file. Their likelihoods are therefore not
+    independent, and must not be added up.
     """
     ranked_by_file = [scales(motion, reference) for motion in motions]
     if len(ranked_by_file) == 1:
         return ranked_by_file[0]
     by_units = [{(scale.units, scale.bias_removed): scale for scale in ranked} for ranked in ranked_by_file]
     pooled = []
-    for key, first in by_units[0].items():
-        in_files = [by_unit[key] for by_unit in by_units if key in by_unit]
+    for units, first in by_units[0].items():
+        in_files = [scales_of_file[units] for scales_of_file in by_units if units in scales_of_file]
         missing = len(by_units) - len(in_files)
         mean_nats = float(np.mean([scale.log_likelihood for scale in in_files]))
         nats = mean_nats - _UNRANKED_NATS * missing / len(by_units)
@@ -214,11 +225,14 @@ def pooled_scales(motions: Sequence[MeasuredMotion], reference: Reference) -> li
     return sorted(pooled, key=lambda scale: -scale.log_likelihood)
 
 
-def pooled_fits(files: Sequence[Mapping[str, RegressionFit]]) -> dict[str, RegressionFit]:
-    """Add up the regressions of all files by axis; files with opposite signs weaken each other."""
+def pooled_fits(fits_by_file: Sequence[Mapping[str, RegressionFit]]) -> dict[str, RegressionFit]:
+    """Add up the regressions of all files by axis; files whose gains have opposite signs weaken each other.
+
+    Lags are averaged with the evidence of the files as weights; the gain is that of the strongest file.
+    """
     pooled = {}
     for axis in AXES:
-        fits = [fit[axis] for fit in files]
+        fits = [fits_of_file[axis] for fits_of_file in fits_by_file]
         nats = sum(fit.log_likelihood_ratio * np.sign(fit.gain) for fit in fits)
         strongest = max(fits, key=lambda fit: fit.log_likelihood_ratio)
         weights = np.array([max(fit.log_likelihood_ratio, 1e-6) for fit in fits])
@@ -238,7 +252,13 @@ def _measured_motion(
     regressions: dict[str, RegressionFit],
     reference: Reference,
 ) -> MeasuredMotion:
-    """Gains, ranges and steps of the assigned columns of one file; `regressions` of the axes, by axis."""
+    """Measure gains, ranges and quantisation steps of the assigned columns of one file.
+
+    Parameters
+    ----------
+    regressions : dict of RegressionFit
+        Regression of each axis' acceleration on its cause, by axis.
+    """
     first, second = voltages(signals, assignment)
     voltage_sum = first if assignment.summed else first + second
     rows = free_rows(signals, assignment.elevation)
@@ -272,7 +292,7 @@ def _limited_motions(
     rows: Booleans,
     regressions: dict[str, RegressionFit],
 ) -> dict[VoltageScale, LimitedMotion]:
-    """Motion with commands limited to the supply, for each unit in which a few of them exceed it.
+    """Measure the motion with commands limited to the supply, for each unit in which a few exceed it.
 
     Parameters
     ----------
@@ -286,8 +306,9 @@ def _limited_motions(
         volts = choice.volts(reference)
         bias, limit = reference.hover_V / volts * choice.bias_removed, reference.supply_V / volts
         total, difference = sum_and_difference(signals, assignment, bias)
-        largest = 0.5 * (np.abs(total) + np.abs(difference))
-        share = float(np.mean(largest > thresholds.CLIP_SHARE * limit))
+        # The larger of |front| and |back| in each row.
+        larger_voltage = 0.5 * (np.abs(total) + np.abs(difference))
+        share = float(np.mean(larger_voltage > thresholds.CLIP_SHARE * limit))
         if not thresholds.MIN_CLIPPED_SHARE < share <= thresholds.MAX_CLIPPED_SHARE or not rows.any():
             continue
         fits = axis_regressions(signals, assignment, reference, bias=bias, limits=(-limit, limit))
@@ -301,13 +322,17 @@ def _limited_motions(
     return limited
 
 
-def _peak_voltage(first_V: Floats, second_V: Floats, summed: bool) -> float:
-    """Largest voltage of a motor; half the largest sum or difference, because the bias is unknown."""
-    peaks = [float(np.quantile(np.abs(values), 0.995)) for values in (first_V, second_V)]
+def _peak_voltage(first: Floats, second: Floats, summed: bool) -> float:
+    """Largest voltage of a motor, in the unit of the columns, from both voltage columns, shape (n,) each.
+
+    For sum and difference, `summed`, it is half the larger of the two, because the bias is unknown.
+    """
+    # Half a percent of the rows may be outliers.
+    peaks = [float(np.quantile(np.abs(values), 0.995)) for values in (first, second)]
     return max(peaks) * (0.5 if summed else 1.0)
 
 
-def _stated_unit(table: Table, column: str, known: frozenset[str]) -> str:
-    """Unit of a `column` in its header or its name, if it is one of the `known` units; otherwise empty."""
+def _stated_unit(table: Table, column: str, valid_units: frozenset[str]) -> str:
+    """Return the unit that the header or the name of a `column` states; empty if it is not a valid unit."""
     unit = table.columns[column].unit or split_unit(column)[1]
-    return unit if unit in known else ""
+    return unit if unit in valid_units else ""

@@ -22,8 +22,16 @@ _LAG_S = 0.1
 
 
 def draw(guess: Guess, flight: Flight, path: Path) -> Path:
-    """Draw the evidence of a guess into a PNG at `path`: one regression per axis, and the errors of each
-    choice of signs. `flight` is the file as the profile reads it.
+    """Draw the evidence of a guess: one regression per axis, and the errors of each choice of signs.
+
+    Parameters
+    ----------
+    guess : Guess
+        The guess, with its simulated sign choices.
+    flight : Flight
+        The file, converted with the profile of the guess.
+    path : Path
+        PNG to write; it is also returned.
     """
     import matplotlib as mpl
 
@@ -72,7 +80,9 @@ class _Regression:
 
     @property
     def points(self) -> tuple[Floats, Floats]:
-        """Cause and acceleration [deg/s²], shape (k,) each, without what deflection and rate explain."""
+        """Cause and acceleration [deg/s²], shape (k,) each, after subtracting the parts that deflection and
+        rate of the axis explain.
+        """
         regressors = np.column_stack((self.angle.value, self.angle.rate, np.ones(self.cause.size)))[self.rows]
         if self.axis == "travel":
             # No torque depends on the travel angle.
@@ -83,7 +93,7 @@ class _Regression:
 
 
 def _regressions(flight: Flight) -> list[_Regression]:
-    """Regressions of elevation, pitch and travel."""
+    """Prepare the regressions of elevation, pitch and travel for drawing."""
     t_s = np.arange(flight.t_s[0], flight.t_s[-1], SAMPLE_STEP_s)
     elevation, pitch, travel = (
         filtered_signal(np.interp(t_s, flight.t_s, values)) for values in flight.angles_rad.T
@@ -118,7 +128,9 @@ def _draw_regression(panel: Axes, regression: _Regression) -> None:
 
 
 def _draw_sign_choices(panel: Axes, guess: Guess) -> None:
-    """Draw the error of each simulated choice of signs, relative to the proposed one; nothing without any."""
+    """Draw the error of each simulated choice of signs relative to the proposed one; without such choices,
+    leave the panel empty.
+    """
     if not guess.sign_choices:
         panel.axis("off")
         return
@@ -132,16 +144,17 @@ def _draw_sign_choices(panel: Axes, guess: Guess) -> None:
 
 
 def _without_axis_terms(values: Floats, regressors: Floats) -> Floats:
-    """Subtract what the axis' deflection and rate explain of a signal; its mean stays."""
+    """Subtract from a signal the least-squares fit of the `regressors`, shape (n, p); keep the mean."""
     if len(values) < regressors.shape[1]:
         return values
     solution, *_ = np.linalg.lstsq(regressors, values, rcond=None)
-    rest: Floats = values - regressors @ solution + values.mean()
-    return rest
+    residual: Floats = values - regressors @ solution + values.mean()
+    return residual
 
 
 def _rows_in_the_air(elevation_rad: Floats) -> Booleans:
     """Select the rows in which the arm is well above its lowest elevation, shape (n,)."""
-    low, typical = float(elevation_rad.min()), float(np.median(elevation_rad))
-    up: Booleans = elevation_rad > low + 0.4 * (typical - low)
-    return up
+    lowest, typical = float(elevation_rad.min()), float(np.median(elevation_rad))
+    # The same share of the rise from the table as in `free_rows`.
+    is_in_the_air: Booleans = elevation_rad > lowest + 0.4 * (typical - lowest)
+    return is_in_the_air

@@ -15,19 +15,20 @@ from heli_host.errors import FlightDataError
 from heli_host.flight import Flight
 from heli_host.log.table import notes_path
 
-_DIGEST: Final = "digest"
-_CHARACTERS: Final = 12
+_DIGEST_NOTE: Final = "digest"
+"""Name of the note of a flight that holds the digest of its source."""
+_DIGEST_LENGTH: Final = 12
 
 
 def digest(paths: Sequence[Path]) -> str:
     """Digest the content of the files of one flight, `paths`; a folder counts with all its files."""
-    total = hashlib.sha256()
+    digest_of_all = hashlib.sha256()
     for path in paths:
         for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
             if file.is_file():
                 with file.open("rb") as opened:
-                    total.update(hashlib.file_digest(opened, "sha256").digest())
-    return total.hexdigest()[:_CHARACTERS]
+                    digest_of_all.update(hashlib.file_digest(opened, "sha256").digest())
+    return digest_of_all.hexdigest()[:_DIGEST_LENGTH]
 
 
 def output_names(paths: Sequence[Path]) -> list[str]:
@@ -44,9 +45,9 @@ def output_names(paths: Sequence[Path]) -> list[str]:
         f"{path.resolve().parent.name}-{stem}" if counts[stem] > 1 else stem
         for path, stem in zip(paths, stems, strict=True)
     ]
-    first: dict[str, Path] = {}
+    first_paths: dict[str, Path] = {}
     for path, name in zip(paths, names, strict=True):
-        other = first.setdefault(name, path)
+        other = first_paths.setdefault(name, path)
         if other is path:
             continue
         if other.resolve() == path.resolve():
@@ -59,12 +60,23 @@ def output_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _stem(path: Path) -> str:
+    """Name of a file without its ending, and without ``.gz``."""
     return path.name.removesuffix(".gz").rpartition(".")[0] or path.name
 
 
 @dataclass(frozen=True)
 class Target:
-    """Flights of one source: `name` in the `folder`; `sha` is the digest of the source."""
+    """Files into which the flights of one source are imported.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the files.
+    name : str
+        Name of the files, without number and ending.
+    sha : str
+        Digest of the source, from `digest`.
+    """
 
     folder: Path
     name: str
@@ -74,9 +86,9 @@ class Target:
         """Path of the flight, or of its part with this `number`."""
         return self.folder / (f"{self.name}.csv" if number is None else f"{self.name}-{number}.csv")
 
-    def signed(self, flight: Flight) -> Flight:
+    def with_digest(self, flight: Flight) -> Flight:
         """Return the flight with the digest of its source in its notes."""
-        return replace(flight, meta={**flight.meta, _DIGEST: self.sha})
+        return replace(flight, meta={**flight.meta, _DIGEST_NOTE: self.sha})
 
     def refuse_to_replace_another(self) -> None:
         """Refuse to overwrite flights that were imported from another source.
@@ -96,7 +108,13 @@ class Target:
 
 
 def _digest_in(path: Path) -> str | None:
-    """Digest of the source of a flight at `path`; empty if it states none, None if there is no such file."""
+    """Read the digest of its source from an imported flight at `path`.
+
+    Returns
+    -------
+    str or None
+        Empty if the flight states no digest; None if there is no such file.
+    """
     try:
         # Tables of older versions hold their notes in their first lines.
         with path.open(encoding="utf-8", errors="replace") as file:
@@ -107,13 +125,20 @@ def _digest_in(path: Path) -> str | None:
         return None
     for line in lines:
         key, _, value = line.lstrip("# ").partition(":")
-        if key.strip() == _DIGEST:
+        if key.strip() == _DIGEST_NOTE:
             return value.strip()
     return ""
 
 
 def entry_lines(text: str) -> dict[str, int]:
-    """Find the line of each entry in the `text` of a profile; missing entries have that of their section."""
+    """Find the line of each entry in the `text` of a profile.
+
+    Returns
+    -------
+    dict of int
+        Line, from 1, by entry, such as ``pitch.sign``; for an entry that is not written, the line of its
+        section.
+    """
     lines: dict[str, int] = {}
     section = ""
     for number, line in enumerate(text.splitlines(), 1):

@@ -1,4 +1,4 @@
-"""Entries of a profile that the user knows; the rest is guessed."""
+"""Entries of a profile that the user knows; the guess finds the others."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class KnownEntries:
 
     @property
     def columns(self) -> dict[str, str]:
-        """Roles by column."""
+        """Known roles, by name of the column."""
         return {
             str(self.entries[role]["column"]): role
             for role in _ROLES
@@ -41,13 +41,13 @@ class KnownEntries:
         }
 
     @property
-    def voltages(self) -> bool:
+    def knows_voltages(self) -> bool:
         """Whether both voltage columns are known."""
         return sum(role in VOLTAGE_ROLES for role in self.columns.values()) > 1
 
     @property
-    def motors(self) -> bool:
-        """Whether the columns or signs that decide the front motor are known."""
+    def knows_motors(self) -> bool:
+        """Whether the entries decide which motor is the front one, by columns or by a sign."""
         return bool({"front", "back"}.intersection(self.columns.values())) or bool(self.sign("difference"))
 
     @property
@@ -61,17 +61,19 @@ class KnownEntries:
 
     def with_units(self, table: Table) -> Table:
         """Return a table whose columns state the known units."""
-        units = {
-            column: self.entries[role].get("unit") or self.entries.get("voltages", {}).get("unit", "")
-            if role in VOLTAGE_ROLES
-            else self.entries[role].get("unit", "")
-            for column, role in self.columns.items()
-        }
+        units = {column: self._unit(role) for column, role in self.columns.items()}
         columns = {
             name: Column(column.values, units.get(name) or column.unit, column.t_s)
             for name, column in table.columns.items()
         }
         return Table(table.source, columns, table.notes, table.named) if units else table
+
+    def _unit(self, role: str) -> str:
+        """Known unit of a `role`; both voltages may share one entry. Empty if it is unknown."""
+        unit = str(self.entries[role].get("unit", ""))
+        if not unit and role in VOLTAGE_ROLES:
+            unit = str(self.entries.get("voltages", {}).get("unit", ""))
+        return unit
 
     def applied(self, profile: Profile) -> Profile:
         """Return a guessed profile with the known entries in the place of the guessed ones."""
@@ -79,12 +81,12 @@ class KnownEntries:
             return profile
         content = {key: value for key, value in parse_toml(profile_text(profile)).items() if key != "about"}
         for key, value in self.entries.items():
-            both = isinstance(value, Mapping) and isinstance(content.get(key), Mapping)
-            content[key] = {**content[key], **value} if both else value
+            are_sections = isinstance(value, Mapping) and isinstance(content.get(key), Mapping)
+            content[key] = {**content[key], **value} if are_sections else value
         return profile_of({"about": profile.about, **content}, self.source)
 
     def states(self, ambiguity: Ambiguity) -> bool:
-        """Whether the entry of an ambiguity is known."""
+        """Whether the user knows the entry that an ambiguity is about."""
         section, _, key = ambiguity.entry.rpartition(".")
         if not section:
             return key in self.entries and key != ""

@@ -1,4 +1,4 @@
-"""Limits of the motors' voltages, if a file holds commands before saturation."""
+"""Find the voltage limits of the motors, for files that log commands before they are limited."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from heli_host.tables import Profile, Table, flights_of
 
 from heli_lab.guess import thresholds
-from heli_lab.guess.regression.assignment import RegressionFit
+from heli_lab.guess.regression.acceleration_fit import RegressionFit
 from heli_lab.guess.regression.axis_regression import NO_LIMITS
 from heli_lab.guess.regression.reference import Reference
 from heli_lab.guess.regression.scales import MeasuredMotion, Scale
@@ -22,8 +22,9 @@ _DRIVEN_AXES = ("elevation", "pitch")
 def supply_limits(
     scale: Scale, motions: Sequence[MeasuredMotion], reference: Reference
 ) -> tuple[float, float]:
-    """Smallest and largest voltage of a motor, in the unit of the columns; infinite if no command exceeds the
-    supply.
+    """Return the smallest and the largest voltage of a motor, in the unit of the columns.
+
+    The limits are minus and plus the supply if some commands exceed it, otherwise infinite.
     """
     if not any(scale.voltage_scale in motion.limited for motion in motions):
         return NO_LIMITS
@@ -34,14 +35,19 @@ def supply_limits(
 def one_way_nats(
     regress: Callable[[tuple[float, float]], Mapping[str, RegressionFit]], limits: tuple[float, float]
 ) -> float:
-    """Log-likelihood ratio of motors that do not reverse, against motors within the `limits` [nats].
+    """Compare motors that do not reverse with motors that do.
 
     Parameters
     ----------
     regress : callable
         Regressions of the axes, by axis, for a smallest and largest voltage.
     limits : tuple of (float, float)
-        Smallest and largest voltage of a motor, in the unit of the columns.
+        Smallest and largest voltage of a motor that reverses, in the unit of the columns.
+
+    Returns
+    -------
+    float
+        Log-likelihood ratio of elevation and pitch, positive for motors that do not reverse [nats].
     """
     reversing, one_way = regress(limits), regress((0.0, limits[1]))
     return sum(
@@ -52,7 +58,7 @@ def one_way_nats(
 def limited(
     tables: Sequence[Table], profile: Profile, reference: Reference, nats_for_one_way: Callable[[], float]
 ) -> tuple[Profile, list[Ambiguity]]:
-    """Profile that clips commands to what the amplifier gives, and the ambiguities of the limits.
+    """Add voltage limits to a profile, so that commands are clipped to what the amplifier gives.
 
     Parameters
     ----------
@@ -63,17 +69,38 @@ def limited(
     reference : Reference
         Supply of the rig file, and whether its motors reverse.
     nats_for_one_way : callable
-        Evidence for motors that do not reverse, from `one_way_nats` [nats].
+        Computes the evidence for motors that do not reverse, from `one_way_nats` [nats]; called only if some
+        voltages are negative.
+
+    Returns
+    -------
+    limited : Profile
+        The profile with its limits.
+    ambiguities : list of Ambiguity
+        One for each limit that the file does not decide.
     """
-    profile, ambiguities = _clipped_to_supply(tables, profile, reference.supply_V)
+    profile, supply_ambiguities = _clipped_to_supply(tables, profile, reference.supply_V)
+    profile, zero_ambiguities = _clipped_to_zero(tables, profile, reference, nats_for_one_way)
+    return profile, supply_ambiguities + zero_ambiguities
+
+
+def _clipped_to_zero(
+    tables: Sequence[Table], profile: Profile, reference: Reference, nats_for_one_way: Callable[[], float]
+) -> tuple[Profile, list[Ambiguity]]:
+    """Clip negative voltages of a profile to 0 V if the rig's motors do not reverse and the motion does not
+    contradict it; return the profile, and an ambiguity if the motion may be that of motors that do not
+    reverse.
+    """
     volts_V = np.concatenate([flight.voltages_V for table in tables for flight in flights_of(table, profile)])
     share_below = float(np.mean(volts_V < (1.0 - thresholds.CLIP_SHARE) * reference.supply_V))
-    # Motors that push down most of the time do not fly: then signs or zeros are wrong, not the limits.
+    # Rotors that push down most of the time cannot fly: then signs or zeros are wrong, not the limits.
     if not thresholds.MIN_CLIPPED_SHARE <= share_below <= thresholds.MAX_CLIPPED_SHARE:
-        return profile, ambiguities
+        return profile, []
     nats = nats_for_one_way()
-    if nats < (thresholds.DECISIVE_NATS if reference.reverses else -thresholds.DECISIVE_NATS):
-        return profile, ambiguities
+    # If the rig file says that motors do not reverse, only clear evidence to the contrary keeps the commands.
+    required_nats = thresholds.DECISIVE_NATS if reference.reverses else -thresholds.DECISIVE_NATS
+    if nats < required_nats:
+        return profile, []
     # A reversed propeller may hardly push although its driver reverses, so the motion alone clips nothing. In
     # a rig file whose reversed rotors do not push, clipped commands fly like the commands themselves.
     is_clipped = not reference.reverses
@@ -90,14 +117,14 @@ def limited(
     )
     if is_clipped:
         profile = replace(profile, clip_V=(0.0, top_V))
-    return profile, [*ambiguities, ambiguity]
+    return profile, [ambiguity]
 
 
 def _clipped_to_supply(
     tables: Sequence[Table], profile: Profile, limit_V: float
 ) -> tuple[Profile, list[Ambiguity]]:
-    """Profile that clips the voltages to the supply if a few exceed it, as commands before saturation do, and
-    the ambiguity of it, if there is one.
+    """Clip the voltages of a profile to the supply, `limit_V`, if a few exceed it; return the profile, and an
+    ambiguity if any voltage exceeds the supply.
     """
     sizes_V = [np.abs(flight.voltages_V) for table in tables for flight in flights_of(table, profile)]
     largest_V = max(float(size_V.max()) for size_V in sizes_V)

@@ -10,7 +10,7 @@ from heli_host.errors import FlightDataError
 from heli_host.tables import Column, Table
 from heli_host.tables.units import TIME_UNITS
 
-from heli_lab.guess.times import clock_of
+from heli_lab.guess.times import Clock, clock_of
 
 
 def merge_tables(tables: Sequence[Table]) -> Table:
@@ -37,32 +37,48 @@ def merge_tables(tables: Sequence[Table]) -> Table:
     """
     aligned = [table.aligned() for table in tables]
     clocks = [clock_of(table) for table in aligned]
-    timed = [bool(clock.column and clock.unit) for clock in clocks]
-    times_s = [
-        table.columns[clock.column].values * TIME_UNITS[clock.unit] if known else None
-        for table, clock, known in zip(aligned, clocks, timed, strict=True)
-    ]
-    notes = [part.notes for part in tables]
+    times_s = [_times_s(table, clock) for table, clock in zip(aligned, clocks, strict=True)]
+    notes = [table.notes for table in tables]
     columns: dict[str, Column] = {}
     for number, table in enumerate(aligned):
         t_s = times_s[number]
+        has_times = t_s is not None
         if t_s is None:
             partner = _partner(number, aligned, times_s)
             t_s = times_s[partner]
             notes.append(f"{_name(tables[number])} was merged row by row with {_name(tables[partner])}")
         for name, column in table.columns.items():
-            if not timed[number] or name != clocks[number].column:
+            if not has_times or name != clocks[number].column:
                 # The position, not the file's name, so that the profile also fits the next flight.
                 columns[f"{number + 1}: {name}"] = Column(column.values, column.unit, t_s)
     return Table(tables[0].source, columns, " / ".join(filter(None, notes)))
 
 
+def _times_s(table: Table, clock: Clock) -> Floats | None:
+    """Return the times of a table [s], shape (n,), as its clock states them; None if it has none."""
+    if not clock.column or not clock.unit:
+        return None
+    times: Floats = table.columns[clock.column].values * TIME_UNITS[clock.unit]
+    return times
+
+
 def _partner(number: int, tables: Sequence[Table], times_s: Sequence[Floats | None]) -> int:
-    """Find the file with which one without times is merged row by row."""
+    """Find the file with which a file without times is merged row by row; both are positions in `tables`.
+
+    Parameters
+    ----------
+    number : int
+        The file without times.
+    tables : sequence of Table
+        All files.
+    times_s : sequence of ndarray (n,) or None
+        Times of each file [s]; None if it has none.
+    """
     rows = len(tables[number])
+    no_file_has_times = all(t_s is None for t_s in times_s)
     for other, table in enumerate(tables):
-        known = times_s[other] is not None or not any(t_s is not None for t_s in times_s)
-        if other != number and known and len(table) == rows:
+        is_usable = times_s[other] is not None or no_file_has_times
+        if other != number and is_usable and len(table) == rows:
             return other
     sizes = ", ".join(f"{_name(table)} with {len(table)}" for table in tables)
     raise FlightDataError(
@@ -73,4 +89,5 @@ def _partner(number: int, tables: Sequence[Table], times_s: Sequence[Floats | No
 
 
 def _name(table: Table) -> str:
+    """Name of the file of a table."""
     return Path(table.source).name

@@ -43,6 +43,7 @@ _WORDS: Final = {
 """Words for each role, without accents: English, Greek letters, Norwegian, German, French, Spanish and
 Chinese."""
 _HALVES: Final = frozenset({"mean", "avg", "average", "half", "mid", "middle"})
+"""Words of half a sum, or half a difference, of two voltages."""
 _DERIVED_SIGNALS: Final = frozenset(
     {
         *("ref", "reference", "setpoint", "set", "sp", "des", "desired", "cmd", "command", "target", "goal"),
@@ -89,7 +90,8 @@ def words_of(name: str) -> list[str]:
     return words + joined
 
 
-def _is_long(word: str) -> bool:
+def _is_distinctive(word: str) -> bool:
+    """Whether a word rarely has another meaning; one or two letters, such as ``p``, often have one."""
     return len(word) > 2 or word in _CHINESE
 
 
@@ -105,9 +107,12 @@ def role_of(name: str) -> str:
     if _DERIVED_SIGNALS.intersection(words):
         return ""
     stated = {role for role, known in _WORDS.items() if any(word in known for word in words)}
-    long = {role for role in stated if any(word in _WORDS[role] and _is_long(word) for word in words)}
-    candidates = long or stated
-    if "pitch" in candidates and len(candidates) > 1 and not long:
+    distinctive = {
+        role for role in stated if any(word in _WORDS[role] and _is_distinctive(word) for word in words)
+    }
+    candidates = distinctive or stated
+    # Next to another role, the letter p means something else, such as a position.
+    if "pitch" in candidates and len(candidates) > 1 and not distinctive:
         candidates.discard("pitch")
     return candidates.pop() if len(candidates) == 1 else ""
 

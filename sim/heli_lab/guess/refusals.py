@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from heli_host.errors import FlightDataError
 
 from heli_lab.guess import names, thresholds
-from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.regression.acceleration_fit import RegressionFit
+from heli_lab.guess.regression.assignment import ColumnAssignment
 
 _FIX = "give a log with three angles and both motor voltages; if they are in two files, add --one-flight"
 
@@ -37,15 +38,14 @@ def too_few_columns(source: str, columns: Sequence[str], dropped: Mapping[str, s
 
 def names_state_voltages(assignment: ColumnAssignment) -> bool:
     """Whether the names of both voltage columns state their roles."""
-    return {names.role_of(column) for column in assignment.voltages} >= (
-        {"sum", "difference"} if assignment.summed else {"front", "back"}
-    )
+    named_roles = {names.role_of(column) for column in assignment.voltages}
+    return named_roles == ({"sum", "difference"} if assignment.summed else {"front", "back"})
 
 
 def check_voltages(
     source: str, regressions: Mapping[str, RegressionFit], assignment: ColumnAssignment
 ) -> None:
-    """Check that the columns taken for voltages move the axes.
+    """Check that the assigned voltage columns move the axes.
 
     Parameters
     ----------
@@ -59,11 +59,16 @@ def check_voltages(
     Raises
     ------
     FlightDataError
-        When neither elevation nor pitch follows them, or both are setpoints or estimates by name.
+        When neither elevation nor pitch follows these columns, or when the names of both mean setpoints,
+        rates or estimates.
     """
-    derived = all(names.is_no_voltage(column) for column in assignment.voltages)
+    are_other_signals = all(names.is_no_voltage(column) for column in assignment.voltages)
     nats = max(regressions[axis].log_likelihood_ratio for axis in ("elevation", "pitch"))
-    if derived or nats < thresholds.DECISIVE_NATS:
-        best = " and ".join(assignment.voltages)
-        reason = "their names mean other signals" if derived else f"{best} explain only {nats:.1f} nats"
+    if are_other_signals or nats < thresholds.DECISIVE_NATS:
+        columns = " and ".join(assignment.voltages)
+        reason = (
+            "their names mean other signals"
+            if are_other_signals
+            else f"{columns} explain only {nats:.1f} nats"
+        )
         raise FlightDataError(f"{source}: no two columns act like motor voltages ({reason})", _FIX)

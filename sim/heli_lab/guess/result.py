@@ -35,8 +35,9 @@ _ENTRIES: Final = {
     "elevation's time": "elevation.delay_s",
     "travel's time": "travel.delay_s",
 }
-"""Entry of the profile for each subject, the most dangerous first: a wrong column makes the flight
-useless, a wrong sign or unit fits a wrong rig, a mirror image and a delay still fit one that flies."""
+"""Entry of the profile for each subject, the most dangerous subject first. A wrong column makes the flight
+useless. With a wrong sign or unit, the fit gives a rig that cannot fly. With a mirror image or a delay, it
+gives one that still flies."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Compare a log with the shipped rig files and the given one, and find the rig that fits best."""
+"""Find the rig file that fits a log best: a shipped one, or the one that the user gives."""
 
 from __future__ import annotations
 
@@ -66,12 +66,12 @@ def guess_by_rigs(
         rigs[rig.name] = rig
     work_steps = len(rigs) + 1
     proposals: dict[str, Guess] = {}
-    parts: dict[str, list[Table]] = {}
+    longest_parts: dict[str, list[Table]] = {}
     refusals: dict[str, HeliError] = {}
     for number, (name, candidate) in enumerate(rigs.items()):
         progress(number / work_steps)
         try:
-            proposals[name], parts[name] = propose(tables, candidate, rate_Hz, known)
+            proposals[name], longest_parts[name] = propose(tables, candidate, rate_Hz, known)
         except HeliError as error:
             refusals[name] = error
     if not proposals or (rig is not None and rig.name not in proposals):
@@ -79,7 +79,7 @@ def guess_by_rigs(
     best = max(proposals, key=lambda name: proposals[name].log_likelihood)
     chosen = rig.name if rig is not None else best
     progress(1.0 - 1.0 / work_steps)
-    guesses = check_by_simulation(proposals[chosen], parts[chosen], rigs[chosen])
+    guesses = check_by_simulation(proposals[chosen], longest_parts[chosen], rigs[chosen])
     evidence, ambiguities = _compare_with_second(proposals, chosen, is_given=rig is not None)
     guesses = [
         replace(
@@ -95,7 +95,7 @@ def guess_by_rigs(
 def _compare_with_second(
     proposals: Mapping[str, Guess], chosen: str, *, is_given: bool
 ) -> tuple[list[str], list[Ambiguity]]:
-    """Compare the chosen rig with the one that fits best of all others.
+    """Compare the chosen rig file with the best of all others.
 
     Parameters
     ----------

@@ -34,11 +34,12 @@ from heli_lab.guess.lags import lag_ambiguities
 from heli_lab.guess.limits import limited, one_way_nats, supply_limits
 from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
 from heli_lab.guess.refusals import check_voltages, names_state_voltages, too_few_columns
-from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.regression.acceleration_fit import RegressionFit
+from heli_lab.guess.regression.assignment import ColumnAssignment
 from heli_lab.guess.regression.axis_regression import axis_regressions, sum_and_difference
 from heli_lab.guess.regression.candidates import feedback_sign
 from heli_lab.guess.regression.reference import Reference, reference_of
-from heli_lab.guess.regression.scales import AXES, Scale, rad_of
+from heli_lab.guess.regression.scales import AXES, MeasuredMotion, Scale, rad_of
 from heli_lab.guess.regression.signals import filtered_signal
 from heli_lab.guess.result import Ambiguity, Guess
 from heli_lab.guess.sign_trials import try_sign_choices
@@ -62,8 +63,8 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
     FlightDataError
         When the table has no five columns that can be the angles and voltages, or no times and no rate.
     """
-    proposed, parts = propose([table], rig, rate_Hz)
-    return check_by_simulation(proposed, parts, rig)[0]
+    proposed, longest_parts = propose([table], rig, rate_Hz)
+    return check_by_simulation(proposed, longest_parts, rig)[0]
 
 
 def propose(
@@ -89,7 +90,7 @@ def propose(
     -------
     proposed : Guess
         The guess.
-    parts : list of Table
+    longest_parts : list of Table
         The longest part of each table with rising times, to which the guess applies.
     """
     reference = reference_of(rig)
@@ -112,7 +113,7 @@ def propose(
     # Signs: the axes have to accelerate in the direction of their causes.
     flights = _FlightsInUnits(files, assignment, scale, reference, limits)
     regressions = flights.regressions()
-    if not names_state_voltages(assignment) and not known.voltages:
+    if not names_state_voltages(assignment) and not known.knows_voltages:
         check_voltages(source, regressions, assignment)
         ambiguities += voltage_ambiguities(regressions, assignment, columns, dropped)
     signs = fewest_sign_changes(regressions, flights.feedback(), known)
@@ -136,23 +137,16 @@ def propose(
     )
     if dropped:
         evidence.append("left out: " + ", ".join(f"{name} ({reason})" for name, reason in dropped.items()))
-    evidence += [_regression_sentence(axis, regressions[axis]) for axis in AXES] + [lag_sentence]
-    evidence.append(
-        f"hover: the voltages add up to {abs(motions[0].mean_sum) * scale.volts(reference):.2f} V, and to "
-        f"{reference.hover_V:.2f} V in the rig file"
-    )
-    parts = [file.table for file in files]
+    evidence += [_regression_sentence(axis, regressions[axis]) for axis in AXES]
+    evidence += [lag_sentence, _hover_sentence(motions[0], scale, reference)]
+    longest_parts = [file.table for file in files]
     # Programs log commands that the motors cannot follow: voltages above the supply were limited to it.
     if profile.clip_V is None:
-
-        def regress(limits: tuple[float, float]) -> Mapping[str, RegressionFit]:
-            return replace(flights, limits=limits).regressions()
-
-        profile, limit_ambiguities = limited(parts, profile, reference, lambda: one_way_nats(regress, limits))
+        profile, limit_ambiguities = limited(longest_parts, profile, reference, flights.one_way_nats)
         ambiguities += limit_ambiguities
     ambiguities = [ambiguity for ambiguity in ambiguities if not known.states(ambiguity)]
-    nats = assignment.log_likelihood
-    return Guess(profile, tuple(ambiguities), tuple(evidence), log_likelihood=nats), parts
+    proposed = Guess(profile, tuple(ambiguities), tuple(evidence), log_likelihood=assignment.log_likelihood)
+    return proposed, longest_parts
 
 
 @dataclass(frozen=True)
@@ -200,7 +194,9 @@ class _FlightsInUnits:
         return pooled_fits(by_file)
 
     def feedback(self) -> float:
-        """Sum over the files of the sign of elevation's feedback, -1, 0 or 1 in each."""
+        """Add up the signs of elevation's feedback over the files: each counts -1, 0 or 1; see
+        `feedback_sign`.
+        """
         total = 0.0
         for file in self.files:
             voltage_sum, _ = sum_and_difference(file.signals, self.assignment, self.bias, self.limits)
@@ -211,8 +207,8 @@ class _FlightsInUnits:
         return total
 
     def torque_nats(self, signs: SignChanges) -> float:
-        """Evidence for the `signs` against their mirror image, by the constant torque of travel [nats]; mean
-        of all files.
+        """Log-likelihood ratio of the `signs` against their mirror image, by the constant torque of travel
+        [nats]; mean of all files.
         """
         by_file = [
             travel_torque_nats(file.signals, self.assignment, self.reference, self.rad, signs.travel)
@@ -220,16 +216,38 @@ class _FlightsInUnits:
         ]
         return float(np.mean(by_file))
 
+    def one_way_nats(self) -> float:
+        """Log-likelihood ratio of motors that do not reverse against motors within the limits [nats]."""
+
+        def regress(limits: tuple[float, float]) -> Mapping[str, RegressionFit]:
+            """Regressions of the axes with other limits."""
+            return replace(self, limits=limits).regressions()
+
+        return one_way_nats(regress, self.limits)
+
     def rest(self, signs: SignChanges) -> RestElevation:
-        """Elevation at rest, of the first file that begins at rest at its lowest point."""
-        unit_deg = float(np.degrees(signs.elevation * self.rad["elevation"]))
-        rests = [rest_elevation(file.signals, self.assignment.elevation, unit_deg) for file in self.files]
+        """Elevation at rest, of the first file that begins at rest at its lowest point; of the first file if
+        no file does.
+        """
+        deg_per_unit = float(np.degrees(signs.elevation * self.rad["elevation"]))
+        rests = [rest_elevation(file.signals, self.assignment.elevation, deg_per_unit) for file in self.files]
         return next((rest for rest in rests if rest.deg is not None and rest.begins_lowest), rests[0])
 
 
 def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]]:
-    """Times of all files, and the ambiguity of them, if there is one. A FlightDataError reports files whose
-    times are in different columns or units.
+    """Find the time column that all files share.
+
+    Returns
+    -------
+    clock : Clock
+        The time column with its unit.
+    ambiguities : list of Ambiguity
+        One if column or unit is unsure.
+
+    Raises
+    ------
+    FlightDataError
+        When the files have their times in different columns or units.
     """
     first = files[0]
     for file in files[1:]:
@@ -298,7 +316,7 @@ def check_by_simulation(proposed: Guess, tables: Sequence[Table], rig: Rig) -> l
 def fewest_sign_changes(
     regressions: Mapping[str, RegressionFit], feedback: float, known: KnownEntries
 ) -> SignChanges:
-    """The fewest changes of sign after which all axes follow their causes, and which agree with `known`.
+    """Find the fewest changes of sign after which all axes follow their causes, and which agree with `known`.
 
     Parameters
     ----------
@@ -312,29 +330,46 @@ def fewest_sign_changes(
     if feedback and regressions["elevation"].log_likelihood_ratio < thresholds.DECISIVE_NATS:
         # A loop that flies is stable: the sum is minus a gain times the rate.
         elevation = -float(np.sign(feedback))
-    with_difference = 1.0 if regressions["pitch"].gain >= 0.0 else -1.0
-    with_pitch = 1.0 if regressions["travel"].gain >= 0.0 else -1.0
-    # Pitch, travel and the motors have two choices of signs, which are mirror images.
-    pitch = with_difference if with_difference > 0.0 or with_pitch < 0.0 else 1.0
+    # Measured signs: does pitch accelerate with the voltage difference, and travel with pitch?
+    pitch_gain_sign = 1.0 if regressions["pitch"].gain >= 0.0 else -1.0
+    travel_gain_sign = 1.0 if regressions["travel"].gain >= 0.0 else -1.0
+    # Each sign of pitch can be completed by signs of travel and motors; the two choices are mirror images.
     if known.sign("pitch"):
         pitch = known.sign("pitch")
     elif known.sign("travel"):
-        pitch = with_pitch * known.sign("travel")
-    elif known.motors:
-        pitch = with_difference
-    return SignChanges(elevation, pitch, with_pitch * pitch, with_difference * pitch < 0.0)
+        pitch = travel_gain_sign * known.sign("travel")
+    elif known.knows_motors:
+        pitch = pitch_gain_sign
+    elif pitch_gain_sign < 0.0 and travel_gain_sign < 0.0:
+        # One change, of pitch, corrects both.
+        pitch = -1.0
+    else:
+        pitch = 1.0
+    return SignChanges(
+        elevation,
+        pitch,
+        travel=travel_gain_sign * pitch,
+        motors_swapped=pitch_gain_sign * pitch < 0.0,
+    )
 
 
 def _regression_sentence(axis: str, regression: RegressionFit) -> str:
+    """Describe how well the cause of an axis explains its acceleration."""
     cause = {"elevation": "the sum of the voltages", "pitch": "their difference", "travel": "pitch"}[axis]
     direction = "with" if regression.gain >= 0.0 else "against"
     return f"{axis} accelerates {direction} {cause}: {regression.log_likelihood_ratio:.0f} nats"
 
 
+def _hover_sentence(motion: MeasuredMotion, scale: Scale, reference: Reference) -> str:
+    """Compare the mean sum of the voltages with that of hover in the rig file."""
+    hover_V = abs(motion.mean_sum) * scale.volts(reference)
+    return f"hover: the voltages add up to {hover_V:.2f} V, and to {reference.hover_V:.2f} V in the rig file"
+
+
 def _angles(
     assignment: ColumnAssignment, scale: Scale, signs: SignChanges, reference: Reference, offset_deg: float
 ) -> dict[str, Angle]:
-    """Entries of the profile for the angles, by axis; `offset_deg` is added to the elevation."""
+    """Make the entries of the profile for the angles, by axis; `offset_deg` is added to the elevation."""
     return {
         axis: Angle(
             getattr(assignment, axis),
@@ -350,7 +385,7 @@ def _angles(
 def _voltages(
     assignment: ColumnAssignment, scale: Scale, signs: SignChanges, reference: Reference
 ) -> dict[str, Voltage]:
-    """Entries of the profile for the voltages: sum and difference, or front and back."""
+    """Make the entries of the profile for the voltages: sum and difference, or front and back."""
     pair = [
         Voltage(column, scale.voltage, scale.full_scale, reference.supply_V, polarity, factor=scale.factor)
         for column, polarity in zip(assignment.voltages, assignment.polarity, strict=True)

@@ -44,26 +44,29 @@ def try_sign_choices(flight: Flight, rig: Rig) -> tuple[SignChoice, ...]:
         record = _most_excited_part(prepare(flight, rig))
     except IdentifyError:
         return ()
-    errors = {}
+    errors_deg = {}
     for signs in itertools.product((1.0, -1.0), repeat=3):
         angles = record.angles_rad * np.array(signs)
-        errors[signs] = _error_deg(replace(record, angles_rad=angles, label=f"{signs}"), rig)
-    unchanged = errors[1.0, 1.0, 1.0]
+        errors_deg[signs] = _fitted_error_deg(replace(record, angles_rad=angles, label=f"{signs}"), rig)
+    unchanged_deg = errors_deg[1.0, 1.0, 1.0]
     choices = []
-    for signs, error in errors.items():
+    for signs, error_deg in errors_deg.items():
         inverted_axes = [axis for axis, sign in zip(AXES, signs, strict=True) if sign < 0.0]
         # Product of the ratios of the three axes; the bound keeps a perfect fit from dividing by 0.
-        ratio = float(np.exp(np.sum(np.log(np.maximum(error, 1e-6) / np.maximum(unchanged, 1e-6)))))
+        log_ratios = np.log(np.maximum(error_deg, 1e-6) / np.maximum(unchanged_deg, 1e-6))
+        elevation_deg, pitch_deg, travel_deg = (float(error) for error in error_deg)
         choices.append(
             SignChoice(
-                " and ".join(inverted_axes), (float(error[0]), float(error[1]), float(error[2])), ratio
+                " and ".join(inverted_axes),
+                (elevation_deg, pitch_deg, travel_deg),
+                error_ratio=float(np.exp(np.sum(log_ratios))),
             )
         )
     return tuple(choices)
 
 
 def _most_excited_part(record: Record) -> Record:
-    """Keep the parts of a record in which pitch and elevation move most."""
+    """Keep the pieces of a record in which elevation and pitch move most, `SIMULATED_S` in total."""
     rows = max(2, round(PIECE_S / record.step_s))
     pieces = [
         (first, first + rows)
@@ -72,16 +75,22 @@ def _most_excited_part(record: Record) -> Record:
     ]
     if not pieces:
         return record
-    moves = np.array([record.angles_rad[first:last, :2].std(axis=0) for first, last in pieces])
-    rank = np.argsort(-(moves / np.maximum(moves.mean(axis=0), 1e-9)).sum(axis=1))
+    # Standard deviations of elevation and pitch in each piece, shape (pieces, 2).
+    motion = np.array([record.angles_rad[first:stop, :2].std(axis=0) for first, stop in pieces])
+    relative_motion = (motion / np.maximum(motion.mean(axis=0), 1e-9)).sum(axis=1)
+    most_excited_first = np.argsort(-relative_motion)
     max_pieces = max(1, round(thresholds.SIMULATED_S / PIECE_S))
-    chosen = sorted(pieces[i] for i in rank[:max_pieces])
+    chosen = sorted(pieces[i] for i in most_excited_first[:max_pieces])
     return replace(record, segments=tuple(chosen))
 
 
-def _error_deg(record: Record, rig: Rig) -> Floats:
-    """Open-loop rms error of the baseline model on a record, shape (3,) [deg]; 180 if the simulation
-    diverges.
+def _fitted_error_deg(record: Record, rig: Rig) -> Floats:
+    """Fit the baseline model to a record, and return the rms error of its open-loop simulations.
+
+    Returns
+    -------
+    ndarray (3,)
+        Error of each axis [deg]; 180 if the simulation diverges.
     """
     problem = Problem(MultibodyModel(), rig, [record], window_s=TRIAL_WINDOW_S, step_s=0.02)
     try:
@@ -90,6 +99,6 @@ def _error_deg(record: Record, rig: Rig) -> Floats:
         return np.full(3, 180.0)
     with np.errstate(all="ignore"):
         residual = problem.residual(0, fit.theta, fit.states[0])
-        error = np.degrees(np.sqrt(np.mean(residual**2, axis=0)) * record.sigma_rad)
-    finite: Floats = np.nan_to_num(error, nan=180.0, posinf=180.0)
-    return finite
+        error_deg = np.degrees(np.sqrt(np.mean(residual**2, axis=0)) * record.sigma_rad)
+    finite_error_deg: Floats = np.nan_to_num(error_deg, nan=180.0, posinf=180.0)
+    return finite_error_deg

@@ -14,7 +14,8 @@ from heli_sim.rig import Rig
 from heli_lab.errors import IdentifyError
 from heli_lab.guess import thresholds
 from heli_lab.guess.elevation_zero import RestElevation, rest_elevation
-from heli_lab.guess.regression.assignment import ColumnAssignment, RegressionFit
+from heli_lab.guess.regression.acceleration_fit import RegressionFit
+from heli_lab.guess.regression.assignment import ColumnAssignment
 from heli_lab.guess.regression.axis_regression import axis_regressions
 from heli_lab.guess.regression.reference import Reference, reference_of
 from heli_lab.guess.regression.scales import AXES
@@ -92,8 +93,9 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
 
 
 def _confirmed_by_simulation(suspects: list[WrongSign], flight: Flight, rig: Rig) -> list[WrongSign]:
-    """Suspects with whose signs inverted the baseline model fits clearly better; all of them if the flight is
-    too short to simulate.
+    """Keep the suspects whose inverted signs let the baseline model fit clearly better.
+
+    If the flight is too short to simulate, all suspects stay.
     """
     error_ratios = {choice.name: choice.error_ratio for choice in try_sign_choices(flight, rig)}
     if not error_ratios:
@@ -106,14 +108,18 @@ def _confirmed_by_simulation(suspects: list[WrongSign], flight: Flight, rig: Rig
 
 
 def _zeroed_at_rest(rest: RestElevation, reference: Reference) -> WrongSign | None:
-    """Report that the elevation is 0 at rest on the table instead of at level; None if it is not, or if the
-    flight does not show it.
+    """Report an elevation that was zeroed at rest on the table instead of at level.
+
+    Returns
+    -------
+    WrongSign or None
+        None if the elevation is right, or if the flight does not decide it.
     """
     if rest.deg is None or not rest.begins_lowest:
         return None
     tolerance_deg = thresholds.REST_TOLERANCE_DEG + reference.rest_tolerance_deg
     is_zero = abs(rest.deg) < tolerance_deg
-    # An arm that rests near level is at 0 there by right: the tolerances about both angles must not overlap.
+    # If the table is near level, a rest at 0 is right: the tolerances about both angles must not overlap.
     is_distinct = abs(reference.rest_deg) - tolerance_deg > tolerance_deg
     if not is_zero or not is_distinct:
         return None

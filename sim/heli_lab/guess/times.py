@@ -86,8 +86,16 @@ def clock_of(table: Table) -> Clock:
 
 
 def _clock(name: str, stated: str, step: float) -> Clock:
-    """Meaning of a rising column `name` as times, by the unit that its header has `stated` and by its median
-    `step`.
+    """Interpret a column that rises from row to row as times.
+
+    Parameters
+    ----------
+    name : str
+        Name of the column.
+    stated : str
+        Unit that the header of the column states; empty if it states none.
+    step : float
+        Median difference between two rows, in the unit of the column.
     """
     possible = [unit for unit, s in TIME_UNITS.items() if _MIN_STEP_S <= step * s <= _MAX_STEP_S]
     stated_unit = stated or split_unit(name)[1]
@@ -104,17 +112,17 @@ def _clock(name: str, stated: str, step: float) -> Clock:
         )
     if stated_unit in TIME_UNITS:
         return Clock(name, possible[0], False, f"in {stated_unit}, as its name says, with steps of {step:g}")
-    counts = abs(step - 1.0) < 1e-6
-    if counts and not (names.is_time(name) and possible):
+    may_count_rows = abs(step - 1.0) < 1e-6
+    if may_count_rows and not (names.is_time(name) and possible):
         return Clock(name, possible[0] if possible else "ms", False, "it may count rows")
     if not possible:
         return Clock(name, "", False, f"steps of {step:g} fit no unit of time")
     # A log has steps of 0.2 to 150 ms. At most two units fit, and the larger one is meant.
-    return Clock(name, possible[0], not counts, "it may count rows" if counts else "")
+    return Clock(name, possible[0], not may_count_rows, "it may count rows" if may_count_rows else "")
 
 
 def times_in_s(table: Table, clock: Clock) -> Floats:
-    """Return the times of the rows [s], shape (n,), from the first finite one."""
+    """Return the times of the rows since the first finite one [s], shape (n,)."""
     values = table.columns[clock.column].values
     first = values[np.isfinite(values)][0]
     result: Floats = (values - first) * TIME_UNITS[clock.unit]
@@ -122,7 +130,7 @@ def times_in_s(table: Table, clock: Clock) -> Floats:
 
 
 def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
-    """The longest part of a table in which times rise and no angle jumps.
+    """Cut out the longest part of a table in which times rise and no angle jumps.
 
     Parameters
     ----------
@@ -150,8 +158,12 @@ def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
 
 
 def _jumps(values: Floats, t_s: Floats) -> set[int]:
-    """Rows at which a column jumps that otherwise moves like an encoder's angle, in any unit; empty for other
-    columns.
+    """Find the rows at which an encoder's angle jumps, as when a program joins two flights in one log.
+
+    Returns
+    -------
+    set of int
+        Row after each jump; empty for a column that does not move like an encoder's angle.
     """
     known = np.flatnonzero(np.isfinite(values) & np.isfinite(t_s))
     # Voltages jump with their setpoints; only encoders are quantised.

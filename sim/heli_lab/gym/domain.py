@@ -18,8 +18,8 @@ _MAX_DRAWS: Final = 100
 """Largest number of draws until the parameters form a valid rig; for shipped rigs the first one usually
 does."""
 _MIN_SHARE: Final = 0.1
-"""Smallest drawn value of a parameter that may not be negative, over its nominal value: the tolerance of some
-parameters exceeds their value."""
+"""Smallest drawn value of a parameter that may not be negative, as a share of its nominal value. The
+tolerance of some parameters exceeds their value."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,12 @@ class EpisodeRig:
 
     Parameters
     ----------
+    rig : Rig
+        The rig with its drawn parameters.
+    effects : tuple of Effect
+        Effects of the rig file and of the domain.
     texts : tuple of str
-        The effects from the domain in the notation of the command line, such as ``rotor_lag=0.1``.
+        Effects of the domain in the notation of the command line, such as ``rotor_lag=0.1``.
     """
 
     rig: Rig
@@ -44,10 +48,10 @@ class Domain:
     Parameters
     ----------
     rigs : tuple of str
-        Names or TOML files.
+        Names or TOML files of rigs.
     tolerances : float
-        Scale of the parameters' deviations, in the tolerances of the rig file. The deviations are normal with
-        half a tolerance as standard deviation, clipped at one. 0 gives the nominal parameters.
+        Scale of the parameters' deviations. With 1, a deviation is normal with half a tolerance of the rig
+        file as standard deviation, and is clipped at one tolerance. 0 gives the nominal parameters.
     effects : Mapping of str to (float, float)
         Range of the first parameter of each effect, in its unit; the value is drawn uniformly. An example is
         ``{"rotor_lag": (0.05, 0.15)}``.
@@ -87,7 +91,7 @@ class Domain:
 
     def draw(self, random: np.random.Generator) -> EpisodeRig:
         """Draw the rig and the effects of the next episode with the generator `random`."""
-        rig = self._rig(random)
+        rig = self._draw_rig(random)
         texts = tuple(
             f"{name}={float(random.uniform(low, high))!r}"
             for name, (low, high) in self.effects.items()
@@ -95,8 +99,8 @@ class Domain:
         )
         return EpisodeRig(rig, effects_with(rig, texts), texts)
 
-    def _rig(self, random: np.random.Generator) -> Rig:
-        """Draw one of the rigs, with parameters within a multiple of their tolerances."""
+    def _draw_rig(self, random: np.random.Generator) -> Rig:
+        """Draw one of the rigs and its parameters; draw again if the parameters do not form a valid rig."""
         rig = load_rig(self.rigs[int(random.integers(len(self.rigs)))])
         if not self.tolerances:
             return rig

@@ -1,4 +1,4 @@
-"""`HoverEnv`: move the helicopter to a setpoint and hold it there with two voltages."""
+"""The Gymnasium environment `HoverEnv`: move the helicopter to a setpoint, and hold it there."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ Action = npt.NDArray[np.float32]
 Observation = npt.NDArray[np.float32]
 
 ACTION_STEP_s: Final = 0.02
+"""Time for which an action is held [s]."""
 EPISODE_S: Final = 10.0
+"""Duration of an episode [s]."""
 AUTHORITY_V: Final = 2.0
 """Voltage of a full action above or below hover [V]: enough for a counterweight that deviates by its
 tolerance, and for steps of travel."""
 
 _START_DEG: Final = (5.0, 5.0, 10.0)
+"""Largest initial deflection of elevation, pitch and travel [deg]."""
 _OBSERVATION_LIMITS: Final = np.array([np.pi, np.pi, 4.0 * np.pi, 50.0, 50.0, 50.0, 1.0, 1.0])
 
 
@@ -86,7 +89,7 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         nominal = load_rig(self.domain.rigs[0])
         self.hover_V: Floats = trim(MultibodyModel(), nominal).volts_V
-        """Front and back voltage of a zero action [V], shape (2,)."""
+        """Front and back voltage of an action of 0 [V], shape (2,)."""
         self._simulator: Simulator = PlantAlone() if through == "plant" else BoardInLockstep()
         self._setpoint_range_rad = float(np.deg2rad(setpoint_deg))
         self._previous_rad = np.zeros(3)
@@ -167,11 +170,13 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         self._simulator.close()
 
     def _observation(self, angles_rad: Floats, action: Floats) -> Observation:
+        """Assemble the observation, shape (8,), from the measured angles and the last action."""
         rates = (angles_rad - self._previous_rad) / ACTION_STEP_s
         observation = np.concatenate((angles_rad - self._setpoint, rates, action))
         return np.clip(observation, -_OBSERVATION_LIMITS, _OBSERVATION_LIMITS).astype(np.float32)
 
     @staticmethod
     def _reward(error_rad: Floats, action: Floats) -> float:
-        squared_shares = np.minimum((error_rad / np.deg2rad([5.0, 30.0, 15.0])) ** 2, 1.0)
-        return float(1.0 - squared_shares @ [0.5, 0.1, 0.3] - 0.1 * np.mean(action**2))
+        """Compute the reward of a step, as the class describes it, from elevation, pitch and travel error."""
+        penalties = np.minimum((error_rad / np.deg2rad([5.0, 30.0, 15.0])) ** 2, 1.0)
+        return float(1.0 - penalties @ [0.5, 0.1, 0.3] - 0.1 * np.mean(action**2))

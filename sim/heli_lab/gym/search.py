@@ -109,7 +109,12 @@ def cross_entropy(
 
 
 def _policy(weights: Floats) -> LinearPolicy:
-    """Build a policy: elevation and its rate act on the sum of the voltages, the rest on their difference."""
+    """Build a policy from six gains.
+
+    Elevation and its rate act on the sum of the voltages; pitch, travel and their rates act on the
+    difference.
+    """
+    # Observation: angles 0 to 2, rates 3 to 5, last action 6 and 7.
     collective, differential = np.zeros(8), np.zeros(8)
     collective[[0, 3]] = weights[:2]
     differential[[1, 4, 2, 5]] = weights[2:]

@@ -1,4 +1,4 @@
-"""Simulators of an episode: the plant alone, or the simulated board in lockstep."""
+"""The simulators of an episode: the equations of motion alone, or the flight code on a simulated board."""
 
 from __future__ import annotations
 
@@ -30,13 +30,14 @@ from heli_lab.gym.domain import EpisodeRig
 _BATCH_TICKS: Final = 4
 """Smallest telemetry batch of the board [ms]: observations are at most 4 ms old."""
 _CARRY_S, _CARRY_STEPS = 0.5, 50
-"""Time and steps in which the arm moves to its initial state: at most 20 deg/s, far below a fault of rate."""
+"""Time [s] and number of steps in which the arm is moved to its initial state, and again in which it is held
+there. The arm then turns at most 20 deg/s, far below the rate at which the board reports a fault."""
 _MAX_PLANTS: Final = 32
 """Largest number of compiled plants to keep."""
 _LIMITS: Final = ("elevation_min", "elevation_max", "pitch_max", "travel_max", "table_damping")
-"""Rig parameters that the plant's step takes first after those of the model."""
+"""Rig parameters that follow those of the model in the arguments of a compiled plant."""
 _SETTLING_STEPS, _SETTLING_TICKS = 20, 20
-"""Steps and their length [ms] until lagging thrusts reach hover: 0.4 s in total."""
+"""Number of steps, and length of each [ms], until lagging thrusts have reached hover: 0.4 s in total."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class PlantAlone(Simulator):
     def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
         model = model_named(drawn.rig.model or MultibodyModel.name, drawn.effects)
         delays_s = tuple(effect.values[effect.delay] for effect in drawn.effects if effect.delay)
-        # The compiled step depends on these only; all other quantities are its arguments.
+        # A compiled step depends on these only; all other quantities are its arguments.
         key = (model.name, tuple(effect.name for effect in model.effects), delays_s)
         if key not in self._plants:
             if len(self._plants) >= _MAX_PLANTS:
@@ -115,7 +116,8 @@ class PlantAlone(Simulator):
         limits[:5] = [drawn.rig[name].value for name in _LIMITS]
         self._parameters = np.array([*model.parameter_values(drawn.rig), *limits])
         self._limits_rad = np.deg2rad(limits[:4])
-        self._rad = count_rad(drawn.rig)
+        self._count_rad = count_rad(drawn.rig)
+        # Random effects keep their random numbers in the state, so that the seed must be that of the episode.
         seeded = Plant(model, drawn.rig, seed) if plant.extras.random else plant
         self._state = seeded.rest_state()
         # A lagging thrust must start at its hover value.
@@ -136,22 +138,22 @@ class PlantAlone(Simulator):
 
     def _advance(self, volts_V: Floats, ticks: int) -> Floats:
         """Simulate some milliseconds, and return the measured angles [rad], shape (3,)."""
-        run = self._ticks(ticks)
+        run = self._function_of_ticks(ticks)
         # CasADi reads and writes the arrays in place; calls with its own matrices take five times as long.
         buffer: Any
         buffer, evaluate = run.buffer()
         after, measured = np.empty(self._state.size), np.empty(3)
-        for place, argument in enumerate((self._state, volts_V, self._parameters)):
-            buffer.set_arg(place, argument.data)
-        for place, result in enumerate((after, measured)):
-            buffer.set_res(place, result.data)
+        for number, argument in enumerate((self._state, volts_V, self._parameters)):
+            buffer.set_arg(number, argument.data)
+        for number, result in enumerate((after, measured)):
+            buffer.set_res(number, result.data)
         evaluate()
         self._state = after
         return measured
 
-    def _ticks(self, ticks: int) -> ca.Function:
-        """Return a function that simulates some milliseconds in one call, compiled if a C compiler is
-        available.
+    def _function_of_ticks(self, ticks: int) -> ca.Function:
+        """Return a function that simulates some milliseconds in one call; compiled if there is a C
+        compiler.
         """
         key = (self._key, ticks)
         if key not in self._run:
@@ -167,17 +169,18 @@ class PlantAlone(Simulator):
         return self._run[key]
 
     def _result(self, measured_rad: Floats) -> StepResult:
-        angles = np.round(measured_rad / self._rad) * self._rad
-        low, high, pitch, travel = self._limits_rad
-        elevation = self._state[0]
-        ends = {
-            "the arm is on its table": elevation <= low,
-            "elevation is at its stop": elevation >= high,
-            "pitch is at its stop": abs(self._state[1]) >= pitch,
-            "travel is at its stop": abs(self._state[2]) >= travel,
+        """Quantise the measured angles, and find out whether the flight has ended."""
+        angles_rad = np.round(measured_rad / self._count_rad) * self._count_rad
+        elevation_min, elevation_max, pitch_max, travel_max = self._limits_rad
+        elevation, pitch, travel = self._state[:3]
+        is_reached = {
+            "the arm is on its table": elevation <= elevation_min,
+            "elevation is at its stop": elevation >= elevation_max,
+            "pitch is at its stop": abs(pitch) >= pitch_max,
+            "travel is at its stop": abs(travel) >= travel_max,
         }
-        reason = next((end for end, is_reached in ends.items() if is_reached), "")
-        return StepResult(angles, not reason, reason)
+        reason = next((limit for limit, reached in is_reached.items() if reached), "")
+        return StepResult(angles_rad, not reason, reason)
 
 
 class BoardInLockstep(Simulator):
@@ -193,28 +196,15 @@ class BoardInLockstep(Simulator):
     @override
     def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
         self._disconnect()
-        path = Path(self._folder.name) / "rig.toml"
-        write_rig(drawn.rig, path)
-        options = {"rig": str(path), "seed": str(seed), "slice_ms": "1"}
-        if drawn.texts:
-            options["effect"] = ";".join(drawn.texts)
-        self._heli = heli = heli_host.connect(f"sil://?{urlencode(options)}", history_s=1.0)
+        self._heli = heli = heli_host.connect(self._address(drawn, seed), history_s=1.0)
         heli.take_off()
         heli.params["telemetry_batch_ticks"] = _BATCH_TICKS
         heli.session.read_interval_s = 0.001
-        transport = heli.session.transport
-        if not isinstance(transport, InProcessTransport):
-            raise LearningError("the board runs in another process", "remove the option board")
-        world, volts_V = transport.world, self._clip_to_limits(hover_V)
-        before = world.state
-        # In open loop the board does not judge the motion of the arm, which no voltage explains here.
+        volts_V = self._clip_to_limits(hover_V)
+        # The simulation moves the arm now, and in open loop the board does not check that voltages explain a
+        # motion.
         heli.control(Axes(0), *volts_V)
-        # Moved gradually, because the board treats a jump as a runaway axis; then held until the board's rate
-        # filters show the arm at rest.
-        for share in np.minimum(np.linspace(0.0, 2.0, 2 * _CARRY_STEPS), 1.0):
-            moved = before + share * (np.array([*state, *before[6:]]) - before)
-            world.state = np.array([*moved[:3], *state[3:], *world.state[6:]])
-            heli.wait(_CARRY_S / _CARRY_STEPS)
+        self._carry_arm(state)
         heli.stream()
         heli.voltages(*volts_V)
         return self._result()
@@ -234,27 +224,58 @@ class BoardInLockstep(Simulator):
         self._disconnect()
         self._folder.cleanup()
 
+    def _address(self, drawn: EpisodeRig, seed: int) -> str:
+        """Return the address of a simulated board with the episode's rig, which is written to a file."""
+        path = Path(self._folder.name) / "rig.toml"
+        write_rig(drawn.rig, path)
+        options = {"rig": str(path), "seed": str(seed), "slice_ms": "1"}
+        if drawn.texts:
+            options["effect"] = ";".join(drawn.texts)
+        return f"sil://?{urlencode(options)}"
+
+    def _carry_arm(self, state: Floats) -> None:
+        """Move the arm to `state`, angles [rad] and rates [rad/s], and hold it until the board's rate filters
+        have settled.
+        """
+        heli = self._connected()
+        transport = heli.session.transport
+        if not isinstance(transport, InProcessTransport):
+            raise LearningError("the board runs in another process", "remove the option board")
+        world = transport.world
+        angles_before_rad = world.state[:3].copy()
+        # The arm moves gradually, because the board reports a jump as a runaway axis. A share beyond 1 holds
+        # it.
+        for share in np.minimum(np.linspace(0.0, 2.0, 2 * _CARRY_STEPS), 1.0):
+            angles_rad = angles_before_rad + share * (state[:3] - angles_before_rad)
+            world.state = np.array([*angles_rad, *state[3:], *world.state[6:]])
+            heli.wait(_CARRY_S / _CARRY_STEPS)
+
     def _connected(self) -> heli_host.Heli:
+        """Return the connected board; a LearningError reports that no episode has begun."""
         if self._heli is None:
             raise LearningError("no episode has begun", "call reset() first")
         return self._heli
 
     def _clip_to_limits(self, volts_V: Floats) -> tuple[float, float]:
+        """Limit front and back voltage to the range that the board accepts."""
         params = self._connected().params
         front_V, back_V = np.clip(volts_V, params["motor_min_V"], params["motor_max_V"]).tolist()
         return front_V, back_V
 
     def _angles_rad(self) -> Floats:
+        """Return the newest measured angles, shape (3,)."""
         newest = self._connected().latest
         return np.array([newest.elevation_rad, newest.pitch_rad, newest.travel_rad])
 
     def _result(self) -> StepResult:
+        """Return the newest measured angles, and whether the board still accepts voltages."""
         newest = self._connected().latest
         flying = newest.state is State.STREAMED
         reason = "" if flying else f"the board is in {newest.state}, fault {newest.fault}"
         return StepResult(self._angles_rad(), flying, reason)
 
     def _disconnect(self) -> None:
+        """End the connection to the board, if there is one."""
         if self._heli is not None:
             with contextlib.suppress(HeliError):
                 self._heli.close()

@@ -1,14 +1,17 @@
-"""Checks of a flight before it is fitted: even times, angles that move, voltages that act."""
+"""Checks of a flight before it is fitted: encoder counts, even times, angles that move, voltages that act."""
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
+from heli_host.flight.counts import count_rad
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
+from heli_sim.rig.encoders import count_rad as rig_count_rad
 
 from heli_lab.errors import IdentifyError, NotExcited
 
@@ -22,8 +25,33 @@ _MAX_STRAY_STEPS: Final = 5.0
 half a degree: far more than any other error. Below 1, times in whole milliseconds are refused."""
 
 
+def encoder_counts(flight: Flight, rig: Rig) -> tuple[Floats, list[str]]:
+    """Return the angle of one count of each encoder of a flight.
+
+    A log of the board states this angle. In a table, it is the smallest step of the angles. If the angles are
+    not in whole counts, the count of the rig file is used.
+
+    Returns
+    -------
+    count_rad : ndarray (3,)
+        Angle of one count [rad].
+    notes : list of str
+        A sentence for each encoder whose count is that of the rig.
+    """
+    counts, notes = count_rad(flight), []
+    for index, axis in enumerate(AXES):
+        if math.isfinite(counts[index]):
+            continue
+        counts[index] = rig_count_rad(rig)[index]
+        if np.ptp(flight.angles_rad[:, index]) > 0.0:
+            notes.append(f"{axis} is not in whole counts: {2.0 * math.pi / counts[index]:g} a turn assumed")
+    return counts, notes
+
+
 def even_step_s(flight: Flight, label: str) -> float:
-    """Mean time from row to row [s]; times are often printed in whole milliseconds.
+    """Return the mean time from row to row [s], and check that the rows are evenly spaced.
+
+    The mean is more exact than one difference, because times are often printed in whole milliseconds.
 
     Parameters
     ----------
@@ -38,6 +66,7 @@ def even_step_s(flight: Flight, label: str) -> float:
     steps_s = np.diff(flight.t_s)
     steps_s = np.delete(steps_s, flight.gaps)
     step_s = float(steps_s.mean())
+    # Deviation of each row's time from an even clock, in steps.
     stray_steps = np.abs(np.cumsum(steps_s - step_s)) / step_s
     worst = int(np.argmax(stray_steps))
     if stray_steps[worst] > _MAX_STRAY_STEPS:
@@ -87,7 +116,7 @@ def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> No
 
 
 def refuse_duty_cycles(flight: Flight, label: str, rig: Rig) -> None:
-    """Refuse voltages that never leave the dead zone: they are probably duty cycles.
+    """Refuse voltages that never leave the dead zone of the motors: they are probably duty cycles.
 
     Parameters
     ----------
@@ -101,19 +130,19 @@ def refuse_duty_cycles(flight: Flight, label: str, rig: Rig) -> None:
     """
     dead_zone = rig["dead_zone"]
     min_V = dead_zone.value - dead_zone.tolerance
-    highest = max(("front_V", "back_V"), key=lambda name: float(np.max(np.abs(getattr(flight, name)))))
-    column = np.abs(getattr(flight, highest))
-    row = int(np.argmax(column))
-    if column[row] < min_V:
+    size_V = {name: np.abs(getattr(flight, name)) for name in ("front_V", "back_V")}
+    larger = max(size_V, key=lambda name: float(np.max(size_V[name])))
+    row = int(np.argmax(size_V[larger]))
+    if size_V[larger][row] < min_V:
         raise IdentifyError(
-            f"{label}: {highest} reaches {column[row]:.3g} at most, in data row {row + 1}, which is "
+            f"{label}: {larger} reaches {size_V[larger][row]:.3g} at most, in data row {row + 1}, which is "
             f"within the dead zone of {min_V:g} V, where no rotor gives thrust",
             "if the column is a duty cycle, multiply it by the supply voltage",
         )
 
 
 def refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], ...]) -> None:
-    """Refuse angles that jump within a segment, as if not unwrapped.
+    """Refuse angles that jump within a segment, as an angle does that was not unwrapped.
 
     Parameters
     ----------

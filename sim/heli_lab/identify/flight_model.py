@@ -42,26 +42,33 @@ DISTURBANCE_START: Final = DisturbanceModel.start((1e-2, 3e-3, 6e-3), (1e-3, 5e-
 _DISTURBANCE_RANGE_Nm: Final = (2e-5, 1.0)
 """Bounds of the search: far outside of those of recorded flights."""
 
-# Standard deviation of the state at the beginning of a window about the reference. An effect's state starts
-# as a run from rest has it. A rate is known to a count or so. An angle is not known before its first
-# measurement: the reference has the angles that the encoders show, so that a narrow start would be evidence
-# against each error of an encoder. With 0.02 rad, a zero error of 6 degrees lost 35 nats in three flights
-# (2026-11).
+# Standard deviations of the state at the beginning of a window, about the reference trajectory.
 _ANGLE_STD_rad: Final = 1.0
+"""Wide, because the reference has the angles that the encoders show: a narrow standard deviation would be
+evidence against every error of an encoder. With 0.02 rad, a model with a true zero error of 6 degrees lost 35
+nats in three flights (2026-11)."""
 _RATE_STD_rad_s: Final = 0.3
+"""Far above the error of a rate, which the encoders show to about one count."""
 _EFFECT_STATE_STD: Final = 0.3
+"""About the state that a simulation from rest would have reached, in the state's unit."""
 
 _KINEMATICS: Final = KinematicModel(5.0, 0.15, 1.0, 0.1)
 """Angles (rad) driven by random accelerations: more than rigs of this type accelerate."""
 
 
 def with_measured_angles(model: Model) -> Model:
-    """Replace effects of a `model` by those that hold where the angles of a flight have been measured."""
+    """Replace each effect of a `model` by its variant for flights whose angles have been measured."""
     return type(model)(tuple(effect.with_measured_angles() for effect in model.effects))
 
 
 def known_directions(effects: Sequence[Effect]) -> tuple[tuple[int, int], ...]:
-    """States of effects, counted from the first, that are directions of an axis, and the axis' number."""
+    """List the states of effects that hold the direction in which an axis moves.
+
+    Returns
+    -------
+    tuple of (int, int)
+        Number of the state among all states of the effects, and number of the axis.
+    """
     names = [state.name for effect in effects for state in effect.states]
     axes = {name: axis for effect in effects for name, axis in effect.direction_of.items()}
     return tuple((names.index(name), AXES.index(axis)) for name, axis in axes.items())
@@ -70,18 +77,19 @@ def known_directions(effects: Sequence[Effect]) -> tuple[tuple[int, int], ...]:
 def _acting_voltages(
     model: Model, recording: Recording, every: int, count: int, parameters: Floats, free: Collection[str]
 ) -> ActingInputs:
-    """Recorded voltages as they act on a `model`: late, and not at all within a dead zone; for the other
-    arguments see `GreyBoxModel.acting_inputs`.
+    """Return the voltages that act on a `model`: the recorded ones after its delay, raised to the dead zone.
+
+    See `GreyBoxModel.acting_inputs` for the other arguments.
     """
     assert isinstance(recording, Record)
     delay, dead_zone_V = delay_of(model, parameters), model.dead_zone_V(parameters, free)
     grid = make_grid(recording, [(0, count * every)], every, delay=delay, dead_zone_V=dead_zone_V)
-    mean_derivatives = tuple((name, of_mean) for name, of_mean, _ in grid.inputs.voltage_derivatives)
+    mean_derivatives = tuple((by.parameter, by.of_mean) for by in grid.inputs.voltage_derivatives)
     return ActingInputs(grid.inputs.mean_V, mean_derivatives)
 
 
 def grey_box(model: Model) -> GreyBoxModel:
-    """Describe a helicopter's `model`, in flights whose angles were measured, to the estimation core."""
+    """Describe a helicopter's `model` to the estimation core, for flights whose angles have been measured."""
     model = with_measured_angles(model)
     effect_states = len(model.states) - RIGID_STATES
     gains = GAINS if ROTOR_GAINS in model.effects else ()
@@ -151,8 +159,8 @@ class RigParameters(ParameterVector):
 
 
 def _torque_prior(rig: Rig, name: str) -> Prior:
-    """Prior of the constant torque of one flight: what the rig file states, and what differs from flight to
-    flight.
+    """Prior of the constant torque about one axis in one flight: the torque of the rig file plus a part that
+    differs from flight to flight.
     """
     stated = rig_prior(rig, name) if name in rig and rig[name].tolerance > 0 else Prior(0.0, 0.0)
     return Prior(stated.mean, math.hypot(stated.std, TORQUE_STD_Nm[name]))

@@ -1,4 +1,4 @@
-"""Which parameters are estimated, and their priors."""
+"""Choose the parameters of a model that are estimated from flights, and their priors."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from heli_lab.estimation.parameter_vector import Prior as AnyPrior
 from heli_lab.identify.thresholds import MIN_OF_PRIOR
 
 NOT_FREE: Final = frozenset({"g", *ENCODER_COUNTS})
-"""Numbers that are never estimated, also with a tolerance: gravity is known better than any of the masses,
-and an encoder has a whole number of counts."""
+"""Rig parameters that are never estimated by default, even if they have a tolerance: gravity is known better
+than any of the masses, and an encoder has a whole number of counts."""
 
 PER_FLIGHT: Final = ("offset_elevation", "offset_pitch")
-"""Numbers that differ from flight to flight, because encoders are zeroed each time the board starts."""
+"""Parameters that differ from flight to flight, because encoders are zeroed each time the board starts."""
 
 FLIGHT_TORQUES: Final = tuple(f"torque_{axis}" for axis in AXES)
 """Constant torque about each axis during one flight, in which cables lie differently than in others."""
@@ -35,20 +35,20 @@ FLIGHT_CONSTANTS: Final = (*PER_FLIGHT, *FLIGHT_TORQUES)
 def free_parameters(
     model: Model, rig: Rig, free: Sequence[str] | None, priors: Mapping[str, AnyPrior]
 ) -> tuple[FreeParameter, ...]:
-    """Choose the free parameters of a model, in the order given, or in the model's.
+    """Choose the free parameters of a model, in the order of `free`, or otherwise of the model.
 
     Parameters
     ----------
     free : sequence of str or None
-        Names; None for every number of the rig that the model uses and that has a tolerance, gravity
-        excepted, and every parameter of the model's effects that has a prior.
+        Names of the free parameters. None chooses every rig parameter that the model uses and that has a
+        tolerance, except those in `NOT_FREE`, and every parameter of the model's effects that has a prior.
     priors : Mapping[str, Prior]
-        Instead of the rig's and the effects'.
+        Priors that replace those of the rig and of the effects.
 
     Raises
     ------
     IdentifyError
-        When a name is unknown, or nothing is known of it beforehand.
+        When a name is unknown, or a parameter has no prior.
     """
     known = {quantity.name: quantity for quantity in model.parameters}
     all_priors: dict[str, AnyPrior] = {
@@ -76,8 +76,12 @@ def free_parameters(
 
 
 def parameter_values(model: Model, rig: Rig, values: Mapping[str, float]) -> Floats:
-    """All parameters of a model, shape (p,), some of them replaced by `values`; an IdentifyError states an
-    unknown name.
+    """Return all parameters of a model, shape (p,): those of the rig, some of them replaced by `values`.
+
+    Raises
+    ------
+    IdentifyError
+        When the model has no parameter of a name in `values`.
     """
     result = model.parameter_values(rig)
     for name, value in values.items():
@@ -88,8 +92,19 @@ def parameter_values(model: Model, rig: Rig, values: Mapping[str, float]) -> Flo
 
 
 def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: Sequence[str]) -> list[str]:
-    """Return the names of the `free` parameters, as of `free_parameters`, without the `fixed` ones. An
-    IdentifyError states an unknown name, a name that is both free and fixed, or that no name remains.
+    """Return the names of the free parameters without the fixed ones.
+
+    Parameters
+    ----------
+    free : sequence of str or None
+        As in `free_parameters`.
+    fixed : sequence of str
+        Names of parameters that are not estimated.
+
+    Raises
+    ------
+    IdentifyError
+        When a name is unknown or both free and fixed, or when every parameter is fixed.
     """
     for name in fixed:
         if name not in model.parameter_names:
@@ -107,24 +122,24 @@ def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: S
 
 
 def flight_constants(model: Model, rig: Rig, about: Mapping[str, float] | None = None) -> dict[str, Prior]:
-    """Priors of the constants of one flight, `FLIGHT_CONSTANTS`, in the model's order. They are weak: a few
-    seconds of flight outweigh them.
+    """Return the priors of `FLIGHT_CONSTANTS`, the parameters that differ from flight to flight.
 
-    Without `about` the priors are for fits. A torque is then as uncertain as the rig file states, and cables
-    add their torque. Its standard deviation is half the larger of two tolerances: that of the rig file, and
-    that of the cables. The latter is `UNSTATED` of the rig files' schema: 0.05, 0.02 and 0.1 N m about
-    elevation, pitch and travel.
-
-    With `about` the priors are for another flight of a rig that has been fitted. Their means are the fitted
-    values, because masses, zeros and torques compensate for each other and a single one of them has no
-    meaning. A torque then differs by the cables alone.
-
-    Zeros have half the rig file's tolerance in both cases, and are left out if the file states none.
+    The priors are weak: a few seconds of flight outweigh them. The standard deviation of an encoder zero is
+    half its tolerance in the rig file. The standard deviation of a torque is half its tolerance too, where
+    cables add a tolerance of their own, `UNSTATED`: 0.05, 0.02 and 0.1 N m about elevation, pitch and travel.
 
     Parameters
     ----------
     about : Mapping[str, float], optional
-        Parameters by name, as fitted to other flights.
+        Parameters by name, fitted to other flights of the rig. They are then the means of the priors, because
+        fitted masses, zeros and torques compensate for each other and only hold together. Without them, the
+        priors have the means of the rig file.
+
+    Returns
+    -------
+    dict of Prior
+        By name, in the model's order. A zero whose tolerance is 0 is left out. The tolerance of a torque is
+        that of the cables if `about` is given, otherwise the larger one of rig file and cables.
     """
     known = {**{name: rig[name].value for name in FLIGHT_CONSTANTS}, **(about or {})}
     priors = {}
@@ -133,15 +148,15 @@ def flight_constants(model: Model, rig: Rig, about: Mapping[str, float] | None =
             continue
         tolerance = rig[name].tolerance
         if name in FLIGHT_TORQUES:
-            cables = UNSTATED[name].tolerance
-            tolerance = cables if about is not None else max(tolerance, cables)
+            cable_tolerance = UNSTATED[name].tolerance
+            tolerance = cable_tolerance if about is not None else max(tolerance, cable_tolerance)
         if tolerance > 0:
             priors[name] = Prior(known[name], 0.5 * tolerance)
     return priors
 
 
 def _unknown(model: Model, name: str) -> IdentifyError:
-    """The error for an unknown parameter `name` of a model, with a similar name as a hint."""
+    """Describe the error that a model has no parameter `name`; suggest a similar name."""
     known = model.parameter_names
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
@@ -151,9 +166,10 @@ def _unknown(model: Model, name: str) -> IdentifyError:
 
 
 def rig_prior(rig: Rig, name: str) -> Prior:
-    """Prior of the parameter `name` of a rig: normal, with half the tolerance as its standard deviation. If
-    the parameter cannot be negative, the prior is bounded slightly above 0, because a length or a gain of 0
-    is impossible.
+    """Return the prior of the rig parameter `name`: normal, with half the tolerance as standard deviation.
+
+    If the parameter cannot be negative, the prior is bounded slightly above 0, because a length or a gain of
+    0 is impossible.
     """
     number = rig[name]
     low = -np.inf if rig.may_be_negative(name) else MIN_OF_PRIOR * abs(number.value)

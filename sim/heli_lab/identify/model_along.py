@@ -1,4 +1,4 @@
-"""Expressions of a model along trajectories."""
+"""Evaluate expressions of a model, such as its rates, at many samples of a trajectory together."""
 
 from __future__ import annotations
 

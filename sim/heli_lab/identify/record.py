@@ -1,4 +1,4 @@
-"""A flight prepared for fitting: which rows are free flight, and the size of an encoder count."""
+"""Prepare a flight for fitting: find the rows in free flight, and the angle of an encoder count."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from typing import Final
 import numpy as np
 from heli_host.arrays import Booleans, Floats
 from heli_host.flight import Flight
-from heli_host.flight.counts import count_rad
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
-from heli_sim.rig.encoders import count_rad as rig_count_rad
 
 from heli_lab.errors import NotExcited
 from heli_lab.identify import thresholds
 from heli_lab.identify.flight_checks import (
+    encoder_counts,
     even_step_s,
     refuse_constant_columns,
     refuse_duty_cycles,
@@ -37,12 +36,12 @@ _LOWEST_deg: Final = 1.0
 _RISEN_deg: Final = 10.0
 """Smallest rise from the rest to the median of a flight [deg]. Rest and level differ by some 25 deg."""
 _FLIGHT_RANGE_deg: Final = 5.0
-"""A take-off ends this far below the median elevation of a flight [deg], and a landing begins there."""
+"""Take-off and landing take place more than this below the median elevation of a flight [deg]."""
 
 
 @dataclass(frozen=True)
 class Cut:
-    """A part of a flight from `start_s` to `stop_s` that is not fitted, and `why` in a few words."""
+    """A part of a flight that is not fitted: from `start_s` to `stop_s`, and `why` in a few words."""
 
     start_s: float
     stop_s: float
@@ -122,8 +121,8 @@ def prepare(
 ) -> Record:
     """Prepare a flight for a fit: check it, find its rows in free flight, and the angle of an encoder count.
 
-    Rows are cut out in which the arm takes off, lands, lies on its table or touches a stop, rows at gaps,
-    and rows that the board logged with its motors off.
+    Free flight excludes the rows in which the arm takes off, lands, lies on its table or touches a stop, and
+    the rows that the board logged with its motors off. A gap in the log ends a segment.
 
     Parameters
     ----------
@@ -150,7 +149,7 @@ def prepare(
     refuse_duty_cycles(flight, label, rig)
     reasons, stop_notes = _reasons_to_cut(flight, rig, step_s, start_s, stop_s)
     min_rows = max(2, round(thresholds.MIN_SEGMENT_S / step_s))
-    segments, cuts = _segments(reasons, flight, min_rows)
+    segments, cuts = _divide(reasons, flight, min_rows)
     refuse_jumps(flight, label, segments)
     if not segments:
         t_s = flight.t_s
@@ -206,7 +205,12 @@ def prepare_all(
 def _reasons_to_cut(
     flight: Flight, rig: Rig, step_s: float, start_s: float | None, stop_s: float | None
 ) -> tuple[list[tuple[Booleans, str]], list[str]]:
-    """Rows of a flight that are not free flight.
+    """Find the rows of a flight that are not free flight.
+
+    Parameters
+    ----------
+    start_s, stop_s : float, optional
+        Times of the flight between which the rows are wanted [s]; None for its beginning and its end.
 
     Returns
     -------
@@ -230,56 +234,39 @@ def _reasons_to_cut(
     return [*reasons, *at_stops], notes
 
 
-def encoder_counts(flight: Flight, rig: Rig) -> tuple[Floats, list[str]]:
-    """Angle of one count of each encoder of a flight.
-
-    A log of the board states it. In a table it is the smallest step of the angles. For angles that are not
-    in whole counts it is that of the rig.
-
-    Returns
-    -------
-    count_rad : ndarray (3,)
-        Angle of one count [rad].
-    notes : list of str
-        A sentence for each encoder whose count is that of the rig.
-    """
-    counts, notes = count_rad(flight), []
-    for index, axis in enumerate(AXES):
-        if math.isfinite(counts[index]):
-            continue
-        counts[index] = rig_count_rad(rig)[index]
-        if np.ptp(flight.angles_rad[:, index]) > 0.0:
-            notes.append(f"{axis} is not in whole counts: {2.0 * math.pi / counts[index]:g} a turn assumed")
-    return counts, notes
-
-
 def _near_table(flight: Flight, rig: Rig, step_s: float) -> Booleans:
-    """Rows in which the arm is on the table, takes off or lands, shape (n,)."""
+    """Find the rows in which the arm is on the table, takes off or lands; shape (n,)."""
     elevation_deg = np.rad2deg(flight.elevation_rad)
     table_deg = _table_deg(elevation_deg, rig, step_s)
     in_contact = _in_contact(flight, rig, table_deg)
     if not in_contact.any():
         return in_contact
-    # A take-off ends, and a landing begins, at the elevation of the flight.
-    clear = elevation_deg > table_deg + thresholds.TAKE_OFF_DEG
-    typical_deg = float(np.median(elevation_deg[clear])) if clear.any() else 0.0
-    up = elevation_deg > max(table_deg + thresholds.TAKE_OFF_DEG, typical_deg - _FLIGHT_RANGE_deg)
-    cut = in_contact.copy()
+    # A take-off ends, and a landing begins, near the typical elevation of the flight.
+    min_clear_deg = table_deg + thresholds.TAKE_OFF_DEG
+    is_clear = elevation_deg > min_clear_deg
+    typical_deg = float(np.median(elevation_deg[is_clear])) if is_clear.any() else 0.0
+    is_up = elevation_deg > max(min_clear_deg, typical_deg - _FLIGHT_RANGE_deg)
+    near_table = in_contact.copy()
     settling_rows = round(thresholds.SETTLED_S / step_s)
-    for edge in np.flatnonzero(np.diff(in_contact.astype(int))):
-        if in_contact[edge]:
-            up_after = np.flatnonzero(up[edge:])
-            stop = edge + int(up_after[0]) + settling_rows if up_after.size else len(cut)
-            cut[edge:stop] = True
+    for last_row in np.flatnonzero(np.diff(in_contact.astype(int))):
+        if in_contact[last_row]:
+            # The contact ends: cut the take-off that follows.
+            up_after = np.flatnonzero(is_up[last_row:])
+            stop = last_row + int(up_after[0]) + settling_rows if up_after.size else len(near_table)
+            near_table[last_row:stop] = True
         else:
-            up_before = np.flatnonzero(up[: edge + 1])
-            cut[int(up_before[-1]) if up_before.size else 0 : edge + 1] = True
-    return cut
+            # A contact begins in the next row: cut the landing before it.
+            up_before = np.flatnonzero(is_up[: last_row + 1])
+            start = int(up_before[-1]) if up_before.size else 0
+            near_table[start : last_row + 1] = True
+    return near_table
 
 
 def _table_deg(elevation_deg: Floats, rig: Rig, step_s: float) -> float:
-    """Elevation at which the arm lies on its table [deg]: that of the rig, or the rest of this flight if it
-    begins at rest at its lowest point.
+    """Return the elevation at which the arm lies on its table [deg].
+
+    If the flight begins at rest at its lowest point, it is the higher one of this rest and the table of the
+    rig file; otherwise that of the rig file.
     """
     rig_deg = rig["elevation_min"].value
     first_rows = elevation_deg[: round(_REST_s / step_s)]
@@ -293,23 +280,27 @@ def _table_deg(elevation_deg: Floats, rig: Rig, step_s: float) -> float:
 
 
 def _in_contact(flight: Flight, rig: Rig, table_deg: float) -> Booleans:
-    """Rows in which the arm, or the lower rotor of a tilted arm, touches the table, shape (n,)."""
+    """Find the rows in which the arm, or the lower rotor of a tilted arm, touches the table; shape (n,)."""
     margin_deg = min(rig["elevation_min"].tolerance, thresholds.MAX_UNSURE_DEG) + thresholds.TABLE_MARGIN_DEG
     in_contact: Booleans = np.rad2deg(flight.elevation_rad) < table_deg + margin_deg
-    # Height of the lower rotor over the length of the arm.
+    # All heights are relative to the pivot, as a share of the arm's length.
     rotor_reach = (rig["L_h"].value + thresholds.ROTOR_m) / rig["L_a"].value
     tilt = np.abs(np.sin(flight.pitch_rad)) * np.cos(flight.elevation_rad)
     rotor_height = np.sin(flight.elevation_rad) - rotor_reach * tilt
-    return in_contact | (rotor_height < math.sin(math.radians(table_deg)))
+    table_height = math.sin(math.radians(table_deg))
+    return in_contact | (rotor_height < table_height)
 
 
 def _last_descent(flight: Flight, near_table: Booleans, step_s: float) -> Booleans:
-    """Rows of the final descent after the voltages were reduced, shape (n,); the log may end above the
-    table.
+    """Find the rows of a final descent with reduced voltages, shape (n,).
+
+    Such a log may end before the arm reaches the table. No row is true if the flight ends with thrust, or
+    high.
     """
     descent = np.zeros(len(flight), bool)
     flying = ~near_table
     lag_rows = max(1, round(thresholds.LAG_S / step_s))
+    # A flight of so few rows has no typical voltage or elevation.
     if int(flying.sum()) < 4 * lag_rows:
         return descent
     total_V = flight.front_V + flight.back_V
@@ -320,18 +311,19 @@ def _last_descent(flight: Flight, near_table: Booleans, step_s: float) -> Boolea
     ends_with_thrust = float(total_V[-lag_rows:].mean()) > thresholds.LANDING_VOLTAGE_SHARE * typical_V
     if ends_with_thrust or flight.elevation_rad[-1] > low_rad:
         return descent
-    with_thrust = np.flatnonzero(smooth_V >= thresholds.DESCENT_VOLTAGE_SHARE * typical_V)
-    high = np.flatnonzero(flight.elevation_rad > low_rad)
-    if with_thrust.size and high.size:
-        # Thrust for a moment on the way down does not end the descent.
-        last_high = int(high[-1])
-        before = with_thrust[with_thrust <= last_high]
-        descent[int(before[-1]) if before.size else last_high :] = True
+    rows_with_thrust = np.flatnonzero(smooth_V >= thresholds.DESCENT_VOLTAGE_SHARE * typical_V)
+    high_rows = np.flatnonzero(flight.elevation_rad > low_rad)
+    if rows_with_thrust.size and high_rows.size:
+        # The descent begins with the last thrust while the arm is high; later thrust does not end it.
+        last_high = int(high_rows[-1])
+        before = rows_with_thrust[rows_with_thrust <= last_high]
+        start = int(before[-1]) if before.size else last_high
+        descent[start:] = True
     return descent
 
 
 def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> tuple[list[tuple[Booleans, str]], list[str]]:
-    """Contacts with the mechanical stops.
+    """Find the contacts with the mechanical stops.
 
     Returns
     -------
@@ -347,22 +339,24 @@ def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> tuple[list[tuple[Bool
     names = ("elevation_max", "pitch_max", "travel_max")
     for index, (axis, name) in enumerate(zip(AXES, names, strict=True)):
         stop, degrees = rig[name], np.rad2deg(angles_rad[:, index])
-        beyond = degrees if axis == "elevation" else np.abs(degrees)
+        # Pitch and travel have a stop on either side.
+        deflection_deg = degrees if axis == "elevation" else np.abs(degrees)
         unsure_deg = min(stop.tolerance, thresholds.MAX_UNSURE_DEG)
-        at_stop = beyond > stop.value - unsure_deg - thresholds.STOP_MARGIN_DEG
-        if beyond.max() > stop.value + stop.tolerance + thresholds.BEYOND_STOP_DEG:
-            note = f"{axis} reaches {beyond.max():.0f} degrees, beyond the rig's {name} of {stop.value:g}"
+        at_stop = deflection_deg > stop.value - unsure_deg - thresholds.STOP_MARGIN_DEG
+        largest_deg = deflection_deg.max()
+        if largest_deg > stop.value + stop.tolerance + thresholds.BEYOND_STOP_DEG:
+            note = f"{axis} reaches {largest_deg:.0f} degrees, beyond the rig's {name} of {stop.value:g}"
             notes.append(f"{note}: taken to be free there")
         elif at_stop.any():
-            wide = np.convolve(at_stop, np.ones(2 * around + 1), mode="same") > 0.5
-            reasons.append((wide, f"stop of the {axis}"))
+            near_stop = np.convolve(at_stop, np.ones(2 * around + 1), mode="same") > 0.5
+            reasons.append((near_stop, f"stop of the {axis}"))
     return reasons, notes
 
 
-def _segments(
+def _divide(
     reasons: list[tuple[Booleans, str]], flight: Flight, min_rows: int
 ) -> tuple[tuple[tuple[int, int], ...], tuple[Cut, ...]]:
-    """Divide a flight into free segments and cuts.
+    """Divide a flight into segments of free flight and cuts.
 
     Parameters
     ----------
@@ -379,16 +373,17 @@ def _segments(
         All other parts.
     """
     t_s = flight.t_s
-    # 0 for free flight, otherwise 1 + index of the reason.
-    number = np.zeros(len(t_s), int)
-    for index in reversed(range(len(reasons))):
-        number[reasons[index][0]] = index + 1
-    is_border = np.diff(number) != 0
+    # Per row: 0 in free flight, otherwise 1 + index of the reason. The first reason is written last and wins.
+    reason_number = np.zeros(len(t_s), int)
+    for index, (rows, _) in reversed(list(enumerate(reasons))):
+        reason_number[rows] = index + 1
+    is_border = np.diff(reason_number) != 0
     is_border[flight.gaps] = True
     edges = [0, *(int(row) + 1 for row in np.flatnonzero(is_border)), len(t_s)]
     segments, cuts = [], []
     for start, stop in itertools.pairwise(edges):
-        why = reasons[number[start] - 1][1] if number[start] else ""
+        number = reason_number[start]
+        why = reasons[number - 1][1] if number else ""
         if not why and stop - start < min_rows:
             why = "too short between cuts"
         if why:

@@ -1,4 +1,4 @@
-"""Gains of the rotors: inputs of disturbances that vary the voltage or the thrust by a share."""
+"""An effect that lets disturbances vary the supply voltage, and the thrust of each rotor, by a share."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from typing_extensions import override
 
 
 class RotorGains(Effect):
-    """Both motors get 1 + s times their voltage. The front rotor then gives 1 + d times its thrust and the
-    back rotor 1 - d times, after all other effects on it.
+    """Relative changes of the motors' voltage and of the rotors' thrust, as inputs of disturbances.
 
-    Both gains are 0: the estimation core adds random disturbances to them, as to the torques. A supply that
-    wanders is s. If the wash of the rotors varies each thrust by itself, s and d vary. Behind a dead zone, a
-    share of the voltage is no constant share of the thrust. For a wandering supply, a gain of the voltages
-    therefore adds more to the log-likelihood than one of the thrusts: 38 and 52 nats in two flights, 2026-11.
+    Both motors get 1 + s times their voltage. The front rotor then gives 1 + d times its thrust, and the back
+    rotor 1 - d times, after all other effects. Both gains are 0; the estimation core adds random disturbances
+    to them, as to the torques. A supply that wanders varies s alone. Rotor wash, which varies each thrust
+    separately, varies s and d.
+
+    The gain s acts on the voltage, not on the thrust, because the two are not proportional if there is a dead
+    zone. For a wandering supply, this adds 38 and 52 nats to the log-likelihood of two flights (2026-11).
     """
 
     @override

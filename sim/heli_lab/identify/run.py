@@ -1,4 +1,4 @@
-"""Identification from beginning to end: flights in, a rig with uncertainties out."""
+"""Identify a rig: estimate its parameters with their uncertainties from flights, and check the result."""
 
 from __future__ import annotations
 
@@ -119,8 +119,12 @@ def _free_runs(fit: Fit) -> tuple[tuple[Trace, ...], tuple[FreeRunErrors, ...]]:
 
 
 def _start_values(problem: Problem) -> dict[str, float] | None:
-    """Start values of the free parameters by name, from a fit of short windows; None if the values of the rig
-    file are near enough for long windows.
+    """Find start values of the free parameters from which long windows do not diverge.
+
+    Returns
+    -------
+    dict of float or None
+        Values by name, from a fit of short windows; None if the values of the rig file are near enough.
     """
     start = problem.parameter_vector.start
     initial_states = initial_state_guess(problem, start)

@@ -125,7 +125,7 @@ RESTART_OUTLIER: Final = 1.5
 """A window whose mean square is this many times that of the median window starts again from other states. Set
 on backlash of travel and sticking axes, whose windows may converge to a wrong minimum. Lower: sound windows
 restart. Higher: wrong windows stay."""
-TOO_WRONG: Final = 9.0
+MAX_RESTART_MEDIAN: Final = 9.0
 """Mean square of the median window, in variances of the quantisation, above which the model is wrong and no
 window restarts. Set by judgement. Higher: restarts that cannot help cost time. Lower: windows stay at a wrong
 minimum in a model that is only somewhat wrong."""

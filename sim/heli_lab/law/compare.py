@@ -11,8 +11,10 @@ from heli_host.log.flight_file import read_flight
 
 
 def flight_of_law(path: Path) -> Flight:
-    """Read a log and cut it to the rows that a law flew. A law that came over the link has priority.
-    Otherwise these are the rows of a controller on the host, or of the board's control law.
+    """Read a log, and cut it to the rows that a control law flew.
+
+    A law that was uploaded over the link has priority; otherwise, the rows of a controller on the host or of
+    the board's own control law are returned.
 
     Parameters
     ----------
@@ -22,7 +24,7 @@ def flight_of_law(path: Path) -> Flight:
     Raises
     ------
     FlightDataError
-        No law flew in it, or nothing led it.
+        The flight has no setpoints, or no control law flew it.
     """
     flight = read_flight(path, allow_gaps=True)
     if flight.setpoints_rad is None:

@@ -1,6 +1,7 @@
-"""From a function of symbols to a program: values, then sums of products, then cells.
+"""Compile the function of a law into a program for the board.
 
-Every value gets a cell of memory, which is used again after the last operation that reads the value.
+First, CasADi's operations become values. Then additions and multiplications become sums of products. Last,
+each value gets a cell of the board's memory, which is used again after the last operation that reads it.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def compile_program(law: LawFunction) -> LawProgram:
     Raises
     ------
     BadLaw
-        No board could run it.
+        The board cannot run this law.
     """
     function = law.function.expand() if not law.function.is_a("SXFunction") else law.function
     program, outputs = _values_of(law, function)
@@ -86,8 +87,9 @@ def _values_of(law: LawFunction, function: ca.Function) -> tuple[Program, list[i
 
 
 def _copy_read_states(law: LawFunction, program: Program, outputs: list[int]) -> None:
-    """Copy each state whose old value becomes the new value of a state, because the board may have
-    overwritten it by then. Changes `outputs`.
+    """Copy each state whose old value becomes the new value of a state; change `outputs` in place.
+
+    Without the copy, the board may have overwritten the old value before it is read.
     """
     for k in range(FIXED_OUTPUTS + len(law.signals), len(outputs)):
         if program.values[outputs[k]].kind == "state":
@@ -95,7 +97,7 @@ def _copy_read_states(law: LawFunction, program: Program, outputs: list[int]) ->
 
 
 def _without_unused_values(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
-    """Program without values that no operation and no output reads, and the indices of its outputs."""
+    """Remove the values that no operation and no output reads; return the program and its `outputs`."""
     needed = set(outputs)
     for index in range(len(program.values) - 1, -1, -1):
         if index in needed:
@@ -156,7 +158,7 @@ def _assign_cells(
 
 
 def _instruction(value: Value, target: int, operands: list[int]) -> Instruction:
-    """Instruction that computes a `value` into the cell `target` from the cells `operands`."""
+    """Write the instruction that computes a `value` from the cells `operands` into the cell `target`."""
     if value.kind != SUM:
         first, second = (*operands, 0)[:2]
         return Instruction(CODE[value.kind], target, first, second)

@@ -37,4 +37,5 @@ def c_source(law: Law) -> str:
 
 
 def _listed(values: dict[str, float]) -> str:
+    """Write named values into one line of a comment."""
     return ", ".join(f"{name} = {value:g}" for name, value in values.items()) or "none"

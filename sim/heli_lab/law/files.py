@@ -24,17 +24,22 @@ from heli_lab.law.limits import FileLimits
 from heli_lab.law.program_data import program_of_json
 from heli_lab.law.rig import rig_environment
 
-_START_s: Final = 120.0
-"""Longest wait until a process begins with the file [s]: a busy machine imports CasADi in some seconds."""
-_WAIT_PER_s: Final = 5.0
-_WAIT_s: Final = 3.0
-"""A stranger's file may take this multiple of its processor time, and this time more [s]: the processor is
-shared, and the system ends an endless loop up to 2 s late. With less, a busy computer refuses lawful files;
-with more, a file that sleeps delays the class."""
+_MAX_START_s: Final = 120.0
+"""Longest wait until a process begins with the file [s]: a busy computer imports CasADi in some seconds."""
+_WAIT_PER_CPU_s: Final = 5.0
+_EXTRA_WAIT_s: Final = 3.0
+"""An untrusted file may run for this multiple of its processor time, plus this extra time [s]: the
+processor is shared, and the system ends an endless loop up to 2 s late. With less, a busy computer
+refuses valid files; with more, a file that sleeps delays a whole class."""
 _MAX_ANSWER_BYTES: Final = 1 << 20
-"""Of a stranger's file: a program of 1,536 words takes under 200 kB."""
-_FENCED: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
-"""Threads would take memory; the order of a set would differ from run to run."""
+"""Longest answer of an untrusted file: a program of 1,536 words takes less than 200 kB."""
+_FENCED_ENVIRONMENT: Final = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "PYTHONHASHSEED": "0",
+}
+"""Environment of an untrusted file: threads would take memory, and random hashes would change the order of a
+set from run to run."""
 
 
 def check_files(paths: Sequence[Path]) -> None:
@@ -70,7 +75,7 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s, rig: str | None = None) 
     Raises
     ------
     BadLaw
-        The file is missing, fails, does not end in time, or holds no law.
+        The file is missing, fails, does not end in time, or has no law.
     """
     check_files([path])
     try:
@@ -90,10 +95,11 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s, rig: str | None = None) 
 
 
 def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawProgram:
-    """Run a stranger's file in a fenced process, and return the program of its ``LAW``.
+    """Run an untrusted file in a fenced process, and return the program of its ``LAW``.
 
     The process has limits of time and memory, and can write no file, open no socket and start no process. Its
-    answer is data that is checked here, and its output is dropped. The file can read what you can read.
+    answer is checked, and everything that it prints is discarded. The file can still read all files that you
+    can read.
 
     Parameters
     ----------
@@ -109,17 +115,18 @@ def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawP
     BadLaw
         As `load_law`, or the file breaks a limit.
     """
-    # A pipe or a device of this name would be waited for without an end.
+    # Reading a pipe or a device of this name would never end.
     check_files([path])
     options = (f"{limits.cpu_s}", f"{limits.memory_MB}")
-    # One text for a loop and for a wait: the computer's load decides which limit is the first.
+    # The same message for an endless loop and an endless wait: the computer's load decides which limit ends
+    # the process first.
     endless = BadLaw(
         f"{path.name} did not end within {limits.cpu_s:g} s of processor time",
         "look for a loop or a wait without an end; --load-timeout allows more",
     )
     try:
         answer, status = _run_in_process(
-            path, _WAIT_PER_s * limits.cpu_s + _WAIT_s, rig, options, _MAX_ANSWER_BYTES
+            path, _WAIT_PER_CPU_s * limits.cpu_s + _EXTRA_WAIT_s, rig, options, _MAX_ANSWER_BYTES
         )
     except TimeoutError:
         raise endless from None
@@ -146,7 +153,7 @@ def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawP
 def _run_in_process(
     path: Path, limit_s: float, rig: str | None, options: tuple[str, ...] = (), max_bytes: int = -1
 ) -> tuple[bytes, int]:
-    """Run a law file in another process. A process that does not end in time raises a TimeoutError.
+    """Run a law file in another process, and return its answer.
 
     Parameters
     ----------
@@ -160,9 +167,14 @@ def _run_in_process(
     Returns
     -------
     answer : bytes
-        What the process wrote; empty if it failed.
+        Answer of the process; empty if the process failed.
     status : int
         Exit status of a process without an answer, otherwise 0.
+
+    Raises
+    ------
+    TimeoutError
+        The process does not end in time.
     """
     fenced = bool(options)
     process = subprocess.Popen(
@@ -179,22 +191,23 @@ def _run_in_process(
             **os.environ,
             "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
             **rig_environment(rig),
-            **(_FENCED if fenced else {}),
+            **(_FENCED_ENVIRONMENT if fenced else {}),
         },
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL if fenced else None,
         cwd=path.parent if fenced else None,
-        # A session of its own, so that what the file has started ends with it.
+        # A separate session, so that processes started by the file can be ended together with it.
         start_new_session=True,
     )
     answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    # Windows waits for sockets only, so a thread waits for the pipe.
-    threading.Thread(target=_pass_on, args=(process.stdout, answers, max_bytes), daemon=True).start()
+    # Windows cannot wait for a pipe with a time limit, so a thread reads the pipe.
+    threading.Thread(target=_read_answer, args=(process.stdout, answers, max_bytes), daemon=True).start()
     try:
-        answers.get(timeout=_START_s)
+        # First the line that the file begins, then the answer.
+        answers.get(timeout=_MAX_START_s)
         answer = answers.get(timeout=limit_s)
-        # It has ended without a word, so it ends now.
+        # Without an answer, the process has closed its output and is about to end.
         return answer, 0 if answer else process.wait(timeout=limit_s)
     except (queue.Empty, subprocess.TimeoutExpired):
         raise TimeoutError from None
@@ -203,13 +216,13 @@ def _run_in_process(
 
 
 def _ended(path: Path, status: int) -> BadLaw:
-    """Explain that the file at `path` ended its process, by the exit `status`."""
+    """Describe the error that the file at `path` ended its process with an exit `status`."""
     how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
     return BadLaw(f"{path.name} ended Python ({how})", "correct the file; python FILE shows details")
 
 
-def _pass_on(pipe: IO[bytes], answers: queue.SimpleQueue[bytes], max_bytes: int) -> None:
-    """Put the line that says that the file begins, then all that follows, into a queue."""
+def _read_answer(pipe: IO[bytes], answers: queue.SimpleQueue[bytes], max_bytes: int) -> None:
+    """Read the output of a process into a queue: first its first line, then up to `max_bytes` that follow."""
     with pipe:
         answers.put(pipe.readline())
         answers.put(pipe.read(max_bytes))
@@ -238,6 +251,6 @@ def load_program(path: Path, rig: str | None = None) -> LawProgram:
     Raises
     ------
     BadLaw
-        It is missing, fails, does not end, holds no law, or one that a board does not take.
+        The file is missing, fails, does not end or has no law, or the board cannot run the law.
     """
     return load_law(path, rig=rig).program

@@ -1,4 +1,4 @@
-"""A control law: a function of symbols that can run in several places."""
+"""A control law, made from a Python function: it runs with numpy, over the link, on the board, or as C."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ from heli_host.law_program import LawProgram
 
 from heli_lab.law.compile import compile_program
 from heli_lab.law.law_function import LawFunction, casadi_function
-from heli_lab.law.no_number import with_no_number
+from heli_lab.law.nan_propagation import with_nan_propagation
 from heli_lab.law.streamed import Streamed
 
 _TRUTH: Final = "truth value"
+"""Words in CasADi's error message when a symbol is used as a condition."""
 SETPOINTS: Final = tuple(f"{axis}_setpoint_rad" for axis in AXES)
 
 
@@ -41,7 +42,7 @@ class Command:
     signals : mapping of str to SX
         Up to four signals that are logged every tick under their names, in steps of 0.00001 up to 20,000.
     elevation_setpoint_rad, travel_setpoint_rad : SX or float or None
-        Setpoints that the law computes and the log then holds [rad]; None for the board's setpoints.
+        Setpoints that the law computes, for the log [rad]; None logs the board's setpoints.
     pitch_setpoint_rad : SX or float or None
         Pitch setpoint of the law's inner loop [rad]; None if it has no such loop.
     """
@@ -78,8 +79,8 @@ class Law(LawFunction):
 
     @cached_property
     def evaluated(self) -> ca.Function:
-        """The function as numpy and C run it: NaN passes limits and conditions, as on the board."""
-        return with_no_number(self.function)
+        """The function that numpy and C run: limits and conditions return NaN for NaN, as on the board."""
+        return with_nan_propagation(self.function)
 
     def runner(self) -> Runner:
         """Return the law as a numpy function in double precision, in its initial states."""
@@ -91,7 +92,7 @@ class Law(LawFunction):
         Parameters
         ----------
         params : mapping of str to float
-            The board's parameters: cut-offs of its rate filters.
+            The board's parameters: cut-off frequencies of its rate filters, and limits of its setpoints.
         """
         return Streamed(self.runner(), self.dt_s, params)
 
@@ -110,12 +111,12 @@ class Runner:
         self.state: Floats = np.array([*law.states.values()], float)
 
     def __call__(self, inputs: npt.ArrayLike) -> Floats:
-        """Compute one call of the law.
+        """Call the law once, and keep its new states.
 
         Parameters
         ----------
         inputs : array_like, shape (17,)
-            In the order of ``LAW_INPUTS``.
+            Inputs of the law, in the order of ``LAW_INPUTS``.
 
         Returns
         -------
@@ -136,7 +137,7 @@ def control_law(
     parameters: Mapping[str, float] | None = None,
     name: str | None = None,
 ) -> Callable[[Callable[..., Command]], Law]:
-    """Decorator that makes a control law from a Python function.
+    """Make a control law from a Python function; use it as a decorator.
 
     The function is called once, with symbols: ``now`` has every input by its name (``now.elevation_rad``,
     ``now.travel_setpoint_rad``, ...), ``state`` and ``parameter`` those of the law. It returns a `Command`.
@@ -187,7 +188,7 @@ def control_law(
 
 
 def _named(symbols: ca.SX, names: Iterable[str]) -> SimpleNamespace:
-    """The elements of a column of `symbols` as attributes with these `names`."""
+    """Return an object that has the elements of a column of `symbols` as attributes with these `names`."""
     return SimpleNamespace(**{name: symbols[index] for index, name in enumerate(names)})
 
 
@@ -198,8 +199,12 @@ def _called(
     state: SimpleNamespace,
     parameter: SimpleNamespace,
 ) -> Command:
-    """Call the user's `function` with symbols; a BadLaw explains an error in it or another result than a
-    Command.
+    """Call the user's `function` with symbols.
+
+    Raises
+    ------
+    BadLaw
+        The function fails, or does not return a Command; the message explains the line.
     """
     if not _takes_three_arguments(function):
         raise BadLaw(
@@ -221,8 +226,9 @@ def _called(
 
 
 def _setpoints(command: Command, now: SimpleNamespace) -> list[Any]:
-    """Setpoints of elevation, pitch and travel that are logged: those of the law, otherwise the board's and
-    the measured pitch.
+    """Choose the setpoints of elevation, pitch and travel for the log.
+
+    A setpoint that the law does not give is the board's, and for pitch the measured angle.
     """
     defaults = (now.elevation_setpoint_rad, now.pitch_rad, now.travel_setpoint_rad)
     setpoints = []
@@ -242,7 +248,9 @@ def _takes_three_arguments(function: Callable[..., Any]) -> bool:
 
 
 def _scalars(values: Sequence[Any], name: str) -> list[ca.SX]:
-    """The `values`, outputs of the law `name`, as scalar symbols."""
+    """Convert outputs of the law `name` to scalar symbols; a BadLaw reports an output of another type or
+    size.
+    """
     scalars = []
     for place, value in enumerate(values):
         try:
@@ -285,7 +293,7 @@ def _explained(error: Exception, name: str) -> BadLaw:
 
 
 def _kind(value: object) -> str:
-    """What a function returned instead of a Command, in a few words."""
+    """Describe in a few words what a function returned instead of a Command."""
     if isinstance(value, tuple | list):
         return f"{len(value)} values"
     return f"a value of type {type(value).__name__}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -12,8 +12,9 @@ from heli_host.errors import BadLaw
 from heli_host.law_program import check_number, divisor_of
 
 MAX_STATES: Final = 255
+"""Largest number of states, and of parameters, that a board stores."""
 LONGEST_NAME: Final = 63
-"""Longest name that MATLAB takes."""
+"""Longest name that MATLAB accepts."""
 
 
 @dataclass(frozen=True)
@@ -43,35 +44,50 @@ class LawFunction:
     signals: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        """Raise a BadLaw if a board cannot have this rate, these signals, states or parameters."""
         divisor_of(self.rate_Hz)
-        if len(self.signals) > LAW_SIGNALS:
-            raise BadLaw(f"{len(self.signals)} signals are too many", f"give at most {LAW_SIGNALS}")
-        reserved = {spec.column for spec in CHANNELS} | {"t_s", "tick"}
-        for signal in self.signals:
-            if (
-                not (signal.isidentifier() and signal.isascii())
-                or len(signal) > LONGEST_NAME
-                or signal in reserved
-            ):
-                raise BadLaw(
-                    f"a signal cannot be named {signal[:LONGEST_NAME]!r}",
-                    f"give letters, digits and _, at most {LONGEST_NAME}, and not the name of a channel",
-                )
-        for kind, values, remedy in (
-            ("states", self.states, "reduce the order"),
-            ("parameters", self.parameters, "write as numbers what is not changed in flight"),
-        ):
-            if len(values) > MAX_STATES:
-                raise BadLaw(
-                    f"{len(values)} {kind} are too many for a board", f"give at most {MAX_STATES}: {remedy}"
-                )
-            for name, value in values.items():
-                check_number(f"{kind[:-1]} {name}", value)
+        _check_signals(self.signals)
+        _check_values("state", self.states, "reduce the order")
+        _check_values("parameter", self.parameters, "write as numbers what is not changed in flight")
 
     @property
     def dt_s(self) -> float:
         """Time from one call to the next [s]."""
         return 1.0 / self.rate_Hz
+
+
+def _check_signals(signals: Sequence[str]) -> None:
+    """Raise a BadLaw if there are too many signals, or if a name cannot be that of a column in a log."""
+    if len(signals) > LAW_SIGNALS:
+        raise BadLaw(f"{len(signals)} signals are too many", f"give at most {LAW_SIGNALS}")
+    reserved = {spec.column for spec in CHANNELS} | {"t_s", "tick"}
+    for signal in signals:
+        is_name = signal.isidentifier() and signal.isascii() and len(signal) <= LONGEST_NAME
+        if not is_name or signal in reserved:
+            raise BadLaw(
+                f"a signal cannot be named {signal[:LONGEST_NAME]!r}",
+                f"give letters, digits and _, at most {LONGEST_NAME}, and not the name of a channel",
+            )
+
+
+def _check_values(kind: str, values: Mapping[str, float], remedy: str) -> None:
+    """Raise a BadLaw if there are too many states or parameters, or if a value is not a number of the board.
+
+    Parameters
+    ----------
+    kind : str
+        ``state`` or ``parameter``, for messages.
+    values : Mapping of str to float
+        Values by name.
+    remedy : str
+        What to do if there are too many.
+    """
+    if len(values) > MAX_STATES:
+        raise BadLaw(
+            f"{len(values)} {kind}s are too many for a board", f"give at most {MAX_STATES}: {remedy}"
+        )
+    for name, value in values.items():
+        check_number(f"{kind} {name}", value)
 
 
 def casadi_function(
@@ -96,5 +112,5 @@ def casadi_function(
 
 
 def column_of(scalars: Sequence[ca.SX]) -> ca.SX:
-    """Return `scalars` as a column, shape (n, 1), also if there are none."""
+    """Return a column of `scalars`, shape (n, 1); n may be 0, which `casadi.vertcat` does not accept."""
     return ca.vertcat(*scalars) if scalars else ca.SX(0, 1)

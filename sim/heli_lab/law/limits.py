@@ -1,7 +1,9 @@
-"""Limits of a process that runs a stranger's file: time, memory, and no files, sockets or other processes.
+"""Limit a process that runs an untrusted file: its time and memory, and no written files, sockets or
+processes.
 
-Two fences: a hook of Python that gives readable reasons, on every system; and on Linux a filter of system
-calls (seccomp), which no code of the process can remove. Reading of files is allowed.
+There are two fences. On every system, an audit hook of Python refuses actions with readable reasons. On
+Linux, a filter of system calls (seccomp), which no code of the process can remove, refuses them too. Reading
+files is allowed.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ _REFUSED: Final[Mapping[str, tuple[str, ...]]] = {
     "change a file": ("os.chmod", "os.chown", "os.utime", "os.setxattr"),
     "change its limits": ("resource.",),
 }
-"""What a file may not do, and how the events of Python's audit for it begin."""
+"""Actions that a file may not do, and the beginnings of the audit events that Python raises for them."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class FileLimits:
 def fence_process(limits: FileLimits) -> None:
     """Apply the limits to this process, until it ends.
 
-    Without Linux, only the hook of Python and the limits that the system knows apply.
+    On systems other than Linux, only the audit hook and the limits that the system offers apply.
     """
     seconds = math.ceil(time.process_time() + limits.cpu_s)
     # SIGXCPU states the reason; a file that ignores it is killed a second later.
@@ -76,9 +78,7 @@ def fence_process(limits: FileLimits) -> None:
 
 
 def _refuse(event: str, arguments: tuple[Any, ...]) -> None:
-    """Refuse an `event` of Python's audit that opens a file for writing, a socket or a process, by a
-    PermissionError.
-    """
+    """Raise a PermissionError for an audit event that writes a file, opens a socket or starts a process."""
     if event == "open":
         flags = arguments[2] if len(arguments) > 2 else 0
         if isinstance(flags, int) and flags & _WRITES:
@@ -144,7 +144,7 @@ class _FilterProgram(ctypes.Structure):
 
 
 def _filter_system_calls() -> None:
-    """Install the filter; on a processor without one, do nothing."""
+    """Install the filter of system calls; on a processor whose calls are unknown here, do nothing."""
     machine = platform.machine()
     if machine not in _ARCHITECTURES:
         return
@@ -160,7 +160,13 @@ def _filter_system_calls() -> None:
 
 
 def _filter(machine: str) -> list[tuple[int, int, int, int]]:
-    """Instructions of the filter for a processor: code, jump if true, jump if false, operand."""
+    """Write the filter for a processor: a list of instructions of the kernel's packet filter (BPF).
+
+    Returns
+    -------
+    list of (int, int, int, int)
+        For each instruction: code, jump if true, jump if false, operand.
+    """
     column = list(_ARCHITECTURES).index(machine)
     lines = [
         (_LOAD, 0, 0, _ARCHITECTURE_AT),
@@ -178,7 +184,7 @@ def _filter(machine: str) -> list[tuple[int, int, int, int]]:
             lines.extend(instructions)
 
     def refuse_bits(call: tuple[int, int], argument: int, bits: int, *, wanted: bool) -> None:
-        """Refuse a call unless its argument has one of the bits, or none of them."""
+        """Refuse a call unless its argument has one of the bits, or, if not `wanted`, none of them."""
         hit, miss = (1, 0) if wanted else (0, 1)
         on_call(
             call,
@@ -190,13 +196,14 @@ def _filter(machine: str) -> list[tuple[int, int, int, int]]:
 
     for call in _CALLS.values():
         on_call(call, (_RETURN, 0, 0, _EPERM))
-    # The C library then uses the older calls, whose arguments a filter can read.
+    # These calls pass a pointer, which a filter cannot follow. If they do not exist (ENOSYS), the C library
+    # uses the older calls, whose arguments a filter can read.
     for call in (_CLONE3, _OPENAT2):
         on_call(call, (_RETURN, 0, 0, _ENOSYS))
     refuse_bits(_CLONE, 0, _CLONE_THREAD, wanted=True)
     refuse_bits(_OPEN, 1, _WRITES, wanted=False)
     refuse_bits(_OPENAT, 2, _WRITES, wanted=False)
-    # prlimit64 with new limits: the pointer to them is not null.
+    # prlimit64 with new limits: the pointer to them, argument 2, is not null in one of its halves.
     on_call(
         _PRLIMIT,
         (_LOAD, 0, 0, _ARGUMENT_AT + 16),

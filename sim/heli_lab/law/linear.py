@@ -16,6 +16,7 @@ from heli_lab.law.law import Law
 from heli_lab.tune.plants import LinearPlant
 
 BODE_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
+"""Frequencies at which the margins are computed."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,8 @@ class LinearisedLaw:
     poles : ndarray of complex
         Poles of the closed loop, converted to those of a continuous system [1/s].
     gain_up, phase_deg : tuple of float
-        Margins at the collective and at the differential, the other loop closed.
+        Gain margin (largest factor on the gain) and phase margin, at the collective and at the differential,
+        with the other loop closed.
     """
 
     poles: npt.NDArray[np.complex128]
@@ -46,48 +48,72 @@ def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
     Parameters
     ----------
     law : Law
-        What flies.
+        The control law.
+    plant : LinearPlant
+        The rig, linearised at level hover.
     """
-    angles = ["elevation_rad", "pitch_rad", "travel_rad"]
-    rates = [f"{angle}_s" for angle in angles]
-    x0 = ca.DM([*law.states.values()])
-    p0 = ca.DM([*law.parameters.values()])
-    u0 = np.zeros(len(LAW_INPUTS))
-    inputs, states = ca.SX.sym("u", len(LAW_INPUTS)), ca.SX.sym("x", len(law.states))
-    outputs, new = law.function(inputs, states, p0)
-    jacobian = ca.Function(
-        "j", [inputs, states],
-        [ca.jacobian(given, by) for given in (new, outputs) for by in (states, inputs)],
-    )  # fmt: skip
-    A, B, C, D = (np.asarray(ca.DM(matrix)) for matrix in jacobian(u0, x0))
-    columns = [LAW_INPUTS.index(name) for name in (*angles, *rates)]
-    mix = np.array([[1.0, 1.0], [1.0, -1.0]])
-    regulator = control.ss(A, B[:, columns], mix @ C[:2], mix @ D[:2][:, columns], law.dt_s)
+    regulator = _linear_regulator(law)
     rig = control.append(
         control.ss(plant.elevation_A, plant.elevation_B[:, None], np.eye(2, 3), 0),
         control.ss(plant.tilt_A, plant.tilt_B[:, None], np.eye(4, 5), 0),
     ).sample(law.dt_s)
-    # Elevation, its rate; pitch, travel, their rates: into the order of the law's inputs.
+    # The rig gives elevation, its rate, pitch, travel and their rates; the law takes angles, then rates.
     order = np.eye(6)[[0, 2, 3, 1, 4, 5]]
     loop = regulator * (order * rig)
     closed = control.feedback(loop, control.ss([], [], [], np.eye(2), law.dt_s), sign=1)
-    poles = np.log(np.maximum(np.abs(closed.poles()), 1e-12)) + 1j * np.angle(closed.poles())
-    (gain_up, phase_deg), (other_gain_up, other_phase_deg) = (_margins(loop, motor) for motor in (0, 1))
-    return LinearisedLaw(poles / law.dt_s, (gain_up, other_gain_up), (phase_deg, other_phase_deg))
+    # A discrete pole z is that of a continuous system at log(z) / dt.
+    log_poles = np.log(np.maximum(np.abs(closed.poles()), 1e-12)) + 1j * np.angle(closed.poles())
+    collective_gain, collective_deg = _margins(loop, 0)
+    differential_gain, differential_deg = _margins(loop, 1)
+    return LinearisedLaw(
+        log_poles / law.dt_s,
+        gain_up=(collective_gain, differential_gain),
+        phase_deg=(collective_deg, differential_deg),
+    )
 
 
-def _margins(loop: control.StateSpace, motor: int) -> tuple[float, float]:
-    """Gain and phase margin at one input, the other loop closed."""
-    other = 1 - motor
+def _linear_regulator(law: Law) -> control.StateSpace:
+    """Linearise a law at its initial states: from three angles and their rates to collective and
+    differential, the sum and the difference of the voltages.
+    """
+    angles = ["elevation_rad", "pitch_rad", "travel_rad"]
+    rates = [f"{angle}_s" for angle in angles]
+    initial_states = ca.DM([*law.states.values()])
+    parameters = ca.DM([*law.parameters.values()])
+    inputs, states = ca.SX.sym("u", len(LAW_INPUTS)), ca.SX.sym("x", len(law.states))
+    outputs, new_states = law.function(inputs, states, parameters)
+    jacobian = ca.Function(
+        "j", [inputs, states],
+        [ca.jacobian(result, by) for result in (new_states, outputs) for by in (states, inputs)],
+    )  # fmt: skip
+    A, B, C, D = (np.asarray(ca.DM(matrix)) for matrix in jacobian(np.zeros(len(LAW_INPUTS)), initial_states))
+    columns = [LAW_INPUTS.index(name) for name in (*angles, *rates)]
+    mix = np.array([[1.0, 1.0], [1.0, -1.0]])
+    return control.ss(A, B[:, columns], mix @ C[:2], mix @ D[:2][:, columns], law.dt_s)
+
+
+def _margins(loop: control.StateSpace, channel: int) -> tuple[float, float]:
+    """Compute gain and phase margin of a loop at one of its two channels, with the other loop closed.
+
+    Returns
+    -------
+    gain : float
+        Largest factor on the gain for which the loop is stable; infinite without a limit.
+    phase_deg : float
+        Phase margin [deg]; infinite if the gain never crosses 1.
+    """
+    other = 1 - channel
     A, B, C, D = (np.asarray(matrix) for matrix in (loop.A, loop.B, loop.C, loop.D))
-    around = A + B[:, [other]] @ C[[other]] / (1.0 - D[other, other])
-    alone = control.ss(around, B[:, [motor]], -C[[motor]], -D[motor, motor], loop.dt)
-    response = np.asarray(control.frequency_response(alone, BODE_FREQUENCY_rad_s, squeeze=True).complex)
-    phase_deg = np.degrees(np.angle(-response))  # from -180 degrees
-    turns = (
+    other_closed_A = A + B[:, [other]] @ C[[other]] / (1.0 - D[other, other])
+    single_loop = control.ss(other_closed_A, B[:, [channel]], -C[[channel]], -D[channel, channel], loop.dt)
+    response = np.asarray(control.frequency_response(single_loop, BODE_FREQUENCY_rad_s, squeeze=True).complex)
+    # Phase relative to -180 degrees.
+    phase_deg = np.degrees(np.angle(-response))
+    crosses_180_deg = (
         (np.diff(np.sign(response.imag)) != 0) & (response.real[:-1] < 0.0) & (np.abs(response[:-1]) < 1.0)
     )
-    gain = float((1.0 / np.abs(response[:-1][turns])).min()) if turns.any() else float("inf")
-    crosses = np.diff(np.sign(np.abs(response) - 1.0)) != 0
-    margin = float(np.abs(phase_deg[:-1][crosses]).min()) if crosses.any() else float("inf")
-    return gain, margin
+    gains = 1.0 / np.abs(response[:-1][crosses_180_deg])
+    gain = float(gains.min()) if crosses_180_deg.any() else float("inf")
+    crosses_1 = np.diff(np.sign(np.abs(response) - 1.0)) != 0
+    margin_deg = float(np.abs(phase_deg[:-1][crosses_1]).min()) if crosses_1.any() else float("inf")
+    return gain, margin_deg

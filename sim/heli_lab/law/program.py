@@ -1,7 +1,7 @@
-"""A law as a program of values: every operation occurs once, and operations without effect are left out.
+"""Build a program for the board from CasADi's operations, and simplify it on the way.
 
-CasADi's `SX` functions are straight-line programs already. Operations of CasADi that the board does not have
-are composed of operations that it has.
+Equal operations are computed once, and operations without effect are left out. An operation of CasADi that
+the board does not have is composed of operations that it has.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ CODE: Final = {operation.name: operation.code for operation in OPERATIONS}
 FIXED_OUTPUTS: Final = 5
 """Outputs of every law: two voltages and three setpoints. Its signals follow, then its new states."""
 BINARY: Final = frozenset(operation.code for operation in OPERATIONS if operation.operands == 2)
+"""Codes of the operations with two operands."""
 _MAX_POWER: Final = 16
+"""Largest exponent of a power that is composed of products."""
 
 _ON_BOARD: Final = {
     ca.OP_ADD: "add", ca.OP_SUB: "subtract", ca.OP_MUL: "multiply", ca.OP_DIV: "divide", ca.OP_NEG: "negate",
@@ -46,7 +48,7 @@ class Value:
         For an input, constant, parameter or state, its index among those of its kind. For a sum of products,
         bit k is set if product k is subtracted. For any other operation, 0.
     operands : tuple of int
-        Indices of the values that it is computed from.
+        Indices of the values from which this value is computed.
     """
 
     kind: str
@@ -55,7 +57,7 @@ class Value:
 
 
 class Program:
-    """Values in the order in which they are computed; the same operation on the same values is done once.
+    """Values in the order of their computation; the same operation on the same values occurs once.
 
     Parameters
     ----------
@@ -74,7 +76,8 @@ class Program:
         self.name = name
         self.values: list[Value] = []
         self.constants: list[float] = []
-        self._known: dict[Value, int] = {}
+        # Index of each value.
+        self._index: dict[Value, int] = {}
 
     def put(self, value: Value) -> int:
         """Add a value, unless the program has it already; return its index.
@@ -82,16 +85,16 @@ class Program:
         Parameters
         ----------
         value : Value
-            What is computed.
+            The value, whose operands the program has already.
         """
-        index = self._known.get(value)
+        index = self._index.get(value)
         if index is None:
-            index = self._known[value] = len(self.values)
+            index = self._index[value] = len(self.values)
             self.values.append(value)
         return index
 
     def copy_value(self, other: Program, index: int, new_index: dict[int, int]) -> None:
-        """Copy a value of another program, and note its index here.
+        """Copy a value of another program, and add its new index to `new_index`.
 
         Parameters
         ----------
@@ -100,7 +103,8 @@ class Program:
         index : int
             Index of the value in `other`.
         new_index : dict of int to int
-            Index here by index in `other`, of all values that this value is computed from; extended.
+            For each value copied so far, its index in this program by its index in `other`. The operands of
+            the value must be among them.
         """
         value = other.values[index]
         if value.kind == "constant":
@@ -115,12 +119,12 @@ class Program:
         Parameters
         ----------
         number : float
-            Rounded to single precision.
+            The constant, which is rounded to single precision.
 
         Raises
         ------
         BadLaw
-            It is not finite, or beyond single precision.
+            The constant is not finite, or beyond single precision.
         """
         if not math.isfinite(number):
             raise BadLaw(
@@ -161,15 +165,15 @@ class Program:
             Indices of its operands.
         """
         numbers = [self.constant_number(operand) for operand in operands]
-        folded = _CONSTANT_FOLDING.get(name)
-        if folded is not None and None not in numbers:
-            result = folded(*numbers)
+        compute = _CONSTANT_FOLDING.get(name)
+        if compute is not None and None not in numbers:
+            result = compute(*numbers)
             if math.isfinite(result):
                 return self.constant(result)
-        simpler = _SIMPLIFICATION.get(name)
-        simplified = simpler(self, operands, numbers) if simpler is not None else None
-        if simplified is not None:
-            return simplified
+        simplify = _SIMPLIFICATION.get(name)
+        simpler_index = simplify(self, operands, numbers) if simplify is not None else None
+        if simpler_index is not None:
+            return simpler_index
         if name in _COMMUTATIVE:
             operands = tuple(sorted(operands))
         return self.put(Value(name, 0, operands))
@@ -187,7 +191,7 @@ class Program:
         Raises
         ------
         BadLaw
-            No board computes it.
+            The board cannot compute the operation.
         """
         if code in _ON_BOARD:
             name = _ON_BOARD[code]
@@ -206,7 +210,7 @@ class Program:
     def _power(self, a: int, b: int) -> int:
         """Compose a power of the value `a` from products; the exponent `b` must be a whole number or 1/2."""
         constant = self.constant_number(b)
-        # nan is no whole number, so the test below refuses an exponent that is not a constant.
+        # The test below refuses nan, and thus an exponent that is not a constant.
         exponent = math.nan if constant is None else constant
         if exponent == 0.5:
             return self.append("square_root", a)
@@ -244,66 +248,73 @@ _CONSTANT_FOLDING: Final[dict[str, Callable[..., float]]] = {
 _Numbers = list[float | None]
 """Value of each operand that is a constant, otherwise None."""
 
+# Each of the following functions simplifies one operation of a program. It returns the index of a value that
+# is cheaper to compute and has the same result; None if there is none.
 
-def _sum(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+
+def _simpler_sum(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """Simplify x + 0 to x."""
     if 0.0 in numbers:
         return operands[1 - numbers.index(0.0)]
     return None
 
 
-def _difference(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
-    """Simplify the difference of equal values, and one with 0."""
+def _simpler_difference(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """Simplify x - x to 0, x - 0 to x, and 0 - x to -x."""
     if operands[0] == operands[1]:
-        return p.constant(0.0)
+        return program.constant(0.0)
     if numbers[1] == 0.0:
         return operands[0]
-    return p.append("negate", operands[1]) if numbers[0] == 0.0 else None
+    return program.append("negate", operands[1]) if numbers[0] == 0.0 else None
 
 
-def _product(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
-    """A simpler value than a product with 1, -1 or 0; None if there is none."""
+def _simpler_product(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """Simplify products with 1, -1 and 0."""
     for number, other in zip(numbers, reversed(operands), strict=True):
         if number == 1.0:
             return other
         if number == -1.0:
-            return p.append("negate", other)
+            return program.append("negate", other)
         if number == 0.0:
-            return p.constant(0.0)
+            return program.constant(0.0)
     return None
 
 
-def _quotient(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+def _simpler_quotient(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
     """Replace a division by a constant by a product with its reciprocal, which is cheaper."""
     divisor = numbers[1]
-    # Beyond these the reciprocal is no normal number of single precision.
+    # Beyond these limits, the reciprocal is not a normal number of single precision.
     if divisor is None or not 1e-37 < abs(divisor) < 1e37:
         return None
-    return p.append("multiply", operands[0], p.constant(1.0 / divisor))
+    return program.append("multiply", operands[0], program.constant(1.0 / divisor))
 
 
-def _negated(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
-    """Simplify the negation of a negation, and of a difference."""
-    inner = p.values[operands[0]]
+def _simpler_negation(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """Simplify -(-x) to x, and -(x - y) to y - x."""
+    inner = program.values[operands[0]]
     if inner.kind == "negate":
         return inner.operands[0]
-    return p.append("subtract", *reversed(inner.operands)) if inner.kind == "subtract" else None
+    return program.append("subtract", *reversed(inner.operands)) if inner.kind == "subtract" else None
 
 
-def _same(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+def _simpler_extremum(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """Simplify the minimum and the maximum of x and x to x."""
     return operands[0] if operands[0] == operands[1] else None
 
 
-def _selected(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+def _simpler_selection(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    """Simplify a selection, x if a condition holds and otherwise 0, of 0 or by a constant condition."""
     if numbers[1] == 0.0 or numbers[0] == 0.0:
-        return p.constant(0.0)
+        return program.constant(0.0)
     return operands[1] if numbers[0] is not None else None
 
 
 _SIMPLIFICATION: Final[dict[str, Callable[[Program, tuple[int, ...], _Numbers], int | None]]] = {
-    "add": _sum, "subtract": _difference, "multiply": _product, "divide": _quotient, "negate": _negated,
-    "minimum": _same, "maximum": _same, "select": _selected,
+    "add": _simpler_sum, "subtract": _simpler_difference, "multiply": _simpler_product,
+    "divide": _simpler_quotient, "negate": _simpler_negation, "minimum": _simpler_extremum,
+    "maximum": _simpler_extremum, "select": _simpler_selection,
 }  # fmt: skip
-"""For an operation: a value that already is its result or is cheaper to compute; None if there is none."""
+"""Functions that simplify an operation, by its name."""
 
 _COMPOSED: Final[dict[int, Callable[[Program, int, int], int]]] = {
     ca.OP_ASSIGN: lambda _, a, b: a,

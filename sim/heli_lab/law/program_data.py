@@ -1,4 +1,7 @@
-"""A program of a board as plain data that a stranger may have made, and as a function of CasADi again."""
+"""Convert a program of the board to JSON and back, and back to a law.
+
+The JSON may come from an untrusted process, so that every entry is checked.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from heli_lab.law.sums import SUM
 _MAX_ITEMS: Final = 8192
 """Longest list [entries]: more than the 1,536 words that a board stores."""
 
-_COMPUTED: Final[dict[str, Callable[..., Any]]] = {
+_FUNCTION_OF_OPERATION: Final[dict[str, Callable[..., Any]]] = {
     "copy": lambda a: a, "add": lambda a, b: a + b, "subtract": lambda a, b: a - b,
     "multiply": lambda a, b: a * b, "divide": lambda a, b: a / b, "negate": lambda a: -a,
     "absolute": ca.fabs, "minimum": ca.fmin, "maximum": ca.fmax, "less": lambda a, b: a < b,
@@ -55,7 +58,7 @@ def program_json(program: LawProgram) -> str:
 
 
 def program_of_json(text: str) -> LawProgram:
-    """Read a program that a process without trust wrote; every number is checked.
+    """Read a program that an untrusted process wrote; every entry is checked.
 
     Parameters
     ----------
@@ -65,7 +68,7 @@ def program_of_json(text: str) -> LawProgram:
     Raises
     ------
     BadLaw
-        It is not such a text, or the board could not run the program.
+        The text is not that of a program, or the board cannot run the program.
     """
     try:
         content = json.loads(text)
@@ -75,7 +78,7 @@ def program_of_json(text: str) -> LawProgram:
 
 
 def _program(content: Mapping[str, Any]) -> LawProgram:
-    """Convert the `content` of a JSON text; other content raises one of the errors of Python."""
+    """Convert the `content` of a JSON text to a program; invalid content raises one of Python's errors."""
     constants = tuple(_number("constant", value) for value in _list(content["constants"]))
     parameters = tuple(_named("parameter", *pair) for pair in _list(content["parameters"]))
     states = tuple(_named("state", *pair) for pair in _list(content["states"]))
@@ -93,7 +96,8 @@ def _program(content: Mapping[str, Any]) -> LawProgram:
         signals,
         tuple(_instruction(*fields) for fields in _list(content["instructions"])),
     )
-    law_of_program(program)  # its names are checked, and every cell is written before it is read
+    # This checks names, and that every cell is written before it is read.
+    law_of_program(program)
     return program
 
 
@@ -103,7 +107,7 @@ def law_of_program(program: LawProgram) -> Law:
     Parameters
     ----------
     program : LawProgram
-        Program as the board takes it.
+        Program of the board.
 
     Raises
     ------
@@ -115,13 +119,14 @@ def law_of_program(program: LawProgram) -> Law:
         ca.SX.sym(kind, len(values))
         for kind, values in (("states", program.states), ("parameters", program.parameters))
     )
-    start = [
+    # The board's memory before the first instruction.
+    first_cells = [
         *ca.vertsplit(inputs),
         *(ca.SX(value) for value in program.constants),
         *(parameters[k] for k in range(len(program.parameters))),
         *(states[k] for k in range(len(program.states))),
     ]
-    cells: dict[int, ca.SX] = dict(enumerate(start))
+    cells: dict[int, ca.SX] = dict(enumerate(first_cells))
     try:
         for instruction in program.instructions:
             if instruction.code == CODE[SUM]:
@@ -131,16 +136,16 @@ def law_of_program(program: LawProgram) -> Law:
                 )
                 cells[instruction.target] = sum(products, ca.SX(0.0))
             else:
-                cells[instruction.target] = _COMPUTED[OPERATIONS[instruction.code].name](
-                    *(cells[cell] for cell in instruction.read)
-                )
+                function_of_operation = _FUNCTION_OF_OPERATION[OPERATIONS[instruction.code].name]
+                cells[instruction.target] = function_of_operation(*(cells[cell] for cell in instruction.read))
         results = [cells[cell] for cell in program.outputs]
     except KeyError as error:
         raise BadLaw(
             f"the law {program.name} reads cell {error} before it is written", "compile the law again"
         ) from error
-    count = FIXED_OUTPUTS + len(program.signals)
-    function = casadi_function(inputs, states, parameters, results[:count], results[count:])
+    output_count = FIXED_OUTPUTS + len(program.signals)
+    outputs, new_states = results[:output_count], results[output_count:]
+    function = casadi_function(inputs, states, parameters, outputs, new_states)
     return Law(
         program.name,
         program.rate_Hz,
@@ -152,22 +157,26 @@ def law_of_program(program: LawProgram) -> Law:
 
 
 def _list(value: Any) -> list[Any]:
+    """Check that a value is a list, and not too long."""
     if not isinstance(value, list) or len(value) > _MAX_ITEMS:
         raise TypeError("not a list of a program")
     return value
 
 
 def _whole(value: Any, stop: int) -> int:
+    """Check that a value is a whole number from 0 to `stop` - 1."""
     if type(value) is not int or not 0 <= value < stop:
         raise ValueError("not a number of a program")
     return value
 
 
 def _cell(value: Any) -> int:
+    """Check that a value is the number of a cell."""
     return _whole(value, LAW_CELLS)
 
 
 def _number(what: str, value: Any) -> float:
+    """Check that a value is a number that the board can store; messages call it `what`."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError("not a number")
     check_number(what, float(value))
@@ -175,19 +184,21 @@ def _number(what: str, value: Any) -> float:
 
 
 def _name(value: Any) -> str:
+    """Check that a value is a text, and make it safe to print: short, and without control characters."""
     if not isinstance(value, str):
         raise TypeError("not a name")
     return "".join(letter if letter.isprintable() else "?" for letter in value[:LONGEST_NAME])
 
 
 def _named(kind: str, name: Any, value: Any) -> tuple[str, float]:
-    """Name and value of a parameter or state, checked."""
+    """Check name and value of a parameter or state, its `kind`."""
     return _name(name), _number(f"{kind} {_name(name)}", value)
 
 
 def _instruction(code: Any, target: Any, first: Any, second: Any, terms: Any) -> Instruction:
+    """Check the entries of an instruction; only a sum of products has terms."""
     code = _whole(code, len(OPERATIONS))
-    known = [Term(_cell(a), _cell(b), bool(_whole(negative, 2))) for a, b, negative in _list(terms)]
-    if bool(known) != (code == CODE[SUM]) or len(known) > LAW_MAX_TERMS:
+    checked_terms = [Term(_cell(a), _cell(b), bool(_whole(negative, 2))) for a, b, negative in _list(terms)]
+    if bool(checked_terms) != (code == CODE[SUM]) or len(checked_terms) > LAW_MAX_TERMS:
         raise ValueError("terms of another operation")
-    return Instruction(code, _cell(target), _cell(first), _cell(second), tuple(known))
+    return Instruction(code, _cell(target), _cell(first), _cell(second), tuple(checked_terms))

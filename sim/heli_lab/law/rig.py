@@ -1,4 +1,4 @@
-"""The rig that a file designs its control law for."""
+"""Choose the rig for which the file of a law designs its controller: by ``--rig``, or the file's default."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def law_rig(default: str | Path = "makki2024") -> Rig:
 
 
 def rig_environment(rig: str | None) -> Mapping[str, str]:
-    """Return the environment variable for a process that runs the file of a law.
+    """Return the environment variable that tells `law_rig` in another process which rig to use.
 
     Parameters
     ----------
     rig : str or None
-        Name or path, as typed; None leaves the choice to the file.
+        Name or path, as typed. With None, the file uses its default rig.
     """
     if rig is None:
         return {}

@@ -1,7 +1,8 @@
 """Run the file of a law in a separate process: ``python -m heli_lab.law.run_file FILE [CPU_S MEMORY_MB]``.
 
-Standard output is a line when the file begins to run, then a pickle: the law, or the error's cause and fix.
-With limits, the file is a stranger's: it is fenced in, and the answer is JSON, which the reader checks.
+Standard output gets a line when the file begins to run, and then the answer: a pickle of the law, or of the
+error's cause and fix. If limits are given, the file is not trusted: its process is fenced, and the answer is
+JSON, which the reader checks.
 """
 
 from __future__ import annotations
@@ -36,12 +37,17 @@ def answer_to(path: Path) -> dict[str, Any]:
 
 
 def program_or_error(path: Path) -> dict[str, str]:
-    """Run a stranger's file; its program as JSON, or what is wrong.
+    """Run an untrusted file, and compile its law.
 
     Parameters
     ----------
     path : Path
-        The file; this process has its limits already.
+        The file. The limits of this process must be set before.
+
+    Returns
+    -------
+    dict of str
+        ``program`` as JSON; or ``cause`` and ``remedy`` of an error.
     """
     answer = answer_to(path)
     law = answer["law"]
@@ -63,7 +69,7 @@ def run_law(path: Path) -> Law:
     """
     try:
         with _importing_from(path.parent):
-            held = runpy.run_path(str(path))
+            variables = runpy.run_path(str(path))
     except HeliError:
         raise
     except SyntaxError as error:
@@ -71,7 +77,7 @@ def run_law(path: Path) -> Law:
             f"{path.name} is not valid Python: {error.msg}{_at(error.lineno)}",
             "correct this line" if error.lineno else "give a Python file that ends with LAW = ...",
         ) from error
-    # SystemExit: a file that ends the program would otherwise end with its own code, and no word.
+    # SystemExit too: a file that calls sys.exit would otherwise end this process without a message.
     except (Exception, SystemExit) as error:
         text = str(error).split("\n")[0]
         lines = [
@@ -81,46 +87,49 @@ def run_law(path: Path) -> Law:
             f"{path.name} fails: {type(error).__name__}: {text}{_at(lines[-1] if lines else None)}",
             "correct the file; python FILE shows details",
         ) from error
-    law = held.get("LAW")
+    law = variables.get("LAW")
     if isinstance(law, Law):
         return law
-    variable = next((name for name, value in held.items() if isinstance(value, Law)), "")
+    variable = next((name for name, value in variables.items() if isinstance(value, Law)), "")
     if law is not None:
         raise BadLaw(f"the LAW of {path.name} has the type {type(law).__name__}", _remedy(variable))
     raise BadLaw(f"{path.name} does not define LAW", _remedy(variable))
 
 
 def _answers() -> IO[bytes]:
-    """Keep standard output for the answer; what the file prints goes to standard error."""
+    """Reserve standard output for the answer; what the file prints goes to standard error."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     return answers
 
 
-def _remedy(name: str) -> str:
-    if name:
-        return f"end it with LAW = {name}"
+def _remedy(variable: str) -> str:
+    """Say how to define LAW, if possible by the `variable` that already holds a law."""
+    if variable:
+        return f"end it with LAW = {variable}"
     return "end it with LAW = ..., what @control_law or from_gain of heli_lab.law makes"
 
 
 def _at(line: int | None) -> str:
+    """Words for the number of a line; empty if it is unknown."""
     return "" if line is None else f" (line {line})"
 
 
 @contextmanager
 def _importing_from(folder: Path) -> Iterator[None]:
-    """Put a folder before all others on the path of imports."""
-    where = str(folder.resolve())
-    sys.path.insert(0, where)
+    """Search a folder for imported modules before all others, until the block ends."""
+    path = str(folder.resolve())
+    sys.path.insert(0, path)
     try:
         yield
     finally:
-        sys.path.remove(where)
+        sys.path.remove(path)
 
 
 def main() -> None:
     """Run the file named on the command line."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever waits for the answer
+    # Ctrl-C ends the process that waits for the answer, and that process ends this one.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     path, limits = Path(sys.argv[1]), [float(word) for word in sys.argv[2:]]
     sys.argv = [str(path)]
     with _answers() as answers:

@@ -23,12 +23,13 @@ ERRORS = (*(f"{axis}_rad" for axis in AXES), *(f"{axis}_rad_s" for axis in AXES)
 
 
 def _errors(now: Any) -> Any:
-    """Return the six `ERRORS`, inputs of a law (`now`) less their setpoints, as a column."""
-    level = {"pitch_rad": 0.0, "pitch_rad_s": 0.0}
-    setpoints = [
-        level.get(name, getattr(now, name.replace("_rad", "_setpoint_rad", 1), 0.0)) for name in ERRORS
-    ]
-    return ca.vertcat(*(getattr(now, name) - r for name, r in zip(ERRORS, setpoints, strict=True)))
+    """Return the six `ERRORS` as a column: inputs of a law, `now`, minus their setpoints."""
+    errors = []
+    for name in ERRORS:
+        setpoint_name = name.replace("_rad", "_setpoint_rad", 1)
+        setpoint = 0.0 if name.startswith("pitch") else getattr(now, setpoint_name, 0.0)
+        errors.append(getattr(now, name) - setpoint)
+    return ca.vertcat(*errors)
 
 
 def from_gain(
@@ -65,7 +66,7 @@ def from_gain(
 
     @control_law(rate_Hz=rate_Hz, name=name, parameters={"hover_V": hover_V})
     def law(now: Any, state: Any, parameter: Any) -> Command:
-        """Call the CasADi function with the columns that it takes."""
+        """Multiply the errors by the gains, and convert the result to motor voltages."""
         command_V = -ca.mtimes(ca.DM(gains), _errors(now))
         return Command(*motor_volts(parameter.hover_V + command_V[0], command_V[1], dead_zone_V))
 
@@ -112,13 +113,13 @@ def from_state_space(
         rate_Hz=rate_Hz, name=name, states=dict.fromkeys(names, 0.0), parameters={"hover_V": hover_V}
     )
     def law(now: Any, state: Any, parameter: Any) -> Command:
-        """One step of the state space: voltages, and new states."""
+        """Take one step of the state space: compute voltages and new states."""
         x = column_of([getattr(state, key) for key in names])
         errors = _errors(now)
         command_V = ca.mtimes(C, x) + ca.mtimes(D, errors)
-        new = ca.mtimes(A, x) + ca.mtimes(B, errors)
-        volts = motor_volts(parameter.hover_V + command_V[0], command_V[1], dead_zone_V)
-        return Command(*volts, states={key: new[k] for k, key in enumerate(names)})
+        next_x = ca.mtimes(A, x) + ca.mtimes(B, errors)
+        front_V, back_V = motor_volts(parameter.hover_V + command_V[0], command_V[1], dead_zone_V)
+        return Command(front_V, back_V, states={key: next_x[k] for k, key in enumerate(names)})
 
     return law
 
@@ -156,24 +157,28 @@ def from_function(
     expected_sizes = [len(LAW_INPUTS), len(states), len(values)]
     sizes = [function.numel_in(k) for k in range(function.n_in())]
     output_sizes = [function.numel_out(k) for k in range(function.n_out())]
-    takes = sizes == expected_sizes[: len(sizes)] and not any(expected_sizes[len(sizes) :])
-    if not takes or output_sizes not in ([2], [2, len(states)]) or (len(output_sizes) == 1 and len(states)):
+    # States and parameters may be missing among the arguments if the law has none.
+    are_arguments_right = sizes == expected_sizes[: len(sizes)] and not any(expected_sizes[len(sizes) :])
+    are_results_right = output_sizes == [2, len(states)] or (output_sizes == [2] and not states)
+    if not are_arguments_right or not are_results_right:
         raise BadLaw(
             f"the function {function.name()} takes {sizes} and gives {output_sizes} numbers",
             f"write it with {expected_sizes} arguments (inputs, states, parameters) "
             f"and results [2, {len(states)}] (voltages, states)",
         )
     names = [f"x{k}" for k in range(len(states))]
-    first = dict(zip(names, states, strict=True))
+    initial = dict(zip(names, states, strict=True))
 
-    @control_law(rate_Hz=rate_Hz, name=name or function.name(), states=first, parameters=values)
+    @control_law(rate_Hz=rate_Hz, name=name or function.name(), states=initial, parameters=values)
     def law(now: Any, state: Any, parameter: Any) -> Command:
+        """Call the CasADi function with columns of symbols."""
         arguments = [
             column_of([getattr(symbols, key) for key in keys])
             for symbols, keys in ((now, LAW_INPUTS), (state, names), (parameter, values))
         ]
         results = function.call(arguments[: len(sizes)])
-        new = {key: results[1][k] for k, key in enumerate(names)} if names else {}
-        return Command(results[0][0], results[0][1], states=new)
+        volts = results[0]
+        new_states = {key: results[1][k] for k, key in enumerate(names)} if names else {}
+        return Command(volts[0], volts[1], states=new_states)
 
     return law

@@ -13,8 +13,9 @@ from heli_host.link.clock import TICK_S
 
 
 class _RateFilter:
-    """Rate of a signal: two low-pass filters in series; the rate is the slope of the second, as in
-    firmware/core/control.
+    """Estimates the rate of a signal by two low-pass filters in series, as in firmware/core/control.
+
+    The rate is the slope of the second filter.
 
     Parameters
     ----------
@@ -24,21 +25,23 @@ class _RateFilter:
 
     def __init__(self, cutoff_Hz: float) -> None:
         self.cutoff_Hz = cutoff_Hz
-        self.first: float | None = None
-        self.second = 0.0
+        # Outputs of the two filters; None before the first value.
+        self.first_output: float | None = None
+        self.second_output = 0.0
 
     def __call__(self, value: float, dt_s: float) -> float:
-        if self.first is None:
-            self.first = self.second = value
+        """Return the rate [1/s] after the next value, `dt_s` [s] after the last one."""
+        if self.first_output is None:
+            self.first_output = self.second_output = value
         smoothing = 1.0 - math.exp(-2.0 * math.pi * self.cutoff_Hz * dt_s)
-        self.first += smoothing * (value - self.first)
-        step = smoothing * (self.first - self.second)
-        self.second += step
+        self.first_output += smoothing * (value - self.first_output)
+        step = smoothing * (self.first_output - self.second_output)
+        self.second_output += step
         return step / dt_s
 
 
 class _Shaper:
-    """A setpoint that moves to its target within limits of rate and acceleration, as on the board.
+    """Moves a setpoint to its target within limits of rate and acceleration, as on the board.
 
     Parameters
     ----------
@@ -52,13 +55,15 @@ class _Shaper:
         self.present_rad_s = 0.0
 
     def __call__(self, target_rad: float, measured_rad: float, dt_s: float) -> float:
+        """Return the setpoint [rad] after `dt_s` [s]; the first one starts at the measured angle."""
         if self.angle_rad is None:
             self.angle_rad = measured_rad
         remaining_rad = target_rad - self.angle_rad
         step_rad_s = self.acceleration_rad_s2 * dt_s
-        # Half a step early, so that braking ends at the target and not behind it.
-        braking = math.sqrt(2.0 * self.acceleration_rad_s2 * abs(remaining_rad) + (step_rad_s / 2) ** 2)
-        fastest_rad_s = min(self.rate_rad_s, braking - step_rad_s / 2, abs(remaining_rad) / dt_s)
+        # Largest rate from which the setpoint can still stop at the target. Braking begins half a step early,
+        # so that it ends at the target and not behind.
+        braking_rad_s = math.sqrt(2.0 * self.acceleration_rad_s2 * abs(remaining_rad) + (step_rad_s / 2) ** 2)
+        fastest_rad_s = min(self.rate_rad_s, braking_rad_s - step_rad_s / 2, abs(remaining_rad) / dt_s)
         change_rad_s = math.copysign(fastest_rad_s, remaining_rad) - self.present_rad_s
         self.present_rad_s += min(max(change_rad_s, -step_rad_s), step_rad_s)
         self.angle_rad += self.present_rad_s * dt_s
@@ -68,14 +73,14 @@ class _Shaper:
 class Streamed:
     """A law as a controller for `heli_host.Heli.run_controller`.
 
-    Setpoints are those given to `follow`, shaped as the board shapes its own, because the board has none
-    while voltages are streamed. The setpoints that the law follows are logged. Time is that of the samples: a
-    law of 1 kHz that is called at 200 Hz takes five steps per call, with the same inputs.
+    The board has no setpoints while voltages are streamed. The setpoints are therefore those given to
+    `follow`, shaped here as the board would. The number of steps of the law depends on the times of the
+    samples: a law of 1 kHz that is called at 200 Hz takes five steps per call, with the same inputs.
 
     Parameters
     ----------
-    runner : callable taking the inputs (17,), returning the outputs
-        The law, call by call.
+    runner : callable
+        Takes one step of the law: it takes the inputs, shape (17,), and returns the outputs.
     dt_s : float
         Time from one step of the law to the next [s].
     params : mapping of str to float
@@ -120,7 +125,7 @@ class Streamed:
         Parameters
         ----------
         sample : Sample
-            As telemetry brought it.
+            The newest sample of telemetry.
         """
         elapsed_s = self._dt_s if self._tick is None else (sample.tick - self._tick) * TICK_S
         self._tick = sample.tick

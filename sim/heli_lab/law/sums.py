@@ -1,8 +1,8 @@
 """Combine additions and multiplications of a program into sums of products, if the board computes those
 faster.
 
-What is added, taken away, and multiplied by constants on its way into one result becomes one operation with a
-term for each product: most of a linear law is that.
+A value that is made of additions, subtractions and multiplications, such as a x + b y - c z, becomes a single
+operation with one term per product. A linear law consists mostly of such values.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class _Product:
     factor : float
         Constant factor.
     first : int
-        Index of the value that it multiplies.
+        Index of the value that the factor multiplies.
     second : int or None
-        Index of a second value that it multiplies; None without one.
+        Index of a second value that is multiplied; None if there is none.
     """
 
     factor: float
@@ -83,7 +83,7 @@ def with_sums(program: Program, outputs: list[int]) -> tuple[Program, list[int]]
 
 
 def _reindexed(product: _Product, new_index: dict[int, int]) -> _Product:
-    """The same product with the indices of another program, by those of this one."""
+    """Return the same product for another program, whose indices `new_index` gives."""
     second = None if product.second is None else new_index[product.second]
     return _Product(product.factor, new_index[product.first], second)
 
@@ -91,8 +91,20 @@ def _reindexed(product: _Product, new_index: dict[int, int]) -> _Product:
 def _products_of(
     program: Program, readers: Counter[int], index: int, factor: float, is_root: bool = False
 ) -> list[_Product]:
-    """Expand `factor` times a value into products. A value that several operations read stays one product,
-    unless it `is_root`, the result of the sum; `readers` counts the operations that read each value.
+    """Expand a value of the program, times a factor, into products.
+
+    A value that several operations read is not expanded, because it is computed once anyway.
+
+    Parameters
+    ----------
+    readers : Counter of int
+        Number of operations that read each value.
+    index : int
+        Index of the value.
+    factor : float
+        Factor on the value.
+    is_root : bool
+        Whether the value is the result of the sum, which is expanded in any case.
     """
     value = program.values[index]
     if value.kind not in _LINEAR or (readers[index] > 1 and not is_root):
@@ -116,7 +128,7 @@ def _products_of(
 
 
 def _merged(program: Program, products: list[_Product]) -> list[_Product]:
-    """Combine equal products into one, and all constants into one."""
+    """Combine products of the same values into one, and all constant terms into one."""
     factors: dict[tuple[int, int | None], float] = {}
     offset, constant = 0.0, -1
     for product in products:
@@ -137,8 +149,9 @@ def _cost(name: str) -> int:
 
 
 def _put(program: Program, products: list[_Product]) -> int:
-    """Append the sum of some products as one operation, or as single operations, whichever costs less; return
-    the index of the result.
+    """Append the sum of some products to a program; return the index of the result.
+
+    The sum becomes one operation, or single additions and multiplications if they cost less.
     """
     if not products:
         return program.constant(0.0)
@@ -156,8 +169,10 @@ def _put(program: Program, products: list[_Product]) -> int:
 
 
 def _simplified(program: Program, product: _Product) -> _Product:
-    """Simplify a product: a constant and its factor become one constant, and a product of two values with a
-    factor becomes one value with that factor.
+    """Simplify a product so that a sum of products can hold it, which has two operands and a sign per term.
+
+    A constant with a factor becomes another constant. The product of two values with a factor becomes one
+    value with that factor.
     """
     number = program.constant_number(product.first)
     if number is not None and product.second is None:
@@ -168,7 +183,7 @@ def _simplified(program: Program, product: _Product) -> _Product:
 
 
 def _put_sum(program: Program, products: list[_Product]) -> int:
-    """Append one sum of products; return its index."""
+    """Append one sum of products to a program; return its index."""
     operands: list[int] = []
     subtracted_bits = 0
     for k, product in enumerate(products):

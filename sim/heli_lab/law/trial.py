@@ -1,4 +1,6 @@
-"""Test flight of a control law: a step of travel, then sines of elevation and travel; and its result."""
+"""The test flight of a control law, a step of travel and then sines of elevation and travel; and its
+result.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,11 @@ from heli_lab.law.compare import flight_of_law
 
 STEP_deg: Final = 10.0
 STEP_AT_s: Final = 2.0
-"""Until then the setpoint is held, so that the step begins at rest."""
+"""Time of the step [s]. The setpoint is held until then, so that the step begins at rest."""
 SINES_AT_s: Final = 12.0
 PLAN_NAME: Final = "trial"
 _TOLERANCE_deg: Final = 180.0
-"""The result reports the errors; a flight with large ones still is a result, so that no error aborts it."""
+"""Large enough that no error aborts the flight, because a flight with large errors is a valid result too."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +41,11 @@ class LawTrial:
 
     @staticmethod
     def of_log(log: Path, taken_over: str = "") -> LawTrial:
-        """Read the flight of a law from its `log`; `taken_over` is the reason as above."""
+        """Read the flight of a law from its `log`; `taken_over` is the reason of a takeover, or empty."""
         return LawTrial(flight_of_law(log), taken_over)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the same for JSON."""
+        """Return the result as a dictionary for JSON."""
         elevation, _, travel = responses(self.flight)
         return {
             "travel_step_deg": travel.step_deg,

@@ -27,6 +27,7 @@ def write_json(path: Path, numbers: Any) -> None:
 
 
 def _finite(value: Any) -> Any:
+    """Replace infinite values and NaN by None, also inside of mappings and lists."""
     if isinstance(value, Mapping):
         return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Render figures as PNG in this process and in a second one, because matplotlib holds Python's lock.
+"""Render figures as PNG in two processes: threads would not help, because matplotlib holds Python's lock.
 
 Run as a module, this file is the second process: it reads figures from standard input and writes PNG images
 to standard output.
@@ -29,7 +29,7 @@ _LENGTH: Final = struct.Struct("<q")
 
 
 class Picture:
-    """Figure that is rendered into a PNG file at `path`, with 110 dots per inch.
+    """A figure that is, or will be, rendered into a PNG file with 110 dots per inch.
 
     ``str(picture)`` waits for the image and returns it as a data URL, so that a page needs no other file.
 
@@ -38,15 +38,17 @@ class Picture:
     drawing : Drawing
         Renderer to which the figure was added.
     figure : matplotlib.figure.Figure
-        Figure, which must stay unchanged.
+        The figure, which must stay unchanged.
+    path : Path
+        The PNG file.
     """
 
     def __init__(self, drawing: Drawing, figure: Figure, path: Path) -> None:
         self._drawing, self.figure, self.path = drawing, figure, path
         self._png = b""
 
-    def keep(self, png: bytes) -> None:
-        """Write the image, a `png`, into its file, and keep it in memory."""
+    def store(self, png: bytes) -> None:
+        """Write the rendered image, `png`, into its file, and keep it in memory."""
         self.path.write_bytes(png)
         self._png = png
 
@@ -57,13 +59,14 @@ class Picture:
 
 
 class Drawing:
-    """Queue of figures: a second process renders from its beginning, this one from its end.
+    """A queue of figures: a second process renders from the beginning of the queue, this process from its
+    end.
 
     Parameters
     ----------
     use_process : bool
-        Whether to start the second process, which takes a second. If it cannot start, or ends early, this
-        process renders all figures.
+        Whether to start the second process, which takes a second. If that process cannot start or ends early,
+        this process renders all figures.
 
     Attributes
     ----------
@@ -73,6 +76,7 @@ class Drawing:
 
     def __init__(self, use_process: bool = False) -> None:
         self._waiting: deque[Picture] = deque()
+        # Notified when the queue changes.
         self._more = threading.Condition()
         self._is_closed = not use_process
         self.process: subprocess.Popen[bytes] | None = None
@@ -124,17 +128,16 @@ class Drawing:
                 picture = self._waiting.pop()
             except IndexError:  # the second process took it
                 return
-            picture.keep(png_of(picture.figure))
+            picture.store(png_of(picture.figure))
 
     def _next(self) -> Picture | None:
+        """Wait for the next figure of the queue, and take it; None if the queue is closed and empty."""
         with self._more:
             self._more.wait_for(lambda: self._waiting or self._is_closed)
             return self._waiting.popleft() if self._waiting else None
 
     def _feed_process(self) -> None:
-        """Give waiting figures to the second process, one after the other, and keep the pictures that it
-        returns.
-        """
+        """Let the second process render the waiting figures, one after the other, and store the images."""
         try:
             self.process = process = subprocess.Popen(
                 [sys.executable, "-m", "heli_lab.page.drawing"],
@@ -147,21 +150,21 @@ class Drawing:
             return
         assert process.stdin is not None
         assert process.stdout is not None
-        # Data in its pipe cannot be written after the process has ended.
+        # Closing the pipe of a process that has ended raises an OSError if the pipe still holds data.
         with suppress(OSError), process:
             while (picture := self._next()) is not None:
                 try:
                     _write(process.stdin, pickle.dumps(picture.figure))
                     png = _read(process.stdout)
                     if png:
-                        picture.keep(png)
+                        picture.store(png)
                 except OSError:
                     png = b""
                 if not png:
-                    # Render it in this process, which also raises an error to the caller.
+                    # This process renders the figure, and an error then reaches the caller.
                     self._waiting.appendleft(picture)
                     break
-            # The process may still be starting; it has nothing to lose.
+            # The process may still be starting, and has no other work.
             process.kill()
 
 
@@ -173,12 +176,13 @@ def png_of(figure: Figure) -> bytes:
 
 
 def _write(pipe: IO[bytes], content: bytes) -> None:
+    """Write one message: its length, then its content."""
     pipe.write(_LENGTH.pack(len(content)) + content)
     pipe.flush()
 
 
 def _read(pipe: IO[bytes]) -> bytes:
-    """Read one message; return nothing if the other end is closed."""
+    """Read one message; return b"" if the other end is closed."""
     head = pipe.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
         return b""
@@ -192,11 +196,11 @@ def serve_drawings(figures: IO[bytes], pictures: IO[bytes]) -> None:
     from matplotlib.backends import backend_agg
     from matplotlib.figure import Figure
 
-    # Load fonts and other resources before the first figure arrives.
-    first = Figure()
-    backend_agg.FigureCanvasAgg(first)
-    first.subplots().set_title("$t$")
-    png_of(first)
+    # Rendering an empty figure loads fonts and other resources before the first figure arrives.
+    empty = Figure()
+    backend_agg.FigureCanvasAgg(empty)
+    empty.subplots().set_title("$t$")
+    png_of(empty)
     while content := _read(figures):
         _write(pictures, png_of(pickle.loads(content)))
 

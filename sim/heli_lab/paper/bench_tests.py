@@ -20,7 +20,9 @@ from heli_lab.errors import IdentifyError
 from heli_lab.identify.record import Record
 
 TABLE_DEG: Final = -25.0
+"""Elevation of the arm on its table [deg]."""
 _HOVER_V: Final = 1.7
+"""Voltage of each motor at which the rig of Table 2 hovers [V]."""
 _HOVER_TOLERANCE_V: Final = 0.15
 """Largest deviation of the hover voltage [V]; beyond it the elevation steps end at a stop or on the table."""
 
@@ -94,7 +96,7 @@ def check_rig(rig: Rig) -> None:
 
 
 def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
-    """Convert the flight of a bench test into a record for fitting, from the release to its end.
+    """Convert the flight of a bench test to a record for fitting.
 
     Raises
     ------

@@ -17,7 +17,7 @@ DEG: Final = math.degrees(1.0)
 
 @dataclass(frozen=True)
 class Printed:
-    """Coefficient as printed in a table of the paper.
+    """A coefficient of (30) as printed in a table of the paper.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Printed:
     value, tolerance : float
         Printed value and tolerance.
     unit : str
-        Unit in which the printed value is most plausible.
+        Unit in which the printed value is most plausible; the tables state none.
     per_si : float
         Factor from rad, s and V of U+ and U- to this unit.
     term : str
@@ -74,9 +74,12 @@ PRINTED: Final[tuple[Printed, ...]] = (
 
 
 def printed_inertias_kg_m2(rig: Rig, elevation_rad: float = 0.0, pitch_rad: float = 0.0) -> dict[str, float]:
-    """Return J_theta, J_phi and J_psi [kg m^2] by (27), (28) and (29) as printed in the paper.
+    """Compute J_theta, J_phi and J_psi [kg m^2] by (27), (28) and (29) as printed in the paper.
 
-    They depend on the attitude, `elevation_rad` and `pitch_rad`.
+    Parameters
+    ----------
+    elevation_rad, pitch_rad : float
+        Attitude of the rig, on which these moments of inertia depend.
     """
     value = {name: number.value for name, number in rig.items()}
     rotors_kg, rotor_distance2_m2 = value["M_f"] + value["M_b"], value["L_h"] ** 2 + value["L_phi"] ** 2
@@ -99,7 +102,9 @@ def printed_inertias_kg_m2(rig: Rig, elevation_rad: float = 0.0, pitch_rad: floa
 
 
 def analytic(rig: Rig, corrected: bool = True) -> dict[str, float]:
-    """Compute P_1 to P_18 from a rig's parameters by the formulas below (30), in rad, s and V of U+ and U-.
+    """Compute P_1 to P_18 from a rig's parameters, by the formulas that the paper prints below (30).
+
+    The results are in rad, s and V of U+ and U-.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""Open-loop errors of models on a flight, with the parameters of the rig file and without a fit."""
+"""Compare models by their open-loop errors on a flight, with the parameters of the rig file and without a
+fit.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ class ModelError:
     model : str
         Name of the model.
     rms_deg : dict of float
-        RMS error of elevation, pitch and travel; the initial state of each window is fitted.
+        RMS error of each axis, by its name [deg]; the initial state of each window is fitted.
     normalised : float
         RMS error of all axes in standard deviations of the quantisation; 1 is the smallest possible value.
     """

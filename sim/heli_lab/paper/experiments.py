@@ -28,9 +28,11 @@ from heli_lab.paper.thrust import ThrustScale
 from heli_lab.simulated_board import connected, fly_and_read, world_of
 
 _BOOT_S = 0.5
+"""Simulated time after which the board has started [s]."""
 _SETTLE_S = 1.0
+"""Simulated time after which encoder filters and thrust have settled [s]."""
 _MARGIN_TICKS = 20
-"""Ticks that are left out after the release and before the end, where locks and voltages change together."""
+"""Ticks that are left out after the release and before the end, because locks and voltages change there."""
 _ALL_LOCKED = [True, True, True]
 
 
@@ -79,7 +81,7 @@ duration_s = 60
 
 @contextlib.contextmanager
 def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[Heli, SilWorld]]:
-    """Start a simulated board on a rig with all axes locked and level pitch.
+    """Start a simulated board on a rig with level pitch, all axes locked, until the block ends.
 
     Parameters
     ----------
@@ -129,7 +131,7 @@ def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
             if powered:
                 heli.control(Axes(0), test.front_V, test.back_V)
             world.native.locked = list(test.locked)
-            # The board and the world count the same milliseconds.
+            # Board and simulation count the same milliseconds.
             release_tick = world.tick + _MARGIN_TICKS
             heli.wait(test.duration_s)
             last_tick = world.tick - _MARGIN_TICKS
@@ -144,9 +146,7 @@ def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
 
 
 def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
-    """Measure thrust over voltage with scales under the rotors, at the voltages of Fig. 15.
-
-    All axes are locked.
+    """Measure thrust over voltage with scales under the rotors, at the voltages of Fig. 15, with locked axes.
 
     Parameters
     ----------
@@ -154,17 +154,17 @@ def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
         Seed of the encoders' initial positions.
     """
     scale = ThrustScale(plant)
-    points = []
+    motor_volts_V, thrust_N = [], []
     with board_on(plant, seed, 0.0) as (heli, world):
         heli.params["motor_max_V"] = max(THRUST_V)
         heli.arm()
         for volts in THRUST_V:
             heli.control(Axes(0), volts, volts)
             heli.wait(_SETTLE_S)
-            acted_V = world.native.volts_V
-            points.append((*acted_V, *scale.read_N(world.state, acted_V)))
-    columns = np.array(points)
-    return ThrustCurve(columns[:, :2], columns[:, 2:])
+            # The voltage that acts on the motors, which may differ from the command.
+            motor_volts_V.append(world.native.volts_V)
+            thrust_N.append(scale.read_N(world.state, world.native.volts_V))
+    return ThrustCurve(np.array(motor_volts_V), np.array(thrust_N))
 
 
 def fly_plan(
@@ -196,7 +196,9 @@ def fly_plan(
     with board_on(plant, seed, TABLE_DEG) as (heli, world):
 
         def report(progress: Progress) -> None:
-            # With Table 2 as point masses the arm balances above the table, so it stays locked until then.
+            """Release the arm when the loops close, and pass on the completed share of the flight."""
+            # With the masses of Table 2, the arm without thrust balances above its table, so that it must be
+            # locked until then.
             if progress.sample.state is State.CLOSED_LOOP:
                 world.native.locked = [False, False, False]
             if on_progress is not None:
@@ -207,6 +209,6 @@ def fly_plan(
         start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
         route = take_off([plan], dict(heli.params), start_deg)
         flight, summary = fly_and_read(heli, plan, report)
-    closed = np.flatnonzero(flight.state == State.CLOSED_LOOP)
-    start_s = float(flight.t_s[closed[0]]) if closed.size else 0.0
+    closed_loop_rows = np.flatnonzero(flight.state == State.CLOSED_LOOP)
+    start_s = float(flight.t_s[closed_loop_rows[0]]) if closed_loop_rows.size else 0.0
     return closed_loop_flight(label, flight, route.evaluate(flight.t_s - start_s), summary.outcome)

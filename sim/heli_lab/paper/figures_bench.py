@@ -32,12 +32,13 @@ _AXIS_OF_TABLE: Final = {3: "pitch", 4: "elevation", 5: "travel"}
 _FIGURE_OF_TABLE: Final = {3: "16", 4: "17", 5: "18"}
 _PANEL_SIZE: Final = (6.4, 3.4)
 _SINGLE_WINDOW_s: Final = 1000.0
+"""Length of a window that contains any test as a whole."""
 FONT_SIZE: Final = 8
 
 
 def finish(panel: Axes, y_label: str, x_label: str = "", ncols: int = 1) -> None:
-    """Add the labels `y_label` and `x_label`, a grid, and a legend of `ncols` columns to a panel whose curves
-    are drawn.
+    """Add the labels `x_label` and `y_label` of the axes, a grid, and a legend of `ncols` columns to a panel
+    whose curves are drawn. Without an `x_label`, the panel keeps the one that it has.
     """
     panel.set(xlabel=x_label or panel.get_xlabel(), ylabel=y_label)
     panel.grid(alpha=0.25)
@@ -66,8 +67,14 @@ def thrust_figure(curve: ThrustCurve) -> Figure:
 
 
 def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
-    """Draw one of Figs. 16 to 18: both bench tests of a table, measured and simulated with the identified
-    (30).
+    """Draw one of Figs. 16 to 18: both bench tests of a table, measured, and simulated with (30).
+
+    Parameters
+    ----------
+    table : Table
+        The table, with its fit of the coefficients.
+    records : sequence of Record
+        Records of the tests.
     """
     from matplotlib.figure import Figure
 
@@ -107,8 +114,10 @@ def sensitivity_figure(rig: Rig) -> Figure:
     for case, colour in zip(CASES, colours, strict=True):
         changed = base | {name: factor * base[name] for name, factor in case.changes.items()}
         width = 1.8 if not case.changes else 1.1
-        path_deg = response_deg(changed, test, t_s)
-        panel.plot(t_s, np.where(path_deg < 90.0, path_deg, np.nan), color=colour, lw=width, label=case.label)
+        elevation_deg = response_deg(changed, test, t_s)
+        # Without an upper stop, some responses grow without limit; nothing above 60 deg is visible.
+        visible_deg = np.where(elevation_deg < 90.0, elevation_deg, np.nan)
+        panel.plot(t_s, visible_deg, color=colour, lw=width, label=case.label)
     panel.set_ylim(-30.0, 60.0)
     panel.axhspan(rig["elevation_max"].value, 60.0, color="#eeeeee", label="beyond the upper stop")
     finish(
@@ -124,7 +133,8 @@ def sensitivity_figure(rig: Rig) -> Figure:
 def _whole_run(table: Table, record: Record, rig: Rig) -> Trace:
     """Simulate a whole test open loop with the coefficients identified for its table."""
     fit = table.fit
-    index = next(i for i, record_ in enumerate(fit.problem.records) if record_.label == record.label)
+    labels = [fitted.label for fitted in fit.problem.records]
+    index = labels.index(record.label)
     values = {
         parameter.quantity: float(value)
         for parameter, value in zip(fit.problem.free, fit.theta, strict=True)

@@ -29,7 +29,14 @@ if TYPE_CHECKING:
 _COLOURS: Final = (PRINTED_COLOUR, MODEL_COLOUR)
 _WIDTH, _HEIGHT = 7.0, 2.7
 _END_S: Final = 0.1
-"""Time that is left out at the end [s]: a streamed path arrives late on the board, and the landing begins."""
+"""Time at the end of a flight that is left out [s]: a streamed path arrives late on the board, and the
+landing begins."""
+_LEVEL_TOLERANCE_DEG: Final = 0.5
+"""Error of the elevation below which a take-off has reached its setpoint [deg]."""
+_TAKEN_OFF_DEG: Final = -1.0
+"""Setpoint of the elevation from which on a take-off is nearly over [deg]."""
+_SETTLE_S: Final = 1.0
+"""Time after a take-off that is left out too [s]."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +67,7 @@ class PaperFlight:
 
 
 def closed_loop_flight(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> PaperFlight:
-    """Return the closed-loop part of a log, from take-off to the end of the plan.
+    """Cut out the closed-loop part of a log, from take-off to the end of the plan.
 
     Parameters
     ----------
@@ -90,9 +97,10 @@ def closed_loop_flight(label: str, flight: Flight, desired_deg: Floats, outcome:
     closed_loop = flight.between(start_s, stop_s)
     is_closed_loop = (flight.t_s >= start_s) & (flight.t_s < stop_s)
     closed_loop_desired_deg = desired_deg[is_closed_loop].copy()
+    # The travel loop gives the setpoint of pitch, and the plan does not.
     closed_loop_desired_deg[:, 1] = np.rad2deg(flight.setpoints_rad[is_closed_loop, 1])
-    zero_based = replace(closed_loop, t_s=closed_loop.t_s - start_s)
-    return PaperFlight(label, zero_based, closed_loop_desired_deg, outcome)
+    from_zero = replace(closed_loop, t_s=closed_loop.t_s - start_s)
+    return PaperFlight(label, from_zero, closed_loop_desired_deg, outcome)
 
 
 def hover_figure(flights: Sequence[PaperFlight]) -> Figure:
@@ -104,7 +112,7 @@ def hover_figure(flights: Sequence[PaperFlight]) -> Figure:
 
 
 def response_figure(flights: Sequence[PaperFlight], path: str, number: int) -> Figure:
-    """Draw Fig. 22 or 24, by its `number`: travel and elevation along the path named `path`."""
+    """Draw Fig. 22 or 24, its `number`: travel and elevation along a `path`, which the title names."""
     figure, panels = _panels(2, f"Response during flight along the {path} (after Fig. {number})")
     for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
         _response(panel, flights, axis, desired=True)
@@ -113,8 +121,8 @@ def response_figure(flights: Sequence[PaperFlight], path: str, number: int) -> F
 
 
 def performance_figure(flights: Sequence[PaperFlight], path: str, number: int) -> Figure:
-    """Draw Fig. 23 or 25, by its `number`: tracking errors of travel and elevation along the path named
-    `path`.
+    """Draw Fig. 23 or 25, its `number`: tracking errors of travel and elevation along a `path`, which the
+    title names.
     """
     figure, panels = _panels(
         2, f"Tracking performance along the {path} (after Fig. {number})", "; take-off left out"
@@ -132,22 +140,17 @@ def performance_figure(flights: Sequence[PaperFlight], path: str, number: int) -
 
 
 def take_off_end_s(flight: PaperFlight) -> float:
-    """Return the end of the take-off [s]: one second after elevation first reaches its setpoint within 0.5
-    deg.
-    """
+    """Return the end of a take-off [s]: one second after elevation first reaches its setpoint."""
     near_setpoint = np.abs(flight.error_deg[:, 0]) < _LEVEL_TOLERANCE_DEG
     after_take_off = near_setpoint & (flight.desired_deg[:, 0] > _TAKEN_OFF_DEG)
     rows = np.flatnonzero(after_take_off)
     return float(flight.flight.t_s[rows[0]]) + _SETTLE_S if rows.size else 0.0
 
 
-_LEVEL_TOLERANCE_DEG: Final = 0.5
-_TAKEN_OFF_DEG: Final = -1.0
-_SETTLE_S: Final = 1.0
-
-
 def _panels(count: int, title: str, note: str = "") -> tuple[Figure, list[Axes]]:
-    """Return a figure of `count` panels with a shared time axis, and its panels from top to bottom."""
+    """Make a figure of `count` panels with a shared time axis; return the figure and its panels, the top one
+    first.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_WIDTH, count * _HEIGHT), layout="constrained")
@@ -158,7 +161,7 @@ def _panels(count: int, title: str, note: str = "") -> tuple[Figure, list[Axes]]
 
 
 def _response(panel: Axes, flights: Sequence[PaperFlight], axis: int, *, desired: bool) -> None:
-    """Draw one angle of all flights over time; with `desired`, also its setpoint."""
+    """Draw one angle of all flights over time; with `desired`, also the planned angle."""
     if desired:
         first = flights[0]
         panel.plot(

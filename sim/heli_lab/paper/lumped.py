@@ -1,8 +1,8 @@
-"""Equations (30) with the coefficients P_1 to P_18 as parameters, as the paper identified them.
+"""The paper's equations of motion (30), with the lumped coefficients P_1 to P_18 as parameters.
 
-Signs and terms are those of (30), including the drag psi'^2 and P_18. In the bench tests travel only moves
-forwards, where psi'^2 equals psi' |psi'|. P_1 and P_15 contain the dead zone of 1 V of the rotors, so the
-voltages must stay above it.
+Signs and terms are those of (30), including P_18 and the drag, which (30) states as psi'^2 instead of psi'
+|psi'|. The two are equal in the bench tests, because travel only moves forwards there. P_1 and P_15 contain
+the dead zone of the rotors, 1 V, so that the equations only hold above this voltage.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Coefficients(Effect):
 
 
 class LumpedModel(Model):
-    """Equations (30) of the paper."""
+    """Equations of motion (30) of the paper; theta, phi and psi are elevation, pitch and travel."""
 
     name = "lumped"
     rig_parameters = ()

@@ -23,6 +23,8 @@ from heli_lab.paper.tables import TESTS_OF_TABLE, WINDOW_S, free_axes_normalised
 
 _IDENTIFIED: Final = 0.5
 """A parameter is identified if half its interval is below this share of its tolerance."""
+_STD_PER_HALF_INTERVAL: Final = 2.0
+"""Number of standard errors in half a 95 % interval."""
 
 PRINTED_TABLE_2: Final[Mapping[str, float]] = {
     "L_h": 0.275,
@@ -41,7 +43,10 @@ PRINTED_TABLE_2: Final[Mapping[str, float]] = {
     "J_theta": 0.8496,
     "J_psi": 0.8195,
 }
-"""Table 2; its second L_h is named L_b here."""
+"""Values of Table 2; its second L_h is named L_b here."""
+_IN_TABLE: Final = tuple(name for name in PRINTED_TABLE_2 if not name.startswith("J_"))
+_NOT_IN_TABLE: Final = ("dead_zone", "friction_elevation", "friction_pitch", "friction_travel")
+"""Parameters that the bench tests identify, and that Table 2 prints or does not print."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,8 @@ class RigTable:
 
     Parameters
     ----------
+    rows : tuple of RigRow
+        One row per parameter, then the moments of inertia.
     normalised : dict of float
         RMS error of the multibody model on the tests of each of Tables 3 to 5, over the free axes, in
         standard deviations of the quantisation.
@@ -168,14 +175,10 @@ def _inertia_rows(rig: Rig) -> list[RigRow]:
     ]
 
 
-_STD_PER_HALF_INTERVAL: Final = 2.0
-"""Standard errors in half a 95 % interval."""
-_IN_TABLE: Final = tuple(name for name in PRINTED_TABLE_2 if not name.startswith("J_"))
-_NOT_IN_TABLE: Final = ("dead_zone", "friction_elevation", "friction_pitch", "friction_travel")
-
-
 def _is_excited(name: str, tests: Sequence[BenchTest]) -> bool:
-    """Whether the tests excite a parameter: motors that are off have no thrust, locked axes no friction."""
+    """Whether bench tests show a parameter: a locked axis does not show its friction, and motors that are off
+    do not show thrust gain and dead zone.
+    """
     locked = dict(zip(AXES, tests[0].locked, strict=True))
     axis_locked = any(name.endswith(f"_{axis}") and is_locked for axis, is_locked in locked.items())
     motors_off = all(test.front_V == 0.0 and test.back_V == 0.0 for test in tests)
@@ -183,7 +186,7 @@ def _is_excited(name: str, tests: Sequence[BenchTest]) -> bool:
 
 
 def _parameter_row(name: str, rig: Rig, estimates: Mapping[str, _ParameterEstimate]) -> RigRow:
-    """Return the row of a parameter; without an estimate if its interval is not far below its tolerance."""
+    """Return the row of a parameter, with its estimate if the parameter is identified; see `_IDENTIFIED`."""
     parameter, estimate = rig[name], estimates.get(name)
     note = "printed as a second L_h" if name == "L_b" else ""
     row = RigRow(

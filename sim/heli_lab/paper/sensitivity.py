@@ -1,4 +1,4 @@
-"""Sensitivity of the elevation step response to P_1 to P_6 of (30), for Fig. 19."""
+"""Simulate how the elevation step response depends on P_1 to P_6 of (30), for Fig. 19."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from heli_sim.runge_kutta import runge_kutta_step
 from heli_lab.paper.bench_tests import TABLE_DEG, BenchTest
 
 _STEP_s: Final = 0.01
+"""Longest step of the integration [s]."""
 
 
 @dataclass(frozen=True)
 class SensitivityCase:
-    """Curve of the figure with some coefficients changed.
+    """One curve of the figure: a step response with some coefficients changed.
 
     Parameters
     ----------
@@ -64,9 +65,9 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
     table_rad = math.radians(TABLE_DEG)
     constant_rad_s2 = p["P_1"] + p["P_5"] + p["P_6"] * sum_V
 
-    def derivative(x: Floats, _: float) -> Floats:
-        """Return rate and acceleration of elevation from `x`, elevation [rad] and its rate [rad/s]."""
-        elevation_rad, rate_rad_s = x
+    def derivative(state: Floats, _: float) -> Floats:
+        """Return rate and acceleration of elevation from elevation [rad] and its rate [rad/s]."""
+        elevation_rad, rate_rad_s = state
         acceleration_rad_s2 = (
             constant_rad_s2
             + p["P_2"] * math.cos(elevation_rad)
@@ -75,14 +76,15 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
         )
         return np.array([rate_rad_s, acceleration_rad_s2])
 
-    x = np.array([table_rad, 0.0])
-    substeps = max(1, math.ceil((t_s[1] - t_s[0]) / _STEP_s))
-    h = float(t_s[1] - t_s[0]) / substeps
-    elevation_rad_by_row = np.empty(t_s.size)
+    state = np.array([table_rad, 0.0])
+    row_s = float(t_s[1] - t_s[0])
+    substeps = max(1, math.ceil(row_s / _STEP_s))
+    elevations_rad = np.empty(t_s.size)
     for row in range(t_s.size):
-        elevation_rad_by_row[row] = x[0]
+        elevations_rad[row] = state[0]
         for _ in range(substeps):
-            x = runge_kutta_step(derivative, x, h)
-            if x[0] <= table_rad:
-                x = np.array([table_rad, max(x[1], 0.0)])
-    return np.degrees(elevation_rad_by_row)
+            state = runge_kutta_step(derivative, state, row_s / substeps)
+            if state[0] <= table_rad:
+                # The table stops a falling arm, and does not hold one that rises.
+                state = np.array([table_rad, max(state[1], 0.0)])
+    return np.degrees(elevations_rad)

@@ -1,11 +1,12 @@
-"""Stability of pitch and travel with the gains of Table 6, for every interpretation of the table.
+"""Analyse the stability of pitch and travel with the gains of Table 6, for every interpretation of the table.
 
-The paper prints gains without units, and defines the output of the travel PID in two ways. By (33), U_3 is a
-"virtual control signal" u_3 = sin(phi) U+, so that the pitch setpoint is asin(U_3 / U+). In the cascade of
-Fig. 20 it is the pitch setpoint itself, in degrees.
+The paper prints gains without units, and defines the output U_3 of the travel PID in two ways. By (33), it is
+a "virtual control signal" u_3 = sin(phi) U+, so that the pitch setpoint is asin(U_3 / U+). In the cascade of
+Fig. 20, it is the pitch setpoint itself, in degrees.
+
 Equation (34) differentiates the error, and hence the pitch setpoint, which already contains the travel rate.
 Computed exactly, this is a feedback of acceleration, which no encoder measures. The standard control law, and
-that of the board, differentiates the measurement.
+the control law of the board, differentiate the measurement instead.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ _DEG: Final = math.degrees(1.0)
 SETTLING_STEP_DEG: Final = 15.0
 """Step of the travel setpoint [deg]."""
 _BAND_DEG: Final = 0.5
+"""Deviation from the setpoint within which travel has settled [deg]."""
 _STEP_s, _STEPS = 0.01, 30_000
+"""Length [s] and number of the steps of the simulated step response."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +76,7 @@ class LoopVerdict:
 
 
 def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
-    """Analyse pitch and travel of a linearised rig with Table 6, in every interpretation, printed gains
-    first.
+    """Analyse pitch and travel of a linearised rig with every interpretation of Table 6, printed gains first.
 
     Parameters
     ----------
@@ -111,9 +113,14 @@ def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
 
 @dataclass(frozen=True)
 class _TiltGains:
-    """Gains kp, ki, kd of pitch [V/rad] and travel [rad/rad], shape (3,) each.
+    """Gains of the pitch and the travel loop.
 
-    The pitch loop differentiates its error if `differentiates_error`, otherwise the measured pitch.
+    Parameters
+    ----------
+    pitch, travel : ndarray (3,)
+        Gains kp, ki and kd, in V/rad and rad/rad.
+    differentiates_error : bool
+        Whether the pitch loop differentiates its error instead of the measured pitch.
     """
 
     pitch: Floats
@@ -122,7 +129,17 @@ class _TiltGains:
 
     @staticmethod
     def of(gains: str, pitch_per_unit: float, derivative: Derivative) -> _TiltGains:
-        """Convert the gains of Table 6, ``printed`` or ``corrected``, from degrees to radians."""
+        """Convert the gains of Table 6 from degrees to radians.
+
+        Parameters
+        ----------
+        gains : str
+            ``printed`` or ``corrected``.
+        pitch_per_unit : float
+            Result of `_TiltPlant.pitch_per_unit`.
+        derivative : str
+            Signal that the pitch loop differentiates.
+        """
         table = paper_gains(gains)
         pitch = np.array([table[f"pitch_{name}"] for name in ("kp", "ki", "kd")]) * _DEG
         travel = np.array([table[f"travel_{name}"] for name in ("kp", "ki", "kd")]) * pitch_per_unit
@@ -131,9 +148,14 @@ class _TiltGains:
 
 @dataclass(frozen=True)
 class _TiltPlant:
-    """Pitch, travel and their rates at hover without thrust lag: x' = A x + B U-.
+    """Pitch and travel at hover without thrust lag, linearised: x' = A x + B U-.
 
-    `A` has the shape (4, 4) and `B` the shape (4,); `sum_V` is U+ at hover.
+    Parameters
+    ----------
+    A, B : ndarray (4, 4), (4,)
+        State and input matrix. States: pitch, travel, their rates.
+    sum_V : float
+        Sum U+ of the voltages at hover.
     """
 
     A: Floats
@@ -203,17 +225,18 @@ def _travel_step_metrics(A: Floats) -> tuple[float, float]:
 
     Returns
     -------
-    float
-            Peak of travel [deg].
-    float
-            Settling time [s]; infinite if travel does not settle.
+    peak_deg : float
+        Peak of travel [deg].
+    settling_time_s : float
+        Settling time [s]; infinite if travel does not settle.
     """
     state = np.zeros(len(A))
-    state[1] = -SETTLING_STEP_DEG  # travel as deviation from the setpoint
-    forward, deviation_deg = expm(_STEP_s * A), np.empty(_STEPS)
+    # Travel is simulated as the deviation from its setpoint.
+    state[1] = -SETTLING_STEP_DEG
+    transition, deviation_deg = expm(_STEP_s * A), np.empty(_STEPS)
     for row in range(_STEPS):
         deviation_deg[row] = state[1]
-        state = forward @ state
+        state = transition @ state
     outside = np.flatnonzero(np.abs(deviation_deg) > _BAND_DEG)
     settling_time_s = math.inf if outside[-1] == _STEPS - 1 else float(outside[-1] + 1) * _STEP_s
     return float(deviation_deg.max()) + SETTLING_STEP_DEG, settling_time_s

@@ -1,8 +1,9 @@
 """Identify the coefficients of Tables 3 to 5 by a fit of (30) to the bench tests, with intervals.
 
-The fit of a table includes only coefficients that its tests can identify. With pitch locked at 0, cos phi is
-1, so that only P_1 + P_5 is identifiable. With the motors off, P_11 has no effect. Two travel tests at
-constant voltages give two factors of sin phi for the three unknowns P_15, P_17 and P_18.
+The fit of a table includes only the coefficients that its tests can identify. In Table 3, the motors are off,
+so that P_11 has no effect. In Table 4, pitch is locked at 0 and cos phi is 1, so that only the sum P_1 + P_5
+can be identified. In Table 5, two travel tests at constant voltages give two factors of sin phi, which do not
+determine the three coefficients P_15, P_17 and P_18.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class _FitPlan:
     free : tuple of str
         Estimated coefficients.
     absorbed : tuple of str
-        Coefficients at 0, whose terms another coefficient contains in these tests.
+        Coefficients that are set to 0, because a free coefficient contains their terms in these tests.
     offset : str
         Angle zero that is also estimated.
     unidentified : Mapping of str to str
@@ -132,6 +133,8 @@ class Table:
     normalised : float
         RMS error of (30) over windows of 4 s, over the free axes, in standard deviations of the quantisation;
         1 is the smallest possible value.
+    fit : Fit
+        The fit of the coefficients.
     """
 
     number: int
@@ -196,8 +199,8 @@ def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
 
 
 def _table_rows(number: int, fit: Fit, from_masses: Mapping[str, float]) -> list[TableRow]:
-    """Return the rows of the coefficients that a table of the paper prints, then those of identifiable
-    combinations, and of P_11, which Table 3 prints but Table 5 fits.
+    """Make the rows of a table: first the coefficients that the paper prints, then the combinations that the
+    tests identify. Table 5 also has P_11 of Table 3, because its tests identify it.
     """
     unidentified = _PLANS[number].unidentified
     rows = [
@@ -216,7 +219,7 @@ def _table_rows(number: int, fit: Fit, from_masses: Mapping[str, float]) -> list
 
 
 def _coefficient_row(printed: Printed, fit: Fit | None, from_masses: Mapping[str, float]) -> TableRow:
-    """Return the row of a coefficient; without a `fit` that identifies it, it has no estimate."""
+    """Return the row of a coefficient; without a fit, the row has no estimate."""
     estimate, half = (
         (None, None) if fit is None else _estimate_and_interval(fit, printed.name, printed.per_si)
     )
@@ -269,5 +272,7 @@ def _sine_factor(values: Mapping[str, float], test: BenchTest) -> float:
 
 
 def _estimate_and_interval(fit: Fit, name: str, per_si: float) -> tuple[float, float]:
-    """Return an estimate and half its 95 % interval (two standard errors), both in the unit of its table."""
+    """Return an estimate and half its 95 % interval, which is two standard errors; `per_si` converts both to
+    the unit of the table.
+    """
     return per_si * fit.values[name], 2.0 * per_si * fit.std[name]

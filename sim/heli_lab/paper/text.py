@@ -71,7 +71,7 @@ def model_lines(model_errors: Sequence[ModelError]) -> list[str]:
 
 
 def gain_lines(verdicts: dict[str, list[LoopVerdict]]) -> list[str]:
-    """Format the interpretations of Table 6 for a terminal."""
+    """Format the stability of each interpretation of Table 6 for a terminal, by name of the model."""
     reading = {"degrees": "pitch in deg", "u3": "u3 in V"}
     lines = ["Table 6 on the linearised rig: are pitch and travel stable, and up to which lag (399 ms: any)?"]
     for model, model_verdicts in verdicts.items():
@@ -116,7 +116,9 @@ def tables_json(plant: Plant, line: Line, by_rig: RigTable, tables: Sequence[Tab
 
 
 def _interval(value: float | None, half: float | None) -> str:
-    """Format a value with two significant digits of half its interval; a dash if there is none."""
+    """Format an estimate with half its interval, to two significant digits of the latter; a dash if there is
+    no estimate.
+    """
     if value is None or half is None:
         return "-"
     digits = max(0, 1 - math.floor(math.log10(half))) if half > 0.0 else 4

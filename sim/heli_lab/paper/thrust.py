@@ -1,4 +1,4 @@
-"""Simulated scales under the rotors for Fig. 15; `heli_sim.bench` fits the line (31) to their readings."""
+"""Simulate the scales under the rotors for Fig. 15; `heli_sim.bench` fits the line (31) to their readings."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ class ThrustScale:
     """Scales under both rotors of a locked rig, with a resolution of one gram."""
 
     def __init__(self, plant: Plant) -> None:
-        """Build the thrust of both rotors as a function of state and voltages, with all effects of the
-        model.
-        """
+        """Compile the thrust of both rotors of a plant as a function of state and voltages."""
         model = plant.model
         x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
         driven = model.driven(x, u, ca.SX(model.parameter_values(plant.rig)))

@@ -1,4 +1,4 @@
-"""Population of rigs of one type: shared parameters and causes, and the prior for another rig."""
+"""Combine the diagnoses of several rigs of one type into a population, and into the prior for another rig."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from heli_lab.pool.random_effects import RandomEffects, Share, der_simonian_lair
 from heli_lab.pool.rig_diagnosis import MIN_CAUSE_CONFIDENCE, ParameterEstimate, RigDiagnosis
 
 PRIOR_SPREAD: Final = 0.5
-"""Prior standard deviation between rigs of one type, over that of the rig file; it counts as one rig. Set by
-judgement: a file's tolerance also covers wrong estimates. A smaller value predicts that the second rig
-equals the first, with a larger one a single rig has no influence."""
+"""Prior standard deviation between rigs of one type, as a share of the rig file's standard deviation; it
+counts as one rig. Set by judgement: a file's tolerance also covers wrong estimates. With a smaller value,
+the second rig is predicted to equal the first; with a larger one, a single rig has no influence."""
 _EFFECT_PRIOR_SPREAD: Final = 0.3
 """The same for an effect's parameter, over its pooled value: catalogue priors cover all rig types."""
 MIN_COMMON_SHARE: Final = 0.5
@@ -67,12 +67,13 @@ class RigPopulation:
         k = len(estimates)
         variance_between_rigs = ((k - 1) * self.parameters[name].tau ** 2 + spread**2) / k
         weights = [1.0 / (estimate.std**2 + variance_between_rigs) for estimate in estimates]
-        total = sum(weights)
-        mean = sum(w * estimate.value for w, estimate in zip(weights, estimates, strict=True)) / total
+        weight = sum(weights)
+        mean = sum(w * estimate.value for w, estimate in zip(weights, estimates, strict=True)) / weight
         # The rig file is one more estimate of the mean.
         prior_weight = prior.std**-2.0
-        value = (mean * total + prior.value * prior_weight) / (total + prior_weight)
-        return value, (variance_between_rigs + 1.0 / (total + prior_weight)) ** 0.5
+        value = (mean * weight + prior.value * prior_weight) / (weight + prior_weight)
+        variance_of_mean = 1.0 / (weight + prior_weight)
+        return value, (variance_between_rigs + variance_of_mean) ** 0.5
 
     def prior_rig(self, base: Rig, name: str) -> Rig:
         """Return a rig whose parameters and tolerances are the prior for another rig of this type.
@@ -86,13 +87,13 @@ class RigPopulation:
         """
         source = f"pooled from {', '.join(diagnosis.label for diagnosis in self.diagnoses)}"
         numbers = dict(base.numbers)
-        for quantity, known in base.numbers.items():
-            if quantity not in self.parameters or known.tolerance == 0.0:
+        for quantity, old in base.numbers.items():
+            if quantity not in self.parameters or old.tolerance == 0.0:
                 continue
-            before = ParameterEstimate(known.value, 0.5 * known.tolerance, known.unit)
-            value, std = self.predict_parameter(quantity, before, PRIOR_SPREAD * before.std)
-            text = f"{source}; before: {known.value:g} +- {known.tolerance:g}"
-            numbers[quantity] = replace(known, value=value, tolerance=2.0 * std, source=text)
+            prior = ParameterEstimate(old.value, 0.5 * old.tolerance, old.unit)
+            value, std = self.predict_parameter(quantity, prior, PRIOR_SPREAD * prior.std)
+            text = f"{source}; before: {old.value:g} +- {old.tolerance:g}"
+            numbers[quantity] = replace(old, value=value, tolerance=2.0 * std, source=text)
         effects: dict[str, Mapping[str, Number]] = dict(base.effects)
         kinds = catalogue()
         for id_, cause_share in self.causes.items():
@@ -103,7 +104,7 @@ class RigPopulation:
         return Rig(name, text, numbers, effects, base.model or self.diagnoses[0].model)
 
     def _prior_effect(self, kind: EffectSpec, source: str) -> Mapping[str, Number]:
-        """Parameters of an effect as the prior for another rig, within their bounds."""
+        """Predict the parameters of an effect for another rig, within their bounds."""
         values, tolerances = {}, {}
         for name in (quantity.name for quantity in kind.parameters if quantity.name in self.parameters):
             # All diagnoses have the catalogue's prior.
@@ -116,7 +117,9 @@ class RigPopulation:
 
 
 def pool(diagnoses: Sequence[RigDiagnosis]) -> RigPopulation:
-    """Pool the diagnoses of several rigs of one type: random effects of each parameter, share of each cause.
+    """Pool the diagnoses of several rigs of one type.
+
+    Each parameter gets a mean and a variation between rigs, each cause the share of rigs that have it.
 
     Parameters
     ----------
@@ -132,7 +135,8 @@ def pool(diagnoses: Sequence[RigDiagnosis]) -> RigPopulation:
     parameters = {}
     for name in dict.fromkeys(name for diagnosis in diagnoses for name in diagnosis.parameters):
         estimates = _estimates(diagnoses, name)
-        parameters[name] = der_simonian_laird([e.value for e in estimates], [e.std for e in estimates])
+        values, stds = [each.value for each in estimates], [each.std for each in estimates]
+        parameters[name] = der_simonian_laird(values, stds)
     causes = {}
     for id_ in dict.fromkeys(id_ for diagnosis in diagnoses for id_ in diagnosis.causes):
         present = [diagnosis.causes.get(id_, 0.0) >= MIN_CAUSE_CONFIDENCE for diagnosis in diagnoses]
@@ -147,12 +151,12 @@ def pool(diagnoses: Sequence[RigDiagnosis]) -> RigPopulation:
 
 
 def _estimates(diagnoses: Sequence[RigDiagnosis], name: str) -> list[ParameterEstimate]:
-    """Estimates of the parameter `name`, one for each rig whose flights are informative about it."""
+    """List the estimates of the parameter `name`, one for each rig whose flights are informative about it."""
     return [diagnosis.parameters[name] for diagnosis in diagnoses if name in diagnosis.parameters]
 
 
 def _check_diagnoses(diagnoses: Sequence[RigDiagnosis]) -> None:
-    """Check that the diagnoses are of different rigs of one type. Otherwise raise a PoolError."""
+    """Raise a PoolError unless the diagnoses are of different rigs of one type."""
     if not diagnoses:
         raise PoolError("there is no diagnosis to pool", "give one diagnosis per rig")
     labels = [diagnosis.label for diagnosis in diagnoses]

@@ -1,11 +1,11 @@
-"""Random-effects model of one parameter of several rigs, each estimated with its own standard error.
+"""Estimate how a parameter varies over the rigs of one type, by a random-effects model.
 
-The parameter of a rig is the mean of the rig type plus a deviation of variance tau^2. The method of moments
-of DerSimonian and Laird (Controlled Clinical Trials 7, 1986, 177) estimates tau^2 from the scatter of the
-rigs in excess of their standard errors.
+The parameter of a rig is the mean of the rig type plus a random deviation of variance tau^2. Each rig has an
+estimate of its parameter with a standard error. The method of moments of DerSimonian and Laird (Controlled
+Clinical Trials 7, 1986, 177) estimates tau^2 from the scatter of the rigs in excess of these standard errors.
 
-statsmodels has the same estimate, and a test compares them. It is no dependency here, because it lacks the
-prediction interval and takes a second to import, for ten lines.
+A test compares the result with that of statsmodels. That package is not a dependency here, because it lacks
+the prediction interval and takes a second to import.
 """
 
 from __future__ import annotations
@@ -64,27 +64,37 @@ def der_simonian_laird(values: Sequence[float], stds: Sequence[float]) -> Random
     """
     from scipy.stats import norm, t
 
-    value, variance = np.array(values, float), np.array(stds, float) ** 2
-    k, weight = len(value), 1.0 / variance
-    fixed_effect_mean = float(weight @ value / weight.sum())
-    q = float(weight @ (value - fixed_effect_mean) ** 2)
+    estimates, variances = np.array(values, float), np.array(stds, float) ** 2
+    k, fixed_weights = len(estimates), 1.0 / variances
+    fixed_effect_mean = float(fixed_weights @ estimates / fixed_weights.sum())
+    q = float(fixed_weights @ (estimates - fixed_effect_mean) ** 2)
     # The expectation of Q is k - 1 + tau^2 times this factor.
-    factor = float(weight.sum() - weight @ weight / weight.sum())
+    factor = float(fixed_weights.sum() - fixed_weights @ fixed_weights / fixed_weights.sum())
     tau2 = max(0.0, (q - (k - 1)) / factor) if k > 1 else 0.0
-    weight = 1.0 / (variance + tau2)
-    mean, std = float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)
-    quantile = float(norm.ppf(0.5 + CONFIDENCE / 2.0))
+    weights = 1.0 / (variances + tau2)
+    mean, std = float(weights @ estimates / weights.sum()), float(weights.sum() ** -0.5)
+    probability = 0.5 + CONFIDENCE / 2.0
+    quantile = float(norm.ppf(probability))
     if k > 1:
-        # tau is an estimate too: the normal quantile covers the mean of twelve rigs in 89 % of cases only.
-        scatter = float(weight @ (value - mean) ** 2) / (k - 1)
-        quantile = float(t.ppf(0.5 + CONFIDENCE / 2.0, k - 1)) * max(1.0, scatter**0.5)
+        # tau is an estimate too: with the normal quantile, the interval covers the mean of twelve rigs in 89
+        # % of cases only.
+        scatter = float(weights @ (estimates - mean) ** 2) / (k - 1)
+        quantile = float(t.ppf(probability, k - 1)) * max(1.0, scatter**0.5)
     half_width = quantile * std
     prediction = None
     if k > 2:
-        prediction_half_width = float(t.ppf(0.5 + CONFIDENCE / 2.0, k - 2)) * (tau2 + std**2) ** 0.5
+        prediction_half_width = float(t.ppf(probability, k - 2)) * (tau2 + std**2) ** 0.5
         prediction = (mean - prediction_half_width, mean + prediction_half_width)
-    i2 = max(0.0, 1.0 - (k - 1) / q) if q > 0.0 else 0.0
-    return RandomEffects(mean, std, tau2**0.5, q, i2, (mean - half_width, mean + half_width), prediction, k)
+    return RandomEffects(
+        mean=mean,
+        std=std,
+        tau=tau2**0.5,
+        q=q,
+        i2=max(0.0, 1.0 - (k - 1) / q) if q > 0.0 else 0.0,
+        interval=(mean - half_width, mean + half_width),
+        prediction=prediction,
+        machines=k,
+    )
 
 
 @dataclass(frozen=True)
@@ -109,7 +119,9 @@ class Share:
 
 
 def share(present: int, detectable: int) -> Share:
-    """Estimate a share from `present` of `detectable` rigs, with at least one detectable."""
+    """Estimate the share of rigs with a cause: `present` of `detectable` rigs have it, of which there is at
+    least one.
+    """
     from scipy.stats import binomtest
 
     interval = binomtest(present, detectable).proportion_ci(CONFIDENCE, method="exact")

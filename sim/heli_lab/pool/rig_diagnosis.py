@@ -88,7 +88,7 @@ def read_rig_diagnosis(path: Path) -> RigDiagnosis:
 
 
 def _rig_diagnosis(path: Path, content: Mapping[str, Any]) -> RigDiagnosis:
-    """Convert the `content` of the file at `path`; other content raises one of the errors of Python."""
+    """Convert the `content` of the file at `path`; invalid content raises one of Python's errors."""
     parameters, priors, rig = {}, {}, content["rig"]
     for name, entry in rig["numbers"].items():
         prior_value, prior_std = float(entry["prior"]["value"]), float(entry["prior"]["std"])
@@ -123,10 +123,9 @@ def without_prior(value: float, std: float, prior: ParameterEstimate) -> Paramet
     ParameterEstimate or None
         None if the flights add almost no information.
     """
-    prior_precision = prior.std**-2.0
-    precision = std**-2.0 - prior_precision
+    posterior_precision, prior_precision = std**-2.0, prior.std**-2.0
+    precision = posterior_precision - prior_precision
     if precision < _MIN_INFORMATION_SHARE * prior_precision:
         return None
-    return ParameterEstimate(
-        (value * std**-2.0 - prior.value * prior_precision) / precision, precision**-0.5, prior.unit
-    )
+    value_from_flights = (value * posterior_precision - prior.value * prior_precision) / precision
+    return ParameterEstimate(value_from_flights, precision**-0.5, prior.unit)

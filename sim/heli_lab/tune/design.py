@@ -1,11 +1,11 @@
 """Design gains that minimise the tracking error under a bound on the peak sensitivity of every loop.
 
-All loops use one principle. The setpoint of a take-off and of a travel step is the shaped path of the board.
-The feed-forward follows from the rig's parameters. The gains minimise the squared tracking error along this
-path, over the rig and all corners of its spread with the same gains and feed-forward. The peak sensitivity of
-every loop on every plant stays below a bound. The Nelder-Mead method optimises the logarithms of the gains,
-because gains are positive and of unknown magnitude. A bound S on the sensitivity also bounds the margins: the
-gain may rise by S / (S - 1) and the phase may fall by 2 asin(1 / 2 S).
+All loops are designed in the same way. The setpoint of a take-off and of a travel step is the shaped path of
+the board. The feed-forward follows from the rig's parameters. The gains minimise the squared tracking error
+along this path, over the rig and all corners of its spread with the same gains and feed-forward. The peak
+sensitivity of every loop on every plant stays below a bound. The Nelder-Mead method optimises the logarithms
+of the gains, because gains are positive and of unknown magnitude. A bound S on the sensitivity also bounds
+the margins: the gain may rise by S / (S - 1) and the phase may fall by 2 asin(1 / 2 S).
 """
 
 from __future__ import annotations
@@ -17,15 +17,19 @@ from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_host.declaration import PARAMS
-from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig
-from heli_sim.rig.board import encoder_parameters
-from heli_sim.rig.encoders import direction_is_known
 
 from heli_lab.tune import loops
+from heli_lab.tune.board_parameters import (
+    check_lift,
+    largest_differential_V,
+    law_parameters,
+    lift_max_V,
+    rig_parameters,
+    travel_motion_deg,
+)
 from heli_lab.tune.loops import CascadeGains, ComplexArray, Margin, Pid
 from heli_lab.tune.objective import (
     UNSTABLE_COST,
@@ -44,14 +48,14 @@ from heli_lab.tune.travel_step import TravelStep, constant_loads_deg_s2
 
 TRAVEL_STEP_DEG: Final = 15.0
 PITCH_SETPOINT_MAX_DEG: Final = 30.0
-MOTOR_MAX_V: Final = 10.0
 ELEVATION_SLEW_DEG_S: Final = 15.0
 TRAVEL_SLEW_DEG_S: Final = 20.0
 
 _PITCH_SHARE: Final = 0.3
-"""Pitch setpoint of a shaped travel step over the largest pitch setpoint."""
+"""Pitch setpoint of a shaped travel step, as a share of the largest pitch setpoint."""
 _COLLECTIVE_SHARE: Final = 0.75
-"""Collective of a take-off over the hover voltage, or over the voltage beyond it if that is smaller."""
+"""Additional collective of a take-off, as a share of the hover voltage, or of the voltage that remains
+beyond it if that is smaller."""
 _MAX_ELEVATION_DEG_S2: Final = 30.0
 _MAX_TRAVEL_DEG_S2: Final = 4.5
 _FILTERS_Hz: Final = (6.0, 16.0, 3.0)
@@ -60,7 +64,6 @@ has the largest gain, pitch the fastest loop."""
 _TAKE_OFF_TIME_s, _STEP_TIME_s = 8.0, 10.0
 """Length of the simulated take-off and of the simulated travel step."""
 _UNIT_GAIN, _NO_GAIN = Pid(1.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0)
-_PARAMETERS: Final = {spec.name: spec for spec in PARAMS}
 
 
 @dataclass(frozen=True)
@@ -121,53 +124,14 @@ def find_gains(
     loop_effects = loop_effects if loop_effects is not None else LoopEffects()
     spread = spread if spread is not None else loop_effects.spread
     plants = spread_plants(rig, spread, model=model, loop_effects=loop_effects)
-    _check_lift(rig, plants[0].hover_V)
+    check_lift(rig, plants[0].hover_V)
     report("elevation: take-off")
     elevation, elevation_path = _design_elevation(rig, plants, sensitivity)
     report("pitch and travel: step")
     tilt = _design_tilt(rig, plants, spread, sensitivity)
     law = CascadeGains(elevation, tilt.pitch, tilt.travel, tilt.pitch_hold)
-    parameters = _rig_parameters(rig) | elevation_path | tilt.parameters | _law_parameters(law)
+    parameters = rig_parameters(rig) | elevation_path | tilt.parameters | law_parameters(law)
     return Design(law, plants, sensitivity, parameters)
-
-
-def _check_lift(rig: Rig, hover_V: float) -> None:
-    """Raise a PlantError if the rig's motors cannot hold it at `hover_V`, the sum above the dead zone [V]."""
-    if hover_V >= _lift_max_V(rig):
-        raise PlantError(
-            f"rig '{rig.name}' hovers at {0.5 * hover_V + rig['dead_zone'].value:.1f} V per motor, "
-            f"but its motors get at most {_motor_max_V(rig):.1f} V",
-            "check its masses, thrust_gain and supply",
-        )
-
-
-def _rig_parameters(rig: Rig) -> dict[str, float]:
-    """Parameters of the board that follow from the rig alone.
-
-    Counts per revolution are included for encoders whose direction the rig states. The sign of the others
-    depends on their wiring, which the board knows, so a file of gains must not change it.
-    """
-    known = zip(encoder_parameters(rig).items(), direction_is_known(rig), strict=True)
-    counts_per_rev = {name: value for (name, value), is_known in known if is_known}
-    supply_V = rig["supply"].value
-    return counts_per_rev | {
-        "elevation_rest_deg": rig["elevation_min"].value,
-        "supply_V": supply_V,
-        "motor_min_V": -supply_V if rig["reverse_thrust"].value > 0.0 else 0.0,
-        "motor_max_V": _motor_max_V(rig),
-        "dead_zone_V": rig["dead_zone"].value,
-    }
-
-
-def _law_parameters(law: CascadeGains) -> dict[str, float]:
-    """Gains and filters of the `law`, by the board's names and in its units."""
-    values: dict[str, float] = {}
-    for axis, pid in (("elevation", law.elevation), ("pitch", law.pitch), ("travel", law.travel)):
-        for name, gain in (("kp", pid.kp), ("ki", pid.ki), ("kd", pid.kd)):
-            # The board takes V per degree, and for travel degrees per degree.
-            values[f"{axis}_{name}"] = gain if axis == "travel" else float(np.radians(gain))
-        values[f"{axis}_filter_Hz"] = pid.filter_Hz
-    return values
 
 
 @dataclass(frozen=True)
@@ -189,8 +153,15 @@ class _TakeOff:
     feedforward: Floats
 
     def error_deg(self, pid: Pid, closed: Floats) -> Floats:
-        """Error of the elevation on every plant, shape (n, plants) [deg], in loops with the state matrices
-        `closed`, shape (plants, 6, 6), from `loops.elevation_closed`.
+        """Simulate the take-off on all plants, and return the error of the elevation [deg], shape (n,
+        plants).
+
+        Parameters
+        ----------
+        pid : Pid
+            Gains of the elevation loop.
+        closed : ndarray (plants, 6, 6)
+            State matrices of the closed loops with these gains, from `loops.elevation_closed`.
         """
         nominal_V = self.plants[0].hover_V
         # Inputs: the collective, the setpoint, and a constant.
@@ -216,7 +187,7 @@ def _design_elevation(
     # The hover voltage rises with elevation, because masses below the axis pull the arm back to level.
     slope_V_rad = -float(nominal.elevation_A[1, 0]) / gain
     acceleration_ff = 1.0 / gain
-    spare_V = min(nominal.hover_V, _lift_max_V(rig) - nominal.hover_V)
+    spare_V = min(nominal.hover_V, lift_max_V(rig) - nominal.hover_V)
     acceleration_deg_s2 = min(_MAX_ELEVATION_DEG_S2, float(np.degrees(_COLLECTIVE_SHARE * spare_V * gain)))
     rise_deg = -rig["elevation_min"].value
     path_deg = shaped_step(
@@ -277,7 +248,7 @@ class _TiltDesign:
 def _tilt_loops(
     pitch: Pid, travel: Pid, pitch_hold: float, to_pitch: ComplexArray, to_travel: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Open loops of pitch, of travel, and of the differential voltage that both loops share.
+    """Compute the open loops of pitch, of travel, and of the differential voltage that both loops share.
 
     Parameters
     ----------
@@ -306,7 +277,7 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
     )
     arrival_row = round(2.0 * np.sqrt(TRAVEL_STEP_DEG / acceleration_deg_s2) / SIMULATION_STEP_s)
     travel_step = TravelStep(plants, pitch_hold, path, arrival_row, constant_loads_deg_s2(rig, spread))
-    differential_max_V = _differential_max_V(rig, nominal.hover_V)
+    differential_max_V = largest_differential_V(rig, nominal.hover_V)
     # With unit gains, the loops are the responses of pitch and travel to the differential.
     unit = CascadeGains(_NO_GAIN, _UNIT_GAIN, _UNIT_GAIN)
     plant_responses = [loops.open_loops(plant, unit) for plant in plants]
@@ -314,7 +285,7 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
     to_travel = np.array([response["differential"] - response["pitch"] for response in plant_responses])
 
     def pids(gains: Floats) -> tuple[Pid, Pid, float]:
-        """Both loops, and the feed-forward of the travel acceleration, from the seven gains."""
+        """Split the seven gains into both controllers and the feed-forward of the travel acceleration."""
         return _pid(gains[0:3], _FILTERS_Hz[1]), _pid(gains[3:6], _FILTERS_Hz[2]), float(gains[6])
 
     def cost(gains: Floats) -> float:
@@ -347,14 +318,16 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
             "differential_max_V": differential_max_V,
             "pitch_gain": nominal.pitch_gain,
             "travel_gain": nominal.travel_gain,
-            "travel_motion_deg": _travel_motion_deg(nominal.travel_gain),
+            "travel_motion_deg": travel_motion_deg(nominal.travel_gain),
         },
     )
 
 
 def _initial_tilt_gains(nominal: LinearPlant, inner_rad_s: float) -> Floats:
-    """Start of the search, shape (7,): kp, ki and kd of pitch and of travel, and the feed-forward. The pitch
-    loop crosses over at about `inner_rad_s`, the travel loop at half of it.
+    """Return the start of the search, shape (7,): kp, ki and kd of pitch, the same of travel, the
+    feed-forward.
+
+    The pitch loop crosses over at about `inner_rad_s`, the travel loop at half of it.
     """
     outer_rad_s = inner_rad_s / 2.0
     pitch_kp = (0.5 * inner_rad_s**2 - 0.5 * nominal.tilt_A[2, 0]) / nominal.pitch_gain
@@ -364,31 +337,6 @@ def _initial_tilt_gains(nominal: LinearPlant, inner_rad_s: float) -> Floats:
     return np.array([*pitch, *travel, 1.0 / nominal.travel_gain])
 
 
-def _travel_motion_deg(gain: float) -> float:
-    """Tilt that must move travel: what turns this rig as the declared tilt turns the declared rig."""
-    declared = _PARAMETERS["travel_motion_deg"].default * _PARAMETERS["travel_gain"].default
-    return max(declared / gain, _PARAMETERS["travel_motion_deg"].min)
-
-
-def _differential_max_V(rig: Rig, hover_V: float) -> float:
-    """Largest difference of the voltages at which their sum still holds the arm [V].
-
-    Beyond the hover voltage, one rotor stops and the other lifts the arm. Beyond the reserve of the stronger
-    motor, the arm sinks.
-    """
-    return max(min(hover_V, _lift_max_V(rig) - hover_V), 0.1 * hover_V)
-
-
-def _lift_max_V(rig: Rig) -> float:
-    """Largest sum of both voltages above the dead zone [V]."""
-    return 2.0 * (_motor_max_V(rig) - rig["dead_zone"].value)
-
-
-def _motor_max_V(rig: Rig) -> float:
-    """Largest voltage of a motor [V]: the supply, but at most `MOTOR_MAX_V`."""
-    return min(rig["supply"].value, MOTOR_MAX_V)
-
-
 def _pid(gains: Floats, filter_Hz: float) -> Pid:
-    """The `gains` kp, ki and kd, shape (3,), with a rate filter."""
+    """Make a controller from its gains kp, ki and kd, shape (3,), and the cut-off of its rate filter."""
     return Pid(float(gains[0]), float(gains[1]), float(gains[2]), filter_Hz)

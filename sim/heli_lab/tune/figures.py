@@ -69,8 +69,8 @@ def _draw_flights(panels: Sequence[Axes], flights: Sequence[tuple[str, Flight]])
 
 
 def _draw_loop(axes: Axes, loop: str, design: Design) -> None:
-    """Draw the Nyquist curves of a `loop` on all plants, with the disc that the bound on the sensitivity
-    excludes.
+    """Draw the Nyquist curves of a `loop` on all plants, and the disc around -1 that the bound on the
+    sensitivity excludes.
     """
     frequency = np.geomspace(0.05, 200.0, 600)
     nominal = [plant for plant in design.plants if plant.thrust == plant.counterweight == 1.0]

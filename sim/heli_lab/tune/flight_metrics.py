@@ -1,4 +1,4 @@
-"""Performance of gains in a test flight: take-off, a travel step and back, sines.
+"""Measure the performance of gains in a test flight: take-off, a travel step and back, sines.
 
 Overshoot and settling time are those of `heli_host.flight.response`, relative to the planned path.
 """
@@ -78,23 +78,26 @@ def flight_metrics(
     """
     t_s, angles_deg = flight.t_s, np.rad2deg(flight.angles_rad)
     elevation, pitch, travel = angles_deg.T
-    rise, step = _between(t_s, phases.take_off_s, phases.step_s), _between(t_s, phases.step_s, phases.back_s)
-    back, sine = _between(t_s, phases.back_s, phases.sine_s), _between(t_s, phases.sine_s, phases.end_s)
-    error_deg = angles_deg[sine] - path_deg(t_s[sine])
-    steps = ((step, phases.step_s, 0.0, TRAVEL_STEP_DEG), (back, phases.back_s, TRAVEL_STEP_DEG, 0.0))
+    in_take_off = _between(t_s, phases.take_off_s, phases.step_s)
+    in_step = _between(t_s, phases.step_s, phases.back_s)
+    in_step_back = _between(t_s, phases.back_s, phases.sine_s)
+    in_sines = _between(t_s, phases.sine_s, phases.end_s)
+    error_deg = angles_deg[in_sines] - path_deg(t_s[in_sines])
     elevation_count_deg, _, travel_count_deg = np.rad2deg(count_rad(flight)).tolist()
-    measured = [
-        step_metrics(t_s[rows] - at_s, travel[rows], start, end, travel_count_deg)
-        for rows, at_s, start, end in steps
+    steps = [
+        step_metrics(t_s[in_step] - phases.step_s, travel[in_step], 0.0, TRAVEL_STEP_DEG, travel_count_deg),
+        step_metrics(
+            t_s[in_step_back] - phases.back_s, travel[in_step_back], TRAVEL_STEP_DEG, 0.0, travel_count_deg
+        ),
     ]
-    start_deg = float(elevation[rise][0]) if rise.any() else 0.0
-    rise_s = t_s[rise] - phases.take_off_s
-    take_off = step_metrics(rise_s, elevation[rise], start_deg, 0.0, elevation_count_deg)
+    start_deg = float(elevation[in_take_off][0]) if in_take_off.any() else 0.0
+    since_take_off_s = t_s[in_take_off] - phases.take_off_s
+    take_off = step_metrics(since_take_off_s, elevation[in_take_off], start_deg, 0.0, elevation_count_deg)
     return FlightMetrics(
         outcome=outcome,
         take_off_s=_nan_to_infinite(take_off.settling_s),
-        overshoot_percent=max(_nan_to_infinite(metrics.overshoot_percent) for metrics in measured),
-        settling_time_s=max(_nan_to_infinite(metrics.settling_s) for metrics in measured),
+        overshoot_percent=max(_nan_to_infinite(metrics.overshoot_percent) for metrics in steps),
+        settling_time_s=max(_nan_to_infinite(metrics.settling_s) for metrics in steps),
         travel_rms_deg=_nan_to_infinite(rms(error_deg[:, 2])),
         elevation_rms_deg=_nan_to_infinite(rms(error_deg[:, 0])),
         pitch_max_deg=float(np.abs(pitch).max(initial=0.0)),
@@ -102,8 +105,10 @@ def flight_metrics(
 
 
 def _between(t_s: Floats, start_s: float, stop_s: float) -> Booleans:
+    """Select the rows whose times `t_s`, shape (n,), are from `start_s` to before `stop_s`."""
     return (t_s >= start_s) & (t_s < stop_s)
 
 
 def _nan_to_infinite(value: float) -> float:
+    """Return infinity for nan, which stands for a result that was not reached."""
     return math.inf if math.isnan(value) else value

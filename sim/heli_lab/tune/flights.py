@@ -1,4 +1,4 @@
-"""Test flight for gains in simulation: take-off, a travel step and back, sines on elevation and travel."""
+"""Fly a test of gains in simulation: take-off, a travel step and back, sines on elevation and travel."""
 
 from __future__ import annotations
 
@@ -39,6 +39,7 @@ travel_period_s = 20
 duration_s = 60
 """
 _STEP_S, _SINE_S = 8.0, 60.0
+"""Durations in `PLAN` of each step and of the sines [s]."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,7 @@ def try_gains(
     length_s = plan.duration_s + plan.start.settle_s
 
     def report(progress: Progress) -> None:
+        """Pass on the completed share of the flight."""
         if on_progress is not None:
             on_progress(min(1.0, progress.t_s / length_s))
 
@@ -101,11 +103,19 @@ def try_gains(
         start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
         route = take_off([plan], dict(heli.params), start_deg)
         flight, summary = fly_and_read(heli, plan, report)
-    closed = np.flatnonzero(flight.state == State.CLOSED_LOOP)
-    start_s = float(flight.t_s[closed[0]]) if closed.size else float(flight.t_s[0])
-    stop_s = float(flight.t_s[closed[-1]]) if closed.size else start_s
+    closed_loop_rows = np.flatnonzero(flight.state == State.CLOSED_LOOP)
+    start_s = float(flight.t_s[closed_loop_rows[0]]) if closed_loop_rows.size else float(flight.t_s[0])
+    stop_s = float(flight.t_s[closed_loop_rows[-1]]) if closed_loop_rows.size else start_s
     step_s = start_s + route.duration_s - plan.duration_s
-    phases = Phases(start_s, step_s, step_s + _STEP_S, step_s + 2 * _STEP_S, step_s + 2 * _STEP_S + _SINE_S)
-    cut = flight.between(start_s, stop_s)
-    metrics = flight_metrics(cut, lambda t_s: route.evaluate(t_s - start_s), phases, summary.outcome)
-    return Trial(label, replace(cut, t_s=cut.t_s - start_s), metrics)
+    phases = Phases(
+        take_off_s=start_s,
+        step_s=step_s,
+        back_s=step_s + _STEP_S,
+        sine_s=step_s + 2 * _STEP_S,
+        end_s=step_s + 2 * _STEP_S + _SINE_S,
+    )
+    in_closed_loop = flight.between(start_s, stop_s)
+    metrics = flight_metrics(
+        in_closed_loop, lambda t_s: route.evaluate(t_s - start_s), phases, summary.outcome
+    )
+    return Trial(label, replace(in_closed_loop, t_s=in_closed_loop.t_s - start_s), metrics)

@@ -1,4 +1,4 @@
-"""Convert parameters of the board into gains in the units of the loop analysis."""
+"""Convert parameters of the board to gains in the units of the loop analysis."""
 
 from __future__ import annotations
 
@@ -10,12 +10,17 @@ from heli_lab.tune.loops import CascadeGains, Pid
 
 
 def cascade_gains_of(parameters: Mapping[str, float]) -> CascadeGains:
-    """Convert `parameters` of the board, in declared units, into gains in V/rad and rad/rad.
+    """Convert parameters of the board to gains in V/rad and rad/rad.
 
-    Needed are kp, ki, kd and filter_Hz of each axis; pitch_hold_ff is optional.
+    Parameters
+    ----------
+    parameters : Mapping of str to float
+        Values by name, in the units of the board: kp, ki, kd and filter_Hz of each axis, and optionally
+        pitch_hold_ff.
     """
 
     def pid(axis: str, scale: float) -> Pid:
+        """Return the gains of an axis, multiplied by a factor between the units."""
         kp, ki, kd = (parameters[f"{axis}_{name}"] * scale for name in ("kp", "ki", "kd"))
         return Pid(kp, ki, kd, parameters[f"{axis}_filter_Hz"])
 

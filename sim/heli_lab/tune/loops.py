@@ -1,4 +1,4 @@
-"""State spaces, frequency responses and stability margins of the control loops on linear plants.
+"""Analyse the control loops on linear plants: state spaces, frequency responses and stability margins.
 
 Gains (kp, ki, kd) are in V/rad for elevation and pitch, and in rad/rad for travel. The derivative acts on the
 measured angle, after the two poles of the rate filter. The pitch setpoint is also fed forward, which is part
@@ -26,7 +26,9 @@ FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 200.0, 160)
 MARGIN_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.02, 300.0, 1500)
 """Frequency grid of the margins: two crossings closer than 0.64 % are not resolved."""
 _BISECTIONS: Final = 30
+"""Halvings of an interval of this grid: enough for nine digits of a frequency."""
 TILT_STATES: Final = 11
+"""Number of states of `tilt_closed`."""
 PITCH_FILTER, TRAVEL_FILTER, PITCH_INTEGRAL, TRAVEL_INTEGRAL = 5, 7, 9, 10
 """Numbers of states of `tilt_closed`, after the plant's five: the first of two filter states of each loop,
 and the integral of its error."""
@@ -134,8 +136,8 @@ def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float =
 
 
 def tilt_output(pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
-    """Return the row, shape (11,), from the states of `tilt_closed` to the differential [V per unit], for
-    setpoints of zero. `pitch_hold` is that of `CascadeGains`.
+    """Return the output matrix, one row of shape (11,), from the states of `tilt_closed` to the differential
+    [V per unit], for setpoints of zero. `pitch_hold` is that of `CascadeGains`.
     """
     row = (pitch.kp + pitch_hold) * _pitch_error(travel)
     row[0] += pitch_hold
@@ -187,14 +189,16 @@ def peak_sensitivity(loop: ComplexArray) -> float:
 
 
 def margins(plant: LinearPlant, law: CascadeGains) -> dict[str, Margin]:
-    """Return the margins of every loop; they are meaningful only if the `law` stabilises the plant."""
+    """Compute the stability margins of every loop; the `law` must stabilise the plant."""
     grid = open_loops(plant, law, MARGIN_FREQUENCY_rad_s)
     phase_crossings = _crossings(plant, law, grid, _sine)
     gain_crossings = _crossings(plant, law, grid, _log_gain)
     result = {}
     for name, loop in grid.items():
-        crossed = phase_crossings[name][1].real
-        gains = -1.0 / crossed[crossed < 0.0]
+        _, real_responses = phase_crossings[name]
+        # Where the loop gain is real and negative, this factor would bring it to -1.
+        negative = real_responses.real[real_responses.real < 0.0]
+        gains = -1.0 / negative
         crossings, responses = gain_crossings[name]
         phases_deg = np.mod(np.degrees(np.angle(responses)), 360.0) - 180.0
         # The phase margin is the distance to -180 deg in either direction, the delay margin only downwards.
@@ -226,7 +230,7 @@ def _crossings(
     grid: dict[str, ComplexArray],
     value: Callable[[ComplexArray], Floats],
 ) -> dict[str, tuple[Floats, ComplexArray]]:
-    """Frequencies at which a real function of each loop gain changes sign, by bisection.
+    """Find the frequencies at which a real function of each loop gain changes sign, by bisection.
 
     All loops are bisected together: `control.stability_margins` interpolates one point per call and takes a
     hundred times as long.
@@ -267,12 +271,24 @@ def _crossings(
 
 def is_stable(plant: LinearPlant, law: CascadeGains) -> bool:
     """Whether all closed loops of a plant are stable."""
-    both = (elevation_closed(plant, law.elevation), tilt_closed(plant, law.pitch, law.travel, law.pitch_hold))
-    return all(float(np.linalg.eigvals(closed).real.max()) < 0.0 for closed in both)
+    elevation = elevation_closed(plant, law.elevation)
+    tilt = tilt_closed(plant, law.pitch, law.travel, law.pitch_hold)
+    return all(float(np.linalg.eigvals(closed).real.max()) < 0.0 for closed in (elevation, tilt))
 
 
 def _with_filters(A: Floats, measured: tuple[int, ...], pids: tuple[Pid, ...]) -> Floats:
-    """Extend A by two filter states per measured angle, and by a zero row and column for each integral."""
+    """Extend a state matrix by the two states of each rate filter, and by zeros for the integral of each
+    loop.
+
+    Parameters
+    ----------
+    A : ndarray (n, n)
+        State matrix of the plant.
+    measured : tuple of int
+        State with the measured angle of each loop.
+    pids : tuple of Pid
+        Gains of each loop, with the cut-off frequency of its filter.
+    """
     count, loops = A.shape[0], len(measured)
     closed = np.zeros((count + 3 * loops, count + 3 * loops))
     closed[:count, :count] = A
@@ -285,7 +301,15 @@ def _with_filters(A: Floats, measured: tuple[int, ...], pids: tuple[Pid, ...]) -
 
 
 def _output(size: int, angle: int, first: int, pid: Pid) -> Floats:
-    """Return the row from the states to the proportional and derivative output."""
+    """Return the row from the states to the proportional and derivative output of a controller.
+
+    Parameters
+    ----------
+    size : int
+        Number of states.
+    angle, first : int
+        Numbers of the states with the measured angle, and with the first output of its rate filter.
+    """
     row = np.zeros(size)
     cutoff = 2.0 * np.pi * pid.filter_Hz
     row[angle] = -pid.kp
@@ -302,7 +326,7 @@ def _pitch_error(travel: Pid) -> Floats:
 
 
 def _response(A: Floats, B: Floats, output: int, frequency_rad_s: Floats) -> ComplexArray:
-    """Frequency response from the input to the state number `output`, shape (n,)."""
+    """Compute the frequency response from the input to the state number `output`, shape (n,)."""
     resolvent = 1j * frequency_rad_s[:, None, None] * np.eye(len(B)) - A
     column = np.broadcast_to(B[:, None], (len(frequency_rad_s), len(B), 1))
     return np.asarray(np.linalg.solve(resolvent, column)[:, output, 0])

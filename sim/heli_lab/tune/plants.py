@@ -1,4 +1,4 @@
-"""Linear plants that one set of gains must stabilise: the rig and the corners of its uncertainty."""
+"""Linearise a rig and the corners of its uncertainty, which one set of gains must stabilise."""
 
 from __future__ import annotations
 
@@ -89,12 +89,19 @@ def loop_effects_of(effects: Sequence[Effect]) -> LoopEffects:
     delay_s = sum((effect.values[effect.delay] for effect in effects if effect.delay), start=0.0)
     linear, excluded = [], []
     for effect in effects:
+        # A delay, and a lag of the thrust, are stated by the numbers above.
+        is_stated_by_number = bool(effect.delay) or isinstance(effect, RotorLag)
         is_linear = effect.linearisable and not effect.states
         if isinstance(effect, RotorSpeedLag) or (is_linear and not effect.delay):
             linear.append(effect)
-        elif not (effect.delay or isinstance(effect, RotorLag)):
+        elif not is_stated_by_number:
             excluded.append(effect.name)
-    return LoopEffects(sum(lags_s) if lags_s else None, delay_s, tuple(linear), tuple(excluded))
+    return LoopEffects(
+        lag_s=sum(lags_s) if lags_s else None,
+        delay_s=delay_s,
+        linear=tuple(linear),
+        excluded=tuple(excluded),
+    )
 
 
 @dataclass(frozen=True)
@@ -179,10 +186,11 @@ def linear_plant(
     hover = trim(equations, rig)
     linear = derivatives(equations, rig, hover.state, hover.volts_V)
     # Transform the two thrusts, and the two voltages, to their sum and their difference.
-    states = np.eye(8)
-    states[6:, 6:] = [[1.0, 1.0], [1.0, -1.0]]
-    A = states @ linear.A @ np.linalg.inv(states)
-    B = states @ linear.B @ np.array([[0.5, 0.5], [0.5, -0.5]])
+    transform = np.eye(8)
+    transform[6:, 6:] = [[1.0, 1.0], [1.0, -1.0]]
+    A = transform @ linear.A @ np.linalg.inv(transform)
+    B = transform @ linear.B @ np.array([[0.5, 0.5], [0.5, -0.5]])
+    # The states are elevation, pitch, travel, their rates, and sum and difference of the thrusts.
     elevation, tilt = [0, 3, 6], [1, 2, 4, 5, 7]
     hover_V = float(np.sum(hover.volts_V) - 2.0 * rig["dead_zone"].value)
     if A[5, 1] <= 0.0:
@@ -205,10 +213,13 @@ def linear_plant(
 
 @functools.lru_cache(maxsize=32)
 def _equations(model: type[Model], lag_s: float, linear: tuple[Effect, ...]) -> Model:
-    """Equations with the `linear` effects and a rotor lag of `lag_s` [s]."""
-    rotors = next((effect for effect in linear if isinstance(effect, RotorSpeedLag)), None)
-    lag = RotorLag(lag_s) if rotors is None else rotors.with_lag(lag_s)
-    return model((lag, *(effect for effect in linear if effect is not rotors)))
+    """Return a model with the `linear` effects and a rotor lag of `lag_s` [s].
+
+    The lag is that of the rotor speed if the effects contain one, otherwise that of the thrust.
+    """
+    speed_lag = next((effect for effect in linear if isinstance(effect, RotorSpeedLag)), None)
+    lag = RotorLag(lag_s) if speed_lag is None else speed_lag.with_lag(lag_s)
+    return model((lag, *(effect for effect in linear if effect is not speed_lag)))
 
 
 def spread_plants(

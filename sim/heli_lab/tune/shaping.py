@@ -1,4 +1,4 @@
-"""Shaped setpoint of a step, with the slew and acceleration limits of firmware/core/flight."""
+"""Compute the shaped setpoint of a step, with the limits of rate and acceleration of firmware/core/flight."""
 
 from __future__ import annotations
 
@@ -29,30 +29,32 @@ def shaped_step(
     acceleration : float
         Largest acceleration of the setpoint [unit/s^2].
     duration_s : float
-        Length of the path.
+        Length of the path [s].
     every_s : float
-        Time between two rows, a whole number of milliseconds.
+        Time between two rows of the result [s], a whole number of milliseconds.
 
     Returns
     -------
     ndarray (n, 3)
         Setpoint, its rate, and the smoothed acceleration for the feed-forward.
     """
-    step_max, change_max = slew * _TICK_s, acceleration * _TICK_s**2
-    angle = step = smooth = 0.0
+    # All changes are per tick: `step` of the setpoint, `change` of the step.
+    max_step, max_change = slew * _TICK_s, acceleration * _TICK_s**2
+    setpoint = step = smooth_change = 0.0
     rows = np.empty((round(duration_s / _TICK_s), 3))
-    approach_distance = change_max / _APPROACH_RATE**2
+    approach_distance = max_change / _APPROACH_RATE**2
     for row in rows:
-        row[:] = angle, step / _TICK_s, smooth / _TICK_s**2
-        remaining = abs(distance - angle)
+        row[:] = setpoint, step / _TICK_s, smooth_change / _TICK_s**2
+        remaining = abs(distance - setpoint)
+        # Near its end, the path approaches the target exponentially; before that, it brakes evenly.
         fastest = (
             remaining * _APPROACH_RATE
             if remaining <= approach_distance
-            else math.sqrt(2.0 * change_max * (remaining - 0.5 * approach_distance))
+            else math.sqrt(2.0 * max_change * (remaining - 0.5 * approach_distance))
         )
-        target_step = math.copysign(min(fastest, step_max), distance - angle)
-        change = max(-change_max, min(change_max, target_step - step))
+        target_step = math.copysign(min(fastest, max_step), distance - setpoint)
+        change = max(-max_change, min(max_change, target_step - step))
         step += change
-        angle += step
-        smooth += _SMOOTHING * (change - smooth)
+        setpoint += step
+        smooth_change += _SMOOTHING * (change - smooth_change)
     return rows[:: round(every_s / _TICK_s)]

@@ -13,8 +13,8 @@ from heli_lab.matrix_exponential import matrix_exponentials
 SIMULATION_STEP_s: Final = 0.04
 """Time between two points of a path; inputs are constant in between."""
 _BLOCK: Final = 16
-"""Points per block. All blocks are simulated together from rest; then the final state of each block is added
-to the next. 250 points take 32 steps in Python instead of 250."""
+"""Points per block. All blocks are simulated together, from rest; then the final state of each block is
+carried over to the next. 250 points take 32 steps in Python instead of 250."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +44,16 @@ class DiscretePlants:
         blocks = -(-len(inputs) // _BLOCK)
         padded = np.zeros((blocks * _BLOCK, inputs.shape[1]))
         padded[: len(inputs)] = inputs
-        # Zero-state response at each point of all blocks, shape (plants, n, blocks).
+        # Indices: plant p, state n, input m, block b, point k of a block.
         forced = np.einsum("pnm,bkm->kpnb", self.inputs, padded.reshape(blocks, _BLOCK, -1))
+        # First from rest: states of each block, and powers of the transition matrix.
         states = np.zeros((_BLOCK + 1, count, size, blocks))
         powers = np.empty((_BLOCK + 1, count, size, size))
         powers[0] = np.eye(size)
         for index in range(_BLOCK):
             states[index + 1] = self.transition @ states[index] + forced[index]
             powers[index + 1] = self.transition @ powers[index]
+        # Then the state at the beginning of each block, from block to block.
         initial = np.empty((count, size, blocks))
         state = np.zeros((count, size, 1))
         for block in range(blocks):

@@ -1,4 +1,4 @@
-"""The travel step and the constant loads by which the gains of pitch and travel are evaluated."""
+"""Simulate the travel step and the constant loads by which the gains of pitch and travel are evaluated."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from heli_lab.tune.plants import LinearPlant, Spread
 from heli_lab.tune.simulate import DiscretePlants, SIMULATION_STEP_s, discretise
 
 _TRIM_TIME_s: Final = 8.0
-"""Time before a travel step in which the integrators trim a rig with unequal rotors."""
+"""Time before a travel step [s], in which the integrators compensate constant loads."""
 _OVERSHOOT_WEIGHT: Final = 0.5
+"""Weight of the squared overshoot."""
 _FINAL_ERROR_WEIGHT: Final = 30.0
 """Weight of the squared error after the end of the path, by which users judge a step."""
 
@@ -78,18 +79,27 @@ class TravelStep:
         return squares, self._largest_differential_V(states, setpoint_deg, pitch, travel)
 
     def _discrete_plants(self, pitch: Pid, closed: Floats) -> DiscretePlants:
-        """Closed loops in discrete time. Inputs: pitch setpoint, travel setpoint, then each load."""
-        inputs = np.zeros((len(self.plants), loops.TILT_STATES, 2 + len(self.loads_deg_s2)))
+        """Discretise the closed loops; their inputs are pitch setpoint, travel setpoint, then each load."""
+        input_matrices = np.zeros((len(self.plants), loops.TILT_STATES, 2 + len(self.loads_deg_s2)))
+        # The pitch setpoint acts on the voltage, at the first five states, and on the integral of its error.
         for index, plant in enumerate(self.plants):
-            inputs[index, :5, 0] = plant.tilt_B * (pitch.kp + self.pitch_hold)
-        inputs[:, loops.PITCH_INTEGRAL, 0], inputs[:, loops.TRAVEL_INTEGRAL, 1] = 1.0, 1.0
+            input_matrices[index, :5, 0] = plant.tilt_B * (pitch.kp + self.pitch_hold)
+        input_matrices[:, loops.PITCH_INTEGRAL, 0] = 1.0
+        # The travel setpoint acts on the integral; its other actions are part of the pitch setpoint.
+        input_matrices[:, loops.TRAVEL_INTEGRAL, 1] = 1.0
         for number, (state, (load_deg_s2, _)) in enumerate(self.loads_deg_s2.items()):
-            inputs[:, state, 2 + number] = load_deg_s2
-        return discretise(closed, inputs)
+            input_matrices[:, state, 2 + number] = load_deg_s2
+        return discretise(closed, input_matrices)
 
     def _step_squares(self, error_deg: Floats) -> Floats:
-        """Weighted mean square of the travel error during the step, shape (plants,), from the error, shape
-        (times, plants): also the error and the overshoot after the setpoint has arrived.
+        """Compute the weighted mean square of the travel error during the step, shape (plants,).
+
+        The error and the overshoot after the setpoint has arrived have additional weights.
+
+        Parameters
+        ----------
+        error_deg : ndarray (times, plants)
+            Travel minus its setpoint.
         """
         final_deg = error_deg[self.arrival_row :]
         squares = np.mean(error_deg**2, axis=0)
@@ -97,30 +107,42 @@ class TravelStep:
         return np.asarray(squares + _OVERSHOOT_WEIGHT * np.maximum(final_deg.max(axis=0), 0.0) ** 2)
 
     def _load_squares(self, plants: DiscretePlants) -> Floats:
-        """Weighted mean square of the travel error that the loads leave on each corner after the trim."""
+        """Compute the weighted mean square of the travel error by the constant loads, shape (corners,).
+
+        The loads begin at time 0. The error counts from `_TRIM_TIME_s` on, when the integrators have
+        compensated most of it.
+        """
         nominal_count = count_nominal(self.plants)
         corners = DiscretePlants(plants.transition[nominal_count:], plants.inputs[nominal_count:, :, 2:])
         trim_row = round(_TRIM_TIME_s / SIMULATION_STEP_s)
-        remaining_deg = corners.step_response(trim_row + len(self.path) // 2)[:, 1, :, trim_row:]
+        # Shape (corners, states, loads, times); state 1 is travel.
+        response_deg = corners.step_response(trim_row + len(self.path) // 2)
+        travel_error_deg = response_deg[:, 1, :, trim_row:]
         squares = np.zeros(len(corners.transition))
         for number, (_, weight) in enumerate(self.loads_deg_s2.values()):
-            squares += weight * np.mean(remaining_deg[:, number] ** 2, axis=1)
+            squares += weight * np.mean(travel_error_deg[:, number] ** 2, axis=1)
         return squares
 
     def _largest_differential_V(self, states: Floats, setpoint_deg: Floats, pitch: Pid, travel: Pid) -> float:
-        """Largest differential during the step on the nominal plants [V]."""
+        """Compute the largest differential voltage of the nominal plants during the step [V]."""
         nominal = states[:, : count_nominal(self.plants)]
-        row = loops.tilt_output(pitch, travel, self.pitch_hold)
-        feedback = np.einsum("tpn,n->tp", nominal, row)
+        output_row = loops.tilt_output(pitch, travel, self.pitch_hold)
+        # Indices: time t, plant p, state n.
+        feedback = np.einsum("tpn,n->tp", nominal, output_row)
         differential = feedback + (pitch.kp + self.pitch_hold) * setpoint_deg[:, None]
         return float(np.radians(np.abs(differential).max()))
 
 
 def constant_loads_deg_s2(rig: Rig, spread: Spread) -> dict[int, tuple[float, float]]:
-    """Constant accelerations [deg/s^2] and their weights, by state: unequal rotors, a torque on travel.
+    """Compute the constant accelerations by unequal rotors, on pitch, and by a torque, on travel.
 
-    A torque on travel that the rig file states acts in every flight and has the weight of the final error. A
+    A torque on travel that the rig file states acts in every flight, and has the weight of the final error. A
     torque that is only possible has weight 1.
+
+    Returns
+    -------
+    dict of (float, float)
+        Acceleration [deg/s^2] and weight, by number of the state in `loops.tilt_closed`.
     """
     inertia = inertias_kg_m2({name: number.value for name, number in rig.items()})
     unbalance_Nm = spread.rotor * rig["M_f"].value * rig["g"].value * rig["L_h"].value

@@ -15,7 +15,8 @@ from heli_host.log.reader import Log
 from heli_sim.rig import Rig
 
 from heli_lab.errors import TwinError
-from heli_lab.identify.record import ON_GROUND, encoder_counts
+from heli_lab.identify.flight_checks import encoder_counts
+from heli_lab.identify.record import ON_GROUND
 from heli_lab.twin.samples import Samples
 
 _OFF_STATES: Final = np.array([int(state) for state in State if state.name.lower() in ON_GROUND])

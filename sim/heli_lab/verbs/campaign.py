@@ -13,7 +13,7 @@ from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
     from heli_lab.campaign.campaign import Campaign
-    from heli_lab.campaign.run import State
+    from heli_lab.campaign.run import CampaignProgress
     from heli_lab.campaign.summary import Summary
 
 
@@ -83,16 +83,16 @@ def campaign(
     ended_cases = 0
     with WorkBar() as bar:
 
-        def show(state: State) -> None:
+        def show(progress: CampaignProgress) -> None:
             """Print notes and failures of cases, and update the progress bar."""
             nonlocal ended_cases
-            ended_cases = state.ended
-            if state.note:
-                say(state.note)
-            if state.newest is not None and state.newest.failure:
-                say(f"{state.newest.name}: {state.newest.failure}")
-            failed = f", {state.failed} without a result" if state.failed else ""
-            bar.show(f"{state.ended} of {state.cases} cases{failed}", state.ended / state.cases)
+            ended_cases = progress.ended
+            if progress.note:
+                say(progress.note)
+            if progress.newest is not None and progress.newest.failure:
+                say(f"{progress.newest.name}: {progress.newest.failure}")
+            failed = f", {progress.failed} without a result" if progress.failed else ""
+            bar.show(f"{progress.ended} of {progress.cases} cases{failed}", progress.ended / progress.cases)
 
         try:
             rows = run_campaign(

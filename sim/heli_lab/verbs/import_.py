@@ -225,7 +225,7 @@ def _write_flights(sources: Sequence[_Source], profile: Profile) -> list[dict[st
         for number, flight in enumerate(flights, 1):
             check(flight, source.table.source)
             path = source.target.path(number if len(flights) > 1 else None)
-            write_csv(source.target.signed(flight), path)
+            write_csv(source.target.with_digest(flight), path)
             say(f"{len(flight)} rows, {flight.duration_s:.1f} s at {1.0 / flight.step_s:.0f} Hz -> {path}")
             for note in ("cut", "filled"):
                 if note in flight.meta:

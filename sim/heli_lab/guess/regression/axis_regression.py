@@ -11,12 +11,8 @@ import numpy as np
 from heli_host.arrays import Floats
 
 from heli_lab.guess import thresholds
-from heli_lab.guess.regression.assignment import (
-    ColumnAssignment,
-    RegressionFit,
-    free_rows,
-    regress_acceleration,
-)
+from heli_lab.guess.regression.acceleration_fit import RegressionFit, regress_acceleration
+from heli_lab.guess.regression.assignment import ColumnAssignment, free_rows
 from heli_lab.guess.regression.reference import Reference
 from heli_lab.guess.regression.scales import AXES
 from heli_lab.guess.regression.signals import Signals, delay, filtered_signal, lagged
@@ -35,8 +31,17 @@ def axis_regressions(
 ) -> dict[str, RegressionFit]:
     """Regress each axis' acceleration on its cause, at the lag with the highest likelihood.
 
+    The cause of elevation is the sum of the voltages, that of pitch is their difference, and that of travel
+    is pitch.
+
     Parameters
     ----------
+    signals : Signals
+        Columns of one file.
+    assignment : ColumnAssignment
+        Column of each angle and voltage.
+    reference : Reference
+        Prior of the stiffness of elevation and pitch.
     rad : Mapping[str, float], optional
         Radians per unit of each angle, if known: the causes then include the sines and cosines of pitch.
     bias : float
@@ -51,12 +56,15 @@ def axis_regressions(
         pitch_rad = rad["pitch"] * pitch
         mean = float(total.mean())
         causes["elevation"] = total * np.cos(pitch_rad)
+        # A sum that was logged without its bias has a small mean, which is no measure of the thrust.
         if not assignment.summed or abs(mean) > float(total.std()):
             relative_thrust = total / max(abs(mean), 1e-12) if mean else np.ones(total.size)
             causes["travel"] = np.sin(pitch_rad) / rad["pitch"] * np.clip(relative_thrust, 0.0, 2.0)
     columns = {"elevation": assignment.elevation, "pitch": assignment.pitch, "travel": assignment.travel}
-    low = {axis: filtered_signal(cause).value for axis, cause in causes.items()}
-    fits = {axis: _best(signals, columns[axis], axis, low[axis], reference) for axis in AXES}
+    low_passed = {axis: filtered_signal(cause).value for axis, cause in causes.items()}
+    fits = {
+        axis: _fit_at_best_lag(signals, columns[axis], axis, low_passed[axis], reference) for axis in AXES
+    }
     if responds_without_lag(fits["pitch"].lag_s):
         nats = _no_rotor_lag_nats(signals, columns["pitch"], difference, reference)
         fits["pitch"] = replace(fits["pitch"], no_rotor_lag_nats=nats)
@@ -69,9 +77,10 @@ def responds_without_lag(lag_s: float) -> bool:
 
 
 def _no_rotor_lag_nats(signals: Signals, column: str, difference: Floats, reference: Reference) -> float:
-    """Compare rotors without a lag with lagging rotors whose lag a delay of the voltages hides.
+    """Compare rotors without a lag with rotors that lag while the logged voltages are too late.
 
-    Both respond at the same time on average, but lagging rotors smooth the voltages.
+    A lag of the rotors and late voltages can cancel on average: pitch then follows the voltages without a
+    delay in both cases. But lagging rotors also smooth the voltages, which distinguishes the two.
 
     Parameters
     ----------
@@ -89,7 +98,8 @@ def _no_rotor_lag_nats(signals: Signals, column: str, difference: Floats, refere
     axis_terms = (pitch.value - pitch.value.mean(), pitch.rate)
     stiffness = reference.stiffness.get("pitch", (0.0, 0.1))
 
-    def most_nats(voltage: Floats, delays_s: Floats) -> float:
+    def highest_nats(voltage: Floats, delays_s: Floats) -> float:
+        """Evidence that this voltage drives pitch, at the best of several delays [nats]."""
         cause = filtered_signal(voltage, thresholds.ROTOR_LAG_CUTOFF_Hz).value
         fits = (
             regress_acceleration(
@@ -100,10 +110,10 @@ def _no_rotor_lag_nats(signals: Signals, column: str, difference: Floats, refere
         return max(fit.log_likelihood_ratio for fit in fits)
 
     with_lag = max(
-        most_nats(lagged(difference, lag_s), np.arange(-1.6 * lag_s, 0.0, thresholds.SAMPLE_STEP_s))
+        highest_nats(lagged(difference, lag_s), np.arange(-1.6 * lag_s, 0.0, thresholds.SAMPLE_STEP_s))
         for lag_s in thresholds.ROTOR_LAGS_s
     )
-    return most_nats(difference, np.zeros(1)) - with_lag
+    return highest_nats(difference, np.zeros(1)) - with_lag
 
 
 def sum_and_difference(
@@ -112,10 +122,14 @@ def sum_and_difference(
     bias: float = 0.0,
     limits: tuple[float, float] = NO_LIMITS,
 ) -> tuple[Floats, Floats]:
-    """Sum and difference of the motors' voltages as they acted.
+    """Compute the sum and the difference of the voltages that the motors received.
 
     Parameters
     ----------
+    signals : Signals
+        Columns of one file.
+    assignment : ColumnAssignment
+        Columns of the voltages.
     bias : float
         Bias that the logged sum lacks, in the unit of the sum.
     limits : tuple of (float, float)
@@ -136,8 +150,8 @@ def sum_and_difference(
 
 
 def voltages(signals: Signals, assignment: ColumnAssignment) -> tuple[Floats, Floats]:
-    """Both voltage columns with their polarity applied, shape (n,) each: front and back, or sum and
-    difference, in the order of the assignment.
+    """Return both voltage columns with their signs corrected, shape (n,) each, in the order of the
+    assignment: front and back, or sum and difference.
     """
     return (
         assignment.polarity[0] * signals.raw[assignment.voltages[0]],
@@ -145,18 +159,29 @@ def voltages(signals: Signals, assignment: ColumnAssignment) -> tuple[Floats, Fl
     )
 
 
-def _best(signals: Signals, column: str, axis: str, cause: Floats, reference: Reference) -> RegressionFit:
-    """Regression of the acceleration of a `column`, the angle of an `axis`, on a `cause`, shape (n,), at the
-    lag with the highest likelihood.
+def _fit_at_best_lag(
+    signals: Signals, column: str, axis: str, cause: Floats, reference: Reference
+) -> RegressionFit:
+    """Regress the acceleration of an axis on its cause at each lag of `LAGS_S`; return the most likely fit.
+
+    Parameters
+    ----------
+    column : str
+        Column with the angle of the axis.
+    axis : str
+        Name of the axis.
+    cause : ndarray (n,)
+        Low-passed signal that drives the axis.
     """
-    signal = signals.filtered[column]
+    angle = signals.filtered[column]
     rows = free_rows(signals, column) if axis == "elevation" else signals.inner
-    rest = signal.value * 0.0 if axis == "travel" else signal.value - signal.value.mean()
+    # No torque depends on the travel angle.
+    deflection = angle.value * 0.0 if axis == "travel" else angle.value - angle.value.mean()
     stiffness = reference.stiffness.get(axis, (0.0, 0.1))
     fits = []
     for lag_s in np.round(np.arange(*thresholds.LAGS_S), 3) + 0.0:
         fit = regress_acceleration(
-            signal.acceleration, (rest, signal.rate), delay(cause, float(lag_s)), stiffness, rows
+            angle.acceleration, (deflection, angle.rate), delay(cause, float(lag_s)), stiffness, rows
         )
         fits.append(RegressionFit(fit.log_likelihood_ratio, fit.gain, float(lag_s)))
     best = max(fits, key=lambda fit: fit.log_likelihood_ratio)

@@ -26,11 +26,11 @@ logging program has filtered, and far narrower than the ratio of two factors, 57
 def candidates(
     signals: Signals, encoders: Collection[str] = frozenset(), known: Collection[str] = ()
 ) -> tuple[list[str], dict[str, str]]:
-    """Columns of a table that may be an angle or a voltage, those that are known first.
+    """List the columns of a table that may be an angle or a voltage; columns in `known` come first.
 
     Constants, rates and duplicates are left out. One column of several duplicates stays: one in `encoders`,
-    otherwise one that is not the rate of an angle. Under state feedback, the sum of the voltages is
-    proportional to the rate of elevation.
+    otherwise one that is not the rate of an angle. The second rule matters under state feedback: the sum of
+    the voltages is then proportional to the rate of elevation, and is the column to keep.
 
     Parameters
     ----------
@@ -68,21 +68,33 @@ def candidates(
     columns = []
     for group in groups:
         angle = rates.get(group[0]) or _angle_of_feedback(signals, group, first_columns)
-        column: str | None = group[0]
-        if angle is not None:
-            # A duplicate with another slope is not the rate, but follows it.
-            not_rates = [name for name in group if not _is_rate(name, signals.filtered[angle].rate, signals)]
-            if not_rates:
-                column = not_rates[0]
-            elif group[0] in rates:
-                column = None
-        if column is not None:
-            columns.append(column)
-        for name in group:
-            if name != column:
-                dropped[name] = f"the rate of {angle}" if angle is not None else f"the same as {column}"
+        kept = _column_to_keep(signals, group, angle, is_rate=group[0] in rates)
+        if kept is not None:
+            columns.append(kept)
+        reason = f"the rate of {angle}" if angle is not None else f"the same as {kept}"
+        dropped |= {name: reason for name in group if name != kept}
     dropped |= dict.fromkeys(columns[_MAX_COLUMNS:], f"behind the first {_MAX_COLUMNS} columns")
     return columns[:_MAX_COLUMNS], dropped
+
+
+def _column_to_keep(signals: Signals, group: list[str], angle: str | None, *, is_rate: bool) -> str | None:
+    """Choose the column of a `group` of duplicates that may be an angle or a voltage; None if all are rates.
+
+    Parameters
+    ----------
+    angle : str or None
+        Column to whose rate the group is proportional, if there is one.
+    is_rate : bool
+        Whether the first column of the group is that rate.
+    """
+    if angle is None:
+        return group[0]
+    rate = signals.filtered[angle].rate
+    # A duplicate with another slope is not the rate, but a voltage that follows it.
+    not_rates = [name for name in group if not _is_rate(name, rate, signals)]
+    if not_rates:
+        return not_rates[0]
+    return None if is_rate else group[0]
 
 
 def _duplicates(signals: Signals, columns: list[str]) -> list[list[str]]:
@@ -99,8 +111,12 @@ def _duplicates(signals: Signals, columns: list[str]) -> list[list[str]]:
 
 
 def _angle_of_feedback(signals: Signals, group: list[str], columns: list[str]) -> str | None:
-    """Return the column to whose rate a `group` of duplicates is proportional, as under state feedback; None
-    for a group of one column, or if there is no such column.
+    """Find the angle whose rate explains a `group` of duplicates, as under state feedback.
+
+    Returns
+    -------
+    str or None
+        One of the `columns`; None for a group of one column, or if no rate explains the group.
     """
     if len(group) == 1:
         return None
@@ -113,23 +129,27 @@ def _angle_of_feedback(signals: Signals, group: list[str], columns: list[str]) -
 
 
 def _is_rate(name: str, rate: Floats, signals: Signals) -> bool:
-    """Whether the column `name` is this `rate`, by its slope or by its name."""
+    """Whether the column `name` is a logged `rate`, by its slope against the rate or by its name."""
     has_unit_slope = _has_unit_slope(rate, signals.filtered[name].value, signals.counts_per_turn)
     return has_unit_slope or names.is_derived_signal(name)
 
 
 def _derivatives(signals: Signals, columns: list[str]) -> dict[str, str]:
-    """Find the columns that are the time derivative of a column that is not itself a derivative; return the
-    column of the original signal by name of its derivative.
+    """Find the columns that are the time derivative of another column.
 
     A column cannot be judged alone. Pitch drives travel, so the derivative of a logged travel rate resembles
     pitch; likewise that of a logged pitch rate resembles a voltage. Neither pitch nor the voltage is a logged
-    rate. Therefore a column counts as a derivative only if a column that is not one explains it.
+    rate. Therefore a column counts as a derivative only if its origin is not itself a derivative.
+
+    Returns
+    -------
+    dict of str
+        By name of the derivative: the column of which it is the derivative.
     """
     correlations = _derivative_correlations(signals, columns)
 
     def origins(name: str) -> list[str]:
-        """Columns of which `name` may be the derivative."""
+        """List the columns of which `name` may be the derivative."""
         return [origin for derivative, origin in correlations if derivative == name]
 
     derivatives: set[str] = set()
@@ -139,7 +159,7 @@ def _derivatives(signals: Signals, columns: list[str]) -> dict[str, str]:
         # A column is decided after all columns of which it may be the derivative.
         ready = {name for name in remaining if decided.issuperset(origins(name))}
         if not ready:
-            # Each remaining column may be the derivative of another one, as with sines, whose second
+            # The remaining columns may be derivatives of each other in a circle, as with sines, whose second
             # derivative is a sine again. The column with the lowest correlation then counts as no derivative.
             weakest = min((value, name) for (name, _), value in correlations.items() if name in remaining)[1]
             ready = {weakest}
@@ -153,9 +173,13 @@ def _derivatives(signals: Signals, columns: list[str]) -> dict[str, str]:
 
 
 def _derivative_correlations(signals: Signals, columns: list[str]) -> dict[tuple[str, str], float]:
-    """Return the absolute correlation of a column with the time derivative of another one, by the names of
-    both, for all pairs in which the first may be the derivative. A column whose name states another role is
-    no derivative.
+    """Correlate each column with the time derivative of each other one.
+
+    Returns
+    -------
+    dict of float
+        Absolute correlation, by the names of the derivative and of its origin, for the pairs that may be
+        such. A column whose name states the role of an angle or voltage is no derivative.
     """
     correlations: dict[tuple[str, str], float] = {}
     for name, origin in itertools.permutations(columns, 2):
@@ -170,16 +194,25 @@ def _derivative_correlations(signals: Signals, columns: list[str]) -> dict[tuple
 
 
 def _has_unit_slope(rate: Floats, value: Floats, counts_per_turn: Collection[float]) -> bool:
-    """Whether `value` is about `rate` times 1 or a factor between angle units; one of them may be in counts
-    of an encoder with these `counts_per_turn`.
+    """Whether a signal is an angle's rate, in the unit of the angle or in another unit.
 
-    A negative factor is feedback: programs log an angle and its rate with the same sign.
+    A negative slope is feedback: programs log an angle and its rate with the same sign.
+
+    Parameters
+    ----------
+    rate : ndarray (n,)
+        Rate of the angle.
+    value : ndarray (n,)
+        The signal that may be this rate.
+    counts_per_turn : collection of float
+        Counts per turn of the rig's encoders; the angle may be logged in counts, and its rate in rad/s or
+        deg/s.
     """
     variance = float(rate.var())
     slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
-    from_counts = (turn / counts for turn in (2.0 * np.pi, 360.0) for counts in counts_per_turn)
+    scales_from_counts = (turn / counts for turn in (2.0 * np.pi, 360.0) for counts in counts_per_turn)
     min_ratio, max_ratio = _UNIT_SLOPE_RANGE
-    return any(min_ratio < slope / scale < max_ratio for scale in (*_RATE_SCALES, *from_counts))
+    return any(min_ratio < slope / scale < max_ratio for scale in (*_RATE_SCALES, *scales_from_counts))
 
 
 def _abs_correlation(first: Floats, second: Floats) -> float:
@@ -190,8 +223,7 @@ def _abs_correlation(first: Floats, second: Floats) -> float:
 
 
 def feedback_sign(voltage_sum: Floats, angle: Signal, counts_per_turn: Collection[float]) -> float:
-    """Sign of the factor from an angle's rate to the sum of the voltages, as under state feedback: 1 or -1, 0
-    if the sum is not proportional to the rate.
+    """Find whether the sum of the voltages is proportional to an angle's rate, as under state feedback.
 
     Parameters
     ----------
@@ -202,6 +234,11 @@ def feedback_sign(voltage_sum: Floats, angle: Signal, counts_per_turn: Collectio
         The angle with its rate.
     counts_per_turn : collection of float
         Counts per turn of the encoders in which the rate may be logged.
+
+    Returns
+    -------
+    float
+        Sign of the factor, 1 or -1; 0 if the sum is not proportional to the rate.
     """
     is_constant = np.ptp(voltage_sum) == 0.0 or np.ptp(angle.rate) == 0.0
     if is_constant or _has_unit_slope(angle.rate, voltage_sum, counts_per_turn):

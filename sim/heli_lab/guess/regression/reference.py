@@ -78,19 +78,18 @@ def reference_of(rig: Rig) -> Reference:
             f"units cannot be checked with rig {rig.name}: {error.cause}", error.remedy
         ) from error
     linear = derivatives(model, rig, hover.state, hover.volts_V)
+    mean_stiffness = {"elevation": float(linear.A[3, 0]), "pitch": float(linear.A[4, 1])}
     stiffness = {
-        axis: (
-            float(linear.A[row, column]),
-            float(max(_MIN_STIFFNESS_STD, 0.5 * abs(linear.A[row, column]))),
-        )
-        for axis, row, column in (("elevation", 3, 0), ("pitch", 4, 1))
+        axis: (mean, max(_MIN_STIFFNESS_STD, 0.5 * abs(mean))) for axis, mean in mean_stiffness.items()
     }
     torque, friction = rig["torque_travel"], rig["friction_travel"].value
-    # Friction over inertia is the damping of travel; twice the standard deviation is the tolerance.
+    # Acceleration per torque, 1 / inertia: A[5, 5] is minus friction over inertia.
     per_torque = float(-linear.A[5, 5]) / friction if friction > 0.0 and torque.value else 0.0
-    # The whole tolerance of the pitch zero: programs set it wherever the short arm hangs.
-    lean_rad_s2 = float(linear.A[5, 1]) * np.radians(rig["offset_pitch"].tolerance)
-    std_rad_s2 = float(np.hypot(per_torque * 0.5 * torque.tolerance, lean_rad_s2)) if per_torque else 0.0
+    # An error of the pitch zero also accelerates travel. Its whole tolerance is one standard deviation here,
+    # because programs set the zero wherever the short arm hangs; otherwise the tolerance is two.
+    zero_error_rad_s2 = float(linear.A[5, 1]) * np.radians(rig["offset_pitch"].tolerance)
+    torque_error_rad_s2 = per_torque * 0.5 * torque.tolerance
+    std_rad_s2 = float(np.hypot(torque_error_rad_s2, zero_error_rad_s2)) if per_torque else 0.0
     return Reference(
         stiffness=stiffness,
         gain={

@@ -168,14 +168,22 @@ class Scale:
 
 
 def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
-    """All combinations of units of angles and voltages, the most likely first."""
+    """Score all combinations of units of angles and voltages; return them, the most likely first.
+
+    Parameters
+    ----------
+    motion : MeasuredMotion
+        Gains, ranges and steps of the columns, in the units of the file.
+    reference : Reference
+        Gains, hover voltage and encoders of the rig file.
+    """
     ranked = []
     for choice in voltage_scales(motion.summed):
         mean_V = abs(motion.mean_sum * choice.volts(reference))
         if choice.bias_removed and choice not in motion.limited and mean_V > 0.5 * reference.hover_V:
             continue
-        hover_std = _hover_std(choice, motion, reference)
-        voltage_nats = _voltage_score(choice, motion, reference) - 0.5 * hover_std**2
+        hover_std = _hover_deviation_std(choice, motion, reference)
+        voltage_nats = _voltage_unit_score(choice, motion, reference) - 0.5 * hover_std**2
         for units in itertools.product(_ANGLE_UNITS, repeat=3):
             angles = dict(zip(AXES, units, strict=True))
             deviation_std = _gain_deviations(angles, choice, motion, reference)
@@ -195,30 +203,37 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
     return sorted(ranked, key=lambda scale: -scale.log_likelihood)
 
 
-def _hover_std(choice: VoltageScale, motion: MeasuredMotion, reference: Reference) -> float:
-    """Deviation of the voltage at hover from the rig file's; 0 if it was logged without its bias."""
+def _hover_deviation_std(choice: VoltageScale, motion: MeasuredMotion, reference: Reference) -> float:
+    """Compare the measured voltage at hover with the rig file's; return the deviation in standard deviations,
+    0 if the sum was logged without its bias.
+    """
     if choice.bias_removed:
         return 0.0
     mean_sum = motion.limited.get(choice, motion).mean_sum
     return _deviation_std(mean_sum * choice.volts(reference), reference.hover_V, thresholds.HOVER_STD)
 
 
-def _voltage_score(choice: VoltageScale, motion: MeasuredMotion, reference: Reference) -> float:
-    """Log-likelihood of a choice of the voltages' unit [nats], by all but the motion."""
+def _voltage_unit_score(choice: VoltageScale, motion: MeasuredMotion, reference: Reference) -> float:
+    """Log-likelihood of a unit of the voltages [nats], by the header, the names and the voltages' range; the
+    gains of the axes are scored separately.
+    """
     stated, limited = motion.stated_units.get("voltage", ""), motion.limited.get(choice)
     nats = _unit_score(stated, choice.unit)
     if choice.bias_removed:
         nats -= _MISSING_BIAS_NATS
-    if motion.summed and motion.halved != (choice.factor != 1.0):
+    has_factor_2 = choice.factor != 1.0
+    if motion.summed and motion.halved != has_factor_2:
         nats -= _HALVED_SUM_NATS
-    highest = _PLAUSIBLE_PEAK_SHARES[1] if choice.unit in VOLTAGE_UNITS else _MAX_SHARE
+    min_share, max_share = _PLAUSIBLE_PEAK_SHARES
+    if choice.unit not in VOLTAGE_UNITS:
+        max_share = _MAX_SHARE
     # A sum without its bias lacks half the bias in each motor.
     bias_V = 0.5 * reference.hover_V if choice.bias_removed else 0.0
-    peak = (motion.peak * choice.volts(reference) + bias_V) / reference.supply_V
-    if peak <= _PLAUSIBLE_PEAK_SHARES[0] or (peak >= highest and limited is None):
+    peak_share = (motion.peak * choice.volts(reference) + bias_V) / reference.supply_V
+    if peak_share <= min_share or (peak_share >= max_share and limited is None):
         nats -= _IMPLAUSIBLE_PEAK_NATS
     if limited is not None:
-        # Any limit removes peaks of noise: a better fit outweighs the penalty, and proves no more.
+        # A limit always removes peaks of noise, so a better fit may only cancel the penalty, not exceed it.
         nats += min(limited.log_likelihood_ratio, _SATURATION_NATS)
         nats -= 0.0 if stated else _SATURATION_NATS
     return nats
@@ -227,7 +242,16 @@ def _voltage_score(choice: VoltageScale, motion: MeasuredMotion, reference: Refe
 def _gain_deviations(
     angles: Mapping[str, str], choice: VoltageScale, motion: MeasuredMotion, reference: Reference
 ) -> dict[str, float]:
-    """Deviation of each axis' gain from the rig file's, in standard deviations."""
+    """Compare each axis' measured gain with the rig file's; return deviations in standard deviations, by
+    axis.
+
+    Parameters
+    ----------
+    angles : Mapping[str, str]
+        Unit of each axis.
+    choice : VoltageScale
+        Unit of the voltages.
+    """
     volts, gain = choice.volts(reference), motion.limited.get(choice, motion).gain
     rad = {axis: rad_of(angles[axis], axis, reference) for axis in AXES}
     measured = {
@@ -241,7 +265,15 @@ def _gain_deviations(
 
 
 def _angle_score(angles: Mapping[str, str], axis: str, motion: MeasuredMotion, reference: Reference) -> float:
-    """Log-likelihood of the unit of an axis [nats], by its name and its quantisation."""
+    """Log-likelihood of the unit of an axis [nats], by the column's name and quantisation.
+
+    Parameters
+    ----------
+    angles : Mapping[str, str]
+        Unit of each axis.
+    axis : str
+        The axis.
+    """
     stated, unit = motion.stated_units.get(axis, ""), angles[axis]
     nats = _unit_score(stated, unit) + _quantisation_score(motion, axis, unit, reference)
     return nats - (_MIXED_UNITS_NATS if not stated and unit != angles["elevation"] else 0.0)
@@ -272,44 +304,58 @@ def rad_of(unit: str, axis: str, reference: Reference) -> float:
 
 
 def _deviation_std(measured: float, reference: float, std: float) -> float:
-    """Logarithm of `measured` over `reference`, in standard deviations `std`; 0 without a reference."""
+    """Logarithm of a measured value over the reference's, in units of its standard deviation `std`; 0 if the
+    reference is 0.
+    """
     return math.log(max(abs(measured), 1e-300) / abs(reference)) / std if reference else 0.0
 
 
 def _unit_score(stated: str, unit: str) -> float:
-    """Log-likelihood of a `unit` [nats], given the unit that the file has `stated`, or none."""
+    """Log-likelihood of a `unit` [nats], given the unit that the file states; empty if it states none."""
     if stated:
         return thresholds.UNIT_NATS if stated == unit else 0.0
     return -_RARE_UNIT_NATS.get(unit, 0.0)
 
 
 def _quantisation_score(motion: MeasuredMotion, axis: str, unit: str, reference: Reference) -> float:
-    """Log-likelihood of the `unit` of an axis [nats], by the quantisation step of its column."""
+    """Log-likelihood of the `unit` of an axis [nats], by the quantisation step of its column.
+
+    Whole numbers are counts. In another unit, a step that is one count of the rig's encoder is evidence for
+    that unit.
+    """
     if motion.integer_valued[axis]:
         return 0.0 if unit == COUNT else -_QUANTISATION_NATS
     if unit == COUNT:
         return -_QUANTISATION_NATS
     step = motion.quantisation_step[axis] * rad_of(unit, axis, reference)
-    turn = 2.0 * math.pi / step if step > 0.0 else 0.0
-    is_rigs_encoder = bool(turn) and abs(turn / reference.counts[axis] - 1.0) < _COUNTS_TOLERANCE
+    steps_per_turn = 2.0 * math.pi / step if step > 0.0 else 0.0
+    is_rigs_encoder = (
+        steps_per_turn > 0.0 and abs(steps_per_turn / reference.counts[axis] - 1.0) < _COUNTS_TOLERANCE
+    )
     return _QUANTISATION_NATS if is_rigs_encoder else 0.0
 
 
 def is_encoder(values: Floats, reference: Reference) -> bool:
-    """Whether a column, `values`, is quantised by an encoder of the rig, in radians or degrees."""
+    """Whether the `values` of a column are quantised by an encoder of the rig, in radians or degrees."""
     step = quantisation_step(values)
-    turns = (2.0 * math.pi, 360.0) if step > 0.0 else ()
+    if step == 0.0:
+        return False
     return any(
         abs(turn / step / counts - 1.0) < _COUNTS_TOLERANCE
-        for turn in turns
-        for counts in {*reference.counts.values()}
+        for turn in (2.0 * math.pi, 360.0)
+        for counts in reference.counts.values()
     )
 
 
 def quantisation_step(values: Floats) -> float:
-    """Quantisation step of a column's `values`, shape (n,), in its unit; 0 if it is not quantised.
+    """Find the quantisation step of a column, in its unit; 0 if the column is not quantised.
 
-    A column is quantised if over nine tenths of its small changes are multiples of the smallest one.
+    A column is quantised if more than nine tenths of its small changes are multiples of the smallest one.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        Values of the column.
     """
     changes = np.abs(np.diff(values[np.isfinite(values)]))
     # Without the rounding errors of floats.
@@ -319,7 +365,7 @@ def quantisation_step(values: Floats) -> float:
     smallest = float(changes.min())
     # The mean of all single steps has less rounding than the smallest change.
     step = float(changes[changes < 1.5 * smallest].mean())
-    # In larger changes, the error of the estimated step adds up to more than the tolerance of 0.05 steps.
+    # A change of more than 20 steps contains the step's error 20 times, which exceeds the tolerance below.
     multiples = changes[changes < 20.0 * step] / step
     is_multiple = np.abs(multiples - np.round(multiples)) < 0.05
     return step if float(np.mean(is_multiple)) > 0.9 else 0.0

@@ -67,16 +67,26 @@ class Signals:
 def column_signals(
     table: Table, t_s: Floats, names: list[str], counts_per_turn: Collection[float] = ()
 ) -> Signals:
-    """Resample the columns `names` of a table with times `t_s` [s] to even times, and low-pass them; see
-    `unwrapped` for `counts_per_turn`.
+    """Resample columns of a table to even times, and low-pass them.
+
+    Parameters
+    ----------
+    table : Table
+        The table, with n rows.
+    t_s : ndarray (n,)
+        Time of each row [s]; rows whose time is missing or does not rise are left out.
+    names : list of str
+        Names of the columns.
+    counts_per_turn : collection of float
+        As in `unwrapped`.
     """
-    usable = np.isfinite(t_s)
-    usable[usable] = np.concatenate(([True], np.diff(t_s[usable]) > 0.0))
-    even_s = np.arange(t_s[usable][0], t_s[usable][-1], SAMPLE_STEP_s)
+    has_time = np.isfinite(t_s)
+    has_time[has_time] = np.concatenate(([True], np.diff(t_s[has_time]) > 0.0))
+    even_s = np.arange(t_s[has_time][0], t_s[has_time][-1], SAMPLE_STEP_s)
     raw = {}
     for name in names:
         values = table.columns[name].values
-        known = usable & np.isfinite(values)
+        known = has_time & np.isfinite(values)
         if known.sum() > 10:
             raw[name] = np.interp(even_s, t_s[known], unwrapped(values[known], counts_per_turn))
     filtered = {name: filtered_signal(samples) for name, samples in raw.items()}
@@ -87,10 +97,11 @@ def column_signals(
 def filtered_signal(values: Floats, cutoff_Hz: float = CUTOFF_Hz) -> Signal:
     """Low-pass evenly sampled `values` with zero phase, and differentiate the result twice."""
     extended = np.pad(values, _EXTENDED_ROWS, mode="reflect", reflect_type="odd")
-    once = _butterworth(extended, cutoff_Hz)
-    low = _butterworth(once[::-1], cutoff_Hz)[::-1][_EXTENDED_ROWS:-_EXTENDED_ROWS]
-    rate = np.gradient(low, SAMPLE_STEP_s)
-    return Signal(low, rate, np.gradient(rate, SAMPLE_STEP_s))
+    # The second pass, backwards in time, cancels the phase lag of the first one.
+    forward = _butterworth(extended, cutoff_Hz)
+    low_passed = _butterworth(forward[::-1], cutoff_Hz)[::-1][_EXTENDED_ROWS:-_EXTENDED_ROWS]
+    rate = np.gradient(low_passed, SAMPLE_STEP_s)
+    return Signal(low_passed, rate, np.gradient(rate, SAMPLE_STEP_s))
 
 
 def _butterworth(values: Floats, cutoff_Hz: float) -> Floats:
@@ -98,18 +109,20 @@ def _butterworth(values: Floats, cutoff_Hz: float) -> Floats:
 
     The result equals that of scipy.signal.sosfilt, but importing scipy.signal takes longer than a guess.
     """
-    count = 1 << (values.size + _SETTLED_ROWS - 1).bit_length()
-    moved: Floats = np.fft.irfft(np.fft.rfft(values - values[0], count) * _response(count, cutoff_Hz), count)
-    low: Floats = moved[: values.size] + values[0]
-    return low
+    # The next power of 2 at which the end of the circular convolution does not reach its beginning.
+    fft_rows = 1 << (values.size + _SETTLED_ROWS - 1).bit_length()
+    spectrum = np.fft.rfft(values - values[0], fft_rows)
+    convolution = np.fft.irfft(spectrum * _response(fft_rows, cutoff_Hz), fft_rows)
+    low_passed: Floats = convolution[: values.size] + values[0]
+    return low_passed
 
 
 @cache
-def _response(count: int, cutoff_Hz: float) -> NDArray[np.complex128]:
-    """Frequency response of a digital Butterworth filter of fourth order (bilinear transform) at the
-    frequencies of a real FFT of `count` values, shape (count / 2 + 1,).
+def _response(fft_rows: int, cutoff_Hz: float) -> NDArray[np.complex128]:
+    """Frequency response of a digital fourth-order Butterworth filter (bilinear transform), at the
+    frequencies of a real FFT of `fft_rows` values; shape (fft_rows / 2 + 1,).
     """
-    warped = np.tan(np.pi * np.fft.rfftfreq(count)) / np.tan(np.pi * cutoff_Hz * SAMPLE_STEP_s)
+    warped = np.tan(np.pi * np.fft.rfftfreq(fft_rows)) / np.tan(np.pi * cutoff_Hz * SAMPLE_STEP_s)
     # Poles of the analogue prototype, evenly spaced on the left half of the unit circle.
     poles = np.exp(1j * np.pi * np.array([5.0, 7.0, 9.0, 11.0]) / 8.0)
     response: NDArray[np.complex128] = 1.0 / np.prod(1j * warped[:, None] - poles, axis=1)
@@ -119,40 +132,57 @@ def _response(count: int, cutoff_Hz: float) -> NDArray[np.complex128]:
 def unwrapped(values: Floats, counts_per_turn: Collection[float] = ()) -> Floats:
     """Unwrap a column that jumps by one turn; return other columns unchanged.
 
-    An angle that wraps moves on as smoothly as in all other rows. A voltage that is switched on may jump by
-    nearly a turn, but does not.
+    At a wrap, the jump minus one turn is a step as small as the steps nearby. A voltage that is switched on
+    may jump by nearly a turn too, but the difference from a turn is large; such a column stays unchanged.
 
     Parameters
     ----------
     values : ndarray (n,)
         The column, in any unit of an angle, or in counts of an encoder.
     counts_per_turn : collection of float
-        Counts per turn of the encoders that it may come from.
+        Counts per turn of the encoders that the column may come from.
     """
-    jumps = np.abs(np.diff(values))
+    steps = np.abs(np.diff(values))
     # A wrap crosses almost the whole range of the column, and happens seldom.
-    is_far = jumps > 0.5 * np.ptp(values)
-    far = jumps[is_far]
-    if not far.size or far.size > 0.02 * values.size:
+    is_jump = steps > 0.5 * np.ptp(values)
+    jumps = steps[is_jump]
+    if not jumps.size or jumps.size > 0.02 * values.size:
         return values
-    smooth = _WRAP_STEPS * _steps_nearby(jumps, is_far)
+    largest_smooth_step = _WRAP_STEPS * _median_steps_nearby(steps, is_jump)
     for turn in (2.0 * np.pi, 360.0, 1.0, *sorted(set(counts_per_turn)), _COUNTER):
-        is_turn = np.all(np.abs(far / turn - 1.0) < 0.2) and np.median(np.abs(far - turn) - smooth) <= 0.0
+        is_about_a_turn = np.all(np.abs(jumps / turn - 1.0) < 0.2)
+        is_smooth = np.median(np.abs(jumps - turn) - largest_smooth_step) <= 0.0
         # The range of a wrapped angle is at most a turn.
-        if is_turn and np.ptp(values) < 1.05 * turn:
+        if is_about_a_turn and is_smooth and np.ptp(values) < 1.05 * turn:
             result: Floats = np.unwrap(values, period=turn)
             return result
     return values
 
 
-def _steps_nearby(jumps: Floats, is_far: Booleans) -> Floats:
-    """Median of the other steps next to each far jump, shape (k,), and at least the smallest step."""
-    others = np.where(is_far, 0.0, jumps)
-    smallest = float(np.min(others[others > 0.0], initial=np.inf))
+def _median_steps_nearby(steps: Floats, is_jump: Booleans) -> Floats:
+    """Compute the typical step of a column around each of its jumps.
+
+    Parameters
+    ----------
+    steps : ndarray (n,)
+        Absolute changes from row to row.
+    is_jump : ndarray of bool (n,)
+        True for the k changes that are jumps.
+
+    Returns
+    -------
+    ndarray (k,)
+        Median of the changes within `_NEARBY_ROWS` of each jump, without the jumps; at least the smallest
+        change of the column, so that an angle at rest does not give 0.
+    """
+    small_steps = np.where(is_jump, 0.0, steps)
+    smallest = float(np.min(small_steps[small_steps > 0.0], initial=np.inf))
     if np.isinf(smallest):
-        return np.zeros(int(is_far.sum()))
-    rows = [slice(max(row - _NEARBY_ROWS, 0), row + _NEARBY_ROWS + 1) for row in np.flatnonzero(is_far)]
-    return np.array([max(float(np.median(others[nearby])), smallest) for nearby in rows])
+        return np.zeros(int(is_jump.sum()))
+    nearby_rows = [
+        slice(max(row - _NEARBY_ROWS, 0), row + _NEARBY_ROWS + 1) for row in np.flatnonzero(is_jump)
+    ]
+    return np.array([max(float(np.median(small_steps[rows])), smallest) for rows in nearby_rows])
 
 
 def delay(values: Floats, lag_s: float) -> Floats:

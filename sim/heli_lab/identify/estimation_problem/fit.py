@@ -61,8 +61,8 @@ class Fit:
     states : tuple of ndarray (w, states)
         Initial states of the windows of each record.
     variance : tuple of ndarray (3,)
-        For each record, what the squared residuals of each axis were divided by, in units of the variance of
-        the quantisation: 1 where nothing else is left.
+        For each record, the variance by which the squared residuals of each axis were divided, in variances
+        of the quantisation: 1 if the residuals are quantisation alone.
     weights : tuple of ndarray (w,)
         Robust weights of the windows of each record, 0 to 1.
     cost : float

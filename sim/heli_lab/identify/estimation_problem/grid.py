@@ -1,4 +1,4 @@
-"""Windows over a record, and the voltages within their steps."""
+"""Divide flights into windows and the windows into steps, and average the voltages over each step."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from heli_host.arrays import Floats, Integers
 
-from heli_lab.identify.free_run import Inputs
+from heli_lab.identify.free_run import Inputs, VoltageDerivative
 from heli_lab.identify.record import Record
 from heli_lab.identify.thresholds import BLOCK_S
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Windows of a flight, divided into equal steps: the kernel's inputs, and the angles to compare with.
+    """Windows of a flight, divided into equal steps, with the voltages of each step and the measured angles.
 
     Parameters
     ----------
@@ -45,29 +45,38 @@ class Grid:
     @property
     def slices(self) -> list[slice]:
         """Steps of each window."""
-        first = self.inputs.first
-        return [slice(int(f), int(f + n)) for f, n in zip(first, self.inputs.steps, strict=True)]
+        starts = self.inputs.first
+        return [
+            slice(int(start), int(start + count))
+            for start, count in zip(starts, self.inputs.steps, strict=True)
+        ]
 
     def steps_of(self, windows: Integers) -> Integers:
-        """Numbers of all steps of the given `windows`, ndarray of int64 (k,), window after window."""
+        """Return the numbers of all steps of the given windows, window after window.
+
+        Parameters
+        ----------
+        windows : ndarray of int64 (k,)
+            Numbers of the windows.
+        """
         slices = self.slices
         return np.concatenate([np.arange(slices[i].start, slices[i].stop) for i in windows])
 
     def only(self, windows: Integers) -> Grid:
         """Return a grid of the given `windows` alone, ndarray of int64 (k,), in their order there."""
         inputs, steps = self.inputs, self.steps_of(windows)
-        derivatives = inputs.voltage_derivatives
-        chosen = replace(
+        inputs_of_windows = replace(
             inputs,
             steps=inputs.steps[windows],
             start_s=inputs.start_s[windows],
             mean_V=inputs.mean_V[steps],
             change_V=inputs.change_V[steps],
             voltage_derivatives=tuple(
-                (name, mean[steps], change[steps]) for name, mean, change in derivatives
+                VoltageDerivative(by.parameter, by.of_mean[steps], by.of_change[steps])
+                for by in inputs.voltage_derivatives
             ),
         )
-        return replace(self, inputs=chosen, rows=self.rows[steps])
+        return replace(self, inputs=inputs_of_windows, rows=self.rows[steps])
 
 
 def split_into_windows(record: Record, window_s: float, every: int, parts: int = 1) -> list[tuple[int, int]]:
@@ -89,15 +98,18 @@ def split_into_windows(record: Record, window_s: float, every: int, parts: int =
     """
     windows = []
     for start, stop in record.segments:
-        blocks = (stop - start) // every
-        count = max(1, round(blocks * every * record.step_s / window_s))
-        edges = np.linspace(0, blocks, count + 1).astype(int)
-        inner = [np.linspace(a, b, parts + 1).astype(int)[:-1] for a, b in itertools.pairwise(edges)]
-        edges = np.append(np.concatenate(inner), blocks)
+        steps = (stop - start) // every
+        window_count = max(1, round(steps * every * record.step_s / window_s))
+        # Edges of the windows, then of their parts, in steps since the segment's first row.
+        edges = np.linspace(0, steps, window_count + 1).astype(int)
+        starts_of_parts = [
+            np.linspace(first, last, parts + 1).astype(int)[:-1] for first, last in itertools.pairwise(edges)
+        ]
+        edges = np.append(np.concatenate(starts_of_parts), steps)
         windows += [
-            (start + int(low) * every, int(high - low) * every)
-            for low, high in itertools.pairwise(edges)
-            if high > low
+            (start + int(first) * every, int(last - first) * every)
+            for first, last in itertools.pairwise(edges)
+            if last > first
         ]
     return windows
 
@@ -132,21 +144,28 @@ def make_grid(
     )
     step_s = record.step_s * every
     volts_V, delay_s = record.voltages_V, 0.0 if delay is None else delay[1]
-    derivatives: list[tuple[str, Floats, Floats]] = []
+    derivatives: list[VoltageDerivative] = []
     if dead_zone_V is not None and every > 1:
-        # The raised voltage is the dead zone itself: its derivative to the dead zone is 1.
+        # A raised voltage is the dead zone itself, so that its derivative to the dead zone is 1.
         is_raised = (volts_V < dead_zone_V).astype(float)
         volts_V = np.maximum(volts_V, dead_zone_V)
-        derivatives.append(("dead_zone", *_mean_and_change(is_raised, record.step_s, rows, every, delay_s)))
+        of_mean, of_change = _mean_and_change(is_raised, record.step_s, rows, every, delay_s)
+        derivatives.append(VoltageDerivative("dead_zone", of_mean, of_change))
     mean_V, change_V = _mean_and_change(volts_V, record.step_s, rows, every, delay_s)
     if delay is not None:
-        half_s = 0.5 * record.step_s
-        later = _mean_and_change(volts_V, record.step_s, rows, every, delay_s + half_s)
-        earlier = _mean_and_change(volts_V, record.step_s, rows, every, delay_s - half_s)
-        of_mean, of_change = (
-            (late - early) / record.step_s for late, early in zip(later, earlier, strict=True)
+        # Central difference, with delays half a row longer and shorter.
+        half_row_s = 0.5 * record.step_s
+        mean_later, change_later = _mean_and_change(volts_V, record.step_s, rows, every, delay_s + half_row_s)
+        mean_earlier, change_earlier = _mean_and_change(
+            volts_V, record.step_s, rows, every, delay_s - half_row_s
         )
-        derivatives.append((delay[0], of_mean, of_change))
+        derivatives.append(
+            VoltageDerivative(
+                parameter=delay[0],
+                of_mean=(mean_later - mean_earlier) / record.step_s,
+                of_change=(change_later - change_earlier) / record.step_s,
+            )
+        )
     inputs = Inputs(
         steps=np.array([count // every for _, count in windows], np.int64),
         start_s=np.array([record.t_s[first] - record.t_s[0] for first, _ in windows]),
@@ -181,7 +200,9 @@ class WindowGrids:
         self._grids: dict[tuple[int, bool], tuple[object, Grid]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        # The grids follow from the records.
+        """Return everything except the grids, for pickling: they are large, and computed again when
+        needed.
+        """
         return {**self.__dict__, "_grids": {}}
 
     def copy(self, *, window_s: float | None = None, parts: int | None = None) -> WindowGrids:
@@ -189,7 +210,7 @@ class WindowGrids:
         return WindowGrids(self.records, window_s or self.window_s, self.step_s, parts or self.parts)
 
     def windows(self, index: int) -> list[tuple[int, int]]:
-        """First row and number of rows of each window of flight `index`.
+        """Return first row and number of rows of each window of flight `index`.
 
         Each window is a whole number of coarse steps and of blocks of `thresholds.BLOCK_S`.
         """
@@ -201,7 +222,9 @@ class WindowGrids:
     def grid(
         self, index: int, fine: bool, delay: tuple[str, float] | None, dead_zone_V: float | None
     ) -> Grid:
-        """Grid of the windows of one flight; the coarse and the fine grid have the same windows.
+        """Return the grid of one flight, which is computed at its first use.
+
+        The coarse and the fine grid have the same windows.
 
         Parameters
         ----------
@@ -230,13 +253,17 @@ class WindowGrids:
         return self._grids[key][1]
 
     def _rows_per_coarse_step(self, record: Record) -> int:
+        """Number of rows of a flight between compared samples of the coarse grid."""
         return max(1, int(self.step_s / record.step_s + 1e-6))
 
 
 def _mean_and_change(
     volts: Floats, row_s: float, rows: Integers, every: int, delay_s: float
 ) -> tuple[Floats, Floats]:
-    """Straight line through the delayed voltages in each step, with the same first and second integral.
+    """Replace the delayed voltages within each step by a straight line.
+
+    The line has the same first and second integral over the step as the voltages. A rotor and an axis, which
+    integrate the voltage, then end the step with nearly the same speed and angle.
 
     Parameters
     ----------
@@ -260,6 +287,7 @@ def _mean_and_change(
     """
     if every == 1 and delay_s == 0.0:
         return volts[rows], np.zeros((len(rows), 2))
+    # Both integrals at the beginning of each row, and at the end of the last one.
     first_integral, second_integral = np.zeros((2, len(volts) + 1, 2))
     np.cumsum(volts, axis=0, out=first_integral[1:])
     first_integral *= row_s
@@ -270,13 +298,13 @@ def _mean_and_change(
 
     def integrals_at(t_s: Floats) -> tuple[Floats, Floats]:
         """First and second integral of the voltages at times since the first row, shape (m, 2) each."""
-        place = np.clip(t_s / row_s, None, len(volts) - 1e-9)
+        time_in_rows = np.clip(t_s / row_s, None, len(volts) - 1e-9)
         # Before the first row, its voltage is assumed to have acted.
-        index = np.clip(np.floor(place + 1e-9).astype(int), 0, len(volts) - 1)
-        rest_s = (place - index)[:, None] * row_s
+        row = np.clip(np.floor(time_in_rows + 1e-9).astype(int), 0, len(volts) - 1)
+        within_row_s = (time_in_rows - row)[:, None] * row_s
         return (
-            first_integral[index] + volts[index] * rest_s,
-            second_integral[index] + first_integral[index] * rest_s + 0.5 * volts[index] * rest_s**2,
+            first_integral[row] + volts[row] * within_row_s,
+            second_integral[row] + first_integral[row] * within_row_s + 0.5 * volts[row] * within_row_s**2,
         )
 
     start_s: Floats = rows.astype(float) * row_s - delay_s
@@ -286,5 +314,5 @@ def _mean_and_change(
     mean = (first_end - first_start) / step_s
     # With the first integral F, the second integral G and the step h, the line has F1 - F0 = mean h and
     # G1 - G0 = (F0 + F1) h / 2 - change h^2 / 12.
-    twelfth = (0.5 * (first_start + first_end) * step_s - (second_end - second_start)) / step_s**2
-    return mean, 12.0 * twelfth
+    change_over_12 = (0.5 * (first_start + first_end) * step_s - (second_end - second_start)) / step_s**2
+    return mean, 12.0 * change_over_12

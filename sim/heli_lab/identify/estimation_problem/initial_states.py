@@ -13,8 +13,17 @@ from heli_lab.identify.thresholds import SETTLED_S, SHORT_FIT_S, STATE_FIT_S
 
 
 def initial_state_guess(problem: Problem, theta: Floats) -> list[Floats]:
-    """Initial states of all windows as a first guess from the measured angles, with free parameters `theta`,
-    shape (f,): for each record, shape (w, states), by `states_at`.
+    """Guess the initial states of all windows from the measured angles; see `states_at`.
+
+    Parameters
+    ----------
+    theta : ndarray (f,)
+        Free parameters, with which the states of effects are simulated.
+
+    Returns
+    -------
+    list of ndarray (w, states)
+        Initial states of the windows, for each record.
     """
     return [
         states_at(problem, index, problem.first_rows(index), theta) for index in range(len(problem.records))
@@ -22,10 +31,11 @@ def initial_state_guess(problem: Problem, theta: Floats) -> list[Floats]:
 
 
 def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Floats:
-    """States of the model at given rows of a flight, shape (w, states), estimated from the measured angles.
+    """Estimate the states of the model at given rows of a flight from the measured angles.
 
-    Angles and rates are those of parabolas through the samples around each row. States of effects are those
-    after a free run that ends there, or the measured angle if the state is an angle that an encoder measures.
+    Angles and rates come from parabolas through the samples around each row. States of effects come from a
+    free run (open-loop simulation) that ends at the row; a state that an encoder measures is the measured
+    angle.
 
     Parameters
     ----------
@@ -35,6 +45,11 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
         Samples of the record at which windows begin.
     theta : ndarray (f,)
         Free parameters.
+
+    Returns
+    -------
+    ndarray (w, states)
+        State at each row.
     """
     record = problem.records[index]
     states = np.zeros((len(rows), problem.state_count))
@@ -50,11 +65,10 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
 
 
 def alternative_states(problem: Problem, index: int, theta: Floats, states: Floats) -> list[Floats]:
-    """Other initial states to try for windows whose present state is in a wrong basin of attraction: a list
-    of arrays of shape (w, states).
+    """List other initial states to try for windows whose optimisation ended in a wrong local minimum.
 
     The first alternative is the end of the previous window, if the two windows adjoin: friction and backlash
-    depend on how the arm came there. The second has rates from a few samples only, which a jump of the torque
+    depend on the motion before. The second has rates from a few samples only, which a jump of the torque
     nearby does not distort. The others are the alternatives that effects define.
 
     Parameters
@@ -64,7 +78,12 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
     theta : ndarray (f,)
         Free parameters.
     states : ndarray (w, states)
-        Initial states.
+        Present initial states.
+
+    Returns
+    -------
+    list of ndarray (w, states)
+        One array per alternative.
     """
     short_fit = states.copy()
     short_fit[:, :RIGID_STATES] = _parabolas(problem.records[index], problem.first_rows(index), SHORT_FIT_S)
@@ -73,10 +92,12 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
 
 
 def _ends_of_previous_windows(problem: Problem, index: int, theta: Floats, states: Floats) -> Floats:
-    """End of the window before each window, shape (w, states), predicted from its initial state in `states`;
-    unchanged `states` where no window ends just before, or its prediction diverges.
+    """Predict the state at the end of the window before each window, shape (w, states).
+
+    The state of a window stays as in `states` if no window ends just before it, or if that prediction
+    diverges.
     """
-    grid, parameters = problem.grid(index, False, theta), problem.parameters(theta, index)
+    grid, parameters = problem.grid(index, fine=False, theta=theta), problem.parameters(theta, index)
     _, ends = problem.kernel.predict(grid.inputs, states, parameters)
     first, count = np.array(problem.windows(index)).T
     adjoins = first[:-1] + count[:-1] == first[1:]
@@ -87,7 +108,9 @@ def _ends_of_previous_windows(problem: Problem, index: int, theta: Floats, state
 
 
 def _starts_of_effects(problem: Problem, index: int, theta: Floats) -> list[Floats]:
-    """First guess of the initial states, shape (w, states), with each alternative that an effect defines."""
+    """Return the first guess of the initial states, shape (w, states), shifted by the offsets of each
+    alternative that an effect defines.
+    """
     model = problem.model
     values = dict(zip(model.parameter_names, problem.parameters(theta, index), strict=True))
     columns = {state.name: column for column, state in enumerate(model.states)}
@@ -102,53 +125,79 @@ def _starts_of_effects(problem: Problem, index: int, theta: Floats) -> list[Floa
 
 
 def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, theta: Floats) -> Floats:
-    """States of effects after a free run that ends at each row, shape (w, states - 6).
+    """Estimate the states of effects at given rows by simulations that end there.
 
-    The run may begin before the free segment, because the voltages drive the rotors also while the arm lies
-    on its table. It then starts with the angles of its end.
+    A simulation begins `SETTLED_S` before its row, with effects at rest. It may begin before the segment of
+    free flight, because the voltages drive the rotors also while the arm lies on its table. There, angles and
+    rates are not those of free flight, and the simulation starts with the ones at its end instead.
+
+    Parameters
+    ----------
+    rows : ndarray of int64 (w,)
+        Rows of the record.
+    states : ndarray (w, states)
+        States at these rows, of which the angles and rates are known.
+
+    Returns
+    -------
+    ndarray (w, states - 6)
+        States of effects at these rows; 0 if a simulation diverges.
     """
     record, parameters = problem.records[index], problem.parameters(theta, index)
     effect_states = np.zeros((len(rows), problem.state_count - RIGID_STATES))
-    # A run ends at its row, and begins `SETTLED_S` before it, but not before a gap.
-    after_gaps = np.array([0, *(gap + 1 for gap in record.gaps)])
-    earliest = after_gaps[np.searchsorted(after_gaps, rows, side="right") - 1]
+    # No simulation may cross a gap of the log.
+    starts_after_gaps = np.array([0, *(gap + 1 for gap in record.gaps)])
+    earliest = starts_after_gaps[np.searchsorted(starts_after_gaps, rows, side="right") - 1]
     lengths = np.minimum(rows - earliest, round(SETTLED_S / record.step_s))
-    chosen = np.flatnonzero(lengths > 0)
-    if len(chosen):
-        run_starts = rows[chosen] - lengths[chosen]
-        windows = list(zip(run_starts.tolist(), lengths[chosen].tolist(), strict=True))
+    simulated = np.flatnonzero(lengths > 0)
+    if len(simulated):
+        first_rows = rows[simulated] - lengths[simulated]
+        windows = list(zip(first_rows.tolist(), lengths[simulated].tolist(), strict=True))
         grid = make_grid(record, windows, 1, delay=delay_of(problem.model, parameters))
-        start = states[chosen].copy()
+        start = states[simulated].copy()
         start[:, RIGID_STATES:] = 0.0
-        in_segment = run_starts >= _segments_of(record, rows[chosen])[:, 0]
-        start[in_segment, :RIGID_STATES] = _parabolas(record, run_starts[in_segment], STATE_FIT_S)
+        in_segment = first_rows >= _segments_of(record, rows[simulated])[:, 0]
+        start[in_segment, :RIGID_STATES] = _parabolas(record, first_rows[in_segment], STATE_FIT_S)
         _, end = problem.kernel.predict(grid.inputs, start, parameters)
-        effect_states[chosen] = end[:, RIGID_STATES:]
+        effect_states[simulated] = end[:, RIGID_STATES:]
     return np.where(np.isfinite(effect_states), effect_states, 0.0)
 
 
 def _segments_of(record: Record, rows: Integers) -> Integers:
-    """First row, and last row plus one, of the free segments that contain the `rows`, shape (w, 2)."""
+    """Return first row, and last row plus one, of the free segment that contains each row, shape (w, 2)."""
     segments = np.array(record.segments)
     return segments[np.searchsorted(segments[:, 0], rows, side="right") - 1]
 
 
 def _parabolas(record: Record, rows: Integers, reach_s: float) -> Floats:
-    """Angles and rates at `rows`, shape (w, 6), of parabolas through the samples of the same segment within
-    `reach_s` of each row.
+    """Fit a parabola to the angles around each row, and return its value and slope there.
+
+    Parameters
+    ----------
+    rows : ndarray of int64 (w,)
+        Rows of the record.
+    reach_s : float
+        A parabola fits the samples of the same segment up to this time before and after its row [s].
+
+    Returns
+    -------
+    ndarray (w, 6)
+        Three angles [rad] and three rates [rad/s] at each row.
     """
     reach = max(3, round(reach_s / record.step_s))
     segments = _segments_of(record, rows)
     low, high = np.maximum(segments[:, 0], rows - reach), np.minimum(segments[:, 1], rows + reach + 1)
-    result = np.empty((len(rows), RIGID_STATES))
-    # One least-squares problem for all rows with the same neighbours: only the edges of segments differ.
-    neighbours, group = np.unique(np.column_stack((low - rows, high - rows)), axis=0, return_inverse=True)
-    for number, (before, after) in enumerate(neighbours):
+    angles_and_rates = np.empty((len(rows), RIGID_STATES))
+    # Rows with as many samples before and after them share one least-squares problem. Only rows near the edge
+    # of a segment have fewer samples on one side.
+    reaches, group = np.unique(np.column_stack((low - rows, high - rows)), axis=0, return_inverse=True)
+    for number, (before, after) in enumerate(reaches):
         members = np.flatnonzero(group.ravel() == number)
+        # Shape (members, samples, axes), then (samples, members * axes): one parabola per column.
         samples = record.angles_rad[rows[members, None] + np.arange(before, after)]
-        # One column per row and axis.
-        angles = samples.transpose(1, 0, 2).reshape(after - before, -1)
-        fit = np.polynomial.polynomial.polyfit(np.arange(before, after) * record.step_s, angles, 2)
-        angles_and_rates = fit[:2].reshape(2, len(members), 3).transpose(1, 0, 2)
-        result[members] = angles_and_rates.reshape(len(members), -1)
-    return result
+        columns = samples.transpose(1, 0, 2).reshape(after - before, -1)
+        coefficients = np.polynomial.polynomial.polyfit(np.arange(before, after) * record.step_s, columns, 2)
+        # The first two coefficients are the value and the slope: shape (members, 2 * axes) in the end.
+        value_and_slope = coefficients[:2].reshape(2, len(members), 3).transpose(1, 0, 2)
+        angles_and_rates[members] = value_and_slope.reshape(len(members), -1)
+    return angles_and_rates

@@ -33,8 +33,8 @@ class Evaluation:
     residual : ndarray (m, 3)
         Measured minus predicted angle, in standard deviations of the quantisation.
     normal_matrix : ndarray (w, 3, z + 1, z + 1)
-        For each window and axis, products of the columns of [Jacobian | residual], z being the number of
-        states and of the free parameters that the record depends on.
+        For each window and axis, products of the columns of [Jacobian | residual]. The Jacobian has z
+        columns: one per state, and one per free parameter that the record depends on.
     """
 
     residual: Floats
@@ -43,29 +43,29 @@ class Evaluation:
     @property
     def squares(self) -> Floats:
         """Sum of the squared residuals of each window and axis, shape (w, 3)."""
+        # The last column of [Jacobian | residual] is the residual.
         return self.normal_matrix[:, :, -1, -1]
 
 
 class Problem:
     """Estimation problem of multiple shooting: a model with free parameters, and windows of flights.
 
-    Each window is simulated from its own initial state, with nothing but the voltages. Residuals are in units
-    of the encoders' quantisation. Rig parameters have normal priors whose standard deviation is half their
-    tolerance.
+    Each window is simulated in open loop, from its own initial state and with the recorded voltages.
+    Residuals are in standard deviations of the encoders' quantisation. Rig parameters have normal priors
+    whose standard deviation is half their tolerance.
 
     Parameters
     ----------
     model : Model
         Equations of motion with their effects.
     rig : Rig
-        Values of everything fixed, and priors of everything free.
+        Values of the fixed parameters, and priors of the free ones.
     flights : sequence of Flight or Record
-        Flights; prepared ones are taken as they are.
+        The flights; a Record is already prepared.
     free : sequence of str, optional
-        Names of the free parameters. Without it: every number of the rig that the model uses and that has a
-        tolerance, gravity excepted, and every parameter of the model's effects that has a prior.
+        Names of the free parameters; by default, those that `free_parameters` chooses.
     per_flight : sequence of str
-        Free parameters that each flight has its own value of.
+        Free parameters that have a separate value in each flight.
     window_s : float
         Length that the windows approximate [s].
     step_s : float
@@ -104,18 +104,18 @@ class Problem:
     ) -> None:
         self.model = model
         self.rig = rig
-        wanted = free_parameters(model, rig, free, priors or {})
+        all_free = free_parameters(model, rig, free, priors or {})
         self.records = prepare_all(flights, rig)
         _check_records(self.records)
-        shared = [parameter for parameter in wanted if parameter.quantity not in per_flight]
-        local = [parameter for parameter in wanted if parameter.quantity in per_flight]
+        shared = [parameter for parameter in all_free if parameter.quantity not in per_flight]
+        of_flights = [parameter for parameter in all_free if parameter.quantity in per_flight]
         labels = [record.label for record in self.records]
         all_values = parameter_values(model, rig, values or {})
-        self.parameter_vector = ParameterVector(model.parameter_names, all_values, shared, local, labels)
+        self.parameter_vector = ParameterVector(model.parameter_names, all_values, shared, of_flights, labels)
         self.grids = WindowGrids(self.records, window_s, step_s)
         self.state_count = len(model.states)
         self.state_std_by_name = _state_stds(model, rig) | dict(state_std or {})
-        """Prior standard deviation of each effect's state about what the flight before its window gives."""
+        """Prior standard deviation of each effect's state at the beginning of a window."""
         self.state_std: Floats = np.array(
             [self.state_std_by_name[state.name] for state in model.states[RIGID_STATES:]]
         )
@@ -124,15 +124,17 @@ class Problem:
         self.kernel = kernel(model, self._kernel_free, threads)
 
     def __getstate__(self) -> dict[str, Any]:
-        # The kernel is code of this machine.
+        """Return everything except the kernel, for pickling."""
+        # A kernel is code that is loaded into this process: the process that unpickles builds its own.
         return {**self.__dict__, "kernel": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        """Build the kernel again after unpickling."""
         self.__dict__.update(state)
         self.kernel = kernel(self.model, self._kernel_free, self.threads)
 
     def _with(self, grids: WindowGrids) -> Problem:
-        """Return the same problem with this kernel and other `grids`."""
+        """Return the same problem with other `grids`; both share one kernel."""
         # copy.copy uses the pickled state, and would build the kernel again.
         other = Problem.__new__(Problem)
         other.__dict__.update(self.__dict__, grids=grids)
@@ -140,7 +142,7 @@ class Problem:
 
     @property
     def free(self) -> tuple[FreeParameter, ...]:
-        """Free parameters, those of one flight after the shared ones."""
+        """Free parameters: first those that all flights share, then those of single flights."""
         return self.parameter_vector.free
 
     @property
@@ -150,7 +152,7 @@ class Problem:
 
     @property
     def columns(self) -> tuple[Integers, ...]:
-        """For each record, which free parameters it depends on, in the order of the kernel."""
+        """For each record, numbers of the free parameters that it depends on, in the order of the kernel."""
         return self.parameter_vector.columns
 
     def with_windows(self, window_s: float) -> Problem:
@@ -160,28 +162,38 @@ class Problem:
         return self._with(self.grids.copy(window_s=window_s))
 
     def with_free(self, free: Sequence[FreeParameter]) -> Problem:
-        """Return a problem with other `free` parameters, for predictions alone: its kernel has no derivatives
-        to them. Parameters of one flight come after those that all flights share.
+        """Return the same problem with other free parameters, for predictions without derivatives.
+
+        The kernel has no derivatives to the new parameters.
+
+        Parameters
+        ----------
+        free : sequence of FreeParameter
+            Parameters that all flights share, then those of single flights.
         """
         other = self._with(self.grids.copy())
         other.parameter_vector = self.parameter_vector.with_free(free)
         return other
 
     def with_split_windows(self, parts: int) -> Problem:
-        """Return the same problem with each window divided into `parts` of about equal length, each with its
-        own initial state: the same samples, predicted over a shorter horizon.
+        """Return the same problem with each window divided into `parts` shorter windows of about equal
+        length.
+
+        The samples stay the same, but are predicted over a shorter time, because each part has its own
+        initial state.
         """
         return self._with(self.grids.copy(parts=parts))
 
     def parameters(self, theta: Floats, index: int = 0) -> Floats:
-        """All parameters of the model for flight `index`, shape (p,), from the free parameters `theta`, shape
-        (f,).
+        """Return all parameters of the model in flight `index`, shape (p,), for the free parameters `theta`,
+        shape (f,).
         """
         values = self.parameter_vector.parameters(theta, index)
         return self.model.values_in(self.records[index].label, values)
 
     def grid(self, index: int, fine: bool, theta: Floats) -> Grid:
-        """Windows of a record, with their inputs; the coarse and the fine grid have the same windows.
+        """Return the windows of a record with their voltages; the coarse and the fine grid have the same
+        windows.
 
         Parameters
         ----------
@@ -203,7 +215,7 @@ class Problem:
         return np.array([first for first, _ in self.windows(index)], np.int64)
 
     def residual(self, index: int, theta: Floats, states: Floats, *, fine: bool = False) -> Floats:
-        """Predict a flight: residuals alone, shape (m, 3), as in `Evaluation`.
+        """Predict a flight, and return its residuals alone, shape (m, 3), as in `Evaluation`.
 
         Parameters
         ----------
@@ -215,7 +227,8 @@ class Problem:
         return (grid.measured_rad - angles_rad) / grid.record.sigma_rad
 
     def evaluation(self, index: int, theta: Floats, states: Floats, *, fine: bool = False) -> Evaluation:
-        """Predict a flight: residuals, and the products of their derivatives for a Gauss-Newton step.
+        """Predict a flight, and return its residuals and the products of their derivatives, from which a
+        Gauss-Newton step is computed.
 
         Parameters
         ----------
@@ -231,8 +244,14 @@ class Problem:
         return self.evaluate_grid(self.grid(index, fine, theta), states, self.parameters(theta, index))
 
     def evaluate_grid(self, grid: Grid, states: Floats, parameters: Floats) -> Evaluation:
-        """Predict the windows of a `grid` from their initial `states`, shape (w, states), with all
-        `parameters` of the model, shape (p,).
+        """Predict the windows of a `grid`, and compare them with the measured angles.
+
+        Parameters
+        ----------
+        states : ndarray (w, states)
+            Initial states of the windows.
+        parameters : ndarray (p,)
+            All parameters of the model.
         """
         measured_rad, sigma_rad = grid.measured_rad, grid.record.sigma_rad
         angles_rad, normal_matrix = self.kernel.products(
@@ -241,7 +260,7 @@ class Problem:
         return Evaluation((measured_rad - angles_rad) / sigma_rad, normal_matrix)
 
     def delay_and_dead_zone(self, parameters: Floats) -> tuple[tuple[str, float] | None, float | None]:
-        """Delay and dead zone, which change the voltages before they act.
+        """Return the delay and the dead zone of the motors, which change the voltages before they act.
 
         Parameters
         ----------
@@ -251,17 +270,26 @@ class Problem:
         Returns
         -------
         delay : (str, float) or None
-            Name and value in s of the parameter that delays the voltages.
+            As in `delay_of`.
         dead_zone_V : float or None
-            Voltage below which there is no thrust; None where rotors push backwards too, or within the dead
-            zone.
+            Voltage below which there is no thrust; None if voltages below it also give thrust, as with rotors
+            that reverse.
         """
         return delay_of(self.model, parameters), self.model.dead_zone_V(parameters, self.names)
 
 
 def delay_of(model: Model, parameters: Floats) -> tuple[str, float] | None:
-    """Name and value [s] of the parameter that delays the voltages of a `model`, from all its `parameters`,
-    shape (p,); None without a delay.
+    """Find the parameter that delays the voltages of a model.
+
+    Parameters
+    ----------
+    parameters : ndarray (p,)
+        All parameters of the model.
+
+    Returns
+    -------
+    (str, float) or None
+        Name and value [s] of the parameter; None if the model has no delay.
     """
     if not model.delay:
         return None
@@ -269,7 +297,7 @@ def delay_of(model: Model, parameters: Floats) -> tuple[str, float] | None:
 
 
 def _check_records(records: Sequence[Record]) -> None:
-    """Check that there is a flight, and that each has another label. Otherwise raise an IdentifyError."""
+    """Raise an IdentifyError if there is no flight, or if two flights have the same label."""
     if not records:
         raise IdentifyError("there is no flight to identify from", "give at least one")
     if len({record.label for record in records}) < len(records):
@@ -277,7 +305,7 @@ def _check_records(records: Sequence[Record]) -> None:
 
 
 def _state_stds(model: Model, rig: Rig) -> dict[str, float]:
-    """Prior standard deviations of effects' states at the beginning of a window, by name, in their order."""
+    """Return the prior standard deviation of each effect's state at the beginning of a window, by name."""
     thrust_N = thresholds.STATE_STD_V * rig["thrust_gain"].value
     by_unit = {**thresholds.STATE_STD, "V": thresholds.STATE_STD_V, "N": thrust_N}
     return {state.name: by_unit.get(state.unit, 1.0) for state in model.states[RIGID_STATES:]}

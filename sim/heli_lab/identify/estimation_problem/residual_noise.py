@@ -1,4 +1,4 @@
-"""Noise of the residuals: variance, autocorrelation, outlying windows."""
+"""Measure the noise of a fit's residuals: its variance and autocorrelation, and outlying windows."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ It is 1 for a true model; a count that stays for several samples gives more."""
 
 
 def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
-    """Long-run (HAC) variance: that of a sum over many neighbouring residuals, for each residual in it; a
-    factor of at least 1 on the variance, shape (3,).
+    """Estimate the long-run (HAC) variance of the residuals: the variance of a sum of many successive
+    residuals, divided by their number.
 
-    Parameters of the rig move the prediction slowly. Their standard errors therefore depend not on the
+    Parameters of the rig change the prediction slowly. Their standard errors therefore depend not on the
     residuals' variance but on their spectral density at low frequencies (Newey and West, with Bartlett's
-    weights). It is larger if a count stays for several samples, and much larger if the model is wrong.
+    weights). This density is larger if a count stays for several samples, and much larger if the model is
+    wrong.
 
     Parameters
     ----------
@@ -31,7 +32,12 @@ def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float)
     windows : sequence of slice
         Rows of each window.
     step_s : float
-        Time from one row to the next.
+        Time from one row to the next [s].
+
+    Returns
+    -------
+    ndarray (3,)
+        Variance of each axis, in variances of the quantisation; at least 1.
     """
     lags = max(1, round(LONGEST_LAG_S / step_s))
     covariance = autocovariance(residual, windows, lags)
@@ -39,13 +45,12 @@ def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float)
 
 
 def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats:
-    """Bound the axes' variances, shape (..., 3), from below, so that a wrong model is not fitted to one axis
-    alone; unchanged where only quantisation is left.
+    """Raise small variances, so that a wrong model is not fitted to one axis alone.
 
-    If a model is wrong, dividing each axis by its own error favours the axis in which free initial states can
-    hide the error (travel). It neglects the axis that shows the error (pitch): on measured flights the error
-    of pitch doubled. Therefore the variance of each axis, in rad^2, is at least half of the largest variance
-    that quantisation does not explain.
+    The fit divides the squared residuals of each axis by their variance. If the model is wrong, this favours
+    the axis in which free initial states can hide the error (travel), and neglects the axis that shows the
+    error (pitch): on measured flights, the error of pitch doubled. Therefore the variance of each axis, in
+    rad^2, is at least `MIN_SHARE` of the largest variance that quantisation does not explain.
 
     Parameters
     ----------
@@ -55,6 +60,11 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
         Mean square of the residuals, in variances of the quantisation.
     sigma_rad : ndarray (3,)
         Standard deviation of the quantisation of each axis [rad].
+
+    Returns
+    -------
+    ndarray (..., 3)
+        Variances in the same unit; unchanged if the residuals are quantisation alone.
     """
     # Share of an axis' variance that counts as model error: none up to twice the quantisation.
     model_error_share = np.maximum(0.0, 1.0 - _QUANTISATION_ONLY / np.maximum(mean_square, 1e-12))
@@ -64,11 +74,10 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
 
 
 def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:
-    """Robust weights, shape (w,), which keep a few disturbed windows from deciding the fit.
+    """Compute robust weights of the windows, shape (w,), so that a few disturbed windows do not decide a fit.
 
-    The weight is 1 for a window like the others. It is less for a window whose rms is over `OUTLIER` times
-    the median, so that the window counts as one at that limit. Far beyond `GROSS` times the median it is
-    nearly 0.
+    The weight is 1 for a window with a usual error. If the rms error exceeds `OUTLIER` times the median, the
+    weight reduces it to that limit. Beyond `GROSS` times the median, the weight falls to 0.
 
     Parameters
     ----------
@@ -80,19 +89,20 @@ def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats)
         Variance of each axis by which the fit divides its squared residuals.
     """
     rms = np.sqrt([np.mean(residual[window] ** 2 / variance) for window in windows])
-    times = np.maximum(rms, 1e-12) / max(float(np.median(rms)), 1e-12)
-    return np.asarray(np.minimum(1.0, OUTLIER / times) ** 2 * np.minimum(1.0, GROSS / times) ** 2)
+    relative_rms = np.maximum(rms, 1e-12) / max(float(np.median(rms)), 1e-12)
+    outlier_factor = np.minimum(1.0, OUTLIER / relative_rms) ** 2
+    return np.asarray(outlier_factor * np.minimum(1.0, GROSS / relative_rms) ** 2)
 
 
 def normalised(residual: Floats) -> float:
-    """Root mean square of `residual`, in standard deviations of the quantisation: 1 when only that
-    is left.
+    """Root mean square of a `residual`, in standard deviations of the quantisation: 1 if it is quantisation
+    alone.
     """
     return float(np.sqrt(np.mean(residual**2)))
 
 
 def correlation_at(residual: Floats, windows: Sequence[slice], lag: int) -> tuple[Floats, float]:
-    """Autocorrelation at one lag, and its bound for white residuals.
+    """Compute the autocorrelation of the residuals at one lag, and its bound for white residuals.
 
     Parameters
     ----------

@@ -21,11 +21,12 @@ def quantisation_scatter(
     weights: Sequence[Floats],
     covariance: Floats,
 ) -> Floats:
-    """Standard deviation of each estimate due to quantisation and priors, shape (f,), by dither.
+    """Simulate how quantisation scatters the estimates, by dither; return standard deviations, shape (f,).
 
     Quantisation errors are not white noise: while an axis hovers, the same count stays for seconds, and its
-    error is the same in every window. Therefore the predicted angles are quantised again with the counts
-    shifted by random phases, and the estimates' scatter under these errors is computed to first order.
+    error is the same in every window. Therefore the predicted angles are quantised again, many times, with
+    the counts shifted by random phases. The scatter of the estimates under these errors is computed to first
+    order, and that of the priors is added.
 
     Parameters
     ----------
@@ -42,20 +43,22 @@ def quantisation_scatter(
     scores = np.zeros((DITHER_PHASES, len(theta)))
     state_count = problem.state_count
     for index, record in enumerate(problem.records):
-        grid = problem.grid(index, True, theta)
+        grid = problem.grid(index, fine=True, theta=theta)
         parameters = problem.parameters(theta, index)
         angles_rad, jacobian = problem.kernel.jacobian(grid.inputs, states[index], parameters)
         counts = angles_rad / record.count_rad
         phases = random.uniform(0.0, 1.0, (DITHER_PHASES, 1, 3))
-        for window, part in enumerate(grid.slices):
-            shifted = counts[None, part] + phases
+        for window, steps in enumerate(grid.slices):
+            # Quantisation errors in their standard deviations, shape (phases, steps, 3).
+            shifted = counts[None, steps] + phases
             errors = (np.round(shifted) - shifted) * math.sqrt(12.0)
             scale = np.sqrt(weights[index][window] / variance[index])[:, None]
-            rows = jacobian[part] / record.sigma_rad[:, None] * scale
-            # Not a product of matrices: threads of the linear algebra cost more here than they save.
-            normal = np.einsum("tai,taj->ij", rows[:, :, :state_count], rows)
-            gradient = np.einsum("pta,tai->pi", errors * scale[:, 0], rows)
-            # The initial state of the window is eliminated.
+            weighted_jacobian = jacobian[steps] / record.sigma_rad[:, None] * scale
+            # Indices: phase p, step t, axis a, columns i and j of the Jacobian. A product of matrices would
+            # start threads of the linear algebra, which cost more here than they save.
+            normal = np.einsum("tai,taj->ij", weighted_jacobian[:, :, :state_count], weighted_jacobian)
+            gradient = np.einsum("pta,tai->pi", errors * scale[:, 0], weighted_jacobian)
+            # Eliminate the initial state of the window (Schur complement).
             response = np.linalg.pinv(normal[:, :state_count], hermitian=True) @ normal[:, state_count:]
             score = gradient[:, state_count:] - gradient[:, :state_count] @ response
             scores[:, problem.columns[index]] += score
@@ -65,12 +68,16 @@ def quantisation_scatter(
 
 
 def timing_variance(problem: Problem) -> Floats:
-    """Variance to add to estimated times, shape (f,) [s^2]: a log does not state when within a tick the
-    voltages began. For effect parameters in s it is that of a uniform distribution over a tick; otherwise 0.
+    """Return the variance to add to each estimated time, such as a lag, because of the log's sample time.
 
-    A row holds the voltage of its tick, not the moment within the tick at which the motors got it. Simulators
-    differ in this by half a tick, as do explicit and exact steps of a lag, and a fit finds the time to a
-    fiftieth of a tick.
+    A row of a log holds the voltage of its tick, but not the moment within the tick at which the motors got
+    it. Simulators differ in this moment by half a tick, while a fit finds the time to a fiftieth of a tick:
+    its standard error alone would be too small.
+
+    Returns
+    -------
+    ndarray (f,)
+        For effect parameters in s, the variance of a uniform distribution over a tick [s^2]; otherwise 0.
     """
     effect_names = {name for effect in problem.model.effects for name in effect.priors}
     tick_s = max(record.step_s for record in problem.records)
@@ -85,8 +92,9 @@ class Combination:
     Parameters
     ----------
     change : dict of float
-        Change of each parameter that takes part, one posterior standard deviation of the combination, in the
-        parameter's unit; the largest first.
+        By parameter: its change if the combination changes by one posterior standard deviation, in the
+        parameter's unit. The parameter with the largest change comes first; those that hardly change are
+        left out.
     std_over_prior : float
         Posterior standard deviation of the combination over its prior one; 1 without any information.
     """
@@ -108,18 +116,20 @@ def combinations(names: Sequence[str], information: Floats, prior_std: Floats) -
     prior_std : ndarray (f,)
         Standard deviations of the priors.
     """
+    # In units of the priors' standard deviations, a prior has the information 1 in every direction.
     whitened = information * np.outer(prior_std, prior_std)
-    strength, directions = np.linalg.eigh(0.5 * (whitened + whitened.T))
+    informations, directions = np.linalg.eigh(0.5 * (whitened + whitened.T))
     result = []
-    for value, direction in zip(np.maximum(strength, 0.0), directions.T, strict=True):
-        if value >= 1.0:
+    for of_flights, direction in zip(np.maximum(informations, 0.0), directions.T, strict=True):
+        if of_flights >= 1.0:
             break
-        shrunk = 1.0 / math.sqrt(1.0 + value)
+        std_over_prior = 1.0 / math.sqrt(1.0 + of_flights)
         size = np.abs(direction)
         order = [i for i in np.argsort(-size) if size[i] >= COMBINATION_WEIGHT * size.max()]
+        # The first parameter increases; an eigenvector has either sign.
         sign = math.copysign(1.0, direction[order[0]])
-        change = {names[i]: float(sign * direction[i] * prior_std[i] * shrunk) for i in order}
-        result.append(Combination(change, shrunk))
+        change = {names[i]: float(sign * direction[i] * prior_std[i] * std_over_prior) for i in order}
+        result.append(Combination(change, std_over_prior))
     return result
 
 

@@ -1,11 +1,11 @@
 """Free runs of a model over many windows, with exact derivatives: the inner loop of every fit.
 
-The rates of the state and their Jacobians, which CasADi derives, are written as C (`lanes.py`). A short loop
-around them, also in C, takes Runge-Kutta steps of fourth order in four windows together. It propagates the
-state and its sensitivities to the window's initial state and to the free parameters. Both are compiled
-together and kept in the user's cache. Without a compiler the same loop runs in NumPy around the expression
-programs of `heli_lab.estimation`. These alone, without any sensitivities, take longer than the compiled
-kernel takes for everything: 13 to 31 ms against 11 ms for 20 windows of 2 s, 21 free parameters (2026-11).
+A kernel simulates all windows, and propagates the state with its sensitivities to the window's initial state
+and to the free parameters. There are two. The compiled kernel (`compiled.py`) has the rates of the state and
+their Jacobians as C, and a loop of fourth-order Runge-Kutta steps around them; its library is kept in the
+user's cache. Without a C compiler, the interpreted kernel (`interpreted.py`) runs the same loop in NumPy. The
+compiled one takes 11 ms for 20 windows of 2 s with 21 free parameters (2026-11). The interpreted one takes
+longer even without sensitivities: 13 to 31 ms.
 """
 
 from __future__ import annotations
@@ -24,9 +24,19 @@ from heli_lab.threads import default_thread_count
 
 
 def kernel(model: Model, free: tuple[str, ...], threads: int | None = None) -> Kernel:
-    """Build or find the kernel of a model, with derivatives to the parameters `free`, in this order:
-    compiled, its windows on `threads` (`default_thread_count` where None), or interpreted where there is
-    no C compiler. A PlantError when the compiler fails.
+    """Return the kernel of a model: compiled if there is a C compiler, otherwise interpreted.
+
+    Parameters
+    ----------
+    free : tuple of str
+        Parameters to which the kernel computes derivatives, in this order.
+    threads : int, optional
+        Threads that share the windows of the compiled kernel, by default `default_thread_count`.
+
+    Raises
+    ------
+    PlantError
+        When the compiler fails.
     """
     functions, library = _built(model, free)
     if library is None:
@@ -36,8 +46,10 @@ def kernel(model: Model, free: tuple[str, ...], threads: int | None = None) -> K
 
 @functools.lru_cache(maxsize=4)
 def _built(model: Model, free: tuple[str, ...]) -> tuple[Functions, Path | None]:
-    """Functions of a kernel, and its library if there is a C compiler. Flights are predicted one after the
-    other with the same model; to derive and to write its equations takes as long as to predict one of them.
+    """Return the functions of a kernel, and its compiled library if there is a C compiler.
+
+    The results are kept, because flights are predicted one after the other with the same model, and deriving
+    its equations takes as long as predicting one flight.
     """
     functions = Functions(model, free)
     return functions, compile_source("identify", kernel_source(functions))

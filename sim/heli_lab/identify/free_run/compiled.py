@@ -1,10 +1,11 @@
-"""The kernel in C: rates and Jacobians of a model, and a loop around them, compiled together."""
+"""The kernel in C: a model's rates and Jacobians are written as C, and compiled with the loop `windows.c`."""
 
 from __future__ import annotations
 
 import ctypes
 import itertools
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -29,7 +30,17 @@ _FUNCTIONS: Final = "/* The functions of the model end here. */"
 
 
 def _chain(functions: Functions, function: ca.Function) -> str:
-    """Body of a macro, in C, for out = fx s + fp + fu du over what is not structurally zero."""
+    """Write the chain rule for the sensitivities of a function in C, as the body of a macro.
+
+    The sensitivities are out = fx s + fp + fu du: the Jacobians fx, fp and fu to state, free parameters and
+    voltages, the sensitivities s of the state, and the derivatives du of the voltages. Elements that are
+    always zero are left out.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Returns a value and its Jacobians fx, fp and fu.
+    """
     lines = []
     fx = _nonzeros(function.sparsity_out(1))
     for row in range(function.size1_out(0)):
@@ -37,14 +48,15 @@ def _chain(functions: Functions, function: ca.Function) -> str:
         lines.append(f"for (int z = 0; z < NZ; ++z) out[{row}][z] = {' + '.join(terms) or 'all(0.0)'};")
     for k, (i, j) in enumerate(_nonzeros(function.sparsity_out(2))):
         lines.append(f"out[{i}][{functions.state_count + j}] += fp[{k}];")
-    for which, name in enumerate(functions.voltage_parameters):
+    for number, name in enumerate(functions.voltage_parameters):
         column = functions.state_count + functions.free.index(name)
         for k, (i, j) in enumerate(_nonzeros(function.sparsity_out(3))):
-            lines.append(f"out[{i}][{column}] += fu[{k}] * du[{which}][{j}];")
+            lines.append(f"out[{i}][{column}] += fu[{k}] * du[{number}][{j}];")
     return " \\\n  ".join(["(void)fp, (void)fu, (void)du;", *lines])
 
 
 def _nonzeros(sparsity: ca.Sparsity) -> list[tuple[int, int]]:
+    """Row and column of each element of a sparse matrix, in the order in which CasADi stores them."""
     rows, columns = sparsity.get_triplet()
     return list(zip(rows, columns, strict=True))
 
@@ -52,7 +64,8 @@ def _nonzeros(sparsity: ca.Sparsity) -> list[tuple[int, int]]:
 def kernel_source(functions: Functions) -> str:
     """Write the kernel: one C file with the function heli_windows."""
     jacobians = (functions.rates_jacobian, functions.angles_jacobian, functions.reset_map_jacobian)
-    nonzeros = [max(1, *(function.nnz_out(i) for function in jacobians)) for i in (1, 2, 3)]
+    # Outputs 1, 2 and 3 are the Jacobians to the state, to the free parameters and to the voltages.
+    nonzeros = [max(1, *(function.nnz_out(output) for function in jacobians)) for output in (1, 2, 3)]
     macros = {
         "NX": functions.state_count,
         "NZ": functions.state_count + len(functions.free_index),
@@ -67,19 +80,38 @@ def kernel_source(functions: Functions) -> str:
         "CHAIN_RESET_MAP": _chain(functions, functions.reset_map_jacobian),
     }
     loop = LOOP.read_text(encoding="utf-8")
-    head, mark, rest = loop.partition(_FUNCTIONS)
+    before, mark, after = loop.partition(_FUNCTIONS)
     defines = "".join(f"#define {name} {value}\n" for name, value in macros.items())
-    written = "\n".join(c_function(function) for function in functions.all)
-    return "".join((defines, head, written, mark, rest))
+    model_functions = "\n".join(c_function(function) for function in functions.all)
+    return "".join((defines, before, model_functions, mark, after))
 
 
 def _address(array: Floats | Integers | None, row: int = 0) -> ctypes.c_void_p | None:
-    """Address of an `array` from a `row` on; null without an array."""
+    """Address of a row of an array, for a call of C; null without an array."""
     return None if array is None else ctypes.c_void_p(array[row:].ctypes.data)
 
 
+@dataclass(frozen=True)
+class _NormalMatrices:
+    """Normal matrices to be filled, with what their residuals need.
+
+    Parameters
+    ----------
+    measured_rad : ndarray (n, 3)
+        Measured angles.
+    sigma_rad : ndarray (3,)
+        Unit of the residuals.
+    result : ndarray (w, 3, states + f + 1, states + f + 1)
+        As in `Kernel.products`; filled by the call.
+    """
+
+    measured_rad: Floats
+    sigma_rad: Floats
+    result: Floats
+
+
 class CompiledKernel(Kernel):
-    """Windows run by compiled code.
+    """Simulates the windows with compiled code.
 
     Parameters
     ----------
@@ -96,7 +128,8 @@ class CompiledKernel(Kernel):
 
     def __init__(self, functions: Functions, library: str, threads: int = 1) -> None:
         self._threads = threads
-        self._sizes = functions.state_count, functions.state_count + len(functions.free_index)
+        self._state_count = functions.state_count
+        self._column_count = functions.state_count + len(functions.free_index)
         self._voltage_parameters = functions.voltage_parameters
         try:
             self._windows: Callable[..., None] = ctypes.CDLL(library).heli_windows
@@ -110,35 +143,40 @@ class CompiledKernel(Kernel):
 
     @override
     def jacobian(self, inputs: Inputs, start: Floats, parameters: Floats) -> tuple[Floats, Floats]:
-        jacobian = np.empty((inputs.rows, 3, self._sizes[1]))
-        angles, _ = self._call(inputs, start, parameters, jacobian)
+        jacobian = np.empty((inputs.rows, 3, self._column_count))
+        angles, _ = self._call(inputs, start, parameters, jacobian=jacobian)
         return angles, jacobian
 
     @override
     def products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
-        size = self._sizes[1] + 1
-        normal_matrix = np.zeros((len(inputs.steps), 3, size, size))
-        angles, _ = self._call(inputs, start, parameters, None, (measured_rad, sigma_rad, normal_matrix))
-        return angles, normal_matrix
+        size = self._column_count + 1
+        products = _NormalMatrices(
+            np.ascontiguousarray(measured_rad, float),
+            np.ascontiguousarray(sigma_rad, float),
+            np.zeros((len(inputs.steps), 3, size, size)),
+        )
+        angles, _ = self._call(inputs, start, parameters, products=products)
+        return angles, products.result
 
     def _call(
         self,
         inputs: Inputs,
         start: Floats,
         parameters: Floats,
+        *,
         jacobian: Floats | None = None,
-        products: tuple[Floats | None, Floats | None, Floats | None] = (None, None, None),
+        products: _NormalMatrices | None = None,
     ) -> tuple[Floats, Floats]:
-        """Run every window in C, and fill the arrays that are given.
+        """Simulate every window in C, and fill the arrays that are given.
 
         Parameters
         ----------
         jacobian : ndarray (n, 3, states + f), optional
             Filled with the derivatives of the angles.
-        products : (ndarray (n, 3), ndarray (3,), ndarray (w, 3, states + f + 1, states + f + 1)), optional
-            Measured angles, unit of the residuals, and the normal matrices, which are filled.
+        products : _NormalMatrices, optional
+            Normal matrices to be filled.
 
         Returns
         -------
@@ -147,22 +185,19 @@ class CompiledKernel(Kernel):
         end : ndarray (w, states)
             States at the end of each window.
         """
-        states = self._sizes[0]
         windows = len(inputs.steps)
         angles = np.empty((inputs.rows, 3))
-        end = np.empty((windows, states))
-        measured, sigma, normal_matrix = products
-        if measured is not None and sigma is not None:
-            measured, sigma = np.ascontiguousarray(measured, float), np.ascontiguousarray(sigma, float)
+        end = np.empty((windows, self._state_count))
         arrays = (inputs.mean_V, inputs.change_V, inputs.start_s, start, parameters)
         mean, change, start_s, x0, p = (np.ascontiguousarray(array, float) for array in arrays)
-        of_mean = {name: np.ascontiguousarray(array) for name, array, _ in inputs.voltage_derivatives}
-        of_change = {name: np.ascontiguousarray(array) for name, _, array in inputs.voltage_derivatives}
+        # These dictionaries also keep the arrays alive while C has their addresses.
+        of_mean = {by.parameter: np.ascontiguousarray(by.of_mean) for by in inputs.voltage_derivatives}
+        of_change = {by.parameter: np.ascontiguousarray(by.of_change) for by in inputs.voltage_derivatives}
         mean_by, change_by = self._pointers(of_mean), self._pointers(of_change)
         first, steps = inputs.first, np.ascontiguousarray(inputs.steps, np.int64)
 
         def run_windows(low: int, high: int) -> None:
-            """Run the windows `low` to `high` - 1 in C."""
+            """Run the windows `low` to `high` - 1 in C; the arguments are those of heli_windows."""
             self._windows(
                 ctypes.c_longlong(high - low),
                 *(_address(array, low) for array in (first, steps, start_s)),
@@ -170,10 +205,12 @@ class CompiledKernel(Kernel):
                 ctypes.c_longlong(inputs.substeps),
                 *(_address(mean), _address(change), mean_by, change_by),
                 *(_address(x0, low), _address(p), _address(angles), _address(jacobian), _address(end, low)),
-                *(_address(measured), _address(sigma), _address(normal_matrix, low)),
+                _address(products.measured_rad if products else None),
+                _address(products.sigma_rad if products else None),
+                _address(products.result if products else None, low),
             )
 
-        # The call releases Python's lock.
+        # Python threads run in parallel here, because the call of C releases Python's global lock.
         if self._threads == 1 or windows < 2 or inputs.rows < _WORTH_THREADS_ROWS:
             run_windows(0, windows)
             return angles, end
@@ -185,7 +222,9 @@ class CompiledKernel(Kernel):
         return angles, end
 
     def _pointers(self, arrays: dict[str, Floats]) -> ctypes.Array[ctypes.c_void_p]:
-        """Addresses of `arrays`, in the order of the voltage parameters; null for a parameter without one."""
+        """Addresses of `arrays`, by parameter, in the order of the voltage parameters; null for a parameter
+        without an array.
+        """
         addresses = [
             arrays[name].ctypes.data if name in arrays else None for name in self._voltage_parameters
         ]

@@ -11,6 +11,23 @@ from heli_sim.model.base import Model
 
 
 @dataclass(frozen=True)
+class VoltageDerivative:
+    """Derivatives of the voltages to a parameter that changes them before they act, such as a delay.
+
+    Parameters
+    ----------
+    parameter : str
+        Name of the parameter.
+    of_mean, of_change : ndarray (n, 2)
+        Derivatives of `Inputs.mean_V` and of `Inputs.change_V`.
+    """
+
+    parameter: str
+    of_mean: Floats
+    of_change: Floats
+
+
+@dataclass(frozen=True)
 class Inputs:
     """Inputs of the windows, one row per step; the rows of the windows are consecutive.
 
@@ -32,9 +49,8 @@ class Inputs:
         Change of the voltages from the beginning to the end of each step.
     substeps : int
         Runge-Kutta steps in each step.
-    voltage_derivatives : tuple of (str, ndarray (n, 2), ndarray (n, 2))
-        Parameters that change the voltages before they act, such as a delay: name, derivative of `mean_V`
-        and derivative of `change_V` to the parameter.
+    voltage_derivatives : tuple of VoltageDerivative
+        One for each parameter that changes the voltages before they act.
     """
 
     steps: Integers
@@ -43,7 +59,7 @@ class Inputs:
     mean_V: Floats
     change_V: Floats
     substeps: int = 1
-    voltage_derivatives: tuple[tuple[str, Floats, Floats], ...] = ()
+    voltage_derivatives: tuple[VoltageDerivative, ...] = ()
 
     @property
     def first(self) -> Integers:
@@ -57,7 +73,17 @@ class Inputs:
 
 
 class Functions:
-    """Rates, measurement and their Jacobians to the parameters `free`, in this order, as CasADi functions."""
+    """Rates, measured angles and reset map of a model as CasADi functions, each also with its Jacobians.
+
+    All take the state x, the inputs u, the time t and the parameters p.
+
+    Parameters
+    ----------
+    model : Model
+        Equations of motion with their effects.
+    free : tuple of str
+        Parameters to which the Jacobians are, in this order.
+    """
 
     def __init__(self, model: Model, free: tuple[str, ...]) -> None:
         names = model.parameter_names
@@ -74,10 +100,12 @@ class Functions:
         self.angles_are_states = bool(ca.is_equal(angles, x[:3], 10))
 
         def with_derivatives(value: ca.SX) -> list[ca.SX]:
-            to_p = ca.jacobian(value, ca.vertcat(*to_free)) if to_free else ca.SX(value.numel(), 0)
-            return [value, ca.jacobian(value, x), to_p, ca.jacobian(value, u)]
+            """List a value and its Jacobians to the state, to the free parameters and to the inputs."""
+            by_free = ca.jacobian(value, ca.vertcat(*to_free)) if to_free else ca.SX(value.numel(), 0)
+            return [value, ca.jacobian(value, x), by_free, ca.jacobian(value, u)]
 
         def function(name: str, results: list[ca.SX]) -> ca.Function:
+            """Compile a function that computes common subexpressions of its results once."""
             return ca.Function(name, [x, u, t, p], ca.cse(results))
 
         self.rates = function("heli_rates", [rates])
@@ -92,6 +120,6 @@ class Functions:
 
     @property
     def all(self) -> tuple[ca.Function, ...]:
-        """Every function that the loop calls."""
-        moving = (self.rates, self.rates_jacobian, self.angles, self.angles_jacobian)
-        return (*moving, self.reset_map, self.reset_map_jacobian) if self.has_reset else moving
+        """Every function that a kernel calls."""
+        always = (self.rates, self.rates_jacobian, self.angles, self.angles_jacobian)
+        return (*always, self.reset_map, self.reset_map_jacobian) if self.has_reset else always

@@ -1,4 +1,4 @@
-"""The interface of the kernels: free runs over many windows, with exact derivatives."""
+"""The interface of all kernels, which simulate a model over many windows with exact derivatives."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from heli_lab.identify.free_run.functions import Inputs
 
 
 class Kernel(ABC):
-    """Simulates w windows of n steps in all; compiled and interpreted kernels agree to the rounding of
-    doubles.
+    """Simulates w windows, which have n steps in total. Compiled and interpreted kernels agree to the
+    rounding of doubles.
     """
 
     @abstractmethod
@@ -70,5 +70,5 @@ class Kernel(ABC):
         angles_rad : ndarray (n, 3)
             Measured angles at the beginning of each step.
         normal_matrix : ndarray (w, 3, states + free + 1, states + free + 1)
-            For each window and axis, products of the columns of [Jacobian | residual], both over sigma.
+            For each window and axis, products of the columns of [Jacobian | residual], both divided by sigma.
         """

@@ -1,4 +1,4 @@
-"""The kernel without a C compiler: NumPy around the laboratory's expression programs."""
+"""The kernel for computers without a C compiler: a loop in NumPy around compiled expressions."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ class _States:
     sensitivity: Floats
 
     def moved(self, rate: _States, time_s: float) -> _States:
-        """Move the states for `time_s` with a constant `rate`, both with their sensitivities."""
+        """Return the states after `time_s` [s] at a constant `rate`; sensitivities change likewise."""
         return _States(self.value + time_s * rate.value, self.sensitivity + time_s * rate.sensitivity)
 
 
 class InterpretedKernel(Kernel):
-    """Windows run in NumPy, all of them in parallel; rates and Jacobians by `estimation`'s programs."""
+    """Simulates all windows step by step in NumPy, with one array row per window."""
 
     def __init__(self, functions: Functions) -> None:
         self.functions = functions
         self._programs: dict[str, AlongTrajectory] = {}
 
     def program(self, name: str) -> AlongTrajectory:
-        """The program of one of the model's functions, by its `name`, with dense results."""
+        """Return the function `name` of the model with dense results, compiled for many windows together."""
         if name not in self._programs:
             function: ca.Function = getattr(self.functions, name)
             arguments = [ca.SX.sym("a", function.size1_in(i)) for i in range(function.n_in())]
@@ -67,11 +67,13 @@ class InterpretedKernel(Kernel):
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
         angles, jacobian = self.jacobian(inputs, start, parameters)
+        # Shape (n, 3, states + free + 1).
         columns = np.concatenate((jacobian, (measured_rad - angles)[:, :, None]), axis=2)
         columns /= sigma_rad[:, None]
         edges = np.append(inputs.first, inputs.rows)
-        parts = [columns[low:high].transpose(1, 0, 2) for low, high in itertools.pairwise(edges)]
-        return angles, np.array([part.transpose(0, 2, 1) @ part for part in parts])
+        # Shape (3, steps, states + free + 1) for each window: a product of matrices for each axis.
+        by_window = [columns[start:stop].transpose(1, 0, 2) for start, stop in itertools.pairwise(edges)]
+        return angles, np.array([window.transpose(0, 2, 1) @ window for window in by_window])
 
     def _simulate(
         self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
@@ -102,10 +104,10 @@ class InterpretedKernel(Kernel):
             rows = inputs.first[running] + step
             states = _States(value[running], sensitivity[running])
             start_s = inputs.start_s[running] + step * inputs.step_s
-            present = _Step(self, inputs, rows, start_s, parameters)
-            measured = present.evaluate("angles", 0.0, states)
+            this_step = _Step(self, inputs, rows, start_s, parameters)
+            measured = this_step.evaluate("angles", 0.0, states)
             angles[rows], jacobian[rows] = measured.value, measured.sensitivity
-            states = present.advance(states)
+            states = this_step.advance(states)
             value[running], sensitivity[running] = states.value, states.sensitivity
         return angles, jacobian, value
 
@@ -131,7 +133,7 @@ class _Step:
     parameters: Floats
 
     def evaluate(self, name: str, share: float, states: _States) -> _States:
-        """Evaluate a function of the model, and its sensitivities by the chain rule.
+        """Evaluate a function of the model within the step, and its sensitivities by the chain rule.
 
         Parameters
         ----------
@@ -154,11 +156,11 @@ class _Step:
         result, by_state, by_free, by_voltage = self.kernel.program(f"{name}_jacobian")(at)
         sensitivity: Floats = by_state @ states.sensitivity
         sensitivity[:, :, functions.state_count :] += by_free
-        for parameter, mean, change in inputs.voltage_derivatives:
-            if parameter in functions.voltage_parameters:
-                column = functions.state_count + functions.free.index(parameter)
-                derivative = mean[self.rows] + from_middle * change[self.rows]
-                sensitivity[:, :, column] += np.einsum("wij,wj->wi", by_voltage, derivative)
+        for derivative in inputs.voltage_derivatives:
+            if derivative.parameter in functions.voltage_parameters:
+                column = functions.state_count + functions.free.index(derivative.parameter)
+                voltage_rate = derivative.of_mean[self.rows] + from_middle * derivative.of_change[self.rows]
+                sensitivity[:, :, column] += np.einsum("wij,wj->wi", by_voltage, voltage_rate)
         return _States(result[:, :, 0], sensitivity)
 
     def advance(self, states: _States) -> _States:

@@ -1,8 +1,8 @@
-"""CasADi functions written as C that evaluates several windows together, one in each lane of a vector.
+"""Write CasADi functions as C that evaluates several windows together, one in each lane of a vector.
 
 CasADi's own C evaluates one window. Its operations depend on each other, and a compiler cannot vectorise
-them. Windows are independent: the same operation of four windows is one operation of a vector. Each lane
-has the bits that CasADi's C gives. Values that depend on parameters alone are the same in all windows and
+them. Windows are independent: the same operation in four windows is one operation on a vector. Each lane
+gives the same bits as CasADi's C. Values that depend on parameters alone are the same in all windows and
 stay scalars.
 """
 
@@ -17,7 +17,7 @@ from heli_lab.errors import IdentifyError
 
 _SHARED_INPUT: Final = 3
 """Number of the input that all windows share: the parameters."""
-_OF_VECTORS: Final = {
+_VECTOR_OPERATIONS: Final = {
     "ASSIGN": "{x}",
     "ADD": "{x} + {y}",
     "SUB": "{x} - {y}",
@@ -29,7 +29,7 @@ _OF_VECTORS: Final = {
     "INV": "1.0 / {x}",
 }
 """Operations that C has for vectors, by their name in CasADi."""
-_OF_NUMBERS: Final = {
+_LANE_OPERATIONS: Final = {
     "LT": "{x} < {y}",
     "LE": "{x} <= {y}",
     "EQ": "{x} == {y}",
@@ -55,8 +55,8 @@ _OF_NUMBERS: Final = {
 }
 """Operations that are carried out lane by lane."""
 _EXPRESSIONS: Final = {
-    getattr(ca, f"OP_{name}"): (text, name in _OF_VECTORS)
-    for name, text in {**_OF_VECTORS, **_OF_NUMBERS}.items()
+    getattr(ca, f"OP_{name}"): (text, name in _VECTOR_OPERATIONS)
+    for name, text in {**_VECTOR_OPERATIONS, **_LANE_OPERATIONS}.items()
 }
 """For each operation of CasADi its expression in C, and whether C has it for vectors."""
 
@@ -78,9 +78,9 @@ def c_function(function: ca.Function) -> str:
     """
     lines: list[str] = []
     in_register: dict[int, str] = {}
-    """Expression of the value in each of CasADi's work registers."""
+    """C expression of the value that is now in each of CasADi's work registers."""
     vectors: set[str] = set()
-    """Expressions that are vectors; all others are numbers."""
+    """C expressions that are vectors; all others are numbers."""
     for k in range(function.n_instructions()):
         code = function.instruction_id(k)
         target, operands = function.instruction_output(k), function.instruction_input(k)
@@ -109,17 +109,29 @@ def c_function(function: ca.Function) -> str:
 
 
 def _operation(result: str, code: int, x: str, y: str, vectors: set[str]) -> str:
-    """Statement of one operation on `x` and `y`; its `result` joins `vectors` unless both are numbers."""
+    """Write one operation as a C statement.
+
+    Parameters
+    ----------
+    result : str
+        Name of the C variable for the result; it is added to `vectors` unless both operands are numbers.
+    code : int
+        Operation, as CasADi numbers it.
+    x, y : str
+        C expressions of the operands.
+    vectors : set of str
+        C expressions that are vectors.
+    """
     if code not in _EXPRESSIONS:
         raise IdentifyError(
             f"a model uses CasADi's operation {code}, which is not compiled here",
             "write it with arithmetic, comparisons and elementary functions",
         )
-    expression, of_vectors = _EXPRESSIONS[code]
+    expression, is_for_vectors = _EXPRESSIONS[code]
     if not {x, y} & vectors:
         return f"const double {result} = {expression.format(x=x, y=y)};"
     vectors.add(result)
-    if of_vectors:
+    if is_for_vectors:
         return f"const Lanes {result} = {expression.format(x=x, y=y)};"
     x, y = (f"{operand}[z]" if operand in vectors else operand for operand in (x, y))
     return f"Lanes {result}; for (int z = 0; z < LANES; ++z) {result}[z] = {expression.format(x=x, y=y)};"

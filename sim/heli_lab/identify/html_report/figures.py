@@ -1,4 +1,4 @@
-"""Figures of an identification."""
+"""Draw the figures of an identification: predicted flights, parameters and their correlations."""
 
 from __future__ import annotations
 
@@ -15,12 +15,19 @@ if TYPE_CHECKING:
 _MEASURED, _PREDICTED, _RESIDUAL = "#222222", "#d1495b", "#0b5fa5"
 _MAX_POINTS = 6000
 """Points of a curve, about: no more than a page can show."""
-_MUST_SEE_COUNTS = 1.0
+_MIN_AXIS_COUNTS = 1.0
+"""Smallest range of an error axis to either side, in encoder counts, so that the grey band stays visible."""
 
 
 def identification_figure(trace: Trace, role: str) -> Figure:
-    """Draw measured against predicted angles, with the error below each axis: six panels on one time axis.
-    The title says the `role` of the flight.
+    """Draw measured and predicted angles, with the error below each axis: six panels on one time axis.
+
+    Parameters
+    ----------
+    trace : Trace
+        Measured and predicted angles of one flight.
+    role : str
+        Use of the flight, for the title: ``train`` or ``validation``.
     """
     from matplotlib.figure import Figure
 
@@ -40,8 +47,9 @@ def identification_figure(trace: Trace, role: str) -> Figure:
         below.axhspan(-0.5 * count_deg, 0.5 * count_deg, color="#e5e5e5", label="half a count")
         below.plot(t_s, error_deg, color=_RESIDUAL, lw=0.6)
         below.set_ylabel("error [deg]")
-        reach = max(_MUST_SEE_COUNTS * count_deg, float(np.nanmax(np.abs(error_deg), initial=0.0)) * 1.05)
-        below.set_ylim(-reach, reach)
+        largest_deg = float(np.nanmax(np.abs(error_deg), initial=0.0))
+        limit_deg = max(_MIN_AXIS_COUNTS * count_deg, largest_deg * 1.05)
+        below.set_ylim(-limit_deg, limit_deg)
         for panel in (above, below):
             panel.grid(alpha=0.25)
             for window in trace.windows:
@@ -54,22 +62,26 @@ def identification_figure(trace: Trace, role: str) -> Figure:
 
 
 def figure_of_parameters(identification: Identification) -> Figure:
-    """Draw every parameter as the change from its prior, in the prior's standard deviations: the prior as a
-    grey band, the estimate with two standard errors as a bar.
+    """Draw each parameter's change from its prior mean, in standard deviations of the prior.
+
+    A grey band shows the prior; a bar shows the estimate with two standard errors.
     """
     from matplotlib.figure import Figure
 
     problem, fit = identification.fit.problem, identification.fit
     names = problem.names
-    place = np.arange(len(names))[::-1]
+    # The first parameter is at the top.
+    y_position = np.arange(len(names))[::-1]
     change = (fit.theta - problem.parameter_vector.mean) / problem.parameter_vector.std
-    half = 2.0 * np.array(list(fit.std.values())) / problem.parameter_vector.std
+    half_interval = 2.0 * np.array(list(fit.std.values())) / problem.parameter_vector.std
     figure = Figure(figsize=(8, 1.2 + 0.28 * len(names)), layout="constrained")
     panel = figure.subplots()
     panel.axvspan(-2, 2, color="#eeeeee", label="prior, 95 %")
     label = "estimate, 95 %"
-    panel.errorbar(change, place, xerr=half, fmt="o", ms=4, color=_RESIDUAL, capsize=3, label=label)
-    panel.set_yticks(place, names)
+    panel.errorbar(
+        change, y_position, xerr=half_interval, fmt="o", ms=4, color=_RESIDUAL, capsize=3, label=label
+    )
+    panel.set_yticks(y_position, names)
     panel.set_xlabel("change from the prior, in its standard deviations")
     panel.grid(alpha=0.25)
     panel.legend(loc="best", fontsize=8)
@@ -77,7 +89,7 @@ def figure_of_parameters(identification: Identification) -> Figure:
 
 
 def figure_of_correlations(identification: Identification) -> Figure:
-    """Draw the correlations of the estimates: a square of colours, numbers where they are large."""
+    """Draw the correlation matrix of the estimates in colours; large correlations are also printed."""
     from matplotlib.figure import Figure
 
     names, correlation = identification.fit.problem.names, identification.fit.correlation
@@ -91,10 +103,10 @@ def figure_of_correlations(identification: Identification) -> Figure:
         for j in range(len(names)):
             size = abs(correlation[i, j])
             if i != j and size > 0.5:
-                colour, text = (
-                    "white" if size > 0.7 else "black",
-                    f"{correlation[i, j]:.{1 + (size >= 0.95)}f}",
-                )
+                # White is legible on dark colours; a second digit distinguishes 0.95 from 1.
+                colour = "white" if size > 0.7 else "black"
+                digits = 2 if size >= 0.95 else 1
+                text = f"{correlation[i, j]:.{digits}f}"
                 panel.text(j, i, text, ha="center", va="center", fontsize=6, color=colour)
     figure.colorbar(image, shrink=0.7, label="correlation")
     return figure

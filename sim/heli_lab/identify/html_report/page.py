@@ -22,8 +22,15 @@ from heli_lab.page.drawing import Drawing
 def write_identification_report(
     identification: Identification, folder: str | Path, drawing: Drawing | None = None
 ) -> Path:
-    """Write index.html, result.json and the figures as PNG into a `folder`, made if it is missing; return the
-    page. If a `drawing` was begun earlier, its separate process is ready.
+    """Write index.html, result.json and the figures into a folder; return the path of the page.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of the report, created if it is missing.
+    drawing : Drawing, optional
+        Separate process that draws the figures. If it was started during the fit, the report is ready
+        earlier.
     """
     drawing = drawing or Drawing()
     folder = folder_with(identification.json(), folder)
@@ -64,26 +71,31 @@ def verdict(identification: Identification) -> str:
     """Summarise how good the model is, and what the flights do not show."""
     numbers = identification.json()
     role = numbers["free_run_of"]
-    judged = numbers["normalised_residual"][role]
+    normalised_error = numbers["normalised_residual"][role]
     where = "the fitted flights" if role == "train" else "the validation flights"
     window_s = identification.fit.problem.grids.window_s
     errors = ", ".join(f"{axis} {numbers['free_run_rms_deg'][axis]:.3g}" for axis in AXES)
     at_rest = axes_at_rest(identification.validation_traces or identification.training_traces)
-    if judged > QUANTISATION_ONLY:
+    if normalised_error > QUANTISATION_ONLY:
         first = (
-            f"The model has an error of {judged:.3g} times the encoders' quantisation on {where}: it lacks "
-            "something, and its parameters are biased."
+            f"The model has an error of {normalised_error:.3g} times the encoders' quantisation on {where}: "
+            "it lacks something, and its parameters are biased."
         )
     elif len(at_rest) == len(AXES):
-        first = f"No axis moves on {where}, so the small error, {judged:.3f} when normalised, shows nothing."
+        first = (
+            f"No axis moves on {where}, so the small error, {normalised_error:.3f} when normalised, shows "
+            "nothing."
+        )
     else:
-        first = f"Only the encoders' quantisation remains on {where}: normalised error {judged:.3f}."
+        first = (
+            f"Only the encoders' quantisation remains on {where}: normalised error {normalised_error:.3f}."
+        )
     not_shown = _not_shown(identification, at_rest)
     return " ".join([first, *not_shown, f"Free-run error over {window_s:g} s, rms in degrees: {errors}."])
 
 
 def _not_shown(identification: Identification, at_rest: Sequence[str]) -> list[str]:
-    """Sentences on what flights do not show if the axes `at_rest` do not move: at most two."""
+    """Write up to two sentences on what the flights do not show because the axes `at_rest` do not move."""
     if not at_rest:
         return []
     sentences = []
@@ -99,7 +111,7 @@ def _not_shown(identification: Identification, at_rest: Sequence[str]) -> list[s
 
 
 def _free_run_table(identification: Identification) -> dict[str, Any]:
-    """Table of the free-run errors, one row per flight: heads and rows."""
+    """Make the table of the free-run errors, with one row per flight: its heads and rows."""
     heads = ["flight", "used for", *(f"{axis} [deg]" for axis in AXES), "normalised"]
     rows = []
     for role, flights in (("train", identification.training), ("validation", identification.validation)):
@@ -111,7 +123,7 @@ def _free_run_table(identification: Identification) -> dict[str, Any]:
 
 
 def _parameter_table(identification: Identification) -> dict[str, Any]:
-    """Table of the estimates, one row per free parameter: heads and rows."""
+    """Make the table of the estimates, with one row per free parameter: its heads and rows."""
     fit, problem = identification.fit, identification.fit.problem
     rows = []
     for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):

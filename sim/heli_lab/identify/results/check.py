@@ -1,4 +1,4 @@
-"""Free-run errors of a fit, on its own flights and on others (cross-validation)."""
+"""Measure the free-run (open-loop simulation) errors of a fit, on its own flights and on held-out ones."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Trace:
 def trace(fit: Fit, index: int = 0) -> Trace:
     """Predict flight number `index` of a fit at every sample, window by window."""
     residual = fit.problem.residual(index, fit.theta, fit.states[index], fine=True)
-    grid = fit.problem.grid(index, True, fit.theta)
+    grid = fit.problem.grid(index, fine=True, theta=fit.theta)
     record = grid.record
     measured = grid.measured_rad
     return Trace(
@@ -99,7 +99,7 @@ def trace(fit: Fit, index: int = 0) -> Trace:
 
 
 def check(fit: Fit, index: int = 0) -> FreeRunErrors:
-    """Free-run errors of a fit on its flight number `index`: their size, and whether they are white."""
+    """Measure the free-run errors of a fit on its flight number `index`, and test whether they are white."""
     flight = trace(fit, index)
     step_s = fit.problem.records[index].step_s
     lag_rows = max(1, round(WHITE_LAG_S / step_s))
@@ -119,11 +119,10 @@ def check(fit: Fit, index: int = 0) -> FreeRunErrors:
 
 
 def validate(fit: Fit, flights: Sequence[Flight | Record]) -> Fit:
-    """Apply a fit to held-out flights: its shared parameters stay fixed, only what differs from flight to
-    flight is estimated.
+    """Apply a fit to held-out flights, with its shared parameters fixed.
 
-    That is the initial states of the windows, and the encoders' zeros, which are set each time the board
-    starts.
+    Only the quantities that differ from flight to flight are estimated: the initial states of the windows,
+    and the encoders' zeros, which are set each time the board starts.
 
     Parameters
     ----------
@@ -158,5 +157,5 @@ def validate(fit: Fit, flights: Sequence[Flight | Record]) -> Fit:
 
 
 def _by_axis(values: Floats) -> dict[str, float]:
-    """The `values`, shape (3,), by the names of the axes."""
+    """Return `values`, shape (3,), by the names of the axes."""
     return {axis: float(value) for axis, value in zip(AXES, values, strict=True)}

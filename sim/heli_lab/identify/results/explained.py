@@ -1,7 +1,8 @@
 """Test whether the voltages explain a flight: compare its motion with the fit's free run, window by window.
 
-A parabola is subtracted from both: initial states and constant torques make one of any voltages. The rest
-of a rig's motion follows its voltages, also under a model that is wrong by a factor; noise follows nothing.
+A parabola is subtracted from both in each window, because initial states and constant torques give a parabola
+with any voltages. The remaining motion of a rig resembles the free run, even if the model's gain is wrong.
+The remaining motion of mere noise does not.
 """
 
 from __future__ import annotations
@@ -18,42 +19,44 @@ from heli_lab.identify.thresholds import MIN_MOTION, UNEXPLAINED
 
 
 def unexplained_shares(flight: Trace) -> tuple[Floats, Floats]:
-    """Share of a flight's motion that its free run does not explain, and the size of the motion.
+    """Measure the share of a flight's motion that its free run does not explain, and the size of the motion.
 
     Returns
     -------
-    ndarray (3,)
-        Share of each axis' motion that no multiple of the free run explains, rms: 0 for the same shape, 1 for
+    shares : ndarray (3,)
+        Share of each axis' rms motion that no multiple of the free run explains: 0 for the same shape, 1 for
         shapes that have nothing in common.
-    ndarray (3,)
-        The motion itself, rms, in standard deviations of the quantisation.
+    motion : ndarray (3,)
+        Rms motion of each axis, in standard deviations of the quantisation.
     """
-    # Sums of products over all windows, without the parabolas.
-    cross, measured, predicted = (np.zeros(len(AXES)) for _ in range(3))
+    # Sums over all windows, after the parabolas are subtracted.
+    cross_sum, measured_sum, predicted_sum = (np.zeros(len(AXES)) for _ in range(3))
     for window in flight.windows:
         t = np.linspace(-1.0, 1.0, window.stop - window.start)
+        # Orthonormal basis of all parabolas, shape (rows, 3).
         parabolas, _ = np.linalg.qr(np.column_stack((np.ones_like(t), t, t**2)))
-        residuals = [
+        measured, predicted = (
             angles[window] - parabolas @ (parabolas.T @ angles[window])
             for angles in (flight.measured_rad, flight.predicted_rad)
-        ]
-        cross += np.sum(residuals[0] * residuals[1], axis=0)
-        measured += np.sum(residuals[0] ** 2, axis=0)
-        predicted += np.sum(residuals[1] ** 2, axis=0)
-    correlation = cross / np.sqrt(np.maximum(measured * predicted, np.finfo(float).tiny))
+        )
+        cross_sum += np.sum(measured * predicted, axis=0)
+        measured_sum += np.sum(measured**2, axis=0)
+        predicted_sum += np.sum(predicted**2, axis=0)
+    correlation = cross_sum / np.sqrt(np.maximum(measured_sum * predicted_sum, np.finfo(float).tiny))
     # A free run that diverged to nan explains nothing.
     correlation = np.clip(np.nan_to_num(correlation), 0.0, 1.0)
-    return np.sqrt(1.0 - correlation**2), np.sqrt(measured / len(flight.t_s)) / flight.sigma_rad
+    return np.sqrt(1.0 - correlation**2), np.sqrt(measured_sum / len(flight.t_s)) / flight.sigma_rad
 
 
 def axes_at_rest(flights: Sequence[Trace]) -> list[str]:
-    """Axes that no flight moves by more than its encoder's quantisation: they show nothing about a model."""
+    """List the axes that move by no more than their encoder's quantisation in all flights."""
     motion = np.array([unexplained_shares(flight)[1] for flight in flights])
-    return [axis for axis, rests in zip(AXES, np.all(motion <= MIN_MOTION, axis=0), strict=True) if rests]
+    is_at_rest = np.all(motion <= MIN_MOTION, axis=0)
+    return [axis for axis, rests in zip(AXES, is_at_rest, strict=True) if rests]
 
 
 def refuse_unexplained(flight: Trace) -> None:
-    """Refuse a flight if the free run resembles its motion about no axis.
+    """Refuse a flight whose motion does not resemble the free run on any axis.
 
     Raises
     ------

@@ -75,8 +75,9 @@ class Identification:
 
         Identified parameters have twice their standard error as tolerance; everything else stays unchanged.
         The source of a parameter states if the flights do not inform it. The rig has the name and the effects
-        of the fitted model. If each flight has its own value of a torque, the rig has their mean, with their
-        scatter in the tolerance. If each flight has its own zeros, the rig keeps the zeros that it had.
+        of the fitted model. If a torque was estimated for each flight separately, the rig has the mean of
+        these torques, and their scatter in the tolerance. If encoder zeros were estimated for each flight,
+        the rig keeps its old zeros.
         """
         old = self.fit.problem.rig
         labels = ", ".join(record.label for record in self.fit.problem.records)
@@ -94,7 +95,9 @@ class Identification:
         return Rig(name, description, numbers, self._effects(), self.fit.problem.model.name)
 
     def _estimates_by_quantity(self) -> dict[str, list[tuple[float, float]]]:
-        """Estimate and standard error of each rig parameter, one pair per flight if flights differ in it."""
+        """Collect estimate and standard error of each rig parameter: one pair, or one per flight if flights
+        differ in the parameter.
+        """
         fit, problem = self.fit, self.fit.problem
         several_flights = len(problem.records) > 1
         estimates: dict[str, list[tuple[float, float]]] = {}
@@ -105,7 +108,9 @@ class Identification:
         return estimates
 
     def _effects(self) -> dict[str, dict[str, Number]]:
-        """Parameters of the model's effects as in a rig file: by effect, then by short name."""
+        """Return the parameters of the model's effects as a rig file has them: by effect, then by short
+        name.
+        """
         problem = self.fit.problem
         values = problem.parameter_vector.values_by_name
         estimates, std = self.fit.values, self.fit.std
@@ -124,7 +129,9 @@ class Identification:
         return effects
 
     def json(self) -> dict[str, Any]:
-        """The result as JSON has it: parameters{NAME: {value, std, prior: {value, std}, unit}},
+        """Return the result as the object that result.json contains.
+
+        Its keys are parameters{NAME: {value, std, prior: {value, std}, unit}},
         normalised_residual{train, validation}, free_run_rms_deg{axis: ...}, correlations{NAME: {NAME: ...}},
         seconds_used, and more.
         """
@@ -185,13 +192,17 @@ class Identification:
         }
         if role == "train":
             record = records[check.label]
-            entry["left_out"] = [{"from_s": c.start_s, "to_s": c.stop_s, "why": c.why} for c in record.cuts]
+            entry["left_out"] = [
+                {"from_s": cut.start_s, "to_s": cut.stop_s, "why": cut.why} for cut in record.cuts
+            ]
             entry["notes"] = list(record.notes)
         return entry
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
-    """Names of flights for reports: the file names of `paths`, with as many folders as make them unique."""
+    """Name flights for reports by the `paths` of their files, with as many folders as make the names
+    unique.
+    """
     depth = 1
     while True:
         names = ["/".join(path.parts[-depth:]) for path in paths]
@@ -201,12 +212,12 @@ def short_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _rms_normalised(flights: Sequence[FreeRunErrors]) -> float:
-    """Normalised error of all flights."""
+    """Combine the normalised errors of all flights into one."""
     return _rms_over_flights(flights, [errors.normalised for errors in flights])
 
 
 def _rms_over_flights(flights: Sequence[FreeRunErrors], values: Sequence[float]) -> float:
-    """Root mean square of one value per flight, weighted by the length of the flights."""
+    """Return the root mean square of one value per flight, weighted by the length of the flights."""
     weights = np.array([errors.seconds_used for errors in flights])
     return float(np.sqrt(np.average(np.square(values), weights=weights)))
 

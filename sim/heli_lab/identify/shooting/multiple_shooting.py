@@ -1,7 +1,8 @@
-"""Steps of multiple shooting: parameters together with the initial states of all windows (Bock, 1987).
+"""Steps of multiple shooting, which fit parameters and the initial states of all windows together (Bock,
+1987).
 
-The normal equations have a block for each window's initial state, coupled only to the free parameters. Their
-Schur complement is a system of the free parameters alone.
+The normal equations have a block for the initial state of each window, which is coupled to the free
+parameters only. Eliminating these blocks (Schur complement) leaves a system of the free parameters alone.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost
 from heli_lab.identify.shooting.window_recovery import recover_windows, reoptimise_states
 
 _FINE_IDLE_SHARE: Final = 0.2
-"""Factor on every sample on the gain below which two steps end a search: the coarse fit is near."""
+"""Factor on the smallest gain of a step that counts, when every sample is compared. Two steps below it
+end the search. It is less than 1 because the fit on the coarse grid is already near the minimum."""
 
 
 class MultipleShooting:
@@ -32,7 +34,7 @@ class MultipleShooting:
     cost : ShootingCost
         The cost of a guess.
     budget : Budget
-        How much the fit may cost.
+        Limits of the fit.
     on_progress : callable or None
         Called with the progress of the fit.
 
@@ -55,13 +57,15 @@ class MultipleShooting:
         self._on_progress = on_progress or (lambda progress: None)
 
     def is_out_of_budget(self) -> bool:
-        """Whether the fit has cost as much as it may."""
+        """Whether the fit has used all its evaluations or all its time."""
         elapsed_s = time.perf_counter() - self.started_s
         budget = self._budget
         return self.cost.evaluations >= budget.max_evaluations or elapsed_s >= budget.max_time_s
 
     def step(self, iterate: Iterate, damping: float) -> DampedStep[Iterate]:
-        """Linearise at an `iterate` and solve for a step with this `damping`."""
+        """Linearise the model at an `iterate`, and solve for a Levenberg-Marquardt step with this
+        `damping`.
+        """
         cost, problem = self.cost, self.cost.problem
         reduced = eliminate_states(cost, iterate, thresholds.STATE_DAMPING * damping)
         step = posterior_step(
@@ -74,9 +78,10 @@ class MultipleShooting:
         )
 
         def iterate_after_step() -> Iterate:
-            """Evaluate the model after the step, and recover the windows that it lost."""
+            """Evaluate the model after the step, and recover the windows that diverge there."""
             states = []
             for index, columns in enumerate(problem.columns):
+                # Shape (w, states): change of the initial states because the parameters change.
                 response = np.einsum("wsf,f->ws", reduced.state_responses[index], step.move[columns])
                 states.append(iterate.states[index] + reduced.state_steps[index] - response)
             after = cost.evaluate(iterate.theta + step.move, states)
@@ -84,8 +89,8 @@ class MultipleShooting:
             return after
 
         # The cost is twice the negative log-posterior.
-        promised = reduced.predicted_reduction + 2.0 * step.promised_nats
-        return DampedStep(step.move, step.std, promised, iterate_after_step)
+        predicted_reduction = reduced.predicted_reduction + 2.0 * step.promised_nats
+        return DampedStep(step.move, step.std, predicted_reduction, iterate_after_step)
 
     def with_states_refined(self, iterate: Iterate) -> Iterate | None:
         """Optimise the initial states of an `iterate` alone; None if they have converged."""
@@ -94,28 +99,29 @@ class MultipleShooting:
     def descend(
         self, iterate: Iterate, stage: str, work_done: tuple[float, float], max_steps: int
     ) -> tuple[Iterate, bool]:
-        """Reduce the cost by Levenberg-Marquardt steps until they are small.
+        """Reduce the cost by Levenberg-Marquardt steps until the steps are small.
 
         Parameters
         ----------
         iterate : Iterate
-            Where to start.
+            Start of the search.
         stage : str
             Name of the stage for the progress, in a few words.
         work_done : (float, float)
             Share of the fit's work, 0 to 1, that is done before and after this search.
         max_steps : int
-            Most steps.
+            Largest number of steps.
 
         Returns
         -------
         iterate : Iterate
-            Iterate of the lowest cost.
+            The iterate with the lowest cost.
         converged : bool
             False if the budget ran out first.
         """
 
         def report(number: int, cost: float) -> None:
+            """Report the progress after step `number`."""
             before, after = work_done
             # The number of steps is not known: each one counts for half of the work that remains.
             done = before + (after - before) * (1 - 0.5**number)

@@ -1,4 +1,4 @@
-"""Normal equations of multiple shooting: elimination of the initial states by the Schur complement."""
+"""Eliminate the initial states from the normal equations of multiple shooting, by the Schur complement."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from heli_lab.identify.estimation_problem.problem import RIGID_STATES
 from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost
 
 SINGULAR_GUARD: Final = 1e-12
-"""Added to the diagonal of a block, as a share of its largest entry. It keeps the block regular if no data
-show a state. It is far above the rounding of doubles, and far below any information."""
+"""Added to the diagonal of a block, as a share of its largest entry. It keeps the block regular if a
+state has no influence on the measured angles. It is far above the rounding of doubles, and far below any
+information."""
 
 
 def eliminate(matrices: Floats, count: int, guard: float = 0.0) -> tuple[Floats, Floats]:
-    """Schur complement of symmetric systems [[A, B], [B', C]]: it eliminates their leading unknowns.
+    """Eliminate the leading unknowns of symmetric systems [[A, B], [B', C]] by the Schur complement.
 
-    A right-hand side may be appended as the last row and column. The last column of the complement is then
-    the right-hand side of the remaining system. The last column of the gain is A^-1 times the eliminated
-    part of the right-hand side.
+    The right-hand side may be appended to a system as its last row and column. The last column of the
+    complement is then the right-hand side of the reduced system. The last column of the gain is A^-1 times
+    the first part of the right-hand side.
 
     Parameters
     ----------
@@ -31,7 +32,7 @@ def eliminate(matrices: Floats, count: int, guard: float = 0.0) -> tuple[Floats,
     count : int
         Number of leading unknowns, the order of A.
     guard : float
-        Added to the diagonal of A, as a share of its largest entry, so that an unknown that no data show
+        Added to the diagonal of A, as a share of its largest entry, so that an unknown without information
         does not make A singular.
 
     Returns
@@ -69,8 +70,8 @@ def add_state_prior(
     damping : float or ndarray (w,)
         Increase of the diagonal of the states, as a share of itself.
     """
-    nx = problem.state_count
-    diagonal, effect_rows = np.arange(nx), np.arange(RIGID_STATES, nx)
+    state_count = problem.state_count
+    diagonal, effect_rows = np.arange(state_count), np.arange(RIGID_STATES, state_count)
     precision = 1.0 / problem.state_std**2
     normal[:, effect_rows, effect_rows] += precision
     pull = precision * (reference - states)[:, RIGID_STATES:]
@@ -106,14 +107,14 @@ class ReducedSystem:
 
 
 def eliminate_states(cost: ShootingCost, iterate: Iterate, damping: float = 0.0) -> ReducedSystem:
-    """Eliminate the windows' initial states from the normal equations.
+    """Eliminate the windows' initial states from the normal equations of all records.
 
     Parameters
     ----------
     cost : ShootingCost
         Variances and weights of the records, and prior means of the initial states of effects.
     iterate : Iterate
-        Where the model is linearised.
+        Parameters and states at which the model is linearised.
     damping : float
         Increase of the diagonal of the states, as a share of itself.
     """
@@ -122,6 +123,7 @@ def eliminate_states(cost: ShootingCost, iterate: Iterate, damping: float = 0.0)
     information, gradient = np.zeros((free_count, free_count)), np.zeros(free_count)
     state_steps, state_responses, predicted_reduction = [], [], 0.0
     for index, evaluation in enumerate(iterate.evaluations):
+        # Sum over the axes a, each divided by its variance: shape (w, z + 1, z + 1).
         scale = cost.weights[index][:, None] / cost.variance[index]
         normal = np.einsum("wa,waij->wij", scale, evaluation.normal_matrix)
         add_state_prior(problem, normal, iterate.states[index], cost.state_prior[index], damping)

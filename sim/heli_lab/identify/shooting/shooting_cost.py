@@ -1,6 +1,6 @@
-"""The cost of a fit: weighted squares of all windows' residuals, with the priors.
+"""The cost of a multiple-shooting fit: weighted squares of all windows' residuals, plus those of the priors.
 
-Its weights are estimated from the residuals themselves, between the searches for the minimum.
+The weights are estimated from the residuals, between two searches for the minimum.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def window_cost(
     variance: Floats,
     weights: Floats | float = 1.0,
 ) -> Floats:
-    """Cost of each window of a record, shape (w,): weighted sums of squares with the states' prior; infinite
-    if a prediction diverges.
+    """Compute the cost of each window of a record, shape (w,): the weighted sum of squared residuals, plus
+    the prior of the initial states; infinite if a prediction diverges.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class ShootingCost:
     Attributes
     ----------
     fine : bool
-        Whether every sample is compared, not the coarse grid alone.
+        Whether every sample is compared, instead of the coarse grid.
     variance : list of ndarray (3,)
         For each record the variance by which the squares of each axis are divided.
     weights : list of ndarray (w,)
@@ -101,19 +101,28 @@ class ShootingCost:
         self.weights: list[Floats] = []
         self.state_prior: list[Floats] = []
         self.evaluations = 0
-        self._guess: tuple[Floats, list[Floats]] | None = None
+        self._last_guess: tuple[Floats, list[Floats]] | None = None
+        """Free parameters of the last guess of the initial states, and that guess."""
 
     def initial_state_guess(self, theta: Floats) -> list[Floats]:
-        """Guess the initial states from the angles, with free parameters `theta`, shape (f,): as
-        `initial_states.initial_state_guess`, computed once for as long as the parameters stay the same.
+        """Guess the initial states from the angles, with free parameters `theta`, shape (f,).
+
+        The result of `initial_states.initial_state_guess` is kept until the parameters change.
         """
-        if self._guess is None or not np.array_equal(self._guess[0], theta):
-            self._guess = theta.copy(), initial_state_guess(self.problem, theta)
-        return [states.copy() for states in self._guess[1]]
+        if self._last_guess is None or not np.array_equal(self._last_guess[0], theta):
+            self._last_guess = theta.copy(), initial_state_guess(self.problem, theta)
+        _, guess = self._last_guess
+        return [states.copy() for states in guess]
 
     def evaluate(self, theta: Floats, states: list[Floats]) -> Iterate:
-        """Predict all records, with residuals, derivatives and cost, from free parameters `theta`, shape
-        (f,), and initial `states` of the windows of each record, shape (w, states).
+        """Predict all records, and return residuals, derivatives and cost.
+
+        Parameters
+        ----------
+        theta : ndarray (f,)
+            Free parameters.
+        states : list of ndarray (w, states)
+            Initial states of the windows of each record.
         """
         evaluations = [
             self.problem.evaluation(index, theta, start, fine=self.fine) for index, start in enumerate(states)
@@ -133,14 +142,22 @@ class ShootingCost:
 
     def window_cost(self, iterate: Iterate, index: int) -> Floats:
         """Cost of each window of record `index`, shape (w,)."""
-        of_record = self.state_prior[index], self.variance[index], self.weights[index]
         return window_cost(
-            self.problem, iterate.evaluations[index].squares, iterate.states[index], *of_record
+            self.problem,
+            iterate.evaluations[index].squares,
+            iterate.states[index],
+            self.state_prior[index],
+            self.variance[index],
+            self.weights[index],
         )
 
     def reweight(self, iterate: Iterate) -> float:
-        """Estimate variances and weights again from the residuals of an `iterate`, whose cost is updated;
-        return the largest relative change of a variance.
+        """Estimate variances and weights from the residuals of an `iterate`, and update its cost with them.
+
+        Returns
+        -------
+        float
+            Largest relative change of a variance; infinite the first time.
         """
         before = self.variance
         estimates = [
@@ -156,24 +173,31 @@ class ShootingCost:
         return max(changes, default=math.inf)
 
     def _variance_and_weights(self, evaluation: Evaluation, grid: Grid) -> tuple[Floats, Floats]:
-        """Long-run variance of a record's axes and robust weights of its windows, by turns."""
-        weight = np.ones(len(grid.slices))
+        """Estimate the long-run variance of each axis, shape (3,), and the robust weight of each window,
+        shape (w,), of a record.
+
+        The two depend on each other, so that they are estimated in turn.
+        """
+        weights = np.ones(len(grid.slices))
         for _ in range(thresholds.WEIGHT_TURNS if self.robust else 1):
-            rows = np.repeat(weight, grid.inputs.steps)[:, None]
-            share = float(np.mean(rows))
-            weighted = evaluation.residual * np.sqrt(rows)
-            variance = np.maximum(1.0, long_run_variance(weighted, grid.slices, grid.inputs.step_s) / share)
-            variance = floor_axes(variance, np.mean(weighted**2, axis=0) / share, grid.record.sigma_rad)
-            before = weight
+            row_weights = np.repeat(weights, grid.inputs.steps)[:, None]
+            mean_weight = float(np.mean(row_weights))
+            weighted = evaluation.residual * np.sqrt(row_weights)
+            variance = np.maximum(
+                1.0, long_run_variance(weighted, grid.slices, grid.inputs.step_s) / mean_weight
+            )
+            mean_square = np.mean(weighted**2, axis=0) / mean_weight
+            variance = floor_axes(variance, mean_square, grid.record.sigma_rad)
+            weights_before = weights
             if self.robust:
-                weight = window_weights(evaluation.residual, grid.slices, variance)
-            if np.array_equal(weight, before):
+                weights = window_weights(evaluation.residual, grid.slices, variance)
+            if np.array_equal(weights, weights_before):
                 break
-        return variance, weight
+        return variance, weights
 
     def update_state_prior(self, iterate: Iterate) -> None:
-        """Set the prior means of effects' states to those after the flight before their windows, with the
-        parameters of an `iterate`.
+        """Set the prior means of effects' states: simulate the flight before each window with the parameters
+        of an `iterate`.
         """
         if self.problem.state_count > RIGID_STATES:
             self.state_prior = self.initial_state_guess(iterate.theta)

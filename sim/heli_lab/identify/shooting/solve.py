@@ -1,4 +1,7 @@
-"""Fit a problem: searches for the minimum in turn with estimates of the noise, first on the coarse grid."""
+"""Fit a problem by multiple shooting: search for the minimum and estimate the noise in turn.
+
+The fit begins on the coarse grid, which is cheap, and ends on every sample.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +24,11 @@ from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost
 from heli_lab.identify.shooting.window_recovery import restart_outliers
 
 _ROUGH_STEPS: Final = 4
-"""Most steps of a rough round: more are lost when the weights change."""
+"""Largest number of steps in a rough round: the minimum moves anyway when the weights change."""
 _COARSE_STEPS: Final = 30
-"""Most steps of a later round on the coarse grid, hardly ever reached."""
+"""Largest number of steps in a later round on the coarse grid, hardly ever reached."""
 _FINE_STEPS: Final = 10
-"""Most steps of a round on every sample: the coarse fit is near."""
+"""Largest number of steps in a round on every sample: the coarse fit is near the minimum."""
 _RESTART_ROUNDS: Final = (2, 3)
 """Rounds on the coarse grid that restart outlying windows from other initial states."""
 _COARSE_SHARE: Final = 0.6
@@ -114,21 +117,26 @@ class _Round:
 
 
 def _fit_coarse_grid(shooting: MultipleShooting, iterate: Iterate, warm_start: bool) -> _Round:
-    """Fit on the coarse grid, in rounds until the weights settle; a `warm_start` takes one round. Returns the
-    last round.
+    """Fit on the coarse grid, in rounds until the weights settle; return the last round.
+
+    Parameters
+    ----------
+    iterate : Iterate
+        Start of the fit.
+    warm_start : bool
+        Stop after one round.
     """
     problem, round_count = shooting.cost.problem, thresholds.ROUNDS
     multimodal = {name for effect in problem.model.effects for name in effect.multimodal}
     min_rounds = thresholds.ROUGH_ROUNDS + bool(multimodal)
     for number in range(round_count):
-        # While amplitudes are still wrong, a frequency or a moment would leave its basin of attraction.
-        rough = number < thresholds.ROUGH_ROUNDS
-        shooting.is_fixed[:] = [rough and parameter.quantity in multimodal for parameter in problem.free]
+        # While amplitudes are still wrong, a frequency or a moment would converge to a wrong local minimum.
+        is_rough = number < thresholds.ROUGH_ROUNDS
+        shooting.is_fixed[:] = [is_rough and parameter.quantity in multimodal for parameter in problem.free]
         work_done = (_COARSE_SHARE * number / round_count, _COARSE_SHARE * (number + 1) / round_count)
-        # Far from the solution the weights are rough: only later rounds need small steps.
-        max_steps = _ROUGH_STEPS if rough else _COARSE_STEPS
+        max_steps = _ROUGH_STEPS if is_rough else _COARSE_STEPS
         stage = f"coarse fit, round {number + 1}"
-        last = _round(shooting, iterate, stage, work_done, max_steps, number in _RESTART_ROUNDS)
+        last = _round(shooting, iterate, stage, work_done, max_steps, restart=number in _RESTART_ROUNDS)
         iterate = last.iterate
         shooting.damping = 0.0
         if warm_start or not last.search_converged or (number + 1 >= min_rounds and last.weights_settled):
@@ -146,7 +154,7 @@ def _fit_every_sample(shooting: MultipleShooting, iterate: Iterate) -> tuple[Ite
     cost.reweight(iterate)
     for number in range(round_count):
         work_done = (_COARSE_SHARE + (1.0 - _COARSE_SHARE) * number / round_count, 1.0)
-        last = _round(shooting, iterate, "every sample", work_done, _FINE_STEPS, number < 2)
+        last = _round(shooting, iterate, "every sample", work_done, _FINE_STEPS, restart=number < 2)
         iterate = last.iterate
         if last.weights_settled or not last.search_converged:
             break
@@ -159,6 +167,7 @@ def _round(
     stage: str,
     work_done: tuple[float, float],
     max_steps: int,
+    *,
     restart: bool,
 ) -> _Round:
     """Search for the minimum from an `iterate`, then estimate weights and state priors again.
@@ -179,8 +188,8 @@ def _round(
 
 
 def _start(cost: ShootingCost, start: Fit | Mapping[str, float] | None) -> tuple[Floats, list[Floats]]:
-    """Start values of the free parameters, shape (f,), and initial states of each record's windows, shape
-    (w, states).
+    """Return start values of the free parameters, shape (f,), and the initial states of each record's
+    windows, shape (w, states).
     """
     problem = cost.problem
     values = start.values if isinstance(start, Fit) else start or {}
@@ -192,10 +201,18 @@ def _start(cost: ShootingCost, start: Fit | Mapping[str, float] | None) -> tuple
 
 
 def _copy_states(start: Fit, problem: Problem, states: list[Floats]) -> None:
-    """Copy the initial states of a fit into `states`, where the model and the windows have the same.
+    """Copy the initial states of an earlier fit into `states`, for the states and windows that both have.
 
-    All states of a window are copied: an effect's state and the rates of the arm compensate for each other,
-    and one without the other is worse than neither.
+    An effect's state is copied together with the rates of the arm, because the two compensate for each other.
+
+    Parameters
+    ----------
+    start : Fit
+        The earlier fit.
+    problem : Problem
+        The present problem.
+    states : list of ndarray (w, states)
+        Initial states of the present problem; changed in place.
     """
     old_columns = {state.name: column for column, state in enumerate(start.problem.model.states)}
     for new_column, state in enumerate(problem.model.states):
@@ -207,7 +224,17 @@ def _copy_states(start: Fit, problem: Problem, states: list[Floats]) -> None:
 
 
 def _result(shooting: MultipleShooting, iterate: Iterate, converged: bool, scatter: bool) -> Fit:
-    """Estimates with their covariance; with `scatter` also the effect of quantisation and of sample times."""
+    """Compute the covariance of the estimates, and collect the result of the fit.
+
+    Parameters
+    ----------
+    iterate : Iterate
+        The last parameters and initial states.
+    converged : bool
+        False if the budget ended the fit.
+    scatter : bool
+        Widen the standard errors by the effects of quantisation and of sample times.
+    """
     cost, problem = shooting.cost, shooting.cost.problem
     information = eliminate_states(cost, iterate).information
     prior_information = np.diag(1.0 / problem.parameter_vector.std**2)

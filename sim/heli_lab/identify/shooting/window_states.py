@@ -1,8 +1,8 @@
-"""Initial states of single windows, optimised one by one with the free parameters fixed.
+"""Optimise the initial states of single windows, with the free parameters fixed.
 
-A joint Gauss-Newton step of all windows and parameters is accepted or rejected as a whole. Where the model
-has kinks, as with dry friction and backlash, it may leave the basin of attraction of a window, and every
-joint step would be rejected. Such a window returns in a few damped steps of its own.
+A joint Gauss-Newton step of all windows and parameters is accepted or rejected as a whole. If the model has
+kinks, as with dry friction and backlash, a single window may diverge, and every joint step would be rejected.
+A few damped steps of that window alone correct this.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from heli_lab.identify.shooting.schur import SINGULAR_GUARD, add_state_prior, el
 from heli_lab.identify.shooting.shooting_cost import Iterate, ShootingCost, window_cost
 
 _DAMPING: Final = 1e-3
-"""First damping of a window, as a share of its diagonal."""
+"""Damping of a window's first step, as a share of the diagonal of its normal matrix."""
 _RESTART_STEPS: Final = 12
-"""Most steps of a window from another start, which is far: three times those of a refinement."""
+"""Largest number of steps from another start: three times those of a refinement, because the start is far."""
 
 
 def refine_states(
     cost: ShootingCost,
     iterate: Iterate,
     index: int,
-    numbers: Integers,
+    windows: Integers,
     *,
     before: Floats | None = None,
     max_steps: int = 4,
@@ -37,45 +37,45 @@ def refine_states(
     Parameters
     ----------
     cost : ShootingCost
-        Its variances apply; weights of windows do not.
+        Variances of the axes; the weights of windows do not matter here.
     iterate : Iterate
         Changed in place.
     index : int
         Number of the record.
-    numbers : ndarray of int64 (k,)
+    windows : ndarray of int64 (k,)
         Numbers of the windows to improve.
     before : ndarray (w, states), optional
-        Other states to start from, for windows in which they are better.
+        Other states to start from, for windows in which they cost less.
     max_steps : int
-        Most steps.
+        Largest number of steps.
     """
-    windows = _WindowSearch(cost, iterate, index, numbers)
+    search = _WindowSearch(cost, iterate, index, windows)
     if before is not None:
-        windows.replace_if_better(before[numbers])
-    windows.descend(max_steps, thresholds.WINDOW_PATIENCE)
-    windows.write_back(cost, iterate, index)
+        search.replace_if_better(before[windows])
+    search.descend(max_steps, thresholds.WINDOW_PATIENCE)
+    search.write_back(cost, iterate, index)
 
 
 def restart_states(
-    cost: ShootingCost, iterate: Iterate, index: int, numbers: Integers, start: Floats
+    cost: ShootingCost, iterate: Iterate, index: int, windows: Integers, start: Floats
 ) -> None:
     """Optimise some windows of an `iterate` from other initial states, and keep the result if it is better.
 
     Parameters
     ----------
-    cost, iterate, index, numbers
+    cost, iterate, index, windows
         As in `refine_states`.
     start : ndarray (w, states)
         Initial states to start from, of all windows of the record.
     """
-    windows = _WindowSearch(cost, iterate, index, numbers)
-    restarted = _WindowSearch(cost, iterate, index, numbers)
-    # At an infinite cost the search accepts the other states, also where they are worse.
+    present = _WindowSearch(cost, iterate, index, windows)
+    restarted = _WindowSearch(cost, iterate, index, windows)
+    # An infinite cost makes the search accept the other states, even if they are worse at first.
     restarted.cost[:] = np.inf
-    restarted.replace_if_better(start[numbers])
+    restarted.replace_if_better(start[windows])
     restarted.descend(_RESTART_STEPS, thresholds.RESTART_PATIENCE)
-    windows.merge_better(restarted)
-    windows.write_back(cost, iterate, index)
+    present.merge_better(restarted)
+    present.write_back(cost, iterate, index)
 
 
 class _WindowSearch:
@@ -83,12 +83,12 @@ class _WindowSearch:
 
     Attributes
     ----------
-    numbers : ndarray of int64 (k,)
+    windows : ndarray of int64 (k,)
         Numbers of the windows in the record.
     grid : Grid
-        These windows alone.
+        Grid of these windows alone.
     steps : ndarray of int64 (m,)
-        Their steps in the grid of the whole record.
+        Numbers of their steps in the grid of the whole record.
     variance : ndarray (3,)
         Variance of each axis, by which its squared residuals are divided.
     parameters : ndarray (p,)
@@ -97,23 +97,25 @@ class _WindowSearch:
         Prior means of the initial states of effects.
     states : ndarray (k, states)
         Best initial states so far.
-    normal_matrix, residual : ndarray
-        Those of `Evaluation` at these states, of these windows alone.
+    normal_matrix : ndarray (k, 3, z + 1, z + 1)
+        Normal matrices at these states, as in `Evaluation`.
+    residual : ndarray (m, 3)
+        Residuals at these states.
     cost : ndarray (k,)
         Cost of each window at these states.
     """
 
-    def __init__(self, cost: ShootingCost, iterate: Iterate, index: int, numbers: Integers) -> None:
+    def __init__(self, cost: ShootingCost, iterate: Iterate, index: int, windows: Integers) -> None:
         problem, evaluation = cost.problem, iterate.evaluations[index]
         record_grid = problem.grid(index, cost.fine, iterate.theta)
-        self._problem, self.numbers, self.variance = problem, numbers, cost.variance[index]
-        self.grid, self.steps = record_grid.only(numbers), record_grid.steps_of(numbers)
+        self._problem, self.windows, self.variance = problem, windows, cost.variance[index]
+        self.grid, self.steps = record_grid.only(windows), record_grid.steps_of(windows)
         self.parameters = problem.parameters(iterate.theta, index)
-        self.prior_mean = cost.state_prior[index][numbers]
-        self.states = iterate.states[index][numbers].copy()
-        self.normal_matrix = evaluation.normal_matrix[numbers].copy()
+        self.prior_mean = cost.state_prior[index][windows]
+        self.states = iterate.states[index][windows].copy()
+        self.normal_matrix = evaluation.normal_matrix[windows].copy()
         self.residual = evaluation.residual[self.steps].copy()
-        self.cost = self._cost(self.states, evaluation.squares[numbers])
+        self.cost = self._cost(self.states, evaluation.squares[windows])
 
     def replace_if_better(self, states: Floats) -> Booleans:
         """Replace the states of those windows for which other `states`, shape (k, states), cost less.
@@ -137,7 +139,7 @@ class _WindowSearch:
     def _replace(
         self, is_better: Booleans, states: Floats, normal_matrix: Floats, cost: Floats, residual: Floats
     ) -> None:
-        """Replace the windows `is_better`, shape (k,), by states with their evaluation and cost."""
+        """Replace the states of the windows `is_better`, shape (k,), with all that depends on them."""
         self.states[is_better] = states[is_better]
         self.normal_matrix[is_better] = normal_matrix[is_better]
         self.cost[is_better] = cost[is_better]
@@ -146,7 +148,7 @@ class _WindowSearch:
 
     def descend(self, max_steps: int, patience: int) -> None:
         """Take damped steps until `patience` steps in a row reduced the cost too little."""
-        damping, idle_steps = np.full(len(self.numbers), _DAMPING), 0
+        damping, idle_steps = np.full(len(self.windows), _DAMPING), 0
         for _ in range(max_steps):
             if not np.isfinite(self.cost).all() or idle_steps == patience:
                 break
@@ -157,13 +159,17 @@ class _WindowSearch:
             idle_steps = 0 if reduction > thresholds.WORTHWHILE_GAIN * cost_before else idle_steps + 1
 
     def _stepped(self, damping: Floats) -> Floats:
-        """States after a Gauss-Newton step, shape (k, states), with each window's `damping`, shape (k,), as
-        a share of its own diagonal.
+        """Return the states after a Levenberg-Marquardt step of each window, shape (k, states).
+
+        Parameters
+        ----------
+        damping : ndarray (k,)
+            Increase of the diagonal of each window's normal matrix, as a share of itself.
         """
         state_count = self._problem.state_count
         normal = np.einsum("a,waij->wij", 1.0 / self.variance, self.normal_matrix)
         add_state_prior(self._problem, normal, self.states, self.prior_mean, damping)
-        # The parameters are fixed: only the states and the right-hand side remain.
+        # The parameters are fixed: keep the rows and columns of the states and of the right-hand side.
         kept = [*range(state_count), normal.shape[1] - 1]
         _, gain = eliminate(normal[:, kept][:, :, kept], state_count, SINGULAR_GUARD)
         return self.states + gain[:, :, 0]
@@ -171,12 +177,16 @@ class _WindowSearch:
     def write_back(self, cost: ShootingCost, iterate: Iterate, index: int) -> None:
         """Write these windows into record `index` of an `iterate`, and update the cost of the iterate."""
         evaluation = iterate.evaluations[index]
-        states, residual = iterate.states[index].copy(), evaluation.residual.copy()
-        normal_matrix = evaluation.normal_matrix.copy()
-        states[self.numbers], residual[self.steps] = self.states, self.residual
-        normal_matrix[self.numbers] = self.normal_matrix
-        iterate.states[index], iterate.evaluations[index] = states, Evaluation(residual, normal_matrix)
+        states = iterate.states[index].copy()
+        residual, normal_matrix = evaluation.residual.copy(), evaluation.normal_matrix.copy()
+        states[self.windows] = self.states
+        residual[self.steps] = self.residual
+        normal_matrix[self.windows] = self.normal_matrix
+        # New arrays, because other iterates may share the old ones.
+        iterate.states[index] = states
+        iterate.evaluations[index] = Evaluation(residual, normal_matrix)
         iterate.cost = cost.cost(iterate)
 
     def _cost(self, states: Floats, squares: Floats) -> Floats:
+        """Cost of each window, shape (k,), from its initial states and its sum of squares per axis."""
         return window_cost(self._problem, squares, states, self.prior_mean, self.variance)

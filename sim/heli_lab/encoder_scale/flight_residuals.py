@@ -1,0 +1,189 @@
+"""Residuals of a rig's equations of motion along a flight, in the weak form, with scaled encoders.
+
+The equation is in `estimate.py`.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Floats
+from heli_host.flight import Flight
+from heli_host.flight.flown import flown_rows
+from heli_sim.model.base import Model
+from heli_sim.rig import Rig
+
+from heli_lab.encoder_scale.weak_form import Part, TestFunctions, gap_free_parts
+from heli_lab.estimation import ModelFunctions, Trajectory
+from heli_lab.identify.flight_model import TORQUE_STD_Nm, model_functions
+from heli_lab.identify.free import FLIGHT_CONSTANTS, free_parameters
+
+CLEAR_deg: Final = 8.0
+"""Elevation above the table from which on neither the table nor the air cushion over it pushes the arm [deg].
+Lower: the table counts as thrust. Higher: flights near the table give no estimate."""
+_LAG_s: Final = 0.05
+_LAG_STD_s: Final = 0.05
+"""Prior mean and standard deviation of the first-order lag of the thrust [s]: rotors of this size have 0
+to 0.15 s."""
+_SCALE_LOG_STD: Final = 3.0
+"""Prior standard deviation of the logarithm of a scale: a factor of 20. It costs a scale of one half only
+0.03 nats. It matters only if a flight is not informative about a scale, as a hover is about that of
+travel: the search then stays finite."""
+_LAG_STEP_s: Final = 1e-4
+"""Step of the numerical derivative by the lag [s]."""
+
+
+class FlightInWeakForm:
+    """Residuals of a rig's equations of motion along a flight, in weak form.
+
+    The unknowns are, in this order: the logarithms of three scales, the lag of the thrust, the zeros of the
+    elevation and the pitch encoder, rig parameters, and a constant torque about each axis.
+
+    Parameters
+    ----------
+    flight : Flight
+        Any flight of a board, gaps allowed.
+    rig : Rig
+        Values and tolerances of the rig parameters.
+    model : Model
+        Equations of motion. Effects that have states, and random effects, are left out.
+
+    Attributes
+    ----------
+    seconds : float
+        Duration of the free flight that is used [s].
+    mean, std : ndarray
+        Prior means and standard deviations of the unknowns.
+    """
+
+    def __init__(self, flight: Flight, rig: Rig, model: Model) -> None:
+        static = _static_part(model)
+        self._parameters = static.parameter_values(rig)
+        std_by_parameter = _prior_stds(static, rig)
+        self._places = [static.parameter_names.index(name) for name in std_by_parameter]
+        self._functions = _functions(static, tuple(std_by_parameter))
+        rest_deg = flight.parameters.get("elevation_rest_deg", rig["elevation_min"].value)
+        self._pivot: Floats = np.array([np.radians(rest_deg), 0.0, 0.0])
+        self.mean: Floats = np.concatenate(([0.0] * 3, [_LAG_s], [0.0] * 2, self._parameters[self._places]))
+        self.std: Floats = np.concatenate(
+            ([_SCALE_LOG_STD] * 3, [_LAG_STD_s], _zero_stds_rad(rig), list(std_by_parameter.values()))
+        )
+        rows = flown_rows(flight) & (flight.elevation_rad > self._pivot[0] + np.radians(CLEAR_deg))
+        # It is the thrust that lags, and below the dead zone there is none: lower voltages must not delay it.
+        dead_zone_V = static.dead_zone_V(self._parameters)
+        parts = gap_free_parts(flight, rows, -np.inf if dead_zone_V is None else dead_zone_V)
+        self.seconds = sum(part.seconds for part in parts)
+        self._parts = parts
+        self._tests = [TestFunctions(part) for part in parts]
+        self._measured = [
+            test.second_derivative(part.angles_rad) for test, part in zip(self._tests, parts, strict=True)
+        ]
+
+    def measured_accelerations(self, axis: int) -> Floats:
+        """Mean measured accelerations of an `axis`, 0 to 2, one per test function [rad/s^2]."""
+        return np.concatenate([of_part[axis] for of_part in self._measured])
+
+    def residuals(self, unknowns: Floats) -> tuple[list[Floats], list[Floats]]:
+        """Compute measured minus predicted mean accelerations, and their derivatives by the `unknowns`.
+
+        Returns
+        -------
+        residuals : list of ndarray (k,)
+            For each axis, one residual per test function [rad/s^2].
+        jacobians : list of ndarray (k, unknowns)
+            For each axis, derivatives of its residuals by the unknowns.
+        """
+        scales = np.exp(unknowns[:3])
+        residuals: list[list[Floats]] = [[], [], []]
+        jacobians: list[list[Floats]] = [[], [], []]
+        for part, test, measured in zip(self._parts, self._tests, self._measured, strict=True):
+            accelerations, derivatives = self._accelerations(part, unknowns)
+            for axis in range(3):
+                predicted = test.mean(axis, accelerations[:, axis])
+                residuals[axis].append(measured[axis] - scales[axis] * predicted)
+                jacobian = -scales[axis] * test.mean(axis, derivatives[:, axis])
+                # The scale is also a factor, and the derivative of it by its logarithm is the scale itself.
+                jacobian[:, axis] -= scales[axis] * predicted
+                jacobians[axis].append(jacobian)
+        return (
+            [np.concatenate(of_parts) for of_parts in residuals],
+            [np.concatenate(of_parts) for of_parts in jacobians],
+        )
+
+    def _accelerations(self, part: Part, unknowns: Floats) -> tuple[Floats, Floats]:
+        """Compute the true accelerations by the equations of motion at every row of a part.
+
+        Returns
+        -------
+        accelerations : ndarray (n, 3)
+            Of elevation, pitch and travel [rad/s^2].
+        derivatives : ndarray (n, 3, unknowns)
+            Their derivatives by the unknowns.
+        """
+        scales, lag_s, zeros_rad = np.exp(unknowns[:3]), unknowns[3], np.array([*unknowns[4:6], 0.0])
+        parameters = self._parameters.copy()
+        parameters[self._places] = unknowns[6:]
+        # True angles, relative to those at which the encoders were zeroed, and true rates.
+        deflections = (part.angles_rad - self._pivot - zeros_rad) / scales
+        rates = part.rates_rad_s / scales
+        volts = part.lagged_V(lag_s)
+        volts_by_lag = (part.lagged_V(lag_s + _LAG_STEP_s) - volts) / _LAG_STEP_s
+        state = np.hstack((self._pivot + deflections, rates))
+        trajectory = Trajectory(part.t_s, state, volts, part.step_s, parameters)
+        # Shapes (n, states, 1 + parameters), (n, states, states) and (n, states, 2).
+        value, by_state, _, by_volts, *_ = self._functions.along(trajectory)
+        # The states are three angles and three rates; the derivative of a rate is an acceleration.
+        rows, angle_columns, rate_columns = slice(3, 6), slice(0, 3), slice(3, 6)
+        by_angles, by_rates = by_state[:, rows, angle_columns], by_state[:, rows, rate_columns]
+        by_scales = -by_angles * deflections[:, None] - by_rates * rates[:, None]
+        by_lag = np.sum(by_volts[:, rows] * volts_by_lag[:, None], axis=2, keepdims=True)
+        by_zeros = -by_angles[:, :, :2] / scales[:2]
+        # The functions give negative derivatives by the parameters.
+        by_parameters = -value[:, rows, 1:]
+        derivatives = np.concatenate((by_scales, by_lag, by_zeros, by_parameters), axis=2)
+        return value[:, rows, 0], derivatives
+
+
+def _static_part(model: Model) -> Model:
+    """Return a model without its random effects and without effects that have states."""
+    effects = tuple(effect for effect in model.effects if not effect.states and not effect.noise_inputs)
+    return type(model)(effects)
+
+
+def _prior_stds(model: Model, rig: Rig) -> dict[str, float]:
+    """Prior standard deviation of each estimated parameter of a model: rig parameters, and then a constant
+    torque about each axis.
+    """
+    free = free_parameters(model, rig, None, {})
+    rig_parameters = {
+        parameter.quantity: parameter.prior.std
+        for parameter in free
+        if parameter.quantity not in FLIGHT_CONSTANTS
+    }
+    torques = {
+        name: float(np.hypot(0.5 * rig[name].tolerance, std_Nm)) for name, std_Nm in TORQUE_STD_Nm.items()
+    }
+    return rig_parameters | torques
+
+
+def _zero_stds_rad(rig: Rig) -> Floats:
+    """Prior standard deviations of the zeros of the elevation and the pitch encoder, shape (2,)."""
+    tolerances_deg = [
+        # Elevation is zeroed on the table, whose angle is uncertain too.
+        np.hypot(rig["offset_elevation"].tolerance, rig["elevation_min"].tolerance),
+        rig["offset_pitch"].tolerance,
+    ]
+    return np.maximum(np.radians(0.5 * np.array(tolerances_deg)), 1e-6)
+
+
+def _functions(model: Model, free: tuple[str, ...]) -> ModelFunctions:
+    """Compile the functions of a model, with derivatives by the parameters `free`."""
+    return _plain_functions(type(model), free) if model.is_plain else model_functions(model, free)
+
+
+@cache
+def _plain_functions(kind: type[Model], free: tuple[str, ...]) -> ModelFunctions:
+    """Compile the functions of a model without effects, and keep them for the next flight."""
+    return model_functions(kind(), free)
