@@ -12,7 +12,7 @@ from heli_lab.diagnose.evaluate.absent_terms import absence_probability, absent_
 from heli_lab.diagnose.evaluate.prediction import Prediction
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Screening
 from heli_lab.diagnose.search.baseline_terms import tightly_specified_terms
-from heli_lab.diagnose.search.screening import Score
+from heli_lab.diagnose.search.score_test import Score
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effects_of
