@@ -9,7 +9,7 @@ import pytest
 from tests.diagnose.calibration import cases, main, measure, names_in_unexplained
 
 
-def test_calibration_seeds_are_no_others() -> None:
+def test_calibration_seeds_are_distinct_and_in_their_range() -> None:
     seeds = [case.seed for case in cases().values()]
     assert len(set(seeds)) == len(seeds)
     assert all(6000 <= seed < 6500 for seed in seeds)

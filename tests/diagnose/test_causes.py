@@ -43,12 +43,12 @@ def diagnosed(*effects: str, unlisted: bool = False) -> Diagnosis:
     )
 
 
-def test_answer_has_the_keys_and_units_that_were_promised_whatever_the_verdict() -> None:
+def test_json_has_the_promised_keys_and_units_for_every_verdict() -> None:
     for diagnosis in (diagnosed(), diagnosed("rotor_lag=0.06"), diagnosed(unlisted=True)):
         conforms(to_json(diagnosis))
 
 
-def test_a_cause_has_attributes_of_the_names_that_its_json_has() -> None:
+def test_attributes_of_a_cause_have_the_names_of_its_json() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     (written,), (cause,) = to_json(diagnosis)["causes"], diagnosis.verdict.causes
     for name in ("effect", "sentence", "equation"):
@@ -65,7 +65,7 @@ def test_a_cause_has_attributes_of_the_names_that_its_json_has() -> None:
     assert set(written["family"]["members"]) == {"rotor_lag", "rotor_speed_lag", "rotor_lag_with_delay"}
 
 
-def test_seed_settles_the_intervals() -> None:
+def test_seed_determines_the_intervals_but_not_the_ratio() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     extension = diagnosis.held_out.extension
     runs = extension.before, extension.after
@@ -75,7 +75,7 @@ def test_seed_settles_the_intervals() -> None:
     assert drawn[0].ratio == drawn[2].ratio
 
 
-def test_work_that_runs_out_is_said_where_the_verdict_is() -> None:
+def test_exhausted_refits_are_stated_with_the_verdict() -> None:
     fit, held_out = flights("rotor_lag=0.06")
     diagnosis = diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], refits=0)
     numbers = to_json(diagnosis)
@@ -86,7 +86,7 @@ def test_work_that_runs_out_is_said_where_the_verdict_is() -> None:
     assert any("--budget" in caution for caution in numbers["cautions"])
 
 
-def test_search_that_is_resumed_ends_as_one_that_never_stopped(tmp_path: Path) -> None:
+def test_resumed_search_has_the_result_of_an_uninterrupted_one(tmp_path: Path) -> None:
     whole = to_json(diagnosed("rotor_lag=0.06"))
     fit, held_out = flights("rotor_lag=0.06")
     begun: list[str] = []
@@ -145,7 +145,7 @@ def test_hidden_effect_is_named_measured_and_halves_the_error(effect: str, name:
     assert best["ratio"] < best["interval95"][1] < 0.5
 
 
-def test_effect_that_no_catalogue_has_is_unexplained_and_said_to_go_with_elevation() -> None:
+def test_unlisted_effect_is_unexplained_and_depends_on_elevation() -> None:
     numbers = to_json(diagnosed(unlisted=True))
     assert numbers["verdict"] == "unexplained"
     assert numbers["causes"] == []
@@ -155,7 +155,7 @@ def test_effect_that_no_catalogue_has_is_unexplained_and_said_to_go_with_elevati
     assert "[[segment]]" in numbers["next_flight"]["plan"]
 
 
-def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_path: Path) -> None:
+def test_curve_of_an_unlisted_cause_is_reported_but_not_in_the_rig(tmp_path: Path) -> None:
     diagnosis = diagnosed(unlisted=True)
     (curve,) = diagnosis.curves
     # 0.05 N m a radian was hidden, in mN m against degrees, and a constant belongs to the trim.
@@ -183,7 +183,7 @@ def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_p
     [("cable_spring.travel=0.06", "travel", -60.0), ("", "elevation", 50.0)],
     ids=["named", "off the list"],
 )
-def test_missing_torque_follows_what_was_hidden_without_the_equation(
+def test_missing_torque_agrees_with_the_hidden_effect_without_its_equation(
     hidden: str, on: str, slope_mNm_per_deg: float
 ) -> None:
     diagnosis = diagnosed(hidden) if hidden else diagnosed(unlisted=True)
@@ -225,7 +225,7 @@ def test_each_run_of_a_prediction_shows_where_it_starts() -> None:
     assert starts[1][0] == pytest.approx(expected)
 
 
-def test_causes_next_to_something_unknown_are_never_stated_as_facts() -> None:
+def test_causes_next_to_an_unlisted_effect_are_stated_with_perhaps() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     other = diagnosed(unlisted=True)
     verdict = replace(diagnosis.verdict, label="unexplained", unlisted=other.verdict.unlisted)
@@ -260,7 +260,7 @@ def test_parameter_far_from_its_prior_is_reported() -> None:
     assert any("offset_pitch" in line and "4.1 standard deviations" in line for line in cautions(conflicting))
 
 
-def test_extended_rig_is_read_back_with_the_cause_and_its_size(tmp_path: Path) -> None:
+def test_extended_rig_file_contains_the_cause_with_its_size(tmp_path: Path) -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     write_rig(diagnosis.rig("extended"), tmp_path / "extended.toml")
     (effect,) = effects_of(load_rig(tmp_path / "extended.toml"))
@@ -287,7 +287,7 @@ def test_rig_states_which_parameters_the_flights_do_not_inform() -> None:
     assert any(source.startswith("identified from fit;") for source in sources.values())
 
 
-def test_report_needs_nothing_else_and_says_the_cause_with_its_number(tmp_path: Path) -> None:
+def test_report_is_self_contained_and_states_the_cause(tmp_path: Path) -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     page = write_report(diagnosis, tmp_path).read_text(encoding="utf-8")
     text = html.unescape(page)

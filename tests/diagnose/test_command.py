@@ -47,7 +47,7 @@ def test_command_writes_numbers_rig_and_page(
 
 
 @pytest.mark.skipif(not LONG, reason="test_short asks this of 3 s; this one runs in make long")
-def test_a_short_part_is_answered_with_a_flight_that_would_show_it(
+def test_short_part_of_a_flight_gets_a_proposal_for_the_next_flight(
     terminal: Terminal, tables: tuple[Path, Path]
 ) -> None:
     fit, held_out = tables
@@ -99,7 +99,7 @@ def test_model_that_the_rig_names_is_the_one_that_is_fitted(
         (("a.csv.gz", "--json", "a.csv.gz/why.json"), "a.csv.gz"),
     ],
 )
-def test_the_impossible_is_one_line_with_a_remedy(
+def test_impossible_request_gives_a_one_line_error_with_a_remedy(
     terminal: Terminal, tables: tuple[Path, Path], arguments: tuple[str, ...], said: str
 ) -> None:
     ended = terminal("diagnose", *arguments)

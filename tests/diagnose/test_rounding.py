@@ -26,7 +26,7 @@ def diagnosed() -> Diagnosis:
     return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], kinds=kinds)
 
 
-def test_verdict_and_log_likelihoods_survive_a_kernel_that_rounds_differently(
+def test_verdict_and_likelihoods_do_not_depend_on_rounding(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     plain = diagnosed()

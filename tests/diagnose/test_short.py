@@ -50,7 +50,7 @@ def answered(terminal: Terminal, *arguments: str | Path, drawn: bool = LONG) -> 
     return ended, numbers
 
 
-def test_three_seconds_name_nothing_wrong_and_say_what_they_cannot_show(terminal: Terminal) -> None:
+def test_three_seconds_of_flight_name_no_cause_and_list_hidden_effects(terminal: Terminal) -> None:
     fit, held_out = flights("rotor_lag=0.06")
     write_csv(part(fit, 10.0, 13.0), "a.csv")
     write_csv(held_out, "b.csv")
@@ -77,7 +77,7 @@ def test_hovering_still_names_no_cause_and_asks_for_motion(terminal: Terminal) -
 
 
 @pytest.mark.parametrize("which", ["table", "asked for"])
-def test_flight_in_which_nothing_flies_is_answered_and_writes_no_rig(terminal: Terminal, which: str) -> None:
+def test_log_without_flight_gets_an_answer_and_no_rig_file(terminal: Terminal, which: str) -> None:
     write_csv(on_table() if which == "table" else flights()[0], "a.csv")
     begin = ("--from", "500") if which == "asked for" else ()
     ended, numbers = answered(terminal, "a.csv", *begin, drawn=LONG or which == "table")

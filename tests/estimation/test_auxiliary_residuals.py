@@ -26,7 +26,7 @@ def filtered() -> InnovationsModel:
 
 @pytest.mark.medium
 @pytest.mark.parametrize("output", range(3))
-def test_scores_at_every_instant_are_those_of_single_regressors(
+def test_score_of_a_shock_is_that_of_its_regressor_at_every_instant(
     filtered: InnovationsModel, output: int
 ) -> None:
     (found,) = auxiliary_residuals(filtered, DISTURBANCES)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 
-def test_unknown_leaves_its_bound_when_its_neighbour_is_held() -> None:
+def test_unknown_leaves_its_bound_when_another_is_fixed_at_its_bound() -> None:
     # Alone the first unknown would be -0.4. With the second held at 1 it belongs at +0.1.
     matrix, right = np.array([[1.0, 0.9], [0.9, 1.0]]), np.array([1.0, 1.54])
     assert np.linalg.solve(matrix, right)[0] < 0.0

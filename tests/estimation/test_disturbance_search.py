@@ -39,18 +39,18 @@ def test_the_maximum_of_outputs_and_gains_is_found() -> None:
     assert estimate.logarithms == pytest.approx(MAXIMUM.logarithms, abs=0.03)
 
 
-def test_an_estimate_stays_within_the_bounds_of_its_numbers() -> None:
+def test_estimated_disturbances_stay_within_their_bounds() -> None:
     estimate = maximise(likelihoods, START, (1e-5, 0.015))
     assert estimate.fast_std == pytest.approx([0.015, 0.01], rel=0.03)
 
 
-def test_without_a_likelihood_the_disturbances_stay() -> None:
+def test_disturbances_stay_if_no_likelihood_is_finite() -> None:
     estimate = maximise(lambda models: np.full((len(models), 2), np.nan), START, (1e-5, 1.0))
     assert estimate.logarithms == pytest.approx(START.logarithms)
     assert estimate.curvature is None
 
 
-def test_logarithms_are_all_numbers_of_the_disturbances_and_their_inverse_is_exact() -> None:
+def test_logarithms_contain_all_parameters_of_the_disturbances() -> None:
     again = START.with_logarithms(MAXIMUM.logarithms)
     assert again.gains[0].std == pytest.approx(0.05, rel=1e-12)
     assert again.variance == pytest.approx(MAXIMUM.variance, rel=1e-12)

@@ -37,7 +37,7 @@ def baseline() -> Hypothesis:
     return comparison().refit([])
 
 
-def test_parameters_are_the_rigs_within_their_standard_errors() -> None:
+def test_estimates_are_true_within_their_standard_errors() -> None:
     found = baseline()
     std = dict(
         zip(found.estimate.parameter_vector.names, np.sqrt(np.diag(found.estimate.covariance)), strict=True)
@@ -46,7 +46,7 @@ def test_parameters_are_the_rigs_within_their_standard_errors() -> None:
         assert abs(found.values[name] - TRUE_RIG[name].value) < 3.5 * std[name], name
 
 
-def test_estimated_disturbances_are_those_that_acted() -> None:
+def test_estimated_disturbances_have_their_true_sizes_and_times() -> None:
     disturbances = baseline().estimate.disturbances
     assert disturbances.fast_std == pytest.approx(list(GUST_Nm.values()), rel=0.35)
     # Half a minute shows a correlation time of half a second to about a factor of two.
@@ -63,7 +63,7 @@ def test_innovations_of_the_right_model_are_white() -> None:
         assert np.all(np.abs(correlation) < 4.0 / np.sqrt(len(value)) + 0.03), lag
 
 
-def test_nothing_of_the_catalogue_scores_where_nothing_is_missing() -> None:
+def test_no_effect_has_a_high_score_about_the_right_model() -> None:
     screening = Screening(baseline().estimate)
     kinds = [kind for kind in KINDS.values() if kind.suits(MultibodyModel()) and not kind.noise_inputs]
     best = screening.effects([kind for kind in kinds if not kind.baseline])[0]
@@ -71,7 +71,7 @@ def test_nothing_of_the_catalogue_scores_where_nothing_is_missing() -> None:
     assert screening.splines()[0].log_likelihood_gain < 20.0
 
 
-def test_scale_of_an_encoder_is_no_cause_of_its_own_innovations() -> None:
+def test_encoder_scale_has_no_high_score_about_the_right_model() -> None:
     # About a smoothed course, which knows what is to come, every flight wants its encoders stretched.
     linear = baseline().estimate.filtered().linearised_flights[0]
     angles = np.zeros((linear.rows, 3, 3))
@@ -102,7 +102,7 @@ def test_estimated_disturbances_are_more_likely_than_their_neighbours() -> None:
 
 
 @pytest.mark.parametrize("id_", ["coulomb_friction.elevation", "thrust_asymmetry", "rotor_lag"])
-def test_larger_model_is_never_less_likely_than_the_one_that_it_contains(id_: str) -> None:
+def test_larger_model_is_never_less_likely_than_its_submodel(id_: str) -> None:
     kind = KINDS[id_]
     more = comparison().refit([typical_candidate(kind)], None, baseline())
     # The prior of the size remains: at zero it is up to 1.4 standard deviations away.
@@ -118,7 +118,7 @@ def test_larger_model_is_never_less_likely_than_the_one_that_it_contains(id_: st
         ("backlash.pitch", "backlash_pitch_rad", 0.006),
     ],
 )
-def test_what_acts_while_an_axis_turns_back_has_its_size(id_: str, parameter: str, size: float) -> None:
+def test_friction_and_play_are_estimated_with_their_sizes(id_: str, parameter: str, size: float) -> None:
     among = ModelComparison(MultibodyModel(), RIG, [flown_with(f"{id_}={size}")], [])
     nothing, kind = among.refit([]), KINDS[id_]
     best = Screening(nothing.estimate).effects([one for one in KINDS.values() if one.acts_on == kind.acts_on])
@@ -146,7 +146,7 @@ def test_a_play_of_three_degrees_does_not_pass_for_disturbances() -> None:
     assert estimate.disturbances.fast_std[0] < 2.0 * GUST_Nm["elevation"]
 
 
-def test_a_zero_error_of_an_encoder_is_not_paid_for_at_the_start_of_a_flight() -> None:
+def test_zero_error_of_an_encoder_is_as_likely_as_a_reaction_torque() -> None:
     # The reference trajectory has the angles that the encoder shows, 5.7 degrees off.
     comparison = ModelComparison(MultibodyModel(), RIG, [flown_with("zero_offset.pitch=0.1")], [])
     baseline = comparison.refit([])

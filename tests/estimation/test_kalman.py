@@ -91,7 +91,7 @@ def seen(system: System) -> NDArray[np.bool_]:
     return result
 
 
-def test_innovations_are_the_log_likelihood_of_what_was_measured(system: System, measured: Floats) -> None:
+def test_innovations_give_the_log_likelihood_of_the_measurements(system: System, measured: Floats) -> None:
     innovations, log_variances = _kalman.filter(*system.arguments(), measured)
     count = seen(system).sum()
     log_likelihood = -0.5 * (np.sum(innovations**2) + sum(log_variances) + count * np.log(2.0 * np.pi))
@@ -119,7 +119,9 @@ def test_smoothed_states_are_the_conditional_distribution(system: System, measur
     assert np.allclose(variance.ravel(), np.diag(left), atol=1e-9)
 
 
-def test_tracked_states_know_nothing_of_what_comes_later(system: System, measured: Floats) -> None:
+def test_tracked_states_are_conditional_on_earlier_measurements_only(
+    system: System, measured: Floats
+) -> None:
     predicted, filtered = _kalman.track(*system.arguments(), measured)
     states, outputs = system.dense()
     for k in range(STEPS):
@@ -144,7 +146,7 @@ def test_drive_moves_the_state_of_the_next_step(system: System) -> None:
     assert np.allclose(predicted[1, :STATES], drive[0, :, 0])
 
 
-def test_steps_of_a_block_move_what_they_move_one_by_one(system: System) -> None:
+def test_block_of_steps_gives_the_state_of_single_steps(system: System) -> None:
     random = np.random.default_rng(7)
     response = random.normal(0.0, 1.0, (STEPS, STATES, STATES))
     rates = random.normal(0.0, 1.0, (STEPS, STATES, 5))
@@ -157,7 +159,7 @@ def test_steps_of_a_block_move_what_they_move_one_by_one(system: System) -> None
         assert np.allclose(responses[block], state, atol=1e-12)
 
 
-def test_rates_of_one_step_alone_move_what_they_move_by_the_end_of_its_block(system: System) -> None:
+def test_block_response_moves_each_rate_to_the_end_of_its_block(system: System) -> None:
     random = np.random.default_rng(9)
     response = random.normal(0.0, 1.0, (STEPS, STATES, STATES))
     rates = random.normal(0.0, 1.0, (STEPS, STATES, 2))
@@ -184,7 +186,7 @@ def test_midpoint_rule_is_that_of_dense_algebra() -> None:
 @pytest.mark.parametrize("states", [4, 6, 8, 12, 13])
 @pytest.mark.parametrize("disturbance_models", [1, 4, 6])
 @pytest.mark.parametrize("inputs", [3, 5])
-def test_several_disturbance_models_together_are_as_likely_as_each_alone(
+def test_likelihoods_of_several_disturbance_models_are_those_of_each(
     states: int, disturbance_models: int, inputs: int
 ) -> None:
     random = np.random.default_rng(100 * states + disturbance_models)

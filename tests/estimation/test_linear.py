@@ -56,7 +56,7 @@ def every(linear: LinearisedFlight) -> Derivatives:
         ("input_delay=0.02", "input_delay_s", 2e-4),
     ],
 )
-def test_derivatives_are_those_of_the_rates_themselves(effect: str, name: str, step: float) -> None:
+def test_derivatives_are_finite_differences_of_the_rates(effect: str, name: str, step: float) -> None:
     linear, more, less = (changed(effect, name, sign * step) for sign in (0.0, 1.0, -1.0))
     expected = (every(more).rates - every(less).rates)[:, 3:6, 0] / (2.0 * step)
     by_parameter = -every(linear).rates[:, :, 1 + parts(effect)[2].names.index(name)]
@@ -81,14 +81,14 @@ def test_derivatives_are_those_of_the_rates_themselves(effect: str, name: str, s
     assert np.sqrt(np.mean(off**2)) < 0.02 * np.sqrt(np.mean(expected**2))
 
 
-def test_course_moves_by_the_model_where_the_model_is_right() -> None:
+def test_right_model_has_smaller_defects_along_the_trajectory() -> None:
     # Defects are what the rig's wrong thrust gain and the gusts leave, not what the method adds.
     linear = changed("", "thrust_gain", 0.62 - RIG["thrust_gain"].value)
     wrong = changed("", "thrust_gain", 0.0)
     assert np.mean(every(linear).rates[:, 3, 0] ** 2) < np.mean(every(wrong).rates[:, 3, 0] ** 2)
 
 
-def test_followed_states_do_not_look_ahead() -> None:
+def test_filtered_states_do_not_depend_on_later_measurements() -> None:
     record = windy()
     cut = len(record.t_s) // 2
     whole = filter_record(record)
@@ -107,7 +107,7 @@ def test_followed_states_do_not_look_ahead() -> None:
     assert np.allclose(half.filtered[:same], whole.filtered[:same], atol=1e-6)
 
 
-def test_axis_is_at_rest_where_its_count_stays_the_same_for_long() -> None:
+def test_axis_is_at_rest_while_its_count_stays_the_same_for_long() -> None:
     record = windy()
     rows = len(record.t_s)
     turned = np.arange(rows) * 3.0 * record.step_s / 0.3  # three counts in the time of a rest: never at rest
@@ -125,7 +125,7 @@ def test_axis_is_at_rest_where_its_count_stays_the_same_for_long() -> None:
 
 
 @pytest.mark.parametrize("play_counts", [6.0, 12.0])
-def test_directions_say_where_in_a_play_an_axis_is(play_counts: float) -> None:
+def test_directions_are_the_positions_of_an_axis_within_its_play(play_counts: float) -> None:
     record = windy()
     time_s, half = np.arange(len(record.t_s)) * record.step_s, 0.5 * play_counts
     axis = 40.0 * np.sin(2.0 * np.pi * time_s / 4.0) + 9.0 * np.sin(2.0 * np.pi * time_s / 1.7)
@@ -147,7 +147,7 @@ def test_directions_say_where_in_a_play_an_axis_is(play_counts: float) -> None:
     assert np.mean(errors**2) < np.mean(reference.direction_variance[inside, 0])
 
 
-def test_all_measurements_of_one_crossing_of_a_play_are_worth_one() -> None:
+def test_measurements_within_one_crossing_of_a_play_count_as_one() -> None:
     effect = "backlash.pitch=0.01"
     linear = changed(effect, "backlash_pitch_rad", 0.0)
     half_rad = 0.5 * linear.trajectory.parameters[parts(effect)[1].names.index("backlash_pitch_rad")]
@@ -164,7 +164,7 @@ def test_all_measurements_of_one_crossing_of_a_play_are_worth_one() -> None:
         assert added[:, 1].any()
 
 
-def test_one_crossing_of_a_play_is_one_measurement_of_the_encoders_error() -> None:
+def test_crossing_of_a_play_counts_as_one_encoder_error() -> None:
     effect = "backlash.pitch=0.01"
     linear = changed(effect, "backlash_pitch_rad", 0.0)
     filtered = InnovationsModel([linear], parts(effect)[2].columns, len(parts(effect)[2].names))
@@ -183,7 +183,7 @@ def test_one_crossing_of_a_play_is_one_measurement_of_the_encoders_error() -> No
     assert np.allclose(first - second, 0.5 * measurements, rtol=5e-3)
 
 
-def test_the_measurements_of_a_rest_are_one_measurement_of_the_encoders_error() -> None:
+def test_rest_of_an_axis_counts_as_one_encoder_error() -> None:
     reference, functions, parameter_vector = parts()
     rest = slice(reference.windows[0].start + 200, reference.windows[0].start + 300)
     at_rest, pause_s = reference.at_rest.copy(), reference.pause_s.copy()
@@ -207,7 +207,7 @@ def test_the_measurements_of_a_rest_are_one_measurement_of_the_encoders_error() 
     assert np.allclose(first - second, 0.5 * measurements, rtol=5e-3)
 
 
-def test_an_axis_that_friction_holds_needs_no_torque_and_the_others_theirs() -> None:
+def test_equivalent_torque_is_zero_about_an_axis_that_friction_holds() -> None:
     linear = changed("", "thrust_gain", 0.0)
     wanted = np.random.default_rng(3).normal(size=(linear.rows, 3))
     torque_Nm = linear.disturbance_for(wanted)

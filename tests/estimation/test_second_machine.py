@@ -45,7 +45,7 @@ def test_a_cart_with_a_pendulum_is_identified_within_its_standard_errors() -> No
     assert found.disturbances.fast_std == pytest.approx([0.08, 0.004], rel=0.3)
 
 
-def test_parameters_without_a_likelihood_give_the_worst_estimate() -> None:
+def test_impossible_parameters_have_minus_infinite_likelihood() -> None:
     shared = [FreeParameter(name, "", NormalPrior(value, value, 1e-4), name) for name, value in TRUE.items()]
     recording = run(1)
     start = np.array([*TRUE.values(), 0.0, 0.0])

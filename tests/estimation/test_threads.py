@@ -49,7 +49,7 @@ def test_batches_keep_the_order_and_are_not_larger_than_stated() -> None:
     assert batches([], len, 7) == []
 
 
-def test_a_share_is_not_shared_out_again() -> None:
+def test_nested_parallel_map_runs_in_the_thread_that_calls_it() -> None:
     def nested(_: int) -> set[str]:
         return set(parallel_map(lambda _: threading.current_thread().name, range(4), 2))
 
@@ -57,7 +57,7 @@ def test_a_share_is_not_shared_out_again() -> None:
     assert all(len(names) == 1 for names in parallel_map(nested, range(4), 2))
 
 
-def test_what_a_thread_raises_is_raised_here() -> None:
+def test_exception_of_a_thread_is_raised_in_the_caller() -> None:
     with pytest.raises(ZeroDivisionError):
         parallel_map(lambda number: 1 / number, [1, 0, 2], 2)
 
@@ -132,7 +132,7 @@ libc.malloc_info(0, ctypes.c_void_p.in_dll(libc, "stdout"))
 
 @pytest.mark.medium
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a heap for each thread is what glibc does")
-def test_threads_take_from_limit_malloc_arenas_where_a_program_says_so() -> None:
+def test_limit_malloc_arenas_makes_all_threads_share_one_heap() -> None:
     heaps = [
         subprocess.run(
             [sys.executable, "-c", HEAPS.format(first=first)], capture_output=True, text=True, check=True

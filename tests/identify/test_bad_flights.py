@@ -119,7 +119,9 @@ SPOILED: dict[str, tuple[Spoil, int, str, str, str]] = {
 
 
 @pytest.mark.parametrize("what", SPOILED)
-def test_a_flight_that_teaches_nothing_is_one_line(terminal: Terminal, tmp_path: Path, what: str) -> None:
+def test_useless_flight_gives_a_one_line_error_and_no_files(
+    terminal: Terminal, tmp_path: Path, what: str
+) -> None:
     spoil, code, column, row, said = SPOILED[what]
     write_csv(spoil(flight()), tmp_path / "bad.csv")
     line = refusal(terminal("identify", "bad.csv", "--save-rig", "new.toml", "--json", "new.json"), code=code)
@@ -142,7 +144,7 @@ def test_a_missing_column_is_named(terminal: Terminal, tmp_path: Path) -> None:
     assert "bad.csv: column front_V is missing" in line
 
 
-def test_a_bad_flight_to_validate_on_is_named_as_well(terminal: Terminal, tmp_path: Path) -> None:
+def test_error_names_the_file_of_a_bad_validation_flight(terminal: Terminal, tmp_path: Path) -> None:
     write_csv(flight(), tmp_path / "good.csv")
     write_csv(scaled(0.0, "front_V")(flight()), tmp_path / "bad.csv")
     line = refusal(terminal("identify", "good.csv", "--validate", "bad.csv", "--skip-sign-check"), code=ASKED)
@@ -180,7 +182,7 @@ def test_a_gap_is_left_out_on_request(terminal: Terminal, tmp_path: Path) -> Non
         (("missing.csv",), "cannot read missing.csv"),
     ],
 )
-def test_what_cannot_be_asked_for_is_one_line(
+def test_impossible_request_gives_a_one_line_error(
     terminal: Terminal, tmp_path: Path, arguments: tuple[str, ...], said: str
 ) -> None:
     write_csv(flight(), tmp_path / "good.csv")

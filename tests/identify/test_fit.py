@@ -52,7 +52,7 @@ def assert_estimates(result: Identification, truth: dict[str, float], within: fl
         assert result.fit.values[name] == pytest.approx(value, abs=within * result.fit.std[name]), name
 
 
-def test_what_the_identification_plan_flies_finds_the_rig_again() -> None:
+def test_flight_of_the_identify_plan_gives_the_true_rig() -> None:
     rig = known().replace(**CHANGED)
     result = identify(MultibodyModel(), known(), [flown_by_plan(rig, 4)], validation=[changed_flight(3)])
     truth = {name: rig[name].value for name in result.fit.values} | encoder_zeros_deg(rig, 4)
@@ -83,7 +83,7 @@ def test_several_flights_share_the_rig_and_each_keeps_its_own_zeros() -> None:
     assert both.rig("new")["offset_pitch"] == known()["offset_pitch"]
 
 
-def test_a_rig_file_that_is_far_off_is_no_obstacle() -> None:
+def test_fit_succeeds_from_a_rig_file_with_large_errors() -> None:
     numbers = dict(known().numbers)
     for name, value, tolerance in (("thrust_gain", 0.2, 1.0), ("M_w", 0.8, 1.5), ("L_phi", -0.03, 0.2)):
         numbers[name] = replace(numbers[name], value=value, tolerance=tolerance)
@@ -106,7 +106,7 @@ def test_a_delay_and_a_lag_are_distinguished() -> None:
     assert result.rig("new").effects["rotor_lag"]["s"].value == result.fit.values["rotor_lag_s"]
 
 
-def test_a_model_that_lacks_something_says_so() -> None:
+def test_residuals_of_an_incomplete_model_are_large_and_not_white() -> None:
     result = identify(MultibodyModel(), known(), [late_flight()])
     assert result.training[0].normalised > 5.0
     assert not any(result.training[0].white[axis] for axis in ("elevation", "pitch"))
@@ -151,7 +151,7 @@ def test_a_touch_of_the_table_in_flight_is_left_out() -> None:
     assert not any(touch[start:stop].any() for start, stop in record.segments)
 
 
-def test_a_disturbed_window_does_not_decide() -> None:
+def test_disturbed_window_hardly_changes_the_robust_estimate() -> None:
     whole = changed_flight(3)
     angles = whole.angles_rad.copy()
     pushed = (whole.t_s > 15.0) & (whole.t_s < 15.5)

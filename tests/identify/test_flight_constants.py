@@ -21,14 +21,14 @@ def stated(rig: Rig, **tolerances: float) -> Rig:
     return replace(rig, numbers=numbers)
 
 
-def test_rig_that_states_no_tolerance_still_has_cables_and_no_zero_to_find() -> None:
+def test_without_tolerances_only_cable_torques_are_flight_constants() -> None:
     rig = stated(load_rig("makki2024"), torque_pitch=0.0, offset_pitch=0.0)
     priors = flight_constants(MultibodyModel(), rig)
     assert set(priors) == set(FLIGHT_CONSTANTS) - {"offset_pitch"}
     assert priors["torque_pitch"].std == pytest.approx(0.01)
 
 
-def test_fits_take_the_wider_of_rig_and_cables_and_other_flights_the_cables_about_what_was_found() -> None:
+def test_prior_of_a_constant_is_wide_in_fits_and_narrow_for_other_flights() -> None:
     rig = stated(load_rig("makki2024"), torque_pitch=0.3)
     assert flight_constants(MultibodyModel(), rig)["torque_pitch"].std == pytest.approx(0.15)
     other = flight_constants(MultibodyModel(), rig, {"torque_pitch": 0.05, "offset_elevation": 1.0})
@@ -47,7 +47,7 @@ def flown(label: str) -> Record:
 
 
 @pytest.mark.medium
-def test_rig_found_from_several_flights_has_their_mean_torque_and_nobodys_zero() -> None:
+def test_rig_of_several_flights_has_their_mean_torque_and_no_zero() -> None:
     model, rig = MultibodyModel(), load_rig("makki2024")
     named = ("friction_pitch", "torque_pitch", "offset_pitch")
     problem = Problem(model, rig, [flown("a"), flown("b")], free=named, per_flight=FLIGHT_CONSTANTS)

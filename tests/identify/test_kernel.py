@@ -86,7 +86,7 @@ def test_compiled_and_interpreted_loops_agree(name: str, substeps: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["multibody", "late"])
-def test_a_window_alone_and_among_others_has_the_same_bits(name: str) -> None:
+def test_window_has_the_same_bits_alone_and_together_with_others(name: str) -> None:
     equations, free = model(name)
     runner = kernel(equations, free)
     random = np.random.default_rng(6)
@@ -113,7 +113,7 @@ def test_a_window_alone_and_among_others_has_the_same_bits(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["multibody", "late"])
-def test_derivatives_are_those_of_the_free_run(name: str) -> None:
+def test_jacobian_is_the_finite_difference_of_the_free_run(name: str) -> None:
     equations, free = model(name)
     runner, drive = kernel(equations, free), inputs(2, ())
     states, values = start(equations), equations.parameter_values(RIG)
@@ -135,7 +135,7 @@ def test_derivatives_are_those_of_the_free_run(name: str) -> None:
         np.testing.assert_allclose(jacobian[:, :, column], slope, rtol=1e-4, atol=1e-5)
 
 
-def test_another_loop_in_c_is_another_code(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_code_digest_changes_with_the_loop_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
     read = Path.read_bytes
     before = package_digest.__wrapped__("heli_lab")
     monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b" " * (path.name == "windows.c"))

@@ -58,7 +58,7 @@ def noise(kind: str, seed: int, *, in_counts: bool = False) -> Flight:
 @pytest.mark.medium
 @pytest.mark.parametrize("rig", ["makki2024", "quanser-course"])
 @pytest.mark.parametrize("kind", ["white", "walk", "slow", "drift"])
-def test_noise_is_no_flight(kind: str, rig: str) -> None:
+def test_noise_is_not_accepted_as_a_flight(kind: str, rig: str) -> None:
     for seed in (101, 102):
         made = noise(kind, seed, in_counts=seed == 102)
         with pytest.raises(NotExcited, match="the voltages do not explain the motion"):
@@ -77,7 +77,7 @@ def test_noise_is_refused_in_a_line_and_writes_no_rig(terminal: Terminal, tmp_pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effects", [(), STRONGEST], ids=["no disturbances", "the strongest disturbances"])
-def test_a_hover_is_a_flight(effects: tuple[str, ...]) -> None:
+def test_hover_is_accepted_as_a_flight(effects: tuple[str, ...]) -> None:
     # Thrust and friction alone leave a bias of other numbers: the motion's shape is explained all the same.
     for seed in (201, 202):
         rig = load_rig("makki2024") if effects else perturbed(seed)
@@ -89,7 +89,7 @@ def test_a_hover_is_a_flight(effects: tuple[str, ...]) -> None:
 
 
 @pytest.mark.slow
-def test_a_flight_validated_on_noise_is_refused_by_the_name_of_the_noise() -> None:
+def test_validation_on_noise_is_refused_with_the_name_of_the_noise() -> None:
     made = flown_by_plan(perturbed(203), 203, Plan.parse(HOLD, "hold"))
     with pytest.raises(NotExcited, match=r"^validation 1: the voltages do not explain"):
         identify(

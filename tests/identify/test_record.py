@@ -75,7 +75,7 @@ def landing(held_V: float, ends_deg: float) -> Flight:
 @pytest.mark.parametrize(
     ("held_V", "ends_deg", "cut"), [(0.5, -14.0, True), (3.2, -14.0, False), (0.5, -2.0, False)]
 )
-def test_a_descent_that_the_log_does_not_see_the_end_of_is_cut(
+def test_landing_that_the_log_does_not_show_to_its_end_is_cut(
     held_V: float, ends_deg: float, cut: bool
 ) -> None:
     record = prepare(landing(held_V, ends_deg), load_rig("makki2024"))

@@ -47,7 +47,7 @@ def coloured(share: float) -> Floats:
     return values
 
 
-def test_a_sum_that_is_identified_leaves_a_difference_that_is_not() -> None:
+def test_only_the_unidentified_combination_of_parameters_is_reported() -> None:
     information = 1e4 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     unidentifiable = combinations(("a", "b", "c"), information, np.ones(3))
     assert len(unidentifiable) == 1 and unidentifiable[0].std_over_prior == pytest.approx(1.0)
@@ -103,14 +103,14 @@ def test_parameters_that_a_flight_does_not_inform_are_named() -> None:
     assert result.json()["uninformed_parameters"] == result.uninformed_parameters
 
 
-def test_no_estimate_is_less_sure_than_before_the_flight() -> None:
+def test_no_standard_error_exceeds_that_of_the_prior() -> None:
     result = identified()
     for parameter, std in zip(result.fit.problem.free, result.fit.std.values(), strict=True):
         # The scatter of quantisation adds to what the prior holds: 2 % of it where a flight informs nothing.
         assert std <= 1.03 * parameter.prior.std, parameter.name
 
 
-def test_no_delay_is_more_certain_than_the_tick_of_a_voltage() -> None:
+def test_standard_error_of_a_time_is_at_least_that_of_a_voltage_step() -> None:
     record = prepare(flown(load_rig("makki2024"), 3, 25.0), load_rig("makki2024"), "a")
     model = MultibodyModel((RotorLag(0.05),))
     problem = Problem(model, load_rig("makki2024"), [record])
@@ -126,7 +126,7 @@ def test_autocorrelated_residuals_count_as_fewer_samples(share: float) -> None:
     np.testing.assert_allclose(factor, (1.0 + share) / (1.0 - share), rtol=0.35)
 
 
-def test_white_is_white_and_coloured_is_not() -> None:
+def test_white_residuals_pass_the_test_and_coloured_residuals_fail() -> None:
     lag = 50
     for share, white in ((0.0, True), (0.9, True), (0.99, False)):
         values, bound = correlation_at(coloured(share), WINDOWS, lag)
@@ -143,7 +143,7 @@ def test_an_outlying_window_loses_weight() -> None:
     assert np.all(np.delete(weights, [7, 8]) == 1.0)
 
 
-def test_no_axis_of_a_wrong_model_is_taken_for_exact() -> None:
+def test_no_axis_of_a_wrong_model_counts_as_exact() -> None:
     sigma = np.array([4e-4, 4e-4, 4e-4])
     exact = floor_axes(np.ones(3), np.ones(3), sigma)
     np.testing.assert_array_equal(exact, 1.0)

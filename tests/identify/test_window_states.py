@@ -56,7 +56,7 @@ def at(problem: Problem, states: Floats, prior: Floats) -> tuple[ShootingCost, I
     return cost, cost.evaluate(problem.parameter_vector.start, [states])
 
 
-def test_a_window_in_a_wrong_state_returns_and_leaves_the_others_alone() -> None:
+def test_window_in_a_wrong_state_is_refined_without_the_others() -> None:
     problem = posed(DRY_Nm)
     theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
@@ -74,7 +74,7 @@ def test_a_window_in_a_wrong_state_returns_and_leaves_the_others_alone() -> None
     np.testing.assert_allclose(back.evaluations[0].residual, seen.residual, atol=1e-9)
 
 
-def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a_play() -> None:
+def test_diverged_window_restarts_from_both_sides_of_a_play() -> None:
     kind, play_rad = catalogue()["backlash.travel"], 0.02
     true = kind.make({"backlash_travel_rad": play_rad})
     problem = Problem(
@@ -101,7 +101,7 @@ def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a
     np.testing.assert_array_equal(found.states[0][1:], lost[1:])
 
 
-def test_a_frequency_waits_until_its_torque_is_found() -> None:
+def test_periodic_torque_is_fitted_from_a_small_size_and_wrong_phase() -> None:
     kind, own = catalogue()["periodic_torque.travel"], "periodic_torque_travel_"
     true = {own + "sin_Nm": 0.04, own + "cos_Nm": 0.0, own + "Hz": 2.25}
     flight = thinned(flown(RIG, 7, FLIGHT_S, MultibodyModel((kind.make(true),))), 2)
@@ -113,7 +113,7 @@ def test_a_frequency_waits_until_its_torque_is_found() -> None:
     assert abs(np.hypot(fit.values[own + "sin_Nm"], fit.values[own + "cos_Nm"]) - 0.04) < 0.002
 
 
-def test_a_better_state_from_before_is_taken() -> None:
+def test_refined_states_fall_back_to_better_earlier_states() -> None:
     problem = posed(DRY_Nm)
     theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
@@ -141,7 +141,7 @@ def test_a_window_may_start_where_the_one_before_it_ends() -> None:
     np.testing.assert_array_equal(np.delete(start, unchanged, axis=0), np.delete(ends[:-1], 2, axis=0))
 
 
-def test_residuals_are_those_of_the_evaluation_and_their_squares_its_last_products() -> None:
+def test_residuals_agree_with_the_products_of_the_kernel() -> None:
     problem = posed(DRY_Nm)
     theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
@@ -151,7 +151,7 @@ def test_residuals_are_those_of_the_evaluation_and_their_squares_its_last_produc
     np.testing.assert_allclose(evaluation.squares, squares, rtol=1e-9)
 
 
-def test_a_problem_posed_otherwise_has_the_kernel_of_the_first() -> None:
+def test_variants_of_a_problem_share_its_kernel() -> None:
     problem = posed(0.01)
     for other in (problem.with_windows(1.0), problem.with_split_windows(2), problem.with_free(problem.free)):
         assert other.kernel is problem.kernel
@@ -161,7 +161,7 @@ def test_a_problem_posed_otherwise_has_the_kernel_of_the_first() -> None:
     assert pickle.loads(pickle.dumps(problem)).kernel is not problem.kernel
 
 
-def test_first_states_follow_the_parameters_and_are_worked_out_once_for_each() -> None:
+def test_initial_states_are_computed_once_for_each_parameter_vector() -> None:
     lag = catalogue()["rotor_lag"].make({"rotor_lag_s": 0.05})
     record = prepare(dry_flight(7), RIG, "flight 7")
     problem = Problem(MultibodyModel((lag,)), RIG, [record], free=["rotor_lag_s"], step_s=0.004)

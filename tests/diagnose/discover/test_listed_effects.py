@@ -67,7 +67,7 @@ def test_equation_is_dropped_while_a_stronger_listed_effect_is_missing() -> None
         (80.0, 100.0, 130.0, False),  # The effect adds more to the equation than the reverse.
     ],
 )
-def test_equation_stays_that_adds_more_to_an_effect_than_the_reverse(
+def test_equation_that_encompasses_the_effect_stays(
     equation_nats: float, effect_nats: float, both_nats: float, stays: bool
 ) -> None:
     def made(nats: float) -> Hypothesis:

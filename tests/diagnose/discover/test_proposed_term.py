@@ -139,7 +139,7 @@ def equation_search(base: Hypothesis) -> EquationSearch:
     return EquationSearch(EquationRefits(comparison, base, "proposed_term", {1: 100}), lambda _: None)
 
 
-def test_encoder_errors_leave_finalists_for_a_torque_of_less_score() -> None:
+def test_encoder_errors_do_not_fill_all_places_of_the_finalists() -> None:
     search = equation_search(cast(Hypothesis, SimpleNamespace(ids=())))
     on_encoders = [scored_as(f"measurement.{axis}", axis, 80.0 + i) for i, axis in enumerate(AXES)]
     chosen = search.finalists([*on_encoders, scored_as("torque.pitch", "travel", 40.0)])
@@ -195,7 +195,7 @@ def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
         assert scored.coefficients == pytest.approx(coefficients, rel=1e-6)
 
 
-def test_a_right_model_fails_nowhere_in_95_percent_of_all_cases() -> None:
+def test_right_model_has_no_failing_region_in_95_percent_of_cases() -> None:
     estimate = diagnosed().search.baseline.estimate
     screening = Screening(estimate)
     rng = np.random.default_rng(1)

@@ -63,14 +63,14 @@ def test_a_unit_is_read_back_as_it_was_written(exponents: tuple[int, ...]) -> No
         ("measurement.pitch", (Factor("square", "travel"),), "1/rad"),
     ],
 )
-def test_a_coefficient_has_the_unit_that_makes_its_channel_of_its_term(
+def test_unit_of_coefficient_times_term_is_the_unit_of_the_channel(
     channel: str, factors: tuple[Factor, ...], unit: str
 ) -> None:
     assert str(EquationTerm(channel, Term(factors)).coefficient_unit) == unit
 
 
 @pytest.mark.parametrize("quantity", ["travel_rate", "thrust", "own_voltage", "time"])
-def test_there_is_no_sine_of_what_is_no_angle(quantity: str) -> None:
+def test_sine_of_a_quantity_that_is_not_an_angle_is_refused(quantity: str) -> None:
     with pytest.raises(ValueError, match="sin of"):
         Factor("sin", quantity, (("k", 1.0),))
 
@@ -79,7 +79,7 @@ def test_every_function_is_tried() -> None:
     assert FIRST_OF_FORM.keys() == FORMS.keys()
 
 
-def test_thousands_of_terms_are_tried_on_every_kind_of_channel_and_none_twice() -> None:
+def test_grammar_has_thousands_of_distinct_terms_on_all_channels() -> None:
     keys = [group.key for group in EVERY]
     assert len(keys) == len(set(keys)) > 2000
     assert {group.terms[0].channel.partition(".")[0] for group in EVERY} == {
@@ -95,7 +95,7 @@ def test_thousands_of_terms_are_tried_on_every_kind_of_channel_and_none_twice() 
 
 
 @pytest.mark.medium
-def test_what_sympy_reads_is_what_is_computed_along_a_flight() -> None:
+def test_sympy_text_of_a_term_has_the_values_along_a_flight() -> None:
     import sympy
 
     numbers = np.random.default_rng(1).uniform(0.2, 1.0, len(SYMBOLS))
@@ -122,7 +122,7 @@ def test_what_sympy_reads_is_what_is_computed_along_a_flight() -> None:
 
 @pytest.mark.medium
 @pytest.mark.parametrize("number", range(0, len(OF_EACH_SORT), 6))
-def test_what_the_written_file_flies_is_what_was_fitted(number: int, tmp_path: Path) -> None:
+def test_written_effect_file_has_the_fitted_equation(number: int, tmp_path: Path) -> None:
     # Two groups of different channels in one law, together with a lag of the rotors.
     first, second = OF_EACH_SORT[number], OF_EACH_SORT[-1 - number]
     equation = Equation(tuple(dict.fromkeys((*first.terms, *second.terms))))
@@ -154,5 +154,5 @@ def test_what_the_written_file_flies_is_what_was_fitted(number: int, tmp_path: P
 @pytest.mark.parametrize(
     ("channel", "signs"), [("thrust.both", (1, 1)), ("thrust.difference", (1, -1)), ("voltage.back", (0, 1))]
 )
-def test_a_channel_of_the_rotors_acts_on_those_that_it_names(channel: str, signs: tuple[int, int]) -> None:
+def test_rotor_channel_acts_on_the_rotors_in_its_name(channel: str, signs: tuple[int, int]) -> None:
     assert rotor_signs(channel) == signs

@@ -55,7 +55,7 @@ def diagnosed(effect: str) -> Diagnosis:
 
 
 @pytest.mark.parametrize("axis", ["travel", "elevation", "pitch"][: samples(3, 1)])
-def test_friction_that_is_not_there_is_named_by_the_fit_itself(axis: str) -> None:
+def test_absent_friction_is_named_from_its_estimate(axis: str) -> None:
     comparison, _ = tried(f"removed.friction.{axis}=1")
     (term,) = absent_terms(free_run(f"removed.friction.{axis}=1").fit, comparison.rig, KINDS)
     assert term.id == f"removed.friction.{axis}"
@@ -65,7 +65,7 @@ def test_friction_that_is_not_there_is_named_by_the_fit_itself(axis: str) -> Non
     assert term.z_from_rig > 10.0
 
 
-def test_pendulum_that_the_rig_states_closely_scores_as_absent() -> None:
+def test_absent_pendulum_with_a_tight_prior_has_a_high_score() -> None:
     comparison, baseline = tried("removed.pendulum.elevation=1")
     found = tightly_specified_terms(comparison, KINDS.values(), Screening(baseline.estimate))
     best = max(found, key=lambda term: term.log_likelihood_gain)
@@ -75,7 +75,7 @@ def test_pendulum_that_the_rig_states_closely_scores_as_absent() -> None:
     assert less.log_likelihood > baseline.log_likelihood + 100.0
 
 
-def test_pendulum_that_the_fit_shrank_against_its_prior_is_tried_as_absent_whatever_its_score(
+def test_pendulum_far_below_its_prior_is_tried_as_absent(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     comparison, baseline = tried("removed.pendulum.elevation=1")
@@ -90,19 +90,19 @@ def test_pendulum_that_the_fit_shrank_against_its_prior_is_tried_as_absent_whate
     assert found[0].log_likelihood_gain == pytest.approx(0.5 * deviation**2)
 
 
-def test_pendulum_that_is_plainly_absent_is_named_by_the_fit_however_closely_it_was_stated() -> None:
+def test_clearly_absent_pendulum_is_named_despite_its_tight_prior() -> None:
     comparison, _ = tried("removed.pendulum.pitch=1")
     names = [one.id for one in absent_terms(free_run("removed.pendulum.pitch=1").fit, comparison.rig, KINDS)]
     assert names == ["removed.pendulum.pitch"]
 
 
-def test_other_causes_take_no_term_away() -> None:
+def test_other_effect_makes_no_term_absent() -> None:
     comparison, _ = tried("rotor_lag=0.06")
     assert absent_terms(free_run("rotor_lag=0.06").fit, comparison.rig, KINDS) == ()
 
 
 @pytest.mark.parametrize("term", ["friction.travel", "pendulum.elevation"][: samples(2, 1)])
-def test_removed_term_is_the_cause_with_its_share_and_flies_in_the_extended_rig(term: str) -> None:
+def test_removed_term_is_the_cause_and_in_the_extended_rig(term: str) -> None:
     found = diagnosed(f"removed.{term}=1")
     numbers = to_json(found)
     assert numbers["verdict"] == "cause_found"
@@ -128,7 +128,7 @@ def test_removed_term_is_the_cause_with_its_share_and_flies_in_the_extended_rig(
         (1.0, 0.01, 0.0, 1e-6),
     ],
 )
-def test_term_is_absent_only_if_its_parameter_is_zero_within_a_small_error(
+def test_term_is_absent_only_if_its_parameter_is_precisely_zero(
     value: float, std: float, low: float, high: float
 ) -> None:
     assert low <= absence_probability(value, std) <= high

@@ -63,7 +63,7 @@ def predicted(*effects: str, calibrate_s: float = 8.0) -> FreeRun:
 RIGHT: Final = f"rotor_lag={LAG_s}"
 
 
-def test_first_seconds_give_the_zeros_and_torques_of_that_day() -> None:
+def test_calibration_finds_zeros_and_torques_of_the_day() -> None:
     constants = predicted(RIGHT).constants
     assert constants.keys() == {"torque_elevation", *TODAY, *ZEROS_deg}
     for name, truth in {**TODAY, **ZEROS_deg}.items():
@@ -74,7 +74,7 @@ def test_first_seconds_give_the_zeros_and_torques_of_that_day() -> None:
     assert abs(constants["torque_pitch"][0]) > 10.0 * constants["torque_pitch"][1]
 
 
-def test_with_them_only_quantisation_is_left_of_the_rest_and_without_them_much_more() -> None:
+def test_calibrated_prediction_has_errors_of_quantisation_only() -> None:
     quantisation_deg = np.rad2deg(that_day().sigma_rad)
     for key in HORIZONS:
         assert np.all(predicted(RIGHT).errors[key].rms_deg < 1.05 * quantisation_deg)
@@ -83,7 +83,7 @@ def test_with_them_only_quantisation_is_left_of_the_rest_and_without_them_much_m
     assert uncalibrated.errors["2"].rms_deg[1] > 5.0 * quantisation_deg[1]
 
 
-def test_no_horizon_hides_a_lag_in_zeros_or_torques_and_errors_grow_with_it() -> None:
+def test_errors_by_a_missing_lag_grow_with_the_horizon() -> None:
     pitch_deg = [predicted().errors[key].rms_deg[1] for key in ("0.5", "1", "2")]
     right_deg = [predicted(RIGHT).errors[key].rms_deg[1] for key in ("0.5", "1", "2")]
     assert pitch_deg == sorted(pitch_deg)
@@ -110,7 +110,7 @@ def _swinging(record: Record, rows: slice) -> Record:
     return replace(record, angles_rad=angles)
 
 
-def test_what_is_judged_takes_no_part_in_the_calibration() -> None:
+def test_evaluated_part_has_no_influence_on_the_calibration() -> None:
     record = that_day()
     model = MultibodyModel(parse_effects([RIGHT]))
     cut = record.segments[0][0] + round(8.0 / record.step_s)
@@ -152,7 +152,7 @@ def test_two_thirds_of_a_flight_are_judged_however_short_it_is() -> None:
         (12.0, r"leave no time of the 12 s of free flight in that day; give 4 or less to --calibrate"),
     ],
 )
-def test_more_than_a_flight_leaves_is_refused_with_what_it_leaves(asked_s: float, message: str) -> None:
+def test_too_long_calibration_is_refused_with_the_longest_possible(asked_s: float, message: str) -> None:
     with pytest.raises(IdentifyError, match=message):
         calibration_s(_cut(that_day(), 12.0), asked_s)
 
@@ -173,7 +173,7 @@ def test_flight_in_pieces_is_calibrated_on_its_first_seconds_of_free_flight() ->
     )
 
 
-def test_gain_that_all_windows_share_is_sure_and_one_that_a_single_window_makes_is_not() -> None:
+def test_interval_is_narrow_only_if_all_windows_show_the_error_reduction() -> None:
     rows, typical_candidate = np.full(12, 1000.0), np.ones((12, 3))
     shared = error_reduction(
         [WindowErrors(typical_candidate, rows)], [WindowErrors(0.25 * typical_candidate, rows)]

@@ -102,6 +102,6 @@ def test_flights_that_contradict_each_other_show_no_effect(monkeypatch: pytest.M
     assert explained(monkeypatch, {DRAG: 3.0}, {DRAG: 2.0}) is None
 
 
-def test_an_event_and_a_short_flight_explain_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_remainder_search_skips_events_and_short_flights(monkeypatch: pytest.MonkeyPatch) -> None:
     assert explained(monkeypatch, {STEP: 90.0}, {STEP: 90.0}) is None
     assert explained(monkeypatch, {DRAG: 20.0}, {DRAG: 20.0}, used_s=5.0) is None

@@ -27,7 +27,7 @@ def sure_of(value: float) -> Rig:
     return Rig(rig.name, rig.description, {**rig.numbers, "friction_travel": number}, rig.effects, rig.model)
 
 
-def test_a_number_that_a_closely_stated_wrong_one_holds_back_is_right_without_its_prior() -> None:
+def test_estimate_without_a_tight_wrong_prior_is_right() -> None:
     fit, _ = flights()
     rig = sure_of(2.0 * FRICTION)
     comparison = ModelComparison(MultibodyModel(), rig, [prepare(fit, rig, "fit")], [])
@@ -41,7 +41,7 @@ def test_a_number_that_a_closely_stated_wrong_one_holds_back_is_right_without_it
     assert "these flights alone give 0.0" in prior_conflict_sentence(found)
 
 
-def test_nothing_pulled_is_nothing_tried() -> None:
+def test_without_prior_conflicts_nothing_is_refitted() -> None:
     fit, _ = flights()
     rig = load_rig("makki2024")
     comparison = ModelComparison(MultibodyModel(), rig, [prepare(fit, rig, "fit")], [])

@@ -63,7 +63,7 @@ def among_two(flights: list[Flight], validation: list[Flight]) -> Diagnosis:
     return diagnose(MultibodyModel(), load_rig("makki2024"), flights, validation, kinds=kinds)
 
 
-def test_weak_excitation_leaves_lag_or_delay_open_and_proposes_a_flight() -> None:
+def test_weak_excitation_is_ambiguous_and_proposes_a_flight() -> None:
     assert unclear()["verdict"] == "ambiguous"
     (cause,) = unclear()["causes"]
     assert {cause["effect"], *cause["ambiguous_with"]} == {"rotor_lag", "input_delay"}
@@ -74,7 +74,7 @@ def test_weak_excitation_leaves_lag_or_delay_open_and_proposes_a_flight() -> Non
 
 
 @pytest.mark.skipif(not LONG, reason="skipped: 40 s of CPU, in make long")
-def test_the_flight_asked_for_settles_it() -> None:
+def test_proposed_flight_distinguishes_the_hypotheses() -> None:
     _, held_out = gentle(30)
     clear = to_json(among_two([lagging(unclear()["next_flight"]["plan"], 3)], [held_out]))
     assert clear["verdict"] == "cause_found"

@@ -37,7 +37,7 @@ def test_a_second_process_draws_the_same_pictures(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="ended by a signal")
-def test_what_a_killed_process_was_drawing_is_drawn_here(tmp_path: Path) -> None:
+def test_pictures_of_a_killed_process_are_drawn_in_this_process(tmp_path: Path) -> None:
     with Drawing(use_process=True) as some:
         first = some.add(figure(1), tmp_path / "1.png")
         while some.process is None:
@@ -51,14 +51,16 @@ def test_what_a_killed_process_was_drawing_is_drawn_here(tmp_path: Path) -> None
     assert (tmp_path / "2.png").read_bytes() == png_of(figure(2, 100_000))
 
 
-def test_without_a_process_all_is_drawn_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_process_all_pictures_are_drawn_in_this_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process was started"))
     assert base64.b64decode(str(Drawing().add(figure(4), tmp_path / "4.png")).partition(",")[2]) == png_of(
         figure(4)
     )
 
 
-def test_a_process_that_does_not_start_costs_no_picture(
+def test_all_pictures_are_drawn_if_the_process_does_not_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "executable", str(tmp_path / "no python"))
@@ -66,7 +68,7 @@ def test_a_process_that_does_not_start_costs_no_picture(
         assert str(some.add(figure(5), tmp_path / "5.png"))
 
 
-def test_no_process_is_left_behind_when_what_was_to_be_drawn_never_came() -> None:
+def test_drawing_process_ends_after_an_exception() -> None:
     with pytest.raises(KeyError), Drawing(use_process=True) as some:
         while some.process is None:
             time.sleep(0.01)

@@ -61,7 +61,7 @@ def test_play_is_proposed_for_axes_whose_count_pauses(there: tuple[str, ...]) ->
         (9.0, ["rotor_lag", "backlash.pitch", "coulomb_friction.pitch"]),
     ],
 )
-def test_play_is_refitted_next_to_a_better_score_and_friction_if_the_play_is_best(
+def test_play_is_refitted_and_then_friction_if_the_play_is_best(
     monkeypatch: pytest.MonkeyPatch, play_margin: float, refitted_ids: list[str]
 ) -> None:
     reference = SimpleNamespace(

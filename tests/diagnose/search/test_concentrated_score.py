@@ -65,7 +65,7 @@ def test_a_low_score_of_an_event_in_large_disturbances_still_leads_to_a_refit(
     assert with_concentrated_scores(screening, lambda screened: screened, plain) == plain
 
 
-def test_effects_that_the_disturbances_stand_in_for_are_worth_a_refit(comparison: ModelComparison) -> None:
+def test_effects_that_disturbances_replace_are_worth_a_refit(comparison: ModelComparison) -> None:
     base = comparison.refit([])
     own = base.estimate.disturbances
     gusty = replace(own, fast_std=np.maximum(2.5 * own.fast_std, 0.01), curvature=None)

@@ -39,7 +39,7 @@ def test_flights_rigs_models_and_parts_have_different_digests() -> None:
     assert fingerprint(*others[0]) == digests[0]
 
 
-def test_a_rebuilt_filter_makes_another_fingerprint(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fingerprint_changes_with_the_compiled_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = MultibodyModel(), load_rig("makki2024"), [_record()]
     before, read = fingerprint(*arguments), Path.read_bytes
 
@@ -62,16 +62,14 @@ def test_a_rebuilt_filter_makes_another_fingerprint(monkeypatch: pytest.MonkeyPa
         (b"\xff\xfe\n", "is not a --resume file"),
     ],
 )
-def test_file_of_something_else_is_refused_and_left_as_it_is(
-    tmp_path: Path, content: bytes, said: str
-) -> None:
+def test_file_of_another_kind_is_refused_and_not_changed(tmp_path: Path, content: bytes, said: str) -> None:
     (tmp_path / "kept").write_bytes(content)
     with pytest.raises(IdentifyError, match=said):
         EstimateCache(tmp_path / "kept", "mine")
     assert (tmp_path / "kept").read_bytes() == content
 
 
-def test_line_that_was_cut_is_dropped_and_what_stands_before_it_stays(tmp_path: Path) -> None:
+def test_incomplete_last_line_is_dropped_and_earlier_lines_stay(tmp_path: Path) -> None:
     path = tmp_path / "kept"
     EstimateCache(path, "mine")
     head = path.read_bytes()

@@ -26,7 +26,7 @@ SLIP_m = 0.02
 
 
 @pytest.mark.medium
-def test_a_moment_is_that_of_its_flight_in_every_parameter_vector() -> None:
+def test_moment_of_an_event_belongs_to_its_flight() -> None:
     records = [
         replace(prepare(flights("rotor_lag=0.1")[0], RIG, "x"), label=label) for label in ("a", "b", "c")
     ]

@@ -97,7 +97,7 @@ def same(function: ca.Function, along: Trajectory) -> None:
 
 
 @pytest.mark.parametrize("name", [*UNARY, *BINARY])
-def test_each_operation_of_rows_and_of_shared_numbers(name: str) -> None:
+def test_each_operation_on_rows_and_on_shared_values_is_that_of_casadi(name: str) -> None:
     x, u, t, p = ca.SX.sym("x", 2), ca.SX.sym("u", 2), ca.SX.sym("t"), ca.SX.sym("p", 3)
     values = [x[0], p[0], t]
     if name in UNARY:
@@ -107,7 +107,7 @@ def test_each_operation_of_rows_and_of_shared_numbers(name: str) -> None:
     same(ca.Function("f", [x, u, t, p], [ca.vertcat(*results)]), reference(2, 3))
 
 
-def test_no_operation_of_the_table_is_left_untried() -> None:
+def test_tests_cover_every_operation_of_the_table() -> None:
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     made = [operation(x) for operation in UNARY.values()] + [operation(x, y) for operation in BINARY.values()]
     function = ca.Function("f", [x, y], [ca.vertcat(*made)])
@@ -131,7 +131,7 @@ def test_random_programs(recipe: list[tuple[int, int, int]]) -> None:
     same(ca.Function("f", [x, u, t, p], wanted), reference(2, 3, len(recipe)))
 
 
-def test_what_an_expression_holds_twice_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_repeated_subexpression_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     x, u, t, p = ca.SX.sym("x", 2), ca.SX.sym("u", 2), ca.SX.sym("t"), ca.SX.sym("p", 3)
     twice = [ca.sin(x[0] * p[0]) + 0.7, ca.sin(x[0] * p[0]) - 0.7]
     function = ca.Function("f", [x, u, t, p], [ca.vertcat(*twice)])
@@ -149,7 +149,7 @@ def test_what_an_expression_holds_twice_is_computed_once(monkeypatch: pytest.Mon
     assert made[0].count(_expression_vm.OPERATIONS.index("SIN")) == 1
 
 
-def test_a_models_derivatives() -> None:
+def test_derivatives_of_a_model_are_those_of_casadi() -> None:
     model = MultibodyModel(parse_effects(["rotor_lag=0.08", "coulomb_friction.pitch=0.01"]))
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
@@ -162,7 +162,7 @@ def test_a_models_derivatives() -> None:
 
 
 @pytest.mark.parametrize("seen", [None, 1])
-def test_own_states_follow_the_rule_of_runge_and_kutta(seen: int | None) -> None:
+def test_effect_states_are_integrated_by_the_runge_kutta_rule(seen: int | None) -> None:
     z, y, u = ca.SX.sym("z", 2), ca.SX.sym("y", 2), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", 3)
     rate = ca.vertcat((u[0] * y[1] - z[0]) / (0.1 + p[0] ** 2), ca.sin(t + z[0]) - p[1] * z[1] + y[0])
@@ -186,7 +186,7 @@ def test_own_states_follow_the_rule_of_runge_and_kutta(seen: int | None) -> None
                 assert np.allclose(integrated[row], state, rtol=1e-10, atol=1e-12)
 
 
-def test_what_is_no_program_is_refused() -> None:
+def test_invalid_program_is_refused() -> None:
     with pytest.raises(ValueError, match="read before"):
         _expression_vm.TableProgram([1], [0], [1], [0.0], [1, 1], [[0]])
     with pytest.raises(ValueError, match="no such value"):

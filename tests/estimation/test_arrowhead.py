@@ -29,7 +29,7 @@ def system(flights: int, shared: int, own: int, seed: int) -> tuple[Floats, list
 
 @given(st.integers(1, 6), st.integers(0, 4), st.integers(0, 3), st.integers(0, 2**31))
 @settings(max_examples=40, deadline=None)
-def test_solution_and_inverse_are_those_of_the_whole_matrix(
+def test_arrowhead_solution_and_inverse_are_those_of_the_full_matrix(
     flights: int, shared: int, own: int, seed: int
 ) -> None:
     assume(shared + own > 0)
@@ -43,7 +43,7 @@ def test_solution_and_inverse_are_those_of_the_whole_matrix(
     assert invert_arrowhead(matrix, places) == pytest.approx(np.linalg.inv(matrix), abs=1e-9)
 
 
-def test_what_a_flight_alone_depends_on_is_its_own() -> None:
+def test_columns_of_a_single_flight_are_per_flight() -> None:
     columns = [np.array([0, 1, 2]), np.array([0, 3, 4])]
     assert per_flight_columns(columns, 5).tolist() == [[1, 2], [3, 4]]
     assert per_flight_columns(columns[:1], 3).shape == (1, 0)
