@@ -1,4 +1,4 @@
-"""A fit finds the parameters of the rig that flew, and explains a held-out flight down to the encoder."""
+"""A fit finds the true parameters of a simulated rig, and predicts a held-out flight down to quantisation."""
 
 from __future__ import annotations
 
@@ -30,17 +30,19 @@ CHANGED = {"thrust_gain": 0.63, "friction_travel": 0.055, "friction_pitch": 0.02
 
 
 def known() -> Rig:
+    """Return the rig file from which the fits start."""
     return load_rig("makki2024")
 
 
 @cache
 def changed_flight(seed: int, duration_s: float = 25.0) -> Flight:
+    """Fly a rig whose parameters differ from the rig file by `CHANGED`."""
     return flown(known().replace(**CHANGED), seed, duration_s)
 
 
 @cache
 def late_flight() -> Flight:
-    """A rig whose thrust lags by 80 ms behind voltages that act 20 ms late."""
+    """Fly a rig whose thrust lags by 80 ms behind voltages that act 20 ms late."""
     effects = catalogue()
     late = effects["input_delay"].make({"input_delay_s": 0.02})
     lag = effects["rotor_lag"].make({"rotor_lag_s": 0.08})
@@ -48,6 +50,7 @@ def late_flight() -> Flight:
 
 
 def assert_estimates(result: Identification, truth: dict[str, float], within: float = 3.0) -> None:
+    """Assert that estimates are `within` some standard errors of the truth."""
     for name, value in truth.items():
         assert result.fit.values[name] == pytest.approx(value, abs=within * result.fit.std[name]), name
 
@@ -128,18 +131,19 @@ def test_without_a_compiler_the_answer_is_the_same(monkeypatch: pytest.MonkeyPat
 def test_the_take_off_is_left_out_wherever_the_log_begins() -> None:
     whole = changed_flight(3)
     bare = Flight(whole.t_s, whole.front_V, whole.back_V, *whole.angles_rad.T)
-    first_s = {}
+    first_fitted_s = {}
     for label, flight in (("states", whole), ("no states", bare), ("late start", bare.between(0.2, 99.0))):
         record = prepare(flight, known(), label)
-        first_s[label] = record.t_s[record.segments[0][0]]
+        first_fitted_s[label] = record.t_s[record.segments[0][0]]
         assert np.rad2deg(record.angles_rad[record.segments[0][0], 0]) > -15.0
         assert record.cuts[0].start_s == record.t_s[0]
-    assert max(first_s.values()) - min(first_s.values()) < 0.01
-    fits = [
+    assert max(first_fitted_s.values()) - min(first_fitted_s.values()) < 0.01
+    with_take_off, in_flight = (
         solve(Problem(MultibodyModel(), known(), [flight])) for flight in (whole, bare.between(8.0, 99.0))
-    ]
+    )
     for name in CHANGED:
-        assert fits[0].values[name] == pytest.approx(fits[1].values[name], abs=3 * fits[1].std[name]), name
+        within = 3 * in_flight.std[name]
+        assert with_take_off.values[name] == pytest.approx(in_flight.values[name], abs=within), name
 
 
 def test_a_touch_of_the_table_in_flight_is_left_out() -> None:
@@ -155,6 +159,7 @@ def test_disturbed_window_hardly_changes_the_robust_estimate() -> None:
     whole = changed_flight(3)
     angles = whole.angles_rad.copy()
     pushed = (whole.t_s > 15.0) & (whole.t_s < 15.5)
+    # For half a second, pitch swings by 4 degrees without any cause in the model.
     angles[pushed, 1] += np.deg2rad(4.0) * np.sin(2 * np.pi * whole.t_s[pushed])
     flight = Flight(whole.t_s, whole.front_V, whole.back_V, *angles.T)
     problem = Problem(MultibodyModel(), known(), [flight])

@@ -90,7 +90,7 @@ def missing_torque(
     estimate, reduced : Estimate
         The model with and without the cause.
     cause : Candidate
-        The cause.
+        An effect on torques or thrusts, or a spline term there.
     torques_Nm : sequence of ndarray (n, 3)
         Result of `contributed_torques_Nm`.
     """

@@ -76,7 +76,7 @@ class ChangeFunctions:
         name : str
             Key under which it is cached.
         effect : Effect
-            The effect.
+            Its parameter values do not matter; `ExtendedModel.run` has its own.
         linear_parameters : sequence of str
             As in `ExtendedModel`.
         """
@@ -216,7 +216,7 @@ class ExtendedModel:
     model : Model
         The model without the effect.
     effect : Effect
-        The effect.
+        Effect that is added; changes are evaluated at any values of its parameters.
     linear_parameters : sequence of str
         Parameters that enter linearly, by full name; empty for a difference.
 

@@ -27,15 +27,14 @@ class Score(NamedTuple):
 class ScoreStatistics(NamedTuple):
     """Fisher information and score of a candidate's coefficients, from which a score test follows.
 
-    The score is the derivative of the log-likelihood by the coefficients at 0. The free parameters of the
-    model are projected out of both.
+    The free parameters of the model are projected out of both.
 
     Parameters
     ----------
     information : ndarray (g, g)
         Fisher information.
     score : ndarray (g,)
-        Score.
+        Derivative of the log-likelihood by the coefficients, where these are 0.
     """
 
     information: Floats
