@@ -1,4 +1,4 @@
-"""Refits of equations: what their parameters cost, and which terms and digits a refit justifies."""
+"""Refits of equations: penalties of their parameters, and simplification after a refit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from heli_lab.diagnose.discover.equation import Equation, TermGroup, equation_effect
+from heli_lab.diagnose.discover.equation import Equation, EquationTerm, TermGroup, equation_effect
 from heli_lab.diagnose.discover.scoring import ScoredTermGroup, TermSignals, term_coefficient_std
 from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison
 from heli_lab.diagnose.thresholds import MIN_MARGIN, NEAR_REST_NATS, SIGNIFICANT_STD_ERRORS
@@ -87,16 +87,17 @@ class EquationRefits:
     tried: dict[int, int] = field(default_factory=dict)
 
     def penalty(self, group: TermGroup, equation: Equation, held: frozenset[str]) -> float:
-        """Complexity penalty, in nats, of the terms of a `group` in an `equation`: BIC for its parameters
-        that are not `held`, and the logarithm of the number of groups tried.
+        """Return the complexity penalty, in nats, of the terms of a `group` in an `equation`.
+
+        It is the sum of three penalties: BIC for the parameters that are not `held`, the logarithm of the
+        number of groups tried (multiple testing), and `NEAR_REST_NATS` for each sign of an axis' own rate.
         """
-        free_count = len(group.terms) + sum(
+        inner_count = sum(
             inner.name not in held and not inner.is_sign_width and equation.terms[inner.term] in group.terms
             for inner in equation.inner_parameters()
         )
-        near_rest_nats = sum(
-            NEAR_REST_NATS for term in group.terms if _on_own_rate(term.channel, term.term.key)
-        )
+        free_count = len(group.terms) + inner_count  # each term has a coefficient
+        near_rest_nats = sum(NEAR_REST_NATS for term in group.terms if _has_sign_of_own_rate(term))
         bic_nats = 0.5 * free_count * math.log(self.comparison.rows)
         return bic_nats + math.log(self.tried[group.complexity]) + near_rest_nats
 
@@ -271,6 +272,7 @@ class EquationRefits:
         return whole_periods
 
 
-def _on_own_rate(channel: str, key: str) -> bool:
-    """Whether a term about an axis has a sign of the axis' own rate."""
-    return f"tanh({channel.partition('.')[2]}_rate" in key
+def _has_sign_of_own_rate(term: EquationTerm) -> bool:
+    """Whether a term about an axis contains the sign of the axis' own rate, as dry friction does."""
+    axis = term.channel.partition(".")[2]
+    return f"tanh({axis}_rate" in term.term.key

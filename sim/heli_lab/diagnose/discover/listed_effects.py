@@ -1,4 +1,6 @@
-"""An equation against the catalogue: whether an effect is equivalent, and which causes become superfluous."""
+"""Compares a proposed equation with the catalogue: an equivalent effect makes the equation superfluous, and
+the equation may make named causes superfluous.
+"""
 
 from __future__ import annotations
 
@@ -67,10 +69,11 @@ class ListedEffects:
         str or None
             Id of the effect; None if there is none.
         """
-        # Like a spline, an equation must beat an effect by a share of its own margin.
+        # Like a spline, an equation must exceed an effect by a share of its own margin over the base.
         equation_margin = warm_start.log_likelihood - penalty + self.held_out(warm_start)
         lead = SPLINE_MARGIN * (equation_margin - self.base.log_likelihood)
         required_margin = equation_margin - max(MIN_MARGIN, lead)
+        # The search ends after enough refits have reached about the gain that their score predicted.
         confirmed_scores = 0
         for effect, start, score in self._possible_effects(equation, warm_start):
             complexity_penalty = self.complexity_penalty(effect)
@@ -207,7 +210,7 @@ class ListedEffects:
 
 
 def _axes(equation: Equation) -> set[str]:
-    """Axes about which an equation acts directly."""
-    by_rotors = {"both": "elevation", "difference": "pitch", "front": "pitch", "back": "pitch"}
-    places = (channel.partition(".")[2] for channel in equation.channels)
-    return {by_rotors.get(place, place) for place in places}
+    """Return the axes about which an equation acts directly."""
+    axis_of_rotors = {"both": "elevation", "difference": "pitch", "front": "pitch", "back": "pitch"}
+    axes_or_rotors = (channel.partition(".")[2] for channel in equation.channels)
+    return {axis_of_rotors.get(name, name) for name in axes_or_rotors}

@@ -54,7 +54,10 @@ def latex(equation: Equation, numbers: Mapping[str, float] | None = None) -> str
 
 
 def _channel_sum(equation: Equation, channel: str, notation: str, texts: Mapping[str, str] | None) -> str:
-    """Write the sum of the terms on a channel in a notation; `texts` are those of the parameters by name."""
+    """Write the sum of the terms on a channel in a notation, ``sympy`` or ``latex``.
+
+    `texts` has a text for each parameter, by name; by default that name.
+    """
     texts = texts or {name: name for name in _parameter_names(equation)}
     times_sign = {"sympy": "*", "latex": r"\,"}[notation]
     products = []

@@ -1,4 +1,4 @@
-"""Functions of states and inputs on which the innovations of a flight may depend."""
+"""Functions of states and inputs that the residual analysis tests as regressors of the innovations."""
 
 from __future__ import annotations
 
@@ -67,14 +67,20 @@ def dependence_functions(linearised_flights: Sequence[LinearisedFlight]) -> dict
 
 
 def _near_rest_curves(rate: Floats) -> Floats:
-    """Return curves of a scaled rate (n,) that are odd and vanish far from rest, shape (n, widths)."""
+    """Return curves of a scaled rate (n,) that look like dry friction near rest, shape (n, widths).
+
+    Each curve has the sign of the rate, and vanishes far from rest.
+    """
     return np.column_stack(
         [np.tanh(rate / 0.1 / width) * np.exp(-((rate / width) ** 2)) for width in _REST_WIDTHS]
     )
 
 
 def _memory_curves(signal: Floats, step_s: float) -> Floats:
-    """Return the changes of a signal (n,) by first-order lags and plays, shape (n, s)."""
+    """Return how first-order lags and plays would change a signal (n,), shape (n, s).
+
+    A column is the signal behind a lag or play, less the signal.
+    """
     values = signal.tolist()
     outputs = [_low_pass(values, math.exp(-step_s / time_s)) for time_s in _LOWPASS_s]
     outputs += [_play(values, width) for width in _PLAY_WIDTHS]

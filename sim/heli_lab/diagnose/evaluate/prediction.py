@@ -91,10 +91,10 @@ def normalised_samples(fit: Fit) -> Floats:
 
 
 def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bool) -> Fit:
-    """Fit zeros, constant torques and initial states of `records`; all other parameters stay as estimated.
+    """Simulate `records` in free runs with the parameters of an estimate.
 
-    With `own_calibration`, the records are those of the estimate, and the fit has its parameters and
-    covariance.
+    Only zeros, constant torques and initial states are fitted. `own_calibration` states whether the records
+    are those of the estimate; the result then has the parameters and the covariance of the estimate.
     """
     parameter_vector = estimate.parameter_vector
     flight_priors = {

@@ -101,7 +101,7 @@ def tried_without(conflicts: Sequence[PriorConflict], estimate: Estimate) -> tup
         estimate.theta,
         estimate.disturbances,
     )
-    # log_likelihood includes the priors: subtract the part of those that were dropped.
+    # log_likelihood includes the priors: subtract the share of the priors that were dropped.
     deviations = (estimate.theta - parameters.mean) / parameters.std
     gain = (
         without_priors.log_likelihood
@@ -111,7 +111,7 @@ def tried_without(conflicts: Sequence[PriorConflict], estimate: Estimate) -> tup
     std = np.sqrt(np.diag(without_priors.covariance))
     return tuple(
         replace(
-            conflict, freed=EstimateWithoutPrior(float(without_priors.theta[place]), float(std[place]), gain)
+            conflict, freed=EstimateWithoutPrior(float(without_priors.theta[index]), float(std[index]), gain)
         )
-        for conflict, place in zip(conflicts, indices, strict=True)
+        for conflict, index in zip(conflicts, indices, strict=True)
     )

@@ -1,11 +1,12 @@
-"""Confirmation of causes: a cause must hold in both directions, fitted on one side and judged on the other.
+"""Confirmation of causes: a cause must also improve the model on flights that did not fit it.
 
-Where flights are held out, the two sides are the fitted and the held-out flights; otherwise they are two
-folds of the fitted flights. A cause is confirmed if two conditions hold in both directions. Its
-log-likelihood ratio is positive on the judging flights. With it, no axis' open-loop error at 1 s grows by
-more than its bootstrap interval, compared with the baseline.
+The test uses two sets of flights, and repeats with the sets exchanged. If flights are held out, the sets are
+the fitted and the held-out flights; otherwise they are two folds of the fitted flights. A cause is confirmed
+if two conditions hold both times. First, its log-likelihood ratio is positive on the flights that did not fit
+it. Second, with the cause, no axis has an open-loop error at 1 s that is larger than the baseline's by more
+than the bootstrap interval.
 
-Only confirmed causes enter the extended rig, unless all are asked for.
+Only confirmed causes enter the extended rig, unless all are requested.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ class CauseReplication:
     Parameters
     ----------
     forward, reverse : float or None
-        Log-likelihood ratio on the held-out flights with the parameters of the fitted ones, and the reverse,
-        nats; None if it was not computed.
+        Log-likelihood ratios, nats: on the held-out flights with parameters from the fitted flights, and the
+        reverse; None if a ratio was not computed.
     why_not : str
         Why the cause is not confirmed, in words; empty if it is.
     """
@@ -60,7 +61,7 @@ class WorseAxis:
     axis : str
         Elevation, pitch or travel.
     fitted, judged : str
-        Labels of the flights that estimated the parameters, and of those that judge.
+        Labels of the flights that estimated the parameters, and of the flights that are predicted.
     reduction : ErrorReduction
         The errors at `WORSE_HORIZON`.
     """
@@ -108,7 +109,7 @@ def replicate(
     evaluation: HeldOutEvaluation,
     calibrate_s: float | None = None,
 ) -> Replication:
-    """Find out which causes hold in both directions.
+    """Determine which causes are confirmed, and evaluate the model with these causes alone.
 
     Parameters
     ----------
@@ -236,9 +237,9 @@ class _CauseSubsets:
         return ""
 
     def _with_events(self, ids: Sequence[str]) -> frozenset[str]:
-        """Return ids of causes, and of all events of one flight.
+        """Return the ids of causes, and in addition those of events that happened in one flight only.
 
-        Such an event stays in the fit of its flight, and never happens in another flight.
+        Such an event stays in every model: it affects the fit of its flight, and no prediction of others.
         """
         return frozenset(ids) | {id_ for id_ in self.ids if self._is_of_one_flight(id_)}
 
@@ -277,8 +278,9 @@ class _CauseSubsets:
         return min(ids, key=log_error_without)
 
     def reductions(self, ids: Sequence[str], reverse: bool) -> Mapping[str, ErrorReduction]:
-        """Compare open-loop errors at `WORSE_HORIZON` of the model with some causes with the baseline's, by
-        axis.
+        """Compare the open-loop errors of the model with some causes and of the baseline, by axis.
+
+        The errors are those at `WORSE_HORIZON`, in the forward or in the reverse direction.
         """
         assert self.directions is not None
         side = self.directions[int(reverse)]
@@ -345,7 +347,7 @@ class _CauseSubsets:
 
     @cached_property
     def _side_labels(self) -> tuple[tuple[str, str], tuple[str, str]]:
-        """Labels of the fitted and of the judging flights, in the forward and in the reverse direction."""
+        """Labels of the fitted and of the evaluated flights, in the forward and in the reverse direction."""
         first, second = "the first fold", "the second fold"
         if self.comparison.held_out:
             first = " and ".join(record.label for record in self.comparison.train)

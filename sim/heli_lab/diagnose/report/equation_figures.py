@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _MISSING, _TERM, _OUTLINE = "#8d959e", "#0b5fa5", "#111111"
 _POINTS: Final = 4000
+"""Dots of a scatter plot: more hide each other."""
 _MEANS: Final = 24
 """Means over equal parts of the dots: fewer hide a bend, more show noise."""
 

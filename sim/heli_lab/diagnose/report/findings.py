@@ -22,8 +22,9 @@ from heli_lab.diagnose.thresholds import CONFIDENCE_FACTOR_UNEXPLAINED, CONFIDEN
 
 
 def causes(result: Diagnosis) -> list[dict[str, Any]]:
-    """List the causes, the strongest first: effect, parameters, confidence, sentence, equation, evidence and
-    alternatives of each.
+    """List the causes, the strongest first, each as a JSON object.
+
+    A cause has an effect, parameters, confidence, a sentence, an equation, evidence, and alternatives.
     """
     return [*_effect_causes(result), *_random_torque_causes(result), *_absent_term_causes(result)]
 
@@ -178,8 +179,10 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
         }
     strongest = result.verdict.unlisted[0]
     channel, _ = strongest.candidate.dependence
-    first_round = next(r for r in result.search.rounds if r.accepted_id == strongest.candidate.id)
-    others = [name for name in correlates(first_round.splines) if name != f"{channel} on {quantity}"]
+    round_of_term = next(
+        round_ for round_ in result.search.rounds if round_.accepted_id == strongest.candidate.id
+    )
+    others = [name for name in correlates(round_of_term.splines) if name != f"{channel} on {quantity}"]
     reductions = result.held_out.splines
     return {
         "axis": axis,
@@ -211,8 +214,10 @@ def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
 
 
 def thrust_noise(analysis: ResidualAnalysis) -> dict[str, dict[str, float]] | None:
-    """Write how much the supply, and the rotors' thrusts against each other, vary at random, as a share, with
-    the log-likelihood ratio; None if torques suffice as disturbances.
+    """Write how much the thrusts vary at random; None if torques suffice as disturbances.
+
+    ``supply`` is a relative variation of both thrusts together, ``difference`` one of the rotors against
+    each other.
     """
     estimated = analysis.disturbances
     if not estimated.gains:
@@ -243,4 +248,5 @@ def reductions_json(reductions: Mapping[str, ErrorReduction]) -> dict[str, dict[
 
 
 def _parameters(parameters: Mapping[str, CauseParameter]) -> dict[str, dict[str, float | str]]:
+    """Write parameters by name: value, standard error and unit."""
     return {name: asdict(parameter) for name, parameter in parameters.items()}

@@ -300,6 +300,7 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
 
 
 def _more_rounds(diagnosis: Diagnosis) -> str:
+    """State how many rounds the figure leaves out; empty if it has all."""
     remaining_rounds = len(diagnosis.search.rounds) - figures.MAX_ROUNDS
     return f" {remaining_rounds} later rounds are in the table." if remaining_rounds > 0 else ""
 
