@@ -1,4 +1,4 @@
-"""The command: its files, and one line for each way to ask for the impossible."""
+"""The command `heli-host diagnose`: the files that it writes, and its one-line errors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_command_writes_numbers_rig_and_page(
 ) -> None:
     fit, held_out = tables
     found = diagnosed()
-    # The search itself is what test_causes has done, on the same flights.
+    # test_causes has done this diagnosis already; here only its files are tested.
     monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: found)
     files = ("--report", "why", "--json", "why.json", "--save-rig", "extended.toml")
     ended = terminal("diagnose", fit, "--validate", held_out, "--rig", "makki2024", *files)
@@ -86,7 +86,7 @@ def test_model_that_the_rig_names_is_the_one_that_is_fitted(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "words"),
     [
         (("missing.csv",), "missing.csv"),
         (("a.csv.gz", "--rig", "nobodys"), "unknown rig 'nobodys'"),
@@ -100,9 +100,9 @@ def test_model_that_the_rig_names_is_the_one_that_is_fitted(
     ],
 )
 def test_impossible_request_gives_a_one_line_error_with_a_remedy(
-    terminal: Terminal, tables: tuple[Path, Path], arguments: tuple[str, ...], said: str
+    terminal: Terminal, tables: tuple[Path, Path], arguments: tuple[str, ...], words: str
 ) -> None:
     ended = terminal("diagnose", *arguments)
     assert ended.code != 0
     assert len(ended.err.strip().splitlines()) == 1
-    assert said in ended.err
+    assert words in ended.err

@@ -1,4 +1,4 @@
-"""Terms that the baseline has and the rig has not are named."""
+"""Terms of the baseline that the rig lacks are named as causes."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ KINDS = catalogue()
 
 
 @cache
-def tried(effect: str) -> tuple[ModelComparison, Hypothesis]:
+def refitted(effect: str) -> tuple[ModelComparison, Hypothesis]:
     """Refit the baseline to flights of a rig that lacks a term."""
     rig = load_rig("makki2024")
-    # Whether a pendulum is there at all shows in 34 s, and not in half of them.
+    # Flights of 34 s show whether the rig has a pendulum; half of the time is not enough.
     fit, held_out = flights(effect, seconds=WHOLE_S)
     comparison = ModelComparison(
         MultibodyModel(), rig, [prepare(fit, rig, "fit")], [prepare(held_out, rig, "held out")]
@@ -40,7 +40,7 @@ def tried(effect: str) -> tuple[ModelComparison, Hypothesis]:
 
 def free_run(effect: str) -> Prediction:
     """Free runs of that baseline."""
-    comparison, baseline = tried(effect)
+    comparison, baseline = refitted(effect)
     return predict(baseline.estimate, comparison.train, ())
 
 
@@ -56,7 +56,7 @@ def diagnosed(effect: str) -> Diagnosis:
 
 @pytest.mark.parametrize("axis", ["travel", "elevation", "pitch"][: samples(3, 1)])
 def test_absent_friction_is_named_from_its_estimate(axis: str) -> None:
-    comparison, _ = tried(f"removed.friction.{axis}=1")
+    comparison, _ = refitted(f"removed.friction.{axis}=1")
     (term,) = absent_terms(free_run(f"removed.friction.{axis}=1").fit, comparison.rig, KINDS)
     assert term.id == f"removed.friction.{axis}"
     assert abs(term.share - 1.0) < 3.0 * term.std
@@ -66,55 +66,56 @@ def test_absent_friction_is_named_from_its_estimate(axis: str) -> None:
 
 
 def test_absent_pendulum_with_a_tight_prior_has_a_high_score() -> None:
-    comparison, baseline = tried("removed.pendulum.elevation=1")
-    found = tightly_specified_terms(comparison, KINDS.values(), Screening(baseline.estimate))
-    best = max(found, key=lambda term: term.log_likelihood_gain)
+    comparison, baseline = refitted("removed.pendulum.elevation=1")
+    terms = tightly_specified_terms(comparison, KINDS.values(), Screening(baseline.estimate))
+    best = max(terms, key=lambda term: term.log_likelihood_gain)
     assert best.candidate.id == "removed.pendulum.elevation"
     assert best.log_likelihood_gain > 15.0
-    less = comparison.refit([best.candidate], best.start, baseline)
-    assert less.log_likelihood > baseline.log_likelihood + 100.0
+    without_pendulum = comparison.refit([best.candidate], best.start, baseline)
+    assert without_pendulum.log_likelihood > baseline.log_likelihood + 100.0
 
 
 def test_pendulum_far_below_its_prior_is_tried_as_absent(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    comparison, baseline = tried("removed.pendulum.elevation=1")
+    comparison, baseline = refitted("removed.pendulum.elevation=1")
     screening = Screening(baseline.estimate)
-    stated = comparison.rig["L_theta"]
+    prior = comparison.rig["L_theta"]
     # A tolerance is two standard deviations.
-    deviation = (baseline.values["L_theta"] - stated.value) / (0.5 * stated.tolerance)
+    deviation = (baseline.values["L_theta"] - prior.value) / (0.5 * prior.tolerance)
+    # No term has a score, so only the distance from the prior counts.
     score = Score(0.0, np.zeros(1), np.ones(1))
     monkeypatch.setattr(screening, "score", lambda candidates: [score for _ in candidates])
-    found = tightly_specified_terms(comparison, KINDS.values(), screening)
-    assert [term.candidate.id for term in found] == ["removed.pendulum.elevation"]
-    assert found[0].log_likelihood_gain == pytest.approx(0.5 * deviation**2)
+    terms = tightly_specified_terms(comparison, KINDS.values(), screening)
+    assert [term.candidate.id for term in terms] == ["removed.pendulum.elevation"]
+    assert terms[0].log_likelihood_gain == pytest.approx(0.5 * deviation**2)
 
 
 def test_clearly_absent_pendulum_is_named_despite_its_tight_prior() -> None:
-    comparison, _ = tried("removed.pendulum.pitch=1")
-    names = [one.id for one in absent_terms(free_run("removed.pendulum.pitch=1").fit, comparison.rig, KINDS)]
-    assert names == ["removed.pendulum.pitch"]
+    comparison, _ = refitted("removed.pendulum.pitch=1")
+    (term,) = absent_terms(free_run("removed.pendulum.pitch=1").fit, comparison.rig, KINDS)
+    assert term.id == "removed.pendulum.pitch"
 
 
 def test_other_effect_makes_no_term_absent() -> None:
-    comparison, _ = tried("rotor_lag=0.06")
+    comparison, _ = refitted("rotor_lag=0.06")
     assert absent_terms(free_run("rotor_lag=0.06").fit, comparison.rig, KINDS) == ()
 
 
 @pytest.mark.parametrize("term", ["friction.travel", "pendulum.elevation"][: samples(2, 1)])
 def test_removed_term_is_the_cause_and_in_the_extended_rig(term: str) -> None:
-    found = diagnosed(f"removed.{term}=1")
-    numbers = to_json(found)
+    diagnosis = diagnosed(f"removed.{term}=1")
+    numbers = to_json(diagnosis)
     assert numbers["verdict"] == "cause_found"
     (cause,) = numbers["causes"]
     assert cause["effect"] == f"removed.{term}"
     (share,) = cause["parameters"].values()
     assert share["value"] == pytest.approx(1.0, abs=0.02)
     assert cause["confidence"] > 0.9
-    assert "is not there" in summary(found)
-    rig = found.rig("extended")
-    taken = {effect.name: effect.values for effect in effects_of(rig)}
-    assert taken.keys() == ({f"removed.{term}"} if term.startswith("pendulum") else set())
+    assert "is not there" in summary(diagnosis)
+    # Friction of 0 is a value of the rig's parameter; a pendulum needs an effect that removes it.
+    effect_ids = {effect.name for effect in effects_of(diagnosis.rig("extended"))}
+    assert effect_ids == ({f"removed.{term}"} if term.startswith("pendulum") else set())
 
 
 @pytest.mark.parametrize(

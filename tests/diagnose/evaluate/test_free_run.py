@@ -33,7 +33,7 @@ LAG_s: Final = 0.06
 
 
 def the_rig() -> Rig:
-    """The rig as other flights of it have shown it, its zeros known to a degree."""
+    """Return the rig as other flights have identified it; its encoder zeros are uncertain by 1 degree."""
     rig = load_rig("makki2024").replace(thrust_gain=0.62, friction_travel=0.05)
     numbers = dict(rig.numbers)
     for name in ZEROS_deg:
@@ -48,7 +48,7 @@ def _flown() -> Flight:
 
 @cache
 def that_day() -> Record:
-    """A flight with a lag in it, on a day with torques and zeros of its own."""
+    """Return a flight with a lag, on a day with other cable torques and encoder zeros."""
     made_by = (*MADE_BY, Path(__file__))
     record = prepare(KEPT("another day", _flown, made_by=made_by, rooms=FLOWN), the_rig(), "that day")
     return replace(record, angles_rad=record.angles_rad + np.deg2rad([*ZEROS_deg.values(), 0.0]))
@@ -68,7 +68,7 @@ def test_calibration_finds_zeros_and_torques_of_the_day() -> None:
     assert constants.keys() == {"torque_elevation", *TODAY, *ZEROS_deg}
     for name, truth in {**TODAY, **ZEROS_deg}.items():
         value, std = constants[name]
-        # The board takes the arm to lie at its rest when it zeroes: a part of a count is the flight's own.
+        # The board zeroes an encoder in whole counts, so each flight has an unknown part of a count.
         slack = 0.09 if name in ZEROS_deg else 0.0
         assert abs(value - truth) < 3.0 * std + slack, name
     assert abs(constants["torque_pitch"][0]) > 10.0 * constants["torque_pitch"][1]
@@ -104,7 +104,7 @@ def test_horizons_are_judged_on_the_same_samples_after_the_beginning() -> None:
 
 
 def _swinging(record: Record, rows: slice) -> Record:
-    """Pitch swings by a degree, unexplained, in some rows."""
+    """Let pitch swing by 1 degree in some rows, which no model explains."""
     angles = record.angles_rad.copy()
     angles[rows, 1] += np.deg2rad(1.0) * np.sin(5.0 * record.t_s[rows])
     return replace(record, angles_rad=angles)
@@ -174,13 +174,13 @@ def test_flight_in_pieces_is_calibrated_on_its_first_seconds_of_free_flight() ->
 
 
 def test_interval_is_narrow_only_if_all_windows_show_the_error_reduction() -> None:
-    rows, typical_candidate = np.full(12, 1000.0), np.ones((12, 3))
-    shared = error_reduction(
-        [WindowErrors(typical_candidate, rows)], [WindowErrors(0.25 * typical_candidate, rows)]
-    )["pitch"]
+    rows, equal_errors = np.full(12, 1000.0), np.ones((12, 3))
+    shared = error_reduction([WindowErrors(equal_errors, rows)], [WindowErrors(0.25 * equal_errors, rows)])[
+        "pitch"
+    ]
     assert shared.interval95 == pytest.approx((shared.ratio, shared.ratio))
-    gusty = typical_candidate.copy()
-    gusty[0] = 100.0
-    single = error_reduction([WindowErrors(gusty, rows)], [WindowErrors(typical_candidate, rows)])["pitch"]
+    one_large = equal_errors.copy()
+    one_large[0] = 100.0
+    single = error_reduction([WindowErrors(one_large, rows)], [WindowErrors(equal_errors, rows)])["pitch"]
     assert single.ratio < shared.ratio
     assert single.interval95[1] == pytest.approx(1.0)

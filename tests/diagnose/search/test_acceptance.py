@@ -21,17 +21,21 @@ KINDS = catalogue()
 
 
 def dry_friction(resting: list[float], *, there: tuple[str, ...] = ()) -> list[str]:
-    """Ids of the frictions that are proposed if the axes rest for these shares of the time."""
+    """Return the ids of the dry frictions that are proposed if the axes rest for these shares of the time.
+
+    Each must start from its typical size. `there` has the ids of the model's causes.
+    """
     at_rest = np.arange(100)[:, None] < 100 * np.array(resting)
     reference = SimpleNamespace(at_rest=at_rest, rows=np.arange(100))
     screening = SimpleNamespace(
         filtered=SimpleNamespace(linearised_flights=[SimpleNamespace(reference=reference)])
     )
     base = cast(Hypothesis, SimpleNamespace(ids=there))
-    found = resting_friction(base, cast(Screening, screening), KINDS, ())
-    for one in found:
-        assert one.candidate.start_values(one.coefficients) == pytest.approx(KINDS[one.candidate.id].typical)
-    return [one.candidate.id for one in found]
+    proposed = resting_friction(base, cast(Screening, screening), KINDS, ())
+    for scored in proposed:
+        start = scored.candidate.start_values(scored.coefficients)
+        assert start == pytest.approx(KINDS[scored.candidate.id].typical)
+    return [scored.candidate.id for scored in proposed]
 
 
 def test_friction_of_typical_size_is_proposed_for_axes_that_rest() -> None:

@@ -1,4 +1,4 @@
-"""What is compared with a cause, and what takes its place."""
+"""Alternatives of a cause: which effects are compared with it, and which of them replaces it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TORQUE, ZERO, SLIP = "rotor_reaction_torque", "zero_offset.pitch", "counterweigh
 
 
 def hypothesis(candidates: Sequence[Candidate], gains: dict[str, float]) -> Hypothesis:
-    """A model whose causes gain these log-likelihood ratios."""
+    """Return a model whose log-likelihood is the sum of the `gains` of its causes."""
     ids = tuple(candidate.id for candidate in candidates)
     nats = sum(gains.get(id_, 0.0) for id_ in ids)
     made = SimpleNamespace(
