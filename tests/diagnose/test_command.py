@@ -32,9 +32,9 @@ def test_command_writes_numbers_rig_and_page(
     terminal: Terminal, tables: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fit, held_out = tables
-    found = diagnosed()
+    diagnosis = diagnosed()
     # test_causes has done this diagnosis already; here only its files are tested.
-    monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: found)
+    monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: diagnosis)
     files = ("--report", "why", "--json", "why.json", "--save-rig", "extended.toml")
     ended = terminal("diagnose", fit, "--validate", held_out, "--rig", "makki2024", *files)
     assert ended.code == 0, ended.err

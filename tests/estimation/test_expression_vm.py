@@ -127,6 +127,7 @@ def test_random_programs(recipe: list[tuple[int, int, int]]) -> None:
     x, u, t, p = ca.SX.sym("x", 2), ca.SX.sym("u", 2), ca.SX.sym("t"), ca.SX.sym("p", 3)
     values = [*ca.vertsplit(x), *ca.vertsplit(u), t, *ca.vertsplit(p), ca.SX(0.7)]
     calls = [*(lambda a, b, f=f: f(a) for f in UNARY.values()), *BINARY.values()]
+    # Each step of the recipe applies an operation to two earlier values; numbers are taken modulo the choice.
     for operation, a, b in recipe:
         # tanh limits the values: infinities could not be compared.
         call = calls[operation % len(calls)]

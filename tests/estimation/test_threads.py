@@ -72,6 +72,7 @@ def test_a_block_uses_the_given_number_of_threads(monkeypatch: pytest.MonkeyPatc
 
 
 def _name_after_a_while(_: int) -> str:
+    """Return the name of the thread, late enough that another thread takes the next item."""
     time.sleep(0.05)
     return threading.current_thread().name
 

@@ -42,6 +42,7 @@ def the_rig() -> Rig:
 
 
 def _flown() -> Flight:
+    """Fly the rig with a lag and the torques of that day."""
     lag = MultibodyModel(parse_effects([f"rotor_lag={LAG_s}"]))
     return thinned(flown(the_rig().replace(**TODAY), 14, 26.0, lag), 2)
 
@@ -130,6 +131,7 @@ def test_values_found_on_other_flights_are_the_means_of_the_priors() -> None:
 
 
 def _cut(record: Record, seconds: float) -> Record:
+    """Keep the first seconds of free flight."""
     start = record.segments[0][0]
     return replace(record, segments=((start, start + round(seconds / record.step_s)),))
 

@@ -52,10 +52,12 @@ class ListedEffects:
     say: Callable[[str], None]
 
     def equivalent_effect(self, equation: Equation, warm_start: Hypothesis, penalty: float) -> str | None:
-        """Find an effect that fits all flights as well as an equation, and that the equation does not
-        encompass.
+        """Find an effect of the catalogue that explains all flights as well as an equation does.
 
-        The search may have missed it, because disturbances explained its torque there.
+        The search may have missed this effect, because disturbances explained its torque. An effect does not
+        count if the equation encompasses it, see `encompasses`.
+
+        Effects are refitted in the order of their scores, until no further effect can be good enough.
 
         Parameters
         ----------
@@ -150,6 +152,7 @@ class ListedEffects:
 
     @cached_property
     def _base_held_out(self) -> float:
+        """Log-likelihood of the base on the held-out flights, nats."""
         return self.comparison.held_out_estimate(self.base).log_likelihood
 
     def encompasses(
@@ -176,6 +179,7 @@ class ListedEffects:
         both = self.comparison.refit([*self.base.candidates, effect, equation], start, warm_start)
 
         def gain_over(model: Hypothesis) -> float:
+            """Return the gain of the model with both over another model on all flights, nats."""
             fitted = both.log_likelihood - model.log_likelihood
             return fitted + self.held_out(both) - self.held_out(model)
 

@@ -129,7 +129,10 @@ def effect_file(effect: EquationEffect, numbers: Mapping[str, tuple[float, float
     acts_on = _ACTS_ON.get(equation.channels[0].partition(".")[0], equation.channels[0])
     parameters = "".join(
         _parameter_code(
-            name, *numbers[name], effect.priors.get(f"{effect.prefix}_{name}"), name in equation.coefficients
+            name,
+            *numbers[name],
+            effect.priors.get(f"{effect.prefix}_{name}"),
+            is_coefficient=name in equation.coefficients,
         )
         for name in _parameter_names(equation)
     )
@@ -173,21 +176,25 @@ def _sentence_template(equation: Equation) -> str:
     )
 
 
-def _parameter_code(name: str, value: float, std: float, unit: str, prior: Prior | None, size: bool) -> str:
-    """Return the Python code of a parameter; `size` states whether it is a coefficient, whose prior mean
-    is 0.
+def _parameter_code(
+    name: str, value: float, std: float, unit: str, prior: Prior | None, *, is_coefficient: bool
+) -> str:
+    """Return the Python code that declares a parameter of the effect with its estimate and prior.
+
+    A coefficient is a size of the effect: its prior has the mean 0 and no bounds.
     """
     estimate_text = f"{value:.4g} ± {std:.2g} {unit}" if std else "set"
     prior_code = ""
     if prior is not None:
-        bounds = "" if size else f", {prior.low:.6g}, {prior.high:.6g}"
-        prior_code = f"\n            prior=Prior({0.0 if size else value:.6g}, {prior.std:.6g}{bounds}),"
+        mean = 0.0 if is_coefficient else value
+        bounds = "" if is_coefficient else f", {prior.low:.6g}, {prior.high:.6g}"
+        prior_code = f"\n            prior=Prior({mean:.6g}, {prior.std:.6g}{bounds}),"
     return f'''        Parameter(
             "{name}",
             "{unit}",
             "found: {estimate_text}",
             typical={value:.8g},{prior_code}
-            size={size},
+            size={is_coefficient},
         ),
 '''
 

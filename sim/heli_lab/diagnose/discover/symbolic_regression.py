@@ -171,9 +171,11 @@ class EquationSearch:
         """
 
         def penalty(scored_group: ScoredTermGroup) -> float:
+            """Return the penalty of a group as an equation of its own, nats."""
             return self.refits.penalty(scored_group.group, Equation(scored_group.group.terms), frozenset())
 
         def net_gain(scored_group: ScoredTermGroup) -> float:
+            """Return the score less the penalty, nats."""
             return scored_group.log_likelihood_gain - penalty(scored_group)
 
         finalists: list[ScoredTermGroup] = []
@@ -219,7 +221,16 @@ def _select_terms(
 ) -> _ConfirmedEquation | None:
     """Add groups of terms until none exceeds its penalty or is confirmed by the held-out flights.
 
-    `without` is the estimate of the held-out flights without an equation; None if there are none.
+    Parameters
+    ----------
+    search : EquationSearch
+        Adds a group of terms per round.
+    disturbances : DisturbanceModel
+        Disturbances for the score tests of the first round.
+    without : Estimate or None
+        Estimate of the held-out flights without an equation; None if no flight is held out.
+    max_refits : float
+        Refits of all models after which no further round begins.
     """
     comparison = search.refits.comparison
     confirmed: _ConfirmedEquation | None = None

@@ -91,10 +91,10 @@ def _memory_curves(signal: Floats, step_s: float) -> Floats:
 def _low_pass(values: Sequence[float], pole: float) -> list[float]:
     """Return values behind a first-order lag with the given pole, which starts at rest."""
 
-    def step(output: float, value: float) -> float:
+    def next_output(output: float, value: float) -> float:
         return output + (1.0 - pole) * (value - output)
 
-    return list(itertools.accumulate(values, step))
+    return list(itertools.accumulate(values, next_output))
 
 
 def _play(values: Sequence[float], width: float) -> list[float]:
@@ -102,7 +102,7 @@ def _play(values: Sequence[float], width: float) -> list[float]:
     `width` about the value.
     """
 
-    def step(output: float, value: float) -> float:
+    def next_output(output: float, value: float) -> float:
         return min(max(output, value - width / 2.0), value + width / 2.0)
 
-    return list(itertools.accumulate(values, step))
+    return list(itertools.accumulate(values, next_output))

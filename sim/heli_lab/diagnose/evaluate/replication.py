@@ -266,14 +266,16 @@ class _CauseSubsets:
         """Return the cause without which the errors of the `worse` axes are smallest."""
         if len(ids) == 1:
             return ids[0]
-        (first, _), _ = self._side_labels
+        (forward_fitted, _), _ = self._side_labels
 
         def log_error_without(id_: str) -> float:
+            """Return the sum of the log error ratios of the worse axes without a cause."""
             other_ids = [other for other in ids if other != id_]
-            return sum(
-                math.log(self.reductions(other_ids, entry.fitted != first)[entry.axis].ratio)
-                for entry in worse
-            )
+            total = 0.0
+            for axis in worse:
+                is_reverse = axis.fitted != forward_fitted
+                total += math.log(self.reductions(other_ids, is_reverse)[axis.axis].ratio)
+            return total
 
         return min(ids, key=log_error_without)
 

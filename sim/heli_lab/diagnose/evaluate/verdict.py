@@ -150,12 +150,13 @@ def with_confirmation(verdict: Verdict, unconfirmed: Collection[str]) -> Verdict
         Ids of the causes that are not confirmed.
     """
 
-    def confirmed(cause: NamedCause) -> NamedCause:
+    def with_limited_confidence(cause: NamedCause) -> NamedCause:
+        """Return a cause with a limited confidence if it is not confirmed."""
         if cause.effect not in unconfirmed:
             return cause
         return replace(cause, confidence=unconfirmed_confidence(cause.confidence))
 
-    return replace(verdict, causes=tuple(map(confirmed, verdict.causes)))
+    return replace(verdict, causes=tuple(map(with_limited_confidence, verdict.causes)))
 
 
 def small_effects(

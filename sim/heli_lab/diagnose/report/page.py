@@ -145,8 +145,9 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
 
 
 def write_effect_file(diagnosis: Diagnosis, folder: str | Path) -> Path:
-    """Write the effect file of the proposed equation of a `diagnosis`, which must have one, as
-    ``proposed.py`` into a `folder`, which is made if it is missing; return the file.
+    """Write the proposed equation of a `diagnosis` as effect file ``proposed.py``; return the file.
+
+    The `folder` is made if it is missing. The diagnosis must have a proposed equation.
     """
     assert diagnosis.proposed_term is not None
     labels = ", ".join(record.label for record in diagnosis.assessment.after.fit.problem.records)
@@ -287,6 +288,7 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
     """Return a table row for each candidate of a round that was refitted or has a notable score."""
 
     def cell(value: float | None) -> str:
+        """Write a number of nats; empty for None."""
         return "" if value is None else f"{value:.0f}"
 
     rows = []

@@ -180,6 +180,7 @@ class Regressors:
         mean_inputs = [np.convolve(column, moving_mean, mode="same") for column in record.inputs.T]
 
         def rates_with_delay(delay_s: float) -> Floats:
+            """Return the rates if the voltages act later by `delay_s`."""
             times_s = trajectory.t_s - delay_s
             inputs = np.column_stack([np.interp(times_s, row_middle_s, column) for column in mean_inputs])
             (rates,) = self._functions.rates(replace(trajectory, inputs=inputs))

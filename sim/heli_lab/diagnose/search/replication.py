@@ -64,6 +64,7 @@ def direction(
     log_likelihood = comparison.held_out_estimate(whole, held_out_start).log_likelihood
 
     def log_likelihood_ratio(candidate: Candidate) -> float:
+        """Return the ratio of the model over the same model without a cause, on the held-out flights."""
         other_causes = tuple(other for other in candidates if other is not candidate)
         reduced = baseline
         if other_causes:
@@ -93,11 +94,11 @@ def with_fixed_moments(hypothesis: Hypothesis) -> tuple[Candidate, ...]:
     A fit on other flights could not estimate the moment, because these flights do not contain it.
     """
 
-    def fixed(candidate: Candidate) -> Candidate:
+    def with_fixed_moment(candidate: Candidate) -> Candidate:
         effect = candidate.effect
         if not effect.flight:
             return candidate
         moments_s = {**effect.other_moments_s, effect.flight: hypothesis.values[effect.moment]}
         return replace(candidate, effect=replace(effect, flight=_NO_FLIGHT, other_moments_s=moments_s))
 
-    return tuple(map(fixed, hypothesis.candidates))
+    return tuple(map(with_fixed_moment, hypothesis.candidates))
