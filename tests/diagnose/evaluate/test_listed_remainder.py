@@ -34,7 +34,11 @@ def hypothesis(*ids: str, nats: float = 0.0) -> Hypothesis:
 
 
 class Scores:
-    """Scores on one set of flights: each effect has an information of 1e6, and the score of its gain."""
+    """Stand-in for a screening of one set of flights, with given gains of the effects.
+
+    Each coefficient has a Fisher information of 1e6. The gain is score^2 / (2 information), which gives the
+    score.
+    """
 
     gains: dict[str, float]
 
@@ -66,7 +70,16 @@ def explained(
     held_out: dict[str, float],
     used_s: float = 30.0,
 ) -> Any:
-    """Return the wider search; a negative gain is that of a size with the opposite sign."""
+    """Return the search with one more cause, or None.
+
+    Parameters
+    ----------
+    fitted, held_out : dict
+        Gain of each effect on the fitted and on the held-out flights, nats. Gains of opposite signs belong to
+        sizes of opposite signs.
+    used_s : float
+        Duration of the fitted flight.
+    """
     monkeypatch.setattr(listed_remainder, "Screening", lambda _: Scores(held_out))
 
     def refit(candidates: Any, *_: object) -> Hypothesis:
