@@ -78,8 +78,10 @@ def test_play_is_refitted_and_then_friction_if_the_play_is_best(
     progress = SimpleNamespace(refits_left=lambda: True, trial=lambda *_: None)
     margins = {"rotor_lag": 7.0, "backlash.pitch": play_margin, "coulomb_friction.pitch": 11.0}
 
-    def refit(*given: Any) -> SimpleNamespace:
-        candidate = given[3].candidate
+    def refit(
+        _comparison: object, _acceptance: object, _base: object, scored: ScoredCandidate, *_: Any
+    ) -> SimpleNamespace:
+        candidate = scored.candidate
         return SimpleNamespace(candidate=candidate, margin=margins[candidate.id])
 
     monkeypatch.setattr(forward, "refit_on_grid", refit)

@@ -50,7 +50,7 @@ class Discovery:
     superfluous : tuple of str
         Ids of causes that are not significant any more in the model with the equation.
     elsewhere : (Estimate, Estimate) or None
-        Estimates of the held-out flights without and with the equation; None without such flights.
+        Estimates of the held-out flights, without and with the equation; None without such flights.
     """
 
     equation: Equation
