@@ -1,4 +1,4 @@
-"""Finds terms of the baseline that the rig lacks, such as friction: the estimates of their parameters are 0."""
+"""Finds terms of the baseline that the rig lacks, such as friction: their parameters are estimated as 0."""
 
 from __future__ import annotations
 
