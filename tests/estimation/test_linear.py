@@ -172,10 +172,10 @@ def test_measurements_within_one_crossing_of_a_play_count_as_one() -> None:
 
 
 def _log_likelihood_loss_by_noise(linear: LinearisedFlight, filtered: InnovationsModel) -> Floats:
-    """Return by how much the log-likelihood of each axis falls if the encoder noise grows e-fold in variance.
+    """Return the loss of each axis' log-likelihood, shape (3,), if encoder noise has e times the variance.
 
-    The measurements are zero. The noise is so large that innovations consist of encoder errors alone. Each
-    independent error then contributes half a nat, so that twice the result counts the errors.
+    This counts independent encoder errors. The measurements are zero, and the noise is so large that it alone
+    determines the likelihood. Each independent error then loses log(e) / 2, which is half a nat.
     """
     no_measurements = [
         (np.zeros_like(blocks.drive[:, :, :1]), np.zeros_like(blocks.measured[:, :, :1]))

@@ -35,6 +35,7 @@ def extended_rig(
     term : ProposedTerm or None
         An equation to add; it flies together with its effect file.
     """
+    # The other fields of an identification are for its report.
     rig = Identification(fit, (), (), (), ()).rig(name)
     labels = ", ".join(record.label for record in fit.problem.records)
     source = f"found by heli-host diagnose from {labels}"

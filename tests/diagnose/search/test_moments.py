@@ -145,10 +145,11 @@ def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
     assert best.gain == 182.0
 
 
-def test_a_model_that_was_estimated_in_another_order_keeps_the_added_candidate() -> None:
+def test_added_candidate_is_the_one_scored_in_any_order_of_the_model() -> None:
     play, friction = (typical_candidate(KINDS[f"{name}.pitch"]) for name in ("backlash", "coulomb_friction"))
-    before = hypothesis([play, friction])
-    comparison = cast(ModelComparison, SimpleNamespace(refit=lambda *_: before))
+    # The cached model has the added play first, and not last as a new refit has.
+    cached = hypothesis([play, friction])
+    comparison = cast(ModelComparison, SimpleNamespace(refit=lambda *_: cached))
     acceptance = cast(Acceptance, SimpleNamespace(kinds=KINDS, penalty=lambda *_: 7.0))
     scored = ScoredCandidate(play, 0.0, np.zeros(1), np.ones(1), 1)
     refit = refit_on_grid(comparison, acceptance, hypothesis([friction]), scored)

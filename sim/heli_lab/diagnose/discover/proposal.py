@@ -107,7 +107,7 @@ class ProposedTerm:
     @property
     def numbers(self) -> dict[str, float]:
         """Values of the parameters, by name without prefix."""
-        return {name: value for name, (value, _, _) in self.discovery.values.items()}
+        return {name: parameter.value for name, parameter in self.discovery.values.items()}
 
     @property
     def confidence(self) -> float:
@@ -211,5 +211,5 @@ def _channel_values(discovery: Discovery, signals: TermSignals, index: int, chan
     for i, term in enumerate(discovery.equation.terms):
         if term.channel == channel:
             signal = signals.values(index, discovery.with_estimated_parameters(i))
-            total = total + values[discovery.equation.coefficient(i)][0] * signal
+            total = total + values[discovery.equation.coefficient(i)].value * signal
     return np.asarray(total - total.mean(axis=0), float)

@@ -61,8 +61,9 @@ class PriorConflict:
 
 
 def prior_conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
-    """Find the rig's parameters in a `fit` whose estimate is more than `PRIOR_CONFLICT_STD` from the prior
-    mean, the farthest first. Parameters of effects are not tested.
+    """Find parameters of the rig whose estimate in a `fit` is far from the prior mean, the farthest first.
+
+    The limit is `PRIOR_CONFLICT_STD` standard deviations of the prior. Parameters of effects are not tested.
     """
     effect_names = {name for effect in fit.problem.model.effects for name in effect.priors}
     conflicts = (

@@ -15,7 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 from heli_lab.diagnose.evaluate.assessment import Assessment
 from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction, error_reduction
@@ -165,10 +165,21 @@ def _replication(
 ) -> Replication:
     """Return the result with the model of the confirmed causes."""
     confirmed_ids = [id_ for id_, cause in causes.items() if cause.confirmed]
-    prediction, evaluation = models.evaluation(confirmed_ids)
+    evaluation = models.evaluation(confirmed_ids)
     return Replication(
-        causes, models.hypothesis(confirmed_ids), prediction=prediction, evaluation=evaluation, worse=worse
+        causes,
+        models.hypothesis(confirmed_ids),
+        prediction=evaluation.prediction,
+        evaluation=evaluation.held_out,
+        worse=worse,
     )
+
+
+class _SubsetEvaluation(NamedTuple):
+    """Free runs over all flights of a model with some causes, and its errors on the held-out flights."""
+
+    prediction: Prediction
+    held_out: HeldOutEvaluation
 
 
 class _CauseSubsets:
@@ -190,8 +201,8 @@ class _CauseSubsets:
         self.calibrate_s = calibrate_s
         self.ids = tuple(cause.effect for cause in assessment.verdict.causes)
         all_ids = frozenset(self.ids)
-        # By the ids of a model's causes; runs by whether reverse.
-        self._evaluations = {all_ids: (assessment.after, evaluation)}
+        # By the ids of a model's causes; free runs also by whether the direction is reverse.
+        self._evaluations = {all_ids: _SubsetEvaluation(assessment.after, evaluation)}
         self._hypotheses = {all_ids: assessment.extended, frozenset[str](): search.baseline}
         self._baseline_runs: dict[bool, Sequence[FreeRun]] = {}
         self._reductions: dict[tuple[frozenset[str], bool], Mapping[str, ErrorReduction]] = {}
@@ -287,8 +298,7 @@ class _CauseSubsets:
         assert self.directions is not None
         side = self.directions[int(reverse)]
         if side is None:
-            _, evaluation = self.evaluation(ids)
-            return evaluation.extension.horizons[WORSE_HORIZON]
+            return self.evaluation(ids).held_out.extension.horizons[WORSE_HORIZON]
         key = frozenset(ids), reverse
         if key not in self._reductions:
             if reverse not in self._baseline_runs:
@@ -310,16 +320,8 @@ class _CauseSubsets:
             self._hypotheses[key] = self.comparison.refit(candidates, None, extended)
         return self._hypotheses[key]
 
-    def evaluation(self, ids: Sequence[str]) -> tuple[Prediction, HeldOutEvaluation]:
-        """Evaluate the model with some of the causes.
-
-        Returns
-        -------
-        Prediction
-            Free runs over all flights.
-        HeldOutEvaluation
-            Errors on the held-out flights.
-        """
+    def evaluation(self, ids: Sequence[str]) -> _SubsetEvaluation:
+        """Simulate the model with some of the causes, and compare its errors with those of the baseline."""
         key = self._with_events(ids)
         if key not in self._evaluations:
             comparison, before = self.comparison, self.assessment.before
@@ -328,9 +330,9 @@ class _CauseSubsets:
                 after = before
             else:
                 after = predict(hypothesis.estimate, comparison.train, comparison.held_out)
-            _, whole = self._evaluations[frozenset(self.ids)]
-            evaluation = evaluate_extension(comparison, before, after, whole, self.calibrate_s)
-            self._evaluations[key] = after, evaluation
+            with_all_causes = self._evaluations[frozenset(self.ids)].held_out
+            held_out = evaluate_extension(comparison, before, after, with_all_causes, self.calibrate_s)
+            self._evaluations[key] = _SubsetEvaluation(after, held_out)
         return self._evaluations[key]
 
     def _refit(self, side: Direction, ids: Sequence[str]) -> Hypothesis:

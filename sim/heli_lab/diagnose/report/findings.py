@@ -54,8 +54,9 @@ def _effect_causes(result: Diagnosis) -> list[dict[str, Any]]:
 
 
 def too_small_effects(result: Diagnosis) -> list[dict[str, Any]]:
-    """List significant effects that are too small to matter: effect, parameters, sentence, and by how many
-    encoder counts each changes the prediction.
+    """List significant effects that are too small to matter, each as a JSON object.
+
+    ``change_counts`` is by how many encoder counts an effect changes the open-loop prediction.
     """
     return [
         {

@@ -198,8 +198,9 @@ def proposal_lines(proposal: Proposal) -> list[str]:
     evidence_text = f"confidence {term.confidence:.2f}; {equation_evidence(discovery)}"
     lines = [f"proposed equation: {term.sentence} ({evidence_text})"]
     for name, (value, std, unit) in discovery.values.items():
-        error = f" \N{PLUS-MINUS SIGN} {std:.2g}" if std else ""
-        lines.append(f"  {name} = {value:.4g}{error} {'' if unit == '1' else unit}".rstrip())
+        error_text = f" \N{PLUS-MINUS SIGN} {std:.2g}" if std else ""
+        unit_text = "" if unit == "1" else unit
+        lines.append(f"  {name} = {value:.4g}{error_text} {unit_text}".rstrip())
     close = [rival.key for rival in discovery.rivals if rival.log_likelihood_ratio < CONFIDENCE_NATS]
     if close:
         lines.append(f"  nearly as likely on these flights: {'; '.join(close)}")

@@ -95,6 +95,7 @@ def with_fixed_moments(hypothesis: Hypothesis) -> tuple[Candidate, ...]:
     """
 
     def with_fixed_moment(candidate: Candidate) -> Candidate:
+        """Return an event that happens at known moments only; other candidates are unchanged."""
         effect = candidate.effect
         if not effect.flight:
             return candidate
