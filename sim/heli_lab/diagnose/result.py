@@ -192,15 +192,17 @@ class Diagnosis:
 
     @cached_property
     def prior_conflicts(self) -> tuple[PriorConflict, ...]:
-        """Parameters of the rig whose estimate is far from the rig file's prior, each with its estimate
-        without that prior.
+        """Parameters of the rig whose estimate is far from the rig file's prior.
+
+        Each has also its estimate without that prior.
         """
         return tried_without(prior_conflicts(self.assessment.after.fit), self.assessment.extended.estimate)
 
     @cached_property
     def extrapolations(self) -> tuple[Extrapolation, ...]:
-        """Windows of each held-out flight whose voltages the fitted flights do not show; empty if no flight
-        is held out.
+        """Windows of each held-out flight with voltages that the fitted flights do not contain.
+
+        It is empty if no flight is held out.
         """
         if self.assessment.after.held_out_fit is None:
             return ()

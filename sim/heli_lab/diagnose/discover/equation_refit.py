@@ -247,8 +247,9 @@ class EquationRefits:
 
     @staticmethod
     def _nearly_whole_periods(refitted: RefittedEquation) -> dict[str, float]:
-        """Return the nearest whole number of each estimated number of periods per turn that is within its
-        standard errors of it, by name of the parameter.
+        """Return whole numbers of periods per turn, by name, where the estimates allow them.
+
+        A number is allowed if it is within the standard errors of the estimated number of periods.
         """
         estimates = refitted.estimates
         # A sine and a cosine of the same channel and quantity are one wave, and share the number of periods.

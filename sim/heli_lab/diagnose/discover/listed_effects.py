@@ -122,8 +122,9 @@ class ListedEffects:
         ]
 
     def refit(self, effect: Candidate, start: Mapping[str, float], warm_start: Hypothesis) -> Hypothesis:
-        """Estimate the base with one more `effect`, from the values `start` and the disturbances of
-        `warm_start`.
+        """Estimate the base with one more `effect`.
+
+        The estimation starts from the values `start` and from the disturbances of `warm_start`.
         """
         self.say(f"trying {effect.id} in its place")
         return self.comparison.refit([*self.base.candidates, effect], start, warm_start)
@@ -143,8 +144,9 @@ class ListedEffects:
         return model.log_likelihood + prior_nats - self.complexity_penalty(effect)
 
     def held_out(self, model: Hypothesis) -> float:
-        """Return the log-likelihood ratio of a `model` over the base on the held-out flights, nats; 0 without
-        any.
+        """Return the log-likelihood ratio of a `model` over the base on the held-out flights, nats.
+
+        It is 0 if no flight is held out.
         """
         if not self.comparison.held_out:
             return 0.0
@@ -187,8 +189,9 @@ class ListedEffects:
         return equation_gain - penalty > max(MIN_MARGIN, effect_gain - self.complexity_penalty(effect))
 
     def complexity_penalty(self, effect: Candidate) -> float:
-        """Return the complexity penalty of an `effect`, nats: BIC for its parameters, and the logarithm of
-        the number of candidates.
+        """Return the complexity penalty of an `effect`, nats.
+
+        It is BIC for its parameters, plus the logarithm of the number of candidates (multiple testing).
         """
         return 0.5 * len(effect.effect.priors) * math.log(self.comparison.rows) + math.log(CANDIDATES_TRIED)
 

@@ -31,16 +31,18 @@ _ACTS_ON: Final = {"thrust": "thrust", "voltage": "input"}
 
 
 def expression(equation: Equation, channel: str, numbers: Mapping[str, float] | None = None) -> str:
-    """Write the terms of an `equation` on a `channel` for SymPy, with names of parameters, or with their
-    values if `numbers` gives these by name.
+    """Write the terms of an `equation` on a `channel` for SymPy.
+
+    Parameters have their names, or their values if `numbers` gives these by name.
     """
     texts = {name: f"{value:.5g}" for name, value in numbers.items()} if numbers else None
     return _channel_sum(equation, channel, "sympy", texts)
 
 
 def latex(equation: Equation, numbers: Mapping[str, float] | None = None) -> str:
-    """Write an `equation` in LaTeX, one part per channel, with symbols of parameters, or with their values if
-    `numbers` gives these by name.
+    """Write an `equation` in LaTeX, one part per channel.
+
+    Parameters have symbols, or their values if `numbers` gives these by name.
     """
     if numbers is not None:
         texts = {name: _number_latex(value) for name, value in numbers.items()}
@@ -95,8 +97,9 @@ def _parameter_latex(name: str) -> str:
 
 
 def sentence(equation: Equation, numbers: Mapping[str, float]) -> str:
-    """Write an `equation` with units, such as ``torque.pitch = 0.05*elevation N m``; `numbers` are the
-    values of its parameters by name.
+    """Write an `equation` with units, such as ``torque.pitch = 0.05*elevation N m``.
+
+    `numbers` has the values of its parameters by name.
     """
     return " and ".join(
         f"{channel} = {expression(equation, channel, numbers)} {CHANNELS[channel][0]}"
@@ -271,8 +274,9 @@ def _term_code(equation: Equation, i: int, term: EquationTerm) -> str:
 
 
 def _lag_state_code(i: int, j: int, factor: Factor) -> str:
-    """Return the Python code of the lag state of factor `j` of term `i`, one per rotor if the quantity has
-    two.
+    """Return the Python code of the lag state of factor `j` of term `i`.
+
+    The code has two states, one per rotor, if the quantity has two values.
     """
     name = lag_state_name(i, j)
     if not factor.per_rotor:

@@ -111,8 +111,10 @@ class ProposedTerm:
 
     @property
     def confidence(self) -> float:
-        """Probability, 0 to 1, that the form is right: it grows with the lead over no equation and over the
-        closest rival, and with the log-likelihood ratio on the held-out flights.
+        """Probability, 0 to 1, that the form of the equation is right.
+
+        It grows with the lead over the closest rival, which may be the model without an equation, and with
+        the log-likelihood ratio on the held-out flights.
         """
         discovery = self.discovery
         rivals = [rival.log_likelihood_ratio for rival in discovery.rivals]

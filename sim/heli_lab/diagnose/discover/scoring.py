@@ -122,8 +122,9 @@ class TermSignals:
         return self._factors[key]
 
     def _lagged_values(self, index: int, x: Floats, factor: Factor) -> Floats:
-        """Return the values `x` of a quantity, (n,) or (n, 2), behind the lag of a factor, which starts at
-        rest in each window.
+        """Return the values `x` of a quantity, (n,) or (n, 2), behind the lag of a factor.
+
+        The lag starts at rest in each window.
         """
         if not factor.lag_filter:
             return x
@@ -169,8 +170,10 @@ class TermSignals:
         return total[:, :, None]
 
     def _influence(self, index: int, channel: str) -> Floats:
-        """Return the change of the rates, shape (n, states, 1), by one unit on a channel; for an encoder, the
-        change of the measured angles, shape (n, 3, 1).
+        """Return what one unit on a channel changes along a flight.
+
+        This is the change of the rates, shape (n, states, 1), or for an encoder the change of the measured
+        angles, shape (n, 3, 1).
         """
         if (index, channel) not in self._influences:
             linear = self.linearised_flights[index]

@@ -166,8 +166,10 @@ class EquationSearch:
         return self.finalists(scores)[:ALTERNATIVES]
 
     def finalists(self, scored: Sequence[ScoredTermGroup]) -> list[ScoredTermGroup]:
-        """Choose the groups of the largest score less penalty: twice `EQUATION_FINALISTS`, because not every
-        score is confirmed, and at most `ALTERNATIVES` of the same channel and quantities.
+        """Choose the groups of terms with the largest score less penalty, which are refitted.
+
+        The number is twice `EQUATION_FINALISTS`, because not every score is confirmed. At most `ALTERNATIVES`
+        groups have the same channel and quantities.
         """
 
         def penalty(scored_group: ScoredTermGroup) -> float:

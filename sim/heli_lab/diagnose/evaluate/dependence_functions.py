@@ -98,8 +98,9 @@ def _low_pass(values: Sequence[float], pole: float) -> list[float]:
 
 
 def _play(values: Sequence[float], width: float) -> list[float]:
-    """Return values behind a play (backlash): the output moves only at the edges of a gap of the given
-    `width` about the value.
+    """Return values behind a play (backlash) of a given `width`.
+
+    The output moves only when the value reaches an edge of the gap.
     """
 
     def next_output(output: float, value: float) -> float:

@@ -61,7 +61,8 @@ def prediction_changes(
 
 
 def _largest_rms_counts(difference: Floats) -> float:
-    """Root mean square in counts, on the axis where it is largest, of a difference in standard deviations of
-    the quantisation, which is count / sqrt(12).
+    """Return a root mean square difference in encoder counts, on the axis where it is largest.
+
+    `difference` is in standard deviations of the quantisation, which are count / sqrt(12).
     """
     return float(np.sqrt(np.mean(difference**2, axis=0) / 12.0).max())

@@ -261,8 +261,9 @@ class _CauseSubsets:
         return bool(effect.flight) and not labels & effect.other_moments_s.keys()
 
     def worse_axes(self, ids: Sequence[str]) -> tuple[WorseAxis, ...]:
-        """Return the axes that the model with some causes predicts worse than the baseline, in both
-        directions.
+        """Return the axes that the model with some causes predicts worse than the baseline.
+
+        Both directions are tested.
         """
         if not ids:
             return ()

@@ -145,8 +145,9 @@ def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
 
 
 def penalty(coefficients: int) -> float:
-    """Gain, in nats, that the best of all regressors with so many `coefficients` rarely reaches on white
-    innovations.
+    """Return the gain that the best regressor rarely reaches if the innovations are white, nats.
+
+    `coefficients` is the number of coefficients of a regressor.
     """
     return thresholds.DEPENDENCE_NATS + thresholds.DEPENDENCE_NATS_PER_COEFFICIENT * coefficients
 

@@ -26,8 +26,9 @@ _MEANS: Final = 24
 
 
 def figure_of_equation(proposed: ProposedTerm) -> Figure:
-    """Draw the equation of a `proposed` term along a flight: the missing torque and the torque of the
-    equation over time, against each other, and against the first quantity of the equation.
+    """Draw the equation of a `proposed` term along a flight, together with the missing torque.
+
+    The panels show both over time, against each other, and over the first quantity of the equation.
     """
     from matplotlib.figure import Figure
 
@@ -133,8 +134,9 @@ def _regions_row(
 
 
 def figure_of_unknown_torque(regions: FailingRegions) -> Figure:
-    """Draw the torque about the axis of `regions` that the model after the extension lacks, over the first
-    quantity.
+    """Draw the torque that the model after the extension lacks, over the first quantity of `regions`.
+
+    The torque is that about the axis of the regions.
     """
     from matplotlib.figure import Figure
 

@@ -123,8 +123,9 @@ def _free_runs(before: Fit, after: Fit) -> list[tuple[Trace, str, str]]:
 
 
 def figure_of_torque(diagnosis: Diagnosis) -> Figure:
-    """Draw the missing torque about each axis of the baseline and of the model with all named causes, over
-    time and as a spectrum.
+    """Draw the missing torque about each axis, over time and as a spectrum.
+
+    The baseline is compared with the model that has all named causes.
     """
     from matplotlib.figure import Figure
 
@@ -194,8 +195,9 @@ def _draw_round(round_: Round, number: int, panel: Axes) -> None:
 
 
 def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
-    """Draw the acceleration that each cause contributes along the first fitted flight; None without
-    causes.
+    """Draw the acceleration that each cause contributes along the first fitted flight.
+
+    The result is None without causes.
     """
     from matplotlib.figure import Figure
 
@@ -223,8 +225,9 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
 
 
 def figure_of_curves(curves: Sequence[SplineCurve]) -> Figure:
-    """Draw spline terms in the place of causes that the catalogue lacks, one panel per curve, with two
-    standard errors.
+    """Draw the curves of spline terms, one panel each, with two standard errors.
+
+    Spline terms stand in the model for causes that the catalogue lacks.
     """
     from matplotlib.figure import Figure
 

@@ -162,8 +162,9 @@ def _absent_term_causes(result: Diagnosis) -> list[dict[str, Any]]:
 
 
 def unexplained(result: Diagnosis) -> dict[str, Any] | None:
-    """Describe what no effect explains: axis, dependences, share of the variance; None if everything is
-    explained.
+    """Describe the dependence that no effect explains; None if everything is explained.
+
+    The description has the axis, the dependences, and the share of the variance.
     """
     if result.missing is None:
         return None
@@ -197,8 +198,10 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
 
 
 def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
-    """Write the disturbances about each axis: size and correlation time of the fast part, size of the slow
-    part, log-likelihood ratio, and kicks.
+    """Write the disturbances about each axis.
+
+    They have size and correlation time of the fast part, size of the slow part, a log-likelihood ratio, and
+    kicks.
     """
     estimated, none = analysis.disturbances, Kicks(0, 0.0)
     return {

@@ -159,8 +159,9 @@ def write_effect_file(diagnosis: Diagnosis, folder: str | Path) -> Path:
 
 
 def write_insufficient_excitation(result: InsufficientExcitation, folder: str | Path) -> Path:
-    """Write the page of a `result` without excitation, and result.json, into a `folder`, which is made if it
-    is missing; return the page.
+    """Write the page and result.json of a `result` without excitation; return the page.
+
+    The `folder` is made if it is missing.
     """
     numbers = to_json(result)
     return write_page(
@@ -256,8 +257,9 @@ def _equation(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, Any] |
 
 
 def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Return the section of what no effect explains: sentences, dependences and error reductions; None
-    without it.
+    """Return the section about the dependence that no effect explains; None without one.
+
+    It has sentences, dependences and error reductions.
     """
     if missing is None:
         return None
@@ -308,9 +310,7 @@ def _more_rounds(diagnosis: Diagnosis) -> str:
 
 
 def _flights(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return for each flight its role and the parts that were used, and the parts that were left out with
-    reasons.
-    """
+    """Return a section for each flight: its role, and the parts that were used and left out."""
     sections = []
     for flight in flights:
         role = "fitted" if flight["role"] == "train" else "held out"

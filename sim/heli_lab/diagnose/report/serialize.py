@@ -35,8 +35,9 @@ from heli_lab.identify import check
 
 
 def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
-    """Write a `result` as lists, dicts and numbers: verdict, causes, residual, gain, unexplained,
-    next_flight and more. Numbers are null if the flights excite nothing.
+    """Write a `result` as a JSON object; docs/reference/json.md describes its keys.
+
+    Numbers are null if the flights excite nothing.
     """
     if isinstance(result, InsufficientExcitation):
         return _insufficient_excitation_json(result)

@@ -49,8 +49,10 @@ class Signals(NamedTuple):
 
 
 class ChangeAlongTrajectory(NamedTuple):
-    """Changes that an effect makes along a trajectory: of the rates, (n, states, g), and of the measured
-    angles, (n, 3, g). They are zero for what the effect does not change.
+    """Changes that an effect makes along a trajectory.
+
+    `rates` has the shape (n, states, g), and `measured_rad` the shape (n, 3, g), where g counts coefficients.
+    Entries are zero if the effect does not change them.
     """
 
     rates: Floats

@@ -84,8 +84,9 @@ class Screening:
         self._error = innovations.after(self._solve(innovations.score() - prior_score))
 
     def release(self) -> None:
-        """Free the memory of cached signals, 0.2 GB for ten minutes of flight; they are computed
-        again when needed.
+        """Free the memory of cached signals, 0.2 GB for ten minutes of flight.
+
+        They are computed again when they are needed.
         """
         for linear, regressors in zip(self.filtered.linearised_flights, self.regressors, strict=True):
             linear.release()
@@ -105,8 +106,9 @@ class Screening:
         return _by_gain(scored for scored in best_points if scored is not None)
 
     def splines(self, number: int = 0) -> list[ScoredCandidate]:
-        """Score all spline terms, the highest score first; `number` distinguishes spline terms of
-        one model.
+        """Score all spline terms, the highest score first.
+
+        `number` distinguishes spline terms of one model.
         """
         candidates = spline_candidates(self.filtered.linearised_flights, number)
         self._precompute_influences(candidates)
