@@ -210,7 +210,10 @@ class Diagnosis:
 
     @property
     def random_torque(self) -> dict[str, dict[str, CauseParameter]]:
-        """Parameters of the random torque by full name, by effect id; empty if there is none."""
+        """Size and correlation time of the random torque, as ``{effect id: {full name: parameter}}``.
+
+        It is empty if the verdict has no random torque.
+        """
         if not self.verdict.random_torque:
             return {}
         residual = self.assessment.residual_analysis

@@ -311,22 +311,23 @@ def equation_effect(
         values[full_name] = inner.value
         if inner.name not in held and not inner.is_sign_width:
             priors[full_name] = inner_prior(factor, inner.name_in_factor, inner.value)
-    states = [
-        Quantity(
-            f"{prefix}_{lag_state_name(i, j)}{rotor}", str(SYMBOLS[factor.quantity].unit), "a lagged copy"
-        )
-        for i, j, factor in equation.lagged_factors
-        for rotor in (("_front", "_back") if factor.per_rotor else ("",))
-    ]
     return EquationEffect(
         name,
         parameters=tuple(parameters),
         values=values,
-        states=tuple(states),
+        states=tuple(_lag_states(equation, prefix)),
         priors=priors,
         stage=min(CHANNELS[channel][1] for channel in equation.channels),
         equation=equation,
     )
+
+
+def _lag_states(equation: Equation, prefix: str) -> Iterator[Quantity]:
+    """Yield a state for each lagged factor of an equation, or one per rotor if each rotor has its own."""
+    for i, j, factor in equation.lagged_factors:
+        unit = str(SYMBOLS[factor.quantity].unit)
+        for rotor in ("_front", "_back") if factor.per_rotor else ("",):
+            yield Quantity(f"{prefix}_{lag_state_name(i, j)}{rotor}", unit, "a lagged copy")
 
 
 _INNER_PRIOR: Final[Mapping[str, tuple[float, float, float]]] = {

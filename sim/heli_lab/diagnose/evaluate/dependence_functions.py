@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -43,27 +43,38 @@ def dependence_functions(linearised_flights: Sequence[LinearisedFlight]) -> dict
     linearised_flights : sequence of LinearisedFlight
         The flights; the quantities are standardised over all of them.
     """
+    # Each list has one entry per flight.
     quantities = [quantity_values(linear.model.source, linear.trajectory) for linear in linearised_flights]
-    mean, std = {}, {}
-    for name in _PRODUCTS:
-        all_values = np.concatenate([values[name] for values in quantities])
-        mean[name], std[name] = all_values.mean(), all_values.std() + 1e-12
+    scales = {name: _scale([values[name] for values in quantities]) for name in _PRODUCTS}
     standardised = [
-        {name: (values[name] - mean[name]) / std[name] for name in _PRODUCTS} for values in quantities
+        {name: (values[name] - scale.mean) / scale.std for name, scale in scales.items()}
+        for values in quantities
     ]
+    step_s = linearised_flights[0].trajectory.step_s
     functions = {name: [values[name][:, None] for values in standardised] for name in _PRODUCTS}
     for first, second in itertools.combinations(_PRODUCTS, 2):
-        functions[f"{first} times {second}"] = [
-            (values[first] * values[second])[:, None] for values in standardised
-        ]
-    step_s = linearised_flights[0].trajectory.step_s
+        products = [(values[first] * values[second])[:, None] for values in standardised]
+        functions[f"{first} times {second}"] = products
     for name in _THRUSTS:
         functions[f"past {name}"] = [_memory_curves(values[name], step_s) for values in standardised]
     for name in _RATES:
-        functions[f"{name} near rest"] = [
-            _near_rest_curves(values[name] / std[name]) for values in quantities
-        ]
+        # Divided by the standard deviation, and not centred: rest is where the rate is 0.
+        rates = [values[name] / scales[name].std for values in quantities]
+        functions[f"{name} near rest"] = [_near_rest_curves(rate) for rate in rates]
     return functions
+
+
+class _Scale(NamedTuple):
+    """Mean and standard deviation of a quantity over all flights."""
+
+    mean: float
+    std: float
+
+
+def _scale(values_by_flight: Sequence[Floats]) -> _Scale:
+    """Compute mean and standard deviation of a quantity, (n,) per flight; the latter is never 0."""
+    all_values = np.concatenate(values_by_flight)
+    return _Scale(all_values.mean(), all_values.std() + 1e-12)
 
 
 def _near_rest_curves(rate: Floats) -> Floats:
