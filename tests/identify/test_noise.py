@@ -63,9 +63,9 @@ def noise(kind: str, seed: int, *, in_counts: bool = False) -> Flight:
 @pytest.mark.parametrize("kind", ["white", "walk", "slow", "drift"])
 def test_noise_is_not_accepted_as_a_flight(kind: str, rig: str) -> None:
     for seed in (101, 102):
-        made = noise(kind, seed, in_counts=seed == 102)
+        log = noise(kind, seed, in_counts=seed == 102)
         with pytest.raises(NotExcited, match="the voltages do not explain the motion"):
-            identify(MultibodyModel(), load_rig(rig), [made], max_fit_s=20.0)
+            identify(MultibodyModel(), load_rig(rig), [log], max_fit_s=20.0)
 
 
 @pytest.mark.medium
@@ -85,20 +85,20 @@ def test_hover_is_accepted_as_a_flight(effects: tuple[str, ...]) -> None:
     for seed in (201, 202):
         rig = load_rig("makki2024") if effects else perturbed(seed)
         model = MultibodyModel(parse_effects(effects)) if effects else None
-        made = flown_by_plan(rig, seed, Plan.parse(HOLD, "hold"), model)
+        hover = flown_by_plan(rig, seed, Plan.parse(HOLD, "hold"), model)
         known = load_rig("makki2024")
-        found = identify(MultibodyModel(), known, [made], free=("thrust_gain", "friction_pitch"))
-        assert found.training[0].seconds_used > 8.0
+        identified = identify(MultibodyModel(), known, [hover], free=("thrust_gain", "friction_pitch"))
+        assert identified.training[0].seconds_used > 8.0
 
 
 @pytest.mark.slow
 def test_validation_on_noise_is_refused_with_the_name_of_the_noise() -> None:
-    made = flown_by_plan(perturbed(203), 203, Plan.parse(HOLD, "hold"))
+    hover = flown_by_plan(perturbed(203), 203, Plan.parse(HOLD, "hold"))
     with pytest.raises(NotExcited, match=r"^validation 1: the voltages do not explain"):
         identify(
             MultibodyModel(),
             load_rig("makki2024"),
-            [made],
+            [hover],
             validation=[noise("white", 104)],
             free=("thrust_gain",),
         )
