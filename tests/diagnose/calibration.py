@@ -71,26 +71,38 @@ class Case:
 
 def cases() -> dict[str, Case]:
     """Return all cases by name; each is a development case."""
+    return {**_pairs_with_a_lacking_effect(), **_cases_of_correlation_times()}
+
+
+def _pairs_with_a_lacking_effect() -> dict[str, Case]:
+    """Return cases with an effect that the catalogue lacks, each together with two listed effects in turn."""
     named = {}
     for number, lacking in enumerate(LACKING):
-        for turn in (0, 1):
-            place = (number + turn) % len(LISTED)
-            listed = LISTED[place]
+        for listed_number in (number % len(LISTED), (number + 1) % len(LISTED)):
+            listed = LISTED[listed_number]
             hidden = dict(_sized(effect) for effect in (listed, lacking))
-            name = f"{listed} & {lacking}"
-            named[name] = Case(hidden, lacking.partition("=")[0], 6000 + 10 * number + place)
+            seed = 6000 + 10 * number + listed_number
+            named[f"{listed} & {lacking}"] = Case(hidden, lacking.partition("=")[0], seed)
+    return named
+
+
+def _cases_of_correlation_times() -> dict[str, Case]:
+    """Return cases with a random torque, or with dry friction that the catalogue lacks, about each axis."""
+    named = {}
     for number, axis in enumerate(RANDOM):
         torque, friction = f"random_torque.{axis}", f"coulomb_friction.{axis}"
-        for turn, correlation_s in enumerate((0.1, 0.5)):
+        first_seed = 6200 + 4 * number
+        for seed, correlation_s in enumerate((0.1, 0.5), first_seed):
             sizes = {f"random_torque_{axis}_Nm": RANDOM[axis], f"random_torque_{axis}_s": correlation_s}
-            named[f"{torque} {correlation_s:g} s"] = Case({torque: sizes}, "", 6200 + 4 * number + turn, axis)
-        for turn, factor in enumerate((1.0, 2.0), 2):
+            named[f"{torque} {correlation_s:g} s"] = Case({torque: sizes}, "", seed, axis)
+        for seed, factor in enumerate((1.0, 2.0), first_seed + 2):
             size = {f"coulomb_friction_{axis}_Nm": factor * FRICTION_Nm[axis]}
-            named[f"{friction} {factor:g}"] = Case({friction: size}, friction, 6200 + 4 * number + turn, axis)
+            named[f"{friction} {factor:g}"] = Case({friction: size}, friction, seed, axis)
     return named
 
 
 def _sized(effect: str) -> tuple[str, dict[str, float]]:
+    """Return the id of an effect such as ``axis_tilt=0.03``, and its first parameter by full name."""
     from heli_sim.model.effects import catalogue
 
     id_, _, value = effect.partition("=")
@@ -110,7 +122,7 @@ def diagnosed(case: Case) -> dict[str, Any]:
     nominal, kinds = load_rig("makki2024"), dict(catalogue())
     rig = nominal.replace(thrust_gain=0.62, friction_travel=0.05)
     model = MultibodyModel(
-        tuple(kinds[id_].make({**kinds[id_].typical, **v}) for id_, v in case.hidden.items())
+        tuple(kinds[id_].make({**kinds[id_].typical, **sizes}) for id_, sizes in case.hidden.items())
     )
     flights = [
         thinned(flown(rig, case.seed + 500 * number, duration_s, model), 2)

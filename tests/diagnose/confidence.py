@@ -1,4 +1,4 @@
-"""Is a confidence a frequency? ``python -m tests.diagnose.confidence [SEED...]`` measures it.
+"""Measures how often causes of a given confidence are right: ``python -m tests.diagnose.confidence``.
 
 Each seed gives a rig within its tolerances, random torques about all axes, and two flights of 18 s and 14 s.
 One or two effects of random size are hidden, or an effect that the catalogue lacks, or an event that happens
@@ -86,7 +86,7 @@ class Case:
 
 
 def case(seed: int) -> Case:
-    """Draw a case."""
+    """Draw the case of a `seed`."""
     from heli_sim.model.effects import catalogue
     from heli_sim.model.parts import AXES
 
@@ -102,6 +102,7 @@ def case(seed: int) -> Case:
         names.append(str(rng.choice(EVENTS)))
 
     def sized(name: str) -> dict[str, float]:
+        """Draw the parameters of an effect: its size, and the moment of an event."""
         low, high = np.log(SIZES)
         factor = float(np.exp(rng.uniform(low, high)))
         spec = kinds[name]
@@ -115,7 +116,7 @@ def case(seed: int) -> Case:
     return Case(seed, kind, {name: sized(name) for name in names}, removed, torques)
 
 
-def diagnosed(this: Case, reverse: bool) -> dict[str, Any]:
+def diagnosed(drawn: Case, reverse: bool) -> dict[str, Any]:
     """Simulate a case and diagnose it: by direction, the verdict and the causes with their evidence."""
     from heli_lab.diagnose import diagnose, run
     from heli_sim.model import MultibodyModel
@@ -124,23 +125,26 @@ def diagnosed(this: Case, reverse: bool) -> dict[str, Any]:
 
     from tests.identify.made import flown, perturbed, thinned
 
-    kinds, rig = dict(catalogue()), perturbed(this.seed)
+    kinds, rig = dict(catalogue()), perturbed(drawn.seed)
 
     def model(flight: int) -> MultibodyModel:
-        hidden = {} if this.kind == "event" and flight else this.hidden
+        """Return the model that flies; an event happens in the first flight only."""
+        hidden = {} if drawn.kind == "event" and flight else drawn.hidden
         return MultibodyModel(
             tuple(
-                kinds[id_].make({**kinds[id_].typical, **v})
-                for id_, v in {**hidden, **this.disturbances}.items()
+                kinds[id_].make({**kinds[id_].typical, **sizes})
+                for id_, sizes in {**hidden, **drawn.disturbances}.items()
             )
         )
 
-    a, b = (
-        thinned(flown(rig, 2 * this.seed + i, duration_s, model(i)), 4)
+    first, second = (
+        thinned(flown(rig, 2 * drawn.seed + i, duration_s, model(i)), 4)
         for i, duration_s in enumerate(DURATIONS_s)
     )
-    offered = {id_: kind for id_, kind in kinds.items() if id_ != this.removed}
-    roles = {"forward": ([a], [b]), "alone": ([a], []), **({"reverse": ([b], [a])} if reverse else {})}
+    offered = {id_: kind for id_, kind in kinds.items() if id_ != drawn.removed}
+    roles = {"forward": ([first], [second]), "alone": ([first], [])}
+    if reverse:
+        roles["reverse"] = ([second], [first])
     results = {}
     # Equation and next flight take three quarters of the time, and do not enter the confidence of a cause.
     with (
@@ -165,14 +169,14 @@ def diagnosed(this: Case, reverse: bool) -> dict[str, Any]:
     return results
 
 
-def is_right(this: Case, effect: str, ambiguous_with: Sequence[str]) -> bool:
+def is_right(drawn: Case, effect: str, ambiguous_with: Sequence[str]) -> bool:
     """Whether a named cause is hidden, or is one of two of which one is hidden."""
     parts = PARTS.get(effect, ())
-    among = {effect, *ambiguous_with}
+    named_effects = {effect, *ambiguous_with}
     return (
-        effect in this.hidden
-        or bool(parts and {*parts} <= {*this.hidden})
-        or (len(among) == 2 and bool(among & {*this.hidden}))
+        effect in drawn.hidden
+        or bool(parts and {*parts} <= {*drawn.hidden})
+        or (len(named_effects) == 2 and bool(named_effects & {*drawn.hidden}))
     )
 
 
@@ -214,15 +218,15 @@ def main(arguments: Sequence[str]) -> int:
     chosen.output.parent.mkdir(parents=True, exist_ok=True)
     answers: list[tuple[float, bool, bool]] = []
     unconfirmed: list[tuple[float, bool]] = []
-    for this, results in measure(chosen.output, chosen.seeds or list(DEVELOPMENT), chosen.reverse):
+    for drawn, results in measure(chosen.output, chosen.seeds or list(DEVELOPMENT), chosen.reverse):
         for role, causes in results.items():
             for cause in causes:
-                right = is_right(this, cause["effect"], cause["ambiguous_with"])
+                right = is_right(drawn, cause["effect"], cause["ambiguous_with"])
                 answers.append((cause["confidence"], right, cause["confirmed"]))
                 if not cause["confirmed"]:
                     unconfirmed.append((cause["if_confirmed"], right))
                 print(
-                    f"{this.seed} {this.kind:15} {role:8} {cause['effect']:28} {cause['confidence']:.3f} "
+                    f"{drawn.seed} {drawn.kind:15} {role:8} {cause['effect']:28} {cause['confidence']:.3f} "
                     f"{'right' if right else 'wrong'}  {cause['why_not'] or 'confirmed'}",
                     flush=True,
                 )

@@ -1,4 +1,4 @@
-"""Flights in which something is hidden, made once for all tests."""
+"""Simulated flights with hidden effects, which are stored so that all tests share them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from tests.identify.made import flown, flown_by_plan, thinned
 from tests.running.kept import FLOWN, KEPT
 from tests.running.long import LONG
 
-# A diagnosis takes half as long on half of the flight, and says the same of what is hidden here.
+# Durations of the fitted and of the held-out flight. A diagnosis of half the flight takes half as long, and
+# has the same result for these effects.
 WHOLE_S = (34.0, 26.0)
 SHORT_S = WHOLE_S if LONG else (18.0, 14.0)
 MADE_BY = (Path(__file__), Path(made.__file__))
@@ -27,7 +28,7 @@ MADE_BY = (Path(__file__), Path(made.__file__))
 
 @dataclass(frozen=True)
 class Unlisted(Effect):
-    """Pitch is pushed as elevation rises: an effect that no catalogue has."""
+    """A pitch torque proportional to elevation: an effect that the catalogue lacks."""
 
     def torque_Nm(self, at: Operands) -> ca.SX:
         """See `Effect.torque_Nm`."""
@@ -38,12 +39,16 @@ class Unlisted(Effect):
 def flights(
     *effects: str, unlisted: bool = False, seconds: tuple[float, float] = SHORT_S
 ) -> tuple[Flight, Flight]:
-    """A flight to fit and one to judge on."""
+    """Return a flight to fit and a held-out flight, both with the given effects.
+
+    `unlisted` adds an effect that the catalogue lacks; `seconds` are the durations.
+    """
     name = f"hidden {effects} {unlisted} {seconds}"
     return KEPT(name, lambda: _flown(effects, unlisted, seconds), made_by=MADE_BY, rooms=FLOWN)
 
 
 def _flown(effects: tuple[str, ...], unlisted: bool, seconds: tuple[float, float]) -> tuple[Flight, Flight]:
+    """Fly both flights on a rig whose thrust gain and travel friction differ from the rig file."""
     rig = load_rig("makki2024").replace(thrust_gain=0.62, friction_travel=0.05)
     hidden: tuple[Effect, ...] = parse_effects(effects)
     if unlisted:
@@ -56,6 +61,6 @@ def _flown(effects: tuple[str, ...], unlisted: bool, seconds: tuple[float, float
 
 @cache
 def hovering(seconds: float) -> Flight:
-    """A flight that takes off and holds still, nothing excited."""
+    """Return a flight that takes off and hovers, without excitation."""
     plan = f"title = 'Still'\n[[segment]]\nkind = 'hold'\nduration_s = {seconds}\n"
     return thinned(flown_by_plan(load_rig("makki2024"), 13, Plan.parse(plan, "still")), 2)

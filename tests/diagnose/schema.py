@@ -1,4 +1,4 @@
-"""The JSON of a diagnosis as the command's users were promised it: names, types, units."""
+"""Checks the JSON of a diagnosis: keys, types and units that docs/reference/json.md promises."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ VERDICTS = {"explained", "cause_found", "ambiguous", "unexplained"}
 
 
 def conforms(numbers: dict[str, Any], silent: bool = False) -> None:
-    """Check the whole answer; where nothing flew, numbers may be null."""
+    """Check the whole JSON object; it is `silent`, with null for numbers, if the flights excite nothing."""
     json.dumps(numbers, allow_nan=False)
     assert numbers["verdict"] in VERDICTS
     for cause in numbers["causes"]:
         _cause(cause)
-    confidences = [cause["confidence"] for cause in numbers["causes"]]
-    assert len(confidences) == len({cause["effect"] for cause in numbers["causes"]})
+    ids = [cause["effect"] for cause in numbers["causes"]]
+    assert len(ids) == len(set(ids))
 
     if not silent:
         assert numbers["rig"].keys() == {"name", "model", "numbers", "constants"}
@@ -68,13 +68,14 @@ def conforms(numbers: dict[str, Any], silent: bool = False) -> None:
         assert missing["axis"] in AXES
         assert all(isinstance(effect, str) for effect in missing["correlates_with"])
         assert 0.0 <= missing["share_of_variance"] <= 1.0
-    asked = numbers["next_flight"]
-    if asked is not None:
-        assert asked["why"].endswith(".")
-        Plan.parse(asked["plan"], "next flight").check()
+    next_flight = numbers["next_flight"]
+    if next_flight is not None:
+        assert next_flight["why"].endswith(".")
+        Plan.parse(next_flight["plan"], "next flight").check()
 
 
 def _cause(cause: dict[str, Any]) -> None:
+    """Check a cause against the declaration of its effect."""
     kind = catalogue()[cause["effect"]]
     units = {quantity.name: quantity.unit for quantity in kind.parameters}
     assert cause["parameters"].keys() == units.keys()
@@ -89,4 +90,5 @@ def _cause(cause: dict[str, Any]) -> None:
 
 
 def _number(value: object, may_be_null: bool = False) -> bool:
+    """Whether a value is a finite number, or null where that is allowed."""
     return (value is None and may_be_null) or (isinstance(value, float) and math.isfinite(value))

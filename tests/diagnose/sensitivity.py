@@ -66,7 +66,7 @@ CASES: Final = {
     "disturbances and cable": Case((*DISTURBANCES, "cable_spring.travel=0.03"), WHOLE_s),
     "random torque": Case(("random_torque.travel=0.02",), WHOLE_s),
 }
-"""Sizes near what can be seen at all: far from there no threshold matters."""
+"""Effects with sizes close to the detection limit, because thresholds do not change clear cases."""
 
 
 def scaled(value: Any, factor: float) -> Any:
@@ -87,7 +87,7 @@ def scaled(value: Any, factor: float) -> Any:
 
 
 def load_thresholds(changed: dict[str, float]) -> Any:
-    """Load the table with some constants changed, before any module of the diagnosis has read it."""
+    """Load the module of thresholds with some constants scaled, before the diagnosis imports it."""
     if MODULE in sys.modules:
         raise RuntimeError("the thresholds are loaded already; change them in a process of their own")
     path = ROOT / "sim" / Path(*MODULE.split(".")).with_suffix(".py")
@@ -103,7 +103,7 @@ def load_thresholds(changed: dict[str, float]) -> Any:
 
 
 def verdicts(cases: dict[str, Case]) -> dict[str, list[str]]:
-    """Diagnose the development set with the thresholds as they are; verdict, then the names of the causes."""
+    """Diagnose cases with the loaded thresholds; return the verdict and the names of the causes of each."""
     from heli_lab.diagnose import diagnose, to_json
     from heli_sim.model import MultibodyModel
     from heli_sim.rig import load_rig
@@ -119,7 +119,7 @@ def verdicts(cases: dict[str, Case]) -> dict[str, list[str]]:
 
 
 def in_a_process(changed: dict[str, float], names: Sequence[str]) -> dict[str, list[str]]:
-    """Call `verdicts` in a process of its own."""
+    """Call `verdicts` in a separate process, in which the thresholds can still be changed."""
     command = [
         sys.executable,
         "-m",

@@ -9,13 +9,13 @@ import pytest
 from tests.diagnose.calibration import cases, main, measure, names_in_unexplained
 
 
-def test_calibration_seeds_are_no_others() -> None:
+def test_calibration_seeds_are_distinct_and_in_their_range() -> None:
     seeds = [case.seed for case in cases().values()]
     assert len(set(seeds)) == len(seeds)
     assert all(6000 <= seed < 6500 for seed in seeds)
 
 
-def test_only_names_of_unexplained_diagnoses_count_and_only_hidden_ones_are_true() -> None:
+def test_share_of_true_names_counts_unexplained_diagnoses_only() -> None:
     first, second, third = list(cases())[:3]
     (listed, lacking) = cases()[first].hidden
     assert cases()[first].removed == lacking
@@ -24,7 +24,8 @@ def test_only_names_of_unexplained_diagnoses_count_and_only_hidden_ones_are_true
         second: {"verdict": "cause_found", "causes": ["flywheel"]},
         third: {"verdict": "unexplained", "causes": []},
     }
-    assert names_in_unexplained(rows) == (1, 2)
+    true_names, all_names = names_in_unexplained(rows)
+    assert (true_names, all_names) == (1, 2)
 
 
 def test_calibration_continues_from_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

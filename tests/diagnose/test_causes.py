@@ -1,4 +1,6 @@
-"""What is hidden is found, nothing is found in nothing, and what is off the list is said to be so."""
+"""A diagnosis finds a hidden effect, finds nothing if nothing is hidden, and reports an effect that the
+catalogue lacks.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,10 @@ pytestmark = pytest.mark.diagnosis
 
 @cache
 def diagnosed(*effects: str, unlisted: bool = False) -> Diagnosis:
-    """Diagnose a flight with something hidden in it; once for all files of this room."""
+    """Diagnose flights with hidden effects, once for all test files of this folder.
+
+    `unlisted` hides an effect that the catalogue lacks.
+    """
     fit, held_out = flights(*effects, unlisted=unlisted)
     return KEPT(
         f"diagnosed {effects} {unlisted} {SHORT_S}",
@@ -43,12 +48,12 @@ def diagnosed(*effects: str, unlisted: bool = False) -> Diagnosis:
     )
 
 
-def test_answer_has_the_keys_and_units_that_were_promised_whatever_the_verdict() -> None:
+def test_json_has_the_promised_keys_and_units_for_every_verdict() -> None:
     for diagnosis in (diagnosed(), diagnosed("rotor_lag=0.06"), diagnosed(unlisted=True)):
         conforms(to_json(diagnosis))
 
 
-def test_a_cause_has_attributes_of_the_names_that_its_json_has() -> None:
+def test_attributes_of_a_cause_have_the_names_of_its_json() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     (written,), (cause,) = to_json(diagnosis)["causes"], diagnosis.verdict.causes
     for name in ("effect", "sentence", "equation"):
@@ -65,17 +70,19 @@ def test_a_cause_has_attributes_of_the_names_that_its_json_has() -> None:
     assert set(written["family"]["members"]) == {"rotor_lag", "rotor_speed_lag", "rotor_lag_with_delay"}
 
 
-def test_seed_settles_the_intervals() -> None:
+def test_seed_determines_the_intervals_but_not_the_ratio() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     extension = diagnosis.held_out.extension
     runs = extension.before, extension.after
-    drawn = [compare_free_runs(*runs, seed).horizons["2"]["pitch"] for seed in (1, 1, 2)]
-    assert drawn[0] == drawn[1]
-    assert drawn[0].interval95 != drawn[2].interval95
-    assert drawn[0].ratio == drawn[2].ratio
+    first, repeated, other_seed = (
+        compare_free_runs(*runs, seed).horizons["2"]["pitch"] for seed in (1, 1, 2)
+    )
+    assert first == repeated
+    assert first.interval95 != other_seed.interval95
+    assert first.ratio == other_seed.ratio
 
 
-def test_work_that_runs_out_is_said_where_the_verdict_is() -> None:
+def test_exhausted_refits_are_stated_with_the_verdict() -> None:
     fit, held_out = flights("rotor_lag=0.06")
     diagnosis = diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], refits=0)
     numbers = to_json(diagnosis)
@@ -86,14 +93,14 @@ def test_work_that_runs_out_is_said_where_the_verdict_is() -> None:
     assert any("--budget" in caution for caution in numbers["cautions"])
 
 
-def test_search_that_is_resumed_ends_as_one_that_never_stopped(tmp_path: Path) -> None:
+def test_resumed_search_has_the_result_of_an_uninterrupted_one(tmp_path: Path) -> None:
     whole = to_json(diagnosed("rotor_lag=0.06"))
     fit, held_out = flights("rotor_lag=0.06")
-    begun: list[str] = []
+    steps: list[str] = []
 
-    def interrupt_at_third_refit(what: str, share: float) -> None:
-        begun.append(what)
-        if len([step for step in begun if step.startswith("trying")]) == 3:
+    def interrupt_at_third_refit(step: str, share: float) -> None:
+        steps.append(step)
+        if len([step for step in steps if step.startswith("trying")]) == 3:
             raise KeyboardInterrupt
 
     def run(say: Callable[[str, float], None] | None = None) -> Diagnosis:
@@ -109,11 +116,11 @@ def test_search_that_is_resumed_ends_as_one_that_never_stopped(tmp_path: Path) -
 
     with pytest.raises(KeyboardInterrupt):
         run(interrupt_at_third_refit)
-    kept = (tmp_path / "search").read_bytes()
-    # The file that it was writing when it was killed.
-    (tmp_path / "search").write_bytes(kept[:-200])
-    everything = to_json(run())
-    assert {**everything, "seconds_taken": 0.0} == {**whole, "seconds_taken": 0.0}
+    content = (tmp_path / "search").read_bytes()
+    # An interruption while the last line is written leaves a part of it.
+    (tmp_path / "search").write_bytes(content[:-200])
+    resumed = to_json(run())
+    assert {**resumed, "seconds_taken": 0.0} == {**whole, "seconds_taken": 0.0}
 
 
 def test_nothing_hidden_is_explained_without_a_cause() -> None:
@@ -145,7 +152,7 @@ def test_hidden_effect_is_named_measured_and_halves_the_error(effect: str, name:
     assert best["ratio"] < best["interval95"][1] < 0.5
 
 
-def test_effect_that_no_catalogue_has_is_unexplained_and_said_to_go_with_elevation() -> None:
+def test_unlisted_effect_is_unexplained_and_depends_on_elevation() -> None:
     numbers = to_json(diagnosed(unlisted=True))
     assert numbers["verdict"] == "unexplained"
     assert numbers["causes"] == []
@@ -155,10 +162,10 @@ def test_effect_that_no_catalogue_has_is_unexplained_and_said_to_go_with_elevati
     assert "[[segment]]" in numbers["next_flight"]["plan"]
 
 
-def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_path: Path) -> None:
+def test_curve_of_an_unlisted_cause_is_reported_but_not_in_the_rig(tmp_path: Path) -> None:
     diagnosis = diagnosed(unlisted=True)
     (curve,) = diagnosis.curves
-    # 0.05 N m a radian was hidden, in mN m against degrees, and a constant belongs to the trim.
+    # The hidden effect is 0.05 N m/rad; the curve has mN m and degrees, and no constant.
     slope = np.polyfit(curve.quantity, curve.value, 1)[0]
     assert slope == pytest.approx(50.0 * np.pi / 180.0, rel=0.1)
     assert diagnosis.held_out.splines["pitch"].ratio < 0.2
@@ -167,11 +174,11 @@ def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_p
     page = write_report(diagnosis, tmp_path).read_text(encoding="utf-8")
     text = html.unescape(page)
     assert "<h1>The model lacks an effect that the catalogue does not list</h1>" in text
-    # The same sentence on the page, on a terminal and in the numbers.
+    # Page, terminal and JSON have the same sentence.
     assert text.count(summary(diagnosis)) == 1
     assert to_json(diagnosis)["sentence"] == summary(diagnosis)
     assert "A torque about pitch that depends on elevation predicts" in text
-    # The first part after the verdict is about what the headline names.
+    # The first section after the verdict is about the unexplained part, which the headline names.
     assert text.index("<h2>The unexplained part") == text.index("<h2>")
     for axis in ("pitch", "elevation", "travel"):
         assert f"<li>About {axis}: the model with all named causes lacks " in text
@@ -181,9 +188,9 @@ def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_p
 @pytest.mark.parametrize(
     ("hidden", "on", "slope_mNm_per_deg"),
     [("cable_spring.travel=0.06", "travel", -60.0), ("", "elevation", 50.0)],
-    ids=["named", "off the list"],
+    ids=["in the catalogue", "not in the catalogue"],
 )
-def test_missing_torque_follows_what_was_hidden_without_the_equation(
+def test_missing_torque_agrees_with_the_hidden_effect_without_its_equation(
     hidden: str, on: str, slope_mNm_per_deg: float
 ) -> None:
     diagnosis = diagnosed(hidden) if hidden else diagnosed(unlisted=True)
@@ -197,9 +204,10 @@ def test_missing_torque_follows_what_was_hidden_without_the_equation(
 
 def test_a_page_says_why_no_region_fails_although_something_is_missing() -> None:
     diagnosis = diagnosed(unlisted=True)
-    quiet = replace(diagnosis.failing.after, fails=np.zeros_like(diagnosis.failing.after.fails))
+    nothing_fails = replace(diagnosis.failing.after, fails=np.zeros_like(diagnosis.failing.after.fails))
     diagnosis = replace(diagnosis)
-    diagnosis.__dict__["failing"] = replace(diagnosis.failing, after=quiet)
+    # Replace the cached property `failing`.
+    diagnosis.__dict__["failing"] = replace(diagnosis.failing, after=nothing_fails)
     section = regions_section(diagnosis, lambda *_: None)
     assert "although the model lacks a torque" in section["note"]
 
@@ -216,18 +224,19 @@ def test_models_that_are_the_same_are_drawn_once() -> None:
 
 def test_each_run_of_a_prediction_shows_where_it_starts() -> None:
     before = diagnosed("rotor_lag=0.06").held_out.extension.before[0].fit
-    drawn = trace(before)
-    angle = figure_of_prediction(before, before, "pitch").axes[0]
-    starts = [np.asarray(line.get_xydata()) for line in angle.get_lines() if line.get_marker() == "o"]
-    assert len(starts) == len(drawn.windows)
-    place = drawn.windows[1].start
-    expected = (drawn.t_s[place], np.rad2deg(drawn.predicted_rad[place, 1]))
+    run = trace(before)
+    angle_panel = figure_of_prediction(before, before, "pitch").axes[0]
+    starts = [np.asarray(line.get_xydata()) for line in angle_panel.get_lines() if line.get_marker() == "o"]
+    assert len(starts) == len(run.windows)
+    row = run.windows[1].start
+    expected = (run.t_s[row], np.rad2deg(run.predicted_rad[row, 1]))
     assert starts[1][0] == pytest.approx(expected)
 
 
-def test_causes_next_to_something_unknown_are_never_stated_as_facts() -> None:
+def test_causes_next_to_an_unlisted_effect_are_stated_with_perhaps() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     other = diagnosed(unlisted=True)
+    # A diagnosis with both: the lag as a cause, and the spline term of the other diagnosis as unexplained.
     verdict = replace(diagnosis.verdict, label="unexplained", unlisted=other.verdict.unlisted)
     unsure = replace(
         diagnosis,
@@ -246,10 +255,10 @@ def test_parameter_far_from_its_prior_is_reported() -> None:
     diagnosis = diagnosed()
     assert diagnosis.prior_conflicts == ()
     after = diagnosis.assessment.after
-    place = [parameter.name for parameter in after.fit.problem.free].index("offset_pitch")
-    parameter = after.fit.problem.free[place]
+    index = [parameter.name for parameter in after.fit.problem.free].index("offset_pitch")
+    parameter = after.fit.problem.free[index]
     theta = after.fit.theta.copy()
-    theta[place] = parameter.prior.mean + 4.1 * parameter.prior.std
+    theta[index] = parameter.prior.mean + 4.1 * parameter.prior.std
     moved = replace(after, fit=replace(after.fit, theta=theta))
     conflicting = replace(diagnosis, assessment=replace(diagnosis.assessment, after=moved))
     (conflict,) = conflicting.prior_conflicts
@@ -260,7 +269,7 @@ def test_parameter_far_from_its_prior_is_reported() -> None:
     assert any("offset_pitch" in line and "4.1 standard deviations" in line for line in cautions(conflicting))
 
 
-def test_extended_rig_is_read_back_with_the_cause_and_its_size(tmp_path: Path) -> None:
+def test_extended_rig_file_contains_the_cause_with_its_size(tmp_path: Path) -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     write_rig(diagnosis.rig("extended"), tmp_path / "extended.toml")
     (effect,) = effects_of(load_rig(tmp_path / "extended.toml"))
@@ -269,7 +278,7 @@ def test_extended_rig_is_read_back_with_the_cause_and_its_size(tmp_path: Path) -
 
 
 def uninformed(diagnosis: Diagnosis) -> set[str]:
-    """Parameters whose standard error is above 0.9 of their prior's."""
+    """Return the parameters whose standard error is above 0.9 times that of their prior."""
     fit = diagnosis.replication.prediction.fit
     priors = dict(zip(fit.problem.names, fit.problem.parameter_vector.std, strict=True))
     return {name for name, error in fit.std.items() if error > 0.9 * priors[name]}
@@ -287,7 +296,7 @@ def test_rig_states_which_parameters_the_flights_do_not_inform() -> None:
     assert any(source.startswith("identified from fit;") for source in sources.values())
 
 
-def test_report_needs_nothing_else_and_says_the_cause_with_its_number(tmp_path: Path) -> None:
+def test_report_is_self_contained_and_states_the_cause(tmp_path: Path) -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     page = write_report(diagnosis, tmp_path).read_text(encoding="utf-8")
     text = html.unescape(page)

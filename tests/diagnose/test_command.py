@@ -1,4 +1,4 @@
-"""The command: its files, and one line for each way to ask for the impossible."""
+"""The command `heli-host diagnose`: the files that it writes, and its one-line errors."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def test_command_writes_numbers_rig_and_page(
     terminal: Terminal, tables: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fit, held_out = tables
-    found = diagnosed()
-    # The search itself is what test_causes has done, on the same flights.
-    monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: found)
+    diagnosis = diagnosed()
+    # test_causes has done this diagnosis already; here only its files are tested.
+    monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: diagnosis)
     files = ("--report", "why", "--json", "why.json", "--save-rig", "extended.toml")
     ended = terminal("diagnose", fit, "--validate", held_out, "--rig", "makki2024", *files)
     assert ended.code == 0, ended.err
@@ -47,7 +47,7 @@ def test_command_writes_numbers_rig_and_page(
 
 
 @pytest.mark.skipif(not LONG, reason="test_short asks this of 3 s; this one runs in make long")
-def test_a_short_part_is_answered_with_a_flight_that_would_show_it(
+def test_short_part_of_a_flight_gets_a_proposal_for_the_next_flight(
     terminal: Terminal, tables: tuple[Path, Path]
 ) -> None:
     fit, held_out = tables
@@ -86,7 +86,7 @@ def test_model_that_the_rig_names_is_the_one_that_is_fitted(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "words"),
     [
         (("missing.csv",), "missing.csv"),
         (("a.csv.gz", "--rig", "nobodys"), "unknown rig 'nobodys'"),
@@ -99,10 +99,10 @@ def test_model_that_the_rig_names_is_the_one_that_is_fitted(
         (("a.csv.gz", "--json", "a.csv.gz/why.json"), "a.csv.gz"),
     ],
 )
-def test_the_impossible_is_one_line_with_a_remedy(
-    terminal: Terminal, tables: tuple[Path, Path], arguments: tuple[str, ...], said: str
+def test_impossible_request_gives_a_one_line_error_with_a_remedy(
+    terminal: Terminal, tables: tuple[Path, Path], arguments: tuple[str, ...], words: str
 ) -> None:
     ended = terminal("diagnose", *arguments)
     assert ended.code != 0
     assert len(ended.err.strip().splitlines()) == 1
-    assert said in ended.err
+    assert words in ended.err

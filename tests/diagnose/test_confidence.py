@@ -23,12 +23,12 @@ def test_confidence_without_confirmation_is_lower_and_grows_with_evidence() -> N
 
 
 def test_kinds_of_cases_alternate_and_an_event_has_a_moment_in_flight() -> None:
-    some = [case(seed) for seed in JUDGING]
-    assert {this.kind for this in some} == set(KINDS)
-    for this in some:
-        assert bool(this.removed) == ("lacking" in this.kind)
-        assert this.removed in ("", *this.hidden)
-        for values in this.hidden.values():
+    drawn_cases = [case(seed) for seed in JUDGING]
+    assert {drawn.kind for drawn in drawn_cases} == set(KINDS)
+    for drawn in drawn_cases:
+        assert bool(drawn.removed) == ("lacking" in drawn.kind)
+        assert drawn.removed in ("", *drawn.hidden)
+        for values in drawn.hidden.values():
             assert all(8.0 <= value <= 12.0 for name, value in values.items() if name.endswith("_at_s"))
 
 
@@ -37,12 +37,12 @@ def test_no_seed_of_the_calibration_judges_it() -> None:
 
 
 def test_only_a_hidden_effect_or_one_of_two_is_right() -> None:
-    this = next(this for this in map(case, JUDGING) if this.kind == "one")
-    (hidden,) = this.hidden
-    assert is_right(this, hidden, ())
-    assert is_right(this, "flywheel", (hidden,))
-    assert not is_right(this, "flywheel", ())
-    assert not is_right(this, "flywheel", (hidden, "axis_tilt"))
+    drawn = next(drawn for drawn in map(case, JUDGING) if drawn.kind == "one")
+    (hidden,) = drawn.hidden
+    assert is_right(drawn, hidden, ())
+    assert is_right(drawn, "flywheel", (hidden,))
+    assert not is_right(drawn, "flywheel", ())
+    assert not is_right(drawn, "flywheel", (hidden, "axis_tilt"))
 
 
 @pytest.mark.medium

@@ -1,4 +1,4 @@
-"""Disturbances are explained; an effect hidden by them is found."""
+"""Disturbances are explained without a cause; an effect under disturbances is found."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ _DISTURBANCES = ("random_torque.elevation=0.012", "random_torque.pitch=0.004", "
 
 @cache
 def diagnosed(*effects: str) -> Diagnosis:
-    """Diagnose flights with chance, and perhaps something else, in them."""
-    # In flights of half the length, more candidates must be tried to distinguish chance from a cause.
+    """Diagnose long flights with disturbances and other effects."""
+    # In flights of half the length, more candidates must be tried to distinguish disturbances from a cause.
     fit, held_out = flights(*effects, seconds=WHOLE_S)
     return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], labels=["fit", "held out"])
 
 
 def assert_disturbances_are_estimated(numbers: dict[str, Any]) -> None:
+    """Assert that the JSON of a diagnosis has the sizes of `_DISTURBANCES`."""
     for axis, size in (("elevation", 0.012), ("pitch", 0.004), ("travel", 0.008)):
         assert numbers["disturbances"][axis]["fast_std_Nm"] == pytest.approx(size, rel=0.4)
         assert numbers["disturbances"][axis]["log_likelihood_ratio"] > 100.0
@@ -51,8 +52,8 @@ def test_lag_under_disturbances_is_named_with_its_size_and_nothing_else() -> Non
     assert numbers["verdict"] == "cause_found"
     (cause,) = numbers["causes"]
     assert cause["effect"] == "rotor_lag"
-    found = cause["parameters"]["rotor_lag_s"]
-    assert abs(found["value"] - 0.06) < 3.0 * found["std"]
+    lag = cause["parameters"]["rotor_lag_s"]
+    assert abs(lag["value"] - 0.06) < 3.0 * lag["std"]
     assert cause["confidence"] > 0.9
     assert_disturbances_are_estimated(numbers)
 

@@ -1,4 +1,4 @@
-"""The extended rig: standard errors, and what flights have for themselves."""
+"""The extended rig: reported standard errors, and the means of parameters that differ between flights."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.medium
 
 
 def stds_of(id_: str, **numbers: tuple[str, float, float]) -> dict[str, float]:
-    """Reported standard errors, of parameters by name with unit, value and the standard error of the fit."""
+    """Return reported standard errors by name; `numbers` has unit, estimate and standard error of the fit."""
     fit = SimpleNamespace(
         problem=SimpleNamespace(
             records=[SimpleNamespace(step_s=0.004, count_rad=np.array([0.002, 0.002, 0.001]))],

@@ -34,7 +34,7 @@ def test_a_shortlist_of_one_effect_changes_the_answer_on_a_small_lag() -> None:
     assert thresholds.SHORTLIST == 3
 
 
-def test_each_constant_of_judgement_can_be_asked_for_and_no_other(
+def test_only_constants_of_judgement_are_accepted(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert "SHORTLIST" in dict(judged())

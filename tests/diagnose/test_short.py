@@ -1,4 +1,6 @@
-"""Flights too short, or in which nothing happens: what they cannot show, and which flight would."""
+"""Short flights and flights without excitation: a diagnosis names what they cannot show, and proposes a
+flight.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ pytestmark = pytest.mark.diagnosis
 
 
 def part(flight: Flight, start_s: float, stop_s: float) -> Flight:
-    """Cut a part out of a flight, with a time axis of its own."""
+    """Cut a part out of a flight; its time starts at 0."""
     rows = slice(*np.searchsorted(flight.t_s, [start_s, stop_s]))
     return Flight(
         flight.t_s[rows] - flight.t_s[rows.start],
@@ -33,14 +35,17 @@ def part(flight: Flight, start_s: float, stop_s: float) -> Flight:
 
 
 def on_table() -> Flight:
-    """Twenty seconds at rest on the table, motors off."""
+    """Make twenty seconds at rest on the table, with motors off."""
     rows = 10_000
     still = np.zeros(rows)
     return Flight(np.arange(rows) / 500.0, still, still, np.full(rows, -0.48), still, still)
 
 
 def answered(terminal: Terminal, *arguments: str | Path, drawn: bool = LONG) -> tuple[Ended, dict[str, Any]]:
-    """Diagnose, and read the answer; with its page, which takes two seconds, always in `make long`."""
+    """Run `heli-host diagnose`; return its output and its JSON.
+
+    `drawn` states whether it also writes the page, which takes two seconds.
+    """
     page = ("--report", "why") if drawn else ()
     ended = terminal("diagnose", *arguments, "--json", "why.json", *page, "--save-rig", "found.toml")
     assert ended.code == 0, ended.err
@@ -50,19 +55,19 @@ def answered(terminal: Terminal, *arguments: str | Path, drawn: bool = LONG) -> 
     return ended, numbers
 
 
-def test_three_seconds_name_nothing_wrong_and_say_what_they_cannot_show(terminal: Terminal) -> None:
+def test_three_seconds_of_flight_name_no_cause_and_list_hidden_effects(terminal: Terminal) -> None:
     fit, held_out = flights("rotor_lag=0.06")
     write_csv(part(fit, 10.0, 13.0), "a.csv")
     write_csv(held_out, "b.csv")
     ended, numbers = answered(terminal, "a.csv", "--validate", "b.csv", drawn=True)
     assert {"cable_spring.elevation", "thrust_fade"} <= set(numbers["undetectable"])
     assert numbers["unidentifiable"]
-    # The lag is plain even in three seconds, for the flight held out confirms it; nothing else may be named.
+    # Even three seconds show the lag, which the held-out flight confirms. Nothing else may be named.
     assert {cause["effect"] for cause in numbers["causes"]} <= {"rotor_lag"}
-    asked = numbers["next_flight"]
-    assert "3 s of free flight are too short" in asked["why"]
-    assert "Simulated on this rig, it shows" in asked["why"]
-    Plan.parse(asked["plan"], "plan").check()
+    next_flight = numbers["next_flight"]
+    assert "3 s of free flight are too short" in next_flight["why"]
+    assert "Simulated on this rig, it shows" in next_flight["why"]
+    Plan.parse(next_flight["plan"], "plan").check()
     assert "next flight: " in ended.out
 
 
@@ -77,7 +82,7 @@ def test_hovering_still_names_no_cause_and_asks_for_motion(terminal: Terminal) -
 
 
 @pytest.mark.parametrize("which", ["table", "asked for"])
-def test_flight_in_which_nothing_flies_is_answered_and_writes_no_rig(terminal: Terminal, which: str) -> None:
+def test_log_without_flight_gets_an_answer_and_no_rig_file(terminal: Terminal, which: str) -> None:
     write_csv(on_table() if which == "table" else flights()[0], "a.csv")
     begin = ("--from", "500") if which == "asked for" else ()
     ended, numbers = answered(terminal, "a.csv", *begin, drawn=LONG or which == "table")

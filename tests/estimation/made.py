@@ -1,4 +1,4 @@
-"""A flight under known disturbances, made once for all tests."""
+"""Simulated flights with known disturbances, which are stored so that all tests share them."""
 
 from __future__ import annotations
 
@@ -23,20 +23,21 @@ MADE_BY = (Path(__file__), Path(made.__file__))
 
 
 def _flown(share: float = 1.0, *further: str) -> Flight:
+    """Fly with a `share` of the disturbances `GUST_Nm`, and with `further` effects."""
     disturbances = parse_effects([f"random_torque.{axis}={share * size}" for axis, size in GUST_Nm.items()])
     return thinned(flown(TRUE_RIG, 21, SECONDS, MultibodyModel((*disturbances, *parse_effects(further)))), 2)
 
 
 @cache
 def windy() -> Record:
-    """Flown on a rig whose thrust gain and travel friction are off the nominal, in gusts of half a second."""
+    """Return a flight of `TRUE_RIG` with disturbances that are correlated over half a second."""
     flight = KEPT(f"windy {GUST_Nm} {SECONDS}", _flown, made_by=MADE_BY, rooms=FLOWN)
     return prepare(flight, RIG, "windy")
 
 
 @cache
 def flown_with(effect: str) -> Record:
-    """The same with an effect, in a third of those gusts."""
+    """Return a flight of `TRUE_RIG` with an effect, and with a third of those disturbances."""
     flight = KEPT(
         f"{effect} {GUST_Nm} {SECONDS}", lambda: _flown(1 / 3, effect), made_by=MADE_BY, rooms=FLOWN
     )

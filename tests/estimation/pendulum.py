@@ -1,4 +1,4 @@
-"""A cart with a hanging pendulum, simulated by SciPy: a machine that the estimation core has never met."""
+"""A cart with a hanging pendulum, simulated by SciPy: a machine other than the helicopter."""
 
 from __future__ import annotations
 
@@ -20,12 +20,16 @@ PARAMETERS = (*TRUE, "force_N", "torque_Nm")
 
 
 def accelerations(x: Any, motor_N: Any, p: Any, functions: Any = math) -> tuple[Any, Any]:
-    """Accelerations of cart and pendulum, of numbers, or of symbols by the `functions` of CasADi."""
+    """Return the accelerations of cart and pendulum, from the equations of Lagrange.
+
+    The state `x` is position, angle, velocity and angular velocity. `functions` is ``math`` for numbers and
+    ``casadi`` for symbols.
+    """
     cart_kg, damping_Ns_m, length_m, pivot_Nms, force_N, torque_Nm = p
-    _, angle, rate, spin = x
+    _, angle, velocity, spin = x
     moment = PENDULUM_kg * length_m
     sine, coupling = functions.sin(angle), moment * functions.cos(angle)
-    push_N = motor_N + force_N - damping_Ns_m * rate + moment * spin**2 * sine
+    push_N = motor_N + force_N - damping_Ns_m * velocity + moment * spin**2 * sine
     turn_Nm = torque_Nm - pivot_Nms * spin - moment * GRAVITY * sine
     mass, inertia = cart_kg + PENDULUM_kg, moment * length_m
     determinant = mass * inertia - coupling**2
@@ -36,6 +40,7 @@ def accelerations(x: Any, motor_N: Any, p: Any, functions: Any = math) -> tuple[
 
 
 def _dynamics(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> ca.SX:
+    """Return the rates of the four states."""
     return ca.vertcat(x[2], x[3], *accelerations(ca.vertsplit(x), u[0], ca.vertsplit(p), ca))
 
 
@@ -68,19 +73,24 @@ class Run:
 
 
 def run(seed: int, seconds: float = 20.0) -> Run:
-    """Push the cart by a multisine, in random forces and torques, and read two encoders."""
+    """Simulate a recording: a multisine and disturbances move the cart, and two encoders are read.
+
+    The disturbances are first-order Gauss-Markov processes with a correlation time of 0.25 s.
+    """
     rng, count = np.random.default_rng(seed), round(seconds / STEP_s)
     t_s = np.asarray(np.arange(count) * STEP_s, float)
     frequencies, phases = 2 * np.pi * np.linspace(0.1, 2.5, 12), rng.uniform(0, 2 * np.pi, 12)
-    noise, size = np.zeros((count, 2)), (0.08, 0.004)
+    disturbances, std = np.zeros((count, 2)), (0.08, 0.004)
+    correlation = 0.98  # from sample to sample: exp(-STEP_s / 0.25 s)
     for k in range(1, count):
-        noise[k] = 0.98 * noise[k - 1] + (1 - 0.98**2) ** 0.5 * rng.normal(0.0, size)
+        fresh = rng.normal(0.0, std)
+        disturbances[k] = correlation * disturbances[k - 1] + (1 - correlation**2) ** 0.5 * fresh
 
     def motor_N(t: Any) -> Floats:
         return np.asarray(0.9 * np.sin(np.multiply.outer(t, frequencies) + phases).sum(axis=-1))
 
     def rates(t: float, x: Floats) -> Floats:
-        disturbed = [np.interp(t, t_s, values) for values in noise.T]
+        disturbed = [np.interp(t, t_s, values) for values in disturbances.T]
         return np.array([x[2], x[3], *accelerations(x, motor_N(t), (*TRUE.values(), *disturbed))])
 
     states = solve_ivp(

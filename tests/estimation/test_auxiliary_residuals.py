@@ -1,4 +1,4 @@
-"""Auxiliary residuals against brute force: a regressor of its own for a shock at each instant."""
+"""Auxiliary residuals compared with brute force: a separate regressor for a shock at each instant."""
 
 from __future__ import annotations
 
@@ -26,21 +26,23 @@ def filtered() -> InnovationsModel:
 
 @pytest.mark.medium
 @pytest.mark.parametrize("output", range(3))
-def test_scores_at_every_instant_are_those_of_single_regressors(
+def test_score_of_a_shock_is_that_of_its_regressor_at_every_instant(
     filtered: InnovationsModel, output: int
 ) -> None:
-    (found,) = auxiliary_residuals(filtered, DISTURBANCES)
+    (residuals,) = auxiliary_residuals(filtered, DISTURBANCES)
     (linearised,) = filtered.linearised_flights
     rows = np.concatenate([blocks.rows for blocks in linearised.blocks])
     innovations = filtered.innovations(DISTURBANCES).flights[0][:, 0]
-    places = np.arange(3, len(rows), 97)
+    tested = np.arange(3, len(rows), 97)  # every 97th instant: all of them would take minutes
     steps = np.arange(linearised.rows)[:, None]
-    for shock, added in (
-        (found.level, steps >= rows[places]),
-        (found.impulse, steps == rows[places]),
+    # A level is a torque that acts from an instant on; an impulse acts in a single step. Shape (n, tested).
+    torques_of_level, torques_of_impulse = steps >= rows[tested], steps == rows[tested]
+    for shock, torques in (
+        (residuals.level, torques_of_level),
+        (residuals.impulse, torques_of_impulse),
     ):
-        (regressors,) = filtered.disturbance_regressors(DISTURBANCES, output, [added.astype(float)])
+        (regressors,) = filtered.disturbance_regressors(DISTURBANCES, output, [torques.astype(float)])
         score, information = regressors.T @ innovations, np.square(regressors).sum(axis=0)
-        assert np.allclose(shock.information[places, output], information, rtol=1e-7)
-        assert np.allclose(shock.score[places, output], score, rtol=1e-6, atol=1e-7 * np.abs(score).max())
-        assert np.allclose(shock.t_statistic[places, output], score / np.sqrt(information), atol=1e-6)
+        assert np.allclose(shock.information[tested, output], information, rtol=1e-7)
+        assert np.allclose(shock.score[tested, output], score, rtol=1e-6, atol=1e-7 * np.abs(score).max())
+        assert np.allclose(shock.t_statistic[tested, output], score / np.sqrt(information), atol=1e-6)

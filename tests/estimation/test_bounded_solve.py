@@ -1,4 +1,4 @@
-"""A quadratic within bounds: no unknown stays on a bound that the optimum leaves."""
+"""Minimum of a quadratic function within bounds: an unknown may leave a bound on the way to the minimum."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 
-def test_unknown_leaves_its_bound_when_its_neighbour_is_held() -> None:
-    # Alone the first unknown would be -0.4. With the second held at 1 it belongs at +0.1.
+def test_unknown_leaves_its_bound_when_another_is_fixed_at_its_bound() -> None:
+    # Without bounds the first unknown is negative. With the second one at its bound of 1, it is +0.1.
     matrix, right = np.array([[1.0, 0.9], [0.9, 1.0]]), np.array([1.0, 1.54])
     assert np.linalg.solve(matrix, right)[0] < 0.0
     solution = bounded_solve(matrix, right, np.zeros(2), np.array([5.0, 1.0]))
@@ -28,6 +28,6 @@ def test_optimum_within_bounds_is_that_of_scipy(size: int, seed: int) -> None:
     high = random.uniform(0.01, 0.5, size)
     solution = bounded_solve(factor.T @ factor, factor.T @ observed, low, high)
     reference = lsq_linear(factor, observed, (low, high), method="bvls", tol=1e-14).x
-    cost = [np.sum((factor @ x - observed) ** 2) for x in (solution, reference)]
+    cost, reference_cost = (np.sum((factor @ x - observed) ** 2) for x in (solution, reference))
     assert np.all((low <= solution) & (solution <= high))
-    assert cost[0] <= cost[1] + 1e-9
+    assert cost <= reference_cost + 1e-9

@@ -1,4 +1,8 @@
-"""Filter and smoother against dense algebra: states and outputs of a flight in one normal distribution."""
+"""Kalman filter and smoother compared with dense linear algebra.
+
+All states and outputs of a short flight are jointly normal. The tests write them as linear maps of
+independent variables, and compute conditional means and covariances directly.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +18,26 @@ from tests.estimation.density import log_density
 
 STEPS, STATES, TORQUES, PARTS = 6, 4, 2, 3
 ORDER = STATES + TORQUES
+# Correlation of each disturbance torque from part to part of a step, and its standard deviation.
 MEMORY, TORQUE_STD = np.array([0.8, 0.3]), np.array([0.5, 1.5])
 INITIAL_STD = np.array([0.3, 2.0, 0.1, 1.0])
 
 
 @dataclass(frozen=True)
 class System:
-    """A random time-varying system; at one step one axis is not measured."""
+    """A random time-varying linear system with disturbance torques, whose steps consist of `PARTS` parts.
+
+    Parameters
+    ----------
+    transition : ndarray (STEPS, STATES, STATES)
+        State after a step by state before it.
+    part_input : ndarray (PARTS, STEPS, STATES, inputs)
+        State after a step by a torque in each of its parts; a fast and a slow torque act on each input.
+    measurement : ndarray (STEPS, 3, STATES)
+        Outputs by state.
+    variance : ndarray (STEPS, 3)
+        Variance of the measurement noise; 0 if an output is not measured.
+    """
 
     transition: Floats
     part_input: Floats
@@ -28,7 +45,7 @@ class System:
     variance: Floats
 
     def arguments(self, columns: int = 1) -> tuple[Floats, ...]:
-        """Arguments of filter and smoother before the signals, and a zero drive."""
+        """Return the arguments of filter and smoother before the measurements, with a drive of zero."""
         return (
             self.transition,
             self.part_input,
@@ -41,33 +58,38 @@ class System:
         )
 
     def dense(self) -> tuple[Floats, Floats]:
-        """State and torques, and outputs, as linear maps of independent unit variables; rows step by step."""
+        """Return states with torques, and outputs, of all steps as linear maps of independent unit normals.
+
+        The rows are those of the steps, one step after the other. The columns are the independent variables:
+        initial states and torques, `TORQUES` torque innovations per step, and 3 measurement noises per step.
+        """
         width = ORDER + TORQUES * STEPS + 3 * STEPS
         state = np.zeros((ORDER, width))
         state[range(ORDER), range(ORDER)] = np.concatenate((INITIAL_STD, TORQUE_STD))
-        # Each torque keeps its share of a part, and what is left of it acts in the next.
-        kept = MEMORY[None, :] ** np.arange(PARTS)[:, None]
-        over_parts = np.concatenate((self.part_input, self.part_input), axis=3)
-        torque_input = np.einsum("pkij,pj->kij", over_parts, kept)
-        memory = MEMORY**PARTS
+        # In each part of a step, a torque has the share MEMORY of its value in the part before.
+        shares = MEMORY[None, :] ** np.arange(PARTS)[:, None]  # (parts, torques)
+        fast_and_slow_input = np.concatenate((self.part_input, self.part_input), axis=3)
+        torque_input = np.einsum("pkij,pj->kij", fast_and_slow_input, shares)  # summed over the parts
+        step_memory = MEMORY**PARTS
         states, outputs = [], []
         for k in range(STEPS):
             noise = np.zeros((3, width))
-            place = ORDER + TORQUES * STEPS + 3 * k
-            noise[range(3), range(place, place + 3)] = np.sqrt(self.variance[k])
+            first_noise = ORDER + TORQUES * STEPS + 3 * k
+            noise[range(3), range(first_noise, first_noise + 3)] = np.sqrt(self.variance[k])
             states.append(state)
             outputs.append(self.measurement[k] @ state[:STATES] + noise)
-            moved = self.transition[k] @ state[:STATES] + torque_input[k] @ state[STATES:]
-            torque = memory[:, None] * state[STATES:]
-            fresh = ORDER + TORQUES * k
-            torque[range(TORQUES), range(fresh, fresh + TORQUES)] += TORQUE_STD * np.sqrt(1.0 - memory**2)
-            state = np.vstack((moved, torque))
+            next_state = self.transition[k] @ state[:STATES] + torque_input[k] @ state[STATES:]
+            torque = step_memory[:, None] * state[STATES:]
+            first_torque = ORDER + TORQUES * k
+            innovation_std = TORQUE_STD * np.sqrt(1.0 - step_memory**2)
+            torque[range(TORQUES), range(first_torque, first_torque + TORQUES)] += innovation_std
+            state = np.vstack((next_state, torque))
         return np.vstack(states), np.vstack(outputs)
 
 
 @pytest.fixture(scope="module")
 def system() -> System:
-    """The system, the same each time."""
+    """A random system, the same in each run; at step 2 one output is not measured."""
     random = np.random.default_rng(3)
     variance = random.uniform(0.2, 0.6, (STEPS, 3))
     variance[2, 1] = 0.0
@@ -81,55 +103,60 @@ def system() -> System:
 
 @pytest.fixture(scope="module")
 def measured() -> Floats:
-    """One column of outputs."""
+    """Random outputs, one column: shape (STEPS, 3, 1)."""
     return np.random.default_rng(4).normal(0.0, 1.0, (STEPS, 3, 1))
 
 
-def seen(system: System) -> NDArray[np.bool_]:
-    """Which outputs are measured, all steps' in a row."""
+def is_measured(system: System) -> NDArray[np.bool_]:
+    """Return which outputs are measured, one step after the other, shape (3 STEPS,)."""
     result: NDArray[np.bool_] = system.variance.ravel() > 0.0
     return result
 
 
-def test_innovations_are_the_log_likelihood_of_what_was_measured(system: System, measured: Floats) -> None:
+def test_innovations_give_the_log_likelihood_of_the_measurements(system: System, measured: Floats) -> None:
     innovations, log_variances = _kalman.filter(*system.arguments(), measured)
-    count = seen(system).sum()
+    count = is_measured(system).sum()
     log_likelihood = -0.5 * (np.sum(innovations**2) + sum(log_variances) + count * np.log(2.0 * np.pi))
-    outputs = system.dense()[1][seen(system)]
-    expected = log_density(measured.ravel()[seen(system)], outputs @ outputs.T)
+    outputs = system.dense()[1][is_measured(system)]
+    expected = log_density(measured.ravel()[is_measured(system)], outputs @ outputs.T)
     assert log_likelihood == pytest.approx(expected, abs=1e-9)
 
 
 def test_innovations_are_white_and_of_unit_variance(system: System) -> None:
-    # The filter is linear: its matrix whitens the outputs' covariance.
+    # The filter is linear. Unit vectors as measurements give its matrix, which must whiten the outputs.
     columns = np.eye(3 * STEPS).reshape(STEPS, 3, -1)
     innovations, _ = _kalman.filter(*system.arguments(3 * STEPS), columns)
-    whiten = innovations.reshape(3 * STEPS, -1)[np.ix_(seen(system), seen(system))]
-    outputs = system.dense()[1][seen(system)]
-    assert np.allclose(whiten @ outputs @ outputs.T @ whiten.T, np.eye(int(seen(system).sum())), atol=1e-9)
+    whiten = innovations.reshape(3 * STEPS, -1)[np.ix_(is_measured(system), is_measured(system))]
+    outputs = system.dense()[1][is_measured(system)]
+    assert np.allclose(
+        whiten @ outputs @ outputs.T @ whiten.T, np.eye(int(is_measured(system).sum())), atol=1e-9
+    )
 
 
 def test_smoothed_states_are_the_conditional_distribution(system: System, measured: Floats) -> None:
     mean, variance = _kalman.smooth(*system.arguments(), measured)
     states, outputs = system.dense()
-    outputs = outputs[seen(system)]
+    outputs = outputs[is_measured(system)]
     gain = states @ outputs.T @ np.linalg.inv(outputs @ outputs.T)
-    assert np.allclose(mean.ravel(), gain @ measured.ravel()[seen(system)], atol=1e-9)
-    left = states @ states.T - gain @ outputs @ states.T
-    assert np.allclose(variance.ravel(), np.diag(left), atol=1e-9)
+    assert np.allclose(mean.ravel(), gain @ measured.ravel()[is_measured(system)], atol=1e-9)
+    covariance = states @ states.T - gain @ outputs @ states.T
+    assert np.allclose(variance.ravel(), np.diag(covariance), atol=1e-9)
 
 
-def test_tracked_states_know_nothing_of_what_comes_later(system: System, measured: Floats) -> None:
+def test_tracked_states_are_conditional_on_earlier_measurements_only(
+    system: System, measured: Floats
+) -> None:
     predicted, filtered = _kalman.track(*system.arguments(), measured)
     states, outputs = system.dense()
     for k in range(STEPS):
-        for means, count in ((predicted, 3 * k), (filtered, 3 * k + 3)):
-            known = seen(system) & (np.arange(3 * STEPS) < count)
-            own = states[ORDER * k : ORDER * (k + 1)]
+        state = states[ORDER * k : ORDER * (k + 1)]
+        # A predicted state knows the outputs before step k, a filtered state also those of step k.
+        for means, output_count in ((predicted, 3 * k), (filtered, 3 * k + 3)):
+            known = is_measured(system) & (np.arange(3 * STEPS) < output_count)
             if not known.any():
                 assert np.allclose(means[k], 0.0)
                 continue
-            gain = own @ outputs[known].T @ np.linalg.inv(outputs[known] @ outputs[known].T)
+            gain = state @ outputs[known].T @ np.linalg.inv(outputs[known] @ outputs[known].T)
             assert np.allclose(means[k], gain @ measured.ravel()[known], atol=1e-9)
 
 
@@ -144,7 +171,7 @@ def test_drive_moves_the_state_of_the_next_step(system: System) -> None:
     assert np.allclose(predicted[1, :STATES], drive[0, :, 0])
 
 
-def test_steps_of_a_block_move_what_they_move_one_by_one(system: System) -> None:
+def test_block_of_steps_gives_the_state_of_single_steps(system: System) -> None:
     random = np.random.default_rng(7)
     response = random.normal(0.0, 1.0, (STEPS, STATES, STATES))
     rates = random.normal(0.0, 1.0, (STEPS, STATES, 5))
@@ -157,7 +184,7 @@ def test_steps_of_a_block_move_what_they_move_one_by_one(system: System) -> None
         assert np.allclose(responses[block], state, atol=1e-12)
 
 
-def test_rates_of_one_step_alone_move_what_they_move_by_the_end_of_its_block(system: System) -> None:
+def test_block_response_moves_each_rate_to_the_end_of_its_block(system: System) -> None:
     random = np.random.default_rng(9)
     response = random.normal(0.0, 1.0, (STEPS, STATES, STATES))
     rates = random.normal(0.0, 1.0, (STEPS, STATES, 2))
@@ -167,16 +194,18 @@ def test_rates_of_one_step_alone_move_what_they_move_by_the_end_of_its_block(sys
     for block in range(2):
         first, second, third = system.transition[3 * block : 3 * block + 3]
         assert np.allclose(over[block], third @ second @ first, atol=1e-12)
-        for step, after in enumerate((third @ second, third, np.eye(STATES))):
-            at = 3 * block + step
-            assert np.allclose(parts[step, block], after @ response[at] @ rates[at], atol=1e-12)
+        for step, later_steps in enumerate((third @ second, third, np.eye(STATES))):
+            row = 3 * block + step
+            expected = later_steps @ response[row] @ rates[row]
+            assert np.allclose(parts[step, block], expected, atol=1e-12)
 
 
 def test_midpoint_rule_is_that_of_dense_algebra() -> None:
     jacobian = np.random.default_rng(8).normal(0.0, 60.0, (9, 7, 7))
     transition, response = _kalman.midpoint(jacobian, 0.01)
-    for a, phi, gamma in zip(jacobian, transition, response, strict=True):
-        half = 0.005 * a
+    # The implicit midpoint rule is a Cayley transform of half a step of 0.01 s.
+    for step_jacobian, phi, gamma in zip(jacobian, transition, response, strict=True):
+        half = 0.005 * step_jacobian
         assert np.allclose(phi, np.linalg.solve(np.eye(7) - half, np.eye(7) + half), rtol=1e-9, atol=1e-9)
         assert np.allclose(gamma, 0.01 * np.linalg.inv(np.eye(7) - half), rtol=1e-9, atol=1e-11)
 
@@ -184,7 +213,7 @@ def test_midpoint_rule_is_that_of_dense_algebra() -> None:
 @pytest.mark.parametrize("states", [4, 6, 8, 12, 13])
 @pytest.mark.parametrize("disturbance_models", [1, 4, 6])
 @pytest.mark.parametrize("inputs", [3, 5])
-def test_several_disturbance_models_together_are_as_likely_as_each_alone(
+def test_likelihoods_of_several_disturbance_models_are_those_of_each(
     states: int, disturbance_models: int, inputs: int
 ) -> None:
     random = np.random.default_rng(100 * states + disturbance_models)

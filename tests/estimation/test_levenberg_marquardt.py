@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt of the core finds the minimum of a problem that is no flight."""
+"""Levenberg-Marquardt iteration, tested on the Rosenbrock function, whose minimum is known."""
 
 from __future__ import annotations
 
@@ -14,26 +14,35 @@ from heli_lab.estimation.posterior_step import posterior_step
 
 @dataclass(frozen=True)
 class Guess:
+    """Parameters and their cost."""
+
     theta: Floats
     cost: float
 
 
 class Rosenbrock:
-    """A banana-shaped valley; a whole Gauss-Newton step from (-1.2, 1) goes uphill."""
+    """The function of Rosenbrock, a curved valley with its minimum at (1, 1), as a least-squares problem.
 
-    def __init__(self, most_evaluations: int = 1000, high: float = np.inf) -> None:
+    A full Gauss-Newton step from the start (-1.2, 1) increases the cost, so steps must be damped. `high` is
+    an upper bound of x.
+    """
+
+    def __init__(self, max_evaluations: int = 1000, high: float = np.inf) -> None:
+        # Priors so wide that they hardly move the minimum.
         priors = NormalPrior(1.0, 10.0, -np.inf, high), NormalPrior(1.0, 10.0)
         free = [FreeParameter(name, "", prior, name) for name, prior in zip("xy", priors, strict=True)]
         self.vector = ParameterVector(["x", "y"], np.array([-1.2, 1.0]), free, [], ["valley"])
-        self.most_evaluations, self.evaluations, self.rejected = most_evaluations, 0, 0
+        self.max_evaluations, self.evaluations, self.rejected = max_evaluations, 0, 0
 
     def guess(self, theta: Floats) -> Guess:
+        """Evaluate the cost of parameters."""
         x, y = theta
         self.evaluations += 1
         prior = float(np.sum(((theta - 1.0) / 10.0) ** 2))
         return Guess(theta, float((10.0 * (y - x**2)) ** 2 + (1.0 - x) ** 2) + prior)
 
     def step(self, iterate: Guess, damping: float) -> DampedStep[Guess]:
+        """Return the damped Gauss-Newton step from an iterate."""
         x, y = iterate.theta
         residual = np.array([10.0 * (y - x**2), 1.0 - x])
         jacobian = np.array([[20.0 * x, -10.0], [1.0, 0.0]])
@@ -48,10 +57,12 @@ class Rosenbrock:
         return DampedStep(step.move, step.std, 2.0 * step.promised_nats, make)
 
     def with_states_refined(self, iterate: Guess) -> Guess | None:
+        """Return None, because this problem has no initial states."""
         return None
 
     def is_out_of_budget(self) -> bool:
-        return self.evaluations >= self.most_evaluations
+        """Whether no further evaluation is allowed."""
+        return self.evaluations >= self.max_evaluations
 
 
 def test_damped_steps_find_the_end_of_a_curved_valley() -> None:
@@ -69,7 +80,7 @@ def test_search_moves_along_a_bound() -> None:
 
 
 def test_search_out_of_budget_has_not_converged() -> None:
-    problem = Rosenbrock(most_evaluations=3)
+    problem = Rosenbrock(max_evaluations=3)
     start = problem.guess(problem.vector.start)
     minimum = minimise(problem, start, damping=0.0, max_steps=50)
     assert not minimum.converged

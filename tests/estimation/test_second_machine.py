@@ -1,4 +1,4 @@
-"""The estimation core knows no helicopter: it identifies a cart with a pendulum."""
+"""The estimation works for other machines than helicopters: it identifies a cart with a pendulum."""
 
 from __future__ import annotations
 
@@ -28,24 +28,29 @@ def test_a_cart_with_a_pendulum_is_identified_within_its_standard_errors() -> No
     shared = [FreeParameter(name, "", NormalPrior(value, value, 1e-4), name) for name, value in guess.items()]
     per_run = [FreeParameter(name, "", NormalPrior(0.0, 0.1), name) for name in ("force_N", "torque_Nm")]
     vector = ParameterVector(
-        PARAMETERS, np.array([*guess.values(), 0.0, 0.0]), shared, per_run, [one.label for one in runs]
+        PARAMETERS,
+        np.array([*guess.values(), 0.0, 0.0]),
+        shared,
+        per_run,
+        [recording.label for recording in runs],
     )
     assert vector.names[4:] == ("force_N[run 1]", "torque_Nm[run 1]", "force_N[run 2]", "torque_Nm[run 2]")
     functions = ModelFunctions(MODEL, vector.quantities)
-    references = [kinematic_filter(one, KINEMATICS) for one in runs]
+    references = [kinematic_filter(recording, KINEMATICS) for recording in runs]
     first = estimate(vector, references, functions, vector.start)
     references = refiltered(first.filtered(), first.disturbances)
-    found = estimate(vector, references, functions, first.theta, first.disturbances)
-    std = np.sqrt(np.diag(found.covariance))[: len(TRUE)]
-    errors = (found.theta[: len(TRUE)] - np.array([*TRUE.values()])) / std
-    assert found.converged
-    assert np.abs(errors).max() < 3.0
-    assert (std / np.array([*TRUE.values()])).max() < 0.1
+    second = estimate(vector, references, functions, first.theta, first.disturbances)
+    truth = np.array([*TRUE.values()])
+    std = np.sqrt(np.diag(second.covariance))[: len(TRUE)]
+    standardised_errors = (second.theta[: len(TRUE)] - truth) / std
+    assert second.converged
+    assert np.abs(standardised_errors).max() < 3.0
+    assert (std / truth).max() < 0.1
     # The disturbances that were added: 0.08 N and 4 mN m, correlated over 0.25 s.
-    assert found.disturbances.fast_std == pytest.approx([0.08, 0.004], rel=0.3)
+    assert second.disturbances.fast_std == pytest.approx([0.08, 0.004], rel=0.3)
 
 
-def test_parameters_without_a_likelihood_give_the_worst_estimate() -> None:
+def test_impossible_parameters_have_minus_infinite_likelihood() -> None:
     shared = [FreeParameter(name, "", NormalPrior(value, value, 1e-4), name) for name, value in TRUE.items()]
     recording = run(1)
     start = np.array([*TRUE.values(), 0.0, 0.0])

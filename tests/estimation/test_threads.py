@@ -49,15 +49,15 @@ def test_batches_keep_the_order_and_are_not_larger_than_stated() -> None:
     assert batches([], len, 7) == []
 
 
-def test_a_share_is_not_shared_out_again() -> None:
+def test_nested_parallel_map_runs_in_the_thread_that_calls_it() -> None:
     def nested(_: int) -> set[str]:
         return set(parallel_map(lambda _: threading.current_thread().name, range(4), 2))
 
-    # With the workers of one pool waiting for each other it would never end.
+    # If the inner map used the same pool, its workers would wait for each other forever.
     assert all(len(names) == 1 for names in parallel_map(nested, range(4), 2))
 
 
-def test_what_a_thread_raises_is_raised_here() -> None:
+def test_exception_of_a_thread_is_raised_in_the_caller() -> None:
     with pytest.raises(ZeroDivisionError):
         parallel_map(lambda number: 1 / number, [1, 0, 2], 2)
 
@@ -72,6 +72,7 @@ def test_a_block_uses_the_given_number_of_threads(monkeypatch: pytest.MonkeyPatc
 
 
 def _name_after_a_while(_: int) -> str:
+    """Return the name of the thread, late enough that another thread takes the next item."""
     time.sleep(0.05)
     return threading.current_thread().name
 
@@ -97,14 +98,15 @@ def test_linear_algebra_has_one_thread_during_a_diagnosis() -> None:
 @pytest.mark.diagnosis
 def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> None:
     def estimates(threads: int) -> list[np.ndarray]:
+        """Estimate a flight, and score candidates of all kinds, with a number of threads."""
         with using_threads(threads):
             estimate = ModelComparison(MultibodyModel(), RIG, [windy()], []).refit([]).estimate
             screening = Screening(estimate)
             gains = [candidate.log_likelihood_gain for candidate in screening.splines()]
             gains += [candidate.log_likelihood_gain for candidate in screening.effects(KINDS)]
-            references = TermSignals(screening)
-            equations = score(screening, references, groups(references.spans)[:400])
-            gains += [candidate.log_likelihood_gain for candidate in equations]
+            signals = TermSignals(screening)
+            equations = score(screening, signals, groups(signals.spans)[:400])  # 400 are enough, and quick
+            gains += [equation.log_likelihood_gain for equation in equations]
             information = screening.spline_information(
                 spline_candidates(screening.filtered.linearised_flights)
             )
@@ -112,14 +114,15 @@ def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> Non
             estimate.theta,
             estimate.disturbances.logarithms,
             np.array(gains),
-            *(candidate for candidate, _ in information),
+            *(statistics.information for statistics in information),
         ]
 
     for single, double in zip(estimates(1), estimates(2), strict=True):
         assert np.array_equal(single, double)
 
 
-HEAPS = """
+# Allocates in two threads, and prints glibc's list of heaps as XML.
+PRINT_HEAPS = """
 import ctypes
 from heli_lab.threads import limit_malloc_arenas, parallel_map
 {first}
@@ -131,13 +134,16 @@ libc.malloc_info(0, ctypes.c_void_p.in_dll(libc, "stdout"))
 
 
 @pytest.mark.medium
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a heap for each thread is what glibc does")
-def test_threads_take_from_limit_malloc_arenas_where_a_program_says_so() -> None:
-    heaps = [
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc has a heap per thread")
+def test_limit_malloc_arenas_makes_all_threads_share_one_heap() -> None:
+    heap_counts = [
         subprocess.run(
-            [sys.executable, "-c", HEAPS.format(first=first)], capture_output=True, text=True, check=True
+            [sys.executable, "-c", PRINT_HEAPS.format(first=first)],
+            capture_output=True,
+            text=True,
+            check=True,
         ).stdout.count("<heap nr=")
         for first in ("", "limit_malloc_arenas()")
     ]
-    assert heaps[0] > 1
-    assert heaps[1] == 1
+    assert heap_counts[0] > 1
+    assert heap_counts[1] == 1

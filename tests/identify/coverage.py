@@ -1,8 +1,8 @@
-"""How often the truth is within the standard errors: rigs drawn from their tolerances, flown, identified.
+"""Coverage: how often true parameters are within the standard errors of an identification.
 
-`make bench` does fifty; a test does a few. The parameters of a rig are drawn from the tolerances of its
-file; the
-flight code flies the built-in plan `identify` on it, and another flight that the fit does not see.
+The parameters of a simulated rig are drawn from the tolerances of its file. The flight code flies the
+built-in plan `identify` on this rig, and a second flight that no fit uses. `make bench` repeats this for
+fifty rigs, a test for a few.
 """
 
 from __future__ import annotations
@@ -22,42 +22,43 @@ HELD_OUT_S = 40.0
 
 @dataclass(frozen=True)
 class Covered:
-    """One rig, flown and identified.
+    """Errors of the identification of one simulated rig.
 
     Parameters
     ----------
     seed : int
-        Which rig.
-    off : dict of float
-        For each parameter, how far the estimate is from the truth, in its standard errors.
+        Seed from which the rig was drawn.
+    errors_in_std : dict of float
+        For each parameter, estimate less true value, in standard errors.
     train, held_out : float
-        Normalised residual on the flight fitted, and on one that the fit did not see.
+        Normalised residual on the fitted flight, and on the flight that no fit used.
     """
 
     seed: int
-    off: dict[str, float]
+    errors_in_std: dict[str, float]
     train: float
     held_out: float
 
 
 def cover(seed: int) -> Covered:
-    """Draw a rig, fly it twice, identify it from the first flight."""
+    """Draw a rig by a `seed`, fly it twice, and identify it from the first flight."""
     rig = perturbed(seed)
-    found = identify(
+    identified = identify(
         MultibodyModel(),
         load_rig("makki2024"),
         [flown_by_plan(rig, seed)],
         validation=[flown(rig, 1000 + seed, HELD_OUT_S)],
     )
-    truth = {name: rig[name].value for name in found.fit.values} | encoder_zeros_deg(rig, seed)
-    off = {
+    truth = {name: rig[name].value for name in identified.fit.values} | encoder_zeros_deg(rig, seed)
+    errors_in_std = {
         name: (value - truth[name]) / std
-        for (name, value), std in zip(found.fit.values.items(), found.fit.std.values(), strict=True)
+        for (name, value), std in zip(identified.fit.values.items(), identified.fit.std.values(), strict=True)
     }
-    residual = found.json()["normalised_residual"]
-    return Covered(seed, off, residual["train"], residual["validation"])
+    residual = identified.json()["normalised_residual"]
+    return Covered(seed, errors_in_std, residual["train"], residual["validation"])
 
 
 def share_within(flights: Iterable[Covered], bound: float = 2.0) -> float:
-    """Share of all parameters whose truth lies within so many standard errors."""
-    return float(np.mean([abs(off) < bound for flight in flights for off in flight.off.values()]))
+    """Return the share of all parameters whose error is less than `bound` standard errors."""
+    errors = [error for flight in flights for error in flight.errors_in_std.values()]
+    return float(np.mean(np.abs(errors) < bound))

@@ -26,7 +26,11 @@ EXCITATION_V = 0.25
 
 
 def perturbed(seed: int, rig: Rig | None = None) -> Rig:
-    """A rig whose numbers are drawn from what the rig file says of them: normal, half the tolerance."""
+    """Draw a rig from the tolerances of a rig file, by a `seed`.
+
+    A parameter is normal about its value; its standard deviation is half of the tolerance. Gravity and
+    parameters without a tolerance stay.
+    """
     rig = load_rig("makki2024") if rig is None else rig
     random = np.random.default_rng(seed)
     values = {}
@@ -40,14 +44,18 @@ def perturbed(seed: int, rig: Rig | None = None) -> Rig:
 
 
 def hover_V(rig: Rig) -> float:
-    """Sum of both voltages above the dead zone that carries the arm at level."""
+    """Return the sum of both voltages, above the dead zone, that holds the arm at level."""
     v = {name: rig[name].value for name in rig}
     arm_kg_m = (v["M_f"] + v["M_b"] + v["M_h"]) * v["L_a"] + v["M_l"] * v["L_x"] - v["M_w"] * v["L_b"]
     return (arm_kg_m * v["g"] - v["torque_elevation"]) / (v["L_a"] * v["thrust_gain"])
 
 
 def flown(rig: Rig, seed: int, duration_s: float, model: Model | None = None) -> Flight:
-    """Fly sines on travel and elevation with a multisine on both motors: 1 kHz, encoders, link and all."""
+    """Fly sines of travel and elevation, with a multisine on both motors, on a simulated rig.
+
+    The flight code runs at 1 kHz with encoders and link. The `seed` determines amplitudes, periods, and the
+    start positions of the encoders. `model` is by default the multibody model.
+    """
     random = np.random.default_rng(seed)
     world = SilWorld(SilOptions(seed=seed), Plant(model or MultibodyModel(), rig, seed))
     session = Session(InProcessTransport(world))
@@ -76,7 +84,7 @@ def flown(rig: Rig, seed: int, duration_s: float, model: Model | None = None) ->
 def flown_by_plan(
     rig: Rig, seed: int, plan: str | Path | Plan = "identify", model: Model | None = None
 ) -> Flight:
-    """Fly a plan as `heli-host fly` does, in lockstep with a simulated rig: 1 kHz, encoders, link and all."""
+    """Fly a `plan` on a simulated rig as `heli-host fly` does; the flight code runs at 1 kHz."""
     world = SilWorld(SilOptions(seed=seed), Plant(model or MultibodyModel(), rig, seed))
     session = Session(InProcessTransport(world))
     session.connect()
@@ -89,7 +97,10 @@ def flown_by_plan(
 
 
 def _prepare(heli: Heli, rig: Rig) -> None:
-    """Let every rig fly: within its tolerances it may float off its table before it is armed, and turn."""
+    """Set parameters with which every rig within its tolerances can be armed and fly.
+
+    Some rigs rise from the table or turn before they are armed, so the limits for arming are wide.
+    """
     heli.params["hover_V"] = hover_V(rig)
     heli.params["travel_integral_max_deg"] = 20.0
     heli.params["pitch_setpoint_max_deg"] = 25.0
@@ -98,10 +109,10 @@ def _prepare(heli: Heli, rig: Rig) -> None:
 
 
 def encoder_zeros_deg(rig: Rig, seed: int) -> dict[str, float]:
-    """Offsets that the angles of a simulated flight have, as the simulated world draws them from its seed.
+    """Return the true encoder zeros of a simulated flight, which the simulation draws from its `seed`.
 
-    The counters stand anywhere at power-up, count whole numbers below, and the board takes the arm to lie
-    at its rest then: what is left are parts of a count, and the rig's own offsets.
+    At power-up, an encoder is at any position, and the board assumes that the arm lies at its rest. A counter
+    has whole numbers only. The zero is therefore the rig's own offset plus a part of a count.
     """
     stand = np.random.default_rng(seed).uniform(-50_000.0, 50_000.0, 3)
     zeros = {}
@@ -115,7 +126,7 @@ def encoder_zeros_deg(rig: Rig, seed: int) -> dict[str, float]:
 
 
 def thinned(flight: Flight, every: int) -> Flight:
-    """Every so many rows of a flight, each with the mean of the voltages until the next."""
+    """Keep one of `every` rows of a flight, with the mean of the voltages until the next kept row."""
     rows = len(flight) // every * every
     mean_V = flight.voltages_V[:rows].reshape(-1, every, 2).mean(axis=1)
     keep = slice(0, rows, every)

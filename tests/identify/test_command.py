@@ -46,7 +46,7 @@ def fly_hidden(terminal: Terminal, folder: Path, name: str, duration_s: int, see
     assert flown.code == 0, flown
 
 
-def test_from_a_flight_to_a_rig_that_flies(terminal: Terminal, tmp_path: Path) -> None:
+def test_identified_rig_has_the_true_parameters_and_flies(terminal: Terminal, tmp_path: Path) -> None:
     fly_hidden(terminal, tmp_path, "a", 32, seed=1)
     fly_hidden(terminal, tmp_path, "b", 16, seed=2)
     write_csv(read_flight(tmp_path / "b.mcap"), tmp_path / "b.csv.gz")
@@ -77,7 +77,7 @@ def test_from_a_flight_to_a_rig_that_flies(terminal: Terminal, tmp_path: Path) -
     assert hover.code == 0, hover
 
 
-def test_the_page_needs_nothing_else_and_has_its_figures(terminal: Terminal, tmp_path: Path) -> None:
+def test_page_is_self_contained_and_has_its_figures(terminal: Terminal, tmp_path: Path) -> None:
     fly_hidden(terminal, tmp_path, "a", 16, seed=1)
     ended = terminal("identify", "a.mcap", "--free", *HIDDEN, "--report", "page/of/a")
     assert ended.code == 0, ended
@@ -92,7 +92,7 @@ def test_the_page_needs_nothing_else_and_has_its_figures(terminal: Terminal, tmp
     assert json.loads((folder / "result.json").read_text())["parameters"].keys() == HIDDEN.keys()
 
 
-def test_an_effect_is_found_and_flies_with_the_rig(terminal: Terminal, tmp_path: Path) -> None:
+def test_estimated_effect_is_in_the_rig_file_and_flies_with_it(terminal: Terminal, tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(SHORT.format(duration_s=16))
     options = ("--sil", "--speed", "max", "--model", "multibody", "--effect", "rotor_lag=0.05")
     flown = terminal("fly", "a.toml", *options, "--log", "a.mcap")
@@ -114,7 +114,7 @@ def test_an_effect_is_found_and_flies_with_the_rig(terminal: Terminal, tmp_path:
         ("a --validate -- b", "a --validate -- b"),
     ],
 )
-def test_an_option_takes_all_words_up_to_the_next(typed: str, meant: str) -> None:
+def test_option_collects_all_words_up_to_the_next_option(typed: str, meant: str) -> None:
     assert spread(typed.split(), frozenset({"--validate"})) == meant.split()
 
 
@@ -145,7 +145,7 @@ def test_json_has_null_for_what_is_not_finite(tmp_path: Path) -> None:
     }
 
 
-def test_long_work_says_what_it_does_and_how_long_still(
+def test_progress_lines_show_the_step_and_the_time_left(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = iter((0.0, 5.0, 10.0, 20.0))

@@ -1,4 +1,4 @@
-"""A fit finds the parameters of the rig that flew, and explains a held-out flight down to the encoder."""
+"""A fit finds the true parameters of a simulated rig, and predicts a held-out flight down to quantisation."""
 
 from __future__ import annotations
 
@@ -30,17 +30,19 @@ CHANGED = {"thrust_gain": 0.63, "friction_travel": 0.055, "friction_pitch": 0.02
 
 
 def known() -> Rig:
+    """Return the rig file from which the fits start."""
     return load_rig("makki2024")
 
 
 @cache
 def changed_flight(seed: int, duration_s: float = 25.0) -> Flight:
+    """Fly a rig whose parameters differ from the rig file by `CHANGED`."""
     return flown(known().replace(**CHANGED), seed, duration_s)
 
 
 @cache
 def late_flight() -> Flight:
-    """A rig whose thrust lags by 80 ms behind voltages that act 20 ms late."""
+    """Fly a rig whose thrust lags by 80 ms behind voltages that act 20 ms late."""
     effects = catalogue()
     late = effects["input_delay"].make({"input_delay_s": 0.02})
     lag = effects["rotor_lag"].make({"rotor_lag_s": 0.08})
@@ -48,11 +50,12 @@ def late_flight() -> Flight:
 
 
 def assert_estimates(result: Identification, truth: dict[str, float], within: float = 3.0) -> None:
+    """Assert that estimates are `within` some standard errors of the truth."""
     for name, value in truth.items():
         assert result.fit.values[name] == pytest.approx(value, abs=within * result.fit.std[name]), name
 
 
-def test_what_the_identification_plan_flies_finds_the_rig_again() -> None:
+def test_flight_of_the_identify_plan_gives_the_true_rig() -> None:
     rig = known().replace(**CHANGED)
     result = identify(MultibodyModel(), known(), [flown_by_plan(rig, 4)], validation=[changed_flight(3)])
     truth = {name: rig[name].value for name in result.fit.values} | encoder_zeros_deg(rig, 4)
@@ -83,7 +86,7 @@ def test_several_flights_share_the_rig_and_each_keeps_its_own_zeros() -> None:
     assert both.rig("new")["offset_pitch"] == known()["offset_pitch"]
 
 
-def test_a_rig_file_that_is_far_off_is_no_obstacle() -> None:
+def test_fit_succeeds_from_a_rig_file_with_large_errors() -> None:
     numbers = dict(known().numbers)
     for name, value, tolerance in (("thrust_gain", 0.2, 1.0), ("M_w", 0.8, 1.5), ("L_phi", -0.03, 0.2)):
         numbers[name] = replace(numbers[name], value=value, tolerance=tolerance)
@@ -106,7 +109,7 @@ def test_a_delay_and_a_lag_are_distinguished() -> None:
     assert result.rig("new").effects["rotor_lag"]["s"].value == result.fit.values["rotor_lag_s"]
 
 
-def test_a_model_that_lacks_something_says_so() -> None:
+def test_residuals_of_an_incomplete_model_are_large_and_not_white() -> None:
     result = identify(MultibodyModel(), known(), [late_flight()])
     assert result.training[0].normalised > 5.0
     assert not any(result.training[0].white[axis] for axis in ("elevation", "pitch"))
@@ -128,18 +131,19 @@ def test_without_a_compiler_the_answer_is_the_same(monkeypatch: pytest.MonkeyPat
 def test_the_take_off_is_left_out_wherever_the_log_begins() -> None:
     whole = changed_flight(3)
     bare = Flight(whole.t_s, whole.front_V, whole.back_V, *whole.angles_rad.T)
-    first_s = {}
+    first_fitted_s = {}
     for label, flight in (("states", whole), ("no states", bare), ("late start", bare.between(0.2, 99.0))):
         record = prepare(flight, known(), label)
-        first_s[label] = record.t_s[record.segments[0][0]]
+        first_fitted_s[label] = record.t_s[record.segments[0][0]]
         assert np.rad2deg(record.angles_rad[record.segments[0][0], 0]) > -15.0
         assert record.cuts[0].start_s == record.t_s[0]
-    assert max(first_s.values()) - min(first_s.values()) < 0.01
-    fits = [
+    assert max(first_fitted_s.values()) - min(first_fitted_s.values()) < 0.01
+    with_take_off, in_flight = (
         solve(Problem(MultibodyModel(), known(), [flight])) for flight in (whole, bare.between(8.0, 99.0))
-    ]
+    )
     for name in CHANGED:
-        assert fits[0].values[name] == pytest.approx(fits[1].values[name], abs=3 * fits[1].std[name]), name
+        within = 3 * in_flight.std[name]
+        assert with_take_off.values[name] == pytest.approx(in_flight.values[name], abs=within), name
 
 
 def test_a_touch_of_the_table_in_flight_is_left_out() -> None:
@@ -151,10 +155,11 @@ def test_a_touch_of_the_table_in_flight_is_left_out() -> None:
     assert not any(touch[start:stop].any() for start, stop in record.segments)
 
 
-def test_a_disturbed_window_does_not_decide() -> None:
+def test_disturbed_window_hardly_changes_the_robust_estimate() -> None:
     whole = changed_flight(3)
     angles = whole.angles_rad.copy()
     pushed = (whole.t_s > 15.0) & (whole.t_s < 15.5)
+    # For half a second, pitch swings by 4 degrees without any cause in the model.
     angles[pushed, 1] += np.deg2rad(4.0) * np.sin(2 * np.pi * whole.t_s[pushed])
     flight = Flight(whole.t_s, whole.front_V, whole.back_V, *angles.T)
     problem = Problem(MultibodyModel(), known(), [flight])

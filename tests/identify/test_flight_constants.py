@@ -13,23 +13,23 @@ from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
 
 
-def stated(rig: Rig, **tolerances: float) -> Rig:
-    """A rig with these tolerances."""
+def with_tolerances(rig: Rig, **tolerances: float) -> Rig:
+    """Return a rig with other tolerances, by parameter name."""
     numbers = dict(rig.numbers)
     for name, tolerance in tolerances.items():
         numbers[name] = replace(numbers[name], tolerance=tolerance)
     return replace(rig, numbers=numbers)
 
 
-def test_rig_that_states_no_tolerance_still_has_cables_and_no_zero_to_find() -> None:
-    rig = stated(load_rig("makki2024"), torque_pitch=0.0, offset_pitch=0.0)
+def test_without_tolerances_only_cable_torques_are_flight_constants() -> None:
+    rig = with_tolerances(load_rig("makki2024"), torque_pitch=0.0, offset_pitch=0.0)
     priors = flight_constants(MultibodyModel(), rig)
     assert set(priors) == set(FLIGHT_CONSTANTS) - {"offset_pitch"}
     assert priors["torque_pitch"].std == pytest.approx(0.01)
 
 
-def test_fits_take_the_wider_of_rig_and_cables_and_other_flights_the_cables_about_what_was_found() -> None:
-    rig = stated(load_rig("makki2024"), torque_pitch=0.3)
+def test_prior_of_a_constant_is_wide_in_fits_and_narrow_for_other_flights() -> None:
+    rig = with_tolerances(load_rig("makki2024"), torque_pitch=0.3)
     assert flight_constants(MultibodyModel(), rig)["torque_pitch"].std == pytest.approx(0.15)
     other = flight_constants(MultibodyModel(), rig, {"torque_pitch": 0.05, "offset_elevation": 1.0})
     assert (other["torque_pitch"].mean, other["torque_pitch"].std) == pytest.approx((0.05, 0.01))
@@ -38,7 +38,7 @@ def test_fits_take_the_wider_of_rig_and_cables_and_other_flights_the_cables_abou
 
 
 def flown(label: str) -> Record:
-    """Two seconds, in which nothing matters here."""
+    """Make a record of two seconds; these tests do not use its values."""
     rows = 200
     still = np.zeros((rows, 3))
     return Record(
@@ -47,18 +47,18 @@ def flown(label: str) -> Record:
 
 
 @pytest.mark.medium
-def test_rig_found_from_several_flights_has_their_mean_torque_and_nobodys_zero() -> None:
+def test_rig_of_several_flights_has_their_mean_torque_and_no_zero() -> None:
     model, rig = MultibodyModel(), load_rig("makki2024")
-    named = ("friction_pitch", "torque_pitch", "offset_pitch")
-    problem = Problem(model, rig, [flown("a"), flown("b")], free=named, per_flight=FLIGHT_CONSTANTS)
-    found = {
+    free = ("friction_pitch", "torque_pitch", "offset_pitch")
+    problem = Problem(model, rig, [flown("a"), flown("b")], free=free, per_flight=FLIGHT_CONSTANTS)
+    estimates = {
         "friction_pitch": 0.02,
         "torque_pitch[a]": 0.01,
         "torque_pitch[b]": 0.03,
         "offset_pitch[a]": 0.5,
         "offset_pitch[b]": 0.7,
     }
-    theta = np.array([found[name] for name in problem.names])
+    theta = np.array([estimates[name] for name in problem.names])
     covariance = np.diag(np.full(len(theta), 0.001**2))
     fit = Fit(problem, theta, covariance, covariance, (), (), (), 0.0, (), 1, 0.0, True)
     numbers = Identification(fit, (), (), (), ()).rig("found").numbers
@@ -66,5 +66,6 @@ def test_rig_found_from_several_flights_has_their_mean_torque_and_nobodys_zero()
         pytest.approx((0.02, 0.002))
     )
     assert numbers["torque_pitch"].value == pytest.approx(0.02)
+    # A tolerance is two standard deviations: that of the estimates, and that of cables from day to day.
     assert numbers["torque_pitch"].tolerance == pytest.approx(2.0 * np.hypot(0.001, np.sqrt(2.0) * 0.01))
     assert numbers["offset_pitch"] == rig["offset_pitch"]

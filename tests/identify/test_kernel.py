@@ -1,4 +1,4 @@
-"""Free runs: the compiled loop and the interpreted one agree, and their derivatives are derivatives."""
+"""Free runs: the compiled and the interpreted loop agree, and their derivatives are finite differences."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ SIGMA_RAD = np.array([4e-4, 4e-4, 4e-4])
 
 
 def model(name: str) -> tuple[Model, tuple[str, ...]]:
+    """Return a model and its free parameters; the model "late" has a lag and a delay."""
     effects = catalogue()
     lag, delay = effects["rotor_lag"].make({"rotor_lag_s": 0.08}), effects["input_delay"].make()
     return {
@@ -34,7 +35,10 @@ def model(name: str) -> tuple[Model, tuple[str, ...]]:
 
 
 def inputs(substeps: int, shaped: tuple[str, ...]) -> Inputs:
-    """Three windows of unequal length with random voltages about hover."""
+    """Make three windows of unequal length with random voltages about hover.
+
+    For each parameter in `shaped`, a random mean and change of it within the steps are added.
+    """
     random = np.random.default_rng(3)
     steps = np.array([40, 7, 23], np.int64)
     rows = int(steps.sum())
@@ -53,6 +57,7 @@ def inputs(substeps: int, shaped: tuple[str, ...]) -> Inputs:
 
 
 def start(equations: Model) -> Floats:
+    """Return random initial states of the three windows, shape (3, states)."""
     random = np.random.default_rng(4)
     states: Floats = 0.1 * random.standard_normal((3, len(equations.states)))
     return states
@@ -60,6 +65,7 @@ def start(equations: Model) -> Floats:
 
 @pytest.fixture
 def no_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Hide the C compiler, and all functions that were compiled earlier."""
     monkeypatch.setattr(heli_sim.compiled, "compiler", lambda: None)
     monkeypatch.setattr(heli_sim.compiled, "cache_folder", lambda: tmp_path)
 
@@ -71,24 +77,24 @@ def test_compiled_and_interpreted_loops_agree(name: str, substeps: int) -> None:
     compiled, interpreted = kernel(equations, free), InterpretedKernel(Functions(equations, free))
     assert isinstance(compiled, CompiledKernel)
     drive = inputs(substeps, ("input_delay_s", "dead_zone") if name == "late" else ())
-    given = drive, start(equations), equations.parameter_values(RIG)
+    arguments = drive, start(equations), equations.parameter_values(RIG)
     measured = np.random.default_rng(5).normal(0.0, 0.1, (drive.rows, 3))
     for of_compiled, of_interpreted in zip(
-        (*compiled.jacobian(*given), *compiled.predict(*given)),
-        (*interpreted.jacobian(*given), *interpreted.predict(*given)),
+        (*compiled.jacobian(*arguments), *compiled.predict(*arguments)),
+        (*interpreted.jacobian(*arguments), *interpreted.predict(*arguments)),
         strict=True,
     ):
         np.testing.assert_allclose(of_compiled, of_interpreted, rtol=1e-9, atol=1e-11)
     for of_compiled, of_interpreted in zip(
-        compiled.products(*given, measured, SIGMA_RAD),
-        interpreted.products(*given, measured, SIGMA_RAD),
+        compiled.products(*arguments, measured, SIGMA_RAD),
+        interpreted.products(*arguments, measured, SIGMA_RAD),
         strict=True,
     ):
         np.testing.assert_allclose(of_compiled, of_interpreted, rtol=1e-8, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["multibody", "late"])
-def test_a_window_alone_and_among_others_has_the_same_bits(name: str) -> None:
+def test_window_has_the_same_bits_alone_and_together_with_others(name: str) -> None:
     equations, free = model(name)
     runner = kernel(equations, free)
     random = np.random.default_rng(6)
@@ -100,44 +106,50 @@ def test_a_window_alone_and_among_others_has_the_same_bits(name: str) -> None:
     states = 0.1 * random.standard_normal((6, len(equations.states)))
     measured_rad = random.normal(0.0, 0.1, (rows, 3))
 
-    def results(windows: slice, of_rows: slice) -> list[Floats]:
-        drive = Inputs(steps[windows], start_s[windows], 0.01, volts_V[of_rows], slope_V[of_rows])
-        given = drive, states[windows], values
-        products = runner.products(*given, measured_rad[of_rows], SIGMA_RAD)
-        return [*runner.predict(*given), *runner.jacobian(*given), *products]
+    def results(windows: slice, window_rows: slice) -> list[Floats]:
+        """Return all results of the kernel for some windows, which have these rows."""
+        drive = Inputs(steps[windows], start_s[windows], 0.01, volts_V[window_rows], slope_V[window_rows])
+        arguments = drive, states[windows], values
+        products = runner.products(*arguments, measured_rad[window_rows], SIGMA_RAD)
+        return [*runner.predict(*arguments), *runner.jacobian(*arguments), *products]
 
+    # Which results have one entry per row; the others have one per window.
+    has_rows = (True, False, True, True, True, False)
     together = results(slice(6), slice(rows))
-    for window, first in enumerate(np.cumsum(steps) - steps):
-        of_window = slice(window, window + 1), slice(int(first), int(first + steps[window]))
-        by_row = (True, False, True, True, True, False)
-        for alone, among_others, is_by_row in zip(results(*of_window), together, by_row, strict=True):
-            np.testing.assert_array_equal(alone, among_others[of_window[is_by_row]])
+    for number, first in enumerate(np.cumsum(steps) - steps):
+        window, window_rows = slice(number, number + 1), slice(int(first), int(first + steps[number]))
+        alone = results(window, window_rows)
+        for result_alone, result_together, is_by_row in zip(alone, together, has_rows, strict=True):
+            entries = window_rows if is_by_row else window
+            np.testing.assert_array_equal(result_alone, result_together[entries])
 
 
 @pytest.mark.parametrize("name", ["multibody", "late"])
-def test_derivatives_are_those_of_the_free_run(name: str) -> None:
+def test_jacobian_is_the_finite_difference_of_the_free_run(name: str) -> None:
     equations, free = model(name)
     runner, drive = kernel(equations, free), inputs(2, ())
     states, values = start(equations), equations.parameter_values(RIG)
     _, jacobian = runner.jacobian(drive, states, values)
-    places = [equations.parameter_names.index(parameter) for parameter in free]
-    for column in range(states.shape[1] + len(free)):
-        both = []
+    state_count = states.shape[1]
+    # The columns of the Jacobian are the initial states, then the free parameters.
+    for column in range(state_count + len(free)):
+        step = 1e-5
+        if column >= state_count:
+            parameter = equations.parameter_names.index(free[column - state_count])
+            step *= max(abs(values[parameter]), 1.0)
+        predictions = []
         for sign in (-1.0, 1.0):
-            x, p = states.copy(), values.copy()
-            if column < states.shape[1]:
-                size = 1e-5
-                x[:, column] += sign * size
+            changed_states, changed_values = states.copy(), values.copy()
+            if column < state_count:
+                changed_states[:, column] += sign * step
             else:
-                place = places[column - states.shape[1]]
-                size = 1e-5 * max(abs(p[place]), 1.0)
-                p[place] += sign * size
-            both.append(runner.predict(drive, x, p)[0])
-        slope = (both[1] - both[0]) / (2.0 * size)
+                changed_values[parameter] += sign * step
+            predictions.append(runner.predict(drive, changed_states, changed_values)[0])
+        slope = (predictions[1] - predictions[0]) / (2.0 * step)
         np.testing.assert_allclose(jacobian[:, :, column], slope, rtol=1e-4, atol=1e-5)
 
 
-def test_another_loop_in_c_is_another_code(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_code_digest_changes_with_the_loop_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
     read = Path.read_bytes
     before = package_digest.__wrapped__("heli_lab")
     monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b" " * (path.name == "windows.c"))

@@ -1,4 +1,4 @@
-"""Functions in C for several windows together: each lane has the numbers of CasADi."""
+"""Generated C code simulates four windows together, one per lane of a vector register, as CasADi does one."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ void run(const double* x, const double* u, const double* t, const double* p, dou
 
 
 def unary(a: ca.SX) -> list[ca.SX]:
+    """Return every operation on one value, with arguments in its domain."""
     half = 0.5 + 0.4 * ca.sin(a)
     return [
         *(
@@ -51,6 +52,7 @@ def unary(a: ca.SX) -> list[ca.SX]:
 
 
 def binary(a: ca.SX, b: ca.SX) -> list[ca.SX]:
+    """Return every operation on two values."""
     return [
         *(a + b, a - b, a * b, a / b, ca.fabs(a) ** b, a < b, a <= b, a == b, a != b, ca.fmin(a, b)),
         *(ca.logic_and(a, b), ca.logic_or(a, b), ca.if_else(a < b, a, b), ca.fmax(a, b), ca.fmod(a, b)),
@@ -78,7 +80,7 @@ def test_each_operation_in_each_lane_is_that_of_casadi(tmp_path: Path) -> None:
         pytest.skip("no C compiler")
     random = np.random.default_rng(1)
     state, inputs, times = (random.normal(0.0, 1.5, shape) for shape in ((4, 2), (4, 2), 4))
-    inputs[1, 1] = state[1, 0]
+    inputs[1, 1] = state[1, 0]  # equal operands, for comparisons
     parameters = np.array([0.7, -1.3])
     result = np.empty((4, size))
     ctypes.CDLL(str(library)).run(

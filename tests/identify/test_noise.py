@@ -1,4 +1,4 @@
-"""Noise of a sensor is no flight; a hover is, and so is one in disturbances."""
+"""`identify` refuses sensor noise that no voltage explains, and accepts a hover, also under disturbances."""
 
 from __future__ import annotations
 
@@ -27,17 +27,20 @@ STRONGEST = ("random_torque.elevation=0.02", "random_torque.pitch=0.006", "rando
 
 
 def smoothed(values: Floats, pole: float) -> Floats:
-    """A first-order filter over the rows."""
-    out = np.empty_like(values)
+    """Filter each column by a first-order low-pass with a pole, without normalising the gain."""
+    outputs = np.empty_like(values)
     state = np.zeros(values.shape[1])
     for k, row in enumerate(values):
         state = pole * state + row
-        out[k] = state
-    return out
+        outputs[k] = state
+    return outputs
 
 
 def noise(kind: str, seed: int, *, in_counts: bool = False) -> Flight:
-    """Twelve seconds of an IMU on a bench, in radians, with voltages that moved nothing."""
+    """Make twelve seconds of angles of an IMU that lies still, with voltages that are independent of them.
+
+    Kinds are white noise, a random walk, slow noise, and a random walk of the rate ("drift").
+    """
     random = np.random.default_rng(seed)
     white = random.standard_normal((ROWS, 3))
     angles = {
@@ -58,11 +61,11 @@ def noise(kind: str, seed: int, *, in_counts: bool = False) -> Flight:
 @pytest.mark.medium
 @pytest.mark.parametrize("rig", ["makki2024", "quanser-course"])
 @pytest.mark.parametrize("kind", ["white", "walk", "slow", "drift"])
-def test_noise_is_no_flight(kind: str, rig: str) -> None:
+def test_noise_is_not_accepted_as_a_flight(kind: str, rig: str) -> None:
     for seed in (101, 102):
-        made = noise(kind, seed, in_counts=seed == 102)
+        log = noise(kind, seed, in_counts=seed == 102)
         with pytest.raises(NotExcited, match="the voltages do not explain the motion"):
-            identify(MultibodyModel(), load_rig(rig), [made], max_fit_s=20.0)
+            identify(MultibodyModel(), load_rig(rig), [log], max_fit_s=20.0)
 
 
 @pytest.mark.medium
@@ -77,25 +80,25 @@ def test_noise_is_refused_in_a_line_and_writes_no_rig(terminal: Terminal, tmp_pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effects", [(), STRONGEST], ids=["no disturbances", "the strongest disturbances"])
-def test_a_hover_is_a_flight(effects: tuple[str, ...]) -> None:
-    # Thrust and friction alone leave a bias of other numbers: the motion's shape is explained all the same.
+def test_hover_is_accepted_as_a_flight(effects: tuple[str, ...]) -> None:
+    # With two free parameters the others keep their errors, but the shape of the motion is explained.
     for seed in (201, 202):
         rig = load_rig("makki2024") if effects else perturbed(seed)
         model = MultibodyModel(parse_effects(effects)) if effects else None
-        made = flown_by_plan(rig, seed, Plan.parse(HOLD, "hold"), model)
+        hover = flown_by_plan(rig, seed, Plan.parse(HOLD, "hold"), model)
         known = load_rig("makki2024")
-        found = identify(MultibodyModel(), known, [made], free=("thrust_gain", "friction_pitch"))
-        assert found.training[0].seconds_used > 8.0
+        identified = identify(MultibodyModel(), known, [hover], free=("thrust_gain", "friction_pitch"))
+        assert identified.training[0].seconds_used > 8.0
 
 
 @pytest.mark.slow
-def test_a_flight_validated_on_noise_is_refused_by_the_name_of_the_noise() -> None:
-    made = flown_by_plan(perturbed(203), 203, Plan.parse(HOLD, "hold"))
+def test_validation_on_noise_is_refused_with_the_name_of_the_noise() -> None:
+    hover = flown_by_plan(perturbed(203), 203, Plan.parse(HOLD, "hold"))
     with pytest.raises(NotExcited, match=r"^validation 1: the voltages do not explain"):
         identify(
             MultibodyModel(),
             load_rig("makki2024"),
-            [made],
+            [hover],
             validation=[noise("white", 104)],
             free=("thrust_gain",),
         )

@@ -35,19 +35,20 @@ ROWS = WINDOWS[-1].stop
 
 @cache
 def identified(*free: str) -> Identification:
+    """Identify the free parameters, by default all, from a flight of 25 s."""
     rig = load_rig("makki2024")
     return identify(MultibodyModel(), rig, [flown(rig, 3, 25.0)], free=free or None)
 
 
 def coloured(share: float) -> Floats:
-    """Residuals of variance 1 that keep a share from row to row."""
+    """Make first-order autocorrelated residuals of variance 1; `share` is the correlation of neighbours."""
     values: Floats = np.random.default_rng(1).standard_normal((ROWS, 3))
     for k in range(1, ROWS):
         values[k] = share * values[k - 1] + math.sqrt(1.0 - share**2) * values[k]
     return values
 
 
-def test_a_sum_that_is_identified_leaves_a_difference_that_is_not() -> None:
+def test_only_the_unidentified_combination_of_parameters_is_reported() -> None:
     information = 1e4 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     unidentifiable = combinations(("a", "b", "c"), information, np.ones(3))
     assert len(unidentifiable) == 1 and unidentifiable[0].std_over_prior == pytest.approx(1.0)
@@ -103,20 +104,21 @@ def test_parameters_that_a_flight_does_not_inform_are_named() -> None:
     assert result.json()["uninformed_parameters"] == result.uninformed_parameters
 
 
-def test_no_estimate_is_less_sure_than_before_the_flight() -> None:
+def test_no_standard_error_exceeds_that_of_the_prior() -> None:
     result = identified()
     for parameter, std in zip(result.fit.problem.free, result.fit.std.values(), strict=True):
-        # The scatter of quantisation adds to what the prior holds: 2 % of it where a flight informs nothing.
+        # Quantisation adds up to 2 % to the prior's standard deviation if the flight shows nothing.
         assert std <= 1.03 * parameter.prior.std, parameter.name
 
 
-def test_no_delay_is_more_certain_than_the_tick_of_a_voltage() -> None:
+def test_standard_error_of_a_time_is_at_least_that_of_a_voltage_step() -> None:
     record = prepare(flown(load_rig("makki2024"), 3, 25.0), load_rig("makki2024"), "a")
     model = MultibodyModel((RotorLag(0.05),))
     problem = Problem(model, load_rig("makki2024"), [record])
-    late = timing_variance(problem)
-    assert late[problem.names.index("rotor_lag_s")] == pytest.approx(record.step_s**2 / 12.0)
-    assert np.count_nonzero(late) == 1
+    added_variance = timing_variance(problem)
+    # A voltage is held over a step: the variance of a uniform distribution over it.
+    assert added_variance[problem.names.index("rotor_lag_s")] == pytest.approx(record.step_s**2 / 12.0)
+    assert np.count_nonzero(added_variance) == 1
     assert solve(problem).std["rotor_lag_s"] >= record.step_s / math.sqrt(12.0)
 
 
@@ -126,11 +128,12 @@ def test_autocorrelated_residuals_count_as_fewer_samples(share: float) -> None:
     np.testing.assert_allclose(factor, (1.0 + share) / (1.0 - share), rtol=0.35)
 
 
-def test_white_is_white_and_coloured_is_not() -> None:
+def test_white_residuals_pass_the_test_and_coloured_residuals_fail() -> None:
     lag = 50
-    for share, white in ((0.0, True), (0.9, True), (0.99, False)):
-        values, bound = correlation_at(coloured(share), WINDOWS, lag)
-        assert bool(np.all(np.abs(values) < bound)) is white, share
+    # After 50 rows, a correlation of 0.9 between neighbours has decayed, and one of 0.99 has not.
+    for share, is_white in ((0.0, True), (0.9, True), (0.99, False)):
+        correlations, bound = correlation_at(coloured(share), WINDOWS, lag)
+        assert bool(np.all(np.abs(correlations) < bound)) is is_white, share
 
 
 def test_an_outlying_window_loses_weight() -> None:
@@ -143,7 +146,7 @@ def test_an_outlying_window_loses_weight() -> None:
     assert np.all(np.delete(weights, [7, 8]) == 1.0)
 
 
-def test_no_axis_of_a_wrong_model_is_taken_for_exact() -> None:
+def test_no_axis_of_a_wrong_model_counts_as_exact() -> None:
     sigma = np.array([4e-4, 4e-4, 4e-4])
     exact = floor_axes(np.ones(3), np.ones(3), sigma)
     np.testing.assert_array_equal(exact, 1.0)

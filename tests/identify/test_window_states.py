@@ -1,4 +1,4 @@
-"""Windows that a joint step leaves behind, or that start in a wrong basin, are optimised alone."""
+"""Initial states of windows: a window that a joint step does not improve is optimised separately."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ KIND = catalogue()["coulomb_friction.pitch"]
 
 @functools.cache
 def dry_flight(seed: int) -> Flight:
-    """A flight whose light axis sticks hard: at each reversal the torque jumps by what a rotor gives."""
+    """Fly a rig with so much dry friction about pitch that its torque jumps by a rotor's at each reversal."""
     true = KIND.make({"coulomb_friction_pitch_Nm": DRY_Nm, "coulomb_friction_pitch_hold_s": 0.01})
     return flown(RIG, seed, FLIGHT_S, MultibodyModel((true,)))
 
 
 def posed(size_Nm: float, seed: int = 7) -> Problem:
+    """Pose the fit of a flight with dry friction, which starts from friction of this size."""
     effect = KIND.make({"coulomb_friction_pitch_Nm": size_Nm})
     record = prepare(dry_flight(seed), RIG, f"flight {seed}")
     return Problem(MultibodyModel((effect,)), RIG, [record], step_s=0.004)
@@ -43,38 +44,39 @@ def posed(size_Nm: float, seed: int = 7) -> Problem:
 def test_hard_dry_friction_of_the_light_axis_is_found_from_a_start_without_any() -> None:
     fit = solve(posed(0.0))
     assert check(fit).normalised < 1.03
-    off = fit.values["coulomb_friction_pitch_Nm"] - DRY_Nm
-    assert abs(off) < 3.0 * fit.std["coulomb_friction_pitch_Nm"]
-    # On a flight that it has not seen no window is left behind in a wrong state.
+    error_Nm = fit.values["coulomb_friction_pitch_Nm"] - DRY_Nm
+    assert abs(error_Nm) < 3.0 * fit.std["coulomb_friction_pitch_Nm"]
+    # In another flight, no window stays in a wrong state.
     assert check(validate(fit, [dry_flight(8)])).normalised < 1.05
 
 
-def at(problem: Problem, states: Floats, prior: Floats) -> tuple[ShootingCost, Iterate]:
-    """A cost of unit variances and weights, and these states at the parameters to start from."""
+def iterate_at(problem: Problem, states: Floats, prior: Floats) -> tuple[ShootingCost, Iterate]:
+    """Return a cost with unit variances and weights, and its iterate at these states and the start values."""
     cost = ShootingCost(problem, False)
     cost.variance, cost.weights, cost.state_prior = [np.ones(3)], [np.ones(len(states))], [prior]
     return cost, cost.evaluate(problem.parameter_vector.start, [states])
 
 
-def test_a_window_in_a_wrong_state_returns_and_leaves_the_others_alone() -> None:
+def test_window_in_a_wrong_state_is_refined_without_the_others() -> None:
     problem = posed(DRY_Nm)
     theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
-    cost, there = at(problem, states, states)
-    refine_states(cost, there, 0, np.arange(len(states)), max_steps=20)
-    right = cost.window_cost(there, 0)
-    wrong = there.states[0].copy()
+    cost, refined = iterate_at(problem, states, states)
+    refine_states(cost, refined, 0, np.arange(len(states)), max_steps=20)
+    right_cost = cost.window_cost(refined, 0)
+    # The pitch rate of window 3 is wrong by 0.3 rad/s.
+    wrong = refined.states[0].copy()
     wrong[3, 4] += 0.3
-    cost, back = at(problem, wrong, states)
-    assert cost.window_cost(back, 0)[3] > 100.0 * right[3]
-    refine_states(cost, back, 0, np.array([3]), max_steps=20)
-    assert cost.window_cost(back, 0)[3] < 1.05 * right[3]
-    np.testing.assert_array_equal(np.delete(back.states[0], 3, axis=0), np.delete(wrong, 3, axis=0))
-    seen = problem.evaluation(0, theta, back.states[0])
-    np.testing.assert_allclose(back.evaluations[0].residual, seen.residual, atol=1e-9)
+    cost, iterate = iterate_at(problem, wrong, states)
+    assert cost.window_cost(iterate, 0)[3] > 100.0 * right_cost[3]
+    refine_states(cost, iterate, 0, np.array([3]), max_steps=20)
+    assert cost.window_cost(iterate, 0)[3] < 1.05 * right_cost[3]
+    np.testing.assert_array_equal(np.delete(iterate.states[0], 3, axis=0), np.delete(wrong, 3, axis=0))
+    evaluation = problem.evaluation(0, theta, iterate.states[0])
+    np.testing.assert_allclose(iterate.evaluations[0].residual, evaluation.residual, atol=1e-9)
 
 
-def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a_play() -> None:
+def test_diverged_window_restarts_from_both_sides_of_a_play() -> None:
     kind, play_rad = catalogue()["backlash.travel"], 0.02
     true = kind.make({"backlash_travel_rad": play_rad})
     problem = Problem(
@@ -85,43 +87,45 @@ def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a
         state_std={"backlash_travel_shaft_rad": 0.02},
     )
     theta = problem.parameter_vector.start
-    (seen,) = initial_state_guess(problem, theta)
-    cost, there = at(problem, seen, seen)
-    refine_states(cost, there, 0, np.arange(len(seen)), max_steps=20)
-    right = cost.window_cost(there, 0)
-    lost = there.states[0].copy()
-    lost[0, 3:6] += 5.0
-    others = alternative_states(problem, 0, theta, lost)
-    # Nothing but the play itself ties the arm's travel to what its encoder shows.
-    assert sorted(float(other[0, 2] - seen[0, 2]) for other in others[2:]) == pytest.approx([-0.01, 0.01])
-    cost, found = at(problem, lost, seen)
-    for other in others:
-        restart_states(cost, found, 0, np.array([0]), other)
-    assert cost.window_cost(found, 0)[0] < 1.05 * right[0]
-    np.testing.assert_array_equal(found.states[0][1:], lost[1:])
+    (guess,) = initial_state_guess(problem, theta)
+    cost, refined = iterate_at(problem, guess, guess)
+    refine_states(cost, refined, 0, np.arange(len(guess)), max_steps=20)
+    right_cost = cost.window_cost(refined, 0)
+    # The rates of the first window are so wrong that it diverges.
+    diverged = refined.states[0].copy()
+    diverged[0, 3:6] += 5.0
+    alternatives = alternative_states(problem, 0, theta, diverged)
+    # The arm may be on either side of the play, half a play from the angle that the encoder shows.
+    travel_shifts_rad = sorted(float(states[0, 2] - guess[0, 2]) for states in alternatives[2:])
+    assert travel_shifts_rad == pytest.approx([-0.5 * play_rad, 0.5 * play_rad])
+    cost, iterate = iterate_at(problem, diverged, guess)
+    for states in alternatives:
+        restart_states(cost, iterate, 0, np.array([0]), states)
+    assert cost.window_cost(iterate, 0)[0] < 1.05 * right_cost[0]
+    np.testing.assert_array_equal(iterate.states[0][1:], diverged[1:])
 
 
-def test_a_frequency_waits_until_its_torque_is_found() -> None:
-    kind, own = catalogue()["periodic_torque.travel"], "periodic_torque_travel_"
-    true = {own + "sin_Nm": 0.04, own + "cos_Nm": 0.0, own + "Hz": 2.25}
+def test_periodic_torque_is_fitted_from_a_small_size_and_wrong_phase() -> None:
+    kind, prefix = catalogue()["periodic_torque.travel"], "periodic_torque_travel_"
+    true = {prefix + "sin_Nm": 0.04, prefix + "cos_Nm": 0.0, prefix + "Hz": 2.25}
     flight = thinned(flown(RIG, 7, FLIGHT_S, MultibodyModel((kind.make(true),))), 2)
-    # Small, and at a phase that has nothing to do with the true one.
-    start = kind.make({own + "sin_Nm": -0.002, own + "cos_Nm": -0.002, own + "Hz": 2.26})
+    # The start is small, and has a wrong phase.
+    start = kind.make({prefix + "sin_Nm": -0.002, prefix + "cos_Nm": -0.002, prefix + "Hz": 2.26})
     fit = solve(Problem(MultibodyModel((start,)), RIG, [flight], step_s=0.004))
     assert check(fit).normalised < 1.03
-    assert abs(fit.values[own + "Hz"] - 2.25) < 3.0 * fit.std[own + "Hz"]
-    assert abs(np.hypot(fit.values[own + "sin_Nm"], fit.values[own + "cos_Nm"]) - 0.04) < 0.002
+    assert abs(fit.values[prefix + "Hz"] - 2.25) < 3.0 * fit.std[prefix + "Hz"]
+    assert abs(np.hypot(fit.values[prefix + "sin_Nm"], fit.values[prefix + "cos_Nm"]) - 0.04) < 0.002
 
 
-def test_a_better_state_from_before_is_taken() -> None:
+def test_refined_states_fall_back_to_better_earlier_states() -> None:
     problem = posed(DRY_Nm)
     theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
-    lost = states.copy()
-    lost[2, 3:] = np.nan
-    cost, back = at(problem, lost, states)
-    refine_states(cost, back, 0, np.array([2]), before=states, max_steps=0)
-    np.testing.assert_array_equal(back.states[0][2], states[2])
+    diverged = states.copy()
+    diverged[2, 3:] = np.nan
+    cost, iterate = iterate_at(problem, diverged, states)
+    refine_states(cost, iterate, 0, np.array([2]), before=states, max_steps=0)
+    np.testing.assert_array_equal(iterate.states[0][2], states[2])
 
 
 def test_a_window_may_start_where_the_one_before_it_ends() -> None:
@@ -135,13 +139,13 @@ def test_a_window_may_start_where_the_one_before_it_ends() -> None:
     )
     start = alternative_states(problem, 0, theta, states)[0]
     assert np.all(windows[:-1].sum(axis=1) == windows[1:, 0])
-    # Nothing is before the first window, and the third one diverges.
+    # No window is before the first one, and the third one diverges, so the fourth has no start from it.
     unchanged = [0, 3]
     np.testing.assert_array_equal(start[unchanged], states[unchanged])
     np.testing.assert_array_equal(np.delete(start, unchanged, axis=0), np.delete(ends[:-1], 2, axis=0))
 
 
-def test_residuals_are_those_of_the_evaluation_and_their_squares_its_last_products() -> None:
+def test_residuals_agree_with_the_products_of_the_kernel() -> None:
     problem = posed(DRY_Nm)
     theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
@@ -151,7 +155,7 @@ def test_residuals_are_those_of_the_evaluation_and_their_squares_its_last_produc
     np.testing.assert_allclose(evaluation.squares, squares, rtol=1e-9)
 
 
-def test_a_problem_posed_otherwise_has_the_kernel_of_the_first() -> None:
+def test_variants_of_a_problem_share_its_kernel() -> None:
     problem = posed(0.01)
     for other in (problem.with_windows(1.0), problem.with_split_windows(2), problem.with_free(problem.free)):
         assert other.kernel is problem.kernel
@@ -161,7 +165,7 @@ def test_a_problem_posed_otherwise_has_the_kernel_of_the_first() -> None:
     assert pickle.loads(pickle.dumps(problem)).kernel is not problem.kernel
 
 
-def test_first_states_follow_the_parameters_and_are_worked_out_once_for_each() -> None:
+def test_initial_states_are_computed_once_for_each_parameter_vector() -> None:
     lag = catalogue()["rotor_lag"].make({"rotor_lag_s": 0.05})
     record = prepare(dry_flight(7), RIG, "flight 7")
     problem = Problem(MultibodyModel((lag,)), RIG, [record], free=["rotor_lag_s"], step_s=0.004)
@@ -170,6 +174,6 @@ def test_first_states_follow_the_parameters_and_are_worked_out_once_for_each() -
     for theta in (slow, fast, fast, slow):
         (states,) = cost.initial_state_guess(theta)
         assert np.array_equal(states, initial_state_guess(problem, theta)[0])
-        # An optimiser that changes them does not change the memory.
+        # An optimiser may change the states that it received; the cached ones must not change.
         states += 1.0
     assert not np.allclose(initial_state_guess(problem, slow)[0], initial_state_guess(problem, fast)[0])

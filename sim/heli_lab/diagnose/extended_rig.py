@@ -35,6 +35,7 @@ def extended_rig(
     term : ProposedTerm or None
         An equation to add; it flies together with its effect file.
     """
+    # The other fields of an identification are for its report.
     rig = Identification(fit, (), (), (), ()).rig(name)
     labels = ", ".join(record.label for record in fit.problem.records)
     source = f"found by heli-host diagnose from {labels}"
@@ -42,15 +43,15 @@ def extended_rig(
     for id_, numbers in causes.items():
         effects[id_] = effect_numbers(
             kinds[id_],
-            {key: number.value for key, number in numbers.items()},
+            {parameter: number.value for parameter, number in numbers.items()},
             # A tolerance in a rig file is two standard deviations.
-            {key: 2.0 * number.std for key, number in numbers.items()},
+            {parameter: 2.0 * number.std for parameter, number in numbers.items()},
             source,
         )
     if term is not None:
         effects[term.discovery.effect.name] = {
-            what: Number(value, unit, 2.0 * error, source)
-            for what, (value, error, unit) in term.discovery.values.items()
+            parameter: Number(value, unit, 2.0 * std, source)
+            for parameter, (value, std, unit) in term.discovery.values.items()
         }
     return Rig(rig.name, rig.description, {**rig.numbers, **_mean_zeros(fit)}, effects, rig.model)
 

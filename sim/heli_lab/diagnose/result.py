@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 from heli_sim.model.effects import EffectSpec
 from heli_sim.model.parts import AXES
@@ -49,6 +50,13 @@ class Proposal:
 
     term: ProposedTerm
     evaluation: HypothesisEvaluation
+
+
+class MissingDependence(NamedTuple):
+    """Axis with a torque or angle that no effect explains, and the quantity on which it depends."""
+
+    axis: str
+    quantity: str
 
 
 @dataclass(frozen=True)
@@ -136,24 +144,27 @@ class Diagnosis:
 
     @cached_property
     def failing(self) -> FailingRegions:
-        """Regions in which the baseline and the extended model fail; with a proposed equation, the extended
-        model without and with it.
+        """Regions in which the baseline and the extended model fail.
+
+        If there is a proposed equation, the two models are the extended model without and with it. The axis
+        is that of the missing torque, or otherwise that of the spline term with the highest score.
         """
         term = self.proposed_term
         if term is not None:
             return self.failing_about(term.trace.axis, term.trace.on)
-        splines = self.search.rounds[0].splines
-        torques = [
-            (channel.partition(".")[2], on)
-            for channel, on in (spline.candidate.dependence for spline in splines)
-            if channel.startswith("torque")
-        ]
-        missing = [self.missing] if self.missing else []
-        axis, on = next(iter((*missing, *torques)), (self.assessment.residual_analysis.axis, ""))
-        return self.failing_about(axis, on)
+        if self.missing is not None:
+            return self.failing_about(self.missing.axis, self.missing.quantity)
+        for spline in self.search.rounds[0].splines:
+            channel, quantity = spline.candidate.dependence
+            if channel.startswith("torque"):
+                return self.failing_about(channel.partition(".")[2], quantity)
+        return self.failing_about(self.assessment.residual_analysis.axis)
 
     def failing_about(self, axis: str, on: str = "") -> FailingRegions:
-        """Regions in which these two models fail about one `axis`; `on` is one of the two quantities."""
+        """Regions in which the two models of `failing` fail about an `axis`.
+
+        `on` is one of the two quantities of the plane; by default, the plane has the most evidence.
+        """
         term = self.proposed_term
         before, after = (
             (term.discovery.base, term.discovery.hypothesis)
@@ -163,33 +174,35 @@ class Diagnosis:
         return failing_regions(before.estimate, after.estimate, axis, on)
 
     @property
-    def missing(self) -> tuple[str, str] | None:
-        """Axis that moves by what no effect explains, and the quantity on which that most likely depends;
-        None if everything is explained.
-        """
+    def missing(self) -> MissingDependence | None:
+        """The strongest dependence that no effect explains; None if everything is explained."""
         if self.label != "unexplained":
             return None
         residual = self.assessment.residual_analysis
         if self.verdict.unlisted:
-            channel, on = self.verdict.unlisted[0].candidate.dependence
-            place = channel.partition(".")[2]
+            channel, quantity = self.verdict.unlisted[0].candidate.dependence
+            axis_or_rotors = channel.partition(".")[2]
             # The sum of the thrusts lifts the arm, and their difference pitches it.
-            return {"both": "elevation", "difference": "pitch"}.get(place, place), on
-        channel, _, on = residual.dependences[0].what.partition(" on ")
-        place = channel.partition(".")[2]
-        return (place if place in AXES else residual.axis), on
+            axis = {"both": "elevation", "difference": "pitch"}.get(axis_or_rotors, axis_or_rotors)
+            return MissingDependence(axis, quantity)
+        channel, _, quantity = residual.dependences[0].what.partition(" on ")
+        axis_or_rotors = channel.partition(".")[2]
+        axis = axis_or_rotors if axis_or_rotors in AXES else residual.axis
+        return MissingDependence(axis, quantity)
 
     @cached_property
     def prior_conflicts(self) -> tuple[PriorConflict, ...]:
-        """Parameters of the rig whose estimate is far from the rig file's prior, each with its estimate
-        without that prior.
+        """Parameters of the rig whose estimate is far from the rig file's prior.
+
+        Each has also its estimate without that prior.
         """
         return tried_without(prior_conflicts(self.assessment.after.fit), self.assessment.extended.estimate)
 
     @cached_property
     def extrapolations(self) -> tuple[Extrapolation, ...]:
-        """Windows of each held-out flight whose voltages the fitted flights do not show; empty if no flight
-        is held out.
+        """Windows of each held-out flight with voltages that the fitted flights do not contain.
+
+        It is empty if no flight is held out.
         """
         if self.assessment.after.held_out_fit is None:
             return ()
@@ -197,7 +210,10 @@ class Diagnosis:
 
     @property
     def random_torque(self) -> dict[str, dict[str, CauseParameter]]:
-        """Parameters of the random torque by full name, by effect id; empty if there is none."""
+        """Size and correlation time of the random torque, as ``{effect id: {full name: parameter}}``.
+
+        It is empty if the verdict has no random torque.
+        """
         if not self.verdict.random_torque:
             return {}
         residual = self.assessment.residual_analysis
@@ -205,7 +221,10 @@ class Diagnosis:
         std_Nm = float(residual.disturbances.fast_std[axis])
         correlation_time_s = float(residual.disturbances.correlation_time_s[axis])
         seconds = sum(record.used_s for record in self.assessment.before.fit.problem.records)
-        relative = 1.0 / math.sqrt(2.0 * max(seconds / (2.0 * correlation_time_s), 2.0))
+        # Values two correlation times apart count as independent. The relative standard error of a standard
+        # deviation from N independent values is 1 / sqrt(2 N); at least two values are assumed.
+        independent_values = max(seconds / (2.0 * correlation_time_s), 2.0)
+        relative = 1.0 / math.sqrt(2.0 * independent_values)
         prefix = f"random_torque_{residual.axis}"
         return {
             f"random_torque.{residual.axis}": {

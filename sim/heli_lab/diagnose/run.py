@@ -125,25 +125,26 @@ def diagnose(
         started_s = time.perf_counter()
         report = say or (lambda _step, _share: None)
         available = catalogue() if kinds is None else dict(kinds)
-        given_labels = tuple(labels or ())
-        names = itertools.chain(given_labels, (f"flight {n}" for n in itertools.count(1 + len(given_labels))))
+        names = _labels_and_numbers(labels or ())
         train, skipped = _prepared(flights, names, rig, start_s, stop_s)
         if not train:
             raise skipped[0]
         held_out, skipped_held_out = _prepared(validation, names, rig, None, None)
         _refuse_duplicates(train, held_out)
         for record in held_out:
-            calibration_s(record, calibrate_s)
-        kept = EstimateCache(resume, fingerprint(model, rig, [*train, *held_out])) if resume else None
-        comparison = ModelComparison(model, rig, train, held_out, seed=seed, cache=kept)
+            calibration_s(record, calibrate_s)  # raises if the calibration would leave nothing to evaluate
+        cache = EstimateCache(resume, fingerprint(model, rig, [*train, *held_out])) if resume else None
+        comparison = ModelComparison(model, rig, train, held_out, seed=seed, cache=cache)
         known = {effect.name for effect in model.effects}
         tried = {id_: kind for id_, kind in available.items() if _is_candidate(kind, model, known, available)}
         result, assessment = _search_and_assess(comparison, tried, available, report, refits)
-        noisy = justified_thrust_noise(comparison, result, assessment)
-        if noisy is not None:
-            again = _search_and_assess(noisy, tried, available, report, refits)
-            if again[1].verdict.label != "unexplained":
-                comparison, (result, assessment) = noisy, again
+        noisy_comparison = justified_thrust_noise(comparison, result, assessment)
+        if noisy_comparison is not None:
+            noisy_result, noisy_assessment = _search_and_assess(
+                noisy_comparison, tried, available, report, refits
+            )
+            if noisy_assessment.verdict.label != "unexplained":
+                comparison, result, assessment = noisy_comparison, noisy_result, noisy_assessment
         if comparison.fits < refits:
             result, assessment = with_listed_remainder(comparison, result, assessment, tried, available)
         undetectable = undetectable_effects(result.rounds[-1].screened, available)
@@ -171,27 +172,36 @@ def diagnose(
         )
 
 
+def _labels_and_numbers(labels: Sequence[str]) -> Iterator[str]:
+    """Yield the given `labels`, then ``flight N`` for further flights, where N counts all flights."""
+    yield from labels
+    yield from (f"flight {number}" for number in itertools.count(1 + len(labels)))
+
+
 def _search_and_assess(
     comparison: ModelComparison,
     tried: Mapping[str, EffectSpec],
-    every: Mapping[str, EffectSpec],
+    available: Mapping[str, EffectSpec],
     say: Callable[[str, float], None],
     refits: float,
 ) -> tuple[Search, Assessment]:
-    """Search with terms of the baseline that may be removed; again without them if something stays
-    unexplained.
+    """Search for causes, and assess the result.
+
+    The search tries the effects `tried`, and the removal of terms of the baseline, which are in the catalogue
+    `available`. If it removes a term and something stays unexplained, it is repeated without removals.
     """
 
     def attempt(removable: Iterable[EffectSpec]) -> tuple[Search, Assessment]:
+        """Search once, with these terms of the baseline that may be removed."""
         result = search(comparison, tried, removable=tuple(removable), say=say, refits=refits)
         say("analysing what remains", 0.9)
-        return result, assess(comparison, result, every)
+        return result, assess(comparison, result, available)
 
-    result, assessment = attempt(every.values())
+    result, assessment = attempt(available.values())
     ids = {cause.candidate.id for cause in assessment.verdict.causes}
-    removed = any(id_ in every and every[id_].override for id_ in ids)
-    if removed and assessment.verdict.label == "unexplained":
-        # An unlisted cause may imitate the absence of a tightly specified term: with one, none is removed.
+    has_removed_term = any(id_ in available and available[id_].override for id_ in ids)
+    if has_removed_term and assessment.verdict.label == "unexplained":
+        # An unlisted cause may imitate the absence of a tightly specified term.
         return attempt(())
     return result, assessment
 
@@ -206,7 +216,7 @@ def _propose(
     refits: float,
     say: Callable[[str, float], None],
 ) -> Proposal | None:
-    """Search for an equation of what is missing, and evaluate the model with it."""
+    """Search for an equation of the missing term, and evaluate the model with it; None without one."""
     discovery = discover(
         comparison,
         assessment.extended,
@@ -218,13 +228,15 @@ def _propose(
     if discovery is None:
         return None
     runs_before = evaluation.extension.before
-    reduced = evaluate_hypothesis(discovery.hypothesis, comparison, runs_before, calibrate_s)
-    return Proposal(proposed_term(discovery), reduced)
+    with_equation = evaluate_hypothesis(discovery.hypothesis, comparison, runs_before, calibrate_s)
+    return Proposal(proposed_term(discovery), with_equation)
 
 
 def _is_candidate(kind: EffectSpec, model: Model, known: set[str], every: Mapping[str, EffectSpec]) -> bool:
-    """Whether the search tries an effect. The fit itself shows the absence of a term with a free
-    parameter.
+    """Whether the search tries to add an effect to a model that has the effects `known`.
+
+    `every` is the catalogue. Most removals of a term are not tried, because the estimate of the term's
+    parameter shows its absence.
     """
     if not kind.suits(model) or kind.noise_inputs or not may_join(kind.id, known, every):
         return False
@@ -238,7 +250,7 @@ def _prepared(
     start_s: float | None,
     stop_s: float | None,
 ) -> tuple[list[Record], list[NotExcited]]:
-    """Flights prepared for fitting, and why others without excitation are skipped."""
+    """Prepare flights for fitting; return their records, and the reasons why flights were skipped."""
     records, skipped = [], []
     for flight, label in zip(flights, labels, strict=False):
         if isinstance(flight, Record):

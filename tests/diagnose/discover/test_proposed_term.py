@@ -1,4 +1,4 @@
-"""The law of what is on no list is found, confirmed, drawn, written and flown; or there is none."""
+"""Proposed equations: found with their coefficients, confirmed by another flight, written and flown."""
 
 from __future__ import annotations
 
@@ -94,16 +94,17 @@ def test_rig_has_the_equation_on_request_and_flies_with_its_effect_file(
     assert list(effect.values.values()) == pytest.approx(list(proposed.numbers.values()))
     plan = "title = 'Up'\n[[segment]]\nkind = 'hold'\nduration_s = 1.0\n"
     (tmp_path / "up.toml").write_text(plan)
-    flown = {}
-    for name, more in {
+    logs = {}
+    for name, options in {
         "without": (),
         "with": ("--effect-file", path, "--effect", "proposed_term"),
         "in_rig": ("--rig", "with_term.toml", "--effect-file", path),
     }.items():
-        ended = terminal("fly", "up.toml", "--sil", *more, "--speed", "max", "--log", f"{name}.mcap")
+        ended = terminal("fly", "up.toml", "--sil", *options, "--speed", "max", "--log", f"{name}.mcap")
         assert ended.code == 0, ended.err
-        flown[name] = Path(f"{name}.mcap").read_bytes()
-    assert len({*flown.values()}) == 3
+        logs[name] = Path(f"{name}.mcap").read_bytes()
+    # The extended rig has other parameters too, so all three flights differ.
+    assert len({*logs.values()}) == 3
 
 
 def test_equation_that_a_held_out_flight_contradicts_is_dropped() -> None:
@@ -121,25 +122,26 @@ def test_second_equation_gets_another_name() -> None:
     assert free_name(("proposed_term", "rotor_lag")) == "proposed_term_2"
     assert free_name(("proposed_term", "proposed_term_2")) == "proposed_term_3"
     equation = Equation((EquationTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
-    two = [
+    first, second = (
         equation_effect(equation, dict.fromkeys(equation.coefficients, 1.0), name=name)
-        for name in ("one", "two")
-    ]
-    assert len(MultibodyModel(tuple(two)).parameters) == len(MultibodyModel().parameters) + 2
+        for name in ("first", "second")
+    )
+    assert len(MultibodyModel((first, second)).parameters) == len(MultibodyModel().parameters) + 2
 
 
 def scored_as(channel: str, quantity: str, nats: float) -> ScoredTermGroup:
+    """Return a term that is linear in a quantity, with this score."""
     group = TermGroup((EquationTerm(channel, Term((Factor("linear", quantity),))),), 1)
     return ScoredTermGroup(group, nats, np.ones(1), (1.0,))
 
 
 def equation_search(base: Hypothesis) -> EquationSearch:
-    """A search that has tried a hundred terms of one factor; it refits nothing."""
+    """Return a search that has scored a hundred terms of one factor; it cannot refit."""
     comparison = cast(ModelComparison, SimpleNamespace(rows=1000))
     return EquationSearch(EquationRefits(comparison, base, "proposed_term", {1: 100}), lambda _: None)
 
 
-def test_encoder_errors_leave_finalists_for_a_torque_of_less_score() -> None:
+def test_encoder_errors_do_not_fill_all_places_of_the_finalists() -> None:
     search = equation_search(cast(Hypothesis, SimpleNamespace(ids=())))
     on_encoders = [scored_as(f"measurement.{axis}", axis, 80.0 + i) for i, axis in enumerate(AXES)]
     chosen = search.finalists([*on_encoders, scored_as("torque.pitch", "travel", 40.0)])
@@ -161,10 +163,10 @@ def test_terms_hidden_by_a_slow_disturbance_are_scored_without_it() -> None:
         for times in (0.5, 30.0)
     )
     assert equation_search(base).slow_finalists(base, calm, signals, [equation, encoder]) == []
-    (beside,) = score(Screening(replace(base.estimate, disturbances=drifting)), signals, [equation])
-    (slow,) = equation_search(base).slow_finalists(base, drifting, signals, [equation, encoder])
-    assert slow.group is equation
-    assert slow.log_likelihood_gain > 1.2 * beside.log_likelihood_gain
+    (with_drift,) = score(Screening(replace(base.estimate, disturbances=drifting)), signals, [equation])
+    (without_drift,) = equation_search(base).slow_finalists(base, drifting, signals, [equation, encoder])
+    assert without_drift.group is equation
+    assert without_drift.log_likelihood_gain > 1.2 * with_drift.log_likelihood_gain
 
 
 def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
@@ -172,62 +174,64 @@ def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
     comparison = ModelComparison(MultibodyModel(), rig, [prepare(flights()[0], rig, "fit")], [])
     screening = Screening(comparison.refit([]).estimate)
     signals = TermSignals(screening)
-    share = Factor("linear", "own_thrust")
-    every = [
+    own_thrust = Factor("linear", "own_thrust")
+    one_per_kind_of_channel = [
         EquationTerm("torque.travel", Term((Factor("signed_square", "travel_rate"),))),
-        EquationTerm("thrust.difference", Term((share, Factor("linear", "travel_rate")))),
-        EquationTerm("thrust.back", Term((share, Factor("sin", "travel", (("k", 2.0),))))),
+        EquationTerm("thrust.difference", Term((own_thrust, Factor("linear", "travel_rate")))),
+        EquationTerm("thrust.back", Term((own_thrust, Factor("sin", "travel", (("k", 2.0),))))),
         EquationTerm("voltage.both", Term((Factor("square", "own_voltage"),))),
         EquationTerm("measurement.pitch", Term((Factor("linear", "travel"),))),
     ]
-    for term in every:
+    for term in one_per_kind_of_channel:
         (scored,) = score(screening, signals, [TermGroup((term,), 1)])
         equation = Equation((term,))
         effect = equation_effect(equation, dict(zip(equation.coefficients, scored.prior_std, strict=True)))
-        linear = tuple(f"proposed_term_{name}" for name in equation.coefficients)
-        extended = ExtendedModel(MultibodyModel(), effect, linear)
+        coefficient_names = tuple(f"proposed_term_{name}" for name in equation.coefficients)
+        extended = ExtendedModel(MultibodyModel(), effect, coefficient_names)
         (flight,) = signals.linearised_flights
         rates, _ = extended.run(flight.trajectory, effect.values)
         _, angles = extended.run(flight.nodes, effect.values)
-        parts = screening.information([(rates, angles if np.any(angles) else None)], [1])
-        gain, coefficients, _ = score_of(*parts[0], np.array(scored.prior_std))
+        (statistics,) = screening.information([(rates, angles if np.any(angles) else None)], [1])
+        gain, coefficients, _ = score_of(*statistics, np.array(scored.prior_std))
         assert scored.log_likelihood_gain == pytest.approx(gain, rel=1e-6), term.key
         assert scored.coefficients == pytest.approx(coefficients, rel=1e-6)
 
 
-def test_a_right_model_fails_nowhere_in_95_percent_of_all_cases() -> None:
+def test_right_model_has_no_failing_region_in_95_percent_of_cases() -> None:
     estimate = diagnosed().search.baseline.estimate
     screening = Screening(estimate)
     rng = np.random.default_rng(1)
-    # Where the model is right its innovations are white: all but their drawing is as it is in a diagnosis.
-    rows = screening.measurements
+    # The innovations of a right model are white: they are drawn, and the regressors are those of a diagnosis.
+    # Cells are bands of elevation, 0.04 rad wide, in which a flight was for at least 61 steps.
     inside = [
         (flight.trajectory.state[:, 0] > low) & (flight.trajectory.state[:, 0] <= low + 0.04)
         for flight in screening.filtered.linearised_flights
         for low in np.arange(-0.16, 0.16, 0.04)
     ]
     cells = np.column_stack([cell for cell in inside if cell.sum() > 60]).astype(float)
-    only = list(screening.filtered.disturbance_regressors(estimate.disturbances, 1, [cells]))
-    (nuisance,) = (innovations[:, 1:] for innovations in screening._innovations.flights)
-    alarms = 0
+    regressors = list(screening.filtered.disturbance_regressors(estimate.disturbances, 1, [cells]))
+    (parameter_regressors,) = (innovations[:, 1:] for innovations in screening._innovations.flights)
+    false_alarms = 0
     for _ in range(200):
-        white = rng.standard_normal(rows)
-        screening._error = [white - nuisance @ screening._solve(nuisance.T @ white)]
-        parts = screening.projected(only, [1] * cells.shape[1])
-        z = np.array([gradient[0] / np.sqrt(information[0, 0]) for information, gradient in parts])
-        p = 2.0 * ndtr(-np.abs(z))
-        alarms += bool((false_discovery_control(p) <= FALSE_DISCOVERY_RATE).any())
+        white = rng.standard_normal(screening.measurements)
+        # A refit of the free parameters projects them out of the innovations.
+        step = screening._solve(parameter_regressors.T @ white)
+        screening._error = [white - parameter_regressors @ step]
+        statistics = screening.projected(regressors, [1] * cells.shape[1])
+        z = np.array([score[0] / np.sqrt(information[0, 0]) for information, score in statistics])
+        p_values = 2.0 * ndtr(-np.abs(z))
+        false_alarms += bool((false_discovery_control(p_values) <= FALSE_DISCOVERY_RATE).any())
     # 5 % of 200 are 10; three standard deviations more are 19.
-    assert alarms <= 19
+    assert false_alarms <= 19
 
 
 def test_a_region_in_which_nothing_is_missing_is_not_outlined() -> None:
     diagnosis = diagnosed(unlisted=True)
     proposed = diagnosis.proposed_term
     assert proposed is not None
-    equation = proposed.discovery
-    regimes = failing_regions(equation.base.estimate, equation.hypothesis.estimate, "travel")
-    assert regimes.after.share < 0.1
+    discovery = proposed.discovery
+    regions = failing_regions(discovery.base.estimate, discovery.hypothesis.estimate, "travel")
+    assert regions.after.share < 0.1
 
 
 def test_command_writes_equation_and_effect_file(

@@ -1,4 +1,4 @@
-"""Terms that the baseline has and the rig has not are named."""
+"""Terms of the baseline that the rig lacks are named as causes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from heli_lab.diagnose.evaluate.absent_terms import absence_probability, absent_
 from heli_lab.diagnose.evaluate.prediction import Prediction
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Screening
 from heli_lab.diagnose.search.baseline_terms import tightly_specified_terms
-from heli_lab.diagnose.search.screening import Score
+from heli_lab.diagnose.search.score_test import Score
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effects_of
@@ -27,10 +27,10 @@ KINDS = catalogue()
 
 
 @cache
-def tried(effect: str) -> tuple[ModelComparison, Hypothesis]:
+def refitted(effect: str) -> tuple[ModelComparison, Hypothesis]:
     """Refit the baseline to flights of a rig that lacks a term."""
     rig = load_rig("makki2024")
-    # Whether a pendulum is there at all shows in 34 s, and not in half of them.
+    # Flights of 34 s show whether the rig has a pendulum; half of the time is not enough.
     fit, held_out = flights(effect, seconds=WHOLE_S)
     comparison = ModelComparison(
         MultibodyModel(), rig, [prepare(fit, rig, "fit")], [prepare(held_out, rig, "held out")]
@@ -40,7 +40,7 @@ def tried(effect: str) -> tuple[ModelComparison, Hypothesis]:
 
 def free_run(effect: str) -> Prediction:
     """Free runs of that baseline."""
-    comparison, baseline = tried(effect)
+    comparison, baseline = refitted(effect)
     return predict(baseline.estimate, comparison.train, ())
 
 
@@ -55,8 +55,8 @@ def diagnosed(effect: str) -> Diagnosis:
 
 
 @pytest.mark.parametrize("axis", ["travel", "elevation", "pitch"][: samples(3, 1)])
-def test_friction_that_is_not_there_is_named_by_the_fit_itself(axis: str) -> None:
-    comparison, _ = tried(f"removed.friction.{axis}=1")
+def test_absent_friction_is_named_from_its_estimate(axis: str) -> None:
+    comparison, _ = refitted(f"removed.friction.{axis}=1")
     (term,) = absent_terms(free_run(f"removed.friction.{axis}=1").fit, comparison.rig, KINDS)
     assert term.id == f"removed.friction.{axis}"
     assert abs(term.share - 1.0) < 3.0 * term.std
@@ -65,56 +65,57 @@ def test_friction_that_is_not_there_is_named_by_the_fit_itself(axis: str) -> Non
     assert term.z_from_rig > 10.0
 
 
-def test_pendulum_that_the_rig_states_closely_scores_as_absent() -> None:
-    comparison, baseline = tried("removed.pendulum.elevation=1")
-    found = tightly_specified_terms(comparison, KINDS.values(), Screening(baseline.estimate))
-    best = max(found, key=lambda term: term.log_likelihood_gain)
+def test_absent_pendulum_with_a_tight_prior_has_a_high_score() -> None:
+    comparison, baseline = refitted("removed.pendulum.elevation=1")
+    terms = tightly_specified_terms(comparison, KINDS.values(), Screening(baseline.estimate))
+    best = max(terms, key=lambda term: term.log_likelihood_gain)
     assert best.candidate.id == "removed.pendulum.elevation"
     assert best.log_likelihood_gain > 15.0
-    less = comparison.refit([best.candidate], best.start, baseline)
-    assert less.log_likelihood > baseline.log_likelihood + 100.0
+    without_pendulum = comparison.refit([best.candidate], best.start, baseline)
+    assert without_pendulum.log_likelihood > baseline.log_likelihood + 100.0
 
 
-def test_pendulum_that_the_fit_shrank_against_its_prior_is_tried_as_absent_whatever_its_score(
+def test_pendulum_far_below_its_prior_is_tried_as_absent(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    comparison, baseline = tried("removed.pendulum.elevation=1")
+    comparison, baseline = refitted("removed.pendulum.elevation=1")
     screening = Screening(baseline.estimate)
-    stated = comparison.rig["L_theta"]
+    prior = comparison.rig["L_theta"]
     # A tolerance is two standard deviations.
-    deviation = (baseline.values["L_theta"] - stated.value) / (0.5 * stated.tolerance)
+    deviation = (baseline.values["L_theta"] - prior.value) / (0.5 * prior.tolerance)
+    # No term has a score, so only the distance from the prior counts.
     score = Score(0.0, np.zeros(1), np.ones(1))
     monkeypatch.setattr(screening, "score", lambda candidates: [score for _ in candidates])
-    found = tightly_specified_terms(comparison, KINDS.values(), screening)
-    assert [term.candidate.id for term in found] == ["removed.pendulum.elevation"]
-    assert found[0].log_likelihood_gain == pytest.approx(0.5 * deviation**2)
+    terms = tightly_specified_terms(comparison, KINDS.values(), screening)
+    assert [term.candidate.id for term in terms] == ["removed.pendulum.elevation"]
+    assert terms[0].log_likelihood_gain == pytest.approx(0.5 * deviation**2)
 
 
-def test_pendulum_that_is_plainly_absent_is_named_by_the_fit_however_closely_it_was_stated() -> None:
-    comparison, _ = tried("removed.pendulum.pitch=1")
-    names = [one.id for one in absent_terms(free_run("removed.pendulum.pitch=1").fit, comparison.rig, KINDS)]
-    assert names == ["removed.pendulum.pitch"]
+def test_clearly_absent_pendulum_is_named_despite_its_tight_prior() -> None:
+    comparison, _ = refitted("removed.pendulum.pitch=1")
+    (term,) = absent_terms(free_run("removed.pendulum.pitch=1").fit, comparison.rig, KINDS)
+    assert term.id == "removed.pendulum.pitch"
 
 
-def test_other_causes_take_no_term_away() -> None:
-    comparison, _ = tried("rotor_lag=0.06")
+def test_other_effect_makes_no_term_absent() -> None:
+    comparison, _ = refitted("rotor_lag=0.06")
     assert absent_terms(free_run("rotor_lag=0.06").fit, comparison.rig, KINDS) == ()
 
 
 @pytest.mark.parametrize("term", ["friction.travel", "pendulum.elevation"][: samples(2, 1)])
-def test_removed_term_is_the_cause_with_its_share_and_flies_in_the_extended_rig(term: str) -> None:
-    found = diagnosed(f"removed.{term}=1")
-    numbers = to_json(found)
+def test_removed_term_is_the_cause_and_in_the_extended_rig(term: str) -> None:
+    diagnosis = diagnosed(f"removed.{term}=1")
+    numbers = to_json(diagnosis)
     assert numbers["verdict"] == "cause_found"
     (cause,) = numbers["causes"]
     assert cause["effect"] == f"removed.{term}"
     (share,) = cause["parameters"].values()
     assert share["value"] == pytest.approx(1.0, abs=0.02)
     assert cause["confidence"] > 0.9
-    assert "is not there" in summary(found)
-    rig = found.rig("extended")
-    taken = {effect.name: effect.values for effect in effects_of(rig)}
-    assert taken.keys() == ({f"removed.{term}"} if term.startswith("pendulum") else set())
+    assert "is not there" in summary(diagnosis)
+    # Friction of 0 is a value of the rig's parameter; a pendulum needs an effect that removes it.
+    effect_ids = {effect.name for effect in effects_of(diagnosis.rig("extended"))}
+    assert effect_ids == ({f"removed.{term}"} if term.startswith("pendulum") else set())
 
 
 @pytest.mark.parametrize(
@@ -128,7 +129,7 @@ def test_removed_term_is_the_cause_with_its_share_and_flies_in_the_extended_rig(
         (1.0, 0.01, 0.0, 1e-6),
     ],
 )
-def test_term_is_absent_only_if_its_parameter_is_zero_within_a_small_error(
+def test_term_is_absent_only_if_its_parameter_is_precisely_zero(
     value: float, std: float, low: float, high: float
 ) -> None:
     assert low <= absence_probability(value, std) <= high

@@ -21,12 +21,13 @@ def test_lag_and_dead_time_add_up_with_their_covariance() -> None:
     std = dict(zip(problem.names, np.sqrt(np.diag(covariance)), strict=True))
     fit = cast(Any, SimpleNamespace(problem=problem, covariance=covariance, std=std))
     parameters = {LAG: CauseParameter(0.11, 2e-3, "s"), DELAY: CauseParameter(0.02, 2e-3, "s")}
-    found = family_number(fit, KINDS["rotor_lag_with_delay"], KINDS, parameters)
-    assert found is not None
-    assert (found.value, found.unit) == (pytest.approx(0.13), "s")
-    assert found.std == pytest.approx(1e-3)
-    assert "0.1300 ± 0.0010 s" in found.sentence
-    assert found.members == ("rotor_lag", "rotor_speed_lag", "rotor_lag_with_delay")
+    lag = family_number(fit, KINDS["rotor_lag_with_delay"], KINDS, parameters)
+    assert lag is not None
+    assert (lag.value, lag.unit) == (pytest.approx(0.13), "s")
+    # The variances add up to 8e-6 s^2, less twice the covariance of 3.5e-6 s^2.
+    assert lag.std == pytest.approx(1e-3)
+    assert "0.1300 ± 0.0010 s" in lag.sentence
+    assert lag.members == ("rotor_lag", "rotor_speed_lag", "rotor_lag_with_delay")
     assert family_number(fit, KINDS["axis_tilt"], KINDS, {}) is None
 
 
@@ -54,8 +55,8 @@ def test_zero_error_of_pitch_and_reaction_torque_have_the_same_tilt() -> None:
     arm_m = 0.7
     zero, torque = KINDS["zero_offset.pitch"], KINDS["rotor_reaction_torque"]
     of_zero = number(zero.id, 1.0, torque.id, rad=TILT_rad)
-    q = -TILT_rad * arm_m
-    of_torque = number(torque.id, arm_m, zero.id, front_m=q, back_m=q)
+    torque_per_thrust_m = -TILT_rad * arm_m
+    of_torque = number(torque.id, arm_m, zero.id, front_m=torque_per_thrust_m, back_m=torque_per_thrust_m)
     assert of_zero is not None
     assert of_torque is not None
     assert of_zero.value == pytest.approx(TILT_rad)

@@ -33,7 +33,7 @@ LAG_s: Final = 0.06
 
 
 def the_rig() -> Rig:
-    """The rig as other flights of it have shown it, its zeros known to a degree."""
+    """Return the rig as other flights have identified it; its encoder zeros are uncertain by 1 degree."""
     rig = load_rig("makki2024").replace(thrust_gain=0.62, friction_travel=0.05)
     numbers = dict(rig.numbers)
     for name in ZEROS_deg:
@@ -42,13 +42,14 @@ def the_rig() -> Rig:
 
 
 def _flown() -> Flight:
+    """Fly the rig with a lag and the torques of that day."""
     lag = MultibodyModel(parse_effects([f"rotor_lag={LAG_s}"]))
     return thinned(flown(the_rig().replace(**TODAY), 14, 26.0, lag), 2)
 
 
 @cache
 def that_day() -> Record:
-    """A flight with a lag in it, on a day with torques and zeros of its own."""
+    """Return a flight with a lag, on a day with other cable torques and encoder zeros."""
     made_by = (*MADE_BY, Path(__file__))
     record = prepare(KEPT("another day", _flown, made_by=made_by, rooms=FLOWN), the_rig(), "that day")
     return replace(record, angles_rad=record.angles_rad + np.deg2rad([*ZEROS_deg.values(), 0.0]))
@@ -63,18 +64,18 @@ def predicted(*effects: str, calibrate_s: float = 8.0) -> FreeRun:
 RIGHT: Final = f"rotor_lag={LAG_s}"
 
 
-def test_first_seconds_give_the_zeros_and_torques_of_that_day() -> None:
+def test_calibration_finds_zeros_and_torques_of_the_day() -> None:
     constants = predicted(RIGHT).constants
     assert constants.keys() == {"torque_elevation", *TODAY, *ZEROS_deg}
     for name, truth in {**TODAY, **ZEROS_deg}.items():
         value, std = constants[name]
-        # The board takes the arm to lie at its rest when it zeroes: a part of a count is the flight's own.
+        # The board zeroes an encoder in whole counts, so each flight has an unknown part of a count.
         slack = 0.09 if name in ZEROS_deg else 0.0
         assert abs(value - truth) < 3.0 * std + slack, name
     assert abs(constants["torque_pitch"][0]) > 10.0 * constants["torque_pitch"][1]
 
 
-def test_with_them_only_quantisation_is_left_of_the_rest_and_without_them_much_more() -> None:
+def test_calibrated_prediction_has_errors_of_quantisation_only() -> None:
     quantisation_deg = np.rad2deg(that_day().sigma_rad)
     for key in HORIZONS:
         assert np.all(predicted(RIGHT).errors[key].rms_deg < 1.05 * quantisation_deg)
@@ -83,7 +84,7 @@ def test_with_them_only_quantisation_is_left_of_the_rest_and_without_them_much_m
     assert uncalibrated.errors["2"].rms_deg[1] > 5.0 * quantisation_deg[1]
 
 
-def test_no_horizon_hides_a_lag_in_zeros_or_torques_and_errors_grow_with_it() -> None:
+def test_errors_by_a_missing_lag_grow_with_the_horizon() -> None:
     pitch_deg = [predicted().errors[key].rms_deg[1] for key in ("0.5", "1", "2")]
     right_deg = [predicted(RIGHT).errors[key].rms_deg[1] for key in ("0.5", "1", "2")]
     assert pitch_deg == sorted(pitch_deg)
@@ -97,20 +98,21 @@ def test_horizons_are_judged_on_the_same_samples_after_the_beginning() -> None:
     assert rows[0].sum() * record.step_s == pytest.approx(run.evaluated_s, abs=0.1)
     assert run.calibrated_s == pytest.approx(8.0, abs=0.01)
     assert run.calibrated_s + run.evaluated_s == pytest.approx(record.used_s)
-    begin = record.t_s[record.segments[0][0]]
-    assert run.fit.problem.records[0].t_s[run.fit.problem.grid(0, True, run.fit.theta).rows[0]] == (
-        pytest.approx(begin + 8.0, abs=0.01)
-    )
+    problem = run.fit.problem
+    first_evaluated_row = problem.grid(0, True, run.fit.theta).rows[0]
+    first_evaluated_s = problem.records[0].t_s[first_evaluated_row]
+    begin_s = record.t_s[record.segments[0][0]]
+    assert first_evaluated_s == pytest.approx(begin_s + 8.0, abs=0.01)
 
 
 def _swinging(record: Record, rows: slice) -> Record:
-    """Pitch swings by a degree, unexplained, in some rows."""
+    """Let pitch swing by 1 degree in some rows, which no model explains."""
     angles = record.angles_rad.copy()
     angles[rows, 1] += np.deg2rad(1.0) * np.sin(5.0 * record.t_s[rows])
     return replace(record, angles_rad=angles)
 
 
-def test_what_is_judged_takes_no_part_in_the_calibration() -> None:
+def test_evaluated_part_has_no_influence_on_the_calibration() -> None:
     record = that_day()
     model = MultibodyModel(parse_effects([RIGHT]))
     cut = record.segments[0][0] + round(8.0 / record.step_s)
@@ -130,6 +132,7 @@ def test_values_found_on_other_flights_are_the_means_of_the_priors() -> None:
 
 
 def _cut(record: Record, seconds: float) -> Record:
+    """Keep the first seconds of free flight."""
     start = record.segments[0][0]
     return replace(record, segments=((start, start + round(seconds / record.step_s)),))
 
@@ -152,7 +155,7 @@ def test_two_thirds_of_a_flight_are_judged_however_short_it_is() -> None:
         (12.0, r"leave no time of the 12 s of free flight in that day; give 4 or less to --calibrate"),
     ],
 )
-def test_more_than_a_flight_leaves_is_refused_with_what_it_leaves(asked_s: float, message: str) -> None:
+def test_too_long_calibration_is_refused_with_the_longest_possible(asked_s: float, message: str) -> None:
     with pytest.raises(IdentifyError, match=message):
         calibration_s(_cut(that_day(), 12.0), asked_s)
 
@@ -173,14 +176,18 @@ def test_flight_in_pieces_is_calibrated_on_its_first_seconds_of_free_flight() ->
     )
 
 
-def test_gain_that_all_windows_share_is_sure_and_one_that_a_single_window_makes_is_not() -> None:
-    rows, typical_candidate = np.full(12, 1000.0), np.ones((12, 3))
-    shared = error_reduction(
-        [WindowErrors(typical_candidate, rows)], [WindowErrors(0.25 * typical_candidate, rows)]
+def test_interval_is_narrow_only_if_all_windows_show_the_error_reduction() -> None:
+    rows, equal_errors = np.full(12, 1000.0), np.ones((12, 3))
+    quarter_errors = 0.25 * equal_errors
+    in_all_windows = error_reduction(
+        [WindowErrors(equal_errors, rows)], [WindowErrors(quarter_errors, rows)]
     )["pitch"]
-    assert shared.interval95 == pytest.approx((shared.ratio, shared.ratio))
-    gusty = typical_candidate.copy()
-    gusty[0] = 100.0
-    single = error_reduction([WindowErrors(gusty, rows)], [WindowErrors(typical_candidate, rows)])["pitch"]
-    assert single.ratio < shared.ratio
-    assert single.interval95[1] == pytest.approx(1.0)
+    assert in_all_windows.interval95 == pytest.approx((in_all_windows.ratio, in_all_windows.ratio))
+    # A bootstrap sample without the first window has no reduction at all.
+    one_large_error = equal_errors.copy()
+    one_large_error[0] = 100.0
+    in_one_window = error_reduction(
+        [WindowErrors(one_large_error, rows)], [WindowErrors(equal_errors, rows)]
+    )["pitch"]
+    assert in_one_window.ratio < in_all_windows.ratio
+    assert in_one_window.interval95[1] == pytest.approx(1.0)

@@ -34,7 +34,11 @@ def hypothesis(*ids: str, nats: float = 0.0) -> Hypothesis:
 
 
 class Scores:
-    """Scores on one set of flights: each effect has an information of 1e6, and the score of its gain."""
+    """Stand-in for a screening of one set of flights, with given gains of the effects.
+
+    Each coefficient has a Fisher information of 1e6. The gain is score^2 / (2 information), which gives the
+    score.
+    """
 
     gains: dict[str, float]
 
@@ -66,7 +70,16 @@ def explained(
     held_out: dict[str, float],
     used_s: float = 30.0,
 ) -> Any:
-    """Return the wider search; a negative gain is that of a size with the opposite sign."""
+    """Return the search with one more cause, or None.
+
+    Parameters
+    ----------
+    fitted, held_out : dict
+        Gain of each effect on the fitted and on the held-out flights, nats. Gains of opposite signs belong to
+        sizes of opposite signs.
+    used_s : float
+        Duration of the fitted flight.
+    """
     monkeypatch.setattr(listed_remainder, "Screening", lambda _: Scores(held_out))
 
     def refit(candidates: Any, *_: object) -> Hypothesis:
@@ -102,6 +115,6 @@ def test_flights_that_contradict_each_other_show_no_effect(monkeypatch: pytest.M
     assert explained(monkeypatch, {DRAG: 3.0}, {DRAG: 2.0}) is None
 
 
-def test_an_event_and_a_short_flight_explain_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_remainder_search_skips_events_and_short_flights(monkeypatch: pytest.MonkeyPatch) -> None:
     assert explained(monkeypatch, {STEP: 90.0}, {STEP: 90.0}) is None
     assert explained(monkeypatch, {DRAG: 20.0}, {DRAG: 20.0}, used_s=5.0) is None

@@ -115,7 +115,7 @@ def test_flight_is_divided_into_two_folds_of_the_same_length() -> None:
     assert beginning.used_s == pytest.approx(3.0)
 
 
-def test_voltages_that_were_not_fitted_mark_the_prediction() -> None:
+def test_prediction_with_other_voltages_is_marked_as_extrapolation() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     runs = diagnosis.held_out.extension.after
     (record,) = runs[0].fit.problem.records

@@ -47,6 +47,7 @@ class _WanderingSupply(Effect):
 
 
 def _flown() -> Flight:
+    """Fly a rig whose supply wanders, in weak gusts."""
     gusts = parse_effects([f"random_torque.{axis}={size / 3}" for axis, size in GUST_Nm.items()])
     state = (Quantity("wandering_now", "1", "relative change of the voltage"),)
     wander = _WanderingSupply("wandering", states=state, stage=Stage.TORQUE, noise_inputs=1)

@@ -19,7 +19,7 @@ from tests.running.long import LONG, samples
 pytestmark = pytest.mark.diagnosis
 
 LAG_s = 0.006
-GENTLE = """title = "Gentle"
+WEAKLY_EXCITED = """title = "Gentle"
 
 [start]
 elevation_deg = 0
@@ -37,49 +37,53 @@ excite = {{ signal = "multisine", front_V = 0.1, back_V = 0.1, start_Hz = 0.1, s
 """
 
 
-def lagging(plan: str, seed: int) -> Flight:
-    """Fly a plan on a rig whose rotors lag a little."""
+def flown_with_lag(plan: str, seed: int) -> Flight:
+    """Fly a plan on a rig whose rotors lag by `LAG_s`."""
     model = MultibodyModel(parse_effects([f"rotor_lag={LAG_s}"]))
     return thinned(flown_by_plan(load_rig("makki2024"), seed, Plan.parse(plan, "plan"), model), 2)
 
 
 @cache
-def gentle(duration_s: int) -> tuple[Flight, Flight]:
-    """Two flights that hardly shake the motors."""
-    first, second = (GENTLE.format(period_s=period_s, duration_s=duration_s) for period_s in (14, 11))
-    return lagging(first, 1), lagging(second, 2)
+def weakly_excited(duration_s: int) -> tuple[Flight, Flight]:
+    """Return two flights with hardly any excitation of the motors."""
+    first, second = (WEAKLY_EXCITED.format(period_s=period_s, duration_s=duration_s) for period_s in (14, 11))
+    return flown_with_lag(first, 1), flown_with_lag(second, 2)
 
 
 @cache
-def unclear() -> dict[str, Any]:
-    """Diagnosis of two weakly excited flights; short ones, except in `make long`."""
-    fit, held_out = gentle(samples(30, 18))
-    return to_json(among_two([fit], [held_out]))
+def ambiguous_diagnosis() -> dict[str, Any]:
+    """Return the JSON of a diagnosis of two weakly excited flights, which are longer in `make long`."""
+    fit, held_out = weakly_excited(samples(30, 18))
+    return to_json(diagnosed_with_two_effects([fit], [held_out]))
 
 
-def among_two(flights: list[Flight], validation: list[Flight]) -> Diagnosis:
-    """Diagnose with a lag and a delay alone on the list."""
+def diagnosed_with_two_effects(flights: list[Flight], validation: list[Flight]) -> Diagnosis:
+    """Diagnose flights with a catalogue that has a lag and a delay only."""
     kinds = {id_: kind for id_, kind in catalogue().items() if id_ in ("rotor_lag", "input_delay")}
     return diagnose(MultibodyModel(), load_rig("makki2024"), flights, validation, kinds=kinds)
 
 
-def test_weak_excitation_leaves_lag_or_delay_open_and_proposes_a_flight() -> None:
-    assert unclear()["verdict"] == "ambiguous"
-    (cause,) = unclear()["causes"]
+def test_weak_excitation_is_ambiguous_and_proposes_a_flight() -> None:
+    assert ambiguous_diagnosis()["verdict"] == "ambiguous"
+    (cause,) = ambiguous_diagnosis()["causes"]
     assert {cause["effect"], *cause["ambiguous_with"]} == {"rotor_lag", "input_delay"}
-    asked = unclear()["next_flight"]
-    assert "their log-likelihoods differ by" in asked["why"]
-    assert "this plan alone gives a log-likelihood ratio of" in asked["why"]
-    assert Plan.parse(asked["plan"], "asked").segments
+    next_flight = ambiguous_diagnosis()["next_flight"]
+    assert "their log-likelihoods differ by" in next_flight["why"]
+    assert "this plan alone gives a log-likelihood ratio of" in next_flight["why"]
+    assert Plan.parse(next_flight["plan"], "next flight").segments
 
 
 @pytest.mark.skipif(not LONG, reason="skipped: 40 s of CPU, in make long")
-def test_the_flight_asked_for_settles_it() -> None:
-    _, held_out = gentle(30)
-    clear = to_json(among_two([lagging(unclear()["next_flight"]["plan"], 3)], [held_out]))
+def test_proposed_flight_distinguishes_the_hypotheses() -> None:
+    _, held_out = weakly_excited(30)
+    clear = to_json(
+        diagnosed_with_two_effects(
+            [flown_with_lag(ambiguous_diagnosis()["next_flight"]["plan"], 3)], [held_out]
+        )
+    )
     assert clear["verdict"] == "cause_found"
     (cause,) = clear["causes"]
     assert cause["effect"] == "rotor_lag"
     assert cause["ambiguous_with"] == []
-    found = cause["parameters"]["rotor_lag_s"]
-    assert abs(found["value"] - LAG_s) < 3.0 * found["std"]
+    lag = cause["parameters"]["rotor_lag_s"]
+    assert abs(lag["value"] - LAG_s) < 3.0 * lag["std"]

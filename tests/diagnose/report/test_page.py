@@ -1,4 +1,4 @@
-"""The page of a diagnosis says what its headline says, names what it shows, and explains its symbols."""
+"""The page of a diagnosis names the cause of each figure, and explains all symbols of its equations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from heli_sim.model.effects import catalogue
 
 
 def term(on: str = "pitch", id_: str = "rotor_lag") -> MissingTerm:
-    """Two flights of 40 s with a cause that acts most in the second, from 10 to 15 s."""
+    """Make the missing term of two flights of 40 s; the cause acts most in the second, from 10 to 15 s."""
     t_s = np.tile(np.arange(0.0, 40.0, 0.04), 2)
     acts = (np.arange(len(t_s)) >= 1000) & (t_s >= 10.0) & (t_s < 15.0)
     contribution = np.where(acts, np.sin(t_s), 0.01 * np.sin(t_s))
@@ -38,8 +38,8 @@ def test_a_curve_in_place_of_an_unknown_is_not_called_an_equation_of_a_cause() -
     assert before.get_title(loc="left").startswith("curve in place of the unknown: torque about pitch")
     section = missing_section("unknown", [unknown], lambda *_: None)
     assert section is not None
-    said = [*before.get_legend_handles_labels()[1], after.get_title(loc="left"), section["caption"]]
-    assert not any(" cause" in text or "equation" in text for text in said)
+    texts = [*before.get_legend_handles_labels()[1], after.get_title(loc="left"), section["caption"]]
+    assert not any(" cause" in text or "equation" in text for text in texts)
 
 
 def test_a_term_over_time_is_drawn_in_the_one_flight_where_it_acts_most() -> None:
@@ -78,19 +78,19 @@ def test_symbols_are_those_of_the_equation_without_its_functions() -> None:
 
 
 @pytest.mark.parametrize(
-    ("confidence", "certain", "said"),
+    ("confidence", "certain", "text"),
     [
         (0.99, True, "the rotors lag"),
         (0.5, True, "perhaps the rotors lag (confidence 0.50)"),
         (0.99, False, "perhaps the rotors lag (confidence 0.99)"),
     ],
 )
-def test_an_uncertain_cause_is_not_stated_as_a_fact(confidence: float, certain: bool, said: str) -> None:
-    assert stated({"sentence": "the rotors lag", "confidence": confidence}, certain) == said
+def test_an_uncertain_cause_is_not_stated_as_a_fact(confidence: float, certain: bool, text: str) -> None:
+    assert stated({"sentence": "the rotors lag", "confidence": confidence}, certain) == text
 
 
 @pytest.mark.parametrize(
-    ("nats", "said"), [(0.15, "below 1 nat"), (66.3, "66 nats"), (3233804.0, "above 1000 nats")]
+    ("nats", "text"), [(0.15, "below 1 nat"), (66.3, "66 nats"), (3233804.0, "above 1000 nats")]
 )
-def test_a_ratio_has_its_unit_and_no_digits_that_say_nothing(nats: float, said: str) -> None:
-    assert nats_in_words(nats) == said
+def test_a_ratio_has_its_unit_and_no_digits_that_say_nothing(nats: float, text: str) -> None:
+    assert nats_in_words(nats) == text

@@ -21,17 +21,21 @@ KINDS = catalogue()
 
 
 def dry_friction(resting: list[float], *, there: tuple[str, ...] = ()) -> list[str]:
-    """Ids of the frictions that are proposed if the axes rest for these shares of the time."""
+    """Return the ids of the dry frictions that are proposed if the axes rest for these shares of the time.
+
+    Each must start from its typical size. `there` has the ids of the model's causes.
+    """
     at_rest = np.arange(100)[:, None] < 100 * np.array(resting)
     reference = SimpleNamespace(at_rest=at_rest, rows=np.arange(100))
     screening = SimpleNamespace(
         filtered=SimpleNamespace(linearised_flights=[SimpleNamespace(reference=reference)])
     )
     base = cast(Hypothesis, SimpleNamespace(ids=there))
-    found = resting_friction(base, cast(Screening, screening), KINDS, ())
-    for one in found:
-        assert one.candidate.start_values(one.coefficients) == pytest.approx(KINDS[one.candidate.id].typical)
-    return [one.candidate.id for one in found]
+    proposed = resting_friction(base, cast(Screening, screening), KINDS, ())
+    for scored in proposed:
+        start = scored.candidate.start_values(scored.coefficients)
+        assert start == pytest.approx(KINDS[scored.candidate.id].typical)
+    return [scored.candidate.id for scored in proposed]
 
 
 def test_friction_of_typical_size_is_proposed_for_axes_that_rest() -> None:
@@ -61,7 +65,7 @@ def test_play_is_proposed_for_axes_whose_count_pauses(there: tuple[str, ...]) ->
         (9.0, ["rotor_lag", "backlash.pitch", "coulomb_friction.pitch"]),
     ],
 )
-def test_play_is_refitted_next_to_a_better_score_and_friction_if_the_play_is_best(
+def test_play_is_refitted_and_then_friction_if_the_play_is_best(
     monkeypatch: pytest.MonkeyPatch, play_margin: float, refitted_ids: list[str]
 ) -> None:
     reference = SimpleNamespace(
@@ -74,8 +78,10 @@ def test_play_is_refitted_next_to_a_better_score_and_friction_if_the_play_is_bes
     progress = SimpleNamespace(refits_left=lambda: True, trial=lambda *_: None)
     margins = {"rotor_lag": 7.0, "backlash.pitch": play_margin, "coulomb_friction.pitch": 11.0}
 
-    def refit(*given: Any) -> SimpleNamespace:
-        candidate = given[3].candidate
+    def refit(
+        _comparison: object, _acceptance: object, _base: object, scored: ScoredCandidate, *_: Any
+    ) -> SimpleNamespace:
+        candidate = scored.candidate
         return SimpleNamespace(candidate=candidate, margin=margins[candidate.id])
 
     monkeypatch.setattr(forward, "refit_on_grid", refit)

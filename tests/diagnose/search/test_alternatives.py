@@ -1,4 +1,4 @@
-"""What is compared with a cause, and what takes its place."""
+"""Alternatives of a cause: which effects are compared with it, and which of them replaces it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TORQUE, ZERO, SLIP = "rotor_reaction_torque", "zero_offset.pitch", "counterweigh
 
 
 def hypothesis(candidates: Sequence[Candidate], gains: dict[str, float]) -> Hypothesis:
-    """A model whose causes gain these log-likelihood ratios."""
+    """Return a model whose log-likelihood is the sum of the `gains` of its causes."""
     ids = tuple(candidate.id for candidate in candidates)
     nats = sum(gains.get(id_, 0.0) for id_ in ids)
     made = SimpleNamespace(
@@ -80,16 +80,16 @@ def eliminated(
     }
 
 
-def test_an_equivalent_effect_is_compared_although_its_score_was_too_low_for_a_refit() -> None:
+def test_equivalent_effect_with_a_low_score_is_compared() -> None:
     assert eliminated({TORQUE: 60.0, ZERO: 52.0}, TORQUE) == {TORQUE: {ZERO: 4.0}}
 
 
-def test_an_equivalent_effect_is_compared_beyond_the_limit_of_refits() -> None:
+def test_equivalent_effect_is_compared_even_without_refits_left() -> None:
     kept = eliminated({TORQUE: 60.0, ZERO: 52.0, SLIP: 90.0}, SLIP, TORQUE, refits_left=False)
     assert kept[TORQUE] == {ZERO: 4.0}
 
 
-def test_a_more_probable_effect_takes_the_place_of_a_cause() -> None:
+def test_more_probable_effect_replaces_a_cause() -> None:
     gains = {TORQUE: 60.0, ZERO: 63.0, SLIP: 90.0}
     kept = eliminated(gains, SLIP, TORQUE)
     assert kept.keys() == {SLIP, ZERO}
@@ -101,7 +101,7 @@ def test_held_out_flights_may_forbid_the_exchange() -> None:
     assert eliminated(gains, TORQUE, held_out={TORQUE: 20.0, ZERO: -20.0}) == {TORQUE: {ZERO: -7.0}}
 
 
-def test_an_effect_that_is_not_significant_takes_no_place() -> None:
+def test_insignificant_effect_does_not_replace_a_cause() -> None:
     assert eliminated({TORQUE: 60.0, ZERO: 63.0}, TORQUE, refused=[ZERO]) == {TORQUE: {ZERO: -7.0}}
 
 

@@ -19,7 +19,7 @@ KINDS = catalogue()
 
 
 def hypothesis(*ids: str) -> Hypothesis:
-    """Causes without an estimate."""
+    """Return a model with typical causes, without an estimate."""
     candidates = tuple(typical_candidate(KINDS[id_]) for id_ in ids)
     return cast(Hypothesis, SimpleNamespace(candidates=candidates, ids=ids, values={}))
 

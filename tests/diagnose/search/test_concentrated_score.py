@@ -41,12 +41,13 @@ def test_concentrated_score_of_a_slip_predicts_the_gain_of_its_refit(comparison:
     base = comparison.refit([])
     screening = Screening(base.estimate)
     (plain,) = screening.effects([KIND])
-    (found,) = concentrated_scores(screening, [plain])
-    made = comparison.refit([found.candidate], found.candidate.start_values(found.coefficients), base)
-    gain = made.log_likelihood - base.log_likelihood
-    assert 1.5 * plain.log_likelihood_gain < found.log_likelihood_gain
-    assert 0.25 * gain < found.log_likelihood_gain < 1.2 * gain
-    assert found.coefficients[0] == pytest.approx(SLIP_m, rel=0.3)
+    (concentrated,) = concentrated_scores(screening, [plain])
+    start = concentrated.candidate.start_values(concentrated.coefficients)
+    refit = comparison.refit([concentrated.candidate], start, base)
+    gain = refit.log_likelihood - base.log_likelihood
+    assert 1.5 * plain.log_likelihood_gain < concentrated.log_likelihood_gain
+    assert 0.25 * gain < concentrated.log_likelihood_gain < 1.2 * gain
+    assert concentrated.coefficients[0] == pytest.approx(SLIP_m, rel=0.3)
 
 
 def test_a_low_score_of_an_event_in_large_disturbances_still_leads_to_a_refit(
@@ -65,11 +66,12 @@ def test_a_low_score_of_an_event_in_large_disturbances_still_leads_to_a_refit(
     assert with_concentrated_scores(screening, lambda screened: screened, plain) == plain
 
 
-def test_effects_that_the_disturbances_stand_in_for_are_worth_a_refit(comparison: ModelComparison) -> None:
+def test_effects_that_disturbances_replace_are_worth_a_refit(comparison: ModelComparison) -> None:
     base = comparison.refit([])
-    own = base.estimate.disturbances
-    gusty = replace(own, fast_std=np.maximum(2.5 * own.fast_std, 0.01), curvature=None)
-    screening = Screening(replace(base.estimate, disturbances=gusty))
+    estimated = base.estimate.disturbances
+    # Disturbances so large that they explain the torque of the slip.
+    inflated = replace(estimated, fast_std=np.maximum(2.5 * estimated.fast_std, 0.01), curvature=None)
+    screening = Screening(replace(base.estimate, disturbances=inflated))
     plain = screening.effects([KIND, catalogue()["thrust_step.front"], catalogue()["axis_tilt"]])
     least_nats = 2.0 * plain[0].log_likelihood_gain
 

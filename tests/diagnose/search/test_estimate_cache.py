@@ -1,4 +1,4 @@
-"""The estimates of a search are refused by another search, and are complete after any interruption."""
+"""File of a search's estimates: another search refuses it, and an interruption does not spoil it."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ pytestmark = pytest.mark.medium
 
 
 def _record() -> Record:
+    """Return a short record."""
     return prepare(hovering(4.0), load_rig("makki2024"), "still")
 
 
 def test_flights_rigs_models_and_parts_have_different_digests() -> None:
     rig, record = load_rig("makki2024"), _record()
     start, stop = record.segments[0]
-    others = (
+    variants = (
         (MultibodyModel(), rig, [record]),
         (MultibodyModel(parse_effects(["rotor_lag=0.05"])), rig, [record]),
         (MultibodyModel(), rig.replace(thrust_gain=0.5), [record]),
@@ -34,12 +35,12 @@ def test_flights_rigs_models_and_parts_have_different_digests() -> None:
         (MultibodyModel(), rig, [replace(record, segments=((start, stop - 1),))]),
         (MultibodyModel(), rig, [record, record]),
     )
-    digests = [fingerprint(*one) for one in others]
+    digests = [fingerprint(*variant) for variant in variants]
     assert len(set(digests)) == len(digests)
-    assert fingerprint(*others[0]) == digests[0]
+    assert fingerprint(*variants[0]) == digests[0]
 
 
-def test_a_rebuilt_filter_makes_another_fingerprint(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fingerprint_changes_with_the_compiled_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = MultibodyModel(), load_rig("makki2024"), [_record()]
     before, read = fingerprint(*arguments), Path.read_bytes
 
@@ -54,7 +55,7 @@ def test_a_rebuilt_filter_makes_another_fingerprint(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "words"),
     [
         (b'{"search_of": "other"}\n', "is from a search with other flights"),
         (b"t_s,front_V\n0,1\n", "is not a --resume file"),
@@ -62,17 +63,15 @@ def test_a_rebuilt_filter_makes_another_fingerprint(monkeypatch: pytest.MonkeyPa
         (b"\xff\xfe\n", "is not a --resume file"),
     ],
 )
-def test_file_of_something_else_is_refused_and_left_as_it_is(
-    tmp_path: Path, content: bytes, said: str
-) -> None:
-    (tmp_path / "kept").write_bytes(content)
-    with pytest.raises(IdentifyError, match=said):
-        EstimateCache(tmp_path / "kept", "mine")
-    assert (tmp_path / "kept").read_bytes() == content
+def test_file_of_another_kind_is_refused_and_not_changed(tmp_path: Path, content: bytes, words: str) -> None:
+    (tmp_path / "search").write_bytes(content)
+    with pytest.raises(IdentifyError, match=words):
+        EstimateCache(tmp_path / "search", "mine")
+    assert (tmp_path / "search").read_bytes() == content
 
 
-def test_line_that_was_cut_is_dropped_and_what_stands_before_it_stays(tmp_path: Path) -> None:
-    path = tmp_path / "kept"
+def test_incomplete_last_line_is_dropped_and_earlier_lines_stay(tmp_path: Path) -> None:
+    path = tmp_path / "search"
     EstimateCache(path, "mine")
     head = path.read_bytes()
     path.write_bytes(head + b'{"key": "a"}\n{"key": "b", "the')

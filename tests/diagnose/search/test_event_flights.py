@@ -1,4 +1,4 @@
-"""A moment belongs to one flight: what happens in one flight happens in another at another time, or never."""
+"""Moments of events: an event of one flight may happen at another time in another flight, or never."""
 
 from __future__ import annotations
 
@@ -26,21 +26,22 @@ SLIP_m = 0.02
 
 
 @pytest.mark.medium
-def test_a_moment_is_that_of_its_flight_in_every_parameter_vector() -> None:
+def test_moment_of_an_event_belongs_to_its_flight() -> None:
     records = [
         replace(prepare(flights("rotor_lag=0.1")[0], RIG, "x"), label=label) for label in ("a", "b", "c")
     ]
     effect = replace(KIND.make(KIND.typical), flight="a", other_moments_s={"b": 6.0})
     model = MultibodyModel((effect,))
     vector, problem = RigParameters(model, RIG, records), Problem(model, RIG, records)
-    place = model.parameter_names.index("counterweight_shift_at_s")
+    index_of_moment = model.parameter_names.index("counterweight_shift_at_s")
     for parameters in (vector, problem.parameter_vector):
         theta = parameters.started_from({"counterweight_shift_at_s": 11.0})
         source = vector if parameters is vector else problem
-        assert [source.parameters(theta, index)[place] for index in range(3)] == [11.0, 6.0, NEVER_s]
+        moments_s = [source.parameters(theta, flight)[index_of_moment] for flight in range(3)]
+        assert moments_s == [11.0, 6.0, NEVER_s]
     shared = MultibodyModel((replace(effect, flight=""),))
     theta = RigParameters(shared, RIG, records).started_from({"counterweight_shift_at_s": 11.0})
-    assert RigParameters(shared, RIG, records).parameters(theta, 2)[place] == 11.0
+    assert RigParameters(shared, RIG, records).parameters(theta, 2)[index_of_moment] == 11.0
 
 
 @pytest.mark.slow
@@ -54,19 +55,21 @@ def test_a_slip_is_found_in_the_flight_where_it_happened(held_out_s: float | Non
     base = comparison.refit([])
     (scored,) = Screening(base.estimate).effects([KIND])
     assert scored.candidate.effect.flight == "a"
-    made = comparison.refit([scored.candidate], scored.candidate.start_values(scored.coefficients), base)
+    refit = comparison.refit([scored.candidate], scored.candidate.start_values(scored.coefficients), base)
     # The clock of a log starts a little before that of the simulation.
-    assert made.values["counterweight_shift_at_s"] == pytest.approx(MOMENT_s, abs=0.2)
-    final = with_held_out_moments(comparison, made)
+    assert refit.values["counterweight_shift_at_s"] == pytest.approx(MOMENT_s, abs=0.2)
+    final = with_held_out_moments(comparison, refit)
     moments_s = final.candidates[0].effect.other_moments_s
     if held_out_s is None:
         assert not moments_s
     else:
         assert moments_s["b"] == pytest.approx(held_out_s, abs=0.2)
-    # The same moment in both flights contradicts the cause.
-    held_out = [comparison.held_out_estimate(one).log_likelihood for one in (final, base)]
-    assert held_out[0] > held_out[1] + 10.0
-    assert np.isfinite(held_out).all()
+    # If the event had the same moment in both flights, the held-out flight would contradict it.
+    with_event, without_event = (
+        comparison.held_out_estimate(model).log_likelihood for model in (final, base)
+    )
+    assert with_event > without_event + 10.0
+    assert np.isfinite([with_event, without_event]).all()
 
 
 def test_effects_without_a_flight_happen_in_every_flight() -> None:

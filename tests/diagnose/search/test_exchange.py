@@ -21,7 +21,7 @@ NATS = {WIDE: 2960.0, "input_delay": 2932.0, "rotor_lag": 1798.0}
 
 
 def hypothesis(id_: str, lag_s: float, delay_s: float, std_s: float = 3.5e-4) -> Hypothesis:
-    """Estimate of a model with one cause, and with the friction that stays."""
+    """Return a model with a lag or delay of these sizes, and with a friction that no exchange affects."""
     names = {WIDE: ("lag_s", "delay_s"), "input_delay": ("s",), "rotor_lag": ("s",)}[id_]
     sizes = {WIDE: (lag_s, delay_s), "input_delay": (delay_s,), "rotor_lag": (lag_s,)}[id_]
     values = {KINDS[id_].full(name): size for name, size in zip(names, sizes, strict=True)}
@@ -38,7 +38,7 @@ def hypothesis(id_: str, lag_s: float, delay_s: float, std_s: float = 3.5e-4) ->
 
 
 def exchanged(final: Hypothesis, lag_s: float, delay_s: float) -> tuple[Hypothesis, list[dict[str, float]]]:
-    """Result of an exchange, and the start values of its refits; each refit ends at the given times."""
+    """Return the result of an exchange and the start values of its refits, which all end at these sizes."""
     starts: list[dict[str, float]] = []
 
     def refit(candidates: list[Candidate], start: dict[str, float], _warm: Hypothesis) -> Hypothesis:

@@ -63,7 +63,7 @@ def test_effects_of_other_axes_are_no_rivals() -> None:
     assert better_rival(comparison(held_out=True), lag, [lag, *refits]) is lag
 
 
-def test_a_refit_that_ends_without_its_candidate_is_no_cause_however_much_it_gains() -> None:
+def test_refit_that_makes_its_candidate_negligible_is_not_a_cause() -> None:
     kind = KINDS["backlash.pitch"]
     (size,) = kind.size
     candidate = typical_candidate(kind)
@@ -78,7 +78,7 @@ def test_a_refit_that_ends_without_its_candidate_is_no_cause_however_much_it_gai
 
 
 @pytest.mark.parametrize(("nats", "is_better"), [(1289.0, True), (1003.0, False)])
-def test_a_better_estimate_of_the_base_begins_the_round_again(nats: float, is_better: bool) -> None:
+def test_round_restarts_from_a_better_estimate_of_the_base(nats: float, is_better: bool) -> None:
     kind = KINDS["backlash.pitch"]
     (size,) = kind.size
     friction = typical_candidate(KINDS["coulomb_friction.pitch"])

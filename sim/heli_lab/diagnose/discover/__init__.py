@@ -5,12 +5,13 @@ flights.
 from heli_lab.diagnose.discover.discovery import Discovery
 from heli_lab.diagnose.discover.effect_contribution import accelerations
 from heli_lab.diagnose.discover.equation import CHANNELS, NAME
-from heli_lab.diagnose.discover.missing import TIME, MissingTerm, missing_term
+from heli_lab.diagnose.discover.missing import TIME, MissingTerm
 from heli_lab.diagnose.discover.notation import expression, latex
 from heli_lab.diagnose.discover.proposal import ProposedTerm, proposed_term
 from heli_lab.diagnose.discover.spline_curve import SplineCurve, spline_curves_of
 from heli_lab.diagnose.discover.symbolic_regression import discover
 from heli_lab.diagnose.discover.terms import SYMBOLS
+from heli_lab.diagnose.discover.without_cause import missing_term
 
 __all__ = [
     "CHANNELS",

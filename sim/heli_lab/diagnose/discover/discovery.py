@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from heli_lab.diagnose.discover.equation import Equation, EquationEffect, EquationTerm
 from heli_lab.diagnose.discover.terms import Term
 from heli_lab.diagnose.search import Hypothesis
 from heli_lab.estimation import Estimate
+
+
+class EquationParameter(NamedTuple):
+    """Estimate and standard error of a parameter in its unit; the error is 0 if the parameter is fixed."""
+
+    value: float
+    std: float
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -50,7 +59,7 @@ class Discovery:
     superfluous : tuple of str
         Ids of causes that are not significant any more in the model with the equation.
     elsewhere : (Estimate, Estimate) or None
-        Estimates of the held-out flights without and with the equation; None without such flights.
+        Estimates of the held-out flights, without and with the equation; None without such flights.
     """
 
     equation: Equation
@@ -77,11 +86,13 @@ class Discovery:
         return self.hypothesis.log_likelihood - self.base.log_likelihood
 
     @property
-    def values(self) -> dict[str, tuple[float, float, str]]:
-        """Parameters by name without prefix: value, standard error (0 if fixed) and unit."""
+    def values(self) -> dict[str, EquationParameter]:
+        """Parameters of the equation by name, without the effect's prefix."""
         values, std = {**self.effect.values, **self.hypothesis.values}, self.hypothesis.std
         return {
-            q.name.removeprefix(f"{self.effect.prefix}_"): (values[q.name], std.get(q.name, 0.0), q.unit)
+            q.name.removeprefix(f"{self.effect.prefix}_"): EquationParameter(
+                values[q.name], std.get(q.name, 0.0), q.unit
+            )
             for q in self.effect.parameters
         }
 
@@ -92,7 +103,7 @@ class Discovery:
             replace(
                 factor,
                 parameters=tuple(
-                    (inner_name, values[name][0])
+                    (inner_name, values[name].value)
                     for inner_name, name in self.equation.inner_names(number, j).items()
                 ),
             )

@@ -35,8 +35,9 @@ _MIN_s, _MAX_s = 0.02, 5.0
 
 
 def rotor_signs(channel: str) -> tuple[int, int]:
-    """Return the signs, 1, 0 or -1, with which a term of a thrust or voltage `channel` acts on the front
-    rotor and on the back rotor.
+    """Return the signs with which a term of a thrust or voltage `channel` acts on the two rotors.
+
+    They are 1, 0 or -1, for the front and for the back rotor.
     """
     return _ROTORS[channel.partition(".")[2]]
 
@@ -143,8 +144,9 @@ class Equation:
                     yield InnerParameter(i, j, name, full_name, value, unit, is_sign_width)
 
     def inner_names(self, i: int, j: int) -> dict[str, str]:
-        """Return the names in the equation of the inner parameters of factor `j` of term `i`, by their names
-        in the factor.
+        """Return the names of the inner parameters of factor `j` of term `i`.
+
+        The keys are their names in the factor, and the values their names in the equation.
         """
         return {
             parameter.name_in_factor: parameter.name
@@ -175,8 +177,9 @@ class TermGroup:
 
 
 def _factor_label(i: int, j: int) -> str:
-    """Return the label of factor `j` of term `i` in names: ``1``, ``1b``, ``1c`` for the factors of term
-    0.
+    """Return the label of factor `j` of term `i` in names of parameters.
+
+    The factors of term 0 are ``1``, ``1b``, ``1c``.
     """
     return f"{i + 1}{'' if j == 0 else chr(97 + j)}"
 
@@ -206,8 +209,9 @@ class EquationEffect(Effect):
         return hash((self.name, self.equation, frozenset(self.values.items())))
 
     def _channel_values(self, at: Operands, kind: str) -> Iterator[tuple[str, ca.SX]]:
-        """Yield channel and value of each term, coefficient included, on channels of a kind such as
-        ``torque``.
+        """Yield channel and value of each term, coefficient included.
+
+        Only terms on channels of a kind such as ``torque`` are evaluated.
         """
         for i, term in enumerate(self.equation.terms):
             if not term.channel.startswith(kind):
@@ -229,8 +233,9 @@ class EquationEffect(Effect):
         return value
 
     def _lag_state(self, at: Operands, i: int, j: int, factor: Factor) -> ca.SX:
-        """Return the state of the first-order lag of a factor, shape (1, 1), or (2, 1) if each rotor has
-        its own.
+        """Return the state of the first-order lag of a factor.
+
+        The shape is (1, 1), or (2, 1) if each rotor has its own state.
         """
         name = lag_state_name(i, j)
         if not factor.per_rotor:
@@ -306,22 +311,23 @@ def equation_effect(
         values[full_name] = inner.value
         if inner.name not in held and not inner.is_sign_width:
             priors[full_name] = inner_prior(factor, inner.name_in_factor, inner.value)
-    states = [
-        Quantity(
-            f"{prefix}_{lag_state_name(i, j)}{rotor}", str(SYMBOLS[factor.quantity].unit), "a lagged copy"
-        )
-        for i, j, factor in equation.lagged_factors
-        for rotor in (("_front", "_back") if factor.per_rotor else ("",))
-    ]
     return EquationEffect(
         name,
         parameters=tuple(parameters),
         values=values,
-        states=tuple(states),
+        states=tuple(_lag_states(equation, prefix)),
         priors=priors,
         stage=min(CHANNELS[channel][1] for channel in equation.channels),
         equation=equation,
     )
+
+
+def _lag_states(equation: Equation, prefix: str) -> Iterator[Quantity]:
+    """Yield a state for each lagged factor of an equation, or one per rotor if each rotor has its own."""
+    for i, j, factor in equation.lagged_factors:
+        unit = str(SYMBOLS[factor.quantity].unit)
+        for rotor in ("_front", "_back") if factor.per_rotor else ("",):
+            yield Quantity(f"{prefix}_{lag_state_name(i, j)}{rotor}", unit, "a lagged copy")
 
 
 _INNER_PRIOR: Final[Mapping[str, tuple[float, float, float]]] = {

@@ -1,15 +1,15 @@
-"""Refits of equations: what their parameters cost, and which terms and digits a refit justifies."""
+"""Refits of equations: penalties of their parameters, and simplification after a refit."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from heli_lab.diagnose.discover.equation import Equation, TermGroup, equation_effect
+from heli_lab.diagnose.discover.equation import Equation, EquationTerm, TermGroup, equation_effect
 from heli_lab.diagnose.discover.scoring import ScoredTermGroup, TermSignals, term_coefficient_std
 from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison
 from heli_lab.diagnose.thresholds import MIN_MARGIN, NEAR_REST_NATS, SIGNIFICANT_STD_ERRORS
@@ -87,16 +87,17 @@ class EquationRefits:
     tried: dict[int, int] = field(default_factory=dict)
 
     def penalty(self, group: TermGroup, equation: Equation, held: frozenset[str]) -> float:
-        """Complexity penalty, in nats, of the terms of a `group` in an `equation`: BIC for its parameters
-        that are not `held`, and the logarithm of the number of groups tried.
+        """Return the complexity penalty, in nats, of the terms of a `group` in an `equation`.
+
+        It is the sum of three penalties: BIC for the parameters that are not `held`, the logarithm of the
+        number of groups tried (multiple testing), and `NEAR_REST_NATS` for each sign of an axis' own rate.
         """
-        free_count = len(group.terms) + sum(
+        inner_count = sum(
             inner.name not in held and not inner.is_sign_width and equation.terms[inner.term] in group.terms
             for inner in equation.inner_parameters()
         )
-        near_rest_nats = sum(
-            NEAR_REST_NATS for term in group.terms if _on_own_rate(term.channel, term.term.key)
-        )
+        free_count = len(group.terms) + inner_count  # each term has a coefficient
+        near_rest_nats = sum(NEAR_REST_NATS for term in group.terms if _has_sign_of_own_rate(term))
         bic_nats = 0.5 * free_count * math.log(self.comparison.rows)
         return bic_nats + math.log(self.tried[group.complexity]) + near_rest_nats
 
@@ -133,7 +134,8 @@ class EquationRefits:
         }
         effect = replace(effect, values={**effect.values, **fixed_values})
         linear_names = tuple(f"{effect.prefix}_{name}" for name in equation.coefficients)
-        key = f"equation:{equation.key}" + "".join(f" [{n}={start[n]:g}]" for n in sorted(held))
+        held_text = "".join(f" [{name}={start[name]:g}]" for name in sorted(held))
+        key = f"equation:{equation.key}{held_text}"
         candidate = Candidate(key, effect, linear_names)
         return self.comparison.refit([*self.base.candidates, candidate], values, warm_start)
 
@@ -170,8 +172,16 @@ class EquationRefits:
         return RefittedEquation(equation, hypothesis, penalty, scored.group, held)
 
     def prior_std(self, equation: Equation, signals: TermSignals) -> dict[str, float]:
-        """Prior standard deviations of the coefficients of an `equation`, by name without prefix, from the
-        size of its terms in `signals`.
+        """Return the prior standard deviations of an equation's coefficients, by name without prefix.
+
+        They follow from the root mean square of its terms in `signals`.
+
+        Parameters
+        ----------
+        equation : Equation
+            The terms.
+        signals : TermSignals
+            Terms along the flights.
         """
         prior_std = {}
         for name, term in zip(equation.coefficients, equation.terms, strict=True):
@@ -180,16 +190,18 @@ class EquationRefits:
         return prior_std
 
     def simplified(self, best: RefittedEquation, signals: TermSignals) -> RefittedEquation:
-        """Simplify the equation `best` as far as the likelihood allows, with its terms in `signals`: whole
-        numbers of periods per turn, and no coefficient that does not differ from zero.
+        """Simplify the equation `best` as far as the likelihood allows.
+
+        Periods per turn become whole numbers. Then the term with the least significant coefficient is
+        removed, until all coefficients are significant or the margin would fall. `signals` has the terms of
+        the equation along the flights.
         """
         best = self.with_whole_periods(best, signals)
         while len(best.equation.terms) > 1:
-            estimates = best.estimates
-            names = best.equation.coefficients
-            t_ratios = [abs(estimates[name][0]) / estimates[name][1] for name in names]
-            weakest = min(range(len(names)), key=lambda i: t_ratios[i])
-            value, std = estimates[names[weakest]]
+            coefficients = [best.estimates[name] for name in best.equation.coefficients]
+            t_ratios = [abs(value) / std for value, std in coefficients]
+            weakest = t_ratios.index(min(t_ratios))
+            value, std = coefficients[weakest]
             if abs(value) > SIGNIFICANT_STD_ERRORS * std:
                 break
             shorter = self._without(best, weakest, signals)
@@ -199,29 +211,16 @@ class EquationRefits:
         return best
 
     def _without(self, refitted: RefittedEquation, number: int, signals: TermSignals) -> RefittedEquation:
-        """Refit an equation without the term of index `number`; later terms and their parameters get new
-        names.
-        """
-        removed_term = refitted.equation.terms[number]
-        equation = Equation(tuple(term for i, term in enumerate(refitted.equation.terms) if i != number))
-        old_values = refitted.values
-        start, held = dict[str, float](), set[str]()
-        for i in range(len(equation.terms)):
-            old_i = i if i < number else i + 1
-            start[equation.coefficient(i)] = old_values[refitted.equation.coefficient(old_i)]
-            for j in range(len(equation.terms[i].term.factors)):
-                new_names = equation.inner_names(i, j)
-                for inner_name, old_name in refitted.equation.inner_names(old_i, j).items():
-                    start[new_names[inner_name]] = old_values[old_name]
-                    if old_name in refitted.held:
-                        held.add(new_names[inner_name])
-        group = refitted.group
-        penalty = refitted.penalty - 0.5 * math.log(self.comparison.rows)
+        """Refit an equation without its term `number`, from 0."""
+        shorter = _without_term(refitted, number)
+        removed_term, group = refitted.equation.terms[number], refitted.group
         if removed_term in group.terms:
             remaining_terms = tuple(term for term in group.terms if term != removed_term)
             group = TermGroup(remaining_terms, group.complexity)
-        hypothesis = self.refit(equation, signals, start, self.base, frozenset(held))
-        return RefittedEquation(equation, hypothesis, penalty, group, frozenset(held))
+        # BIC of the coefficient that is saved.
+        penalty = refitted.penalty - 0.5 * math.log(self.comparison.rows)
+        hypothesis = self.refit(shorter.equation, signals, shorter.start, self.base, shorter.held)
+        return RefittedEquation(shorter.equation, hypothesis, penalty, group, shorter.held)
 
     def with_whole_periods(self, refitted: RefittedEquation, signals: TermSignals) -> RefittedEquation:
         """Hold periods per turn at whole numbers, if the equation is then about as likely as before.
@@ -248,8 +247,9 @@ class EquationRefits:
 
     @staticmethod
     def _nearly_whole_periods(refitted: RefittedEquation) -> dict[str, float]:
-        """Return the nearest whole number of each estimated number of periods per turn that is within its
-        standard errors of it, by name of the parameter.
+        """Return whole numbers of periods per turn, by name, where the estimates allow them.
+
+        A number is allowed if it is within the standard errors of the estimated number of periods.
         """
         estimates = refitted.estimates
         # A sine and a cosine of the same channel and quantity are one wave, and share the number of periods.
@@ -271,6 +271,35 @@ class EquationRefits:
         return whole_periods
 
 
-def _on_own_rate(channel: str, key: str) -> bool:
-    """Whether a term about an axis has a sign of the axis' own rate."""
-    return f"tanh({channel.partition('.')[2]}_rate" in key
+class _EquationStart(NamedTuple):
+    """An equation with start values and held parameters, by name without the effect's prefix."""
+
+    equation: Equation
+    start: dict[str, float]
+    held: frozenset[str]
+
+
+def _without_term(refitted: RefittedEquation, number: int) -> _EquationStart:
+    """Remove term `number`, from 0, of an equation, and keep the estimates of all other terms.
+
+    The names of parameters contain the number of their term, so those of later terms change.
+    """
+    longer, old_values = refitted.equation, refitted.values
+    equation = Equation(tuple(term for i, term in enumerate(longer.terms) if i != number))
+    start, held = dict[str, float](), set[str]()
+    for i, term in enumerate(equation.terms):
+        old_i = i if i < number else i + 1
+        start[equation.coefficient(i)] = old_values[longer.coefficient(old_i)]
+        for j in range(len(term.term.factors)):
+            new_names = equation.inner_names(i, j)
+            for inner_name, old_name in longer.inner_names(old_i, j).items():
+                start[new_names[inner_name]] = old_values[old_name]
+                if old_name in refitted.held:
+                    held.add(new_names[inner_name])
+    return _EquationStart(equation, start, frozenset(held))
+
+
+def _has_sign_of_own_rate(term: EquationTerm) -> bool:
+    """Whether a term about an axis contains the sign of the axis' own rate, as dry friction does."""
+    axis = term.channel.partition(".")[2]
+    return f"tanh({axis}_rate" in term.term.key

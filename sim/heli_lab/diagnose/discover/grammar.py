@@ -39,6 +39,7 @@ def _factor(form: str, quantity: str, lag_filter: str = "", **numbers: float) ->
 
 
 def _sign_factor(quantity: str, lag_filter: str = "", **numbers: float) -> Factor:
+    """Return a sign that is smoothed close to zero, over the width of its quantity."""
     return _factor("sign", quantity, lag_filter, width=SYMBOLS[quantity].near_zero, **numbers)
 
 

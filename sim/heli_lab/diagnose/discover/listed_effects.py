@@ -1,4 +1,6 @@
-"""An equation against the catalogue: whether an effect is equivalent, and which causes become superfluous."""
+"""Compares a proposed equation with the catalogue: an equivalent effect makes the equation superfluous, and
+the equation may make named causes superfluous.
+"""
 
 from __future__ import annotations
 
@@ -50,10 +52,12 @@ class ListedEffects:
     say: Callable[[str], None]
 
     def equivalent_effect(self, equation: Equation, warm_start: Hypothesis, penalty: float) -> str | None:
-        """Find an effect that fits all flights as well as an equation, and that the equation does not
-        encompass.
+        """Find an effect of the catalogue that explains all flights as well as an equation does.
 
-        The search may have missed it, because disturbances explained its torque there.
+        The search may have missed this effect, because disturbances explained its torque. An effect does not
+        count if the equation encompasses it, see `encompasses`.
+
+        Effects are refitted in the order of their scores, until no further effect can be good enough.
 
         Parameters
         ----------
@@ -67,10 +71,11 @@ class ListedEffects:
         str or None
             Id of the effect; None if there is none.
         """
-        # Like a spline, an equation must beat an effect by a share of its own margin.
+        # Like a spline, an equation must exceed an effect by a share of its own margin over the base.
         equation_margin = warm_start.log_likelihood - penalty + self.held_out(warm_start)
         lead = SPLINE_MARGIN * (equation_margin - self.base.log_likelihood)
         required_margin = equation_margin - max(MIN_MARGIN, lead)
+        # The search ends after enough refits have reached about the gain that their score predicted.
         confirmed_scores = 0
         for effect, start, score in self._possible_effects(equation, warm_start):
             complexity_penalty = self.complexity_penalty(effect)
@@ -117,8 +122,9 @@ class ListedEffects:
         ]
 
     def refit(self, effect: Candidate, start: Mapping[str, float], warm_start: Hypothesis) -> Hypothesis:
-        """Estimate the base with one more `effect`, from the values `start` and the disturbances of
-        `warm_start`.
+        """Estimate the base with one more `effect`.
+
+        The estimation starts from the values `start` and from the disturbances of `warm_start`.
         """
         self.say(f"trying {effect.id} in its place")
         return self.comparison.refit([*self.base.candidates, effect], start, warm_start)
@@ -138,8 +144,9 @@ class ListedEffects:
         return model.log_likelihood + prior_nats - self.complexity_penalty(effect)
 
     def held_out(self, model: Hypothesis) -> float:
-        """Return the log-likelihood ratio of a `model` over the base on the held-out flights, nats; 0 without
-        any.
+        """Return the log-likelihood ratio of a `model` over the base on the held-out flights, nats.
+
+        It is 0 if no flight is held out.
         """
         if not self.comparison.held_out:
             return 0.0
@@ -147,6 +154,7 @@ class ListedEffects:
 
     @cached_property
     def _base_held_out(self) -> float:
+        """Log-likelihood of the base on the held-out flights, nats."""
         return self.comparison.held_out_estimate(self.base).log_likelihood
 
     def encompasses(
@@ -173,6 +181,7 @@ class ListedEffects:
         both = self.comparison.refit([*self.base.candidates, effect, equation], start, warm_start)
 
         def gain_over(model: Hypothesis) -> float:
+            """Return the gain of the model with both over another model on all flights, nats."""
             fitted = both.log_likelihood - model.log_likelihood
             return fitted + self.held_out(both) - self.held_out(model)
 
@@ -180,8 +189,9 @@ class ListedEffects:
         return equation_gain - penalty > max(MIN_MARGIN, effect_gain - self.complexity_penalty(effect))
 
     def complexity_penalty(self, effect: Candidate) -> float:
-        """Return the complexity penalty of an `effect`, nats: BIC for its parameters, and the logarithm of
-        the number of candidates.
+        """Return the complexity penalty of an `effect`, nats.
+
+        It is BIC for its parameters, plus the logarithm of the number of candidates (multiple testing).
         """
         return 0.5 * len(effect.effect.priors) * math.log(self.comparison.rows) + math.log(CANDIDATES_TRIED)
 
@@ -207,7 +217,7 @@ class ListedEffects:
 
 
 def _axes(equation: Equation) -> set[str]:
-    """Axes about which an equation acts directly."""
-    by_rotors = {"both": "elevation", "difference": "pitch", "front": "pitch", "back": "pitch"}
-    places = (channel.partition(".")[2] for channel in equation.channels)
-    return {by_rotors.get(place, place) for place in places}
+    """Return the axes about which an equation acts directly."""
+    axis_of_rotors = {"both": "elevation", "difference": "pitch", "front": "pitch", "back": "pitch"}
+    axes_or_rotors = (channel.partition(".")[2] for channel in equation.channels)
+    return {axis_of_rotors.get(name, name) for name in axes_or_rotors}

@@ -31,16 +31,18 @@ _ACTS_ON: Final = {"thrust": "thrust", "voltage": "input"}
 
 
 def expression(equation: Equation, channel: str, numbers: Mapping[str, float] | None = None) -> str:
-    """Write the terms of an `equation` on a `channel` for SymPy, with names of parameters, or with their
-    values if `numbers` gives these by name.
+    """Write the terms of an `equation` on a `channel` for SymPy.
+
+    Parameters have their names, or their values if `numbers` gives these by name.
     """
     texts = {name: f"{value:.5g}" for name, value in numbers.items()} if numbers else None
     return _channel_sum(equation, channel, "sympy", texts)
 
 
 def latex(equation: Equation, numbers: Mapping[str, float] | None = None) -> str:
-    """Write an `equation` in LaTeX, one part per channel, with symbols of parameters, or with their values if
-    `numbers` gives these by name.
+    """Write an `equation` in LaTeX, one part per channel.
+
+    Parameters have symbols, or their values if `numbers` gives these by name.
     """
     if numbers is not None:
         texts = {name: _number_latex(value) for name, value in numbers.items()}
@@ -54,7 +56,10 @@ def latex(equation: Equation, numbers: Mapping[str, float] | None = None) -> str
 
 
 def _channel_sum(equation: Equation, channel: str, notation: str, texts: Mapping[str, str] | None) -> str:
-    """Write the sum of the terms on a channel in a notation; `texts` are those of the parameters by name."""
+    """Write the sum of the terms on a channel in a notation, ``sympy`` or ``latex``.
+
+    `texts` has a text for each parameter, by name; by default that name.
+    """
     texts = texts or {name: name for name in _parameter_names(equation)}
     times_sign = {"sympy": "*", "latex": r"\,"}[notation]
     products = []
@@ -92,8 +97,9 @@ def _parameter_latex(name: str) -> str:
 
 
 def sentence(equation: Equation, numbers: Mapping[str, float]) -> str:
-    """Write an `equation` with units, such as ``torque.pitch = 0.05*elevation N m``; `numbers` are the
-    values of its parameters by name.
+    """Write an `equation` with units, such as ``torque.pitch = 0.05*elevation N m``.
+
+    `numbers` has the values of its parameters by name.
     """
     return " and ".join(
         f"{channel} = {expression(equation, channel, numbers)} {CHANNELS[channel][0]}"
@@ -126,7 +132,10 @@ def effect_file(effect: EquationEffect, numbers: Mapping[str, tuple[float, float
     acts_on = _ACTS_ON.get(equation.channels[0].partition(".")[0], equation.channels[0])
     parameters = "".join(
         _parameter_code(
-            name, *numbers[name], effect.priors.get(f"{effect.prefix}_{name}"), name in equation.coefficients
+            name,
+            *numbers[name],
+            effect.priors.get(f"{effect.prefix}_{name}"),
+            is_coefficient=name in equation.coefficients,
         )
         for name in _parameter_names(equation)
     )
@@ -170,21 +179,25 @@ def _sentence_template(equation: Equation) -> str:
     )
 
 
-def _parameter_code(name: str, value: float, std: float, unit: str, prior: Prior | None, size: bool) -> str:
-    """Return the Python code of a parameter; `size` states whether it is a coefficient, whose prior mean
-    is 0.
+def _parameter_code(
+    name: str, value: float, std: float, unit: str, prior: Prior | None, *, is_coefficient: bool
+) -> str:
+    """Return the Python code that declares a parameter of the effect with its estimate and prior.
+
+    A coefficient is a size of the effect: its prior has the mean 0 and no bounds.
     """
     estimate_text = f"{value:.4g} ± {std:.2g} {unit}" if std else "set"
     prior_code = ""
     if prior is not None:
-        bounds = "" if size else f", {prior.low:.6g}, {prior.high:.6g}"
-        prior_code = f"\n            prior=Prior({0.0 if size else value:.6g}, {prior.std:.6g}{bounds}),"
+        mean = 0.0 if is_coefficient else value
+        bounds = "" if is_coefficient else f", {prior.low:.6g}, {prior.high:.6g}"
+        prior_code = f"\n            prior=Prior({mean:.6g}, {prior.std:.6g}{bounds}),"
     return f'''        Parameter(
             "{name}",
             "{unit}",
             "found: {estimate_text}",
             typical={value:.8g},{prior_code}
-            size={size},
+            size={is_coefficient},
         ),
 '''
 
@@ -261,8 +274,9 @@ def _term_code(equation: Equation, i: int, term: EquationTerm) -> str:
 
 
 def _lag_state_code(i: int, j: int, factor: Factor) -> str:
-    """Return the Python code of the lag state of factor `j` of term `i`, one per rotor if the quantity has
-    two.
+    """Return the Python code of the lag state of factor `j` of term `i`.
+
+    The code has two states, one per rotor, if the quantity has two values.
     """
     name = lag_state_name(i, j)
     if not factor.per_rotor:

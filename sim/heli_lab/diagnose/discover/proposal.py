@@ -1,6 +1,4 @@
-"""A proposed equation: parameters, confidence, the range of the flights in which it matters, and its effect
-file.
-"""
+"""A proposed equation: its parameters and confidence, and where in the flights it matters."""
 
 from __future__ import annotations
 
@@ -40,10 +38,10 @@ class SupportedRange:
     rms, largest : float
         Root mean square and largest value of its terms less their mean, in the channel's unit.
     ranges : Mapping[str, (float, float)]
-        For each quantity of the equation, 5 % and 95 % quantiles over the time in which the terms are at
-        least half of their largest value, SI units.
+        Range of each quantity of the equation in which the terms are at least half of their largest value:
+        5 % and 95 % quantiles over time, SI units.
     share : float
-        Share of the flight time in which they are, 0 to 1.
+        Share of the flight time in which the terms are that large, 0 to 1.
     """
 
     channel: str
@@ -109,12 +107,14 @@ class ProposedTerm:
     @property
     def numbers(self) -> dict[str, float]:
         """Values of the parameters, by name without prefix."""
-        return {name: value for name, (value, _, _) in self.discovery.values.items()}
+        return {name: parameter.value for name, parameter in self.discovery.values.items()}
 
     @property
     def confidence(self) -> float:
-        """Probability, 0 to 1, that the form is right: it grows with the lead over no equation and over the
-        closest rival, and with the log-likelihood ratio on the held-out flights.
+        """Probability, 0 to 1, that the form of the equation is right.
+
+        It grows with the lead over the closest rival, which may be the model without an equation, and with
+        the log-likelihood ratio on the held-out flights.
         """
         discovery = self.discovery
         rivals = [rival.log_likelihood_ratio for rival in discovery.rivals]
@@ -141,8 +141,10 @@ def proposed_term(discovery: Discovery) -> ProposedTerm:
 
 
 def term_trace(discovery: Discovery) -> TermTrace:
-    """Torque of the equation of a `discovery` along the first flight, and the torque that the model without
-    it lacks: about the axis on which the equation acts most.
+    """Compare, along a flight, the torque of the equation of a `discovery` with the missing torque.
+
+    The missing torque is the one that the model without the equation lacks. Both are about the axis on which
+    the equation acts most. The flight is the first held-out flight, or the first fitted flight without one.
     """
     without_equation, with_equation = discovery.elsewhere or (
         discovery.base.estimate,
@@ -202,13 +204,14 @@ def _rotor_mean(values: Floats) -> Floats:
 
 
 def _channel_values(discovery: Discovery, signals: TermSignals, index: int, channel: str) -> Floats:
-    """Return the sum of the terms on a channel along a flight, less its mean: (n, 1), or (n, 2) rotor by
-    rotor.
+    """Return the sum of the terms on a channel along a flight, less its mean.
+
+    The shape is (n, 1), or (n, 2) if each rotor has its own values.
     """
     total: Floats = np.zeros((1, 1))
     values = discovery.values
     for i, term in enumerate(discovery.equation.terms):
         if term.channel == channel:
             signal = signals.values(index, discovery.with_estimated_parameters(i))
-            total = total + values[discovery.equation.coefficient(i)][0] * signal
+            total = total + values[discovery.equation.coefficient(i)].value * signal
     return np.asarray(total - total.mean(axis=0), float)

@@ -1,4 +1,7 @@
-"""Score tests of thousands of terms along the filtered states, in batches that limit memory."""
+"""Score tests of the terms of equations: predicts how much each of thousands of terms would improve a model.
+
+Terms are evaluated along the filtered states, and scored in batches that limit memory.
+"""
 
 from __future__ import annotations
 
@@ -64,8 +67,7 @@ class ScoredTermGroup:
 
 
 class TermSignals:
-    """Values of terms along the flights of a `screening`, and their influence on rates and measured
-    angles.
+    """Evaluates terms along the flights of a `screening`, and how they change rates and measured angles.
 
     Factors and influences are computed once. In all shapes, n is the number of steps of the flight.
     """
@@ -120,8 +122,9 @@ class TermSignals:
         return self._factors[key]
 
     def _lagged_values(self, index: int, x: Floats, factor: Factor) -> Floats:
-        """Return the values `x` of a quantity, (n,) or (n, 2), behind the lag of a factor, which starts at
-        rest in each window.
+        """Return the values `x` of a quantity, (n,) or (n, 2), behind the lag of a factor.
+
+        The lag starts at rest in each window.
         """
         if not factor.lag_filter:
             return x
@@ -132,8 +135,9 @@ class TermSignals:
         pole = math.exp(-linear.trajectory.step_s / dict(factor.parameters)["s"])
         lagged = np.empty_like(x)
         for window in linear.windows:
-            part = x[window]
-            lagged[window] = lfilter([1.0 - pole], [1.0, -pole], part, axis=0, zi=pole * part[:1])[0]
+            inside = x[window]
+            # The initial condition `zi` is that of a constant input equal to the first value.
+            lagged[window] = lfilter([1.0 - pole], [1.0, -pole], inside, axis=0, zi=pole * inside[:1])[0]
         return lagged if factor.lag_filter == "lag" else lagged - x
 
     def signal(self, index: int, term: EquationTerm, value: Floats) -> Floats:
@@ -166,8 +170,10 @@ class TermSignals:
         return total[:, :, None]
 
     def _influence(self, index: int, channel: str) -> Floats:
-        """Return the change of the rates, shape (n, states, 1), by one unit on a channel; for an encoder, the
-        change of the measured angles, shape (n, 3, 1).
+        """Return what one unit on a channel changes along a flight.
+
+        This is the change of the rates, shape (n, states, 1), or for an encoder the change of the measured
+        angles, shape (n, 3, 1).
         """
         if (index, channel) not in self._influences:
             linear = self.linearised_flights[index]
@@ -280,12 +286,14 @@ def _regressors(
 def _gain_and_coefficients(information: Floats, gradient: Floats, std: Floats) -> tuple[float, Floats]:
     """Maximise the quadratic log-likelihood of a score test with a normal prior.
 
+    A single coefficient is solved directly, because most of the thousands of groups have only one.
+
     Returns
     -------
     float
-            Gain of the log-likelihood, nats.
+        Gain of the log-likelihood, nats.
     ndarray (g,)
-            Coefficients.
+        Coefficients.
     """
     if len(std) == 1:
         value = gradient / (information[0, 0] + std[0] ** -2.0)

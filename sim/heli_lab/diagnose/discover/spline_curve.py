@@ -53,11 +53,11 @@ class SplineCurve:
 
 
 def _spline_curve(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
-    """Evaluate a spline term, an `effect` of the model of an `estimate`, with its estimated coefficients."""
+    """Evaluate a spline term over the range of its quantity, with the coefficients of an `estimate`."""
     low, step = effect.knots
     quantity = np.linspace(low, low + step * (KNOTS - 3), _CURVE_POINTS)
     basis = bspline_basis(quantity, low, step)
-    # A constant torque, thrust or angle is a parameter of the rig already: only the variation is the curve.
+    # A constant torque, thrust or angle is a parameter of the rig already, so the curve has no mean.
     basis -= basis.mean(axis=0)
     names = list(estimate.parameter_vector.names)
     columns = [names.index(f"{effect.name}_{i}") for i in range(KNOTS)]

@@ -166,14 +166,18 @@ class EquationSearch:
         return self.finalists(scores)[:ALTERNATIVES]
 
     def finalists(self, scored: Sequence[ScoredTermGroup]) -> list[ScoredTermGroup]:
-        """Choose the groups of the largest score less penalty: twice `EQUATION_FINALISTS`, because not every
-        score is confirmed, and at most `ALTERNATIVES` of the same channel and quantities.
+        """Choose the groups of terms with the largest score less penalty, which are refitted.
+
+        The number is twice `EQUATION_FINALISTS`, because not every score is confirmed. At most `ALTERNATIVES`
+        groups have the same channel and quantities.
         """
 
         def penalty(scored_group: ScoredTermGroup) -> float:
+            """Return the penalty of a group as an equation of its own, nats."""
             return self.refits.penalty(scored_group.group, Equation(scored_group.group.terms), frozenset())
 
         def net_gain(scored_group: ScoredTermGroup) -> float:
+            """Return the score less the penalty, nats."""
             return scored_group.log_likelihood_gain - penalty(scored_group)
 
         finalists: list[ScoredTermGroup] = []
@@ -219,7 +223,16 @@ def _select_terms(
 ) -> _ConfirmedEquation | None:
     """Add groups of terms until none exceeds its penalty or is confirmed by the held-out flights.
 
-    `without` is the estimate of the held-out flights without an equation; None if there are none.
+    Parameters
+    ----------
+    search : EquationSearch
+        Adds a group of terms per round.
+    disturbances : DisturbanceModel
+        Disturbances for the score tests of the first round.
+    without : Estimate or None
+        Estimate of the held-out flights without an equation; None if no flight is held out.
+    max_refits : float
+        Refits of all models after which no further round begins.
     """
     comparison = search.refits.comparison
     confirmed: _ConfirmedEquation | None = None

@@ -70,6 +70,7 @@ class Quantity:
 
 
 def _state(name: str, latex: str, kind: str) -> Quantity:
+    """Return a state of the model as a quantity."""
     return Quantity(lambda at: at.state[name], latex, f'at.state["{name}"]', kind)
 
 
@@ -248,7 +249,10 @@ class Factor:
         return NONE if name == "k" else SYMBOLS[self.quantity].unit
 
     def formatted(self, notation: str, symbols: Mapping[str, str], x: str | None = None) -> str:
-        """Write the factor.
+        """Write the factor in a notation.
+
+        SymPy has functions for a lagged quantity, and LaTeX a subscript. In Python, a lagged quantity is a
+        state of the effect, and `x` is the code that reads it.
 
         Parameters
         ----------
@@ -257,7 +261,7 @@ class Factor:
         symbols : Mapping[str, str]
             Text for each parameter, by name.
         x : str, optional
-            Text for the quantity with its lag, which Python has no function for.
+            Text for the quantity with its lag; by default that of the notation.
         """
         quantity = SYMBOLS[self.quantity]
         if x is None:

@@ -48,7 +48,7 @@ class Unit:
         return Unit(tuple(a - b for a, b in zip(self.exponents, other.exponents, strict=True)))
 
     def __pow__(self, power: int) -> Unit:
-        return Unit(tuple(power * a for a in self.exponents))
+        return Unit(tuple(power * exponent for exponent in self.exponents))
 
     @property
     def is_number(self) -> bool:
@@ -57,6 +57,7 @@ class Unit:
 
     def __str__(self) -> str:
         def spelled(sign: int) -> str:
+            """Write the units with exponents of a sign, such as ``m2 N``."""
             return " ".join(
                 f"{name}{abs(power) if abs(power) > 1 else ''}"
                 for name, power in zip(BASE, self.exponents, strict=True)

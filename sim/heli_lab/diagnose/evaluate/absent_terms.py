@@ -1,4 +1,4 @@
-"""Terms of the baseline that the rig does not have: the fit estimates their parameters as zero."""
+"""Finds terms of the baseline that the rig lacks, such as friction: their parameters are estimated as 0."""
 
 from __future__ import annotations
 
@@ -85,8 +85,9 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectSpec]) -> tuple[A
 
 
 def absence_probability(value: float, std: float) -> float:
-    """Return the posterior probability that a parameter is zero; the alternative is log-normal about the rig
-    file's value.
+    """Return the posterior probability that a parameter is zero, by Bayes' rule.
+
+    The alternative hypothesis is a parameter that is log-normal about the rig file's value.
 
     Parameters
     ----------
@@ -99,10 +100,11 @@ def absence_probability(value: float, std: float) -> float:
         Probability, at most `MAX_CONFIDENCE`.
     """
     std = max(std, thresholds.ABSENT_MIN_STD)
+    # The alternative is integrated over a logarithmic grid of values.
     present_values = np.geomspace(1e-3, 1e3, 4001)
     prior = np.exp(-0.5 * (np.log(present_values) / thresholds.PRESENT_LOG_STD) ** 2)
     prior /= prior.sum()
-    # The normal densities' common factor cancels.
+    # The common factor of the two normal densities cancels.
     absent_weight = math.exp(-0.5 * min((value / std) ** 2, 1e3)) * thresholds.ABSENT_PRIOR
     present_weight = float(prior @ np.exp(-0.5 * ((value - present_values) / std) ** 2)) * (
         1.0 - thresholds.ABSENT_PRIOR

@@ -44,12 +44,16 @@ class Assessment:
 
 
 def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, EffectSpec]) -> Assessment:
-    """Assess the result of a search.
+    """Assess the result of a search: residuals, predictions, effects too small to matter, and the verdict.
 
     Parameters
     ----------
+    comparison : ModelComparison
+        The flights.
     search : Search
         The result.
+    kinds : Mapping[str, EffectSpec]
+        Catalogue by effect id.
     """
     train, held_out = comparison.train, comparison.held_out
     held_out_screenings = []
@@ -64,6 +68,7 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
     small_changes = {id_: counts for id_, counts in changes.items() if counts < MATTERS_COUNTS}
     small = small_effects(search, small_changes, kinds, after.fit)
     if small:
+        # The extended model has only the effects that matter.
         extended = without(comparison, search, extended, small_changes)
         after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
         absent = absent_terms(after.fit, comparison.rig, kinds)

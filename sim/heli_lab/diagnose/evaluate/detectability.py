@@ -1,4 +1,4 @@
-"""Detectability of effects and identifiability of parameters."""
+"""Determines which effects would be missed in the flights, and which parameters they do not inform."""
 
 from __future__ import annotations
 

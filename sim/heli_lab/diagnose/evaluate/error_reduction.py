@@ -100,6 +100,7 @@ def error_reduction(
     squares_after = np.concatenate([run.squares_rad2 for run in after])
     count = len(rows)
     random = np.random.default_rng(seed)
+    # How often each bootstrap sample contains each window, shape (resamples, windows).
     weights = random.multinomial(count, np.full(count, 1.0 / count), _RESAMPLES)
     resampled_before = weights @ squares_before
     resampled_after = weights @ squares_after

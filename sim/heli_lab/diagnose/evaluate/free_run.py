@@ -1,14 +1,13 @@
-"""Free runs of a model on another flight: constants of the flight from its beginning, the rest predicted.
+"""Free runs of a model over another flight: calibration on its beginning, and prediction after that.
 
 Encoders are zeroed and cables are laid again before each flight. Encoder zeros and one constant torque per
-axis are therefore estimated from the first seconds of the flight, in free runs as `identify` fits them;
-nothing else is. The rest is predicted over windows of 2 s and over their halves and quarters: the same
-samples at each horizon.
+axis are therefore calibrated on the first seconds of the flight. The remaining flight is predicted in windows
+of 2 s, and in their halves and quarters, so that all horizons have the same samples.
 
-Each window starts from the state that fits it best, so this is no forecast. Rates are not measured. A state
-estimated from the past alone carries the model's error over that past into the horizon. On measured flights,
-errors of such forecasts are 2 to 17 times as large, before and after an extension of the model. With fitted
-initial states the rest is the model's error within the horizon.
+Each window starts from the state that fits it best, so the prediction is not a forecast. A forecast would
+start from a state that is estimated from the past alone. Rates are not measured, so this state would contain
+the model's errors over the past: on measured flights, such errors are 2 to 17 times as large. With fitted
+initial states, the error is that of the model within the horizon.
 """
 
 from __future__ import annotations
@@ -102,7 +101,7 @@ def free_run(
     threads: int | None = None,
     horizons: Sequence[str] = tuple(HORIZONS),
 ) -> FreeRun:
-    """Calibrate constants of a flight on its beginning, and predict the rest.
+    """Calibrate constants of a flight on its beginning, and predict the flight after that.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Kicks: short torques at single instants, which no cause explains and no gust of constant strength gives."""
+"""Counts kicks: torques at single instants that are too large for the estimated disturbances."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Kicks:
     Parameters
     ----------
     count : int
-        How many.
+        Number of kicks.
     largest_Nms : float
         Largest angular impulse, a torque times its duration, without its sign.
     """
@@ -38,8 +38,7 @@ class Kicks:
 def kicks(
     filtered: InnovationsModel, disturbances: DisturbanceModel, error: FlightErrors | None = None
 ) -> dict[str, Kicks]:
-    """Count the kicks about each axis: torques at single instants that the disturbances do not explain. Axes
-    without kicks are left out.
+    """Count the kicks about each axis; axes without kicks are left out.
 
     The most significant impulse is subtracted before the next one is sought, because it also raises the
     statistics of instants close to it.
@@ -72,8 +71,9 @@ def kicks(
 def with_impulse(
     filtered: InnovationsModel, error: FlightErrors, flight: int, interval: int, axis: int, torque_Nm: float
 ) -> FlightErrors:
-    """Return the `error` of a model that has one more torque about an axis, in the first step of a
-    measurement interval.
+    """Return the `error` of a model with one more impulse, so that the next one can be sought.
+
+    The torque acts in the first step of a measurement interval.
 
     Parameters
     ----------

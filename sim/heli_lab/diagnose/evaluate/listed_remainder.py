@@ -1,7 +1,8 @@
-"""Listed effect behind what remains after a search: tested on fitted and held-out flights together.
+"""Tests whether an effect of the catalogue explains the structure that remains after a search.
 
 The search adds a cause only if the fitted flights show it. The residual analysis also tests the held-out
-flights, so it may find what these alone show. A verdict that no listed effect explains it needs this test.
+flights, and may find structure that only these show. Before the verdict is ``unexplained``, all effects are
+therefore tested on fitted and held-out flights together.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from heli_lab.diagnose.search import (
 )
 
 
-class _Joint(NamedTuple):
-    """A candidate, and its score less its penalty on all flights, nats."""
+class _JointScore(NamedTuple):
+    """A candidate scored on all flights together; `margin` is the score less the penalty, nats."""
 
     scored: ScoredCandidate
     margin: float
@@ -119,7 +120,7 @@ def with_remainder(
 
 def _on_all_flights(
     screenings: Sequence[Screening], acceptance: Acceptance, present_ids: Sequence[str]
-) -> list[_Joint]:
+) -> list[_JointScore]:
     """Score listed effects that may join the causes with one coefficient for all flights, the best first.
 
     An effect at a moment is left out, because its moment belongs to one flight.
@@ -134,10 +135,10 @@ def _on_all_flights(
     candidates = [candidate.candidate for candidate in scored]
     statistics = [screening.statistics(candidates) for screening in screenings]
     ranked = []
-    for candidate, *parts in zip(scored, *statistics, strict=True):
-        information = np.sum([part.information for part in parts], axis=0)
-        score = np.sum([part.score for part in parts], axis=0)
+    for candidate, *by_screening in zip(scored, *statistics, strict=True):
+        information = np.sum([of_set.information for of_set in by_screening], axis=0)
+        score = np.sum([of_set.score for of_set in by_screening], axis=0)
         joint = score_of(information, score, coefficient_std(candidate.candidate))
         margin = joint.log_likelihood_gain - acceptance.penalty(candidate.candidate, candidate.tried)
-        ranked.append(_Joint(replace(candidate, coefficients=joint.coefficients), margin))
+        ranked.append(_JointScore(replace(candidate, coefficients=joint.coefficients), margin))
     return sorted(ranked, key=lambda joint: -joint.margin)

@@ -17,8 +17,9 @@ from heli_lab.identify import Fit, Record, solve
 
 @dataclass(frozen=True)
 class NormalisedError:
-    """Root mean square free-run error in standard deviations of the encoders' quantisation: 1 if a model is
-    right.
+    """Root mean square free-run error, in standard deviations of the encoders' quantisation.
+
+    It is 1 if the model is right.
 
     Parameters
     ----------
@@ -82,8 +83,9 @@ def normalised_error(fit: Fit) -> NormalisedError:
 
 
 def normalised_samples(fit: Fit) -> Floats:
-    """Open-loop errors of a fit at every sample of its flights, shape (n, 3), in standard deviations of the
-    encoders' quantisation.
+    """Return the open-loop errors of a fit at every sample of its flights, shape (n, 3).
+
+    The unit is the standard deviation of each encoder's quantisation.
     """
     return np.concatenate(
         [fit.problem.residual(index, fit.theta, states, fine=True) for index, states in enumerate(fit.states)]
@@ -91,10 +93,10 @@ def normalised_samples(fit: Fit) -> Floats:
 
 
 def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bool) -> Fit:
-    """Fit zeros, constant torques and initial states of `records`; all other parameters stay as estimated.
+    """Simulate `records` in free runs with the parameters of an estimate.
 
-    With `own_calibration`, the records are those of the estimate, and the fit has its parameters and
-    covariance.
+    Only zeros, constant torques and initial states are fitted. `own_calibration` states whether the records
+    are those of the estimate; the result then has the parameters and the covariance of the estimate.
     """
     parameter_vector = estimate.parameter_vector
     flight_priors = {
@@ -111,8 +113,9 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bo
 
 
 def _with_estimate(fit: Fit, estimate: Estimate) -> Fit:
-    """Put parameters and covariance of an `estimate` into a `fit` of the same flights, which keeps its zeros
-    and torques.
+    """Put parameters and covariance of an `estimate` into a `fit` of the same flights.
+
+    The fit keeps its own zeros and constant torques.
     """
     vector = estimate.parameter_vector
     calibrated = {

@@ -61,8 +61,9 @@ class PriorConflict:
 
 
 def prior_conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
-    """Find the rig's parameters in a `fit` whose estimate is more than `PRIOR_CONFLICT_STD` from the prior
-    mean, the farthest first. Parameters of effects are not tested.
+    """Find parameters of the rig whose estimate in a `fit` is far from the prior mean, the farthest first.
+
+    The limit is `PRIOR_CONFLICT_STD` standard deviations of the prior. Parameters of effects are not tested.
     """
     effect_names = {name for effect in fit.problem.model.effects for name in effect.priors}
     conflicts = (
@@ -101,7 +102,7 @@ def tried_without(conflicts: Sequence[PriorConflict], estimate: Estimate) -> tup
         estimate.theta,
         estimate.disturbances,
     )
-    # log_likelihood includes the priors: subtract the part of those that were dropped.
+    # log_likelihood includes the priors: subtract the share of the priors that were dropped.
     deviations = (estimate.theta - parameters.mean) / parameters.std
     gain = (
         without_priors.log_likelihood
@@ -111,7 +112,7 @@ def tried_without(conflicts: Sequence[PriorConflict], estimate: Estimate) -> tup
     std = np.sqrt(np.diag(without_priors.covariance))
     return tuple(
         replace(
-            conflict, freed=EstimateWithoutPrior(float(without_priors.theta[place]), float(std[place]), gain)
+            conflict, freed=EstimateWithoutPrior(float(without_priors.theta[index]), float(std[index]), gain)
         )
-        for conflict, place in zip(conflicts, indices, strict=True)
+        for conflict, index in zip(conflicts, indices, strict=True)
     )

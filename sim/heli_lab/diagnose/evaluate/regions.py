@@ -120,13 +120,13 @@ def failing_regions(before: Estimate, after: Estimate, axis: str, first: str = "
     values = _plane_values(screening)
     if first not in _PLANES:
         line_evidence = {
-            name: _evidence(screening, axis, _cell_numbers(values[name]), _CELLS) for name in _MOTION
+            name: _evidence(screening, axis, _cells_along(values[name]), _CELLS) for name in _MOTION
         }
         first = max(line_evidence, key=lambda name: line_evidence[name])
     plane_evidence = {}
     for name in _MOTION:
         if name != first:
-            cells = _cell_numbers(values[first]) * _CELLS + _cell_numbers(values[name])
+            cells = _cells_along(values[first]) * _CELLS + _cells_along(values[name])
             plane_evidence[name] = _evidence(screening, axis, cells, _CELLS**2)
     second = max(plane_evidence, key=lambda name: plane_evidence[name])
     edges = {name: _cell_edges(values[name]) for name in (first, second)}
@@ -159,14 +159,16 @@ def _cell_edges(values: Floats) -> Floats:
     return np.linspace(low, max(high, low + 1e-9), _CELLS + 1)
 
 
-def _cell_numbers(values: Floats) -> Integers:
-    """Return the number of the cell of each value, (n,), if the cells divide their range."""
+def _cells_along(values: Floats) -> Integers:
+    """Divide the range of a quantity into cells, and return the cell number of each value, shape (n,)."""
     return _cell_number(values, _cell_edges(values))
 
 
 def _evidence(screening: Screening, axis: str, cell: Integers, count: int) -> float:
-    """Return the evidence that a model fails in some of `count` cells: the sum of z^2 - 1 over the root of
-    the number of cells. `cell` is the cell of each step, (n,).
+    """Return the evidence that a model fails in some of `count` cells; `cell` is that of each step, (n,).
+
+    The sum of z^2 - 1 over all cells has the mean 0 if the model is right. It is divided by the root of the
+    number of visited cells, so that planes with different numbers can be compared.
     """
     score = _cell_scores(screening, axis, cell, count)
     return float(np.nansum(score**2 - 1.0) / np.sqrt(max(1, np.isfinite(score).sum())))

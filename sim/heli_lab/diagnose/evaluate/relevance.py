@@ -67,7 +67,8 @@ def prediction_changes(
 
 
 def _largest_counts(mean_squares: Floats) -> float:
-    """Return the largest root of mean squares (3,), in counts; they are in units of the quantisation's
-    variance, which is a twelfth of a squared count.
+    """Return the largest root mean square of the axes, in encoder counts.
+
+    `mean_squares` (3,) are in units of the quantisation's variance, which is a twelfth of a squared count.
     """
     return float(np.sqrt(mean_squares / 12.0).max())

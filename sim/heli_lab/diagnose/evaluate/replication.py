@@ -1,11 +1,12 @@
-"""Confirmation of causes: a cause must hold in both directions, fitted on one side and judged on the other.
+"""Confirmation of causes: a cause must also improve the model on flights that did not fit it.
 
-Where flights are held out, the two sides are the fitted and the held-out flights; otherwise they are two
-folds of the fitted flights. A cause is confirmed if two conditions hold in both directions. Its
-log-likelihood ratio is positive on the judging flights. With it, no axis' open-loop error at 1 s grows by
-more than its bootstrap interval, compared with the baseline.
+The test uses two sets of flights, and repeats with the sets exchanged. If flights are held out, the sets are
+the fitted and the held-out flights; otherwise they are two folds of the fitted flights. A cause is confirmed
+if two conditions hold both times. First, its log-likelihood ratio is positive on the flights that did not fit
+it. Second, with the cause, no axis has an open-loop error at 1 s that is larger than the baseline's by more
+than the bootstrap interval.
 
-Only confirmed causes enter the extended rig, unless all are asked for.
+Only confirmed causes enter the extended rig, unless all are requested.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 from heli_lab.diagnose.evaluate.assessment import Assessment
 from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction, error_reduction
@@ -35,8 +36,8 @@ class CauseReplication:
     Parameters
     ----------
     forward, reverse : float or None
-        Log-likelihood ratio on the held-out flights with the parameters of the fitted ones, and the reverse,
-        nats; None if it was not computed.
+        Log-likelihood ratios, nats: on the held-out flights with parameters from the fitted flights, and the
+        reverse; None if a ratio was not computed.
     why_not : str
         Why the cause is not confirmed, in words; empty if it is.
     """
@@ -60,7 +61,7 @@ class WorseAxis:
     axis : str
         Elevation, pitch or travel.
     fitted, judged : str
-        Labels of the flights that estimated the parameters, and of those that judge.
+        Labels of the flights that estimated the parameters, and of the flights that are predicted.
     reduction : ErrorReduction
         The errors at `WORSE_HORIZON`.
     """
@@ -108,7 +109,7 @@ def replicate(
     evaluation: HeldOutEvaluation,
     calibrate_s: float | None = None,
 ) -> Replication:
-    """Find out which causes hold in both directions.
+    """Determine which causes are confirmed, and evaluate the model with these causes alone.
 
     Parameters
     ----------
@@ -164,10 +165,21 @@ def _replication(
 ) -> Replication:
     """Return the result with the model of the confirmed causes."""
     confirmed_ids = [id_ for id_, cause in causes.items() if cause.confirmed]
-    prediction, evaluation = models.evaluation(confirmed_ids)
+    evaluation = models.evaluation(confirmed_ids)
     return Replication(
-        causes, models.hypothesis(confirmed_ids), prediction=prediction, evaluation=evaluation, worse=worse
+        causes,
+        models.hypothesis(confirmed_ids),
+        prediction=evaluation.prediction,
+        evaluation=evaluation.held_out,
+        worse=worse,
     )
+
+
+class _SubsetEvaluation(NamedTuple):
+    """Free runs over all flights of a model with some causes, and its errors on the held-out flights."""
+
+    prediction: Prediction
+    held_out: HeldOutEvaluation
 
 
 class _CauseSubsets:
@@ -189,8 +201,8 @@ class _CauseSubsets:
         self.calibrate_s = calibrate_s
         self.ids = tuple(cause.effect for cause in assessment.verdict.causes)
         all_ids = frozenset(self.ids)
-        # By the ids of a model's causes; runs by whether reverse.
-        self._evaluations = {all_ids: (assessment.after, evaluation)}
+        # By the ids of a model's causes; free runs also by whether the direction is reverse.
+        self._evaluations = {all_ids: _SubsetEvaluation(assessment.after, evaluation)}
         self._hypotheses = {all_ids: assessment.extended, frozenset[str](): search.baseline}
         self._baseline_runs: dict[bool, Sequence[FreeRun]] = {}
         self._reductions: dict[tuple[frozenset[str], bool], Mapping[str, ErrorReduction]] = {}
@@ -236,9 +248,9 @@ class _CauseSubsets:
         return ""
 
     def _with_events(self, ids: Sequence[str]) -> frozenset[str]:
-        """Return ids of causes, and of all events of one flight.
+        """Return the ids of causes, and in addition those of events that happened in one flight only.
 
-        Such an event stays in the fit of its flight, and never happens in another flight.
+        Such an event stays in every model: it affects the fit of its flight, and no prediction of others.
         """
         return frozenset(ids) | {id_ for id_ in self.ids if self._is_of_one_flight(id_)}
 
@@ -249,8 +261,9 @@ class _CauseSubsets:
         return bool(effect.flight) and not labels & effect.other_moments_s.keys()
 
     def worse_axes(self, ids: Sequence[str]) -> tuple[WorseAxis, ...]:
-        """Return the axes that the model with some causes predicts worse than the baseline, in both
-        directions.
+        """Return the axes that the model with some causes predicts worse than the baseline.
+
+        Both directions are tested.
         """
         if not ids:
             return ()
@@ -265,26 +278,28 @@ class _CauseSubsets:
         """Return the cause without which the errors of the `worse` axes are smallest."""
         if len(ids) == 1:
             return ids[0]
-        (first, _), _ = self._side_labels
+        (forward_fitted, _), _ = self._side_labels
 
         def log_error_without(id_: str) -> float:
+            """Return the sum of the log error ratios of the worse axes without a cause."""
             other_ids = [other for other in ids if other != id_]
-            return sum(
-                math.log(self.reductions(other_ids, entry.fitted != first)[entry.axis].ratio)
-                for entry in worse
-            )
+            total = 0.0
+            for axis in worse:
+                is_reverse = axis.fitted != forward_fitted
+                total += math.log(self.reductions(other_ids, is_reverse)[axis.axis].ratio)
+            return total
 
         return min(ids, key=log_error_without)
 
     def reductions(self, ids: Sequence[str], reverse: bool) -> Mapping[str, ErrorReduction]:
-        """Compare open-loop errors at `WORSE_HORIZON` of the model with some causes with the baseline's, by
-        axis.
+        """Compare the open-loop errors of the model with some causes and of the baseline, by axis.
+
+        The errors are those at `WORSE_HORIZON`, in the forward or in the reverse direction.
         """
         assert self.directions is not None
         side = self.directions[int(reverse)]
         if side is None:
-            _, evaluation = self.evaluation(ids)
-            return evaluation.extension.horizons[WORSE_HORIZON]
+            return self.evaluation(ids).held_out.extension.horizons[WORSE_HORIZON]
         key = frozenset(ids), reverse
         if key not in self._reductions:
             if reverse not in self._baseline_runs:
@@ -306,16 +321,8 @@ class _CauseSubsets:
             self._hypotheses[key] = self.comparison.refit(candidates, None, extended)
         return self._hypotheses[key]
 
-    def evaluation(self, ids: Sequence[str]) -> tuple[Prediction, HeldOutEvaluation]:
-        """Evaluate the model with some of the causes.
-
-        Returns
-        -------
-        Prediction
-            Free runs over all flights.
-        HeldOutEvaluation
-            Errors on the held-out flights.
-        """
+    def evaluation(self, ids: Sequence[str]) -> _SubsetEvaluation:
+        """Simulate the model with some of the causes, and compare its errors with those of the baseline."""
         key = self._with_events(ids)
         if key not in self._evaluations:
             comparison, before = self.comparison, self.assessment.before
@@ -324,9 +331,9 @@ class _CauseSubsets:
                 after = before
             else:
                 after = predict(hypothesis.estimate, comparison.train, comparison.held_out)
-            _, whole = self._evaluations[frozenset(self.ids)]
-            evaluation = evaluate_extension(comparison, before, after, whole, self.calibrate_s)
-            self._evaluations[key] = after, evaluation
+            with_all_causes = self._evaluations[frozenset(self.ids)].held_out
+            held_out = evaluate_extension(comparison, before, after, with_all_causes, self.calibrate_s)
+            self._evaluations[key] = _SubsetEvaluation(after, held_out)
         return self._evaluations[key]
 
     def _refit(self, side: Direction, ids: Sequence[str]) -> Hypothesis:
@@ -345,7 +352,7 @@ class _CauseSubsets:
 
     @cached_property
     def _side_labels(self) -> tuple[tuple[str, str], tuple[str, str]]:
-        """Labels of the fitted and of the judging flights, in the forward and in the reverse direction."""
+        """Labels of the fitted and of the evaluated flights, in the forward and in the reverse direction."""
         first, second = "the first fold", "the second fold"
         if self.comparison.held_out:
             first = " and ".join(record.label for record in self.comparison.train)

@@ -1,4 +1,4 @@
-"""Parameters of a cause with standard errors, from the free run of the extended model."""
+"""Parameters of a cause as a report states them: estimates with standard errors that are not too small."""
 
 from __future__ import annotations
 
@@ -88,7 +88,9 @@ def family_number(
     parameters: Mapping[str, CauseParameter],
     ambiguous_with: Collection[str] = (),
 ) -> FamilyNumber | None:
-    """Compute the number of an effect's family, with the covariance of its parts; None without one.
+    """Compute the number that an effect shares with its family, such as the sum of a lag and a delay.
+
+    The number is a weighted sum of the effect's parameters. Its standard error follows from their covariance.
 
     Parameters
     ----------
@@ -99,8 +101,13 @@ def family_number(
     parameters : Mapping[str, CauseParameter]
         What `cause_parameters` returns.
     ambiguous_with : collection of str
-        Ids of the effects that the flights do not distinguish from it: members that are alike in part only
-        have no number in common without them.
+        Ids of the effects that the flights do not distinguish from it. Some families have a common number
+        only if the flights do not distinguish their members.
+
+    Returns
+    -------
+    FamilyNumber or None
+        None if the effect has no such number.
     """
     family = kind.family
     members = tuple(other.id for other in kinds.values() if other.family == family)
@@ -108,11 +115,12 @@ def family_number(
         return None
     divisor = _value_of(kind.family_divisor, fit) if kind.family_divisor else 1.0
     weights = {kind.full(name): weight / divisor for name, weight in kind.family_numbers.items()}
-    free = [name for name in weights if name in fit.problem.names]
-    indices = [fit.problem.names.index(name) for name in free]
-    of_free = np.array([weights[name] for name in free])
-    # Reported errors are at least as large as those of the fit; a time and a delay compensate each other.
-    variance = float(of_free @ fit.covariance[np.ix_(indices, indices)] @ of_free)
+    estimated_names = [name for name in weights if name in fit.problem.names]
+    indices = [fit.problem.names.index(name) for name in estimated_names]
+    estimated_weights = np.array([weights[name] for name in estimated_names])
+    # The covariance counts, because a lag and a delay compensate each other.
+    variance = float(estimated_weights @ fit.covariance[np.ix_(indices, indices)] @ estimated_weights)
+    # Reported standard errors are at least as large as those of the fit: add the difference.
     added_variance = sum(
         weight**2 * (parameters[name].std ** 2 - fit.std.get(name, 0.0) ** 2)
         for name, weight in weights.items()
@@ -131,16 +139,16 @@ def family_number(
 
 
 def _value_of(name: str, fit: Fit) -> float:
-    """Return a rig parameter as it was estimated, or as the rig file has it."""
+    """Return the estimate of a rig parameter, or its value in the rig file if it was not estimated."""
     return float(fit.values.get(name, fit.problem.rig[name].value))
 
 
 def reported_std(fit: Fit, kind: EffectSpec) -> dict[str, float]:
-    """Compute standard errors that are not finer than what flights resolve.
+    """Compute standard errors that are not smaller than the resolution of the flights.
 
-    Voltages are held over a sample, so a time constant or delay is uncertain by a part of a sample, and by
-    what a controller answers within a step. Steps blur what acts within them, so a size is uncertain by a
-    share of itself. Effects between an axis and its encoder are resolved in whole counts only.
+    Three limits apply. A time constant or delay is uncertain by a part of a sample, because voltages are held
+    over a sample. A size is uncertain by a share of itself, because the model averages over its steps. An
+    effect between an axis and its encoder is uncertain by a part of a count.
 
     Parameters
     ----------
@@ -155,13 +163,13 @@ def reported_std(fit: Fit, kind: EffectSpec) -> dict[str, float]:
         Standard error by parameter name.
     """
     record = fit.problem.records[0]
-    part, _, axis = kind.acts_on.partition(".")
+    channel, _, axis = kind.acts_on.partition(".")
     std_by_name = {}
     for parameter in fit.problem.free:
         std, resolution = fit.std[parameter.name], 0.0
         if parameter.unit == "s":
             std = time_std_s(std, record.step_s)
-        elif parameter.unit == "rad" and part == "measurement" and axis in AXES:
+        elif parameter.unit == "rad" and channel == "measurement" and axis in AXES:
             resolution = MIN_STD_COUNTS * float(record.count_rad[AXES.index(axis)])
         size_error = MIN_STD_SHARE * fit.values[parameter.name] if parameter.name in kind.size else 0.0
         std_by_name[parameter.name] = math.hypot(std, resolution, size_error)

@@ -1,8 +1,8 @@
-"""Residual analysis: whether innovations of the final model are white, or predicted by states and inputs.
+"""Residual analysis: tests whether a better model could predict the innovations of the final model.
 
-If a model is right, its innovations are white and uncorrelated with everything that came before, in closed
-loop too. Each of many simple functions of state, input and time is tested as a regressor of the innovations;
-what is significant is structure that a better model could predict.
+Innovations are one-step prediction errors. If a model is right, they are white and uncorrelated with all
+earlier states and inputs, in closed loop too. Many simple functions of state, input and time are tested as
+regressors of the innovations. A significant regressor is structure that the model lacks.
 """
 
 from __future__ import annotations
@@ -145,15 +145,17 @@ def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
 
 
 def penalty(coefficients: int) -> float:
-    """Gain, in nats, that the best of all regressors with so many `coefficients` rarely reaches on white
-    innovations.
+    """Return the gain that the best regressor rarely reaches if the innovations are white, nats.
+
+    `coefficients` is the number of coefficients of a regressor.
     """
     return thresholds.DEPENDENCE_NATS + thresholds.DEPENDENCE_NATS_PER_COEFFICIENT * coefficients
 
 
 def disturbance_gains(screening: Screening) -> Floats:
-    """Return the log-likelihood ratio of the disturbances about each axis over no disturbance there, nats,
-    shape (3,).
+    """Return how much more likely the flights are with disturbances about an axis than without, in nats.
+
+    The shape is (3,): a log-likelihood ratio for each axis.
     """
     disturbances = screening.estimate.disturbances
     calm_axes = [
@@ -168,7 +170,10 @@ def disturbance_gains(screening: Screening) -> Floats:
 
 
 def gain_ratios(screening: Screening) -> Floats:
-    """Return the log-likelihood ratio of each gain's random variation over none, nats, shape (g,)."""
+    """Return how much more likely the flights are if a gain varies at random than if it does not, in nats.
+
+    The shape is (g,): a log-likelihood ratio for each random variation of the thrust.
+    """
     disturbances = screening.estimate.disturbances
     gains = disturbances.gains
     without_one_gain = [
@@ -196,9 +201,9 @@ def _autocorrelation(screening: Screening) -> tuple[Floats, float]:
     Returns
     -------
     ndarray (lags, 3)
-            Autocorrelation at `_WHITE_LAGS`, by measured axis.
+        Autocorrelation at `_WHITE_LAGS`, by measured axis.
     float
-            Three standard errors of the autocorrelation of white innovations.
+        Three standard errors of the autocorrelation of white innovations.
     """
     innovations = screening.filtered.innovations(screening.estimate.disturbances)
     innovation = np.concatenate([flight[:, 0] for flight in innovations.flights]).reshape(-1, 3)
@@ -229,27 +234,29 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
     linearised_flights = [
         linear for screening in screenings for linear in screening.filtered.linearised_flights
     ]
-    candidates = [
+    splines = [
         candidate
         for candidate in spline_candidates(linearised_flights, _TEST_SPLINES)
         if not candidate.dependence[0].startswith("measurement")
     ]
     functions = dependence_functions(linearised_flights)
-    tests = [_Test(" on ".join(candidate.dependence), coefficient_std(candidate)) for candidate in candidates]
+    tests = [_Test(" on ".join(spline.dependence), coefficient_std(spline)) for spline in splines]
     tests += [
         _Test(f"torque.{axis} on {name}", np.full(curves[0].shape[1], std_Nm))
         for name, curves in functions.items()
         for axis, std_Nm in zip(AXES, _TORQUE_STD_Nm, strict=True)
     ]
+    # One list per set of flights, in the order of the tests.
     statistics_by_screening = []
     first = 0
     for screening in screenings:
-        last = first + len(screening.filtered.linearised_flights)
-        own_functions = {name: curves[first:last] for name, curves in functions.items()}
+        # `functions` has the curves of all flights, one set of flights after the other.
+        flights = slice(first, first + len(screening.filtered.linearised_flights))
+        curves_by_name = {name: curves[flights] for name, curves in functions.items()}
         statistics_by_screening.append(
-            [*screening.spline_information(candidates), *_function_statistics(screening, own_functions)]
+            [*screening.spline_information(splines), *_function_statistics(screening, curves_by_name)]
         )
-        first = last
+        first = flights.stop
     result = [
         _dependence(test, statistics)
         for test, *statistics in zip(tests, *statistics_by_screening, strict=True)
@@ -265,11 +272,11 @@ class _Test(NamedTuple):
 
 
 def _dependence(test: _Test, statistics: Sequence[ScoreStatistics]) -> Dependence:
-    """Carry out a test whose `statistics` are those of each set of flights."""
-    information = np.sum([part.information for part in statistics], axis=0)
-    score = np.sum([part.score for part in statistics], axis=0)
+    """Carry out a test with one coefficient vector for all flights; `statistics` has one entry per set."""
+    information = np.sum([of_set.information for of_set in statistics], axis=0)
+    score = np.sum([of_set.score for of_set in statistics], axis=0)
     gain = score_of(information, score, test.prior_std).log_likelihood_gain
-    is_near_rest = test.name.endswith("near rest") or _on_own_rate(test.name)
+    is_near_rest = test.name.endswith("near rest") or _is_of_own_rate(test.name)
     near_rest_nats = thresholds.NEAR_REST_NATS if is_near_rest else 0.0
     return Dependence(test.name, gain, penalty(len(test.prior_std)) + near_rest_nats)
 
@@ -277,7 +284,11 @@ def _dependence(test: _Test, statistics: Sequence[ScoreStatistics]) -> Dependenc
 def _function_statistics(
     screening: Screening, functions: Mapping[str, list[Floats]]
 ) -> list[ScoreStatistics]:
-    """Return the score statistics of a torque about each axis in turn, for each of the `functions`."""
+    """Return the score statistics of each function as a torque about elevation, pitch and travel.
+
+    `functions` has the curves of each flight, shape (n, s), by name. The order is that of the functions, and
+    of the axes for each function.
+    """
     result: list[ScoreStatistics] = []
     for batch in batches(functions.values(), lambda curves: curves[0].shape[1], screening.batch):
         sizes = [curves[0].shape[1] for curves in batch]
@@ -294,9 +305,12 @@ def _function_statistics(
     return result
 
 
-def _on_own_rate(what: str) -> bool:
-    """Whether a curve about an axis is one of the axis' own rate, which may bend near rest."""
-    channel, _, quantity = what.partition(" on ")
+def _is_of_own_rate(dependence: str) -> bool:
+    """Whether a dependence is that of a torque about an axis on the rate of the same axis.
+
+    Such a curve may imitate a resting encoder, which repeats its count.
+    """
+    channel, _, quantity = dependence.partition(" on ")
     return quantity == f"{channel.rpartition('.')[2]}_rate"
 
 

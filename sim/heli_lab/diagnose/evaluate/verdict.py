@@ -36,7 +36,7 @@ class NamedCause(Cause):
     equation : str
         The term that the effect adds to the model, in LaTeX.
     family : FamilyNumber or None
-        The number that it shares with effects that may replace it.
+        The number that this effect shares with effects that may replace it, such as the lag of the rotors.
     """
 
     parameters: Mapping[str, CauseParameter]
@@ -97,6 +97,10 @@ def judge(
 ) -> Verdict:
     """Decide the verdict.
 
+    The label is ``unexplained`` if something remains that a better model could predict. Otherwise it is
+    ``ambiguous`` if one of the causes has a close alternative, ``cause_found`` if there is a cause, and
+    ``explained`` if the baseline needs none.
+
     Parameters
     ----------
     search : Search
@@ -104,8 +108,10 @@ def judge(
     residual : ResidualAnalysis
         Analysis of the residuals of the final model.
     after : Prediction
-        Free runs of the extended model. If their errors are at the quantisation, whatever remains is too
-        small to matter, however significant it is.
+        Free runs of the extended model. If their errors are as small as the quantisation, every remaining
+        structure is too small to matter, however significant it is.
+    kinds : Mapping[str, EffectSpec]
+        Catalogue by effect id.
     absent : bool
         Whether the fit estimated a term of the baseline as zero, which is a cause too.
     small : tuple of SmallEffect
@@ -144,12 +150,13 @@ def with_confirmation(verdict: Verdict, unconfirmed: Collection[str]) -> Verdict
         Ids of the causes that are not confirmed.
     """
 
-    def confirmed(cause: NamedCause) -> NamedCause:
+    def with_limited_confidence(cause: NamedCause) -> NamedCause:
+        """Return a cause with a limited confidence if it is not confirmed."""
         if cause.effect not in unconfirmed:
             return cause
         return replace(cause, confidence=unconfirmed_confidence(cause.confidence))
 
-    return replace(verdict, causes=tuple(map(confirmed, verdict.causes)))
+    return replace(verdict, causes=tuple(map(with_limited_confidence, verdict.causes)))
 
 
 def small_effects(
@@ -197,7 +204,10 @@ def _named_cause(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexpl
 
 
 def _moments_text(effect: Effect) -> str:
-    """State the flight of an event, and its moments in other flights; empty without an event."""
+    """State in which flight an event happened, and when it happened in other flights.
+
+    The text is empty if the effect is not an event.
+    """
     if not effect.flight:
         return ""
     others = (f", and at {at_s:.2f} s in {label}" for label, at_s in effect.other_moments_s.items())
@@ -205,47 +215,63 @@ def _moments_text(effect: Effect) -> str:
 
 
 def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectSpec]) -> bool:
-    """Whether the fast disturbance is significant about one axis only, and of notable size and correlation
-    time; `kinds` is the catalogue, which has its typical size. A thrust that varies disturbs all axes.
+    """Whether a random torque acts about a single axis, unlike the disturbances that every rig has.
+
+    The fast disturbance must be significant about one axis only, and have a notable size and correlation
+    time. A thrust that varies at random disturbs all axes, so it excludes a random torque.
+
+    Parameters
+    ----------
+    residual : ResidualAnalysis
+        Analysis of the residuals, with the estimated disturbances.
+    kinds : Mapping[str, EffectSpec]
+        Catalogue by effect id, which contains the typical size of a random torque.
     """
-    sorted_gains, axis = np.sort(residual.gains), AXES.index(residual.axis)
+    if residual.thrust_gains.size:
+        return False
+    *_, second_nats, largest_nats = np.sort(residual.gains)
+    is_about_one_axis = largest_nats > thresholds.RANDOM_TORQUE_NATS > second_nats
+    axis = AXES.index(residual.axis)
     kind = kinds.get(f"random_torque.{residual.axis}")
     min_Nm = thresholds.RANDOM_TORQUE_MIN_SHARE * kind.typical[kind.size[0]] if kind else math.inf
-    return bool(
-        not residual.thrust_gains.size
-        and sorted_gains[-1] > thresholds.RANDOM_TORQUE_NATS > sorted_gains[-2]
-        and residual.disturbances.fast_std[axis] > min_Nm
-        and residual.disturbances.correlation_time_s[axis] > thresholds.RANDOM_TORQUE_MIN_CORRELATION_s
+    is_large = residual.disturbances.fast_std[axis] > min_Nm
+    is_correlated = (
+        residual.disturbances.correlation_time_s[axis] > thresholds.RANDOM_TORQUE_MIN_CORRELATION_s
     )
+    return bool(is_about_one_axis and is_large and is_correlated)
 
 
 def confidence(cause: Cause, unexplained: bool = False) -> float:
     """Return the probability, 0 to 1, that a cause is named correctly.
 
-    It grows with the lead over no cause and over the closest alternative, and with the log-likelihood ratio
-    on the held-out flights.
+    The probability grows with the lead over the closest rival, which may be the model without the cause, and
+    with the log-likelihood ratio on the held-out flights.
 
     Parameters
     ----------
+    cause : Cause
+        The cause with its evidence.
     unexplained : bool
-        Whether something unexplained remains, which the cause may imitate; the confidence is less then.
+        Whether something unexplained remains. The cause may imitate it, so the confidence is lower.
     """
+    lead_over_no_cause = cause.train - cause.penalty
     leads = [alternative.log_likelihood_ratio for alternative in cause.alternatives]
-    margin = min([cause.train - cause.penalty, *leads])
-    probability = 1.0 - 0.5 * math.exp(-max(margin, 0.0) / thresholds.CONFIDENCE_NATS)
+    margin = max(min([lead_over_no_cause, *leads]), 0.0)
+    # Without a lead, the cause and its closest rival are equally likely.
+    probability = 1.0 - 0.5 * math.exp(-margin / thresholds.CONFIDENCE_NATS)
     if cause.held_out is not None:
-        # A ratio of 0 nats on flights that had no part in the choice: by these alone, even odds.
+        # Logistic function: 0 nats on flights that had no part in the choice mean even odds.
         probability *= 1.0 / (1.0 + math.exp(-cause.held_out / thresholds.HELD_OUT_NATS))
     factor = thresholds.CONFIDENCE_FACTOR_UNEXPLAINED if unexplained else 1.0
     return float(min(thresholds.MAX_CONFIDENCE, probability) * factor)
 
 
 def unconfirmed_confidence(probability: float) -> float:
-    """Return the confidence of a cause that is not confirmed: limited, because one direction is the evidence.
+    """Limit the confidence of a cause that is not confirmed, because its evidence comes from one direction.
 
     Parameters
     ----------
     probability : float
-        Its confidence if it were confirmed, 0 to 1.
+        Confidence of the same cause if it were confirmed, 0 to 1.
     """
     return min(probability, thresholds.MAX_CONFIDENCE_UNCONFIRMED)

@@ -96,6 +96,7 @@ excite = { signal = "multisine", front_V = 0.25, back_V = 0.25, start_Hz = 0.1, 
 """Segments of a plan by key: what they show, and their TOML. Amplitudes respect the rate limits of the
 board."""
 _DEFAULT: Final = ("motors", "travel", "elevation")
+"""Segments of a plan if no others are requested: they excite every axis."""
 _ALWAYS_TRIED: Final = ("motors", "fast", "travel", "elevation")
 """Segments that are simulated in addition to those of the two effects."""
 _SUFFICIENT_MULTIPLE: Final = 10.0
@@ -193,16 +194,17 @@ def discriminating_experiment(
         f"These flights do not distinguish {pair.names[0]} from {pair.names[1]}: their log-likelihoods "
         f"differ by {abs(pair.log_likelihood_ratio):.1f}, and {MIN_MARGIN:.0f} are needed."
     )
-    parts = [segment_for(kinds[id_]) for id_ in pair.names if id_ in kinds]
+    exciting_segments = [segment_for(kinds[id_]) for id_ in pair.names if id_ in kinds]
+    # Expected log-likelihood ratio of each plan that can be flown, by its only segment.
     ratios: dict[str, float] = {}
-    for key in dict.fromkeys((*parts, *_ALWAYS_TRIED)):
+    for key in dict.fromkeys((*exciting_segments, *_ALWAYS_TRIED)):
         if max(ratios.values(), default=0.0) > _SUFFICIENT_MULTIPLE * MIN_MARGIN:
             break
         ratio = expected_log_likelihood_ratio(pair.first, pair.second, comparison, _plan([key]))
         if ratio is not None:
             ratios[key] = ratio
     if not ratios:
-        return compose_experiment(reason, parts)
+        return compose_experiment(reason, exciting_segments)
     best = max(ratios, key=lambda key: ratios[key])
     reverse_ratio = expected_log_likelihood_ratio(pair.second, pair.first, comparison, _plan([best]))
     expected = f"{ratios[best]:.0f} if it is {pair.names[0]}"
@@ -236,16 +238,15 @@ def informative_experiment(
         return flight
     parameter_vector = baseline.estimate.parameter_vector
     try:
-        new = ModelComparison(parameter_vector.model, parameter_vector.rig, [record], ()).refit(
-            [], baseline.values
-        )
-        missed = undetectable_effects(Screening(new.estimate).effects(wanted_kinds), kinds)
+        comparison = ModelComparison(parameter_vector.model, parameter_vector.rig, [record], ())
+        refitted = comparison.refit([], baseline.values)
+        missed = undetectable_effects(Screening(refitted.estimate).effects(wanted_kinds), kinds)
     except SimError:
         return flight
-    but = f", not {', '.join(missed)}" if missed else ""
+    exception_text = f", not {', '.join(missed)}" if missed else ""
     return ExperimentDesign(
         f"{flight.why} Simulated on this rig, it shows {len(wanted_kinds) - len(missed)} of these "
-        f"{len(wanted_kinds)} at a typical size{but}.",
+        f"{len(wanted_kinds)} at a typical size{exception_text}.",
         flight.plan,
     )
 

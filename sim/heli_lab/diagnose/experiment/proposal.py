@@ -15,7 +15,7 @@ from heli_lab.diagnose.experiment.design import (
     discriminating_experiment,
     informative_experiment,
 )
-from heli_lab.diagnose.search import ModelComparison, Search
+from heli_lab.diagnose.search import ModelComparison, Refit, Search
 from heli_lab.diagnose.thresholds import MANY_UNDETECTABLE, SHORT_s
 
 
@@ -57,7 +57,7 @@ def propose_experiment(
 
 
 def _wider_range(search: Search, assessment: Assessment) -> ExperimentDesign:
-    """A flight over a wider range of the quantities on which the missing part depends."""
+    """Compose a flight over a wider range of the quantities on which the missing term depends."""
     unlisted = assessment.verdict.unlisted
     quantities = {cause.candidate.dependence[1] for cause in unlisted}
     parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in quantities)}
@@ -72,29 +72,36 @@ def _wider_range(search: Search, assessment: Assessment) -> ExperimentDesign:
 
 
 def _closest_pair(comparison: ModelComparison, search: Search, assessment: Assessment) -> Pair | None:
-    """The least certain cause and its closest alternative, fitted together with the same other causes."""
-    unclear = [cause for cause in assessment.verdict.causes if cause.ambiguous_with]
-    if not unclear:
+    """Return the extended model, and the same model with its least certain cause replaced by an alternative.
+
+    The alternative is the closest one. The result is None if no cause is ambiguous, or if the search did not
+    refit the alternative.
+    """
+    ambiguous_causes = [cause for cause in assessment.verdict.causes if cause.ambiguous_with]
+    if not ambiguous_causes:
         return None
-    least_certain = min(unclear, key=lambda cause: cause.alternatives[0].log_likelihood_ratio)
+    least_certain = min(ambiguous_causes, key=lambda cause: cause.alternatives[0].log_likelihood_ratio)
     alternative = least_certain.alternatives[0]
-    refit = next(
-        (
-            refit
-            for round_ in search.rounds
-            if round_.accepted_id == least_certain.candidate.id
-            for refit in round_.refits
-            if refit.candidate.id == alternative.id
-        ),
-        None,
-    )
+    refit = _refit_of_round(search, least_certain.candidate.id, alternative.id)
     if refit is None:
         return None
     extended = assessment.extended
-    others = [candidate for candidate in extended.candidates if candidate.id != least_certain.candidate.id]
-    second = refit.hypothesis
-    if others:
-        second = comparison.refit([*others, refit.candidate], second.values, extended)
-    return Pair(
-        extended, second, (least_certain.candidate.id, alternative.id), alternative.log_likelihood_ratio
-    )
+    other_causes = [other for other in extended.candidates if other.id != least_certain.candidate.id]
+    with_alternative = refit.hypothesis
+    if other_causes:
+        with_alternative = comparison.refit(
+            [*other_causes, refit.candidate], with_alternative.values, extended
+        )
+    ids = (least_certain.candidate.id, alternative.id)
+    return Pair(extended, with_alternative, ids, alternative.log_likelihood_ratio)
+
+
+def _refit_of_round(search: Search, accepted_id: str, candidate_id: str) -> Refit | None:
+    """Return the refit of a candidate in the round that accepted another candidate; None without one."""
+    for round_ in search.rounds:
+        if round_.accepted_id != accepted_id:
+            continue
+        for refit in round_.refits:
+            if refit.candidate.id == candidate_id:
+                return refit
+    return None

@@ -46,7 +46,7 @@ def simulate_experiment(estimate: Estimate, plan: str) -> Record | None:
         **{name: value for name, value in values.items() if name in parameter_vector.rig}
     )
     effects = tuple(
-        replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
+        replace(effect, values={name: values.get(name, start) for name, start in effect.values.items()})
         for effect in model.effects
     )
     try:
@@ -55,8 +55,8 @@ def simulate_experiment(estimate: Estimate, plan: str) -> Record | None:
             set_hover(heli, model, rig)
             flight, summary = fly_and_read(heli, Plan.parse(plan, "next flight"))
         # The effect itself may keep an axis from its setpoint; such a flight is informative.
-        flown = summary.completed or summary.outcome.startswith(NOT_TRACKED)
-        if not flown and "landing" not in summary.outcome:
+        is_informative = summary.completed or summary.outcome.startswith(NOT_TRACKED)
+        if not is_informative and "landing" not in summary.outcome:
             return None
         return prepare(_thinned(flight), rig, "simulated")
     except (HeliError, SimError):

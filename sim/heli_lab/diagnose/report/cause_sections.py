@@ -56,7 +56,7 @@ def cause_section(
 
 
 def _evidence(evidence: Mapping[str, Any]) -> str:
-    """Evidence for a cause in sentences."""
+    """Write the evidence for a cause in a sentence."""
     if "standard_errors_from_zero" in evidence:
         return (
             f"The estimate of the term is {evidence['standard_errors_from_zero']:.1f} standard errors from "
@@ -73,7 +73,7 @@ def _evidence(evidence: Mapping[str, Any]) -> str:
 
 
 def _confirmation(cause: Mapping[str, Any]) -> str:
-    """Whether a cause holds in both directions, in sentences; empty for one that was not tested."""
+    """State in a sentence whether a cause is confirmed; empty if that was not tested."""
     if "confirmed" not in cause:
         return ""
     if not cause["confirmed"]:
@@ -88,7 +88,7 @@ def _confirmation(cause: Mapping[str, Any]) -> str:
 
 
 def plus_minus(number: Mapping[str, Any], unit: str) -> str:
-    """Write a `number` in SI `unit` as its display unit demands, with its standard error."""
+    """Write a `number` in the display unit of an SI `unit`: ``value ± standard error``."""
     factor, _ = display_unit(unit)
     value, std = factor * number["value"], factor * number["std"]
     return f"{rounded(value, std)} ± {rounded(std, std)}" if std else f"{rounded(value, std)} (fixed)"

@@ -20,13 +20,15 @@ if TYPE_CHECKING:
 
 _MISSING, _TERM, _OUTLINE = "#8d959e", "#0b5fa5", "#111111"
 _POINTS: Final = 4000
+"""Dots of a scatter plot: more hide each other."""
 _MEANS: Final = 24
 """Means over equal parts of the dots: fewer hide a bend, more show noise."""
 
 
 def figure_of_equation(proposed: ProposedTerm) -> Figure:
-    """Draw the equation of a `proposed` term along a flight: the missing torque and the torque of the
-    equation over time, against each other, and against the first quantity of the equation.
+    """Draw the equation of a `proposed` term along a flight, together with the missing torque.
+
+    The panels show both over time, against each other, and over the first quantity of the equation.
     """
     from matplotlib.figure import Figure
 
@@ -132,8 +134,9 @@ def _regions_row(
 
 
 def figure_of_unknown_torque(regions: FailingRegions) -> Figure:
-    """Draw the torque about the axis of `regions` that the model after the extension lacks, over the first
-    quantity.
+    """Draw the torque that the model after the extension lacks, over the first quantity of `regions`.
+
+    The torque is that about the axis of the regions.
     """
     from matplotlib.figure import Figure
 

@@ -29,7 +29,9 @@ MEASURED: Final = "#30343a"
 MAX_ROUNDS: Final = 4
 """Rounds that are drawn; the table has all."""
 _MAX_POINTS: Final = 5000
+"""Points of a drawn line: more are not visible."""
 _EQUATION_POINTS: Final = 12.0
+"""Font size of a typeset equation."""
 
 
 def figure_of_flight(before: Fit, after: Fit) -> Figure:
@@ -73,8 +75,9 @@ def figure_of_flight(before: Fit, after: Fit) -> Figure:
 
 
 def figure_of_windows(before: Fit, after: Fit) -> Figure:
-    """Draw the window of the largest error of the fit `before` on each axis, with the fit `after`, one panel
-    each.
+    """Draw one panel per axis: the window of 2 s in which the baseline, `before`, has its largest error.
+
+    The extended model, `after`, is drawn in the same window.
     """
     from matplotlib.figure import Figure
 
@@ -84,7 +87,7 @@ def figure_of_windows(before: Fit, after: Fit) -> Figure:
     figure.subplots_adjust(0.06, 0.22, 0.98, 0.92, wspace=0.18)
     for axis, panel in enumerate(panels):
         worst_window = max(
-            baseline.windows, key=lambda part: float(np.mean(baseline.residual[part, axis] ** 2))
+            baseline.windows, key=lambda window: float(np.mean(baseline.residual[window, axis] ** 2))
         )
         t_s = baseline.t_s[worst_window]
         panel.plot(
@@ -112,9 +115,7 @@ def figure_of_windows(before: Fit, after: Fit) -> Figure:
 
 
 def _free_runs(before: Fit, after: Fit) -> list[tuple[Trace, str, str]]:
-    """Return the free runs of the baseline and of the extended model, if there is one, each with colour and
-    label.
-    """
+    """Return the free runs of the baseline and of the extended model, if any, with colour and label."""
     runs = [(trace(before), BEFORE, "baseline")]
     if after is not before:
         runs.append((trace(after), AFTER, "extended"))
@@ -122,8 +123,9 @@ def _free_runs(before: Fit, after: Fit) -> list[tuple[Trace, str, str]]:
 
 
 def figure_of_torque(diagnosis: Diagnosis) -> Figure:
-    """Draw the missing torque about each axis of the baseline and of the model with all named causes, over
-    time and as a spectrum.
+    """Draw the missing torque about each axis, over time and as a spectrum.
+
+    The baseline is compared with the model that has all named causes.
     """
     from matplotlib.figure import Figure
 
@@ -193,8 +195,9 @@ def _draw_round(round_: Round, number: int, panel: Axes) -> None:
 
 
 def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
-    """Draw the acceleration that each cause contributes along the first fitted flight; None without
-    causes.
+    """Draw the acceleration that each cause contributes along the first fitted flight.
+
+    The result is None without causes.
     """
     from matplotlib.figure import Figure
 
@@ -222,8 +225,9 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
 
 
 def figure_of_curves(curves: Sequence[SplineCurve]) -> Figure:
-    """Draw spline terms in the place of causes that the catalogue lacks, one panel per curve, with two
-    standard errors.
+    """Draw the curves of spline terms, one panel each, with two standard errors.
+
+    Spline terms stand in the model for causes that the catalogue lacks.
     """
     from matplotlib.figure import Figure
 
@@ -262,8 +266,9 @@ def thinned(count: int, max_count: int) -> slice:
 
 
 def bin_means(quantity: Floats, value: Floats, bins: int) -> tuple[Floats, Floats]:
-    """Return the means of a `quantity` and of a `value` of it, (bins,) each, in `bins` bins of equally many
-    rows.
+    """Return the means of a `quantity` and of a dependent `value` in `bins` bins, shape (bins,) each.
+
+    The bins divide the rows, sorted by the quantity, into equal parts.
     """
     bin_rows = np.array_split(np.argsort(quantity), min(bins, len(quantity)))
     mean_quantity = np.array([quantity[rows].mean() for rows in bin_rows])
@@ -272,6 +277,7 @@ def bin_means(quantity: Floats, value: Floats, bins: int) -> tuple[Floats, Float
 
 
 def _rms(values: Floats) -> float:
+    """Return the root mean square of values."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -313,9 +319,12 @@ def _with_sample_gaps(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
 
 
 def _amplitude_spectrum(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
-    """Return frequencies [Hz] and the root of the power spectral density, by Welch's method."""
+    """Return frequencies [Hz] and the root of the power spectral density, by Welch's method.
+
+    The spectrum is the mean over segments of 1024 values that overlap by half.
+    """
     step_s = float(np.median(np.diff(t_s)))
-    size = min(len(value), 1 << 10)
+    size = min(len(value), 1024)
     segments = [value[start : start + size] for start in range(0, len(value) - size + 1, size // 2)]
     window = np.hanning(size)
     power = np.mean(
@@ -324,4 +333,5 @@ def _amplitude_spectrum(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
     density: Floats = np.sqrt(2.0 * power * step_s / np.sum(window**2)).astype(np.float64)
     frequency_Hz: Floats = np.fft.rfftfreq(size, step_s).astype(np.float64)
     is_drawn = (frequency_Hz > 0.0) & (frequency_Hz < 20.0)
+    # A positive lower bound, because the axis is logarithmic.
     return frequency_Hz[is_drawn], np.maximum(density[is_drawn], 1e-6)

@@ -22,8 +22,9 @@ from heli_lab.diagnose.thresholds import CONFIDENCE_FACTOR_UNEXPLAINED, CONFIDEN
 
 
 def causes(result: Diagnosis) -> list[dict[str, Any]]:
-    """List the causes, the strongest first: effect, parameters, confidence, sentence, equation, evidence and
-    alternatives of each.
+    """List the causes, the strongest first, each as a JSON object.
+
+    A cause has an effect, parameters, confidence, a sentence, an equation, evidence, and alternatives.
     """
     return [*_effect_causes(result), *_random_torque_causes(result), *_absent_term_causes(result)]
 
@@ -53,8 +54,9 @@ def _effect_causes(result: Diagnosis) -> list[dict[str, Any]]:
 
 
 def too_small_effects(result: Diagnosis) -> list[dict[str, Any]]:
-    """List significant effects that are too small to matter: effect, parameters, sentence, and by how many
-    encoder counts each changes the prediction.
+    """List significant effects that are too small to matter, each as a JSON object.
+
+    ``change_counts`` is by how many encoder counts an effect changes the open-loop prediction.
     """
     return [
         {
@@ -160,8 +162,9 @@ def _absent_term_causes(result: Diagnosis) -> list[dict[str, Any]]:
 
 
 def unexplained(result: Diagnosis) -> dict[str, Any] | None:
-    """Describe what no effect explains: axis, dependences, share of the variance; None if everything is
-    explained.
+    """Describe the dependence that no effect explains; None if everything is explained.
+
+    The description has the axis, the dependences, and the share of the variance.
     """
     if result.missing is None:
         return None
@@ -178,8 +181,10 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
         }
     strongest = result.verdict.unlisted[0]
     channel, _ = strongest.candidate.dependence
-    first_round = next(r for r in result.search.rounds if r.accepted_id == strongest.candidate.id)
-    others = [name for name in correlates(first_round.splines) if name != f"{channel} on {quantity}"]
+    round_of_term = next(
+        round_ for round_ in result.search.rounds if round_.accepted_id == strongest.candidate.id
+    )
+    others = [name for name in correlates(round_of_term.splines) if name != f"{channel} on {quantity}"]
     reductions = result.held_out.splines
     return {
         "axis": axis,
@@ -193,8 +198,10 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
 
 
 def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
-    """Write the disturbances about each axis: size and correlation time of the fast part, size of the slow
-    part, log-likelihood ratio, and kicks.
+    """Write the disturbances about each axis.
+
+    They have size and correlation time of the fast part, size of the slow part, a log-likelihood ratio, and
+    kicks.
     """
     estimated, none = analysis.disturbances, Kicks(0, 0.0)
     return {
@@ -211,8 +218,10 @@ def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
 
 
 def thrust_noise(analysis: ResidualAnalysis) -> dict[str, dict[str, float]] | None:
-    """Write how much the supply, and the rotors' thrusts against each other, vary at random, as a share, with
-    the log-likelihood ratio; None if torques suffice as disturbances.
+    """Write how much the thrusts vary at random; None if torques suffice as disturbances.
+
+    ``supply`` is a relative variation of both thrusts together, ``difference`` one of the rotors against
+    each other.
     """
     estimated = analysis.disturbances
     if not estimated.gains:
@@ -243,4 +252,5 @@ def reductions_json(reductions: Mapping[str, ErrorReduction]) -> dict[str, dict[
 
 
 def _parameters(parameters: Mapping[str, CauseParameter]) -> dict[str, dict[str, float | str]]:
+    """Write parameters by name: value, standard error and unit."""
     return {name: asdict(parameter) for name, parameter in parameters.items()}

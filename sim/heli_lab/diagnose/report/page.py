@@ -145,8 +145,9 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
 
 
 def write_effect_file(diagnosis: Diagnosis, folder: str | Path) -> Path:
-    """Write the effect file of the proposed equation of a `diagnosis`, which must have one, as
-    ``proposed.py`` into a `folder`, which is made if it is missing; return the file.
+    """Write the proposed equation of a `diagnosis` as effect file ``proposed.py``; return the file.
+
+    The `folder` is made if it is missing. The diagnosis must have a proposed equation.
     """
     assert diagnosis.proposed_term is not None
     labels = ", ".join(record.label for record in diagnosis.assessment.after.fit.problem.records)
@@ -158,8 +159,9 @@ def write_effect_file(diagnosis: Diagnosis, folder: str | Path) -> Path:
 
 
 def write_insufficient_excitation(result: InsufficientExcitation, folder: str | Path) -> Path:
-    """Write the page of a `result` without excitation, and result.json, into a `folder`, which is made if it
-    is missing; return the page.
+    """Write the page and result.json of a `result` without excitation; return the page.
+
+    The `folder` is made if it is missing.
     """
     numbers = to_json(result)
     return write_page(
@@ -255,8 +257,9 @@ def _equation(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, Any] |
 
 
 def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Return the section of what no effect explains: sentences, dependences and error reductions; None
-    without it.
+    """Return the section about the dependence that no effect explains; None without one.
+
+    It has sentences, dependences and error reductions.
     """
     if missing is None:
         return None
@@ -287,6 +290,7 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
     """Return a table row for each candidate of a round that was refitted or has a notable score."""
 
     def cell(value: float | None) -> str:
+        """Write a number of nats; empty for None."""
         return "" if value is None else f"{value:.0f}"
 
     rows = []
@@ -300,14 +304,13 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
 
 
 def _more_rounds(diagnosis: Diagnosis) -> str:
+    """State how many rounds the figure leaves out; empty if it has all."""
     remaining_rounds = len(diagnosis.search.rounds) - figures.MAX_ROUNDS
     return f" {remaining_rounds} later rounds are in the table." if remaining_rounds > 0 else ""
 
 
 def _flights(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return for each flight its role and the parts that were used, and the parts that were left out with
-    reasons.
-    """
+    """Return a section for each flight: its role, and the parts that were used and left out."""
     sections = []
     for flight in flights:
         role = "fitted" if flight["role"] == "train" else "held out"

@@ -7,7 +7,7 @@ from typing import Any
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.evaluate import FailingRegions
+from heli_lab.diagnose.evaluate import FailingRegions, RegionTest
 from heli_lab.diagnose.report import equation_figures
 from heli_lab.diagnose.report.cause_sections import SaveFigure
 from heli_lab.diagnose.result import Diagnosis
@@ -31,7 +31,7 @@ def regions_section(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, 
     return {
         "address": save_figure("regions", figure),
         "sentences": [_regions_sentence(regions, models) for regions in all_regions],
-        "note": _regions_note(diagnosis, len(models) > 1),
+        "note": _regions_note(diagnosis, first.after if len(models) > 1 else first.before),
     }
 
 
@@ -45,10 +45,9 @@ def _regions_sentence(regions: FailingRegions, models: Sequence[str]) -> str:
     return f"About {regions.axis}: " + "; ".join(texts)
 
 
-def _regions_note(diagnosis: Diagnosis, two: bool) -> str:
-    """Explain how the cells agree with the verdict if they seem not to; otherwise empty."""
+def _regions_note(diagnosis: Diagnosis, test: RegionTest) -> str:
+    """Explain an apparent contradiction between the verdict and the cells of the last model; else empty."""
     first = diagnosis.failing
-    test = first.after if two else first.before
     if diagnosis.label == "unexplained" and not test.fails.any():
         x, y = quantity_in_words(first.x), quantity_in_words(first.y)
         return (
@@ -64,7 +63,10 @@ def _regions_note(diagnosis: Diagnosis, two: bool) -> str:
 
 
 def unknown_torque(diagnosis: Diagnosis, save_figure: SaveFigure) -> Picture | None:
-    """Draw an unknown without a curve if it depends on a quantity of a plane; `save_figure` writes it."""
+    """Draw the missing torque over its quantity, if neither a curve nor an equation describes it.
+
+    `save_figure` writes the figure. The result is None without such a torque.
+    """
     if diagnosis.missing is None or diagnosis.verdict.unlisted or diagnosis.proposal is not None:
         return None
     if (diagnosis.failing.axis, diagnosis.failing.x) != diagnosis.missing:
@@ -73,4 +75,5 @@ def unknown_torque(diagnosis: Diagnosis, save_figure: SaveFigure) -> Picture | N
 
 
 def _mNm(torque_Nm: float) -> str:
+    """Write a torque in mN m: whole numbers from 10 mN m on, two digits below."""
     return f"{1e3 * torque_Nm:.0f}" if torque_Nm >= 0.01 else f"{1e3 * torque_Nm:.2g}"

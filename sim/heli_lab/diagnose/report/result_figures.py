@@ -29,12 +29,14 @@ _EXCERPT_s: Final = 40.0
 _LINES_s: Final = 12.0
 """Length of the part that is drawn of a term over time: in a longer part, lines overlap."""
 _MAX_DOTS: Final = 4000
+"""Dots of a scatter plot: more hide each other."""
 
 
 def figure_of_missing_terms(terms: Sequence[MissingTerm]) -> Figure:
-    """Draw the missing torques or angles of `terms` over the quantities that they depend on, one row per
-    cause. The left column shows them before, with the equation of the cause. The right column shows them
-    after, with the cause in the model.
+    """Draw the missing torques or angles of `terms` over the quantities that they depend on.
+
+    Each cause has a row. The left panel shows the missing values without the cause in the model, together
+    with the equation of the cause. The right panel shows the remaining values with the cause in the model.
     """
     from matplotlib.figure import Figure
 
@@ -85,14 +87,18 @@ def _draw_missing_term(term: MissingTerm, before: Axes, after: Axes) -> None:
 
 
 def _part_of_largest_contribution(term: MissingTerm) -> MissingTerm:
-    """Return the part of one flight in which a term contributes most, short enough for distinct lines."""
+    """Return the `_LINES_s` of one flight in which a term contributes most.
+
+    `term` is drawn over time: its quantity is the time of each flight.
+    """
     t_s = term.quantity
-    # The times of several flights follow each other, so that time steps back between them.
+    # The flights follow each other, so time steps back where a new flight starts.
     ends = np.append(np.flatnonzero(np.diff(t_s) < 0.0) + 1, len(t_s))
     starts = np.append(0, ends[:-1])
     squares = np.append(0.0, np.cumsum(np.square(term.contribution)))
     parts = []
     for start, end in zip(starts, ends, strict=True):
+        # For each possible first row, the row after the last one; then the part with most squares.
         stops = start + np.searchsorted(t_s[start:end], t_s[start:end] + _LINES_s)
         first = start + int(np.argmax(squares[stops] - squares[start:end]))
         parts.append(slice(first, int(stops[first - start])))
@@ -120,8 +126,9 @@ def _draw_dots(panel: Axes, value: Floats, term: MissingTerm) -> None:
 def figure_of_prediction(
     before: Fit, after: Fit, first: str, outside_s: Sequence[tuple[float, float]] = ()
 ) -> Figure:
-    """Draw free runs of 2 s: the angle of an axis, and the errors of all three axes. A circle is the start of
-    a run, and a band the rounding of the encoder.
+    """Draw free runs of 2 s: the angle of an axis, and the errors of all three axes.
+
+    A circle marks the start of a run, and a grey band the rounding of the encoder.
 
     Parameters
     ----------
@@ -145,27 +152,10 @@ def figure_of_prediction(
     angle_panel = panels[0]
     measured_deg = np.rad2deg(baseline.measured_rad[excerpt, axes[0]])
     angle_panel.plot(t_s, measured_deg, ".", ms=2.2, color=MEASURED, label="measured")
-    models = [(baseline, BEFORE, "baseline"), (extended, AFTER, "extended")][: 1 if before is after else 2]
-    for run, color, label in models:
-        for window in (w for w in run.windows if w.start >= excerpt.start and w.stop <= excerpt.stop):
-            name = label if window.start == excerpt.start else None
-            angle_panel.plot(
-                run.t_s[window],
-                np.rad2deg(run.predicted_rad[window, axes[0]]),
-                color=color,
-                lw=1.1,
-                label=name,
-            )
-            begin = (run.t_s[window.start], np.rad2deg(run.predicted_rad[window.start, axes[0]]))
-            angle_panel.plot(*begin, "o", ms=4.5, mfc="white", mec=color, mew=1.1, zorder=4)
-            for panel, axis in zip(panels[1:], axes, strict=True):
-                error_deg = np.rad2deg(run.predicted_rad[window, axis] - run.measured_rad[window, axis])
-                panel.plot(run.t_s[window], error_deg, color=color, lw=0.9)
-    shaded_s = [(begin_s, end_s) for begin_s, end_s in outside_s if t_s[0] <= begin_s and end_s <= t_s[-1]]
-    for number, (begin_s, end_s) in enumerate(shaded_s):
-        for panel in panels:
-            name = "voltages that were not fitted" if not number and panel is angle_panel else None
-            panel.axvspan(begin_s, end_s, color="#f3e3c3", lw=0.0, zorder=-1, label=name)
+    _draw_runs(panels, baseline, excerpt, axes, BEFORE, "baseline")
+    if before is not after:
+        _draw_runs(panels, extended, excerpt, axes, AFTER, "extended")
+    _shade_extrapolations(panels, t_s, outside_s)
     angle_panel.set_ylabel(f"{AXES[axes[0]]} [deg]", fontsize=10)
     # The largest rounding error is half a count.
     half_counts_deg = np.rad2deg(np.sqrt(3.0) * baseline.sigma_rad)
@@ -190,9 +180,49 @@ def figure_of_prediction(
     return figure
 
 
+def _draw_runs(
+    panels: Sequence[Axes], run: Trace, excerpt: slice, axes: Sequence[int], color: str, label: str
+) -> None:
+    """Draw the simulated angle of a model into the first panel, and the errors of its axes into the others.
+
+    `axes` are the axes of the error panels; the first of them is the axis of the angle.
+    """
+    angle_panel, error_panels = panels[0], panels[1:]
+    for window in run.windows:
+        if window.start < excerpt.start or window.stop > excerpt.stop:
+            continue
+        angle_deg = np.rad2deg(run.predicted_rad[window, axes[0]])
+        angle_panel.plot(
+            run.t_s[window],
+            angle_deg,
+            color=color,
+            lw=1.1,
+            label=label if window.start == excerpt.start else None,
+        )
+        start = run.t_s[window.start], angle_deg[0]
+        angle_panel.plot(*start, "o", ms=4.5, mfc="white", mec=color, mew=1.1, zorder=4)
+        for panel, axis in zip(error_panels, axes, strict=True):
+            error_deg = np.rad2deg(run.predicted_rad[window, axis] - run.measured_rad[window, axis])
+            panel.plot(run.t_s[window], error_deg, color=color, lw=0.9)
+
+
+def _shade_extrapolations(
+    panels: Sequence[Axes], t_s: Floats, outside_s: Sequence[tuple[float, float]]
+) -> None:
+    """Shade the times at which the model extrapolates, if they are within the drawn times `t_s`."""
+    shaded_s = [(begin_s, end_s) for begin_s, end_s in outside_s if t_s[0] <= begin_s and end_s <= t_s[-1]]
+    for number, (begin_s, end_s) in enumerate(shaded_s):
+        for panel in panels:
+            is_first = number == 0 and panel is panels[0]  # the legend has one entry
+            label = "voltages that were not fitted" if is_first else None
+            panel.axvspan(begin_s, end_s, color="#f3e3c3", lw=0.0, zorder=-1, label=label)
+
+
 def _excerpt(run: Trace, axis: int) -> slice:
-    """Return the rows of consecutive windows, at most `_EXCERPT_s` in total, with the largest error of an
-    axis.
+    """Return the rows of consecutive windows in which the error of an axis is largest.
+
+    The windows have a total duration of at most `_EXCERPT_s`; if a single window is longer, the first one is
+    returned.
     """
     candidates = []
     for first in run.windows:

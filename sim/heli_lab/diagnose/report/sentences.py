@@ -45,7 +45,7 @@ def summary(result: Diagnosis | InsufficientExcitation) -> str:
 
 
 def _verdict_text(result: Diagnosis) -> str:
-    """Write the verdict with its causes, or with what no effect explains."""
+    """Write the verdict with its causes, or with the dependence that no effect explains."""
     label = result.label
     causes = findings.causes(result)
     held_out = result.assessment.after.held_out_fit
@@ -80,8 +80,9 @@ def _verdict_text(result: Diagnosis) -> str:
 
 
 def stated(cause: Mapping[str, Any], certain: bool = True) -> str:
-    """Write the sentence of a `cause`: as a fact, or with "perhaps" and its confidence if that is low or if
-    not even the verdict is `certain`.
+    """Write the sentence of a `cause` as a fact, or with "perhaps" and its confidence.
+
+    It is a fact if the verdict is `certain` and the confidence in the cause is high.
     """
     if certain and cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE:
         return str(cause["sentence"])
@@ -106,12 +107,12 @@ def disturbances_in_words(result: Diagnosis) -> str:
 
 def thrust_noise_in_words(noise: Mapping[str, Mapping[str, float]]) -> list[str]:
     """State how much supply and thrust vary at random, if that is significant; `noise` is as in the JSON."""
-    whose = {
+    beginnings = {
         "supply": "the supply varies by",
         "difference": "the two rotors' thrusts vary against each other by",
     }
     return [
-        f"{whose[name]} {100.0 * values['std']:.1g} % with a correlation time of "
+        f"{beginnings[name]} {100.0 * values['std']:.1g} % with a correlation time of "
         f"{values['correlation_time_s']:.1g} s"
         for name, values in noise.items()
         if values["log_likelihood_ratio"] > MIN_MARGIN
@@ -167,7 +168,7 @@ def small_effect_lines(result: Diagnosis) -> list[str]:
 
 
 def _confirmation_text(cause: Mapping[str, Any]) -> str:
-    """Whether a cause is confirmed, as the end of a remark on it; empty for one that was not tested."""
+    """Return the end of a remark: whether a cause is confirmed; empty if that was not tested."""
     if "confirmed" not in cause:
         return ""
     return "; confirmed" if cause["confirmed"] else f"; not confirmed: {cause['replication']['why_not']}"
@@ -197,8 +198,9 @@ def proposal_lines(proposal: Proposal) -> list[str]:
     evidence_text = f"confidence {term.confidence:.2f}; {equation_evidence(discovery)}"
     lines = [f"proposed equation: {term.sentence} ({evidence_text})"]
     for name, (value, std, unit) in discovery.values.items():
-        error = f" \N{PLUS-MINUS SIGN} {std:.2g}" if std else ""
-        lines.append(f"  {name} = {value:.4g}{error} {'' if unit == '1' else unit}".rstrip())
+        error_text = f" \N{PLUS-MINUS SIGN} {std:.2g}" if std else ""
+        unit_text = "" if unit == "1" else unit
+        lines.append(f"  {name} = {value:.4g}{error_text} {unit_text}".rstrip())
     close = [rival.key for rival in discovery.rivals if rival.log_likelihood_ratio < CONFIDENCE_NATS]
     if close:
         lines.append(f"  nearly as likely on these flights: {'; '.join(close)}")

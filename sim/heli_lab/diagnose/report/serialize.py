@@ -35,8 +35,9 @@ from heli_lab.identify import check
 
 
 def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
-    """Write a `result` as lists, dicts and numbers: verdict, causes, residual, gain, unexplained,
-    next_flight and more. Numbers are null if the flights excite nothing.
+    """Write a `result` as a JSON object; docs/reference/json.md describes its keys.
+
+    Numbers are null if the flights excite nothing.
     """
     if isinstance(result, InsufficientExcitation):
         return _insufficient_excitation_json(result)
@@ -102,13 +103,17 @@ def _insufficient_excitation_json(result: InsufficientExcitation) -> dict[str, A
 
 
 def rig_numbers(result: Diagnosis) -> dict[str, Any]:
-    """Write the parameters of the extended rig: those that all flights share, each with its prior, and the
-    means of those that each flight has for itself.
+    """Write the parameters of the extended rig.
+
+    ``numbers`` are the parameters that all flights share, with their priors. ``constants`` are the means of
+    those that differ from flight to flight, such as encoder zeros.
     """
     estimate = result.replication.model.estimate
     std = estimate.covariance.diagonal() ** 0.5
     rig = result.rig("extended")
-    per_flight_names = {p.quantity for p in estimate.parameter_vector.free if p.record is not None}
+    per_flight_names = {
+        parameter.quantity for parameter in estimate.parameter_vector.free if parameter.record is not None
+    }
     return {
         "name": estimate.parameter_vector.rig.name,
         "model": estimate.parameter_vector.model.name,
@@ -135,7 +140,7 @@ def rig_numbers(result: Diagnosis) -> dict[str, Any]:
 def proposal_json(proposal: Proposal) -> dict[str, Any]:
     """Write a proposed equation with its evidence and its gain."""
     term, discovery, equation = proposal.term, proposal.term.discovery, proposal.term.equation
-    symbols = {q for equation_term in equation.terms for q in equation_term.term.quantities}
+    symbols = {name for equation_term in equation.terms for name in equation_term.term.quantities}
     first, *further = (_channel(term, channel) for channel in equation.channels)
     return {
         "effect": discovery.effect.name,
@@ -236,9 +241,9 @@ def _residual(result: Diagnosis) -> dict[str, Any]:
         ("held_out", before.held_out_fit, after.held_out_fit),
     ):
         if before_fit is not None and after_fit is not None:
-            errors = {"before": check(before_fit), "after": check(after_fit)}
-            white[role] = {when: of_fit.white for when, of_fit in errors.items()}
-            correlation[role] = {when: of_fit.correlation for when, of_fit in errors.items()}
+            checks = {"before": check(before_fit), "after": check(after_fit)}
+            white[role] = {when: residuals.white for when, residuals in checks.items()}
+            correlation[role] = {when: residuals.correlation for when, residuals in checks.items()}
     return {
         "axis": {
             axis: {"before": float(before.train.axes[i]), "after": float(after.train.axes[i])}
@@ -277,8 +282,13 @@ def _flights(result: Diagnosis) -> list[dict[str, Any]]:
                     "flight": record.label,
                     "role": role,
                     "seconds_used": record.used_s,
-                    "used": [[float(record.t_s[a]), float(record.t_s[b - 1])] for a, b in record.segments],
-                    "left_out": [{"from_s": c.start_s, "to_s": c.stop_s, "why": c.why} for c in record.cuts],
+                    "used": [
+                        [float(record.t_s[start]), float(record.t_s[stop - 1])]
+                        for start, stop in record.segments
+                    ],
+                    "left_out": [
+                        {"from_s": cut.start_s, "to_s": cut.stop_s, "why": cut.why} for cut in record.cuts
+                    ],
                     "notes": list(record.notes),
                 }
             )

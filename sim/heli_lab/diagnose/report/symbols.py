@@ -70,7 +70,7 @@ _MEANINGS: Final[Mapping[str, str]] = {
     "y": "angle that the encoder measures",
 }
 """Meanings of symbols that are no parameters of an effect."""
-_DIFFERENT: Final[Mapping[str, Mapping[str, str]]] = {
+_MEANINGS_BY_EFFECT: Final[Mapping[str, Mapping[str, str]]] = {
     "axis_tilt": {"U": "potential energy", "n": "unit vector along the travel axis"},
     "flywheel": {"w": "speed of both rotors, as the sum of the voltages that hold it"},
     "inflow_damping": {
@@ -82,7 +82,7 @@ _DIFFERENT: Final[Mapping[str, Mapping[str, str]]] = {
     "random_torque": {"w": "white noise"},
     "supply_sag": {"l": "0 if each driver loses a share of its voltage, 1 if both lose the same voltage"},
 }
-"""Meanings by effect id without its axis."""
+"""Meanings of symbols that differ in the equation of an effect, by effect id without its axis."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def legend(effect: str, equation: str, parameters: Sequence[str] = ()) -> list[M
     parameters : sequence of str
         Meanings of its parameters, which contain their symbols.
     """
-    meanings = {**_MEANINGS, **_DIFFERENT.get(effect.partition(".")[0], {})}
+    meanings = {**_MEANINGS, **_MEANINGS_BY_EFFECT.get(effect.partition(".")[0], {})}
     return [
         Meaning(*_letter_and_index(symbol), meanings[symbol])
         for symbol in symbols_of(equation)
@@ -141,4 +141,5 @@ def _letter_and_index(symbol: str) -> tuple[str, str]:
 
 
 def _with_greek(text: str) -> str:
+    """Replace a LaTeX name of a Greek letter by the letter."""
     return _GREEK.get(text.removeprefix("\\"), text)

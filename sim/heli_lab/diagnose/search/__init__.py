@@ -8,7 +8,8 @@ from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, 
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidate, spline_candidates
 from heli_lab.diagnose.search.replication import Direction, direction
-from heli_lab.diagnose.search.screening import ScoreStatistics, Screening, coefficient_std, score_of
+from heli_lab.diagnose.search.score_test import ScoreStatistics, score_of
+from heli_lab.diagnose.search.screening import Screening, coefficient_std
 from heli_lab.diagnose.search.splines import (
     KNOTS,
     QUANTITIES,

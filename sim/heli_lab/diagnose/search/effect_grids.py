@@ -1,9 +1,11 @@
-"""Grids of the effects' nonlinear parameters, for the score tests."""
+"""Lays out the points at which effects are scored: values of the parameters in which an effect is not linear,
+such as a frequency or the moment of an event.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -27,12 +29,12 @@ _JUMP_WINDOW_s: Final = 1.0
 """Time before and after a moment over which torques are averaged to find a jump: longer than a step response
 of the filter, shorter than slow disturbances."""
 _MAX_JUMPS: Final = 3
-"""Moments of jumps that are added to a grid. Fewer: of two steps the smaller is missed. More: time."""
+"""Moments of jumps that are added to a grid. Fewer: the smaller of two steps is missed. More: time."""
 _MAX_GRID: Final = 16
 """Points of a parameter's grid before the neighbourhood of the best point is refined."""
 _SIZE_SHARES: Final = (0.2, 0.6, 1.2)
-"""Shares of the typical size at which an effect with own states or a delay is tried: it is not linear in its
-size."""
+"""Shares of the typical size at which an effect with states or a delay is tried, because it is not linear in
+its size."""
 
 
 class _EventTimes(NamedTuple):
@@ -65,44 +67,47 @@ class EffectGrids:
         """Return the points of the grid of an effect, at several sizes if it is not linear in its size."""
         frequency = next((q.name for q in kind.parameters if q.unit == "Hz" and q.name in kind.grid), None)
         if frequency is not None:
-            peaks = self._peak_frequencies_Hz(kind.acts_on.rpartition(".")[2])
-            numbers = tuple(
-                replace(number, grid=peaks) if kind.full(number.name) == frequency else number
-                for number in kind.numbers
-            )
-            candidates = effect_candidates(replace(kind, numbers=numbers), self.seconds)
+            candidates = self._at_peak_frequencies(kind, frequency)
         elif kind.full("at_s") in kind.grid:
-            candidates = [
-                replace(candidate, effect=replace(candidate.effect, flight=flight.label))
-                for flight in self._event_times
-                for candidate in effect_candidates(
-                    _coarsened(kind, flight.duration_s, flight.moments_s), flight.duration_s
-                )
-            ]
+            candidates = self._at_event_times(kind)
         else:
             candidates = effect_candidates(_coarsened(kind, self.seconds, ()), self.seconds)
-        if kind.states or kind.delay:
-            candidates = [
-                Candidate(candidate.id, kind.make(_scaled_values(kind, candidate, share)), (), candidate.grid)
-                for candidate in candidates
-                for share in _SIZE_SHARES
+        return _at_several_sizes(kind, candidates) if kind.states or kind.delay else candidates
+
+    def _at_peak_frequencies(self, kind: EffectSpec, frequency: str) -> list[Candidate]:
+        """Return a periodic effect at its most significant values of its parameter `frequency`."""
+        peaks_Hz = self._peak_frequencies_Hz(kind.acts_on.rpartition(".")[2])
+        numbers = tuple(
+            replace(number, grid=peaks_Hz) if kind.full(number.name) == frequency else number
+            for number in kind.numbers
+        )
+        return effect_candidates(replace(kind, numbers=numbers), self.seconds)
+
+    def _at_event_times(self, kind: EffectSpec) -> list[Candidate]:
+        """Return an event in each flight, at times of a coarse grid and at times that the flight suggests."""
+        candidates = []
+        for flight in self._event_times:
+            grid = _coarsened(kind, flight.duration_s, flight.moments_s)
+            candidates += [
+                replace(candidate, effect=replace(candidate.effect, flight=flight.label))
+                for candidate in effect_candidates(grid, flight.duration_s)
             ]
         return candidates
 
     @cached_property
     def _smoothed(self) -> list[tuple[Floats, Floats]]:
-        """For each flight, times, (m,), and smoothed disturbance torques there, (m, 3)."""
+        """Times, (m,), and smoothed disturbance torques at these times, (m, 3), of each flight."""
         smoothed = smoothed_disturbances(self.filtered, self.disturbances)
         return [(t_s, torque_Nm) for t_s, torque_Nm, _ in smoothed]
 
     @cached_property
     def _event_times(self) -> list[_EventTimes]:
-        """Return for each flight the moments at which an event may have happened.
+        """Moments at which an event may have happened, for each flight.
 
-        These are jumps of the smoothed torques, and the largest auxiliary residual of a level (de Jong and
-        Penzer 1998).
+        These are jumps of the smoothed torques, and the instant at which a lasting change of a torque would
+        be most significant, by its auxiliary residual (de Jong and Penzer 1998).
         """
-        result = []
+        event_times = []
         for flight, (t_s, torque_Nm), residual in zip(
             self.filtered.linearised_flights, self._smoothed, self._auxiliary_residuals, strict=True
         ):
@@ -111,8 +116,8 @@ class EffectGrids:
                 jump_s for jump_s in _jump_times_s(t_s, torque_Nm) if abs(jump_s - level_s) > _JUMP_WINDOW_s
             ]
             label, duration_s = flight.reference.record.label, float(flight.trajectory.t_s[-1])
-            result.append(_EventTimes(label, duration_s, (*jumps_s, level_s)))
-        return result
+            event_times.append(_EventTimes(label, duration_s, (*jumps_s, level_s)))
+        return event_times
 
     @cached_property
     def _auxiliary_residuals(self) -> list[AuxiliaryResiduals]:
@@ -127,30 +132,33 @@ class EffectGrids:
 
 
 def _jump_times_s(t_s: Floats, torque_Nm: Floats) -> tuple[float, ...]:
-    """Return the times at which moving means of smoothed torques (m, 3) change most, over all axes [s].
+    """Return the times at which smoothed torques (m, 3) jump most [s]: at most `_MAX_JUMPS`, over all axes.
 
-    A grid needs them, because a disturbance with a correlation time of seconds hides a step from a score at
-    a moment one second away.
+    A jump is the difference between the mean torques after and before a time. A grid needs these times,
+    because a disturbance with a correlation time of seconds hides a step from a score one second away.
     """
     width = max(1, round(_JUMP_WINDOW_s / float(np.median(np.diff(t_s)))))
     if len(t_s) < 4 * width:
         return ()
     sums = np.vstack((np.zeros(3), np.cumsum(torque_Nm, axis=0)))
     moving_mean_Nm = (sums[width:] - sums[:-width]) / width
+    # Row i is the jump at row i + width of the torques.
     jump_Nm = np.abs(moving_mean_Nm[width:] - moving_mean_Nm[:-width])
     standardised_jump = (jump_Nm / (jump_Nm.std(axis=0) + 1e-12)).max(axis=1)
     jumps_s = []
     for _ in range(_MAX_JUMPS):
         largest = int(np.argmax(standardised_jump))
         jumps_s.append(float(t_s[largest + width]))
+        # Windows that overlap with this jump show it too: exclude them.
         standardised_jump[max(0, largest - 2 * width) : largest + 2 * width] = -1.0
     return tuple(jumps_s)
 
 
 def _coarsened(kind: EffectSpec, duration_s: float, moments_s: tuple[float, ...]) -> EffectSpec:
-    """Return an effect with at most `_MAX_GRID` points per parameter; `moments_s` join the grid of a moment.
+    """Return an effect whose grid has at most about `_MAX_GRID` points per parameter.
 
-    The neighbourhood of the best point is refined after the score tests.
+    The times `moments_s` are added to the grid of an event's moment. A coarse grid is enough, because values
+    near the best point are tried after the score tests.
     """
     grid_values = kind.grid_values(duration_s)
 
@@ -166,6 +174,15 @@ def _coarsened(kind: EffectSpec, duration_s: float, moments_s: tuple[float, ...]
     return replace(kind, numbers=parameters)
 
 
-def _scaled_values(kind: EffectSpec, candidate: Candidate, share: float) -> Mapping[str, float]:
-    """Return the parameters of a candidate with a `share` of the typical size."""
-    return {**candidate.effect.values, **{name: share * kind.typical[name] for name in kind.size}}
+def _at_several_sizes(kind: EffectSpec, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return each candidate at several shares of the effect's typical size.
+
+    Each then has a single coefficient, which scales the effect of that size.
+    """
+    sized = []
+    for candidate in candidates:
+        for share in _SIZE_SHARES:
+            sizes = {name: share * kind.typical[name] for name in kind.size}
+            effect = kind.make({**candidate.effect.values, **sizes})
+            sized.append(Candidate(candidate.id, effect, (), candidate.grid))
+    return sized

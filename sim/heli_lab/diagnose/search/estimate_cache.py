@@ -1,7 +1,8 @@
 """Cache of the estimates of a search, in a file, so that an interrupted search can be resumed.
 
-A search is deterministic: it needs the same estimates in the same order every time. The file therefore holds
-estimates by a digest of everything that they depend on, and no position of the search.
+A search is deterministic: it needs the same estimates in the same order every time. The file therefore
+contains estimates only, each with a digest of everything that it depends on. A resumed search starts again,
+and finds its earlier estimates in the file.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ class EstimateCache:
         references: Sequence[ReferenceTrajectory],
         compute: Callable[[ModelFunctions], Estimate],
     ) -> Estimate:
-        """Look up an estimate, or compute and keep it; threads may do so at the same time for different keys.
+        """Look up an estimate, or compute and store it. Threads may compute different keys together.
 
         Parameters
         ----------
@@ -109,7 +110,7 @@ class EstimateCache:
         references : sequence of ReferenceTrajectory
             Its flights.
         compute : callable
-            Takes the functions of the model, and returns the estimate; called if the cache lacks it.
+            Computes the estimate from the functions of the model; called only if it is not in the cache.
         """
         functions = model_functions(parameter_vector.model, parameter_vector.quantities)
         self.used_keys.add(key)
@@ -159,18 +160,18 @@ def _disturbances_of(content: Mapping[str, Any]) -> DisturbanceModel:
 
 
 def cache_key(
-    what: str,
+    flights: str,
     candidates: Iterable[Candidate],
     start: Mapping[str, float],
     warm_start: Estimate | None,
     disturbances: DisturbanceModel | None = None,
 ) -> str:
-    """Digest of what an estimate depends on in addition to the `fingerprint`.
+    """Return a digest of everything that an estimate depends on in addition to the `fingerprint`.
 
     Parameters
     ----------
-    what : str
-        Fitted flights: ``train`` or ``held out``.
+    flights : str
+        Name of the fitted flights within the search, such as ``train`` or ``held out``.
     candidates : iterable of Candidate
         Candidates with all their values.
     start : Mapping[str, float]
@@ -178,9 +179,9 @@ def cache_key(
     warm_start : Estimate or None
         Estimate whose parameters and disturbances to start from.
     disturbances : DisturbanceModel, optional
-        Disturbances to start from where there is no such estimate.
+        Disturbances to start from if there is no `warm_start`.
     """
-    digest = hashlib.sha256(what.encode())
+    digest = hashlib.sha256(flights.encode())
     for candidate in candidates:
         candidate_values = (
             candidate.id,
@@ -200,7 +201,10 @@ def cache_key(
 
 
 def _effect_source(effect: Effect) -> str:
-    """Source code of an effect, which may be in a user's effect file."""
+    """Return the source code of an effect, because a user may change it in an effect file.
+
+    An effect without a source file has its name instead.
+    """
     try:
         return inspect.getsource(type(effect))
     except (OSError, TypeError):
@@ -208,8 +212,9 @@ def _effect_source(effect: Effect) -> str:
 
 
 def fingerprint(model: Model, rig: Rig, records: Iterable[Record]) -> str:
-    """Return a digest of what all estimates of a search share: `model`, `rig`, flights (`records`), and the
-    estimation code.
+    """Return a digest of everything that all estimates of a search depend on.
+
+    This is the `model`, the `rig`, the flights (`records`), and the code of the estimation.
     """
     digest = hashlib.sha256(code_digest(packages=_PACKAGES).encode())
     effects = [(effect.name, sorted(effect.values.items())) for effect in model.effects]

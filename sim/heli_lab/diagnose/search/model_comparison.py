@@ -1,5 +1,6 @@
-"""Comparison of models with different candidates: each is estimated in innovations form on the same
-flights.
+"""Estimates models with different candidates on the same flights, so that their likelihoods can be compared.
+
+Each model is estimated in innovations form: its one-step prediction errors have the highest likelihood.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from heli_sim.rig import Rig
 
 from heli_lab.diagnose.search.candidate import Candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, cache_key
+from heli_lab.diagnose.search.filtered_flights import FilteredFlights, filter_with_baseline
 from heli_lab.diagnose.search.folds import two_folds
 from heli_lab.diagnose.search.hypothesis import Hypothesis
 from heli_lab.diagnose.thresholds import NEW_DISTURBANCES_NATS, EVENT_EDGE_s, SHORT_s
@@ -25,21 +27,19 @@ from heli_lab.estimation import (
     ModelFunctions,
     ReferenceTrajectory,
     estimate,
-    refiltered,
 )
 from heli_lab.identify import Record
-from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.identify.flight_model import RigParameters
 from heli_lab.identify.rotor_gains import GAINS, ROTOR_GAINS
 
-_FILTER_PASSES: Final = 2
-"""How often the reference trajectory is filtered again with the baseline's own estimate. After the second
-time it moves by less than a hundredth of the quantisation (simulated and field flights, 2026-11)."""
 _ROUNDING_NATS: Final = 0.1
 """Rounding tolerance: a model may be less likely by this than one that it contains, nats."""
 
 
 class ModelComparison:
     """Estimates models with different candidates on the same flights.
+
+    `refit` estimates a model on the fitted flights; `held_out_estimate` evaluates it on the held-out flights.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class ModelComparison:
     cache : EstimateCache, optional
         Cached estimates.
     side : str
-        Part of the keys in the cache, which distinguishes comparisons that share it.
+        Prefix of the keys in the cache, which distinguishes comparisons that share a cache.
 
     Attributes
     ----------
@@ -85,48 +85,54 @@ class ModelComparison:
     @property
     def references(self) -> tuple[ReferenceTrajectory, ...]:
         """Reference trajectories of the fitted flights, filtered with the baseline."""
-        return self._filtered_train[0]
+        return self._filtered_train.references
 
     @property
     def held_out_references(self) -> tuple[ReferenceTrajectory, ...]:
         """Reference trajectories of the held-out flights."""
-        return self._filtered_held_out[0]
+        return self._filtered_held_out.references
 
     @property
     def filtering_baseline(self) -> Hypothesis:
         """The baseline as it was estimated to filter the fitted flights: its values need no refit."""
-        return Hypothesis((), self._filtered_train[1])
+        return Hypothesis((), self._filtered_train.baseline)
 
     @cached_property
-    def _filtered_train(self) -> tuple[tuple[ReferenceTrajectory, ...], Estimate]:
-        return reference_trajectories(self.model, self.rig, self.train)
+    def _filtered_train(self) -> FilteredFlights:
+        """The fitted flights, filtered with the baseline."""
+        return filter_with_baseline(self.model, self.rig, self.train)
 
     @cached_property
-    def _filtered_held_out(self) -> tuple[tuple[ReferenceTrajectory, ...], Estimate]:
-        return reference_trajectories(self.model, self.rig, self.held_out)
+    def _filtered_held_out(self) -> FilteredFlights:
+        """The held-out flights, filtered with the baseline as it was estimated on them."""
+        return filter_with_baseline(self.model, self.rig, self.held_out)
 
     def exchanged(self) -> ModelComparison:
-        """Exchange the fitted and the held-out flights, which stay filtered."""
+        """Return a comparison with fitted and held-out flights exchanged; their trajectories are reused."""
         other = self._variant("exchanged", self.model, self.held_out, self.train)
         other._filtered_train, other._filtered_held_out = self._filtered_held_out, self._filtered_train
         return other
 
     def with_thrust_noise(self) -> ModelComparison:
-        """Let the thrust of each rotor vary at random too; the flights stay filtered as they are, so that
-        likelihoods can be compared.
+        """Return a comparison in which the thrust of each rotor varies at random, in addition to torques.
+
+        The flights are not filtered again, so that likelihoods with and without thrust noise can be compared.
         """
         model = type(self.model)((*self.model.effects, ROTOR_GAINS))
         other = self._variant("thrust noise", model, self.train, self.held_out)
         other.fits = self.fits
-        other._filtered_train = _with_thrust_noise(model, self.rig, self.train, *self._filtered_train)
+        other._filtered_train = self._filtered_train.with_thrust_noise(model, self.rig, self.train)
         if self.held_out:
-            other._filtered_held_out = _with_thrust_noise(
-                model, self.rig, self.held_out, *self._filtered_held_out
+            other._filtered_held_out = self._filtered_held_out.with_thrust_noise(
+                model, self.rig, self.held_out
             )
         return other
 
     def refit_with_thrust_noise(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Refit, in a comparison with thrust noise, a `hypothesis` of the comparison without it."""
+        """Refit a `hypothesis` with thrust noise.
+
+        Call this on the result of `with_thrust_noise`; the hypothesis is from the comparison without it.
+        """
         if not hypothesis.candidates:
             return self.filtering_baseline
         disturbances = hypothesis.estimate.disturbances.with_gains(len(GAINS))
@@ -135,7 +141,7 @@ class ModelComparison:
     def folds(self) -> ModelComparison | None:
         """Return a comparison that fits one half of the fitted flights and holds the other half out.
 
-        It is None if one of the halves is shorter than `SHORT_s`.
+        The result is None if one of the halves is shorter than `SHORT_s`.
         """
         folds = two_folds(self.train)
         if any(sum(record.used_s for record in fold) < SHORT_s for fold in folds):
@@ -145,22 +151,24 @@ class ModelComparison:
     def _variant(
         self, side: str, model: Model, train: Sequence[Record], held_out: Sequence[Record]
     ) -> ModelComparison:
-        """Return a comparison with the same rig, seed and cache; `side` is added to the keys of its estimates
-        there.
+        """Return a comparison with the same rig, seed and cache.
+
+        `side` is added to the keys of its estimates, so that they do not replace those of this comparison.
         """
         side = f"{self.side}{side} "
         return ModelComparison(model, self.rig, train, held_out, seed=self.seed, cache=self._cache, side=side)
 
     @property
     def can_test_held_out(self) -> bool:
-        """Whether a residual analysis of the held-out flights is possible: parameters from a few seconds are
-        too uncertain for one on another flight.
+        """Whether residuals of the held-out flights can be tested.
+
+        Parameters that were estimated from a few seconds are too uncertain to test them on another flight.
         """
         return bool(self.held_out) and sum(record.used_s for record in self.train) > SHORT_s
 
     @cached_property
     def rows(self) -> int:
-        """Number of measurements of the fitted flights."""
+        """Number of measurements of the fitted flights that the filter uses: one per `BLOCK_s`."""
         step_s = self.references[0].step_s
         return int(sum(len(reference.rows) for reference in self.references) * step_s / BLOCK_s)
 
@@ -179,9 +187,14 @@ class ModelComparison:
         start : Mapping[str, float], optional
             Start values by name; by default those of `warm_start`, of the rig and of the candidates.
         warm_start : Hypothesis, optional
-            Hypothesis whose parameters and disturbances to start from. If `candidates` contain its
-            candidates, the result is never less likely than it: otherwise the estimate is repeated from
-            neutral values.
+            Hypothesis whose parameters and disturbances to start from. If `candidates` contain all of its
+            candidates, the result must be at least as likely; if it is not, the estimation is repeated from
+            values at which the new candidates have no influence.
+
+        Returns
+        -------
+        Hypothesis
+            The most likely estimate so far of a model with these candidates.
         """
         previous_count = len(self._cache.used_keys)
         result = self._estimate(candidates, start or {}, warm_start)
@@ -211,7 +224,7 @@ class ModelComparison:
         """
         likelihood = result.log_likelihood
         if not set(warm_start.ids) <= {candidate.id for candidate in candidates}:
-            # The warm start has other candidates: an earlier estimate of a submodel may be a better start.
+            # The warm start has other candidates. An earlier estimate of a submodel may be a better start.
             submodel = self._best_submodel(candidates)
             if submodel is None or submodel.log_likelihood <= likelihood + _ROUNDING_NATS:
                 return result
@@ -227,9 +240,9 @@ class ModelComparison:
         return retry if retry.log_likelihood > likelihood else result
 
     def in_flight(self, hypothesis: Hypothesis) -> bool:
-        """Whether the moments of all effects of a `hypothesis` are within the free flight of their flights.
+        """Whether all events of a `hypothesis` happen well within the free flight of their flights.
 
-        At the edges of a flight, a step is a constant.
+        At the edge of a flight, a step cannot be distinguished from a constant.
         """
         values = hypothesis.values
         for candidate in hypothesis.candidates:
@@ -242,7 +255,7 @@ class ModelComparison:
         return True
 
     def _best_submodel(self, candidates: Sequence[Candidate]) -> Hypothesis | None:
-        """Return the most likely hypothesis so far whose candidates are among these; None without one."""
+        """Return the most likely hypothesis so far whose candidates are all among `candidates`, or None."""
         ids = {candidate.id for candidate in candidates}
         submodels = [hypothesis for subset, hypothesis in self._best_by_ids.items() if subset <= ids]
         return max(submodels, key=lambda hypothesis: hypothesis.log_likelihood, default=None)
@@ -250,9 +263,7 @@ class ModelComparison:
     def _estimate(
         self, candidates: Sequence[Candidate], start: Mapping[str, float], warm_start: Hypothesis | None
     ) -> Estimate:
-        """Estimate the model with some candidates on the fitted flights, or take the estimate from the
-        cache.
-        """
+        """Estimate the model with some candidates on the fitted flights, or return the cached estimate."""
         parameter_vector = self._parameter_vector(candidates)
         theta = parameter_vector.started_from({**(warm_start.values if warm_start else {}), **start})
         return self._cache.estimate(
@@ -263,8 +274,9 @@ class ModelComparison:
         )
 
     def with_effects(self, hypothesis: Hypothesis, candidates: Sequence[Candidate]) -> Hypothesis:
-        """Return a `hypothesis` with other `candidates` that act alike in the fitted flights: the estimate is
-        the same.
+        """Return a `hypothesis` with other `candidates` that act alike in the fitted flights.
+
+        The estimate is unchanged. This adds, for example, the moment of an event in a held-out flight.
         """
         estimate_ = replace(hypothesis.estimate, parameter_vector=self._parameter_vector(candidates))
         return Hypothesis(tuple(candidates), estimate_)
@@ -293,14 +305,15 @@ class ModelComparison:
         return Hypothesis(tuple(candidates), result)
 
     def held_out_estimate(self, hypothesis: Hypothesis, warm_start: Estimate | None = None) -> Estimate:
-        """Estimate constants of each flight and disturbances of the held-out flights.
+        """Evaluate a `hypothesis` on the held-out flights.
 
-        Parameters that all flights share stay at their values in `hypothesis`.
+        Only constants of each flight, such as encoder zeros, and disturbances are estimated. Parameters that
+        all flights share stay at their values in the hypothesis.
 
         Parameters
         ----------
         warm_start : Estimate, optional
-            Estimate of the held-out flights whose constants and disturbances to start from.
+            Estimate of the held-out flights whose constants and disturbances are the start values.
         """
         fitted = hypothesis.estimate
         shared = fitted.parameter_vector.shared_by_name(fitted.theta)
@@ -317,47 +330,10 @@ class ModelComparison:
 
 
 def event_is_inside(record: Record, moment_s: float) -> bool:
-    """Whether a moment is within the free flight of a `record`, not at its edges."""
+    """Whether a moment, in s since the first sample, is well within the free flight of a `record`."""
     begin_s = float(record.t_s[record.segments[0][0]] - record.t_s[0])
     end_s = record.segments[-1][1] * record.step_s
     return begin_s + EVENT_EDGE_s < moment_s < end_s - EVENT_EDGE_s
-
-
-def reference_trajectories(
-    model: Model, rig: Rig, records: Sequence[Record]
-) -> tuple[tuple[ReferenceTrajectory, ...], Estimate]:
-    """Filter flights (`records`) with a baseline, a `model` of a `rig`, that is estimated on them.
-
-    Returns
-    -------
-    tuple of ReferenceTrajectory
-        Filtered states of each flight.
-    Estimate
-        Estimate of the baseline.
-    """
-    references = tuple(filter_record(record) for record in records)
-    parameter_vector = RigParameters(model, rig, records)
-    functions = model_functions(model, parameter_vector.quantities)
-    disturbances, theta = None, parameter_vector.start
-    for _ in range(_FILTER_PASSES):
-        estimate_ = estimate(parameter_vector, references, functions, theta, disturbances)
-        disturbances, theta = estimate_.disturbances, estimate_.theta
-        references = tuple(refiltered(estimate_.filtered(), disturbances))
-    return references, estimate_
-
-
-def _with_thrust_noise(
-    model: Model,
-    rig: Rig,
-    records: Sequence[Record],
-    references: tuple[ReferenceTrajectory, ...],
-    baseline: Estimate,
-) -> tuple[tuple[ReferenceTrajectory, ...], Estimate]:
-    """Return the `references`, and an estimate with thrust noise that starts from the `baseline`."""
-    vector = RigParameters(model, rig, records)
-    functions = model_functions(model, vector.quantities)
-    start = baseline.disturbances.with_gains(len(GAINS))
-    return references, estimate(vector, references, functions, baseline.theta, start)
 
 
 def _estimate_from(
@@ -367,15 +343,18 @@ def _estimate_from(
     theta: Floats,
     warm_start: Hypothesis | None,
 ) -> Estimate:
-    """Estimate a model from `theta` and the disturbances of `warm_start`; after a large gain, also from other
-    disturbances.
+    """Estimate a model, starting from `theta` and from the disturbances of `warm_start`.
+
+    If that is far more likely than the warm start, the estimation is repeated from other disturbances, and
+    the more likely estimate is returned.
     """
     if warm_start is None:
         return estimate(parameter_vector, references, functions, theta)
     first = estimate(parameter_vector, references, functions, theta, warm_start.estimate.disturbances)
     if first.log_likelihood <= warm_start.log_likelihood + NEW_DISTURBANCES_NATS:
         return first
-    # Disturbances had explained the missing torque: the likelihood may have another maximum now.
+    # The disturbances of the warm start had explained a torque that the new model explains itself. With
+    # smaller disturbances, the likelihood may have another maximum.
     other_disturbances = first.other_disturbances()
     if other_disturbances is None:
         return first

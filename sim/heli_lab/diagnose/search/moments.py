@@ -1,5 +1,6 @@
-"""Moments of effects in held-out flights: what happened in a fitted flight need not happen in another, and
-not at the same time.
+"""Finds when an event of the fitted flights, such as a slipping counterweight, happens in held-out flights.
+
+An event of one flight may be absent from another flight, or happen there at another time.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ of the filter 40 ms."""
 
 
 def with_held_out_moments(comparison: ModelComparison, hypothesis: Hypothesis) -> Hypothesis:
-    """Find out when the effects of a model that have a moment happen in the held-out flights, if they do.
+    """Return a model in which events have their moments in the held-out flights too, if these show them.
 
     Parameters
     ----------
     comparison : ModelComparison
         The flights.
     hypothesis : Hypothesis
-        The model; its fitted flights keep their estimate.
+        The model. Its estimate on the fitted flights is unchanged.
     """
     for index, candidate in enumerate(hypothesis.candidates):
         if not candidate.effect.flight:
@@ -40,13 +41,23 @@ def with_held_out_moments(comparison: ModelComparison, hypothesis: Hypothesis) -
 
 
 class _HeldOutMoment:
-    """Moment of the candidate number `index` of a model in the held-out flight `record`."""
+    """Search for the moment of one event in one held-out flight.
+
+    Parameters
+    ----------
+    comparison : ModelComparison
+        The flights.
+    record : Record
+        The held-out flight.
+    index : int
+        Which candidate of the model is the event, from 0.
+    """
 
     def __init__(self, comparison: ModelComparison, record: Record, index: int) -> None:
         self.comparison, self.record, self.index = comparison, record, index
 
     def estimate(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Return the model with the moment in the held-out flight, if the flight shows it."""
+        """Return the model with the moment in the held-out flight, or unchanged if that shows no event."""
         without_event = self.comparison.held_out_estimate(hypothesis)
         effect = hypothesis.candidates[self.index].effect
         moments_s = [hypothesis.values[effect.moment], *self._suggested_s(without_event)]
@@ -54,24 +65,28 @@ class _HeldOutMoment:
         if not moments_s:
             return hypothesis
         log_likelihoods = [self._log_likelihood(hypothesis, moment_s) for moment_s in moments_s]
-        best = max(log_likelihoods)
-        moment_s = moments_s[log_likelihoods.index(best)]
+        max_log_likelihood = max(log_likelihoods)
+        best_s = moments_s[log_likelihoods.index(max_log_likelihood)]
         # BIC for one parameter, and one test per instant.
         penalty = 1.5 * math.log(self.record.used_s / BLOCK_s)
-        if best - without_event.log_likelihood <= penalty + MIN_MARGIN:
+        if max_log_likelihood - without_event.log_likelihood <= penalty + MIN_MARGIN:
             return hypothesis
-        return self._with_moment(hypothesis, self._refined_s(hypothesis, best, moment_s))
+        return self._with_moment(hypothesis, self._refined_s(hypothesis, max_log_likelihood, best_s))
 
     def _suggested_s(self, without_event: Estimate) -> list[float]:
-        """Return the instant of the largest auxiliary residual of a level, if it is significant [s]."""
+        """Return the instant at which a torque most significantly changes for good [s]; empty without one.
+
+        The significance is the auxiliary residual of a level.
+        """
         flight = self.comparison.held_out.index(self.record)
         residuals = auxiliary_residuals(without_event.filtered(), without_event.disturbances)[flight]
         level_s, statistic = residuals.largest_level()
         return [level_s] if statistic > EVENT_STD_ERRORS else []
 
     def _refined_s(self, hypothesis: Hypothesis, log_likelihood: float, moment_s: float) -> float:
-        """Return the vertex of a parabola through log-likelihoods about a moment, at most `_STEP_s` away
-        [s].
+        """Return a more likely moment close to `moment_s`, which has the given `log_likelihood` [s].
+
+        This is the vertex of a parabola through the log-likelihoods at three moments, at most `_STEP_s` away.
         """
         before = self._log_likelihood(hypothesis, moment_s - _STEP_s)
         after = self._log_likelihood(hypothesis, moment_s + _STEP_s)

@@ -1,4 +1,6 @@
-"""Replication of causes: fitted on one side's flights and judged on the other's, in both directions."""
+"""Tests whether causes also hold on other flights: parameters are fitted on some flights, and the causes are
+compared on others.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +20,18 @@ _NO_FLIGHT: Final = "\0"
 
 @dataclass(frozen=True)
 class Direction:
-    """Causes in one direction: fitted on some flights, judged on others.
+    """Result of fitting causes on some flights and comparing them on other flights.
 
     Parameters
     ----------
     comparison : ModelComparison
-        Its fitted flights estimate the parameters, its held-out flights judge.
+        Parameters are estimated on its fitted flights, and causes are compared on its held-out flights.
     baseline : Hypothesis
         The model without causes on the fitted flights.
     whole : Hypothesis
         The model with all causes on the fitted flights.
     log_likelihood_ratio : Mapping[str, float]
-        Log-likelihood ratio of each cause on the judging flights, nats, by id.
+        Log-likelihood ratio of each cause on the held-out flights of the comparison, nats, by id.
     """
 
     comparison: ModelComparison
@@ -41,31 +43,35 @@ class Direction:
 def direction(
     comparison: ModelComparison, final: Hypothesis, fitted_start: Estimate, held_out_start: Estimate
 ) -> Direction:
-    """Fit a model and the models without each of its causes on the fitted flights of a `comparison`, and
-    compare them on its held-out flights.
+    """Compare a model with the models that lack one of its causes each.
 
-    Nothing is searched: the fits start from estimates that exist.
+    All of them are fitted on the fitted flights of a comparison, and compared on its held-out flights. No
+    cause is searched for, and the fits start from existing estimates.
 
     Parameters
     ----------
+    comparison : ModelComparison
+        The flights.
     final : Hypothesis
         The model, perhaps estimated on other flights.
     fitted_start, held_out_start : Estimate
-        Estimates of the fitted and of the held-out flights, whose constants and disturbances to start from.
+        Estimates of the fitted and of the held-out flights. The fits start from their constants of each
+        flight and from their disturbances.
     """
     candidates = with_fixed_moments(final)
     baseline = comparison.filtering_baseline
     whole = _refit(comparison, candidates, final.estimate, fitted_start)
-    likelihood = comparison.held_out_estimate(whole, held_out_start).log_likelihood
+    log_likelihood = comparison.held_out_estimate(whole, held_out_start).log_likelihood
 
-    def ratio(candidate: Candidate) -> float:
+    def log_likelihood_ratio(candidate: Candidate) -> float:
+        """Return the ratio of the model over the same model without a cause, on the held-out flights."""
         other_causes = tuple(other for other in candidates if other is not candidate)
         reduced = baseline
         if other_causes:
             reduced = _refit(comparison, other_causes, whole.estimate, whole.estimate)
-        return likelihood - comparison.held_out_estimate(reduced, held_out_start).log_likelihood
+        return log_likelihood - comparison.held_out_estimate(reduced, held_out_start).log_likelihood
 
-    ratios = parallel_map(ratio, candidates)
+    ratios = parallel_map(log_likelihood_ratio, candidates)
     ids = (candidate.id for candidate in candidates)
     return Direction(comparison, baseline, whole, dict(zip(ids, ratios, strict=True)))
 
@@ -75,7 +81,7 @@ def _refit(
 ) -> Hypothesis:
     """Refit a model with some candidates on the fitted flights.
 
-    The start has the parameters that all flights share from `shared`, the others from `fitted_start`.
+    Parameters that all flights share start from the estimate `shared`, all others from `fitted_start`.
     """
     start = fitted_start.parameter_vector.by_name(fitted_start.theta)
     start |= shared.parameter_vector.shared_by_name(shared.theta)
@@ -83,15 +89,17 @@ def _refit(
 
 
 def with_fixed_moments(hypothesis: Hypothesis) -> tuple[Candidate, ...]:
-    """Return the candidates of a model with the moment of each event fixed, so that no other flight
-    estimates it.
+    """Return the candidates of a model with the moment of each event fixed at its estimate.
+
+    A fit on other flights could not estimate the moment, because these flights do not contain it.
     """
 
-    def fixed(candidate: Candidate) -> Candidate:
+    def with_fixed_moment(candidate: Candidate) -> Candidate:
+        """Return an event that happens at known moments only; other candidates are unchanged."""
         effect = candidate.effect
         if not effect.flight:
             return candidate
         moments_s = {**effect.other_moments_s, effect.flight: hypothesis.values[effect.moment]}
         return replace(candidate, effect=replace(effect, flight=_NO_FLIGHT, other_moments_s=moments_s))
 
-    return tuple(map(fixed, hypothesis.candidates))
+    return tuple(map(with_fixed_moment, hypothesis.candidates))

@@ -1,11 +1,14 @@
-"""Screening: score tests of all candidates about one estimate, effects on their grids, and spline terms."""
+"""Screening: ranks all effects and spline terms by how much each would improve an estimated model.
+
+A score test predicts the improvement without a refit, to first order, so that hundreds of candidates can be
+compared.
+"""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -13,9 +16,10 @@ from heli_sim.model.effects.spec import EffectSpec
 
 from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate
 from heli_lab.diagnose.search.effect_grids import EffectGrids
-from heli_lab.diagnose.search.regressors import ChangeFunctions, Regressors, spline_candidates
+from heli_lab.diagnose.search.grid_search import GridSearch
+from heli_lab.diagnose.search.regressors import ChangeFunctions, Regressors, Signals, spline_candidates
+from heli_lab.diagnose.search.score_test import Score, ScoreStatistics, score_of
 from heli_lab.diagnose.search.splines import KNOTS, SplineTerm
-from heli_lab.diagnose.thresholds import MIN_MARGIN
 from heli_lab.estimation import Estimate
 from heli_lab.estimation.arrowhead import solve_arrowhead
 from heli_lab.threads import batches, default_thread_count, parallel_map
@@ -23,42 +27,16 @@ from heli_lab.threads import batches, default_thread_count, parallel_map
 _BATCH_NUMBERS: Final = 1_250_000
 """Floating-point numbers of the regressors that a thread filters together, 10 MB: 32 regressors of a flight
 of one minute. Memory and time depend on it, the result does not."""
-_BISECTIONS: Final = 6
-"""How often the distance of a grid is halved about its best point: to a sixty-fourth."""
-_MIN_REFINED_NATS: Final = 0.5 * MIN_MARGIN
-"""Score below which the neighbourhood of a grid's best point is not searched."""
 _DIFFERENCE_STD: Final = 0.5
-"""Prior standard deviation of the coefficient of a regressor that is the effect at a given size."""
-
-
-class Score(NamedTuple):
-    """Result of a score test.
-
-    Parameters
-    ----------
-    log_likelihood_gain : float
-        Expected gain, nats.
-    coefficients, std : ndarray (g,)
-        Coefficients of the regressors, and their standard errors.
-    """
-
-    log_likelihood_gain: float
-    coefficients: Floats
-    std: Floats
-
-
-class ScoreStatistics(NamedTuple):
-    """Fisher information, shape (g, g), and score, shape (g,), of a candidate's coefficients, with the free
-    parameters projected out.
-    """
-
-    information: Floats
-    score: Floats
+"""Prior standard deviation of the only coefficient of an effect that is not linear in its size: it scales the
+effect, which is tried at several sizes."""
 
 
 class Screening:
-    """Score tests of candidates: the gain of the log-likelihood if a candidate were added to a model, to
-    first order, with all free parameters refitted and the disturbances unchanged.
+    """Score tests of candidates about one estimated model.
+
+    A score test predicts the gain of the log-likelihood if a candidate were added to the model. The
+    prediction is of first order. All free parameters count as refitted, and the disturbances as unchanged.
 
     Parameters
     ----------
@@ -90,7 +68,7 @@ class Screening:
         rows = max(model.rows for model in filtered.linearised_flights)
         batch = _BATCH_NUMBERS // (rows * filtered.linearised_flights[0].states)
         self.batch = max(KNOTS, batch)
-        # On a long flight, one batch of the least size exceeds the memory of a thread.
+        # On a long flight, even the smallest batch exceeds the memory of one thread.
         self.threads = default_thread_count() if batch >= KNOTS else 1
         self._innovations = innovations = filtered.innovations(disturbances)
         parameter_vector = estimate.parameter_vector
@@ -106,8 +84,9 @@ class Screening:
         self._error = innovations.after(self._solve(innovations.score() - prior_score))
 
     def release(self) -> None:
-        """Free the memory of cached signals, 0.2 GB for ten minutes of flight; they are computed
-        again when needed.
+        """Free the memory of cached signals, 0.2 GB for ten minutes of flight.
+
+        They are computed again when they are needed.
         """
         for linear, regressors in zip(self.filtered.linearised_flights, self.regressors, strict=True):
             linear.release()
@@ -117,16 +96,19 @@ class Screening:
         """Score the effects `kinds`, each at the best point of its grid, the highest score first."""
         unique_kinds = {kind.id: kind for kind in kinds}.values()
         grids = [(kind, self._grids.candidates(kind)) for kind in unique_kinds]
+        # The points of all grids are scored together, because batches across grids save time.
         scores = iter(self.score([candidate for _, candidates in grids for candidate in candidates]))
         scored_grids = [(kind, grid, list(itertools.islice(scores, len(grid)))) for kind, grid in grids]
+        search = GridSearch(self.score, self.seconds)
         best_points = parallel_map(
-            lambda kind_grid_scores: _best_on_grid(self, *kind_grid_scores), scored_grids, self.threads
+            lambda kind_grid_scores: search.best_point(*kind_grid_scores), scored_grids, self.threads
         )
         return _by_gain(scored for scored in best_points if scored is not None)
 
     def splines(self, number: int = 0) -> list[ScoredCandidate]:
-        """Score all spline terms, the highest score first; `number` distinguishes spline terms of
-        one model.
+        """Score all spline terms, the highest score first.
+
+        `number` distinguishes spline terms of one model.
         """
         candidates = spline_candidates(self.filtered.linearised_flights, number)
         self._precompute_influences(candidates)
@@ -156,8 +138,7 @@ class Screening:
         Parameters
         ----------
         signals : iterable of (ndarray, ndarray or None)
-            For each flight, changes of the rates, (n, states, s), and of the measured angles, (n, 3, s) or
-            None, by the regressors of all candidates along the last axis.
+            For each flight, the `Signals` of all candidates, with their coefficients along the last axis.
         sizes : sequence of int
             Number of regressors of each candidate.
         """
@@ -197,8 +178,8 @@ class Screening:
             parameter_score[parameter_columns] += derivatives.T @ error
             score += flight_regressors.T @ error
             for number, columns in enumerate(candidate_columns):
-                own_regressors = flight_regressors[:, columns]
-                information_by_candidate[number] += own_regressors.T @ own_regressors
+                candidate_regressors = flight_regressors[:, columns]
+                information_by_candidate[number] += candidate_regressors.T @ candidate_regressors
         projection = self._solve(cross_information)  # (Z'Z)^-1 Z'X
         score -= projection.T @ parameter_score
         statistics = []
@@ -237,49 +218,19 @@ class Screening:
         )
 
 
-def score_of(information: Floats, score: Floats, prior_std: Floats) -> Score:
-    """Carry out a score test with normal priors about 0.
-
-    Parameters
-    ----------
-    information : ndarray (g, g)
-        Fisher information of the coefficients.
-    score : ndarray (g,)
-        Derivatives of the log-likelihood to the coefficients.
-    prior_std : ndarray (g,)
-        Prior standard deviations of the coefficients.
-
-    Returns
-    -------
-    Score
-        Gain in nats, coefficients and their standard errors.
-    """
-    covariance = np.linalg.pinv(information + np.diag(prior_std**-2.0), hermitian=True)
-    coefficients = covariance @ score
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return Score(float(0.5 * score @ coefficients), coefficients, std)
-
-
-def signals_of(flight: Regressors, candidates: Sequence[Candidate]) -> tuple[Floats, Floats | None]:
-    """Return the changes by one unit of each coefficient of several `candidates` in a `flight`.
-
-    Returns
-    -------
-    ndarray (n, states, g)
-        Changes of the rates; g counts the coefficients of all candidates.
-    ndarray (n, 3, g) or None
-        Changes of the measured angles; None if no candidate changes them directly.
-    """
-    pairs = [flight.signals(candidate) for candidate in candidates]
-    if len(pairs) == 1:
-        return pairs[0]
-    all_rates = np.concatenate([rates for rates, _ in pairs], axis=2)
-    if all(angles is None for _, angles in pairs):
-        return all_rates, None
+def signals_of(flight: Regressors, candidates: Sequence[Candidate]) -> Signals:
+    """Return the signals of several `candidates` in a `flight`, one after the other along the last axis."""
+    all_signals = [flight.signals(candidate) for candidate in candidates]
+    if len(all_signals) == 1:
+        return all_signals[0]
+    all_rates = np.concatenate([rates for rates, _ in all_signals], axis=2)
+    if all(angles is None for _, angles in all_signals):
+        return Signals(all_rates, None)
     all_angles = [
-        np.zeros((len(rates), 3, rates.shape[2])) if angles is None else angles for rates, angles in pairs
+        np.zeros((len(rates), 3, rates.shape[2])) if angles is None else angles
+        for rates, angles in all_signals
     ]
-    return all_rates, np.concatenate(all_angles, axis=2)
+    return Signals(all_rates, np.concatenate(all_angles, axis=2))
 
 
 def _regressor_count(candidate: Candidate) -> int:
@@ -297,76 +248,3 @@ def coefficient_std(candidate: Candidate) -> Floats:
     if not candidate.linear_parameters:
         return np.array([_DIFFERENCE_STD])
     return np.array([candidate.effect.priors[name].std for name in candidate.linear_parameters])
-
-
-def _signs_are_allowed(candidate: Candidate, coefficients: Floats) -> bool:
-    """Whether the priors allow the signs of the coefficients that a score test estimates."""
-    for name, change in zip(candidate.linear_parameters, coefficients, strict=False):
-        prior = candidate.effect.priors[name]
-        if prior.low >= 0.0 and change + candidate.effect.values[name] <= 0.0:
-            return False
-    return bool(candidate.linear_parameters) or float(coefficients[0]) > 0.0
-
-
-def _best_on_grid(
-    screening: Screening, kind: EffectSpec, candidates: Sequence[Candidate], scores: Sequence[Score]
-) -> ScoredCandidate | None:
-    """Return the best point of an effect's grid, refined; None if the priors forbid the signs of all
-    points.
-    """
-    allowed = [
-        index
-        for index, (candidate, score) in enumerate(zip(candidates, scores, strict=True))
-        if _signs_are_allowed(candidate, score.coefficients)
-    ]
-    if not allowed:
-        return None
-    # Of equal scores the last point counts.
-    best_index = max(allowed, key=lambda index: (scores[index].log_likelihood_gain, index))
-    best = ScoredCandidate(candidates[best_index], *scores[best_index], tried=len(candidates))
-    has_neighbours = bool(best.candidate.grid) and len(candidates) > 1
-    if has_neighbours and best.log_likelihood_gain > _MIN_REFINED_NATS:
-        best = _refine_on_grid(screening, kind, candidates, best)
-    return best
-
-
-def _refine_on_grid(
-    screening: Screening, kind: EffectSpec, candidates: Sequence[Candidate], best: ScoredCandidate
-) -> ScoredCandidate:
-    """Search the neighbourhood of a grid's best point by bisection, one parameter after the other.
-
-    Only parameters with three values or more in the grid, and with a prior, are searched.
-    """
-    for name in best.candidate.grid:
-        flight = best.candidate.effect.flight
-        values = sorted(
-            {candidate.grid[name] for candidate in candidates if candidate.effect.flight == flight}
-        )
-        prior = kind.priors.get(name)
-        if len(values) < 3 or prior is None:
-            continue
-        distances = np.diff(values)
-        nearest = int(np.argmin(np.abs(np.array(values) - best.candidate.grid[name])))
-        step = float(distances[min(nearest, len(distances) - 1)])
-        if name.endswith("Hz"):
-            # A quarter of the resolution of a spectrum.
-            step = 0.25 / screening.seconds
-        for _ in range(_BISECTIONS):
-            step *= 0.5
-            candidate = best.candidate
-            neighbours = [
-                Candidate(
-                    candidate.id,
-                    replace(candidate.effect, values={**candidate.effect.values, name: value}),
-                    candidate.linear_parameters,
-                    {**candidate.grid, name: value},
-                )
-                for value in (candidate.grid[name] - step, candidate.grid[name] + step)
-                if prior.low <= value <= prior.high
-            ]
-            best = replace(best, tried=best.tried + len(neighbours))
-            for neighbour, score in zip(neighbours, screening.score(neighbours), strict=True):
-                is_better = score.log_likelihood_gain > best.log_likelihood_gain
-                if is_better and _signs_are_allowed(neighbour, score.coefficients):
-                    best = ScoredCandidate(neighbour, *score, tried=best.tried)
-    return best

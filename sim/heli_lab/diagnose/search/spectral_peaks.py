@@ -1,4 +1,4 @@
-"""Frequencies at which a periodic torque is most significant, from the scores of impulses of torque."""
+"""Finds the frequencies at which a periodic torque would improve a model most, from scores of impulses."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ _MAX_PEAKS: Final = 4
 """Frequencies that are tried on each axis. Fewer: a periodic torque is missed in large disturbances. More:
 time."""
 _MIN_Hz, _MAX_Hz = 0.03, 12.0
-"""Below, a period is longer than half a minute of flight; above, the arm hardly moves."""
+"""Range of the frequencies. Below, a period is longer than half a minute of flight; above, the arm hardly
+moves."""
 _DEFAULT_Hz: Final = 0.5
 """Frequency that is tried if the spectrum has no peak."""
 _PADDING: Final = 4
 """Points of a spectrum for each frequency that a flight distinguishes."""
 _NEIGHBOURS: Final = 10
-"""Frequencies on either side of a peak that standardise it. Fewer: a peak, which is four wide, standardises
-itself. More: the slope of the spectrum makes false peaks."""
+"""Frequencies on either side of a peak whose median standardises the peak. Fewer: a peak, which is four
+frequencies wide, raises this median itself. More: the slope of the spectrum makes false peaks."""
 
 
 def peak_frequencies_Hz(impulse_scores: Sequence[Floats], step_s: float) -> tuple[float, ...]:
     """Return the frequencies at which a periodic torque is most significant, the most significant first.
 
     The score of a periodic torque is the Fourier transform of the scores of an impulse at every instant.
-    Disturbances and quantisation give it a smooth spectrum. The median of neighbouring frequencies estimates
-    this spectrum and standardises the score.
+    Disturbances and quantisation alone give this transform a smooth spectrum, which the median of
+    neighbouring frequencies estimates. A peak counts by its ratio to that median.
 
     Parameters
     ----------
@@ -36,12 +37,12 @@ def peak_frequencies_Hz(impulse_scores: Sequence[Floats], step_s: float) -> tupl
     step_s : float
         Time between two instants [s].
     """
-    points = _PADDING * max(map(len, impulse_scores))
+    point_count = _PADDING * max(map(len, impulse_scores))
     windowed = [(score - score.mean()) * np.hanning(len(score)) for score in impulse_scores]
-    # The phase of a periodic torque may differ from flight to flight.
-    power = np.sum([np.abs(np.fft.rfft(score, points)) ** 2 for score in windowed], axis=0)
+    # Powers are added, not amplitudes, because the phase may differ from flight to flight.
+    power = np.sum([np.abs(np.fft.rfft(score, point_count)) ** 2 for score in windowed], axis=0)
     power /= np.maximum(_local_median(power), np.finfo(float).tiny)
-    frequency_Hz = np.fft.rfftfreq(points, step_s)
+    frequency_Hz = np.fft.rfftfreq(point_count, step_s)
     power[(frequency_Hz < _MIN_Hz) | (frequency_Hz > _MAX_Hz)] = 0.0
     peaks = 1 + np.flatnonzero((power[:-2] <= power[1:-1]) & (power[1:-1] > power[2:]))
     highest = peaks[np.argsort(-power[peaks], kind="stable")][:_MAX_PEAKS]

@@ -1,8 +1,8 @@
-"""Spline terms: alternative hypotheses without an equation, for causes that the catalogue lacks.
+"""Spline terms: smooth curves that stand for causes which the catalogue of effects lacks.
 
-A spline term lets a torque, the thrust or a measured angle depend on one quantity as a cubic B-spline. A
-listed effect must predict at least as well as such a curve. If a curve is much better, the catalogue lacks
-the cause, and the curve is reported instead.
+A spline term lets a torque, the thrust or a measured angle depend on one quantity as a cubic B-spline. An
+effect of the catalogue must predict at least as well as such a curve. If a curve is much better, the
+catalogue lacks the cause, and the curve is reported instead.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ KNOTS: Final = 8
 _TAIL_SHARE: Final = 0.005
 """Share of the flight beyond each end of the curve, where it is constant, so that few samples do not stretch
 it."""
-# Prior standard deviations of a coefficient: about what holds the arm up, and what no machine exceeds.
-# Smaller: large unlisted effects are not followed. Larger: coefficients with few samples diverge.
+# Prior standard deviations of a coefficient: about the torque that holds the arm up, a fifth of the thrust,
+# and an encoder error of 1 degree. Smaller: large unlisted effects are not followed. Larger: coefficients
+# with few samples diverge.
 _TORQUE_STD_Nm: Final = 0.3
 _THRUST_STD: Final = 0.2
 _ANGLE_STD_rad: Final = 0.02
@@ -39,15 +40,18 @@ _UNIT_AND_STD: Final = {
     "thrust": ("1", _THRUST_STD),
     "measurement": ("rad", _ANGLE_STD_rad),
 }
+"""Unit and prior standard deviation of a coefficient, by kind of channel."""
 
 _Expression = Callable[[Operands], ca.SX]
 
 
 def _state(name: str) -> _Expression:
+    """Return the expression of a state of the model."""
     return lambda at: at.state[name]
 
 
 def _static_thrust_N(at: Operands) -> ca.SX:
+    """Return the thrusts of front and back rotor that follow from the voltages without any lag, (2, 1)."""
     p = at.parameter
     return static_thrust_N(at.volts_V, p["thrust_gain"], p["dead_zone"], p["reverse_thrust"])
 
@@ -103,34 +107,40 @@ class SplineTerm(Effect):
         """Return the value of the curve: the sum of coefficients times basis functions."""
         p = at.parameter
         quantity, _ = QUANTITIES[self.on]
-        # Position in units of the knots' distance; basis function i has its centre at i.
+        # Position along the curve in units of the knots' distance; basis function i has its centre at i.
         position = 1.0 + (quantity(at) - p[f"{self.name}_low"]) / p[f"{self.name}_step"]
         position = ca.fmin(ca.fmax(position, 1.0), KNOTS - 2.0)
         return sum((p[f"{self.name}_{i}"] * bspline(position - i) for i in range(KNOTS)), ca.SX(0))
 
     def torque_Nm(self, at: Operands) -> ca.SX:
         """Torque of the curve about its axis [N m], shape (3, 1); see `Effect.torque_Nm`."""
-        kind, place = self.channel.split(".")
-        return ca.vertcat(*(self._curve(at) if kind == "torque" and place == axis else 0 for axis in AXES))
+        kind, channel_axis = self.channel.split(".")
+        return ca.vertcat(
+            *(self._curve(at) if kind == "torque" and channel_axis == axis else 0 for axis in AXES)
+        )
 
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         """Thrust scaled by the curve [N], shape (2, 1); see `Effect.thrust_N`."""
-        kind, place = self.channel.split(".")
+        kind, rotors = self.channel.split(".")
         if kind != "thrust":
             return thrust_N
         share = self._curve(at)
-        return thrust_N * ca.vertcat(1 + share, 1 + share if place == "both" else 1 - share)
+        front, back = 1 + share, 1 + share if rotors == "both" else 1 - share
+        return thrust_N * ca.vertcat(front, back)
 
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         """Measured angles with the curve added [rad], shape (3, 1); see `Effect.measured_rad`."""
-        kind, place = self.channel.split(".")
+        kind, channel_axis = self.channel.split(".")
         if kind != "measurement":
             return angles_rad
-        return angles_rad + ca.vertcat(*(self._curve(at) if place == axis else 0 for axis in AXES))
+        return angles_rad + ca.vertcat(*(self._curve(at) if channel_axis == axis else 0 for axis in AXES))
 
 
 def bspline(distance: ca.SX) -> ca.SX:
-    """Cubic B-spline with knots at distance 1: 2/3 at `distance` 0 from its centre, 0 beyond distance 2."""
+    """Return a cubic B-spline with knots at distance 1 (de Boor 1978), as a function of a `distance`.
+
+    The distance is that from its centre. The value is 2/3 at the centre, and 0 beyond distance 2.
+    """
     outer = ca.fmax(2.0 - ca.fabs(distance), 0.0)
     inner = ca.fmax(1.0 - ca.fabs(distance), 0.0)
     return (outer**3 - 4.0 * inner**3) / 6.0
@@ -216,14 +226,17 @@ def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
 
 def channel_quantity_pairs() -> list[tuple[str, str]]:
     """List the spline terms that are tried, as pairs of channel and quantity."""
+    return [pair for pair in itertools.product(SPLINE_CHANNELS, QUANTITIES) if _is_testable(*pair)]
 
-    # The controller feeds the quantisation error back: a measurement that depends on thrust would be
-    # significant in any flight. A measurement that depends on the rate of its own axis is read late or early,
-    # and half a sample of that is in any log.
-    def is_testable(channel: str, quantity: str) -> bool:
-        _, _, measured_axis = channel.partition("measurement.")
-        if not measured_axis:
-            return True
-        return "thrust" not in quantity and quantity != f"{measured_axis}_rate"
 
-    return [pair for pair in itertools.product(SPLINE_CHANNELS, QUANTITIES) if is_testable(*pair)]
+def _is_testable(channel: str, quantity: str) -> bool:
+    """Whether a dependence of a channel on a quantity would show a cause, and not a property of every log.
+
+    The controller feeds the quantisation error back, so in every log a measured angle depends on thrust. A
+    measured angle that depends on the rate of its axis was read late or early. Every log has such a shift of
+    up to half a sample.
+    """
+    _, _, measured_axis = channel.partition("measurement.")
+    if not measured_axis:
+        return True
+    return "thrust" not in quantity and quantity != f"{measured_axis}_rate"
