@@ -84,12 +84,6 @@ errors. Above it, the disturbances are estimated again together with an effect t
 quantity is listed in `correlates_with`. Lower: time, 0.1 s per candidate, and chance correlations. Higher:
 large events that hide themselves in the disturbances are missed."""
 
-HIDDEN_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 2.0
-"""Score from which on the disturbances are estimated again together with an effect that is present for the
-whole flight, if no effect explains more: two standard errors. A spring with a score of 4.8 nats gained 504
-nats (2026-11). Lower: time, 0.05 s per candidate. Higher: effects that the disturbances stand in for are
-missed."""
-
 EVENT_STD_ERRORS: Final[Annotated[float, "standard errors", MEASUREMENT]] = 5.0
 """Level in a held-out flight, about any axis, from which on an effect with a moment is tried there. Slips of
 10 and 30 mm reach 10 to 14, the largest of other levels 3.0 (development seeds 5000 of `heli_benchmark`,
@@ -159,9 +153,7 @@ peculiarity of one flight stay, and the verdict is `unexplained`. Higher: unlist
 
 ABSENT_MIN_NATS: Final[Annotated[float, "nats", JUDGEMENT]] = 15.0
 """Gain from which on the model is estimated without a tightly specified term: by the score test, or from the
-prior of a parameter that the fit has made smaller than the rig file states. While the term is in the model,
-disturbances stand in for its absence and the score is low. Lower: time. Higher: absent terms are not tried.
-"""
+prior against which the fit shrank its parameter. Lower: time. Higher: absent terms are not tried."""
 
 ABSENT_SHARE_RANGE: Final[Annotated[tuple[float, float], "1", JUDGEMENT]] = (0.2, 5.0)
 """Shares of a term by which the score test may remove it: the whole, as far as a first-order test shows it.

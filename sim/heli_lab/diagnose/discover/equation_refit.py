@@ -12,12 +12,7 @@ import numpy as np
 from heli_lab.diagnose.discover.equation import Equation, EquationTerm, TermGroup, equation_effect
 from heli_lab.diagnose.discover.scoring import ScoredTermGroup, TermSignals, term_coefficient_std
 from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison
-from heli_lab.diagnose.thresholds import MIN_MARGIN, NEAR_REST_NATS, SIGNIFICANT_STD_ERRORS
-
-_MIN_PERIOD_TOLERANCE: Final = 0.02
-"""Least difference from a whole number that counts as one, periods per turn; by judgement. Lower: a wave
-whose period is known too well for the model's own errors keeps a broken number. Higher: a wave that does not
-repeat with each turn gets a whole one."""
+from heli_lab.diagnose.thresholds import MIN_MARGIN, MIN_STD_SHARE, NEAR_REST_NATS, SIGNIFICANT_STD_ERRORS
 
 
 @dataclass(frozen=True)
@@ -265,7 +260,7 @@ class EquationRefits:
             values, errors = np.array([estimates[name] for name in names]).T
             weight = errors**-2.0
             value, std = float(values @ weight / weight.sum()), float(weight.sum() ** -0.5)
-            max_difference = max(SIGNIFICANT_STD_ERRORS * std, _MIN_PERIOD_TOLERANCE)
+            max_difference = SIGNIFICANT_STD_ERRORS * max(std, MIN_STD_SHARE * value)
             if round(value) >= 1 and abs(value - round(value)) < max_difference:
                 whole_periods |= dict.fromkeys(names, float(round(value)))
         return whole_periods
