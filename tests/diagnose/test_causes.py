@@ -248,7 +248,7 @@ def test_causes_next_to_an_unlisted_effect_are_stated_with_perhaps() -> None:
     assert fact.startswith("The model lacks an effect that the catalogue does not list")
     assert "lags" not in fact
     assert "(confidence 0." in perhaps
-    assert title(unsure).endswith("that the catalogue does not list, perhaps besides listed ones")
+    assert title(unsure).endswith("that the catalogue does not list, perhaps together with listed ones")
 
 
 def test_parameter_far_from_its_prior_is_reported() -> None:

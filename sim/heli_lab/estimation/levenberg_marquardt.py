@@ -1,6 +1,6 @@
 """The Levenberg-Marquardt method: control of the damping, and convergence (Nocedal and Wright, section 10.3).
 
-A problem may have further unknowns besides its parameters, such as initial states. It eliminates them from
+A problem may have further unknowns next to its parameters, such as initial states. It eliminates them from
 its normal equations, so that only steps of the parameters are seen here.
 """
 

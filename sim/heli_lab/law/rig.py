@@ -40,7 +40,7 @@ def law_rig(default: str | Path = "makki2024") -> Rig:
 
 
 def rig_environment(rig: str | None) -> Mapping[str, str]:
-    """Return the environment variable that tells `law_rig` in another process which rig to use.
+    """Return the environment variable that states the rig for `law_rig` in another process.
 
     Parameters
     ----------

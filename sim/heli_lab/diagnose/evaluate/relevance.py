@@ -22,9 +22,9 @@ def prediction_changes(
 ) -> Mapping[str, float]:
     """Compute by how much each cause changes the 2 s open-loop prediction.
 
-    The model with all causes is compared with the refitted model without the cause: the root mean square of
-    their difference on the fitted flights, or the error that the model without the cause adds on the held-out
-    flights, whichever is larger, on the axis where it is largest.
+    The model with all causes is compared with the refitted model without the cause, on the axis where they
+    differ most. The change is the root mean square difference of their predictions on the fitted flights. If
+    the model without the cause adds a larger error on the held-out flights, the change is that error.
 
     Parameters
     ----------

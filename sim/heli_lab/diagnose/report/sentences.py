@@ -30,7 +30,7 @@ def title(result: Diagnosis) -> str:
         "cause_found": f"{heading}: {', '.join(effects)}",
         "ambiguous": "The model lacks an effect; these flights do not show which of several",
         "unexplained": "The model lacks an effect that the catalogue does not list"
-        + (", perhaps besides listed ones" if effects else ""),
+        + (", perhaps together with listed ones" if effects else ""),
     }[result.label]
 
 

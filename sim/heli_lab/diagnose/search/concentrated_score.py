@@ -1,8 +1,8 @@
 """Concentrated scores: the gain of a candidate if the disturbances were estimated again with it.
 
 A score holds the disturbances of the model without the candidate. Where they stand in for a missing effect,
-its own score is worth little: a slip of 30 mm that gains 320 nats had a score of 8, and a spring that gains
-500 nats had a score of 5. The likelihood of the candidate and of the disturbances is therefore maximised in
+its own score is low. A slip of 30 mm that gains 320 nats had a score of 8, and a spring that gains 500 nats
+had a score of 5. The likelihood of the candidate and of the disturbances is therefore maximised in
 turn, with all other parameters held.
 """
 

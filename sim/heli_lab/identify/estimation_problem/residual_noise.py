@@ -48,8 +48,8 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
     """Raise small variances, so that a wrong model is not fitted to one axis alone.
 
     The fit divides the squared residuals of each axis by their variance. If the model is wrong, this favours
-    the axis in which free initial states can hide the error (travel), and neglects the axis that shows the
-    error (pitch): on measured flights, the error of pitch doubled. Therefore the variance of each axis, in
+    travel, in which free initial states can hide the error, and neglects pitch, which shows it. On measured
+    flights, the error of pitch doubled. Therefore the variance of each axis, in
     rad^2, is at least `MIN_SHARE` of the largest variance that quantisation does not explain.
 
     Parameters
