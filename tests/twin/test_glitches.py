@@ -78,6 +78,20 @@ def test_a_jump_that_returns_is_reported_once() -> None:
     assert decisions([6.0, 6.0, 5.0, 0.0, 0.0]) == ["open", "open", "open", "returned", "-"]
 
 
+def test_a_jump_in_the_other_direction_returns_too() -> None:
+    assert decisions([-6.0, -6.0, -5.0, 0.0, 0.0]) == ["open", "open", "open", "returned", "-"]
+
+
+def test_a_slow_fall_is_the_drift_of_the_prediction_and_no_return() -> None:
+    drifting = [5.4, 4.9, 4.5, 4.2, 3.8, 3.7, 3.5, 3.1, 2.6, 2.3, 2.0, 1.8]
+    assert decisions(drifting) == MAX_BLOCKS * ["open"]
+    assert decisions([*drifting[:6], -1.7]) == [*(6 * ["open"]), "returned"]
+
+
+def test_a_return_within_two_measurements_is_a_return() -> None:
+    assert decisions([6.0, 6.0, 3.5, 0.2]) == ["open", "open", "open", "returned"]
+
+
 def test_a_jump_without_a_return_is_open_for_half_a_second() -> None:
     assert decisions(30 * [6.0]) == MAX_BLOCKS * ["open"] + (30 - MAX_BLOCKS) * ["-"]
     assert MAX_BLOCKS * BLOCK_s < 0.5

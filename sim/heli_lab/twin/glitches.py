@@ -7,6 +7,7 @@ first one. Otherwise it is discarded, so that no evidence of a real change is lo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final, Generic, Protocol, Self, TypeVar
 
@@ -89,8 +90,10 @@ class GlitchWatch(Generic[F]):
         self._budget = float(MAX_BLOCKS)
         # Number of successive measurements near their predictions.
         self._settled_blocks = 0
-        # Differences of the jumping encoder from its predictions since the jump began [rad].
+        # Differences of the jumping encoder from its predictions, in the direction of the jump [rad].
         self._differences_rad: list[float] = []
+        # Direction of the jump, 1 or -1.
+        self._direction = 1.0
 
     def copies(self, kalman: F, ratio: LikelihoodRatio) -> WithoutEncoder[F] | None:
         """Return copies of `kalman` and `ratio` before a measurement; None if no jump can begin with it."""
@@ -122,17 +125,23 @@ class GlitchWatch(Generic[F]):
     def decide_return(self) -> bool:
         """Decide about the measurement that the second filter has just left out.
 
-        Returns True if the encoder has returned to the prediction of the second filter. If the encoder can no
-        longer return, the second filter is discarded.
+        Returns True if the encoder has returned to the prediction of the second filter: its difference has
+        fallen by half the jump within two measurements. A slower fall is the drift of a prediction without
+        measurements: with it, a jump of 5 counts that stayed had seemed to return after 0.3 s. If the encoder
+        can no longer return, the second filter is discarded.
         """
         assert self.alternative is not None
         kalman = self.alternative.kalman
         assert kalman.left_out is not None
-        size_rad = abs(float(kalman.differences_rad[kalman.left_out]))
+        difference_rad = float(kalman.differences_rad[kalman.left_out])
+        if not self._differences_rad:
+            self._direction = math.copysign(1.0, difference_rad)
+        size_rad = self._direction * difference_rad
         std_rad = float(kalman.stds_rad[kalman.left_out])
         # The mean within a block may contain only a part of the jump, so the second difference counts too.
         jump_rad = max([*self._differences_rad, size_rad][:2])
-        if self._differences_rad and size_rad < 0.5 * jump_rad:
+        fall_rad = max(self._differences_rad[-2:], default=size_rad) - size_rad
+        if size_rad < 0.5 * jump_rad < fall_rad:
             return True
         axis_moves_away = size_rad > _MAX_GROWTH * jump_rad
         is_decidable = jump_rad > _DECIDABLE_STD * std_rad
