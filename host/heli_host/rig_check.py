@@ -206,7 +206,7 @@ def check_rig(
 
     Parameters
     ----------
-    stated, parameters, simulated, directed
+    expected, parameters, simulated, directed
         Arguments of `rig_differences`.
 
     Returns

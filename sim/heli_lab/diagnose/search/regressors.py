@@ -33,7 +33,7 @@ _MIN_RANGE: Final = 1e-6
 """Range of a quantity, in its SI unit, below which it is constant and no curve over it is tried."""
 
 
-class Signals(NamedTuple):
+class CandidateSignals(NamedTuple):
     """Changes of a flight by one unit of each coefficient of a candidate, or of several candidates.
 
     Parameters
@@ -119,22 +119,22 @@ class Regressors:
         self._channel_changes.clear()
         self._quantities.clear()
 
-    def signals(self, candidate: Candidate) -> Signals:
+    def signals(self, candidate: Candidate) -> CandidateSignals:
         """Compute the change of the flight by one unit of each coefficient of a candidate."""
         if candidate.is_spline:
             return self.spline_signals(candidate)
         if candidate.effect.delay:
-            return Signals(self._delayed_rates(candidate), None)
+            return CandidateSignals(self._delayed_rates(candidate), None)
         extended_model = self._functions.extended(candidate.id, candidate.effect, candidate.linear_parameters)
         values = candidate.effect.values_in(self.linear.reference.record.label, candidate.effect.values)
         rates, measured_rad = extended_model.run(self.linear.trajectory, values, self._directions)
         if not np.any(measured_rad):
-            return Signals(rates, None)
+            return CandidateSignals(rates, None)
         # Encoders are read at the beginning of a step, rates change in its middle.
         at_nodes = extended_model.run(self.linear.nodes, values, self._directions)
-        return Signals(rates, at_nodes.measured_rad)
+        return CandidateSignals(rates, at_nodes.measured_rad)
 
-    def spline_signals(self, candidate: Candidate) -> Signals:
+    def spline_signals(self, candidate: Candidate) -> CandidateSignals:
         """Compute the change of the flight by one unit of each coefficient of a spline term.
 
         This is the change by one unit on the channel of the term, times each B-spline basis function.
@@ -147,7 +147,7 @@ class Regressors:
             trajectory = self.linear.nodes if instant == "nodes" else self.linear.trajectory
             self._quantities[instant] = quantity_values(self.model, trajectory)
         basis = bspline_basis(self._quantities[instant][term.on], *term.knots)[:, None, :]  # (n, 1, KNOTS)
-        return Signals(rates * basis, measured_rad * basis if np.any(measured_rad) else None)
+        return CandidateSignals(rates * basis, measured_rad * basis if np.any(measured_rad) else None)
 
     def influence(self, term: SplineTerm) -> ChangeAlongTrajectory:
         """Return the change of the flight by one unit on a channel, such as 1 N m about pitch.

@@ -17,7 +17,12 @@ from heli_sim.model.effects.spec import EffectSpec
 from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate
 from heli_lab.diagnose.search.effect_grids import EffectGrids
 from heli_lab.diagnose.search.grid_search import GridSearch
-from heli_lab.diagnose.search.regressors import ChangeFunctions, Regressors, Signals, spline_candidates
+from heli_lab.diagnose.search.regressors import (
+    ChangeFunctions,
+    Regressors,
+    CandidateSignals,
+    spline_candidates,
+)
 from heli_lab.diagnose.search.score_test import Score, ScoreStatistics, score_of
 from heli_lab.diagnose.search.splines import KNOTS, SplineTerm
 from heli_lab.estimation import Estimate
@@ -138,7 +143,7 @@ class Screening:
         Parameters
         ----------
         signals : iterable of (ndarray, ndarray or None)
-            For each flight, the `Signals` of all candidates, with their coefficients along the last axis.
+            For each flight, the `CandidateSignals` of all candidates, with their coefficients along the last axis.
         sizes : sequence of int
             Number of regressors of each candidate.
         """
@@ -218,19 +223,19 @@ class Screening:
         )
 
 
-def signals_of(flight: Regressors, candidates: Sequence[Candidate]) -> Signals:
+def signals_of(flight: Regressors, candidates: Sequence[Candidate]) -> CandidateSignals:
     """Return the signals of several `candidates` in a `flight`, one after the other along the last axis."""
     all_signals = [flight.signals(candidate) for candidate in candidates]
     if len(all_signals) == 1:
         return all_signals[0]
     all_rates = np.concatenate([rates for rates, _ in all_signals], axis=2)
     if all(angles is None for _, angles in all_signals):
-        return Signals(all_rates, None)
+        return CandidateSignals(all_rates, None)
     all_angles = [
         np.zeros((len(rates), 3, rates.shape[2])) if angles is None else angles
         for rates, angles in all_signals
     ]
-    return Signals(all_rates, np.concatenate(all_angles, axis=2))
+    return CandidateSignals(all_rates, np.concatenate(all_angles, axis=2))
 
 
 def _regressor_count(candidate: Candidate) -> int:
