@@ -18,9 +18,9 @@ from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate
 from heli_lab.diagnose.search.effect_grids import EffectGrids
 from heli_lab.diagnose.search.grid_search import GridSearch
 from heli_lab.diagnose.search.regressors import (
+    CandidateSignals,
     ChangeFunctions,
     Regressors,
-    CandidateSignals,
     spline_candidates,
 )
 from heli_lab.diagnose.search.score_test import Score, ScoreStatistics, score_of
