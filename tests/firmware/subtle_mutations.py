@@ -383,7 +383,8 @@ CORE = (
     ),
     core(
         "flight/limits.cpp",
-        "  // Checked first, because a wrong count exceeds the other limits too.\n  if (s.overload_edges > 0U) {",
+        "  // Checked first, because a wrong count exceeds the other limits too.\n"
+        "  if (s.overload_edges > 0U) {",
         "  if (false) {",
         safety.test_edges_too_fast_to_count_switch_off_and_inform_the_host,
         2.5e6,

@@ -143,7 +143,8 @@ class Screening:
         Parameters
         ----------
         signals : iterable of (ndarray, ndarray or None)
-            For each flight, the `CandidateSignals` of all candidates, with their coefficients along the last axis.
+            For each flight, the `CandidateSignals` of all candidates, with the coefficients along the last
+            axis.
         sizes : sequence of int
             Number of regressors of each candidate.
         """
