@@ -85,5 +85,5 @@ release: ## check what a release needs, and build wheel and source archive in di
 	@.venv/bin/python .ci/release.py
 
 clean: ## remove .venv and everything built; flights/ stays
-	rm -rf .venv build dist bench.json blind.json .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv build dist bench.json blind.json blind.png .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

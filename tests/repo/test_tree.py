@@ -20,6 +20,12 @@ MACHINE_PATH = re.compile(
 )
 TEXT_ENDS = {".py", ".md", ".toml", ".cpp", ".hpp", ".h", ".txt", ".sh", ".yml", ".yaml", ".json", ".ini", ""}
 LARGEST_KIB = 300
+TOP_LEVEL = {
+    *("firmware", "host", "sim", "tests", "docs", ".ci", ".devcontainer"),
+    *("README.md", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "SECURITY.md"),
+    *("Makefile", "CMakeLists.txt", "platformio.ini", "pyproject.toml"),
+    *(".clang-format", ".clang-tidy", ".gitignore"),
+}
 
 
 def tracked() -> list[Path]:
@@ -77,6 +83,10 @@ def test_nothing_is_used_whose_types_mypy_does_not_read() -> None:
     for part in skipped_by_mypy():
         users = [path.relative_to(ROOT) for path, text in sources.items() if imports(text, part)]
         assert not users, f"{part}: {users}"
+
+
+def test_the_top_level_has_no_results_of_a_command() -> None:
+    assert {path.relative_to(ROOT).parts[0] for path in tracked()} <= TOP_LEVEL
 
 
 def test_no_large_file() -> None:
