@@ -83,6 +83,13 @@ class Estimate(Generic[VectorT]):
     references: tuple[ReferenceTrajectory, ...]
     functions: ModelFunctions
 
+    @property
+    def prior_deviations(self) -> Floats:
+        """Distances of the parameters from the means of their priors, in standard deviations, shape (f,)."""
+        vector = self.parameter_vector
+        deviations: Floats = (self.theta - vector.mean) / vector.std
+        return deviations
+
     def filtered(self) -> InnovationsModel:
         """Linearise the model at `theta`. The result is not stored, because it takes megabytes per minute of
         flight.

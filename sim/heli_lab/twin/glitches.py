@@ -121,6 +121,7 @@ class GlitchWatch(Generic[F]):
             return
         before.kalman.left_out = axis
         self.alternative, self._differences_rad = before, []
+        self._direction = math.copysign(1.0, kalman.differences_rad[axis])
 
     def decide_return(self) -> bool:
         """Decide about the measurement that the second filter has just left out.
@@ -134,8 +135,6 @@ class GlitchWatch(Generic[F]):
         kalman = self.alternative.kalman
         assert kalman.left_out is not None
         difference_rad = float(kalman.differences_rad[kalman.left_out])
-        if not self._differences_rad:
-            self._direction = math.copysign(1.0, difference_rad)
         size_rad = self._direction * difference_rad
         std_rad = float(kalman.stds_rad[kalman.left_out])
         # The mean within a block may contain only a part of the jump, so the second difference counts too.

@@ -74,10 +74,8 @@ def test_a_delay_becomes_a_lag_with_delay_only_if_the_lag_is_resolved(lag_s: flo
 
 def test_effects_with_sizes_that_no_flight_resolves_are_no_alternatives() -> None:
     comparison = SimpleNamespace(train=[SimpleNamespace(step_s=STEP_s)])
-    acceptance = SimpleNamespace(kinds=KINDS, comparison=comparison)
-    backward = BackwardElimination(
-        cast(Any, comparison), cast(Any, acceptance), cast(Any, None), cast(Any, None), []
-    )
+    acceptance = Acceptance(cast(ModelComparison, comparison), KINDS)
+    backward = BackwardElimination(cast(Any, comparison), acceptance, cast(Any, None), cast(Any, None), [])
     delay, wide, lag = (typical_candidate(KINDS[id_]) for id_ in ("input_delay", WIDE, "rotor_speed_lag"))
     assert backward._adds_unresolved(delay, wide, hypothesis(WIDE, 0.0008, 0.0283))
     assert not backward._adds_unresolved(delay, wide, hypothesis(WIDE, 0.02, 0.0283))

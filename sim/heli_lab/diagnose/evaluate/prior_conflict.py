@@ -103,7 +103,7 @@ def tried_without(conflicts: Sequence[PriorConflict], estimate: Estimate) -> tup
         estimate.disturbances,
     )
     # log_likelihood includes the priors: subtract the share of the priors that were dropped.
-    deviations = (estimate.theta - parameters.mean) / parameters.std
+    deviations = estimate.prior_deviations
     gain = (
         without_priors.log_likelihood
         - estimate.log_likelihood

@@ -60,6 +60,10 @@ class Acceptance:
             return not is_neutral(refit.hypothesis, candidate, self.kinds)
         return is_significant(refit.hypothesis, candidate, self.kinds)
 
+    def resolves(self, hypothesis: Hypothesis, kind: EffectSpec) -> bool:
+        """Whether the flights resolve each size of an effect of a model, `is_resolved`."""
+        return is_resolved(hypothesis, kind, self.comparison.train[0].step_s)
+
     def worth_a_refit(self, screened: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
         """Candidates whose score leaves a chance that a refit is accepted, in their order."""
         return [
@@ -86,9 +90,7 @@ def min_margin(id_: str, present: Collection[str]) -> float:
     return thresholds.MIN_MARGIN
 
 
-def is_significant(
-    hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectSpec], name: str | None = None
-) -> bool:
+def is_significant(hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectSpec]) -> bool:
     """Whether a size of an effect differs from its neutral value by two standard errors (Wald test).
 
     Parameters
@@ -96,15 +98,13 @@ def is_significant(
     hypothesis : Hypothesis
         The model with the effect.
     candidate : Candidate
-        The effect; one that the catalogue lacks counts as significant.
-    name : str, optional
-        The parameter to test, by full name; any of the effect's sizes by default.
+        The effect; one that the catalogue lacks counts as significant. One significant size is enough.
     """
     kind = kinds.get(candidate.id)
     if kind is None:
         return True
     values, std, neutral = hypothesis.values, hypothesis.std, kind.neutral
-    sizes = [size for size in ([name] if name else kind.size) if size in values]
+    sizes = [size for size in kind.size if size in values]
     return not sizes or any(
         abs(values[size] - neutral[size]) > thresholds.SIGNIFICANT_STD_ERRORS * std[size] for size in sizes
     )

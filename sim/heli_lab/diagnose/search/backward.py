@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.search.acceptance import Acceptance, is_resolved, min_margin
+from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
 from heli_lab.diagnose.search.candidate import Candidate, may_join, typical_candidate
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
@@ -240,7 +240,7 @@ class BackwardElimination:
         kind = self.acceptance.kinds.get(other.id)
         if kind is None or cause.id not in kind.contains:
             return False
-        return not is_resolved(replaced, kind, self.comparison.train[0].step_s)
+        return not self.acceptance.resolves(replaced, kind)
 
     def _family(self, candidate: Candidate, other_causes: Sequence[Candidate]) -> list[Candidate]:
         """Return the other effects of a cause's family that may join the other causes, with typical sizes.

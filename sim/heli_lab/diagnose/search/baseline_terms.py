@@ -109,11 +109,7 @@ def _shrunk_prior_nats(screening: Screening, kind: EffectSpec) -> float:
 
     Without the term, the parameters return to their priors, so that a refit gains this much.
     """
-    estimate, parameters = screening.estimate, screening.estimate.parameter_vector
-    deviations = (estimate.theta - parameters.mean) / parameters.std
-    shrunk = [
-        min(float(deviations[parameters.names.index(name)]), 0.0)
-        for name in kind.override
-        if name in parameters.names
-    ]
+    estimate = screening.estimate
+    deviations: dict[str, float] = estimate.parameter_vector.by_name(estimate.prior_deviations)
+    shrunk = (min(deviations[name], 0.0) for name in kind.override if name in deviations)
     return 0.5 * sum(deviation**2 for deviation in shrunk)

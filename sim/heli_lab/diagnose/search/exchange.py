@@ -8,7 +8,7 @@ import numpy as np
 from heli_sim.model.effects.spec import EffectSpec
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.search.acceptance import Acceptance, is_resolved
+from heli_lab.diagnose.search.acceptance import Acceptance
 from heli_lab.diagnose.search.candidate import Candidate, may_join
 from heli_lab.diagnose.search.hypothesis import Hypothesis
 from heli_lab.diagnose.search.model_comparison import ModelComparison
@@ -39,8 +39,7 @@ def exchange(
             refit = comparison.refit([*other_causes, wider], wider.start_values(np.zeros(0)), final)
             gain = refit.log_likelihood - final.log_likelihood
             margin = gain - acceptance.penalty(wider) + acceptance.penalty(candidate)
-            step_s = comparison.train[0].step_s
-            if margin > thresholds.MIN_MARGIN and is_resolved(refit, kind, step_s):
+            if margin > thresholds.MIN_MARGIN and acceptance.resolves(refit, kind):
                 return exchange(comparison, acceptance, progress, refit)
     return final
 
@@ -57,7 +56,7 @@ def _without_unresolved_sizes(
     kinds = acceptance.kinds
     for candidate in final.candidates:
         kind = kinds.get(candidate.id)
-        if kind is None or not kind.contains or is_resolved(final, kind, comparison.train[0].step_s):
+        if kind is None or not kind.contains or acceptance.resolves(final, kind):
             continue
         other_causes = [other for other in final.candidates if other is not candidate]
         narrower = [
