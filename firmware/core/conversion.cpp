@@ -1,3 +1,4 @@
+// Derives the conversion constants from the parameters; runs in the idle loop. See conversion.hpp.
 #include "conversion.hpp"
 
 #include "control/math.hpp"
@@ -16,7 +17,9 @@ using link::Param;
 
 namespace {
 
-MotorConversion motor_of(const params::Params& params, float sign, std::int16_t duty_full) {
+// `sign` is 1 or -1: the direction in which the motor is wired. The limits become duties in order.
+MotorConversion motor_conversion_of(const params::Params& params, float sign,
+                                    std::int16_t duty_full) {
   const float V_per_duty = params.get(Param::supply_V) / static_cast<float>(duty_full);
   MotorConversion motor{};
   motor.duty_per_V = Gain::of(sign / V_per_duty);
@@ -54,8 +57,8 @@ Conversion conversion_of(const params::Params& params, std::int16_t duty_full) {
   c.elevation_rest_counts =
       control::round_to_int(params.get(Param::elevation_rest_deg) / 360.0F *
                             control::magnitude(params.get(Param::elevation_counts_per_rev)));
-  c.front = motor_of(params, params.get(Param::motor_front_sign), duty_full);
-  c.back = motor_of(params, params.get(Param::motor_back_sign), duty_full);
+  c.front = motor_conversion_of(params, params.get(Param::motor_front_sign), duty_full);
+  c.back = motor_conversion_of(params, params.get(Param::motor_back_sign), duty_full);
   return c;
 }
 

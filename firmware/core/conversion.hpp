@@ -11,6 +11,7 @@
 
 namespace heli {
 
+// A duty is a signed number of PWM steps; duty_full() steps are the whole supply.
 struct MotorConversion {
   control::Gain duty_per_V;   // signed: a motor may be wired the other way round
   control::Share V_per_duty;  // signed
@@ -22,18 +23,19 @@ struct MotorConversion {
 struct Conversion {
   control::PerCount rad_per_count[kAxisCount];
   std::int32_t count_sign[kAxisCount] = {};
-  std::int32_t elevation_rest_counts = 0;
-  control::Share smoothing[kAxisCount];  // of the rate filters
+  std::int32_t elevation_rest_counts = 0;  // count of the rest angle, where the encoder is zeroed
+  control::Share smoothing[kAxisCount];    // of the rate filters
   MotorConversion front;
   MotorConversion back;
 };
 
-// Uses floats, divisions and exponentials: idle loop only. `duty_full` is the board's.
-// Smoothing of a low-pass for each tick: 1 - exp(-2 pi f T).
+// Smoothing of a low-pass per tick: 1 - exp(-2 pi f T). Idle loop only: it uses an exponential.
 float smoothing_of(float cutoff_Hz);
 
+// Idle loop only: it uses floats and divisions. `duty_full` is the board's, see Board::duty_full().
 Conversion conversion_of(const params::Params& params, std::int16_t duty_full);
 
+// Returns the duty of a motor voltage, within the motor's limits.
 inline std::int16_t duty_of(control::Quantity voltage_V, const MotorConversion& motor) {
   const std::int32_t duty = control::product<0>(voltage_V, motor.duty_per_V).raw();
   return static_cast<std::int16_t>(control::clamp(duty, motor.min_duty, motor.max_duty));

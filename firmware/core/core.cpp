@@ -1,3 +1,5 @@
+// One tick: encoders, commands, supervisor, control law, motors, log. Only start(), poll() and
+// refresh_derived() run outside of the tick, in the idle loop; see core.hpp.
 #include "core.hpp"
 
 #include "control/math.hpp"
@@ -29,7 +31,8 @@ constexpr Wire kTravelSetpointWire = Wire::of(link::kTravelSetpointPerUnit);
 constexpr Wire kFrontWire = Wire::of(link::kFrontPerUnit);
 constexpr Wire kBackWire = Wire::of(link::kBackPerUnit);
 
-std::int32_t wire(Quantity value, Wire per_unit) { return product<0>(value, per_unit).raw(); }
+// Converts a value to the steps of its telemetry channel, as link.toml declares them.
+std::int32_t to_wire(Quantity value, Wire per_unit) { return product<0>(value, per_unit).raw(); }
 
 }  // namespace
 
@@ -43,6 +46,7 @@ Core::Core(Board& board, law::Simplex& laws, law::UploadedLaw& uploaded)
   refresh_derived();
 }
 
+// A stored controller that this board does not have is replaced by the default.
 void Core::start() {
   store_.load(params_);
   if (params_.get(link::Param::controller) >= static_cast<float>(laws_.names().count)) {
@@ -54,14 +58,17 @@ void Core::start() {
                     static_cast<float>(report.boot_id)});
 }
 
+// Idle loop: derives all constants from the parameters in the bank that no tick reads, then
+// switches to that bank. A parameter that changes meanwhile causes another call.
 void Core::refresh_derived() {
   const std::uint32_t revision = params_.revision();
-  const auto spare = static_cast<Bank>(1U - active_.load(std::memory_order_relaxed));
-  derived_[spare] = {conversion_of(params_, board_.duty_full()), flight::limits_of(params_),
-                     flight::setpoint_limits_of(params_), flight::tracking_limits_of(params_)};
-  laws_.derive(control::IdleLoop(nullptr), params_, spare);
+  const auto unused_bank = static_cast<Bank>(1U - active_.load(std::memory_order_relaxed));
+  derived_[unused_bank] = {conversion_of(params_, board_.duty_full()), flight::limits_of(params_),
+                           flight::setpoint_limits_of(params_),
+                           flight::tracking_limits_of(params_)};
+  laws_.derive(control::IdleLoop(nullptr), params_, unused_bank);
   derived_revision_ = revision;
-  active_.store(spare, std::memory_order_release);
+  active_.store(unused_bank, std::memory_order_release);
 }
 
 void Core::poll() {
@@ -71,6 +78,7 @@ void Core::poll() {
   }
 }
 
+// Makes the present counts the zero of these axes (link::axes bits); elevation is then at its rest.
 void Core::zero(const EncoderReading& reading, std::uint8_t axes) {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     if ((axes & (1U << axis)) != 0U) {
@@ -78,28 +86,33 @@ void Core::zero(const EncoderReading& reading, std::uint8_t axes) {
       filters_[axis].restart();
     }
   }
-  link_.push_event({seen_.tick, static_cast<std::uint8_t>(Event::zeroed), axes, 0, 0.0F});
+  link_.push_event({observation_.tick, static_cast<std::uint8_t>(Event::zeroed), axes, 0, 0.0F});
 }
 
+// Counts to angles and rates of this tick.
 void Core::measure(const EncoderReading& reading, const Conversion& c) {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     // Unsigned, because a free-running counter may wrap.
-    const std::uint32_t turned = static_cast<std::uint32_t>(reading.count[axis]) -
-                                 static_cast<std::uint32_t>(zero_count_[axis]);
+    const std::uint32_t counts_since_zero = static_cast<std::uint32_t>(reading.count[axis]) -
+                                            static_cast<std::uint32_t>(zero_count_[axis]);
     const std::uint32_t zero =
         axis == kElevation ? static_cast<std::uint32_t>(c.elevation_rest_counts) : 0U;
-    seen_.count[axis] =
-        static_cast<std::int32_t>((c.count_sign[axis] < 0 ? 0U - turned : turned) + zero);
+    observation_.count[axis] = static_cast<std::int32_t>(
+        (c.count_sign[axis] < 0 ? 0U - counts_since_zero : counts_since_zero) + zero);
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    seen_.angle_rad[axis] = product<24>(Whole::from_raw(seen_.count[axis]), c.rad_per_count[axis]);
-    seen_.rate_rad_s[axis] = filters_[axis].update(seen_.angle_rad[axis], c.smoothing[axis]);
-    seen_.illegal[axis] = reading.illegal[axis];
+    observation_.angle_rad[axis] =
+        product<24>(Whole::from_raw(observation_.count[axis]), c.rad_per_count[axis]);
+    observation_.rate_rad_s[axis] =
+        filters_[axis].update(observation_.angle_rad[axis], c.smoothing[axis]);
+    observation_.illegal[axis] = reading.illegal[axis];
     counters_.illegal[axis] = static_cast<std::uint16_t>(
         reading.illegal[axis] < 0xFFFFU ? reading.illegal[axis] : 0xFFFFU);
   }
 }
 
+// Executes one command of the host. Parameters, zero and uploaded laws are handled here, the rest
+// by the supervisor.
 Reply Core::execute(const link::Request& request, const EncoderReading& reading) {
   const bool idle = supervisor_.state() == State::idle;
   const Reply not_idle{Result::bad_state, static_cast<std::uint8_t>(supervisor_.state()), 0.0F};
@@ -112,6 +125,7 @@ Reply Core::execute(const link::Request& request, const EncoderReading& reading)
       }
       params_.defaults();
       return {};
+    // The idle loop saves after this reply: writing flash stops the processor.
     case MessageId::params_save:
       return idle ? Reply{} : not_idle;
     case MessageId::zero: {
@@ -137,13 +151,15 @@ Reply Core::execute(const link::Request& request, const EncoderReading& reading)
 Reply Core::set_parameter(const link::ParamSetMessage& message, bool idle) {
   const auto which = static_cast<link::Param>(message.index);
   // The declaration does not contain the number of controllers that this board was built with.
-  const bool no_such_row =
+  const bool no_such_controller =
       which == link::Param::controller && message.value >= static_cast<float>(laws_.names().count);
   const Result result =
-      no_such_row ? Result::out_of_range : params_.set(which, message.value, idle);
+      no_such_controller ? Result::out_of_range : params_.set(which, message.value, idle);
   return {result, message.index, result == Result::ok ? params_.get(which) : message.value};
 }
 
+// Hands the motors to the uploaded law or back. Only a flight with all loops closed may change
+// over.
 Reply Core::fly_law(bool on) {
   const auto state = static_cast<std::uint8_t>(supervisor_.state());
   if (!on) {
@@ -156,15 +172,16 @@ Reply Core::fly_law(bool on) {
     return {Result::bad_law, static_cast<std::uint8_t>(link::LawError::not_flying),
             static_cast<float>(state)};
   }
-  Reply reply = uploaded_.engage(
-      {wire(seen_.acted.front_V, kFrontWire), wire(seen_.acted.back_V, kBackWire)});
+  Reply reply = uploaded_.engage({to_wire(observation_.applied.front_V, kFrontWire),
+                                  to_wire(observation_.applied.back_V, kBackWire)});
   if (reply.result == Result::ok) {
     reply.detail = state;
   }
   return reply;
 }
 
-ControlOutput Core::drive(Bank bank) {
+// Runs the control law: motor volts of this tick, 0 while the motors are off or only armed.
+ControlOutput Core::compute_output(Bank bank) {
   if (uploaded_.busy() && uploaded_.flying() &&
       (supervisor_.state() != State::closed_loop || supervisor_.axes() != kAllAxes)) {
     uploaded_.hand_over(link::Takeover::state, static_cast<float>(supervisor_.state()));
@@ -172,26 +189,29 @@ ControlOutput Core::drive(Bank bank) {
   if (!supervisor_.motors_enabled() || supervisor_.state() == State::armed) {
     laws_.init(bank);
     ControlOutput off{};
-    off.pitch_setpoint_rad = seen_.angle_rad[kPitch];
+    off.pitch_setpoint_rad = observation_.angle_rad[kPitch];
     return off;
   }
+  // The excitation of this tick; its end by time is reported here.
   control::Exciter& exciter = supervisor_.exciter();
   const link::Excitation kind = exciter.kind();
   const control::ExcitationValue excitation = exciter.next();
   excited_ = exciter.running();
   if (kind != exciter.kind()) {
-    link_.push_event({seen_.tick, static_cast<std::uint8_t>(Event::excitation_end),
+    link_.push_event({observation_.tick, static_cast<std::uint8_t>(Event::excitation_end),
                       static_cast<std::uint8_t>(kind), 0, 0.0F});
   }
   const flight::Setpoint elevation = supervisor_.setpoint(kElevation);
   const flight::Setpoint pitch = supervisor_.setpoint(kPitch);
   const flight::Setpoint travel = supervisor_.setpoint(kTravel);
-  const bool waits = supervisor_.travel_waits();
+  const bool travel_waits = supervisor_.travel_waits();
   // Built in one expression: clearing it first and filling it then takes 40 instructions more.
   const ControlInput in{
-      {seen_.angle_rad[kElevation], seen_.angle_rad[kPitch], seen_.angle_rad[kTravel]},
-      {seen_.rate_rad_s[kElevation], seen_.rate_rad_s[kPitch], seen_.rate_rad_s[kTravel]},
-      {elevation.angle_rad, waits ? supervisor_.waiting_pitch_rad() : pitch.angle_rad,
+      {observation_.angle_rad[kElevation], observation_.angle_rad[kPitch],
+       observation_.angle_rad[kTravel]},
+      {observation_.rate_rad_s[kElevation], observation_.rate_rad_s[kPitch],
+       observation_.rate_rad_s[kTravel]},
+      {elevation.angle_rad, travel_waits ? supervisor_.waiting_pitch_rad() : pitch.angle_rad,
        travel.angle_rad},
       {elevation.rate_rad_s, pitch.rate_rad_s, travel.rate_rad_s},
       {elevation.acceleration_rad_s2, pitch.acceleration_rad_s2, travel.acceleration_rad_s2},
@@ -200,16 +220,17 @@ ControlOutput Core::drive(Bank bank) {
       supervisor_.open_voltages().back_V,
       excitation.front_V,
       excitation.back_V,
-      waits};
+      travel_waits};
   return laws_.update(in, bank);
 }
 
-void Core::actuate(const ControlOutput& out, const Conversion& c) {
+// Writes the duties. The voltages that they give at the nominal supply are the applied ones.
+void Core::write_motors(const ControlOutput& out, const Conversion& c) {
   const MotorCommand command =
       motor_command(supervisor_.motors_enabled(), out.front_V, out.back_V, c);
   board_.write_motors(command);
-  seen_.acted = {product<24>(Whole::from_raw(command.front_duty), c.front.V_per_duty),
-                 product<24>(Whole::from_raw(command.back_duty), c.back.V_per_duty)};
+  observation_.applied = {product<24>(Whole::from_raw(command.front_duty), c.front.V_per_duty),
+                          product<24>(Whole::from_raw(command.back_duty), c.back.V_per_duty)};
 }
 
 // Logs an uploaded law's setpoints, signals, start and end; log_tick() logs the rest.
@@ -217,10 +238,10 @@ void Core::log_law(link::Sample& sample) {
   using link::Channel;
   link::EventMessage event;
   if (uploaded_.poll_event(event)) {
-    event.tick = seen_.tick;
+    event.tick = observation_.tick;
     link_.push_event(event);
   }
-  const auto overwrite = [&sample](Channel channel, std::int32_t value) {
+  const auto set_channel = [&sample](Channel channel, std::int32_t value) {
     sample.raw[static_cast<std::size_t>(channel)] = value;
   };
   law::Recovery& recovery = uploaded_.recovery();
@@ -235,61 +256,63 @@ void Core::log_law(link::Sample& sample) {
   if (recovery.active() && !recovery.returning()) {
     supervisor_.restart_tracking();
   }
-  const auto move = [this, &recovery, &overwrite](std::size_t axis, Channel channel,
-                                                  Wire per_unit) {
+  // The supervisor's setpoints continue from those of the recovery, which are logged.
+  const auto report_recovery = [this, &recovery, &set_channel](std::size_t axis, Channel channel,
+                                                               Wire per_unit) {
     if (recovery.active() && recovery.overrides(axis)) {
       supervisor_.continue_from(axis, recovery.setpoint_rad(axis));
-      overwrite(channel, wire(recovery.setpoint_rad(axis), per_unit));
+      set_channel(channel, to_wire(recovery.setpoint_rad(axis), per_unit));
     }
   };
-  move(kElevation, Channel::elevation_setpoint, kElevationSetpointWire);
-  move(kTravel, Channel::travel_setpoint, kTravelSetpointWire);
+  report_recovery(kElevation, Channel::elevation_setpoint, kElevationSetpointWire);
+  report_recovery(kTravel, Channel::travel_setpoint, kTravelSetpointWire);
   if (!uploaded_.flying()) {
     return;
   }
   sample.raw[static_cast<std::size_t>(Channel::flags)] |= link::flags::law;
-  overwrite(Channel::elevation_setpoint, uploaded_.setpoint_raw(kElevation));
-  overwrite(Channel::pitch_setpoint, uploaded_.setpoint_raw(kPitch));
-  overwrite(Channel::travel_setpoint, uploaded_.setpoint_raw(kTravel));
-  overwrite(Channel::signal_1, uploaded_.signal_raw(0));
-  overwrite(Channel::signal_2, uploaded_.signal_raw(1));
-  overwrite(Channel::signal_3, uploaded_.signal_raw(2));
-  overwrite(Channel::signal_4, uploaded_.signal_raw(3));
+  set_channel(Channel::elevation_setpoint, uploaded_.setpoint_raw(kElevation));
+  set_channel(Channel::pitch_setpoint, uploaded_.setpoint_raw(kPitch));
+  set_channel(Channel::travel_setpoint, uploaded_.setpoint_raw(kTravel));
+  set_channel(Channel::signal_1, uploaded_.signal_raw(0));
+  set_channel(Channel::signal_2, uploaded_.signal_raw(1));
+  set_channel(Channel::signal_3, uploaded_.signal_raw(2));
+  set_channel(Channel::signal_4, uploaded_.signal_raw(3));
   uploaded_.set_acted({sample.raw[static_cast<std::size_t>(Channel::front)],
                        sample.raw[static_cast<std::size_t>(Channel::back)]});
 }
 
+// Fills and commits the sample of this tick, then publishes the counters for the idle loop.
 void Core::log_tick(const ControlOutput& out, TickTiming timing) {
   link::Sample& sample = link_.next_sample();
-  sample.tick = seen_.tick;
+  sample.tick = observation_.tick;
   using link::Channel;
   // A host that streams voltages may send the setpoints that its law follows.
-  const bool streamed = supervisor_.follows();
+  const bool streamed = supervisor_.host_setpoints_known();
   const auto setpoint = [this, streamed](std::size_t axis, Quantity board_rad) {
-    return streamed ? supervisor_.following_rad(axis) : board_rad;
+    return streamed ? supervisor_.host_setpoint_rad(axis) : board_rad;
   };
   std::uint8_t flags = 0;
-  const auto raise = [&flags](bool condition, std::uint8_t bit) {
+  const auto set_flag = [&flags](bool condition, std::uint8_t bit) {
     flags = static_cast<std::uint8_t>(flags | (condition ? bit : 0U));
   };
-  raise(out.front_saturated, link::flags::front_saturated);
-  raise(out.back_saturated, link::flags::back_saturated);
-  raise(excited_, link::flags::excitation);
-  raise(supervisor_.link_alive(), link::flags::link_alive);
-  raise(out.pitch_limited, link::flags::pitch_limited);
-  raise(timing.late, link::flags::overrun);
+  set_flag(out.front_saturated, link::flags::front_saturated);
+  set_flag(out.back_saturated, link::flags::back_saturated);
+  set_flag(excited_, link::flags::excitation);
+  set_flag(supervisor_.link_alive(), link::flags::link_alive);
+  set_flag(out.pitch_limited, link::flags::pitch_limited);
+  set_flag(timing.late, link::flags::overrun);
   link::SampleWriter(sample)
-      .put<Channel::elevation_count>(seen_.count[kElevation])
-      .put<Channel::pitch_count>(seen_.count[kPitch])
-      .put<Channel::travel_count>(seen_.count[kTravel])
-      .put<Channel::elevation_setpoint>(
-          wire(setpoint(kElevation, supervisor_.setpoint_rad(kElevation)), kElevationSetpointWire))
+      .put<Channel::elevation_count>(observation_.count[kElevation])
+      .put<Channel::pitch_count>(observation_.count[kPitch])
+      .put<Channel::travel_count>(observation_.count[kTravel])
+      .put<Channel::elevation_setpoint>(to_wire(
+          setpoint(kElevation, supervisor_.setpoint_rad(kElevation)), kElevationSetpointWire))
       .put<Channel::pitch_setpoint>(
-          wire(setpoint(kPitch, out.pitch_setpoint_rad), kPitchSetpointWire))
+          to_wire(setpoint(kPitch, out.pitch_setpoint_rad), kPitchSetpointWire))
       .put<Channel::travel_setpoint>(
-          wire(setpoint(kTravel, supervisor_.setpoint_rad(kTravel)), kTravelSetpointWire))
-      .put<Channel::front>(wire(seen_.acted.front_V, kFrontWire))
-      .put<Channel::back>(wire(seen_.acted.back_V, kBackWire))
+          to_wire(setpoint(kTravel, supervisor_.setpoint_rad(kTravel)), kTravelSetpointWire))
+      .put<Channel::front>(to_wire(observation_.applied.front_V, kFrontWire))
+      .put<Channel::back>(to_wire(observation_.applied.back_V, kBackWire))
       .put<Channel::state>(static_cast<std::int32_t>(supervisor_.state()))
       .put<Channel::fault>(static_cast<std::int32_t>(supervisor_.fault()))
       .put<Channel::trigger>(static_cast<std::int32_t>(supervisor_.cause()))
@@ -313,7 +336,7 @@ void Core::log_tick(const ControlOutput& out, TickTiming timing) {
 }
 
 void Core::tick(TickTiming timing) {
-  link_.begin_tick(seen_.tick);
+  link_.begin_tick(observation_.tick);
   const EncoderReading reading = board_.read_encoders();
   if (!zeroed_) {
     zeroed_ = true;
@@ -324,14 +347,15 @@ void Core::tick(TickTiming timing) {
   measure(reading, derived.conversion);
 
   // Motor voltages and pitch setpoint are those of the previous tick.
-  seen_.overload_edges = reading.overload_edges;
-  seen_.overruns = counters_.overruns;
-  seen_.hardware_stop = board_.hardware_stop();
-  seen_.link_age_ticks = link_.ticks_since_host_frame();
-  seen_.params_usable = store_.source() != link::ParamsSource::corrupt;
-  seen_.law_busy = uploaded_.busy();
-  supervisor_.observe(seen_, derived.limits, derived.bounds, derived.tracking);
+  observation_.overload_edges = reading.overload_edges;
+  observation_.overruns = counters_.overruns;
+  observation_.hardware_stop = board_.hardware_stop();
+  observation_.link_age_ticks = link_.ticks_since_host_frame();
+  observation_.params_usable = store_.source() != link::ParamsSource::corrupt;
+  observation_.law_busy = uploaded_.busy();
+  supervisor_.observe(observation_, derived.limits, derived.setpoint_limits, derived.tracking);
 
+  // Commands and streams of the host, then the checks, then the control law.
   if (const link::Request* request = link_.take_request()) {
     link_.answer(execute(*request, reading));
   }
@@ -341,11 +365,11 @@ void Core::tick(TickTiming timing) {
   }
   supervisor_.advance();
   excited_ = false;
-  const ControlOutput out = drive(bank);
-  actuate(out, derived.conversion);
-  seen_.pitch_setpoint_rad = out.pitch_setpoint_rad;
+  const ControlOutput out = compute_output(bank);
+  write_motors(out, derived.conversion);
+  observation_.pitch_setpoint_rad = out.pitch_setpoint_rad;
   log_tick(out, timing);
-  ++seen_.tick;
+  ++observation_.tick;
 }
 
 }  // namespace heli

@@ -50,18 +50,20 @@ class Core {
   struct Derived {
     Conversion conversion;
     flight::Limits limits;
-    flight::SetpointLimits bounds;
+    flight::SetpointLimits setpoint_limits;
     flight::TrackingLimits tracking;
   };
 
-  void refresh_derived();
+  void refresh_derived();  // idle loop
+  // All that follows runs in the tick.
   void measure(const EncoderReading& reading, const Conversion& c);
   void zero(const EncoderReading& reading, std::uint8_t axes);
   link::Reply execute(const link::Request& request, const EncoderReading& reading);
   link::Reply set_parameter(const link::ParamSetMessage& message, bool idle);
   link::Reply fly_law(bool on);
-  control::ControlOutput drive(control::Bank bank);
-  void actuate(const control::ControlOutput& out, const Conversion& c);
+  // Called by tick(), in this order after the supervisor has advanced.
+  control::ControlOutput compute_output(control::Bank bank);
+  void write_motors(const control::ControlOutput& out, const Conversion& c);
   void log_law(link::Sample& sample);
   void log_tick(const control::ControlOutput& out, TickTiming timing);
 
@@ -80,9 +82,9 @@ class Core {
   std::atomic<control::Bank> active_{0};
   std::uint32_t derived_revision_ = 0;
 
-  bool zeroed_ = false;
-  std::int32_t zero_count_[kAxisCount] = {};
-  flight::Observation seen_{};
+  bool zeroed_ = false;                       // the first tick has set the zero
+  std::int32_t zero_count_[kAxisCount] = {};  // board's counts at the zero of each axis
+  flight::Observation observation_{};
   bool excited_ = false;
   link::TickCounters counters_;
 };

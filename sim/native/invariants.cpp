@@ -34,7 +34,8 @@ const char* broken_invariant(const heli::FlightCode& code, std::int32_t duty_ful
   if (!heli::proofs::holds_verified(core.uploaded_.tape_)) return "interpreter";
   if (!heli::proofs::holds_accepted(core.uploaded_.tape_)) return "verifier";
   const auto bank = core.active_.load(std::memory_order_relaxed);
-  const bool bounded = holds(core.derived_[bank].bounds) && holds(core.supervisor_.setpoints_);
+  const bool bounded =
+      holds(core.derived_[bank].setpoint_limits) && holds(core.supervisor_.setpoints_);
   if (!bounded) return "setpoints";
   if (!holds(code.cascade.constants_[bank].mixer)) return "mixer";
   const heli::Conversion& conversion = core.derived_[bank].conversion;

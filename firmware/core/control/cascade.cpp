@@ -1,3 +1,5 @@
+// One step of the cascade and its changes between open and closed loops; see cascade.hpp.
+// update(), shadow() and what they call run in the tick; derive() runs in the idle loop.
 #include "control/cascade.hpp"
 
 #include "link/declaration.hpp"
@@ -15,10 +17,12 @@ void Cascade::shadow(const ControlInput& in, Bank bank, const ControlOutput& act
   const Pid elevation = state_.elevation;
   const Pid pitch = state_.pitch;
   const Pid travel = state_.travel;
+  // A step keeps the rest of the state up to date; its integrators are restored.
   step(in, c);
   state_.elevation = elevation;
   state_.pitch = pitch;
   state_.travel = travel;
+  // The state becomes that of a cascade which had commanded the law's voltages.
   state_.front_V = acting.front_V - in.excitation_front_V;
   state_.back_V = acting.back_V - in.excitation_back_V;
   const Quantity front_V = lift_from_motor_V(state_.front_V, c.dead_zone);
@@ -30,29 +34,30 @@ void Cascade::shadow(const ControlInput& in, Bank bank, const ControlOutput& act
 }
 
 ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
-  const std::uint8_t changed = state_.started ? static_cast<std::uint8_t>(in.axes ^ state_.axes)
-                                              : static_cast<std::uint8_t>(0xffU);
-  const auto closing = static_cast<std::uint8_t>(in.axes & changed);
+  const std::uint8_t changed_axes = state_.started
+                                        ? static_cast<std::uint8_t>(in.axes ^ state_.axes)
+                                        : static_cast<std::uint8_t>(0xffU);
+  const auto newly_closed = static_cast<std::uint8_t>(in.axes & changed_axes);
   state_.axes = in.axes;
   state_.started = true;
   if ((in.axes & (axes::elevation | axes::pitch)) == 0U) {
-    return all_open(in, c, changed != 0U);
+    return all_open(in, c, changed_axes != 0U);
   }
 
   // A loop that closes starts with its integral at zero.
-  if ((closing & axes::elevation) != 0U) {
+  if ((newly_closed & axes::elevation) != 0U) {
     state_.elevation.reset();
   }
-  if ((closing & axes::pitch) != 0U) {
+  if ((newly_closed & axes::pitch) != 0U) {
     state_.pitch.reset();
     state_.pitch_setpoint_rad = in.angle_rad[kPitch];
   }
-  if ((closing & axes::travel) != 0U) {
+  if ((newly_closed & axes::travel) != 0U) {
     state_.travel.reset();
   }
 
   const Quantity pitch_setpoint_rad =
-      follow_pitch_setpoint(in, c, (changed & (axes::travel | axes::pitch)) != 0U);
+      follow_pitch_setpoint(in, c, (changed_axes & (axes::travel | axes::pitch)) != 0U);
   const Quantity pitch_error_rad = pitch_setpoint_rad - in.angle_rad[kPitch];
   const Quantity elevation_error_rad = in.setpoint_rad[kElevation] - in.angle_rad[kElevation];
 
@@ -65,26 +70,26 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
   const Quantity collective_V = state_.collective_fade.apply(
       elevation_closed ? lift_for_elevation(in, c, elevation_error_rad)
                        : open_front_V + open_back_V,
-      state_.collective_V, (changed & axes::elevation) != 0U, c.bumpless_keep);
+      state_.collective_V, (changed_axes & axes::elevation) != 0U, c.bumpless_keep);
   const Quantity differential_V = state_.differential_fade.apply(
       pitch_closed ? c.pitch_hold_V_per_rad * pitch_setpoint_rad +
                          state_.pitch.output(c.pitch, pitch_error_rad, in.rate_rad_s[kPitch])
                    : open_front_V - open_back_V,
-      state_.differential_V, (changed & axes::pitch) != 0U, c.bumpless_keep);
+      state_.differential_V, (changed_axes & axes::pitch) != 0U, c.bumpless_keep);
 
   // The mixer limits both to what the motors can do. The state does not contain the excitation, so
   // that a change-over starts from the voltages of the loops alone.
   const Quantity excitation_sum_V = in.excitation_front_V + in.excitation_back_V;
   const Quantity excitation_difference_V = in.excitation_front_V - in.excitation_back_V;
-  const Quantity wanted_collective_V = collective_V + excitation_sum_V;
-  const Quantity wanted_differential_V = differential_V + excitation_difference_V;
-  const Mixed mixed = mix(wanted_collective_V, wanted_differential_V, c.mixer);
+  const Quantity requested_collective_V = collective_V + excitation_sum_V;
+  const Quantity requested_differential_V = differential_V + excitation_difference_V;
+  const Mixed mixed = mix(requested_collective_V, requested_differential_V, c.mixer);
   state_.collective_V = mixed.collective_V - excitation_sum_V;
   state_.differential_V = mixed.differential_V - excitation_difference_V;
 
   // The part beyond the motors' limits stops the integrators from winding up.
-  const Quantity collective_excess_V = wanted_collective_V - mixed.collective_V;
-  const Quantity differential_excess_V = wanted_differential_V - mixed.differential_V;
+  const Quantity collective_excess_V = requested_collective_V - mixed.collective_V;
+  const Quantity differential_excess_V = requested_differential_V - mixed.differential_V;
   if (elevation_closed) {
     state_.elevation.integrate(c.elevation, elevation_error_rad, collective_excess_V);
   }
@@ -99,6 +104,7 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
     state_.travel.integrate(c.travel, in.setpoint_rad[kTravel] - in.angle_rad[kTravel], excess);
   }
 
+  // Lift volts to motor volts, and what the telemetry flags report.
   state_.front_V =
       clamp(motor_from_lift_V(mixed.front_V, c.dead_zone), c.motor_min_V, c.motor_max_V);
   state_.back_V = clamp(motor_from_lift_V(mixed.back_V, c.dead_zone), c.motor_min_V, c.motor_max_V);
@@ -112,29 +118,33 @@ ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {
   return out;
 }
 
+// Collective lift volts (front + back) of the elevation loop: feedforward and PID, eq. (33).
 Quantity Cascade::lift_for_elevation(const ControlInput& in, const CascadeConstants& c,
                                      Quantity error_rad) const {
-  const Quantity braked_rad_s =
+  const Quantity rate_error_rad_s =
       in.rate_rad_s[kElevation] - c.elevation_rate_ff * in.setpoint_rate_rad_s[kElevation];
   return c.hover_V + c.hover_V_per_rad * in.setpoint_rad[kElevation] +
          c.elevation_acceleration_ff * in.setpoint_acceleration_rad_s2[kElevation] +
-         state_.elevation.output(c.elevation, error_rad, braked_rad_s);
+         state_.elevation.output(c.elevation, error_rad, rate_error_rad_s);
 }
 
+// Pitch setpoint in rad of the travel loop: feedforward and PID, eq. (34).
 Quantity Cascade::pitch_for_travel(const ControlInput& in, const CascadeConstants& c) const {
-  const Quantity braked_rad_s =
+  const Quantity rate_error_rad_s =
       in.rate_rad_s[kTravel] - c.travel_rate_ff * in.setpoint_rate_rad_s[kTravel];
   return c.travel_acceleration_ff * in.setpoint_acceleration_rad_s2[kTravel] +
          state_.travel.output(c.travel, in.setpoint_rad[kTravel] - in.angle_rad[kTravel],
-                              braked_rad_s);
+                              rate_error_rad_s);
 }
 
 // Without any closed loop the motors get the caller's voltages, to which no dead zone is added:
 // identification of the thrust curve needs the actual volts.
-ControlOutput Cascade::all_open(const ControlInput& in, const CascadeConstants& c, bool changed) {
+ControlOutput Cascade::all_open(const ControlInput& in, const CascadeConstants& c,
+                                bool axes_changed) {
   state_.front_V =
-      state_.front_fade.apply(in.open_front_V, state_.front_V, changed, c.bumpless_keep);
-  state_.back_V = state_.back_fade.apply(in.open_back_V, state_.back_V, changed, c.bumpless_keep);
+      state_.front_fade.apply(in.open_front_V, state_.front_V, axes_changed, c.bumpless_keep);
+  state_.back_V =
+      state_.back_fade.apply(in.open_back_V, state_.back_V, axes_changed, c.bumpless_keep);
   const Quantity front_V = state_.front_V + in.excitation_front_V;
   const Quantity back_V = state_.back_V + in.excitation_back_V;
   ControlOutput out{};
@@ -150,19 +160,21 @@ ControlOutput Cascade::all_open(const ControlInput& in, const CascadeConstants& 
   return out;
 }
 
+// The pitch setpoint of this tick: the travel loop's or the caller's, with a gradual change between
+// the two, limited in size and slew. The part beyond the limits stops the travel integrator.
 Quantity Cascade::follow_pitch_setpoint(const ControlInput& in, const CascadeConstants& c,
-                                        bool changed) {
+                                        bool axes_changed) {
   const bool travel_closed = (in.axes & axes::travel) != 0U && !in.travel_waits;
-  const bool jumps = changed || in.travel_waits != state_.travel_waits;
+  const bool transfer_needed = axes_changed || in.travel_waits != state_.travel_waits;
   state_.travel_waits = in.travel_waits;
-  const Quantity wanted_rad = state_.pitch_setpoint_fade.apply(
+  const Quantity requested_rad = state_.pitch_setpoint_fade.apply(
       travel_closed ? pitch_for_travel(in, c) : in.setpoint_rad[kPitch], state_.pitch_setpoint_rad,
-      jumps, c.bumpless_keep);
+      transfer_needed, c.bumpless_keep);
   const Quantity limited_rad =
-      clamp(wanted_rad, -c.pitch_setpoint_max_rad, c.pitch_setpoint_max_rad);
+      clamp(requested_rad, -c.pitch_setpoint_max_rad, c.pitch_setpoint_max_rad);
   state_.pitch_setpoint_rad = clamp(limited_rad, state_.pitch_setpoint_rad - c.pitch_step_max_rad,
                                     state_.pitch_setpoint_rad + c.pitch_step_max_rad);
-  state_.pitch_setpoint_excess_rad = wanted_rad - state_.pitch_setpoint_rad;
+  state_.pitch_setpoint_excess_rad = requested_rad - state_.pitch_setpoint_rad;
   return state_.pitch_setpoint_rad;
 }
 

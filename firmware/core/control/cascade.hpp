@@ -48,14 +48,15 @@ class Cascade final : public Controller {
     Quantity pitch_setpoint_excess_rad;
   };
 
-  // Not inlined: GCC 12 would work out the bank again at many uses of a constant, 39 instructions
-  // more on the Due.
+  // Not inlined: GCC 12 would compute the bank's address again at many uses of a constant, which
+  // costs 39 instructions more on the Due.
   [[gnu::noinline]] ControlOutput step(const ControlInput& in, const CascadeConstants& c);
-  ControlOutput all_open(const ControlInput& in, const CascadeConstants& c, bool changed);
+  ControlOutput all_open(const ControlInput& in, const CascadeConstants& c, bool axes_changed);
   Quantity lift_for_elevation(const ControlInput& in, const CascadeConstants& c,
                               Quantity error_rad) const;
   Quantity pitch_for_travel(const ControlInput& in, const CascadeConstants& c) const;
-  Quantity follow_pitch_setpoint(const ControlInput& in, const CascadeConstants& c, bool changed);
+  Quantity follow_pitch_setpoint(const ControlInput& in, const CascadeConstants& c,
+                                 bool axes_changed);
 
   State state_;
   CascadeConstants constants_[kBanks];

@@ -1,3 +1,4 @@
+// Converts the cascade's parameters (V/deg, deg, 1/s) to constants per tick in rad and fixed point.
 #include "control/cascade_constants.hpp"
 
 #include "control/bumpless_transfer.hpp"
@@ -9,6 +10,7 @@ namespace {
 
 using link::Param;
 
+// `ki` is per second. Units as in PidGains, with the loop's output.
 PidGains gains_of(float kp, float ki, float kd, float integral_max) {
   return {Gain::of(kp), Share::of(ki * kTick_s), Gain::of(kd), Quantity::of(integral_max)};
 }
@@ -18,6 +20,7 @@ PidGains gains_of(float kp, float ki, float kd, float integral_max) {
 CascadeConstants cascade_constants_of(const params::Params& params) {
   CascadeConstants c{};
   const auto volts = [&params](Param p) { return Quantity::of(params.get(p)); };
+  // The parameter is in V/deg (V per deg/s, V per deg/s2); the result is in V/rad.
   const auto volts_per_deg = [&params](Param p) { return params.get(p) * kDegPerRad; };
   c.elevation =
       gains_of(volts_per_deg(Param::elevation_kp), volts_per_deg(Param::elevation_ki),

@@ -9,19 +9,19 @@
 namespace heli::control {
 
 struct CascadeConstants {
-  PidGains elevation;
-  PidGains pitch;
-  PidGains travel;  // output is the pitch setpoint in rad
-  Quantity hover_V;
-  Gain hover_V_per_rad;
-  Gain pitch_hold_V_per_rad;
-  Share elevation_rate_ff;
-  Share travel_rate_ff;
+  PidGains elevation;              // output: collective lift volts
+  PidGains pitch;                  // output: differential lift volts
+  PidGains travel;                 // output: pitch setpoint in rad
+  Quantity hover_V;                // collective lift volts that carry the level arm
+  Gain hover_V_per_rad;            // their change with elevation
+  Gain pitch_hold_V_per_rad;       // differential lift volts that hold a pitch
+  Share elevation_rate_ff;         // share of the setpoint's rate that the D term does not brake
+  Share travel_rate_ff;            // likewise
   Gain elevation_acceleration_ff;  // V per rad/s2
   Gain travel_acceleration_ff;     // rad per rad/s2
   Quantity pitch_setpoint_max_rad;
   Quantity pitch_step_max_rad;  // per tick
-  Share bumpless_keep;          // of the jump left after one tick
+  Share bumpless_keep;          // share of a jump that remains after one tick
 
   DeadZone dead_zone;
   MixerLimits mixer;

@@ -1,4 +1,5 @@
-// The compiled controllers of a board: a row each, one of which the parameter `controller` selects.
+// The compiled controllers of a board: one row per controller. The parameter `controller` selects a
+// row.
 #pragma once
 
 #include <cstddef>

@@ -1,3 +1,5 @@
+// The signals of an excitation, sample by sample, in fixed point: step, doublet, chirp, multisine,
+// PRBS. start() and next() run in the tick.
 #include "control/excitation.hpp"
 
 #include <array>
@@ -17,6 +19,7 @@ constexpr float kStepPerHz = kTurn / kTickRate_Hz;
 // below 8e-5.
 constexpr std::size_t kQuarter = 64;
 
+// Sine of x quarter turns, for x from 0 to 1, by its series; at compile time only.
 constexpr double sine_of_quarter(double x) {
   const double angle = x * 1.5707963267948966;
   const double square = angle * angle;
@@ -42,7 +45,9 @@ constexpr std::array<std::int32_t, kQuarter + 2> make_quarter() {
 constexpr std::array<std::int32_t, kQuarter + 2> kSine = make_quarter();
 constexpr Share kOne = Share::of(1.0F);
 
-// In fixed point: sixteen of these per tick would cost 5,600 instructions in soft float.
+// Sine of a phase (2^32 is one turn), with 15 bits behind the point. The two top bits are the
+// quadrant. In fixed point, because sixteen of these per tick would cost 5,600 instructions in soft
+// float.
 std::int32_t sine_Q15(std::uint32_t phase) {
   const bool falling = (phase & 0x40000000U) != 0U;
   const std::uint32_t in_quarter = phase & 0x3fffffffU;
@@ -54,12 +59,12 @@ std::int32_t sine_Q15(std::uint32_t phase) {
   return (phase & 0x80000000U) != 0U ? -value : value;
 }
 
-// Eight Schroeder-phased tones of unit size peak below 4.6; the sum is scaled to stay within the
-// amplitude that was asked for.
+// The sum of eight tones of unit size with Schroeder's phases peaks below 4.6 (evaluated); it is
+// scaled to stay within the requested amplitude.
 constexpr Share kToneShare = Share::of(1.0F / 4.6F);
 
 // Tones of both motors lie evenly between start and stop, in turns; 2^32 is the whole spread.
-constexpr std::uint32_t kPlace = 0xffffffffU / (2U * Exciter::kTones - 1U);
+constexpr std::uint32_t kTonePosition = 0xffffffffU / (2U * Exciter::kTones - 1U);
 
 std::uint32_t step_of(float frequency_Hz) {
   return static_cast<std::uint32_t>(frequency_Hz * kStepPerHz);
@@ -74,7 +79,7 @@ void Exciter::start(const link::ExciteMessage& message) {
   tick_ = 0;
   const auto ticks = static_cast<std::uint32_t>(message.duration_s * kTickRate_Hz + 0.5F);
   duration_ticks_ = ticks == 0U ? 1U : ticks;
-  noise_ = message.seed;
+  prbs_register_ = message.seed;
   const float spread_Hz = message.stop_Hz - message.start_Hz;
   switch (kind_) {
     case Kind::chirp:
@@ -94,18 +99,19 @@ void Exciter::start(const link::ExciteMessage& message) {
   }
 }
 
+// Tones alternate between the motors: front, back, front ... from the lowest frequency upwards.
 void Exciter::start_tones(std::uint32_t start, std::uint32_t spread) {
   for (std::uint32_t tone = 0; tone < kTones; ++tone) {
     for (std::uint32_t motor = 0; motor < 2; ++motor) {
-      const std::uint64_t place = (2U * tone + motor) * kPlace;
-      step_[motor][tone] = start + static_cast<std::uint32_t>((place * spread) >> 32U);
+      const std::uint64_t position = (2U * tone + motor) * kTonePosition;
+      step_[motor][tone] = start + static_cast<std::uint32_t>((position * spread) >> 32U);
       // Schroeder: phase pi n^2 / N, here in turns n^2 / (2 N).
       phase_[motor][tone] = (tone * tone) << 28U;
     }
   }
 }
 
-Share Exciter::shape(std::size_t motor) {
+Share Exciter::unit_amplitude(std::size_t motor) {
   switch (kind_) {
     case Kind::step:
       return kOne;
@@ -123,7 +129,7 @@ Share Exciter::shape(std::size_t motor) {
     }
     case Kind::prbs:
       // Two bits of one register, far apart: the motors get different sequences.
-      return ((noise_ >> (motor * 13U)) & 1U) != 0U ? kOne : -kOne;
+      return ((prbs_register_ >> (motor * 13U)) & 1U) != 0U ? kOne : -kOne;
     case Kind::none:
       break;
   }
@@ -138,7 +144,8 @@ ExcitationValue Exciter::next() {
     stop();
     return {};
   }
-  const ExcitationValue value{shape(0) * amplitude_V_[0], shape(1) * amplitude_V_[1]};
+  const ExcitationValue value{unit_amplitude(0) * amplitude_V_[0],
+                              unit_amplitude(1) * amplitude_V_[1]};
   if (kind_ == Kind::chirp) {
     phase_[0][0] += static_cast<std::uint32_t>(chirp_step_);
     chirp_step_ += chirp_growth_;
@@ -147,9 +154,9 @@ ExcitationValue Exciter::next() {
     phase_[0][0] += step_[0][0];
     if (phase_[0][0] < before) {
       // xorshift32: period 2^32 - 1 for any seed but 0.
-      noise_ ^= noise_ << 13U;
-      noise_ ^= noise_ >> 17U;
-      noise_ ^= noise_ << 5U;
+      prbs_register_ ^= prbs_register_ << 13U;
+      prbs_register_ ^= prbs_register_ >> 17U;
+      prbs_register_ ^= prbs_register_ << 5U;
     }
   }
   ++tick_;

@@ -29,8 +29,8 @@ class Exciter {
  private:
   // Phase step of the first tone, and the difference between the last tone's and the first's.
   void start_tones(std::uint32_t start, std::uint32_t spread);
-  // Multisine of unit amplitude.
-  Share shape(std::size_t motor);
+  // Value of the signal between -1 and 1 for a motor (0 front, 1 back); advances a multisine.
+  Share unit_amplitude(std::size_t motor);
 
   link::Excitation kind_ = link::Excitation::none;
   Quantity amplitude_V_[2];
@@ -40,7 +40,7 @@ class Exciter {
   std::uint32_t step_[2][kTones] = {};   // turns per tick, same scale
   float chirp_step_ = 0.0F;              // current step as float: its growth is below one unit
   float chirp_growth_ = 0.0F;
-  std::uint32_t noise_ = 1;
+  std::uint32_t prbs_register_ = 1;  // of a xorshift32 generator; never 0
 };
 
 }  // namespace heli::control

@@ -62,14 +62,14 @@ class Fixed {
   // By the overflow flag, which takes half the instructions of a sum of 64 bits.
   friend constexpr Fixed operator+(Fixed a, Fixed b) {
     std::int32_t sum = 0;
-    const bool over = __builtin_add_overflow(a.raw_, b.raw_, &sum);
-    return from_raw(over ? end_of_range(a.raw_ < 0) : sum);
+    const bool overflowed = __builtin_add_overflow(a.raw_, b.raw_, &sum);
+    return from_raw(overflowed ? end_of_range(a.raw_ < 0) : sum);
   }
 
   friend constexpr Fixed operator-(Fixed a, Fixed b) {
     std::int32_t difference = 0;
-    const bool over = __builtin_sub_overflow(a.raw_, b.raw_, &difference);
-    return from_raw(over ? end_of_range(a.raw_ < 0) : difference);
+    const bool overflowed = __builtin_sub_overflow(a.raw_, b.raw_, &difference);
+    return from_raw(overflowed ? end_of_range(a.raw_ < 0) : difference);
   }
 
   friend constexpr Fixed operator-(Fixed a) { return Fixed{} - a; }
@@ -101,23 +101,24 @@ using Whole = Fixed<0>;
 
 // The nearest quantity, by the float's bits: in the tick floats come with commands only.
 inline Quantity quantity_of(float value) {
-  constexpr std::uint32_t kOne = 127;    // exponent of 1.0
-  constexpr std::uint32_t kHidden = 23;  // bits of the mantissa behind its leading one
-  constexpr std::uint32_t kLevel = kOne + kHidden - 24;  // where mantissa and quantity coincide
+  constexpr std::uint32_t kExponentOfOne = 127;  // exponent of 1.0
+  constexpr std::uint32_t kMantissaBits = 23;    // bits of the mantissa behind its leading one
+  constexpr std::uint32_t kEqualScale =
+      kExponentOfOne + kMantissaBits - 24;  // where mantissa and quantity coincide
   std::uint32_t bits = 0;
   std::memcpy(&bits, &value, sizeof bits);
-  const std::uint32_t exponent = (bits >> kHidden) & 0xffU;
+  const std::uint32_t exponent = (bits >> kMantissaBits) & 0xffU;
   const std::uint32_t mantissa = (bits & 0x7fffffU) | 0x800000U;
-  std::uint32_t size = 0;
-  if (exponent >= kOne + 7U) {
-    size = INT32_MAX;
-  } else if (exponent >= kLevel) {
-    size = mantissa << (exponent - kLevel);
-  } else if (exponent + kHidden + 2U > kLevel) {
-    const std::uint32_t shift = kLevel - exponent;
-    size = (mantissa + (1U << (shift - 1U))) >> shift;
+  std::uint32_t magnitude_raw = 0;
+  if (exponent >= kExponentOfOne + 7U) {
+    magnitude_raw = INT32_MAX;
+  } else if (exponent >= kEqualScale) {
+    magnitude_raw = mantissa << (exponent - kEqualScale);
+  } else if (exponent + kMantissaBits + 2U > kEqualScale) {
+    const std::uint32_t shift = kEqualScale - exponent;
+    magnitude_raw = (mantissa + (1U << (shift - 1U))) >> shift;
   }
-  const auto raw = static_cast<std::int32_t>(size);
+  const auto raw = static_cast<std::int32_t>(magnitude_raw);
   return Quantity::from_raw((bits >> 31U) != 0U ? -raw : raw);
 }
 
@@ -149,8 +150,8 @@ constexpr Quantity operator*(Fixed<kFactor> factor, Quantity quantity) {
 // The product rounded towards zero: what shrinks again and again becomes zero.
 constexpr Quantity shrunk(Quantity quantity, Share keep) {
   const std::int64_t exact = exact_product(quantity, keep);
-  const std::int64_t up = exact < 0 ? (std::int64_t{1} << 30) - 1 : 0;
-  return Quantity::from_raw(saturated((exact + up) >> 30));
+  const std::int64_t towards_zero = exact < 0 ? (std::int64_t{1} << 30) - 1 : 0;
+  return Quantity::from_raw(saturated((exact + towards_zero) >> 30));
 }
 
 template <int kFraction>

@@ -20,6 +20,7 @@ struct DeadZone {
   static DeadZone of(float zone_V) { return {Quantity::of(zone_V), Gain::of(zone_V * kPerBlend)}; }
 };
 
+// Odd function: a negative lift voltage drives the rotor backwards.
 inline Quantity motor_from_lift_V(Quantity lift_V, const DeadZone& dead) {
   if (lift_V >= kBlend_V) {
     return lift_V + dead.zone_V;
@@ -27,6 +28,7 @@ inline Quantity motor_from_lift_V(Quantity lift_V, const DeadZone& dead) {
   return lift_V <= -kBlend_V ? lift_V - dead.zone_V : lift_V + dead.slope * lift_V;
 }
 
+// Inverse of motor_from_lift_V() outside of the blend; 0 within the dead zone.
 inline Quantity lift_from_motor_V(Quantity motor_V, const DeadZone& dead) {
   if (motor_V > dead.zone_V) {
     return motor_V - dead.zone_V;
@@ -57,14 +59,15 @@ struct Mixed {
 // Paper eq. (32) inverted, with limits. Pitch has priority: the differential keeps its size and the
 // collective gives way, because a tandem that cannot hold its pitch cannot hold anything.
 inline Mixed mix(Quantity collective_V, Quantity differential_V, const MixerLimits& limits) {
-  Mixed m{};
-  m.differential_V = clamp(differential_V, -limits.differential_max_V, limits.differential_max_V);
-  const Quantity taken_V = magnitude(m.differential_V);
-  m.collective_V =
-      clamp(collective_V, limits.collective_min_V + taken_V, limits.collective_max_V - taken_V);
-  m.front_V = (m.collective_V + m.differential_V).half();
-  m.back_V = (m.collective_V - m.differential_V).half();
-  return m;
+  Mixed mixed{};
+  mixed.differential_V =
+      clamp(differential_V, -limits.differential_max_V, limits.differential_max_V);
+  const Quantity differential_size_V = magnitude(mixed.differential_V);
+  mixed.collective_V = clamp(collective_V, limits.collective_min_V + differential_size_V,
+                             limits.collective_max_V - differential_size_V);
+  mixed.front_V = (mixed.collective_V + mixed.differential_V).half();
+  mixed.back_V = (mixed.collective_V - mixed.differential_V).half();
+  return mixed;
 }
 
 }  // namespace heli::control

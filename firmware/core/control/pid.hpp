@@ -17,13 +17,15 @@ struct PidGains {
 
 class Pid {
  public:
+  // The unit of the output is the loop's: volts, or rad of pitch.
   Quantity output(const PidGains& gains, Quantity error_rad, Quantity rate_rad_s) const {
     // Summed before anything saturates: with large gains each term alone may exceed 128 while they
     // all but cancel. 2048 * 128, twice, is a quarter of what 64 bits hold with 44 behind the
     // point.
     const std::int64_t sum = exact_product(gains.kp, error_rad) -
-                             exact_product(gains.kd, rate_rad_s) + (integral_ >> (kFiner - kGain));
-    return Quantity::from_raw(shortened<kGain>(sum));
+                             exact_product(gains.kd, rate_rad_s) +
+                             (integral_ >> (kIntegralBits - kGainBits));
+    return Quantity::from_raw(shortened<kGainBits>(sum));
   }
 
   // `excess` is wanted minus achieved output. The integrator stands still while it would only
@@ -33,9 +35,10 @@ class Pid {
     if (same_sign && excess != Quantity{} && error_rad != Quantity{}) {
       return;
     }
-    const std::int64_t most = gains.integral_max.raw() * (std::int64_t{1} << kFiner);
+    const std::int64_t integral_max_raw =
+        gains.integral_max.raw() * (std::int64_t{1} << kIntegralBits);
     const std::int64_t step = exact_product(gains.ki_per_tick, error_rad);
-    integral_ = clamp(integral_ + step, -most, most);
+    integral_ = clamp(integral_ + step, -integral_max_raw, integral_max_raw);
   }
 
   void reset() { integral_ = 0; }
@@ -43,9 +46,9 @@ class Pid {
  private:
   // Bits of the integral behind those of the output: those of a Share, so that each product is
   // added whole. A tick's share of a small error is below the resolution of the output.
-  static constexpr int kFiner = 30;
+  static constexpr int kIntegralBits = 30;
   // Bits of the integral behind those of a Gain.
-  static constexpr int kGain = 20;
+  static constexpr int kGainBits = 20;
 
   std::int64_t integral_ = 0;
 };

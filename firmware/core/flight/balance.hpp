@@ -1,9 +1,11 @@
 // The drive that would hold an axis where it is, and how far the axis must have moved without it.
 //
-// A dead encoder reads like an arm at rest. An arm at rest is balanced: its drive cancels what else
-// acts on it. While counts come, a disturbance observer estimates the drive that would balance the
-// axis. Dry friction makes that drive depend on the way the axis moves, so a range of drives can
-// hold it. While no counts come, the drive beyond that range is integrated twice.
+// Computes how far an axis must have moved while its encoder does not count.
+//
+// A dead encoder reads like an arm at rest. An arm at rest is balanced: its drive cancels all other
+// torques on it. While counts come, a disturbance observer estimates the drive that would balance
+// the axis. Dry friction makes that drive depend on the direction of motion, so a range of drives
+// can hold the axis. While no counts come, the drive beyond that range is integrated twice.
 #pragma once
 
 #include <cstdint>
@@ -20,12 +22,12 @@ inline constexpr std::uint32_t kTrackingSlots = 4;
 
 // A drive is in volts of lift for elevation and pitch, and in rad of pitch for travel.
 struct BalanceLimits {
-  Gain drive_per_rad;    // the drive that turns the axis by one radian in T squared
-  Quantity width;        // half of the range of drives that may hold it, before it has moved
-  Quantity margin;       // of that range: noise of the observer, and what friction varies by
-  Quantity moved_max;    // excess drive, integrated twice over the time in units of T
-  Gain speed_per_rad_s;  // of the integrated drive, per rate of the axis
-  Quantity noise_rad_s;  // of a measured rate: what one count shows
+  Gain drive_per_rad;   // acceleration as drive: this drive changes the rate by 1 rad/T in T
+  Quantity half_width;  // half of the range of drives that may hold it, before it has moved
+  Quantity margin;      // added to that range: noise of the observer, variation of friction
+  Quantity expected_motion_max;  // bound of expected_motion(): drive times T squared
+  Gain speed_per_rad_s;          // converts a rate to an integrated drive (drive times T)
+  Quantity noise_rad_s;          // a measured rate up to here may come from single counts
 };
 
 class Balance {
@@ -36,53 +38,53 @@ class Balance {
   static constexpr int kShift = 8;
   static constexpr float kTime_s = 256.0F * static_cast<float>(kTrackingSlots) * 0.001F;
 
-  // Forgets all that was estimated for the axis.
+  // Forgets all estimates of the axis.
   void restart(const BalanceLimits& limits);
   // The axis cannot move freely, such as on the table; earlier estimates stay valid.
   void pause() {
     running_ = false;
-    stay();
+    restart_integration();
   }
   // The drive since the last count does not show that it has moved; earlier estimates stay valid.
-  void stay() {
-    coasts_ = false;
-    rate_ = Quantity{};
-    moved_ = Quantity{};
+  void restart_integration() {
+    coasting_ = false;
+    expected_rate_ = Quantity{};
+    expected_motion_ = Quantity{};
   }
   // `moved_counts` since the last update with a motion: 0 while the axis is still.
   void update(Quantity angle_rad, Quantity rate_rad_s, Quantity drive, std::int32_t moved_counts,
               const BalanceLimits& limits);
-  // How far the axis must have moved since it last counted, as `moved_max`.
-  Quantity moved() const { return control::magnitude(moved_); }
+  // How far the axis must have moved since it last counted, as `expected_motion_max`.
+  Quantity expected_motion() const { return control::magnitude(expected_motion_); }
   // Whether moved_max follows from the rate at which it last moved.
-  bool coasts() const { return coasts_; }
+  bool is_coasting() const { return coasting_; }
   // The last drive beyond the range that may hold the axis.
-  Quantity beyond() const { return beyond_; }
+  Quantity excess_drive() const { return excess_drive_; }
 
  private:
   // Drives that may hold the axis.
-  struct Range {
+  struct HoldingRange {
     Quantity low;
     Quantity high;
   };
 
-  void coast(Quantity rate_rad_s, bool up, const BalanceLimits& limits);
-  void learn(Quantity balance, bool up);
-  void integrate(Quantity drive, const BalanceLimits& limits);
-  Range range() const;
+  void start_coasting(Quantity rate_rad_s, bool moving_up, const BalanceLimits& limits);
+  void learn_half_width(Quantity balancing_drive, bool moving_up);
+  void integrate_excess(Quantity drive, const BalanceLimits& limits);
+  HoldingRange holding_range() const;
 
   // The observer: a second-order low-pass with two poles at -1/T.
-  Quantity fast_;
-  Quantity slow_;
-  Quantity balance_[2];  // the balancing drive when the axis last moved down and up
-  Quantity width_;
-  Quantity rate_;
-  Quantity moved_;
-  Quantity beyond_;
+  Quantity observer_output_;        // angle as a drive, plus the balancing drive
+  Quantity observer_state_;         // its derivative in units of T, plus twice that drive
+  Quantity balance_when_moved_[2];  // the balancing drive when the axis last moved down and up
+  Quantity half_width_;             // of the holding range, learned in flight
+  Quantity expected_rate_;          // excess drive, integrated once: drive times T
+  Quantity expected_motion_;
+  Quantity excess_drive_;
   std::uint32_t same_way_updates_ = 0;
-  std::uint32_t next_update_ = 0;
-  bool coasts_ = false;
-  bool up_ = false;
+  std::uint32_t next_learning_update_ = 0;
+  bool coasting_ = false;
+  bool moving_up_ = false;
   bool running_ = false;
 };
 

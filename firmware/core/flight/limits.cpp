@@ -1,3 +1,5 @@
+// Checks of angles, rates, encoders and overruns in flight, and of the state before arming; see
+// limits.hpp. The checks run in the tick, limits_of() in the idle loop.
 #include "flight/limits.hpp"
 
 #include "control/math.hpp"
@@ -25,87 +27,90 @@ constexpr Fault kEncoderFault[kAxisCount] = {Fault::encoder_elevation, Fault::en
 
 Limits limits_of(const params::Params& params) {
   const auto rad = [&params](Param p) { return Quantity::of(params.get(p) * kRadPerDeg); };
-  Limits l{};
-  l.angle_max_rad[kElevation] = rad(Param::elevation_max_deg);
-  l.angle_max_rad[kPitch] = rad(Param::pitch_max_deg);
-  l.angle_max_rad[kTravel] = rad(Param::travel_max_deg);
-  l.rate_max_rad_s[kElevation] = rad(Param::elevation_rate_max_deg_s);
-  l.rate_max_rad_s[kPitch] = rad(Param::pitch_rate_max_deg_s);
-  l.rate_max_rad_s[kTravel] = rad(Param::travel_rate_max_deg_s);
-  l.encoder_illegal_max = static_cast<std::uint32_t>(params.get(Param::encoder_illegal_max));
-  l.overrun_max = static_cast<std::uint32_t>(params.get(Param::overrun_max));
-  l.arm_rate_max_rad_s = rad(Param::arm_rate_max_deg_s);
-  l.arm_elevation_tolerance_rad = rad(Param::arm_elevation_tolerance_deg);
-  l.arm_pitch_tolerance_rad = rad(Param::arm_pitch_tolerance_deg);
-  l.rest_rad = rad(Param::elevation_rest_deg);
-  l.hold_ticks = ticks_of(params.get(Param::setpoint_hold_s));
-  l.land_ticks = ticks_of(params.get(Param::setpoint_land_s));
-  l.landing_timeout_ticks = ticks_of(params.get(Param::landing_timeout_s));
-  l.voltage_valid_max_ticks = static_cast<std::uint32_t>(params.get(Param::voltage_valid_max_ms));
-  l.excitation_max_V = params.get(Param::excitation_max_V);
-  l.excitation_max_s = params.get(Param::excitation_max_s);
-  l.motor_min_V = params.get(Param::motor_min_V);
-  l.motor_max_V = params.get(Param::motor_max_V);
-  l.params_consistent = params.consistent();
-  return l;
+  Limits limits{};
+  limits.angle_max_rad[kElevation] = rad(Param::elevation_max_deg);
+  limits.angle_max_rad[kPitch] = rad(Param::pitch_max_deg);
+  limits.angle_max_rad[kTravel] = rad(Param::travel_max_deg);
+  limits.rate_max_rad_s[kElevation] = rad(Param::elevation_rate_max_deg_s);
+  limits.rate_max_rad_s[kPitch] = rad(Param::pitch_rate_max_deg_s);
+  limits.rate_max_rad_s[kTravel] = rad(Param::travel_rate_max_deg_s);
+  limits.encoder_illegal_max = static_cast<std::uint32_t>(params.get(Param::encoder_illegal_max));
+  limits.overrun_max = static_cast<std::uint32_t>(params.get(Param::overrun_max));
+  limits.arm_rate_max_rad_s = rad(Param::arm_rate_max_deg_s);
+  limits.arm_elevation_tolerance_rad = rad(Param::arm_elevation_tolerance_deg);
+  limits.arm_pitch_tolerance_rad = rad(Param::arm_pitch_tolerance_deg);
+  limits.rest_rad = rad(Param::elevation_rest_deg);
+  limits.hold_ticks = ticks_of(params.get(Param::setpoint_hold_s));
+  limits.land_ticks = ticks_of(params.get(Param::setpoint_land_s));
+  limits.landing_timeout_ticks = ticks_of(params.get(Param::landing_timeout_s));
+  limits.voltage_valid_max_ticks =
+      static_cast<std::uint32_t>(params.get(Param::voltage_valid_max_ms));
+  limits.excitation_max_V = params.get(Param::excitation_max_V);
+  limits.excitation_max_s = params.get(Param::excitation_max_s);
+  limits.motor_min_V = params.get(Param::motor_min_V);
+  limits.motor_max_V = params.get(Param::motor_max_V);
+  limits.params_consistent = params.consistent();
+  return limits;
 }
 
-Verdict check_flight(const Observation& s, const AtArming& before, const Limits& l) {
-  if (s.hardware_stop) {
+Verdict check_flight(const Observation& observation, const AtArming& before, const Limits& limits) {
+  if (observation.hardware_stop) {
     return {Fault::hardware_stop, 0.0F};
   }
   // Checked first, because a wrong count exceeds the other limits too.
-  if (s.overload_edges > 0U) {
-    return {Fault::encoder_overload, static_cast<float>(s.overload_edges)};
+  if (observation.overload_edges > 0U) {
+    return {Fault::encoder_overload, static_cast<float>(observation.overload_edges)};
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    // Downwards the table is the elevation's limit.
+    // Elevation has no lower limit: the table stops the arm.
     const Quantity angle_rad =
-        axis == kElevation ? s.angle_rad[axis] : magnitude(s.angle_rad[axis]);
-    if (angle_rad > l.angle_max_rad[axis]) {
-      return {kAngleFault[axis], deg(s.angle_rad[axis])};
+        axis == kElevation ? observation.angle_rad[axis] : magnitude(observation.angle_rad[axis]);
+    if (angle_rad > limits.angle_max_rad[axis]) {
+      return {kAngleFault[axis], deg(observation.angle_rad[axis])};
     }
-    if (magnitude(s.rate_rad_s[axis]) > l.rate_max_rad_s[axis]) {
-      return {kRateFault[axis], deg(s.rate_rad_s[axis])};
+    if (magnitude(observation.rate_rad_s[axis]) > limits.rate_max_rad_s[axis]) {
+      return {kRateFault[axis], deg(observation.rate_rad_s[axis])};
     }
-    const std::uint32_t illegal = s.illegal[axis] - before.illegal[axis];
-    if (illegal > l.encoder_illegal_max) {
+    const std::uint32_t illegal = observation.illegal[axis] - before.illegal[axis];
+    if (illegal > limits.encoder_illegal_max) {
       return {kEncoderFault[axis], static_cast<float>(illegal)};
     }
   }
-  const std::uint32_t overruns = s.overruns - before.overruns;
-  if (overruns > l.overrun_max) {
+  const std::uint32_t overruns = observation.overruns - before.overruns;
+  if (overruns > limits.overrun_max) {
     return {Fault::tick_overrun, static_cast<float>(overruns)};
   }
   return {Fault::none, 0.0F};
 }
 
-Verdict check_before_arming(const Observation& s, const Limits& l) {
-  if (s.hardware_stop) {
+Verdict check_before_arming(const Observation& observation, const Limits& limits) {
+  if (observation.hardware_stop) {
     return {Fault::hardware_stop, 0.0F};
   }
-  if (s.overload_edges > 0U) {
-    return {Fault::encoder_overload, static_cast<float>(s.overload_edges)};
+  if (observation.overload_edges > 0U) {
+    return {Fault::encoder_overload, static_cast<float>(observation.overload_edges)};
   }
-  if (!s.params_usable || !l.params_consistent) {
+  if (!observation.params_usable || !limits.params_consistent) {
     return {Fault::parameters_invalid, 0.0F};
   }
-  if (s.link_age_ticks > l.hold_ticks) {
-    return {Fault::link_not_alive, static_cast<float>(s.link_age_ticks) * control::kTick_s};
+  if (observation.link_age_ticks > limits.hold_ticks) {
+    return {Fault::link_not_alive,
+            static_cast<float>(observation.link_age_ticks) * control::kTick_s};
   }
-  for (const Quantity rate_rad_s : s.rate_rad_s) {
-    if (magnitude(rate_rad_s) > l.arm_rate_max_rad_s) {
+  for (const Quantity rate_rad_s : observation.rate_rad_s) {
+    if (magnitude(rate_rad_s) > limits.arm_rate_max_rad_s) {
       return {Fault::moving, deg(rate_rad_s)};
     }
   }
-  if (magnitude(s.angle_rad[kElevation] - l.rest_rad) > l.arm_elevation_tolerance_rad) {
-    return {Fault::not_at_rest, deg(s.angle_rad[kElevation])};
+  if (magnitude(observation.angle_rad[kElevation] - limits.rest_rad) >
+      limits.arm_elevation_tolerance_rad) {
+    return {Fault::not_at_rest, deg(observation.angle_rad[kElevation])};
   }
-  if (magnitude(s.angle_rad[kPitch]) > l.arm_pitch_tolerance_rad) {
-    return {Fault::pitch_not_level, deg(s.angle_rad[kPitch])};
+  if (magnitude(observation.angle_rad[kPitch]) > limits.arm_pitch_tolerance_rad) {
+    return {Fault::pitch_not_level, deg(observation.angle_rad[kPitch])};
   }
-  if (magnitude(s.angle_rad[kTravel]) > l.angle_max_rad[kTravel]) {
-    return {Fault::travel_limit, deg(s.angle_rad[kTravel])};
+  if (magnitude(observation.angle_rad[kTravel]) > limits.angle_max_rad[kTravel]) {
+    return {Fault::travel_limit, deg(observation.angle_rad[kTravel])};
   }
   return {Fault::none, 0.0F};
 }

@@ -46,9 +46,9 @@ struct Verdict {
 };
 
 // Returns the first limit that is exceeded.
-Verdict check_flight(const Observation& seen, const AtArming& before, const Limits& limits);
+Verdict check_flight(const Observation& observation, const AtArming& before, const Limits& limits);
 
 // Returns the first reason not to arm.
-Verdict check_before_arming(const Observation& seen, const Limits& limits);
+Verdict check_before_arming(const Observation& observation, const Limits& limits);
 
 }  // namespace heli::flight

@@ -1,4 +1,4 @@
-// What is known in a tick after its encoders were read.
+// Measurements and states of one tick, collected after its encoders were read.
 #pragma once
 
 #include <cstdint>
@@ -16,20 +16,22 @@ struct OpenVoltages {
   Quantity back_V;
 };
 
+// Written by the core, in the tick only.
 struct Observation {
   std::uint32_t tick = 0;
   Quantity angle_rad[kAxisCount];
   Quantity rate_rad_s[kAxisCount];
-  std::int32_t count[kAxisCount] = {};
-  std::uint32_t illegal[kAxisCount] = {};  // since power-up; wraps
-  std::uint32_t overload_edges = 0;        // of this tick, see EncoderReading
-  std::uint32_t overruns = 0;              // since power-up
-  bool hardware_stop = false;
-  std::uint32_t link_age_ticks = 0;
-  OpenVoltages acted;           // motor voltages of the previous tick
-  Quantity pitch_setpoint_rad;  // that the control law used in it
-  bool params_usable = false;
-  bool law_busy = false;  // a law that came over the link flies, or has just been taken over from
+  std::int32_t count[kAxisCount] = {};  // of the encoder, wraps
+  std::uint32_t illegal[kAxisCount] =
+      {};                            // encoder transitions that cannot be, since power-up; wraps
+  std::uint32_t overload_edges = 0;  // of this tick, see EncoderReading
+  std::uint32_t overruns = 0;        // late ticks since power-up
+  bool hardware_stop = false;        // the stop input holds the motors off
+  std::uint32_t link_age_ticks = 0;  // since the last valid frame of the host
+  OpenVoltages applied;              // motor voltages of the previous tick
+  Quantity pitch_setpoint_rad;       // that the control law used in it
+  bool params_usable = false;        // the stored parameters were not corrupt
+  bool law_busy = false;  // an uploaded law flies, or its take-over by the cascade has not ended
 };
 
 }  // namespace heli::flight

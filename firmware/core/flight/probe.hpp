@@ -17,25 +17,26 @@ namespace heli::flight {
 using control::Quantity;
 
 struct ProbeLimits {
-  std::uint32_t silence_updates = 0;  // without a count, while pitch counts; 0: it never asks
-  Quantity tilt_rad;
-  Quantity step_rad;      // of the tilt, per update
-  Quantity steady_rad;    // of pitch: beyond, the loop itself tilts the arm
-  Quantity most_rad;      // of pitch: beyond, there is no room for the tilt
-  Quantity friction_rad;  // tilt that dry friction may hold
-  Quantity moved_least;   // a tilt beyond that, integrated twice, that must show as counts
+  // An update takes place every 4 ms. Angles are pitch.
+  std::uint32_t silence_updates = 0;  // without a count, while pitch counts; 0: no probes
+  Quantity tilt_rad;                  // size of the probing tilt
+  Quantity step_rad;                  // of the tilt, per update
+  Quantity steady_rad;                // of pitch: beyond, the loop itself tilts the arm
+  Quantity pitch_max_rad;             // of pitch: beyond, there is no room for the tilt
+  Quantity friction_rad;              // tilt that dry friction may hold
+  Quantity expected_travel_min;  // a tilt beyond that, integrated twice, that must show as counts
 };
 
-// The axis, since the last update.
-struct Asked {
-  bool held = false;       // by the cascade, in the air
-  bool may_begin = false;  // a tilt, now
-  bool doubted = false;    // for another reason than its silence
-  bool moved = false;      // its encoder has counted
-  bool stirred = false;    // pitch has counted: something disturbs the arm
-  Quantity error_rad;
+// What happened to the axis since the last update.
+struct ProbeInput {
+  bool is_held = false;      // the cascade controls travel, and the arm is in the air
+  bool may_begin = false;    // the arm is high enough to begin a tilt
+  bool suspected = false;    // Tracking::check() suspects the encoder
+  bool moved = false;        // travel's encoder has counted
+  bool pitch_moved = false;  // pitch has moved by kStirringPitch_rad: something disturbs the arm
+  Quantity error_rad;        // setpoint of travel minus its angle
   Quantity pitch_rad;
-  control::Share lift;  // that a tilt turns, of what carries the level arm
+  control::Share lift;  // of the rotors at this elevation; 1 carries the level arm
 };
 
 class Probe {
@@ -43,36 +44,39 @@ class Probe {
   // Forgets all that is known of the axis.
   void restart() { *this = Probe{}; }
   // Returns the event to report, if any.
-  link::Probe update(const Asked& axis, const ProbeLimits& limits);
+  link::Probe update(const ProbeInput& axis, const ProbeLimits& limits);
   // Whether it tilts the arm: then the pitch setpoint is pitch_rad(), not that of the travel loop.
-  bool asks() const { return stage_ != Stage::listens; }
+  bool is_tilting() const { return stage_ != Stage::waits; }
   Quantity pitch_rad() const { return balance_rad_ + tilt_rad_; }
   Quantity tilt_rad() const { return tilt_rad_; }
-  // How far the arm must have turned, as `moved_least`. It may have rested near the end of what
-  // friction holds to one side. Then the tilt to the other side has to move it, so the smaller
+  // How far the arm must have turned, as `expected_travel_min`. It may have rested near the end of
+  // what friction holds to one side. Then the tilt to the other side has to move it, so the smaller
   // distance is returned.
-  Quantity turned() const { return most_[0] < most_[1] ? most_[0] : most_[1]; }
+  Quantity expected_travel() const {
+    return expected_travel_max_[0] < expected_travel_max_[1] ? expected_travel_max_[0]
+                                                             : expected_travel_max_[1];
+  }
 
  private:
-  enum class Stage : std::uint8_t { listens, first, second };
+  enum class Stage : std::uint8_t { waits, first, second };
 
-  link::Probe listen(const Asked& axis, const ProbeLimits& limits);
-  link::Probe tilt(const Asked& axis, const ProbeLimits& limits);
+  link::Probe wait_for_silence(const ProbeInput& axis, const ProbeLimits& limits);
+  link::Probe tilt(const ProbeInput& axis, const ProbeLimits& limits);
   link::Probe end(link::Probe answer);
-  void integrate(std::size_t side, Quantity beyond);
+  void integrate_motion(std::size_t side, Quantity excess_rad);
 
-  Stage stage_ = Stage::listens;
-  std::uint8_t patience_ = 0;         // doublings of the silence that it accepts
-  std::uint8_t side_ = 0;             // of the tilt: 0 is up
-  std::uint32_t silent_updates_ = 0;  // without counts
-  std::uint32_t still_updates_ = 0;   // since pitch counted
-  std::uint32_t calm_updates_ = 0;    // since it last asked
-  std::uint32_t tilted_updates_ = 0;  // to this side
+  Stage stage_ = Stage::waits;
+  std::uint8_t silence_doublings_ = 0;     // the accepted silence doubles this often
+  std::uint8_t side_ = 0;                  // of the present tilt: 0 is positive pitch
+  std::uint32_t silent_updates_ = 0;       // without counts
+  std::uint32_t pitch_still_updates_ = 0;  // since pitch counted
+  std::uint32_t since_probe_updates_ = 0;  // since the last probe ended
+  std::uint32_t tilt_updates_ = 0;         // to this side
   Quantity tilt_rad_;
-  Quantity balance_rad_;  // pitch at which the axis was still
-  Quantity rate_[2];      // to each side: what the tilt beyond friction makes of it
-  Quantity turned_[2];
-  Quantity most_[2];
+  Quantity balance_rad_;         // pitch at which the axis was still
+  Quantity expected_rate_[2];    // to each side: tilt beyond friction, integrated once
+  Quantity expected_travel_[2];  // integrated twice
+  Quantity expected_travel_max_[2];
 };
 
 }  // namespace heli::flight

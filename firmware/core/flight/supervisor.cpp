@@ -1,3 +1,5 @@
+// The supervisor's commands, streams and checks; see supervisor.hpp. All of it runs in the tick.
+// A function that returns a Reply answers a command: result, detail byte, value.
 #include "flight/supervisor.hpp"
 
 #include <initializer_list>
@@ -20,6 +22,7 @@ constexpr std::uint8_t kAllAxes = link::axes::elevation | link::axes::pitch | li
 
 // Landing: the setpoint goes this far below rest, so that the collective voltage falls to zero.
 constexpr Quantity kBelowRest_rad = Quantity::of(5.0F * kRadPerDeg);
+// The arm has landed when it stays this near to its rest, this slow, for 0.3 s.
 constexpr Quantity kTouchdown_rad = Quantity::of(1.5F * kRadPerDeg);
 constexpr Quantity kTouchdown_rad_s = Quantity::of(5.0F * kRadPerDeg);
 constexpr std::uint32_t kTouchdown_ticks = 300;
@@ -29,14 +32,15 @@ constexpr std::uint32_t kRejectEvery_ticks = 500;
 
 constexpr float kNyquist_Hz = 0.5F * control::kTickRate_Hz;
 
-bool within(float value, float least, float most) { return value >= least && value <= most; }
+bool in_range(float value, float least, float most) { return value >= least && value <= most; }
 
+// True from the deadline on, for 2^31 ticks (24 days); ticks wrap.
 bool passed(std::uint32_t tick, std::uint32_t deadline_tick) {
   return static_cast<std::int32_t>(tick - deadline_tick) >= 0;
 }
 
 template <class Enum>
-std::uint8_t code(Enum value) {
+std::uint8_t as_byte(Enum value) {
   return static_cast<std::uint8_t>(value);
 }
 
@@ -47,11 +51,11 @@ Reply bad_value(std::uint8_t field, float value = 0.0F) {
 
 }  // namespace
 
-void Supervisor::observe(const Observation& seen, const Limits& limits,
+void Supervisor::observe(const Observation& observation, const Limits& limits,
                          const SetpointLimits& bounds, const TrackingLimits& tracking) {
-  seen_ = &seen;
+  observation_ = &observation;
   limits_ = &limits;
-  bounds_ = &bounds;
+  setpoint_limits_ = &bounds;
   tracking_limits_ = &tracking;
 }
 
@@ -69,18 +73,20 @@ std::uint8_t Supervisor::axes() const {
   }
 }
 
+// Accepted stream values in the last second: the four complete buckets, without the running one.
 std::uint16_t Supervisor::setpoint_rate_Hz() const {
   std::uint16_t sum = 0;
-  for (const std::uint16_t count : accepted_) {
+  for (const std::uint16_t count : accepted_values_) {
     sum = static_cast<std::uint16_t>(sum + count);
   }
-  return static_cast<std::uint16_t>(sum - accepted_[bucket_]);
+  return static_cast<std::uint16_t>(sum - accepted_values_[bucket_]);
 }
 
-void Supervisor::event(Event kind, std::uint8_t detail, std::uint8_t cause, float value) {
-  link_.push_event({seen_->tick, code(kind), detail, cause, value});
+void Supervisor::push_event(Event kind, std::uint8_t detail, std::uint8_t cause, float value) {
+  link_.push_event({observation_->tick, as_byte(kind), detail, cause, value});
 }
 
+// Applies the state table. False if the present state refuses the trigger; then nothing changes.
 bool Supervisor::trigger(Trigger cause) {
   const std::uint8_t next = next_state(state_, cause);
   if (next == kRefused) {
@@ -90,45 +96,50 @@ bool Supervisor::trigger(Trigger cause) {
   return true;
 }
 
+// Changes the state, prepares the setpoints of the new state, and reports the change.
 void Supervisor::enter(State next, Trigger cause) {
   if (next == State::hold || descends(next) || !flight::motors_enabled(next)) {
     end_excitation();
   }
+  // Hold: the arm stops where it is, level, but not above the highest setpoint.
   if (next == State::hold) {
-    const Quantity elevation_rad = seen_->angle_rad[kElevation];
-    setpoints_.hold_at(kElevation, elevation_rad < bounds_->max_rad[kElevation]
+    const Quantity elevation_rad = observation_->angle_rad[kElevation];
+    setpoints_.hold_at(kElevation, elevation_rad < setpoint_limits_->max_rad[kElevation]
                                        ? elevation_rad
-                                       : bounds_->max_rad[kElevation]);
-    setpoints_.hold_at(kTravel, seen_->angle_rad[kTravel]);
+                                       : setpoint_limits_->max_rad[kElevation]);
+    setpoints_.hold_at(kTravel, observation_->angle_rad[kTravel]);
     setpoints_.hold_at(kPitch, Quantity{});
   }
+  // A landing begins at the setpoints of the closed axes, and where the other axes are.
   if (descends(next) && state_ != next) {
     for (const std::size_t axis : {kElevation, kTravel}) {
       const bool closed = (axes() & (1U << axis)) != 0U;
-      setpoints_.hold_at(axis, closed ? setpoints_.of(axis).angle_rad : seen_->angle_rad[axis]);
+      setpoints_.hold_at(axis,
+                         closed ? setpoints_.of(axis).angle_rad : observation_->angle_rad[axis]);
     }
     setpoints_.hold_at(kPitch, Quantity{});
-    lands_level_ = tracking_.asks();
-    quiet_ticks_ = 0;
+    landing_holds_pitch_level_ = tracking_.is_probing();
+    rest_ticks_ = 0;
   }
+  // Only a fault and an emergency landing keep the fault's number.
   if (next == State::fault) {
-    open_ = {};
+    open_voltages_ = {};
   } else if (next != State::emergency_landing) {
     fault_ = Fault::none;
   }
   if (next != state_) {
-    entered_tick_ = seen_->tick;
+    state_entered_tick_ = observation_->tick;
     if (cause != Trigger::touchdown) {
       cause_ = cause;
     }
-    event(Event::state, code(next), code(cause), 0.0F);
+    push_event(Event::state, as_byte(next), as_byte(cause), 0.0F);
   }
   state_ = next;
 }
 
 void Supervisor::end_excitation() {
   if (exciter_.running()) {
-    event(Event::excitation_end, code(exciter_.kind()), 0, 0.0F);
+    push_event(Event::excitation_end, as_byte(exciter_.kind()), 0, 0.0F);
     exciter_.stop();
   }
 }
@@ -136,13 +147,13 @@ void Supervisor::end_excitation() {
 void Supervisor::trip(Fault fault, float value, Trigger cause) {
   trigger(cause);
   fault_ = fault;
-  event(Event::fault, code(fault), code(cause), value);
+  push_event(Event::fault, as_byte(fault), as_byte(cause), value);
 }
 
-Reply Supervisor::refuse_state() const { return {Result::bad_state, code(state_), 0.0F}; }
+Reply Supervisor::bad_state() const { return {Result::bad_state, as_byte(state_), 0.0F}; }
 
-Reply Supervisor::plain(Trigger cause) {
-  return trigger(cause) ? Reply{Result::ok, code(state_), 0.0F} : refuse_state();
+Reply Supervisor::reply_to_trigger(Trigger cause) {
+  return trigger(cause) ? Reply{Result::ok, as_byte(state_), 0.0F} : bad_state();
 }
 
 Reply Supervisor::execute(const link::Request& request) {
@@ -150,85 +161,91 @@ Reply Supervisor::execute(const link::Request& request) {
     case MessageId::arm:
       return arm();
     case MessageId::stop:
-      return plain(Trigger::stop);
+      return reply_to_trigger(Trigger::stop);
     case MessageId::control:
       return control(request.as<link::ControlMessage>());
     case MessageId::stream: {
-      const Reply reply = plain(Trigger::stream);
+      const Reply reply = reply_to_trigger(Trigger::stream);
       if (reply.result == Result::ok) {
-        open_ = seen_->acted;
-        follows_ = false;
+        // The last voltages act until the first streamed ones arrive, or until their time ends.
+        open_voltages_ = observation_->applied;
+        host_setpoints_known_ = false;
         axes_ = kAllAxes;
-        fresh_tick_ = seen_->tick;
-        voltage_end_tick_ = seen_->tick + limits_->voltage_valid_max_ticks;
+        last_stream_tick_ = observation_->tick;
+        voltage_end_tick_ = observation_->tick + limits_->voltage_valid_max_ticks;
       }
       return reply;
     }
     case MessageId::land:
-      return plain(Trigger::land);
+      return reply_to_trigger(Trigger::land);
     case MessageId::excite:
       return excite(request.as<link::ExciteMessage>());
     case MessageId::excite_stop:
       end_excitation();
       return {Result::ok, 0, 0.0F};
     case MessageId::clear_fault:
-      if (seen_->hardware_stop && state_ == State::fault) {
-        return {Result::check_failed, code(Fault::hardware_stop), 0.0F};
+      if (observation_->hardware_stop && state_ == State::fault) {
+        return {Result::check_failed, as_byte(Fault::hardware_stop), 0.0F};
       }
-      return plain(Trigger::clear);
+      return reply_to_trigger(Trigger::clear);
     default:
       return {Result::unknown_command, 0, 0.0F};
   }
 }
 
+// Checks everything that must hold before arming, and stores the counters that only errors in this
+// flight may raise.
 Reply Supervisor::arm() {
   if (next_state(state_, Trigger::arm) == kRefused) {
-    return refuse_state();
+    return bad_state();
   }
-  const Verdict verdict = check_before_arming(*seen_, *limits_);
+  const Verdict verdict = check_before_arming(*observation_, *limits_);
   if (verdict.fault != Fault::none) {
-    return {Result::check_failed, code(verdict.fault), verdict.value};
+    return {Result::check_failed, as_byte(verdict.fault), verdict.value};
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    at_arming_.illegal[axis] = seen_->illegal[axis];
+    at_arming_.illegal[axis] = observation_->illegal[axis];
   }
-  at_arming_.overruns = seen_->overruns;
-  open_ = {};
+  at_arming_.overruns = observation_->overruns;
+  open_voltages_ = {};
   axes_ = 0;
-  return plain(Trigger::arm);
+  return reply_to_trigger(Trigger::arm);
 }
 
+// Closes the loops of the requested axes; no axes means open loop with the message's voltages.
 Reply Supervisor::control(const link::ControlMessage& message) {
-  const std::uint8_t wanted = message.axes;
+  const std::uint8_t requested_axes = message.axes;
   const bool travel_alone =
-      (wanted & link::axes::travel) != 0U && (wanted & link::axes::pitch) == 0U;
-  if ((wanted & ~kAllAxes) != 0U || travel_alone) {
-    return bad_value(0, static_cast<float>(wanted));
+      (requested_axes & link::axes::travel) != 0U && (requested_axes & link::axes::pitch) == 0U;
+  if ((requested_axes & ~kAllAxes) != 0U || travel_alone) {
+    return bad_value(0, static_cast<float>(requested_axes));
   }
-  if (!within(message.front_V, limits_->motor_min_V, limits_->motor_max_V)) {
+  if (!in_range(message.front_V, limits_->motor_min_V, limits_->motor_max_V)) {
     return bad_value(1, message.front_V);
   }
-  if (!within(message.back_V, limits_->motor_min_V, limits_->motor_max_V)) {
+  if (!in_range(message.back_V, limits_->motor_min_V, limits_->motor_max_V)) {
     return bad_value(2, message.back_V);
   }
-  const auto closing = static_cast<std::uint8_t>(wanted & ~axes());
-  if (!trigger(wanted != 0U ? Trigger::close_loop : Trigger::open_loop)) {
-    return refuse_state();
+  const auto newly_closed_axes = static_cast<std::uint8_t>(requested_axes & ~axes());
+  if (!trigger(requested_axes != 0U ? Trigger::close_loop : Trigger::open_loop)) {
+    return bad_state();
   }
+  // An axis that was open before is held where it is.
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    if ((closing & (1U << axis)) != 0U) {
-      setpoints_.hold_at(axis, seen_->angle_rad[axis]);
+    if ((newly_closed_axes & (1U << axis)) != 0U) {
+      setpoints_.hold_at(axis, observation_->angle_rad[axis]);
     }
   }
-  axes_ = wanted;
-  open_ = {control::quantity_of(message.front_V), control::quantity_of(message.back_V)};
-  fresh_tick_ = seen_->tick;
-  return {Result::ok, code(state_), 0.0F};
+  axes_ = requested_axes;
+  open_voltages_ = {control::quantity_of(message.front_V), control::quantity_of(message.back_V)};
+  last_stream_tick_ = observation_->tick;
+  return {Result::ok, as_byte(state_), 0.0F};
 }
 
+// Checks an excitation, field by field, and starts it. The number in bad_value() is the field.
 Reply Supervisor::excite(const link::ExciteMessage& message) {
   if (state_ != State::closed_loop && state_ != State::open_loop && state_ != State::streamed) {
-    return refuse_state();
+    return bad_state();
   }
   const auto kind = static_cast<link::Excitation>(message.kind);
   if (message.kind == 0U || message.kind >= link::kExcitationCount) {
@@ -240,15 +257,16 @@ Reply Supervisor::excite(const link::ExciteMessage& message) {
   if (magnitude(message.back_V) > limits_->excitation_max_V) {
     return bad_value(2, message.back_V);
   }
-  const bool sweeps = kind == link::Excitation::chirp || kind == link::Excitation::multisine;
-  if (sweeps && !within(message.start_Hz, 0.0F, kNyquist_Hz)) {
+  const bool has_frequency_band =
+      kind == link::Excitation::chirp || kind == link::Excitation::multisine;
+  if (has_frequency_band && !in_range(message.start_Hz, 0.0F, kNyquist_Hz)) {
     return bad_value(3, message.start_Hz);
   }
-  if ((sweeps && !within(message.stop_Hz, message.start_Hz, kNyquist_Hz)) ||
-      (kind == link::Excitation::prbs && !within(message.stop_Hz, 0.01F, kNyquist_Hz))) {
+  if ((has_frequency_band && !in_range(message.stop_Hz, message.start_Hz, kNyquist_Hz)) ||
+      (kind == link::Excitation::prbs && !in_range(message.stop_Hz, 0.01F, kNyquist_Hz))) {
     return bad_value(4, message.stop_Hz);
   }
-  if (!within(message.duration_s, control::kTick_s, limits_->excitation_max_s)) {
+  if (!in_range(message.duration_s, control::kTick_s, limits_->excitation_max_s)) {
     return bad_value(5, message.duration_s);
   }
   if (kind == link::Excitation::prbs && message.seed == 0U) {
@@ -259,73 +277,74 @@ Reply Supervisor::excite(const link::ExciteMessage& message) {
   return {Result::ok, message.kind, 0.0F};
 }
 
+// Streams get no answer: an invalid value is counted and reported as an event.
 void Supervisor::take_stream(const link::StreamValue& value) {
   if (value.id == MessageId::setpoint) {
     take_setpoint(value.setpoint);
   } else if (value.id == MessageId::voltages) {
     take_voltages(value.voltages);
   } else if (state_ == State::streamed) {
-    following_rad_[kElevation] = control::quantity_of(value.following.elevation_rad);
-    following_rad_[kPitch] = control::quantity_of(value.following.pitch_rad);
-    following_rad_[kTravel] = control::quantity_of(value.following.travel_rad);
-    follows_ = true;
+    host_setpoint_rad_[kElevation] = control::quantity_of(value.following.elevation_rad);
+    host_setpoint_rad_[kPitch] = control::quantity_of(value.following.pitch_rad);
+    host_setpoint_rad_[kTravel] = control::quantity_of(value.following.travel_rad);
+    host_setpoints_known_ = true;
   }
 }
 
 void Supervisor::take_setpoint(const link::SetpointMessage& message) {
   if (state_ != State::closed_loop && state_ != State::hold) {
-    reject(Result::bad_state);
+    reject_stream(Result::bad_state);
     return;
   }
   const Quantity target_rad[kAxisCount] = {control::quantity_of(message.elevation_rad),
                                            control::quantity_of(message.pitch_rad),
                                            control::quantity_of(message.travel_rad)};
-  if (!setpoints_.aim(target_rad, message.apply_tick, seen_->tick, *bounds_)) {
-    reject(Result::bad_value);
+  if (!setpoints_.aim(target_rad, message.apply_tick, observation_->tick, *setpoint_limits_)) {
+    reject_stream(Result::bad_value);
     return;
   }
   count_accepted();
   if (trigger(Trigger::setpoint_fresh)) {
-    event(Event::setpoint_fresh, 0, 0, 0.0F);
+    push_event(Event::setpoint_fresh, 0, 0, 0.0F);
   }
 }
 
 void Supervisor::take_voltages(const link::VoltagesMessage& message) {
   if (state_ != State::streamed) {
-    reject(Result::bad_state);
+    reject_stream(Result::bad_state);
     return;
   }
-  if (!within(message.front_V, limits_->motor_min_V, limits_->motor_max_V) ||
-      !within(message.back_V, limits_->motor_min_V, limits_->motor_max_V)) {
-    reject(Result::bad_value);
+  if (!in_range(message.front_V, limits_->motor_min_V, limits_->motor_max_V) ||
+      !in_range(message.back_V, limits_->motor_min_V, limits_->motor_max_V)) {
+    reject_stream(Result::bad_value);
     return;
   }
-  open_ = {control::quantity_of(message.front_V), control::quantity_of(message.back_V)};
+  open_voltages_ = {control::quantity_of(message.front_V), control::quantity_of(message.back_V)};
   const std::uint32_t valid_ticks = message.valid_ms < limits_->voltage_valid_max_ticks
                                         ? message.valid_ms
                                         : limits_->voltage_valid_max_ticks;
-  voltage_end_tick_ = seen_->tick + valid_ticks;
+  voltage_end_tick_ = observation_->tick + valid_ticks;
   count_accepted();
 }
 
 void Supervisor::count_accepted() {
-  ++accepted_[bucket_];
-  fresh_tick_ = seen_->tick;
-  rate_when_fresh_Hz_ = setpoint_rate_Hz();
+  ++accepted_values_[bucket_];
+  last_stream_tick_ = observation_->tick;
+  last_stream_rate_Hz_ = setpoint_rate_Hz();
 }
 
-void Supervisor::reject(Result why) {
+void Supervisor::reject_stream(Result why) {
   ++refused_streams_;
   // Streaming during a landing is no error: the host may not know of the landing yet.
-  if (descends(state_) || !passed(seen_->tick, next_reject_event_tick_)) {
+  if (descends(state_) || !passed(observation_->tick, next_reject_event_tick_)) {
     return;
   }
-  next_reject_event_tick_ = seen_->tick + kRejectEvery_ticks;
-  event(Event::setpoint_rejected, code(why), 0, 0.0F);
+  next_reject_event_tick_ = observation_->tick + kRejectEvery_ticks;
+  push_event(Event::setpoint_rejected, as_byte(why), 0, 0.0F);
 }
 
 void Supervisor::check_limits() {
-  const Verdict verdict = check_flight(*seen_, at_arming_, *limits_);
+  const Verdict verdict = check_flight(*observation_, at_arming_, *limits_);
   if (verdict.fault != Fault::none) {
     trip(verdict.fault, verdict.value);
   }
@@ -338,26 +357,28 @@ void Supervisor::check_tracking() {
     return;
   }
   const std::uint8_t closed = axes();
-  Tracked tracked{*seen_, {}, closed, state_ == State::streamed ? kAllAxes : closed, false, false};
-  tracked.setpoint_rad[kElevation] = setpoints_.angle_rad(kElevation);
-  tracked.setpoint_rad[kPitch] = seen_->pitch_setpoint_rad;
-  tracked.setpoint_rad[kTravel] = setpoints_.angle_rad(kTravel);
-  tracked.descends = descends(state_);
-  if (tracked.descends) {
+  TrackingInput input{*observation_, {},   closed, state_ == State::streamed ? kAllAxes : closed,
+                      false,         false};
+  input.setpoint_rad[kElevation] = setpoints_.angle_rad(kElevation);
+  input.setpoint_rad[kPitch] = observation_->pitch_setpoint_rad;
+  input.setpoint_rad[kTravel] = setpoints_.angle_rad(kTravel);
+  input.descends = descends(state_);
+  if (input.descends) {
     // Landing aims below the table and has a time limit of its own.
-    tracked.closed = static_cast<std::uint8_t>(closed & ~link::axes::elevation);
+    input.closed = static_cast<std::uint8_t>(closed & ~link::axes::elevation);
   }
   // An uploaded law decides on its voltages itself.
-  tracked.may_ask = (closed & link::axes::travel) != 0U && !tracked.descends && !seen_->law_busy;
+  input.may_probe =
+      (closed & link::axes::travel) != 0U && !input.descends && !observation_->law_busy;
   Verdict verdict{Fault::none, 0.0F};
-  if (Tracking::is_turn_to_ask(seen_->tick)) {
-    verdict = tracking_.ask(tracked, *tracking_limits_);
-    if (tracking_.news() != link::Probe::none) {
-      event(Event::travel_probe, code(tracking_.news()), 0,
-            tracking_.probe().tilt_rad().to_float() * control::kDegPerRad);
+  if (Tracking::is_turn_to_probe(observation_->tick)) {
+    verdict = tracking_.probe_travel(input, *tracking_limits_);
+    if (tracking_.probe_event() != link::Probe::none) {
+      push_event(Event::travel_probe, as_byte(tracking_.probe_event()), 0,
+                 tracking_.probe().tilt_rad().to_float() * control::kDegPerRad);
     }
   } else {
-    verdict = tracking_.check(tracked, *tracking_limits_);
+    verdict = tracking_.check(input, *tracking_limits_);
   }
   if (verdict.fault == Fault::none) {
     return;
@@ -367,29 +388,31 @@ void Supervisor::check_tracking() {
   trip(verdict.fault, verdict.value, travel ? Trigger::travel_lost : Trigger::trip);
 }
 
+// Ends or changes the flight when the host has been silent for too long. The bench states (armed,
+// open loop) need any valid frame, the flying ones a fresh stream value.
 void Supervisor::check_ages() {
-  const std::uint32_t stream_age_ticks = seen_->tick - fresh_tick_;
+  const std::uint32_t stream_age_ticks = observation_->tick - last_stream_tick_;
   switch (state_) {
     case State::armed:
-      if (seen_->link_age_ticks > limits_->land_ticks) {
+      if (observation_->link_age_ticks > limits_->land_ticks) {
         trigger(Trigger::stale_land);
       }
       break;
     case State::open_loop:
-      if (seen_->link_age_ticks > limits_->hold_ticks) {
+      if (observation_->link_age_ticks > limits_->hold_ticks) {
         trigger(Trigger::stale_hold);
       }
       break;
     case State::closed_loop:
       if (stream_age_ticks > limits_->hold_ticks) {
         trigger(Trigger::stale_hold);
-        event(Event::setpoint_stale, 0, 0, static_cast<float>(rate_when_fresh_Hz_));
+        push_event(Event::setpoint_stale, 0, 0, static_cast<float>(last_stream_rate_Hz_));
       }
       break;
     case State::streamed:
-      if (passed(seen_->tick, voltage_end_tick_)) {
+      if (passed(observation_->tick, voltage_end_tick_)) {
         trigger(Trigger::stale_hold);
-        event(Event::setpoint_stale, 0, 0, static_cast<float>(rate_when_fresh_Hz_));
+        push_event(Event::setpoint_stale, 0, 0, static_cast<float>(last_stream_rate_Hz_));
       }
       break;
     case State::hold:
@@ -402,18 +425,20 @@ void Supervisor::check_ages() {
   }
 }
 
+// True once the arm has been at rest on the table for kTouchdown_ticks; called once per tick.
 bool Supervisor::touched_down() {
-  const bool quiet = seen_->angle_rad[kElevation] - limits_->rest_rad < kTouchdown_rad &&
-                     magnitude(seen_->rate_rad_s[kElevation]) < kTouchdown_rad_s;
-  quiet_ticks_ = quiet ? quiet_ticks_ + 1U : 0U;
-  return quiet_ticks_ >= kTouchdown_ticks;
+  const bool at_rest = observation_->angle_rad[kElevation] - limits_->rest_rad < kTouchdown_rad &&
+                       magnitude(observation_->rate_rad_s[kElevation]) < kTouchdown_rad_s;
+  rest_ticks_ = at_rest ? rest_ticks_ + 1U : 0U;
+  return rest_ticks_ >= kTouchdown_ticks;
 }
 
 void Supervisor::advance() {
-  if (passed(seen_->tick, bucket_end_tick_)) {
-    bucket_end_tick_ = seen_->tick + kBucket_ticks;
+  // The oldest bucket of accepted stream values is emptied and becomes the running one.
+  if (passed(observation_->tick, bucket_end_tick_)) {
+    bucket_end_tick_ = observation_->tick + kBucket_ticks;
     bucket_ = bucket_ + 1U < kRateBuckets ? bucket_ + 1U : 0U;
-    accepted_[bucket_] = 0;
+    accepted_values_[bucket_] = 0;
   }
   if (motors_enabled()) {
     check_limits();
@@ -421,25 +446,27 @@ void Supervisor::advance() {
   check_tracking();
   check_ages();
 
-  levels_ = false;
+  // What the state does with the setpoints. Without a loop, they follow the measured angles.
+  holds_pitch_level_ = false;
   switch (state_) {
     case State::closed_loop:
     case State::hold:
-      setpoints_.advance(*bounds_);
+      setpoints_.advance(*setpoint_limits_);
       break;
     case State::landing:
     case State::emergency_landing:
-      setpoints_.descend(*bounds_, limits_->rest_rad - kBelowRest_rad);
-      levels_ = lands_level_ || seen_->tick - entered_tick_ > limits_->landing_timeout_ticks / 2U;
+      setpoints_.descend(*setpoint_limits_, limits_->rest_rad - kBelowRest_rad);
+      holds_pitch_level_ = landing_holds_pitch_level_ || observation_->tick - state_entered_tick_ >
+                                                             limits_->landing_timeout_ticks / 2U;
       if (touched_down()) {
         trigger(Trigger::touchdown);
-      } else if (seen_->tick - entered_tick_ > limits_->landing_timeout_ticks) {
+      } else if (observation_->tick - state_entered_tick_ > limits_->landing_timeout_ticks) {
         trip(Fault::landing_timeout,
-             static_cast<float>(seen_->tick - entered_tick_) * control::kTick_s);
+             static_cast<float>(observation_->tick - state_entered_tick_) * control::kTick_s);
       }
       break;
     default:
-      setpoints_.start_at(seen_->angle_rad);
+      setpoints_.start_at(observation_->angle_rad);
       break;
   }
 }

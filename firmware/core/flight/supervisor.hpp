@@ -14,13 +14,14 @@
 
 namespace heli::flight {
 
+// Everything here runs in the tick. Axes are link::axes bits.
 class Supervisor {
  public:
   explicit Supervisor(link::Link& link) : link_(link) {}
 
-  // Once a tick. The caller changes none of it before the supervisor has advanced, and the limits
-  // not before the tick ends.
-  void observe(const Observation& seen, const Limits& limits, const SetpointLimits& bounds,
+  // Must precede the other calls of a tick. The supervisor keeps the addresses: the observation
+  // must not change before advance() returns, and the limits not before the tick ends.
+  void observe(const Observation& observation, const Limits& limits, const SetpointLimits& bounds,
                const TrackingLimits& tracking);
 
   // Commands that concern the flight; parameters and zeroing are the core's.
@@ -36,26 +37,27 @@ class Supervisor {
   bool motors_enabled() const { return flight::motors_enabled(state_); }
   // Axes that the control law closes now; none in open loop.
   std::uint8_t axes() const;
-  OpenVoltages open_voltages() const { return open_; }
+  OpenVoltages open_voltages() const { return open_voltages_; }
   Setpoint setpoint(std::size_t axis) const { return setpoints_.of(axis); }
   Quantity setpoint_rad(std::size_t axis) const { return setpoints_.angle_rad(axis); }
   // The setpoint continues to its target from there.
   void continue_from(std::size_t axis, Quantity angle_rad) {
     setpoints_.continue_from(axis, angle_rad);
   }
-  // Travel's loop waits while a tilt asks whether travel counts, in a landing that such a tilt has
-  // not answered, and at the end of a landing that does not come down: to hold a tilt takes so much
-  // voltage that the arm may not sink.
-  bool travel_waits() const { return levels_ || tracking_.asks(); }
+  // Travel's loop waits, and pitch follows waiting_pitch_rad(), in three cases: a probing tilt
+  // tests travel's encoder; such a tilt had no result when the landing began; or a landing has used
+  // half of its time. The last because holding a tilt takes so much voltage that the arm may not
+  // sink.
+  bool travel_waits() const { return holds_pitch_level_ || tracking_.is_probing(); }
   Quantity waiting_pitch_rad() const {
-    return levels_ ? Quantity{} : tracking_.probe().pitch_rad();
+    return holds_pitch_level_ ? Quantity{} : tracking_.probe().pitch_rad();
   }
   // Forgets the motion of the axes until now.
   void restart_tracking() { tracking_.restart(); }
-  // Whether a law on the host flies and has sent setpoints; those are only logged.
-  bool follows() const { return follows_ && state_ == State::streamed; }
-  Quantity following_rad(std::size_t axis) const { return following_rad_[axis]; }
-  bool link_alive() const { return seen_->link_age_ticks <= limits_->hold_ticks; }
+  // Whether the host streams voltages and has sent the setpoints of its law; those are only logged.
+  bool host_setpoints_known() const { return host_setpoints_known_ && state_ == State::streamed; }
+  Quantity host_setpoint_rad(std::size_t axis) const { return host_setpoint_rad_[axis]; }
+  bool link_alive() const { return observation_->link_age_ticks <= limits_->hold_ticks; }
   control::Exciter& exciter() { return exciter_; }
   std::uint32_t refused_streams() const { return refused_streams_; }
   std::uint16_t setpoint_rate_Hz() const;
@@ -70,25 +72,25 @@ class Supervisor {
   void end_excitation();
   void trip(link::Fault fault, float value, Trigger cause = Trigger::trip);
   void count_accepted();
-  void reject(link::Result why);
-  void event(link::Event kind, std::uint8_t detail, std::uint8_t cause, float value);
+  void reject_stream(link::Result why);
+  void push_event(link::Event kind, std::uint8_t detail, std::uint8_t cause, float value);
   void check_limits();
   void check_tracking();
   void check_ages();
   bool touched_down();
-  link::Reply refuse_state() const;
+  link::Reply bad_state() const;
 
   link::Reply arm();
   link::Reply control(const link::ControlMessage& message);
   link::Reply excite(const link::ExciteMessage& message);
-  link::Reply plain(Trigger cause);
+  link::Reply reply_to_trigger(Trigger cause);
   void take_setpoint(const link::SetpointMessage& message);
   void take_voltages(const link::VoltagesMessage& message);
 
   link::Link& link_;
-  const Observation* seen_ = nullptr;
+  const Observation* observation_ = nullptr;
   const Limits* limits_ = nullptr;
-  const SetpointLimits* bounds_ = nullptr;
+  const SetpointLimits* setpoint_limits_ = nullptr;
   const TrackingLimits* tracking_limits_ = nullptr;
   Setpoints setpoints_;
   Tracking tracking_;
@@ -98,22 +100,22 @@ class Supervisor {
   link::Fault fault_ = link::Fault::none;
   Trigger cause_ = Trigger::start;
   std::uint8_t axes_ = 0;
-  OpenVoltages open_{};
-  bool follows_ = false;
-  Quantity following_rad_[kAxisCount];
-  std::uint32_t entered_tick_ = 0;
-  std::uint32_t fresh_tick_ = 0;        // last accepted stream value
-  std::uint32_t voltage_end_tick_ = 0;  // streamed voltage acts until then
-  bool levels_ = false;                 // pitch, to land
-  bool lands_level_ = false;            // from the beginning
-  std::uint32_t quiet_ticks_ = 0;       // at rest on the table while landing
+  OpenVoltages open_voltages_{};
+  bool host_setpoints_known_ = false;
+  Quantity host_setpoint_rad_[kAxisCount];
+  std::uint32_t state_entered_tick_ = 0;
+  std::uint32_t last_stream_tick_ = 0;      // of the last accepted stream value
+  std::uint32_t voltage_end_tick_ = 0;      // streamed voltage acts until then
+  bool holds_pitch_level_ = false;          // now, in a landing
+  bool landing_holds_pitch_level_ = false;  // during the whole landing
+  std::uint32_t rest_ticks_ = 0;            // at rest on the table while landing
   AtArming at_arming_{};
   std::uint32_t refused_streams_ = 0;
   std::uint32_t next_reject_event_tick_ = 0;
-  std::uint16_t accepted_[kRateBuckets] = {};
+  std::uint16_t accepted_values_[kRateBuckets] = {};
   std::uint32_t bucket_end_tick_ = 0;
   std::uint32_t bucket_ = 0;
-  std::uint16_t rate_when_fresh_Hz_ = 0;
+  std::uint16_t last_stream_rate_Hz_ = 0;
 };
 
 }  // namespace heli::flight

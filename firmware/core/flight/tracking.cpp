@@ -1,3 +1,6 @@
+// Thresholds and checks of "driven, but no motion" and of the following error; see tracking.hpp.
+// All of it runs in the tick (timer interrupt), except tracking_limits_of() and its helpers, which
+// run in the idle loop.
 #include "flight/tracking.hpp"
 
 #include "control/math.hpp"
@@ -20,7 +23,7 @@ constexpr Fault kMotionless[kAxisCount] = {Fault::elevation_motionless, Fault::p
 
 // One of an encoder's two lines may still toggle when the other is broken, and an arm at rest may
 // stand on an edge: a single count does not show a motion.
-constexpr std::int32_t kStill_counts = 1;
+constexpr std::int32_t kStillMax_counts = 1;
 
 // Above its rest the arm may still stand on the table: zero and rest are known to about a degree.
 constexpr Quantity kTable_rad = Quantity::of(2.0F * kRadPerDeg);
@@ -30,16 +33,16 @@ constexpr Quantity kTilt_rad = Quantity::of(8.0F * kRadPerDeg);
 
 // What the drive did on average before the axis came to rest, over 512 ticks: where a swing turns
 // round, the drive of a single tick may be anything.
-constexpr int kAveraging = 7;
+constexpr int kAverageShift = 7;
 // A change of pitch that should move travel. Lower: a step that settles in calm air ends in a tilt,
 // because pitch is still moving when travel is silent. Higher: weak disturbances turn a dead axis
 // before it is probed. Moderate ones change the pitch of the paper's rig by 0.7 degrees in 0.55 s.
-constexpr Quantity kStir_rad = Quantity::of(0.7F * kRadPerDeg);
+constexpr Quantity kStirringPitch_rad = Quantity::of(0.7F * kRadPerDeg);
 
-// Shares of the drive that must move an axis.
+// Shares of the drive that must move an axis (parameters elevation_motion_V and the like).
 struct Shares {
-  float width;   // half of the range that may hold it before the flight has shown more
-  float margin;  // noise of the observer, and variation of a rig's own friction
+  float half_width;  // half of the range that may hold it before the flight has shown more
+  float margin;      // noise of the observer, and variation of a rig's own friction
 };
 // Set on 133 healthy flights of 19 rigs, of which the worst stays at 0.8 of the limit (an encoder
 // with play) and 0.7 on elevation. Travel with margins twice as wide misses dead encoders in calm
@@ -47,9 +50,10 @@ struct Shares {
 // with margins twice as wide let the arm reach its stop.
 constexpr Shares kShares[kAxisCount] = {{1.0F, 0.08F}, {1.0F, 0.1F}, {0.375F, 0.02F}};
 
-Quantity averaged(Quantity average, Quantity now) {
-  return Quantity::from_raw(average.raw() +
-                            ((now.raw() >> kAveraging) - (average.raw() >> kAveraging)));
+// First-order low-pass: moves the average by 1/128 of its distance to `now`, per update of 4 ms.
+Quantity low_pass(Quantity drive_average, Quantity now) {
+  return Quantity::from_raw(drive_average.raw() + ((now.raw() >> kAverageShift) -
+                                                   (drive_average.raw() >> kAverageShift)));
 }
 
 // The probing tilt relative to the one that must move travel: 12 degrees to 8 on the paper's rig.
@@ -64,24 +68,28 @@ constexpr float kSteadyTilt = 0.15F;
 // Travel by which the tilt must have turned the arm: the play of an encoder, and two counts.
 constexpr float kAnswer_rad = 0.8F * kRadPerDeg;
 
-// Difference of two counts; counters may wrap.
-std::int32_t way(std::int32_t from, std::int32_t to) {
+// Returns `to` minus `from` in counts; counters may wrap.
+std::int32_t count_difference(std::int32_t from, std::int32_t to) {
   return static_cast<std::int32_t>(static_cast<std::uint32_t>(to) -
                                    static_cast<std::uint32_t>(from));
 }
 
-bool within_count(std::int32_t moved) { return moved >= -kStill_counts && moved <= kStill_counts; }
+bool is_still(std::int32_t moved) {
+  return moved >= -kStillMax_counts && moved <= kStillMax_counts;
+}
 
+// Updates of one axis in this time, rounded up.
 std::uint32_t updates_of(float seconds) {
   return (ticks_of(seconds) + kTrackingSlots - 1U) / kTrackingSlots;
 }
 
-struct Names {
+// The parameters of one axis: [drive / (rad/s2)], [drive], and [s].
+struct AxisParams {
   Param gain;
   Param motion;
   Param motion_s;
 };
-constexpr Names kNames[kAxisCount] = {
+constexpr AxisParams kAxisParams[kAxisCount] = {
     {Param::elevation_gain, Param::elevation_motion_V, Param::motion_s},
     {Param::pitch_gain, Param::pitch_motion_V, Param::motion_s},
     {Param::travel_gain, Param::travel_motion_deg, Param::travel_motion_s}};
@@ -93,16 +101,17 @@ constexpr float kRateNoise = 2.0F * 2.0F * control::kPi * 2.0F * control::kPi;
 // The drive that must move the axis, held for motion_s, integrates twice to half of their product
 // with motion_s.
 BalanceLimits balance_limits_of(const params::Params& params, std::size_t axis) {
-  const Names& name = kNames[axis];
-  const float unit = axis == kTravel ? kRadPerDeg : 1.0F;
-  const float most = params.get(name.motion) * unit;
-  const float times = params.get(name.motion_s) / Balance::kTime_s;
-  const float drive_per_rad = 1.0F / (params.get(name.gain) * Balance::kTime_s * Balance::kTime_s);
+  const AxisParams& axis_params = kAxisParams[axis];
+  const float drive_unit = axis == kTravel ? kRadPerDeg : 1.0F;
+  const float motion_drive = params.get(axis_params.motion) * drive_unit;
+  const float time_ratio = params.get(axis_params.motion_s) / Balance::kTime_s;
+  const float drive_per_rad =
+      1.0F / (params.get(axis_params.gain) * Balance::kTime_s * Balance::kTime_s);
   BalanceLimits limits{};
   limits.drive_per_rad = Gain::of(drive_per_rad);
-  limits.width = Quantity::of(kShares[axis].width * most);
-  limits.margin = Quantity::of(kShares[axis].margin * most);
-  limits.moved_max = Quantity::of(0.5F * most * times * times);
+  limits.half_width = Quantity::of(kShares[axis].half_width * motion_drive);
+  limits.margin = Quantity::of(kShares[axis].margin * motion_drive);
+  limits.expected_motion_max = Quantity::of(0.5F * motion_drive * time_ratio * time_ratio);
   limits.speed_per_rad_s = Gain::of(drive_per_rad * Balance::kTime_s);
   // Only travel coasts, because nothing pulls it back. On the others a large drive shows the fault.
   if (axis == kTravel) {
@@ -114,24 +123,25 @@ BalanceLimits balance_limits_of(const params::Params& params, std::size_t axis) 
   return limits;
 }
 
+// The tilts are shares of travel_motion_deg, the tilt that must move travel.
 ProbeLimits probe_limits_of(const params::Params& params) {
-  const float most_rad = params.get(Param::travel_motion_deg) * kRadPerDeg;
+  const float pitch_max_rad = params.get(Param::travel_motion_deg) * kRadPerDeg;
   const float silence_s = params.get(Param::travel_silence_s);
   const float drive_per_rad =
       1.0F / (params.get(Param::travel_gain) * Balance::kTime_s * Balance::kTime_s);
   ProbeLimits limits{};
   // A tilt that the loop's limits reduce would show nothing.
   const float room_rad =
-      params.get(Param::pitch_setpoint_max_deg) * kRadPerDeg - kProbeTilt * most_rad;
+      params.get(Param::pitch_setpoint_max_deg) * kRadPerDeg - kProbeTilt * pitch_max_rad;
   const bool possible = room_rad > 0.0F;
-  limits.most_rad = Quantity::of(room_rad);
+  limits.pitch_max_rad = Quantity::of(room_rad);
   limits.silence_updates = possible ? updates_of(silence_s) : 0U;
-  limits.tilt_rad = Quantity::of(kProbeTilt * most_rad);
+  limits.tilt_rad = Quantity::of(kProbeTilt * pitch_max_rad);
   limits.step_rad =
-      Quantity::of(kProbeTilt * most_rad / static_cast<float>(updates_of(kProbeRise_s)));
-  limits.steady_rad = Quantity::of(kSteadyTilt * most_rad);
-  limits.friction_rad = Quantity::of(kFrictionTilt * most_rad);
-  limits.moved_least = Quantity::of(kAnswer_rad * drive_per_rad);
+      Quantity::of(kProbeTilt * pitch_max_rad / static_cast<float>(updates_of(kProbeRise_s)));
+  limits.steady_rad = Quantity::of(kSteadyTilt * pitch_max_rad);
+  limits.friction_rad = Quantity::of(kFrictionTilt * pitch_max_rad);
+  limits.expected_travel_min = Quantity::of(kAnswer_rad * drive_per_rad);
   return limits;
 }
 
@@ -143,7 +153,7 @@ control::Share lift_at(Quantity elevation_rad, Gain lift_per_rad) {
 }
 
 // Values for the event: volts, and the angle in degrees by which travel must have turned.
-float seen_of(std::size_t axis, Quantity drive, Quantity moved, const BalanceLimits& limits) {
+float event_value(std::size_t axis, Quantity drive, Quantity moved, const BalanceLimits& limits) {
   if (axis != kTravel) {
     return magnitude(drive).to_float();
   }
@@ -155,90 +165,100 @@ float seen_of(std::size_t axis, Quantity drive, Quantity moved, const BalanceLim
 
 TrackingLimits tracking_limits_of(const params::Params& params) {
   const auto rad = [&params](Param p) { return Quantity::of(params.get(p) * kRadPerDeg); };
-  TrackingLimits l{};
-  l.error_max_rad[kElevation] = rad(Param::elevation_following_max_deg);
-  l.error_max_rad[kPitch] = rad(Param::pitch_following_max_deg);
-  l.error_max_rad[kTravel] = rad(Param::travel_following_max_deg);
-  l.following_updates = updates_of(params.get(Param::following_s));
-  l.drive_max[kElevation] = Quantity::of(params.get(Param::elevation_motion_V));
-  l.drive_max[kPitch] = Quantity::of(params.get(Param::pitch_motion_V));
-  l.motion_updates = updates_of(params.get(Param::motion_s));
+  TrackingLimits limits{};
+  limits.error_max_rad[kElevation] = rad(Param::elevation_following_max_deg);
+  limits.error_max_rad[kPitch] = rad(Param::pitch_following_max_deg);
+  limits.error_max_rad[kTravel] = rad(Param::travel_following_max_deg);
+  limits.following_updates = updates_of(params.get(Param::following_s));
+  limits.drive_max[kElevation] = Quantity::of(params.get(Param::elevation_motion_V));
+  limits.drive_max[kPitch] = Quantity::of(params.get(Param::pitch_motion_V));
+  limits.motion_updates = updates_of(params.get(Param::motion_s));
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    l.balance[axis] = balance_limits_of(params, axis);
+    limits.balance[axis] = balance_limits_of(params, axis);
   }
-  l.probe = probe_limits_of(params);
-  l.dead_zone = control::DeadZone::of(params.get(Param::dead_zone_V));
-  l.table_rad = rad(Param::elevation_rest_deg) + kTable_rad;
-  l.tilt_rad = rad(Param::elevation_rest_deg) + kTilt_rad;
-  l.hover_V = Quantity::of(params.get(Param::hover_V));
-  l.lift_per_rad =
+  limits.probe = probe_limits_of(params);
+  limits.dead_zone = control::DeadZone::of(params.get(Param::dead_zone_V));
+  limits.table_rad = rad(Param::elevation_rest_deg) + kTable_rad;
+  limits.tilt_rad = rad(Param::elevation_rest_deg) + kTilt_rad;
+  limits.hover_V = Quantity::of(params.get(Param::hover_V));
+  limits.lift_per_rad =
       Gain::of(params.get(Param::hover_slope) * kDegPerRad / params.get(Param::hover_V));
-  l.hover_V_per_rad = Gain::of(params.get(Param::hover_slope) * kDegPerRad);
-  l.pitch_V_per_rad = Gain::of(params.get(Param::pitch_hold_ff) * kDegPerRad);
-  return l;
+  limits.hover_V_per_rad = Gain::of(params.get(Param::hover_slope) * kDegPerRad);
+  limits.pitch_V_per_rad = Gain::of(params.get(Param::pitch_hold_ff) * kDegPerRad);
+  return limits;
 }
 
-Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
-  const Observation& seen = tracked.seen;
+Verdict Tracking::check(const TrackingInput& input, const TrackingLimits& limits) {
+  const Observation& observation = input.observation;
   // One axis per tick, in turn: this spreads the work; see kTrackingSlots.
-  const std::size_t i = seen.tick % kTrackingSlots;
+  // The caller uses the fourth slot for probe_travel(), so `i` is an axis.
+  const std::size_t i = observation.tick % kTrackingSlots;
   const auto bit = static_cast<std::uint8_t>(1U << i);
   Axis& axis = axes_[i];
   if ((started_ & bit) == 0U) {
     axis = Axis{};
     axis.balance.restart(limits.balance[i]);
   }
-  const Quantity front_V = lift_from_motor_V(seen.acted.front_V, limits.dead_zone);
-  const Quantity back_V = lift_from_motor_V(seen.acted.back_V, limits.dead_zone);
+
+  // The drive, computed from the voltages that were applied in the previous tick.
+  const Quantity front_V = lift_from_motor_V(observation.applied.front_V, limits.dead_zone);
+  const Quantity back_V = lift_from_motor_V(observation.applied.back_V, limits.dead_zone);
   const Quantity lift_V = front_V + back_V;
-  const bool on_table = seen.angle_rad[kElevation] < limits.table_rad;
+  const bool on_table = observation.angle_rad[kElevation] < limits.table_rad;
   // A tilt turns the arm only by the lift that it tilts.
-  const bool lifts = !on_table && (i == kElevation || lift_V > limits.hover_V.half());
-  const bool driven = (tracked.driven & bit) != 0U;
+  const bool rotors_lift = !on_table && (i == kElevation || lift_V > limits.hover_V.half());
+  const bool driven = (input.driven & bit) != 0U;
   // What drives the axis: lift beyond hover [V], difference of the lifts [V], or pitch [rad].
   const Quantity drive = i == kElevation ? lift_V - limits.hover_V
                          : i == kPitch   ? front_V - back_V
-                                         : seen.angle_rad[kPitch];
-  const bool started = (started_ & bit) != 0U;
+                                         : observation.angle_rad[kPitch];
+  const bool was_started = (started_ & bit) != 0U;
   started_ |= bit;
-  const std::int32_t moved = way(axis.count, seen.count[i]);
-  const bool still = started && driven && within_count(moved);
+  const std::int32_t moved = count_difference(axis.count, observation.count[i]);
+  const bool still = was_started && driven && is_still(moved);
 
-  if (lifts && driven) {
-    const Quantity free = i == kElevation ? drive - limits.hover_V_per_rad * seen.angle_rad[i]
-                          : i == kPitch   ? drive - limits.pitch_V_per_rad * seen.angle_rad[i]
-                                          : drive;
-    axis.balance.update(seen.angle_rad[i], seen.rate_rad_s[i], free, still ? 0 : moved,
-                        limits.balance[i]);
+  // First check: the drive in excess of what may hold the axis, integrated twice (balance.hpp).
+  if (rotors_lift && driven) {
+    const Quantity net_drive =
+        i == kElevation ? drive - limits.hover_V_per_rad * observation.angle_rad[i]
+        : i == kPitch   ? drive - limits.pitch_V_per_rad * observation.angle_rad[i]
+                        : drive;
+    axis.balance.update(observation.angle_rad[i], observation.rate_rad_s[i], net_drive,
+                        still ? 0 : moved, limits.balance[i]);
   } else {
     axis.balance.pause();
   }
-  if (i == kTravel && asks()) {
+  if (i == kTravel && is_probing()) {
     // A probing tilt is not judged by its drive: it ends level, and without speed.
-    axis.balance.stay();
+    axis.balance.restart_integration();
   }
+  // Second check, elevation and pitch: a change of drive since the last motion that lasts too long.
   if (i != kTravel) {
-    axis.average = started ? averaged(axis.average, drive) : drive;
+    axis.drive_average = was_started ? low_pass(axis.drive_average, drive) : drive;
     if (!still) {
-      axis.drive = axis.average;
+      axis.drive = axis.drive_average;
     }
-    const Quantity apart = drive - axis.drive;
-    const Quantity change = i == kElevation && on_table ? drive : magnitude(apart);
+    const Quantity drive_change = drive - axis.drive;
+    const Quantity judged_drive = i == kElevation && on_table ? drive : magnitude(drive_change);
     // An axis that is driven in alternating directions need not move.
-    const bool forth = apart > Quantity{};
-    axis.driven_updates = still && change > limits.drive_max[i] && forth == axis.forth
+    const bool driven_up = drive_change > Quantity{};
+    axis.driven_updates = still && judged_drive > limits.drive_max[i] && driven_up == axis.driven_up
                               ? axis.driven_updates + 1U
                               : 0U;
-    axis.forth = forth;
+    axis.driven_up = driven_up;
   }
   if (!still) {
-    axis.count = seen.count[i];
+    axis.count = observation.count[i];
   }
-  const Quantity error_rad = magnitude(tracked.setpoint_rad[i] - seen.angle_rad[i]);
-  const bool astray = (tracked.closed & bit) != 0U && error_rad > limits.error_max_rad[i];
-  axis.error_updates = astray && started ? axis.error_updates + 1U : 0U;
-  if (axis.driven_updates > limits.motion_updates || is_motionless(i, tracked, limits)) {
-    return {kMotionless[i], seen_of(i, drive, axis.balance.moved(), limits.balance[i])};
+
+  // Third check: a following error that lasts too long.
+  const Quantity error_rad = magnitude(input.setpoint_rad[i] - observation.angle_rad[i]);
+  const bool error_is_large = (input.closed & bit) != 0U && error_rad > limits.error_max_rad[i];
+  axis.error_updates = error_is_large && was_started ? axis.error_updates + 1U : 0U;
+
+  if (axis.driven_updates > limits.motion_updates || is_motionless(i, input, limits)) {
+    return {kMotionless[i],
+            event_value(i, drive, axis.balance.expected_motion(), limits.balance[i])};
   }
   if (axis.error_updates > limits.following_updates) {
     return {kFollowing[i], error_rad.to_float() * kDegPerRad};
@@ -246,46 +266,56 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
   return {Fault::none, 0.0F};
 }
 
-bool Tracking::is_motionless(std::size_t i, const Tracked& tracked, const TrackingLimits& limits) {
+bool Tracking::is_motionless(std::size_t i, const TrackingInput& input,
+                             const TrackingLimits& limits) {
   const Balance& balance = axes_[i].balance;
-  const Quantity most = limits.balance[i].moved_max;
+  const Quantity motion_max = limits.balance[i].expected_motion_max;
   if (i != kTravel) {
-    return balance.moved() > most;
+    return balance.expected_motion() > motion_max;
   }
-  if (!tracked.may_ask || limits.probe.silence_updates == 0U || balance.coasts() ||
-      balance.beyond() > limits.probe.friction_rad) {
-    return balance.moved() > (tracked.descends ? most.half() : most);
+  // Without a probe, the drive alone decides. In a landing half the bound does: a landing on a dead
+  // encoder must not close the travel loop.
+  if (!input.may_probe || limits.probe.silence_updates == 0U || balance.is_coasting() ||
+      balance.excess_drive() > limits.probe.friction_rad) {
+    return balance.expected_motion() > (input.descends ? motion_max.half() : motion_max);
   }
-  doubted_ = balance.moved() > most;
-  return balance.moved() > most + most + most;
+  // With a probe, the first bound only asks for a tilt; three times the bound is a fault.
+  travel_suspected_ = balance.expected_motion() > motion_max;
+  return balance.expected_motion() > motion_max + motion_max + motion_max;
 }
 
-Verdict Tracking::ask(const Tracked& tracked, const TrackingLimits& limits) {
-  const Observation& seen = tracked.seen;
-  if ((started_ & kAsks) == 0U) {
-    started_ |= kAsks;
+Verdict Tracking::probe_travel(const TrackingInput& input, const TrackingLimits& limits) {
+  const Observation& observation = input.observation;
+  if ((started_ & kProbeStarted) == 0U) {
+    started_ |= kProbeStarted;
     probe_.restart();
-    probe_count_ = seen.count[kTravel];
-    stir_rad_ = seen.angle_rad[kPitch];
+    probe_count_ = observation.count[kTravel];
+    stirred_pitch_rad_ = observation.angle_rad[kPitch];
   }
-  const bool stirred = magnitude(seen.angle_rad[kPitch] - stir_rad_) > kStir_rad;
-  if (stirred) {
-    stir_rad_ = seen.angle_rad[kPitch];
+
+  // Has pitch, or travel, moved since the last update that showed a motion?
+  const bool pitch_moved =
+      magnitude(observation.angle_rad[kPitch] - stirred_pitch_rad_) > kStirringPitch_rad;
+  if (pitch_moved) {
+    stirred_pitch_rad_ = observation.angle_rad[kPitch];
   }
-  const bool moved = !within_count(way(probe_count_, seen.count[kTravel]));
+  const bool moved = !is_still(count_difference(probe_count_, observation.count[kTravel]));
   if (moved) {
-    probe_count_ = seen.count[kTravel];
+    probe_count_ = observation.count[kTravel];
   }
-  const Quantity elevation_rad = seen.angle_rad[kElevation];
-  news_ = probe_.update(
-      {tracked.may_ask && elevation_rad > limits.table_rad, elevation_rad > limits.tilt_rad,
-       doubted_, moved, stirred, tracked.setpoint_rad[kTravel] - seen.angle_rad[kTravel],
-       seen.angle_rad[kPitch], lift_at(elevation_rad, limits.lift_per_rad)},
-      limits.probe);
-  doubted_ = false;
-  if (news_ == link::Probe::silent) {
+
+  // A silent encoder is a fault; the event's value is how far the arm must have turned.
+  const Quantity elevation_rad = observation.angle_rad[kElevation];
+  probe_event_ =
+      probe_.update({input.may_probe && elevation_rad > limits.table_rad,
+                     elevation_rad > limits.tilt_rad, travel_suspected_, moved, pitch_moved,
+                     input.setpoint_rad[kTravel] - observation.angle_rad[kTravel],
+                     observation.angle_rad[kPitch], lift_at(elevation_rad, limits.lift_per_rad)},
+                    limits.probe);
+  travel_suspected_ = false;
+  if (probe_event_ == link::Probe::silent) {
     return {Fault::travel_motionless,
-            seen_of(kTravel, {}, probe_.turned(), limits.balance[kTravel])};
+            event_value(kTravel, {}, probe_.expected_travel(), limits.balance[kTravel])};
   }
   return {Fault::none, 0.0F};
 }

@@ -1,4 +1,4 @@
-// Whether the arm does what it is driven to do: following errors, and drives without motion.
+// Checks in flight that the arm moves as it is driven: following errors, and drives without motion.
 //
 // Neither an unplugged encoder nor a rotor without thrust makes an illegal transition: the counts
 // just stop. The drive shows that they should not have stopped.
@@ -19,72 +19,75 @@ namespace heli::flight {
 
 // Derived from the parameters in the idle loop.
 struct TrackingLimits {
-  Quantity error_max_rad[kAxisCount];
-  // Bounds of drive: volts of lift for elevation (both rotors) and pitch (front minus back), and
-  // the pitch angle, in rad, for travel.
+  Quantity error_max_rad[kAxisCount];  // following error
+  // Change of drive that must move the axis: volts of lift for elevation (both rotors) and pitch
+  // (front minus back). Unused for travel.
   Quantity drive_max[kAxisCount];
   BalanceLimits balance[kAxisCount];
   ProbeLimits probe{};
-  std::uint32_t motion_updates = 0;
-  std::uint32_t following_updates = 0;
+  // An update of one axis takes place every kTrackingSlots ticks, 4 ms.
+  std::uint32_t motion_updates = 0;     // for so long a driven axis may stay still
+  std::uint32_t following_updates = 0;  // for so long an error may exceed error_max_rad
   control::DeadZone dead_zone;
   Quantity table_rad;    // below this elevation the table may carry the arm
-  Quantity tilt_rad;     // above this elevation a tilt may ask
-  Gain lift_per_rad;     // by which the share of the level arm's lift changes with elevation
-  Gain hover_V_per_rad;  // by which the lift changes that carries the arm
-  Gain pitch_V_per_rad;  // by which the difference changes that holds a tilt
-  Quantity hover_V;      // lift that carries it; up to there nothing need move on the table
+  Quantity tilt_rad;     // above this elevation a probing tilt may begin
+  Gain lift_per_rad;     // change of the hover lift with elevation, as a share of the level arm's
+  Gain hover_V_per_rad;  // change of the hover lift with elevation
+  Gain pitch_V_per_rad;  // front minus back that holds a tilt, per rad of pitch
+  Quantity hover_V;      // lift of both rotors that carries the level arm
 };
 
 TrackingLimits tracking_limits_of(const params::Params& params);
 
 // Inputs of the checks, once a tick.
-struct Tracked {
-  const Observation& seen;
+struct TrackingInput {
+  const Observation& observation;
   Quantity setpoint_rad[kAxisCount];  // that the control law followed
-  std::uint8_t closed = 0;            // link::axes bits: axes held to a setpoint
+  std::uint8_t closed = 0;            // link::axes bits: axes with a closed loop
   std::uint8_t driven = 0;            // and axes that must move when driven
-  bool may_ask = false;   // a tilt may probe: the board's own law holds travel, undisturbed
-  bool descends = false;  // a doubt about travel is a fault then: landing would close it
+  bool may_probe = false;  // a tilt may test travel: a compiled controller holds it, undisturbed
+  bool descends = false;   // the arm lands: a suspicion about travel is then a fault
 };
 
+// Called by the supervisor in the tick; nothing here is called from the idle loop.
 class Tracking {
  public:
   // Forgets all motion, because the motors were off.
   void restart() { started_ = 0; }
 
   // Checks the axis whose turn it is in this tick: whether it moves as it is driven.
-  Verdict check(const Tracked& tracked, const TrackingLimits& limits);
+  Verdict check(const TrackingInput& input, const TrackingLimits& limits);
 
-  // In a tick that check() does not use. Probes by a tilt whether travel still counts.
-  static bool is_turn_to_ask(std::uint32_t tick) { return tick % kTrackingSlots == kAxisCount; }
-  Verdict ask(const Tracked& tracked, const TrackingLimits& limits);
-  link::Probe news() const { return news_; }
+  // For a tick that check() does not use: tests by a tilt whether travel's encoder still counts.
+  static bool is_turn_to_probe(std::uint32_t tick) { return tick % kTrackingSlots == kAxisCount; }
+  Verdict probe_travel(const TrackingInput& input, const TrackingLimits& limits);
+  link::Probe probe_event() const { return probe_event_; }
   const Probe& probe() const { return probe_; }
-  bool asks() const { return (started_ & kAsks) != 0U && probe_.asks(); }
+  bool is_probing() const { return (started_ & kProbeStarted) != 0U && probe_.is_tilting(); }
 
  private:
   struct Axis {
-    std::int32_t count = 0;  // where it was when it last moved
-    Quantity average;        // of the drive, over the last half second
-    Quantity drive;          // that average when it last moved
-    bool forth = false;      // which way it was driven from there
-    std::uint32_t driven_updates = 0;
-    std::uint32_t error_updates = 0;
+    std::int32_t count = 0;            // at the last motion
+    Quantity drive_average;            // over the last half second
+    Quantity drive;                    // drive_average at the last motion
+    bool driven_up = false;            // sign of the drive's change since then
+    std::uint32_t driven_updates = 0;  // consecutive updates driven but still
+    std::uint32_t error_updates = 0;   // consecutive updates with a following error too large
     Balance balance;
   };
 
-  static constexpr std::uint8_t kAsks = 1U << kAxisCount;
+  static constexpr std::uint8_t kProbeStarted = 1U << kAxisCount;
 
-  // Travel that dry friction may hold is at first only suspected, if a tilt may probe it.
-  bool is_motionless(std::size_t i, const Tracked& tracked, const TrackingLimits& limits);
+  // Whether the integrated drive should have moved the axis. Dry friction may hold travel, so
+  // travel is at first only suspected, if a tilt may test it.
+  bool is_motionless(std::size_t i, const TrackingInput& input, const TrackingLimits& limits);
 
   Axis axes_[kAxisCount];
-  bool doubted_ = false;
+  bool travel_suspected_ = false;  // from is_motionless() to the next probe_travel()
   Probe probe_;
-  link::Probe news_ = link::Probe::none;
-  std::int32_t probe_count_ = 0;  // of travel, when it last moved
-  Quantity stir_rad_;             // pitch, when it last moved enough to stir the arm
+  link::Probe probe_event_ = link::Probe::none;
+  std::int32_t probe_count_ = 0;  // of travel, at its last motion
+  Quantity stirred_pitch_rad_;    // pitch, when it last moved enough to disturb the arm
   std::uint8_t started_ = 0;      // link::axes bits, and kAsks
 };
 

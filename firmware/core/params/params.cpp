@@ -1,3 +1,4 @@
+// Checks of single parameters and of their combination; the ranges are link.toml's. See params.hpp.
 #include "params/params.hpp"
 
 #include <cmath>
@@ -35,7 +36,7 @@ void Params::defaults() {
 }
 
 bool Params::consistent() const {
-  // An encoder with less than one count a revolution would make an infinite angle of a count.
+  // With less than one count per revolution, the angle of a count could overflow.
   for (const Param counts : {Param::elevation_counts_per_rev, Param::pitch_counts_per_rev,
                              Param::travel_counts_per_rev}) {
     if (std::fabs(get(counts)) < 1.0F) return false;

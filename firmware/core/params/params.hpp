@@ -8,6 +8,7 @@
 
 namespace heli::params {
 
+// The tick changes values, while commands are executed; tick and idle loop read them.
 class Params {
  public:
   Params() { defaults(); }

@@ -1,3 +1,4 @@
+// Layout, check and writing of the two stored sets; see store.hpp and README.md. Idle loop.
 #include "params/store.hpp"
 
 #include <cstring>
@@ -12,6 +13,7 @@ constexpr std::size_t kPages = 2;
 constexpr std::uint16_t kMagic = 0x5048;  // "HP"
 constexpr std::uint8_t kFormat = 2;
 
+// Byte offsets within a set.
 constexpr std::size_t kMagicAt = 0;
 constexpr std::size_t kFormatAt = 2;
 constexpr std::size_t kCountAt = 3;
@@ -26,7 +28,7 @@ static_assert(link::kParamCount <= 8 * sizeof(Origin::fresh), "a bit for each pa
 
 enum class Content : std::uint8_t {
   erased,
-  damaged,
+  damaged,  // the CRC does not match
   foreign,  // whole, but of another format, or with values that its own schema forbids
   valid,
 };
@@ -61,7 +63,8 @@ bool same_schema(const std::uint8_t* page) {
   return link::get_u32(page + kHashAt) == link::kParamsHash;
 }
 
-Copy judge(const std::uint8_t* page) {
+// What a page contains.
+Copy classify(const std::uint8_t* page) {
   Copy copy;
   if (all_ones(page)) return copy;
   copy.content = Content::damaged;
@@ -83,12 +86,13 @@ Copy judge(const std::uint8_t* page) {
   return copy;
 }
 
-// Reads both pages through `buffer`; says which valid copy is the newest, kPages if none is valid.
-std::size_t survey(Board& board, std::uint8_t* buffer, Copy (&copies)[kPages]) {
+// Reads both pages through `buffer`. Returns the page of the newest valid copy, kPages if there is
+// none.
+std::size_t find_newest(Board& board, std::uint8_t* buffer, Copy (&copies)[kPages]) {
   std::size_t newest = kPages;
   for (std::size_t page = 0; page < kPages; ++page) {
     board.read_page(page, buffer, kSetBytes);
-    copies[page] = judge(buffer);
+    copies[page] = classify(buffer);
     if (copies[page].content != Content::valid) continue;
     // As a signed difference, so that the count may wrap.
     if (newest == kPages ||
@@ -100,7 +104,7 @@ std::size_t survey(Board& board, std::uint8_t* buffer, Copy (&copies)[kPages]) {
 }
 
 // Copies the stored values that are still valid into `params`, which has its defaults.
-Origin take(const std::uint8_t* page, Params& params) {
+Origin load_values(const std::uint8_t* page, Params& params) {
   Origin origin;
   origin.schema = link::get_u32(page + kHashAt);
   for (std::size_t i = 0; i < link::kParamCount; ++i) {
@@ -119,6 +123,7 @@ Origin take(const std::uint8_t* page, Params& params) {
   return origin;
 }
 
+// Writes a page and compares what can be read back.
 bool write_verified(Board& board, std::size_t page, const std::uint8_t* bytes) {
   if (!board.write_page(page, bytes, kSetBytes)) return false;
   std::uint8_t written[kSetBytes];
@@ -131,21 +136,21 @@ bool write_verified(Board& board, std::size_t page, const std::uint8_t* bytes) {
 link::ParamsSource Store::load(Params& params) {
   std::uint8_t buffer[kSetBytes];
   Copy copies[kPages];
-  const std::size_t newest = survey(board_, buffer, copies);
+  const std::size_t newest = find_newest(board_, buffer, copies);
 
   params.defaults();
   origin_ = {};
   link::ParamsSource source = link::ParamsSource::corrupt;
   if (newest == kPages) {
     generation_ = 0;
-    // A finished save leaves no page erased: beside an erased one, page 0 was torn in the first
-    // save.
+    // A finished save leaves no page erased. If page 1 is erased, then either nothing was ever
+    // saved, or the first save was interrupted.
     if (copies[0].content <= Content::damaged && copies[1].content == Content::erased) {
       source = link::ParamsSource::defaults;
     }
   } else {
     board_.read_page(newest, buffer, kSetBytes);
-    origin_ = take(buffer, params);
+    origin_ = load_values(buffer, params);
     generation_ = copies[newest].generation;
     const bool other_damaged = copies[1 - newest].content == Content::damaged;
     source = !same_schema(buffer) ? link::ParamsSource::migrated
@@ -168,7 +173,7 @@ void Store::drop(Params& params, link::Param which) {
 bool Store::save(const Params& params) {
   std::uint8_t page[kSetBytes];
   Copy copies[kPages];
-  const std::size_t newest = survey(board_, page, copies);
+  const std::size_t newest = find_newest(board_, page, copies);
   // Never the newest valid copy: a power cut from here on leaves it as it is.
   const std::size_t target = newest == kPages ? 0 : 1 - newest;
   const std::uint32_t generation = newest == kPages ? 1 : copies[newest].generation + 1;
@@ -186,8 +191,8 @@ bool Store::save(const Params& params) {
   link::put_u32(page + kCrcAt, link::crc32(page, kCrcAt));
 
   if (!write_verified(board_, target, page)) return false;
-  // With no valid copy beside it the set is written twice: there are two from the first save on,
-  // and no damaged neighbour is taken for a newer one at the next start.
+  // Without another valid copy, the set is written to both pages: then there are two from the first
+  // save on, and the next start does not find a damaged page, which would read as `fallback`.
   if (newest == kPages) write_verified(board_, 1, page);
   generation_ = generation;
   origin_ = {};

@@ -16,8 +16,8 @@ inline constexpr std::size_t kSetBytes = 512;
 
 // Which parameters the stored set gave.
 struct Origin {
-  std::uint32_t schema = 0;  // hash under which it was stored
-  std::uint8_t kept = 0;
+  std::uint32_t schema = 0;     // hash under which it was stored
+  std::uint8_t kept = 0;        // stored values in use
   std::uint8_t dropped = 0;     // stored values that no parameter takes
   std::uint32_t fresh[3] = {};  // bit i: parameter i had no usable stored value
 };

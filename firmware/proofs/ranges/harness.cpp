@@ -77,8 +77,8 @@ void put_in_any_state(Supervisor& s) {
   s.observe(seen, limits, bounds, tracking);
   s.state_ = any<State>();
   s.axes_ = any<std::uint8_t>();
-  s.open_.front_V = any<heli::control::Quantity>();
-  s.open_.back_V = any<heli::control::Quantity>();
+  s.open_voltages_.front_V = any<heli::control::Quantity>();
+  s.open_voltages_.back_V = any<heli::control::Quantity>();
   s.voltage_end_tick_ = any<std::uint32_t>();
   s.refused_streams_ = any<std::uint32_t>();
   s.exciter_.kind_ = any<Excitation>();
@@ -96,12 +96,12 @@ struct Driven {
   explicit Driven(const Supervisor& s)
       : state(s.state_),
         axes(s.axes_),
-        front(s.open_.front_V.raw_),
-        back(s.open_.back_V.raw_),
+        front(s.open_voltages_.front_V.raw_),
+        back(s.open_voltages_.back_V.raw_),
         excitation(s.exciter_.kind_) {}
   bool is(const Supervisor& s) const {
-    return state == s.state_ && axes == s.axes_ && front == s.open_.front_V.raw_ &&
-           back == s.open_.back_V.raw_ && excitation == s.exciter_.kind_;
+    return state == s.state_ && axes == s.axes_ && front == s.open_voltages_.front_V.raw_ &&
+           back == s.open_voltages_.back_V.raw_ && excitation == s.exciter_.kind_;
   }
 };
 
@@ -115,11 +115,12 @@ bool in_range(const ControlMessage& m) {
 bool in_range(const ExciteMessage& m) {
   constexpr float kMost_Hz = 500.0F;
   const auto kind = static_cast<Excitation>(m.kind);
-  const bool sweeps = kind == Excitation::chirp || kind == Excitation::multisine;
+  const bool has_frequency_band = kind == Excitation::chirp || kind == Excitation::multisine;
   return m.kind > 0 && m.kind < heli::link::kExcitationCount &&
          in(m.front_V, -limits.excitation_max_V, limits.excitation_max_V) &&
          in(m.back_V, -limits.excitation_max_V, limits.excitation_max_V) &&
-         (!sweeps || (in(m.start_Hz, 0.0F, kMost_Hz) && in(m.stop_Hz, m.start_Hz, kMost_Hz))) &&
+         (!has_frequency_band ||
+          (in(m.start_Hz, 0.0F, kMost_Hz) && in(m.stop_Hz, m.start_Hz, kMost_Hz))) &&
          (kind != Excitation::prbs || (in(m.stop_Hz, 0.01F, kMost_Hz) && m.seed != 0)) &&
          in(m.duration_s, 0.001F, limits.excitation_max_s);
 }

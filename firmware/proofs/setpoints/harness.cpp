@@ -35,7 +35,7 @@ using heli::kElevation;
 using heli::kPitch;
 using heli::control::Quantity;
 using heli::flight::Change;
-using heli::flight::Place;
+using heli::flight::FineAngle;
 using heli::flight::SetpointLimits;
 using heli::flight::Setpoints;
 using heli::flight::Step;
@@ -65,7 +65,7 @@ Setpoints any_setpoints(std::int64_t room, std::size_t first = 0, std::size_t la
     axis.path.raw_ = any<std::int64_t>();
     axis.slope.raw_ = any<std::int64_t>();
     axis.target.raw_ = any<std::int64_t>();
-    axis.place.raw_ = any<std::int64_t>();
+    axis.setpoint.raw_ = any<std::int64_t>();
     axis.step_rad = Step::from_raw(any<std::int32_t>());
     axis.smooth_change_rad = Change::from_raw(any<std::int32_t>());
   }
@@ -78,8 +78,8 @@ SetpointLimits any_limits() {
   SetpointLimits limits{};
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     limits.step_max_rad[axis] = Step::from_raw(any<std::int32_t>());
-    limits.change_max_rad[axis] = Step::from_raw(any<std::int32_t>());
-    limits.near_rad[axis] = Quantity::from_raw(any<std::int32_t>());
+    limits.step_change_max_rad[axis] = Step::from_raw(any<std::int32_t>());
+    limits.close_in_rad[axis] = Quantity::from_raw(any<std::int32_t>());
     limits.min_rad[axis] = Quantity::from_raw(any<std::int32_t>());
     limits.max_rad[axis] = Quantity::from_raw(any<std::int32_t>());
   }
@@ -106,28 +106,28 @@ void step_follow() {
   const Setpoints::Axis before = axis;
   const SetpointLimits limits = any_limits();
   const Step step_max_rad = limits.step_max_rad[kElevation];
-  const Step change_max_rad = limits.change_max_rad[kElevation];
+  const Step step_change_max_rad = limits.step_change_max_rad[kElevation];
 
-  Setpoints::follow(axis, step_max_rad, change_max_rad, limits.near_rad[kElevation]);
+  Setpoints::follow(axis, step_max_rad, step_change_max_rad, limits.close_in_rad[kElevation]);
 
-  CLAIM(heli::proofs::within(axis.place, room + kStepRoom), "it moves less than a step's range");
-  CLAIM(axis.place.raw_ == before.place.raw_ + axis.step_rad.raw(), "it moves by its step");
+  CLAIM(heli::proofs::within(axis.setpoint, room + kStepRoom), "it moves less than a step's range");
+  CLAIM(axis.setpoint.raw_ == before.setpoint.raw_ + axis.step_rad.raw(), "it moves by its step");
   CLAIM(size(axis.step_rad) <= larger(size(step_max_rad), size(before.step_rad)),
         "the slope is within the slew, or falls to it");
   const std::int64_t change = std::int64_t{axis.step_rad.raw()} - before.step_rad.raw();
-  CLAIM(-size(change_max_rad) <= change && change <= size(change_max_rad),
+  CLAIM(-size(step_change_max_rad) <= change && change <= size(step_change_max_rad),
         "the slope changes by no more than the acceleration");
 }
 
 void step_pitch() {
   Setpoints setpoints = any_setpoints(kPlaceRoom, kPitch, kPitch + 1);
-  const std::int64_t before = setpoints.axes_[kPitch].place.raw_;
+  const std::int64_t before = setpoints.axes_[kPitch].setpoint.raw_;
   const SetpointLimits limits = any_limits();
   const std::int64_t most = limits.step_max_rad[kPitch].raw();
 
   setpoints.advance(limits);
 
-  const std::int64_t step = setpoints.axes_[kPitch].place.raw_ - before;
+  const std::int64_t step = setpoints.axes_[kPitch].setpoint.raw_ - before;
   CLAIM(-most <= step && step <= most, "the pitch setpoint is within its slew");
 }
 
@@ -149,13 +149,13 @@ void step_aim() {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     const Setpoints::Axis& old = before.axes_[axis];
     const Setpoints::Axis& now = setpoints.axes_[axis];
-    CLAIM(now.target.raw_ == (taken ? Place::at(target_rad[axis]).raw_ : old.target.raw_),
+    CLAIM(now.target.raw_ == (taken ? FineAngle::at(target_rad[axis]).raw_ : old.target.raw_),
           "the target is the one that was taken");
     CLAIM(heli::proofs::within(now.target, kTargetRoom) &&
               heli::proofs::within(now.slope, 2 * kTargetRoom) &&
               setpoints.ramp_ticks_ <= Setpoints::kMaxAhead_ticks,
           "the invariant is kept");
-    CLAIM(now.place.raw_ == old.place.raw_ && now.path.raw_ == old.path.raw_ &&
+    CLAIM(now.setpoint.raw_ == old.setpoint.raw_ && now.path.raw_ == old.path.raw_ &&
               now.step_rad == old.step_rad && (taken || now.slope.raw_ == old.slope.raw_),
           "no target makes the setpoint jump");
   }

@@ -14,15 +14,16 @@ inline constexpr std::int64_t kTargetRoom = std::int64_t{1} << 43;
 // Beyond it a change would overflow as a `Change`.
 inline constexpr std::int32_t kChangeRoom = std::int32_t{1} << 23;
 
-inline bool within(const flight::Place& place, std::int64_t room) {
-  return -room <= place.raw_ && place.raw_ <= room;
+inline bool within(const flight::FineAngle& setpoint, std::int64_t room) {
+  return -room <= setpoint.raw_ && setpoint.raw_ <= room;
 }
 
 // No limit is negative, and changes can be smoothed.
 inline bool holds(const flight::SetpointLimits& limits) {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    if (limits.step_max_rad[axis].raw() < 0 || limits.change_max_rad[axis].raw() < 0 ||
-        limits.change_max_rad[axis].raw() >= kChangeRoom || limits.near_rad[axis].raw() < 0) {
+    if (limits.step_max_rad[axis].raw() < 0 || limits.step_change_max_rad[axis].raw() < 0 ||
+        limits.step_change_max_rad[axis].raw() >= kChangeRoom ||
+        limits.close_in_rad[axis].raw() < 0) {
       return false;
     }
   }
@@ -39,7 +40,7 @@ inline bool holds(const flight::Setpoints& setpoints, std::int64_t room = kPlace
   }
   for (const flight::Setpoints::Axis& axis : setpoints.axes_) {
     if (!within(axis.target, kTargetRoom) || !within(axis.slope, 2 * kTargetRoom) ||
-        !within(axis.path, kPathRoom) || !within(axis.place, room)) {
+        !within(axis.path, kPathRoom) || !within(axis.setpoint, room)) {
       return false;
     }
   }

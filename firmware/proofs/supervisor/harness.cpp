@@ -63,12 +63,12 @@ void put_in_any_state(Supervisor& s) {
   s.fault_ = any<Fault>();
   s.cause_ = any<heli::link::Trigger>();
   s.axes_ = any<std::uint8_t>();
-  s.follows_ = any<bool>();
-  s.entered_tick_ = any<std::uint32_t>();
-  s.fresh_tick_ = any<std::uint32_t>();
+  s.host_setpoints_known_ = any<bool>();
+  s.state_entered_tick_ = any<std::uint32_t>();
+  s.last_stream_tick_ = any<std::uint32_t>();
   s.voltage_end_tick_ = any<std::uint32_t>();
-  s.quiet_ticks_ = any<std::uint32_t>();
-  s.lands_level_ = any<bool>();
+  s.rest_ticks_ = any<std::uint32_t>();
+  s.landing_holds_pitch_level_ = any<bool>();
   s.bucket_ = any<std::uint32_t>();
   s.bucket_end_tick_ = any<std::uint32_t>();
   s.exciter_.kind_ = any<heli::link::Excitation>();
@@ -82,8 +82,8 @@ void step_tick() {
   put_in_any_state(s);
   const State before = s.state_;
   const Fault fault = s.fault_;
-  const std::uint32_t entered_tick = s.entered_tick_;
-  const std::uint32_t stream_age_ticks = seen.tick - s.fresh_tick_;
+  const std::uint32_t entered_tick = s.state_entered_tick_;
+  const std::uint32_t stream_age_ticks = seen.tick - s.last_stream_tick_;
   const bool voltages_end = static_cast<std::int32_t>(seen.tick - s.voltage_end_tick_) >= 0;
 
   s.advance();
@@ -109,7 +109,7 @@ void step_tick() {
   CLAIM(
       before != State::armed || seen.link_age_ticks <= limits.land_ticks || !motors_enabled(after),
       "nothing stays armed without a host");
-  CLAIM(!descends(before) || before != after || s.entered_tick_ == entered_tick,
+  CLAIM(!descends(before) || before != after || s.state_entered_tick_ == entered_tick,
         "a landing does not begin again");
   CLAIM(!descends(before) || !descends(after) || before != after ||
             seen.tick - entered_tick <= limits.landing_timeout_ticks,

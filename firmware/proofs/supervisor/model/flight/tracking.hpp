@@ -9,12 +9,12 @@ namespace heli::flight {
 
 struct TrackingLimits {};
 
-struct Tracked {
+struct TrackingInput {
   const Observation& seen;
   Quantity setpoint_rad[kAxisCount];
   std::uint8_t closed = 0;
   std::uint8_t driven = 0;
-  bool may_ask = false;
+  bool may_probe = false;
   bool descends = false;
 };
 
@@ -26,12 +26,12 @@ struct Probe {
 class Tracking {
  public:
   void restart() {}
-  Verdict check(const Tracked&, const TrackingLimits&) { return finding(); }
-  static bool is_turn_to_ask(std::uint32_t) { return proofs::any<bool>(); }
-  Verdict ask(const Tracked&, const TrackingLimits&) { return finding(); }
-  link::Probe news() const { return proofs::any<link::Probe>(); }
+  Verdict check(const TrackingInput&, const TrackingLimits&) { return finding(); }
+  static bool is_turn_to_probe(std::uint32_t) { return proofs::any<bool>(); }
+  Verdict probe_travel(const TrackingInput&, const TrackingLimits&) { return finding(); }
+  link::Probe probe_event() const { return proofs::any<link::Probe>(); }
   Probe probe() const { return {}; }
-  bool asks() const { return proofs::any<bool>(); }
+  bool is_probing() const { return proofs::any<bool>(); }
 
  private:
   static Verdict finding() { return {proofs::any<link::Fault>(), 0.0F}; }
