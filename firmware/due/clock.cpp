@@ -1,3 +1,4 @@
+// Switches the chip to 84 MHz: crystal 12 MHz, PLL times 14, halved. Runs once, at the start.
 #include "clock.hpp"
 
 #include "registers.hpp"
@@ -17,15 +18,17 @@ constexpr std::uint32_t kPllStart = CKGR_PLLAR_PLLACOUNT(0x3F);
 constexpr std::uint32_t kFlashWaitStates = EEFC_FMR_FWS(4);
 
 // A turn of the loop takes six cycles or more: 30 ms on the 4 MHz oscillator.
-constexpr std::uint32_t kPatience = 20000;
+constexpr std::uint32_t kMaxPolls = 20000;
 
+// Waits for bits of PMC_SR; false if they do not come in time.
 bool wait_for(std::uint32_t ready) {
-  for (std::uint32_t i = 0; i < kPatience; ++i) {
+  for (std::uint32_t i = 0; i < kMaxPolls; ++i) {
     if ((PMC->PMC_SR.read() & ready) != 0U) return true;
   }
   return false;
 }
 
+// Selects source and prescaler of the master clock; false if it does not become ready in time.
 bool select(std::uint32_t mckr) {
   PMC->PMC_MCKR.write(mckr);
   return wait_for(PMC_SR_MCKRDY);
@@ -34,6 +37,7 @@ bool select(std::uint32_t mckr) {
 }  // namespace
 
 bool start() {
+  // The flash first: it must be slow enough before the clock becomes fast.
   EFC0->EEFC_FMR.write(kFlashWaitStates);
   EFC1->EEFC_FMR.write(kFlashWaitStates);
 
@@ -48,7 +52,7 @@ bool start() {
   PMC->CKGR_PLLAR.write(CKGR_PLLAR_ONE | CKGR_PLLAR_MULA(kPllMultiplier - 1) | kPllStart |
                         CKGR_PLLAR_DIVA(1));
   if (!wait_for(PMC_SR_LOCKA)) return false;
-  // Prescaler before source: the other way round would run at 168 MHz in between.
+  // Prescaler before source: in the other order the chip would run at 168 MHz for a moment.
   return select(PMC_MCKR_PRES_CLK_2 | PMC_MCKR_CSS_MAIN_CLK) &&
          select(PMC_MCKR_PRES_CLK_2 | PMC_MCKR_CSS_PLLA_CLK);
 }

@@ -43,12 +43,14 @@ inline void unmask_interrupts() { asm volatile("cpsie i" ::: "memory"); }
 // Sleeps until an interrupt is pending, even a masked one.
 inline void wait_for_interrupt() { asm volatile("dsb\n\twfi" ::: "memory"); }
 
+// Number of the exception that is being handled, 0 in the idle loop (ARMv7-M B1.4.2).
 inline std::uint32_t exception_number() {
   std::uint32_t ipsr = 0;
   asm volatile("mrs %0, ipsr" : "=r"(ipsr));
   return ipsr;
 }
 
+// Returns when all writes before it have reached their registers.
 inline void wait_for_writes() { asm volatile("dsb" ::: "memory"); }
 
 }  // namespace heli::due

@@ -1,3 +1,4 @@
+// The functions of Board, passed on to the drivers of this folder.
 #include "due_board.hpp"
 
 #include "encoders.hpp"
@@ -9,7 +10,8 @@
 namespace heli::due {
 namespace {
 
-constexpr std::size_t kJoined = 2;
+// A page of the Board has two of the chip's pages, because a parameter set has 512 bytes.
+constexpr std::size_t kChipPagesPerPage = 2;
 
 }  // namespace
 
@@ -21,8 +23,8 @@ void DueBoard::write_motors(const MotorCommand& command) { motors::write(command
 
 bool DueBoard::hardware_stop() { return motors::hardware_stop(); }
 
-std::size_t DueBoard::receive(std::uint8_t* to, std::size_t most) {
-  return uart::receive(to, most);
+std::size_t DueBoard::receive(std::uint8_t* to, std::size_t capacity) {
+  return uart::receive(to, capacity);
 }
 
 std::size_t DueBoard::transmit_free() { return uart::transmit_free(); }
@@ -31,21 +33,22 @@ void DueBoard::transmit(const std::uint8_t* bytes, std::size_t count) {
   uart::transmit(bytes, count);
 }
 
-// The parameter store's page is two of the chip's, which lie side by side.
+// The chip's pages of one Board page are neighbours.
 void DueBoard::read_page(std::size_t page, std::uint8_t* to, std::size_t count) {
-  flash::read_page(kJoined * page, to, count);
+  flash::read_page(kChipPagesPerPage * page, to, count);
 }
 
 bool DueBoard::write_page(std::size_t page, const std::uint8_t* from, std::size_t count) {
-  if (count > kJoined * flash::kPageBytes) return false;
+  if (count > kChipPagesPerPage * flash::kPageBytes) return false;
   bool written = true;
-  for (std::size_t part = 0; part < kJoined; ++part) {
-    const std::size_t before = part * flash::kPageBytes;
-    const std::size_t left = count > before ? count - before : 0;
-    const std::size_t here = left < flash::kPageBytes ? left : flash::kPageBytes;
+  for (std::size_t part = 0; part < kChipPagesPerPage; ++part) {
+    const std::size_t offset = part * flash::kPageBytes;
+    const std::size_t remaining = count > offset ? count - offset : 0;
+    const std::size_t part_count = remaining < flash::kPageBytes ? remaining : flash::kPageBytes;
     // A first save writes four pages of 5 ms each, which is more than the watchdog should wait.
     kick_watchdog();
-    written = flash::write_page(kJoined * page + part, from + before, here) && written;
+    written =
+        flash::write_page(kChipPagesPerPage * page + part, from + offset, part_count) && written;
   }
   return written;
 }

@@ -1,3 +1,4 @@
+// The fault handlers: motors off, record in the backup registers (which a reset keeps), reset.
 #include "faults.hpp"
 
 #include <cstdint>
@@ -12,10 +13,10 @@
 namespace heli::due::faults {
 namespace {
 
-constexpr std::uint8_t kDue = 1;
+constexpr std::uint8_t kDue = 1;  // BootReport::board
 
-// Words of the backup registers. The addresses stay for a debugger to read after they were
-// reported.
+// Words of the backup registers. All but kRecord keep their values after the report, for a
+// debugger.
 enum Word : unsigned { kRecord, kPc, kLr, kCfsr, kBfar };
 // Upper half of kRecord; the fault's code is the low byte, the exception number the byte above it.
 constexpr std::uint32_t kMagic = 0x48460000;
@@ -32,15 +33,18 @@ enum ResetType : std::uint32_t {
   kUser = 4
 };
 
+// Exception numbers; bus and memory faults are in between.
 constexpr std::uint32_t kHardFault = 3;
 constexpr std::uint32_t kUsageFault = 6;
 
+// Words of the frame that the processor puts on the stack (ARMv7-M B1.5.6).
 constexpr std::uint32_t kFramePc = 6;
 constexpr std::uint32_t kFrameLr = 5;
 constexpr std::uint32_t kFrameWords = 8;
 
 std::uint8_t code(link::Fault fault) { return static_cast<std::uint8_t>(fault); }
 
+// Writes the record that read_boot_report() finds after the reset.
 void record(link::Fault fault, std::uint32_t exception) {
   GPBR->SYS_GPBR[kRecord].write(kMagic | (exception & 0xFFU) << 8U | code(fault));
   GPBR->SYS_GPBR[kCfsr].write(SCB->CFSR.read());
@@ -69,8 +73,8 @@ BootReport read_boot_report() {
   if (type == kUser) reset = link::Reset::user;
   report.reset = static_cast<std::uint8_t>(reset);
 
-  // At power-up the backup registers hold nothing, not even how many starts there were; a record
-  // that a watchdog reset finds was made by the fault itself, before it hung.
+  // At power-up the backup registers hold nothing. If a watchdog reset finds a record, the fault
+  // handler made it and then hung; so the record is reported.
   if (reset != link::Reset::power_up) {
     if (reset == link::Reset::watchdog) report.boot_fault = code(link::Fault::watchdog);
     if ((recorded & kMagicMask) == kMagic && reset != link::Reset::user) {
@@ -92,7 +96,8 @@ BootReport read_boot_report() {
 
 extern "C" {
 
-// The stack that faulted may be the fault: this goes on from the top of a fresh one.
+// The stack may have caused the fault, so the handler runs with the stack pointer at the top again.
+// Passes the old stack pointer, which points to the processor's frame.
 [[gnu::naked]] void fault_entry() {
   asm volatile(
       "cpsid i\n\t"

@@ -1,3 +1,4 @@
+// Reads, erases and writes the parameter pages through EEFC1; see flash.hpp. Idle loop, motors off.
 #include "flash.hpp"
 
 #include <cstring>
@@ -7,7 +8,7 @@
 namespace heli::due::flash {
 namespace {
 
-constexpr std::uint32_t kBank = 0x000C0000;
+constexpr std::uint32_t kBank = 0x000C0000;  // address of the second bank
 constexpr std::uint32_t kBankBytes = 256 * 1024;
 constexpr std::uint32_t kBankPages = kBankBytes / kPageBytes;
 constexpr std::uint32_t kParameterPages = 4;
@@ -20,20 +21,20 @@ constexpr std::uint32_t kEraseAndWritePage = EEFC_FCR_FCMD(0x03);
 // Whatever the clock: the vendor's header for this chip has CHIP_FLASH_WRITE_WAIT_STATE = 6.
 constexpr std::uint32_t kProgrammingWaitStates = EEFC_FMR_FWS(6);
 
-// A page takes about 5 ms to erase and write; a turn of the loop takes 0.1 us or more.
-constexpr std::uint32_t kPatience = 1000000;
+// A page takes about 5 ms to erase and write; one poll takes 0.1 us or more.
+constexpr std::uint32_t kMaxPolls = 1000000;
 
 volatile std::uint32_t* words_of(std::size_t page) {
   return reinterpret_cast<volatile std::uint32_t*>(kBank + (kFirstPage + page) * kPageBytes);
 }
 
-// Reading the status clears its error bits, so they are gathered on the way. 0 when the flash stays
-// busy.
+// Waits until the flash is ready. Reading the status clears its error bits, so they are collected
+// over all reads. Returns 0 if the flash stays busy.
 std::uint32_t status_when_ready() {
-  std::uint32_t seen = 0;
-  for (std::uint32_t i = 0; i < kPatience; ++i) {
-    seen |= EFC1->EEFC_FSR.read();
-    if ((seen & EEFC_FSR_FRDY) != 0U) return seen;
+  std::uint32_t status = 0;
+  for (std::uint32_t i = 0; i < kMaxPolls; ++i) {
+    status |= EFC1->EEFC_FSR.read();
+    if ((status & EEFC_FSR_FRDY) != 0U) return status;
   }
   return 0;
 }

@@ -8,11 +8,11 @@ namespace heli::due::flash {
 
 inline constexpr std::size_t kPageBytes = 256;
 
-// `count` is a multiple of 4 and at most a page, in both.
+// For both: `page` from 0 to 3; `count` is a multiple of 4 and at most kPageBytes.
 void read_page(std::size_t page, std::uint8_t* to, std::size_t count);
 
-// Waits for the flash, about 5 ms; interrupts go on meanwhile, because they run from the other
-// bank.
+// Erases the page and writes `count` bytes. Waits about 5 ms for the flash; interrupts are served
+// meanwhile, because their code is in the other bank. False if the flash reports an error.
 bool write_page(std::size_t page, const std::uint8_t* from, std::size_t count);
 
 }  // namespace heli::due::flash

@@ -20,12 +20,12 @@
 namespace heli::due {
 namespace {
 
-Core* flying;
+Core* flight_core;
 TickTiming last_tick;
 std::atomic<std::uint32_t> ticks;
 
-// Sleeps until the next interrupt, unless a tick has come since `seen`: its work would wait for a
-// millisecond.
+// Sleeps until the next interrupt, unless a tick has come since the counter was `seen`: the idle
+// work after that tick would be late by a millisecond.
 void sleep_unless_ticked(std::uint32_t seen) {
   mask_interrupts();
   if (ticks.load(std::memory_order_relaxed) == seen) wait_for_interrupt();
@@ -36,6 +36,7 @@ void sleep_unless_ticked(std::uint32_t seen) {
 
 void kick_watchdog() { watchdog::check_in(ticks.load(std::memory_order_relaxed)); }
 
+// Starts the drivers and the flight code, then runs the idle loop for ever.
 [[noreturn]] void run() {
   const BootReport boot = faults::read_boot_report();
   if (!clock::start()) faults::give_up();
@@ -46,7 +47,7 @@ void kick_watchdog() { watchdog::check_in(ticks.load(std::memory_order_relaxed))
   static DueBoard board(boot);
   static FlightCode code(board);
   code.core.start();
-  flying = &code.core;
+  flight_core = &code.core;
   tick_timer::start();
 
   for (;;) {
@@ -60,11 +61,12 @@ void kick_watchdog() { watchdog::check_in(ticks.load(std::memory_order_relaxed))
 
 }  // namespace heli::due
 
+// The control tick, once per millisecond.
 extern "C" void tick_interrupt() {
   using namespace heli::due;
   if (!stack::intact()) faults::give_up();
   tick_timer::acknowledge();
-  flying->tick(last_tick);
+  flight_core->tick(last_tick);
   ticks.store(ticks.load(std::memory_order_relaxed) + 1U, std::memory_order_relaxed);
   last_tick = tick_timer::timing();
 }

@@ -3,6 +3,7 @@
 
 namespace heli::due {
 
+// Called by the reset handler, with memory initialised.
 [[noreturn]] void run();
 
 // From the idle loop, during a step that takes long: restarts the watchdog's deadline.

@@ -1,3 +1,4 @@
+// PWM channels, driver enables and the hardware stop; see motors.hpp for the context of each call.
 #include "motors.hpp"
 
 #include <cstdint>
@@ -10,7 +11,7 @@
 namespace heli::due::motors {
 namespace {
 
-constexpr std::uint32_t kChannelMask = 0xF0;
+constexpr std::uint32_t kChannelMask = 0xF0;  // channels 4 to 7, see wiring.hpp
 // Synchronous channels take clock, period, alignment and fault enables from channel 0, which is
 // therefore always one of them; its own pins are not used.
 constexpr std::uint32_t kGroup = kChannelMask | 1U;
@@ -43,8 +44,9 @@ constexpr std::uint32_t kEnablesB = enables_on(PIOB);
 constexpr std::uint32_t kEnablesC = enables_on(PIOC);
 constexpr std::uint32_t kEnablesD = enables_on(PIOD);
 
-bool enabled;
+bool enabled;  // by the last write(): the drivers are on
 
+// Sets output pins of a port.
 void set_level(At<Pio> port, std::uint32_t mask, bool high) {
   if (high) {
     port->PIO_SODR.write(mask);
@@ -63,7 +65,8 @@ void set_enables() {
   if constexpr (kEnablesD != 0U) set_level(PIOD, kEnablesD, kHigh);
 }
 
-void drive(At<Pio> port, std::uint32_t mask, bool high) {
+// Makes pins outputs with this level, without pull-up.
+void drive_output(At<Pio> port, std::uint32_t mask, bool high) {
   set_level(port, mask, high);
   port->PIO_OER.write(mask);
   port->PIO_PER.write(mask);
@@ -72,9 +75,10 @@ void drive(At<Pio> port, std::uint32_t mask, bool high) {
 
 void disable_drivers() { set_enables<false>(); }
 
+// The duty in steps, 0 to kPeriod; it acts from the next period on.
 void set_duty(unsigned channel, std::int32_t duty) {
-  const auto on = static_cast<std::uint32_t>(duty);
-  PWM->PWM_CH_NUM[channel].PWM_CDTYUPD.write(wiring::kPwmInverted ? on : kPeriod - on);
+  const auto steps = static_cast<std::uint32_t>(duty);
+  PWM->PWM_CH_NUM[channel].PWM_CDTYUPD.write(wiring::kPwmInverted ? steps : kPeriod - steps);
 }
 
 }  // namespace
@@ -82,14 +86,15 @@ void set_duty(unsigned channel, std::int32_t duty) {
 void hold_off() {
   pins::clock_all_ports();
   constexpr bool kOff = wiring::kEnableInverted;
-  if constexpr (kEnablesA != 0U) drive(PIOA, kEnablesA, kOff);
-  if constexpr (kEnablesB != 0U) drive(PIOB, kEnablesB, kOff);
-  if constexpr (kEnablesC != 0U) drive(PIOC, kEnablesC, kOff);
-  if constexpr (kEnablesD != 0U) drive(PIOD, kEnablesD, kOff);
-  drive(PIOC, kPwmPins, wiring::kPwmInverted);
+  if constexpr (kEnablesA != 0U) drive_output(PIOA, kEnablesA, kOff);
+  if constexpr (kEnablesB != 0U) drive_output(PIOB, kEnablesB, kOff);
+  if constexpr (kEnablesC != 0U) drive_output(PIOC, kEnablesC, kOff);
+  if constexpr (kEnablesD != 0U) drive_output(PIOD, kEnablesD, kOff);
+  drive_output(PIOC, kPwmPins, wiring::kPwmInverted);
 }
 
 void start() {
+  // The override keeps the outputs off while the channels are set up.
   PMC->PMC_PCER1.write(bit(ID_PWM - 32));
   PWM->PWM_OOV.write(kOffLevels);
   PWM->PWM_OSS.write(kOverride);
@@ -110,7 +115,7 @@ void start() {
   PWM->PWM_FPE2.write(kStopInput * 0x01010101U);
   PIOD->PIO_PUER.write(pins::kHardwareStop.mask());
   pins::to_peripheral_b(PIOD, pins::kHardwareStop.mask());
-  // Clears a stop that the input seemed to ask for before its polarity was set.
+  // Clears a stop that was latched before the input's polarity was set.
   PWM->PWM_FCR.write(PWM_FCR_FCLR(kStopInput));
 
   PWM->PWM_ENA.write(kGroup);
@@ -118,6 +123,7 @@ void start() {
 }
 
 void write(const MotorCommand& command) {
+  // Off: drivers and outputs first, then the duties.
   if (!command.enable) {
     disable_drivers();
     PWM->PWM_OSS.write(kOverride);
@@ -130,6 +136,7 @@ void write(const MotorCommand& command) {
   set_duty(wiring::kBackReverseChannel, back < 0 ? -back : 0);
   PWM->PWM_SCUC.write(PWM_SCUC_UPDULOCK);
 
+  // On: the duties are written before the outputs and drivers are released.
   if (command.enable && !enabled) {
     PWM->PWM_OSC.write(kOverride);
     set_enables<true>();
@@ -142,6 +149,7 @@ bool hardware_stop() {
   const bool active = (PWM_FSR_FS.of(status) & kStopInput) != 0U;
   const bool high = (PWM_FSR_FIV.of(status) & kStopInput) != 0U;
   const bool pressed = high == wiring::kStopIsHigh;
+  // The latch is cleared only when the input is released and the motors are off.
   if (active && !pressed && !enabled) PWM->PWM_FCR.write(PWM_FCR_FCLR(kStopInput));
   return active || pressed;
 }

@@ -9,7 +9,8 @@
 
 namespace heli::due::motors {
 
-// Centre-aligned: the counter runs up and down again.
+// Steps of full duty: half a PWM period in master clocks, because a centre-aligned counter runs up
+// and down.
 inline constexpr std::int16_t kDutyFull = clock::kMck_Hz / (2 * wiring::kPwm_Hz);
 
 // Before anything else after a reset: enables low, PWM pins low.
@@ -25,7 +26,7 @@ void write(const MotorCommand& command);
 // released and the motors have been commanded off.
 bool hardware_stop();
 
-// Any context, at any moment after a reset, even before start(): bridges off at once.
+// Any context, at any moment after a reset, even before start(): switches the bridges off.
 void cut();
 
 }  // namespace heli::due::motors

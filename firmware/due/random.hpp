@@ -5,7 +5,7 @@
 
 namespace heli::due::random {
 
-// 32 of them, in 84 cycles.
+// Returns 32 random bits; waits for 84 cycles. Before the tick starts.
 std::uint32_t bits();
 
 }  // namespace heli::due::random

@@ -1,5 +1,5 @@
-// The stack's unused part is painted, so that a debugger or an emulator sees how deep it went, and
-// so that the tick sees when it went too deep.
+// The stack's unused part is filled with a known word ("paint"). A debugger or an emulator can then
+// see how much of it was used, and the tick detects an overflow.
 #pragma once
 
 #include <cstdint>
@@ -10,8 +10,8 @@ namespace heli::due::stack {
 
 inline constexpr std::uint32_t kPaint = 0xA5A5A5A5;
 
-// On the chip nothing stops a stack that overflows: SRAM0 repeats below its own start, so it goes
-// on into the end of that bank, which nobody uses, and then into the variables.
+// False after an overflow. The chip does not stop one: SRAM0 is mirrored below its start, so the
+// stack would go on into the end of that bank, which is unused, and then into the variables.
 inline bool intact() {
   const volatile std::uint32_t* lowest = __stack_bottom;
   return *lowest == kPaint;

@@ -17,7 +17,7 @@ extern std::uint32_t __data_end[];
 extern std::uint32_t __bss_start[];
 extern std::uint32_t __bss_end[];
 
-// The compiler's answer to a call of a pure virtual function.
+// The compiler calls it instead of a pure virtual function.
 [[noreturn]] void __cxa_pure_virtual() { heli::due::faults::give_up(); }
 }
 
@@ -38,7 +38,7 @@ constexpr VectorTable vector_table() {
   VectorTable table{};
   table.stack = __stack_top;
   for (Handler& handler : table.handlers) handler = fault_entry;
-  // The stack stands where an exception number 0 would be.
+  // The first word is the stack pointer, so handler n of the array is exception n + 1.
   table.handlers[0] = reset_handler;
   table.handlers[kExceptions + ID_PIOD - 1] = encoder_interrupt;
   table.handlers[kExceptions + ID_TC3 - 1] = tick_interrupt;
@@ -53,6 +53,7 @@ std::uint32_t* stack_pointer() {
   return pointer;
 }
 
+// Copies initial values to RAM, clears the other variables, paints the stack below its present end.
 void initialise_memory() {
   const std::uint32_t* from = __data_load;
   for (std::uint32_t* to = __data_start; to != __data_end; ++to) *to = *from++;
@@ -65,6 +66,7 @@ void initialise_memory() {
 
 extern "C" [[gnu::noinline]] void reset_handler() {
   using namespace heli::due;
+  // Motors off before everything else. No variable has its value before initialise_memory().
   motors::hold_off();
   watchdog::start();
   SCB->VTOR.write(static_cast<std::uint32_t>(reinterpret_cast<std::uintptr_t>(&kVectors)));

@@ -10,8 +10,8 @@ void start();
 // In the interrupt, first.
 void acknowledge();
 
-// In the interrupt, last: how long this tick took since it was due, and whether it ended after the
-// next was due or came after others that nobody served.
+// In the interrupt, last: the time from when this tick was due until now. It is late if it ends
+// after the next one was due, or if ticks before it were missed.
 TickTiming timing();
 
 }  // namespace heli::due::tick_timer

@@ -1,3 +1,4 @@
+// Two rings that the PDC (the chip's peripheral DMA) fills and empties; see uart.hpp. Idle loop.
 #include "uart.hpp"
 
 #include <cstring>
@@ -23,39 +24,39 @@ std::uint8_t receive_ring[kReceiveBytes];
 std::uint8_t transmit_ring[kTransmitBytes];
 
 // Positions count all bytes since the start and are masked on use.
-std::uint32_t received;  // up to the last reading of the PDC
-std::uint32_t taken;
-std::uint32_t offered;  // up to here the PDC may fill the ring
-std::uint32_t queued;
-std::uint32_t handed;  // up to here the PDC has been told to send
+std::uint32_t received;      // up to the last reading of the PDC
+std::uint32_t fetched;       // up to here receive() has returned bytes
+std::uint32_t offered;       // up to here the PDC may fill the ring
+std::uint32_t queued;        // up to here transmit() has filled the ring
+std::uint32_t given_to_pdc;  // up to here the PDC has been told to send
 
 std::uint32_t address_of(const std::uint8_t* byte) {
   return static_cast<std::uint32_t>(reinterpret_cast<std::uintptr_t>(byte));
 }
 
-// Gives the PDC a buffer. What it does with a next buffer that arrives just when the present one
-// ends is nowhere written, so the next pair is written only while the last byte is yet to come: of
-// three that are left one may go between the look and the write, with interrupts masked no second,
-// because a byte takes 40 us. False: try again later.
-bool hand_over(ReadWrite& pointer, ReadWrite& counter, ReadWrite& next_pointer,
-               ReadWrite& next_counter, const std::uint8_t* bytes, std::uint32_t count) {
+// Gives the PDC a buffer; false if it cannot take one now. The datasheet does not say what happens
+// when the next buffer is written just as the present one ends. So it is written only while at
+// least two bytes remain: with three bytes and interrupts masked, at most one byte of 40 us can be
+// moved between reading the counter and writing the next buffer.
+bool give_buffer(ReadWrite& pointer, ReadWrite& counter, ReadWrite& next_pointer,
+                 ReadWrite& next_counter, const std::uint8_t* bytes, std::uint32_t count) {
   if (next_counter.read() != 0U) return false;
   mask_interrupts();
-  const std::uint32_t left = counter.read();
-  const bool chain = left > 2U;
-  if (chain) {
+  const std::uint32_t remaining = counter.read();
+  const bool can_chain = remaining > 2U;
+  if (can_chain) {
     next_pointer.write(address_of(bytes));
     next_counter.write(count);
-  } else if (left == 0U) {
+  } else if (remaining == 0U) {
     pointer.write(address_of(bytes));
     counter.write(count);
   }
   unmask_interrupts();
-  return chain || left == 0U;
+  return can_chain || remaining == 0U;
 }
 
 // Bytes that the PDC has yet to move, of the present and the next buffer.
-std::uint32_t in_flight(const ReadWrite& counter, const ReadWrite& next_counter) {
+std::uint32_t bytes_to_move(const ReadWrite& counter, const ReadWrite& next_counter) {
   std::uint32_t next = 0;
   std::uint32_t present = 0;
   do {
@@ -65,27 +66,29 @@ std::uint32_t in_flight(const ReadWrite& counter, const ReadWrite& next_counter)
   return next + present;
 }
 
+// Updates `received`, and gives the PDC the next half of the ring.
 void service_receiver() {
-  // By the counters and not by the pointer, which is the same in a full ring and in an empty one.
-  received = offered - in_flight(UART->UART_RCR, UART->UART_RNCR);
-  // A half is offered again only when all of it has been taken: bytes that nobody fetches stop the
-  // receiver, they never overwrite older ones.
-  if (offered - taken > kReceiveHalf) return;
-  if (hand_over(UART->UART_RPR, UART->UART_RCR, UART->UART_RNPR, UART->UART_RNCR,
-                receive_ring + offered % kReceiveBytes, kReceiveHalf)) {
+  // By the counters: the pointer would be the same in a full ring and in an empty one.
+  received = offered - bytes_to_move(UART->UART_RCR, UART->UART_RNCR);
+  // A half is offered again only when all of it has been fetched. If receive() is not called, the
+  // receiver stops; it never overwrites older bytes.
+  if (offered - fetched > kReceiveHalf) return;
+  if (give_buffer(UART->UART_RPR, UART->UART_RCR, UART->UART_RNPR, UART->UART_RNCR,
+                  receive_ring + offered % kReceiveBytes, kReceiveHalf)) {
     offered += kReceiveHalf;
   }
 }
 
+// Gives the PDC what is queued, up to the end of the ring.
 void service_transmitter() {
-  const std::uint32_t waiting = queued - handed;
-  if (waiting == 0U) return;
-  const std::uint32_t start = handed % kTransmitBytes;
-  const std::uint32_t in_a_row = kTransmitBytes - start;
-  const std::uint32_t count = waiting < in_a_row ? waiting : in_a_row;
-  if (hand_over(UART->UART_TPR, UART->UART_TCR, UART->UART_TNPR, UART->UART_TNCR,
-                transmit_ring + start, count)) {
-    handed += count;
+  const std::uint32_t available = queued - given_to_pdc;
+  if (available == 0U) return;
+  const std::uint32_t start = given_to_pdc % kTransmitBytes;
+  const std::uint32_t until_ring_end = kTransmitBytes - start;
+  const std::uint32_t count = available < until_ring_end ? available : until_ring_end;
+  if (give_buffer(UART->UART_TPR, UART->UART_TCR, UART->UART_TNPR, UART->UART_TNCR,
+                  transmit_ring + start, count)) {
+    given_to_pdc += count;
   }
 }
 
@@ -111,23 +114,23 @@ void service() {
   service_transmitter();
 }
 
-std::size_t receive(std::uint8_t* to, std::size_t most) {
+std::size_t receive(std::uint8_t* to, std::size_t capacity) {
   service_receiver();
-  const std::uint32_t waiting = received - taken;
-  const auto count = static_cast<std::uint32_t>(most < waiting ? most : waiting);
-  for (std::uint32_t i = 0; i < count; ++i) to[i] = receive_ring[(taken + i) % kReceiveBytes];
-  taken += count;
+  const std::uint32_t available = received - fetched;
+  const auto count = static_cast<std::uint32_t>(capacity < available ? capacity : available);
+  for (std::uint32_t i = 0; i < count; ++i) to[i] = receive_ring[(fetched + i) % kReceiveBytes];
+  fetched += count;
   return count;
 }
 
 std::size_t transmit_free() {
-  return kTransmitBytes - (queued - handed) - in_flight(UART->UART_TCR, UART->UART_TNCR);
+  return kTransmitBytes - (queued - given_to_pdc) - bytes_to_move(UART->UART_TCR, UART->UART_TNCR);
 }
 
 void transmit(const std::uint8_t* bytes, std::size_t count) {
   const std::uint32_t start = queued % kTransmitBytes;
-  const std::size_t in_a_row = kTransmitBytes - start;
-  const std::size_t first = count < in_a_row ? count : in_a_row;
+  const std::size_t until_ring_end = kTransmitBytes - start;
+  const std::size_t first = count < until_ring_end ? count : until_ring_end;
   std::memcpy(transmit_ring + start, bytes, first);
   std::memcpy(transmit_ring, bytes + first, count - first);
   queued += static_cast<std::uint32_t>(count);

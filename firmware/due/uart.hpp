@@ -11,7 +11,8 @@ void start();
 // At every turn of the idle loop: hands the PDC what it may send or fill next.
 void service();
 
-std::size_t receive(std::uint8_t* to, std::size_t most);
+// As Board's functions of these names.
+std::size_t receive(std::uint8_t* to, std::size_t capacity);
 std::size_t transmit_free();
 void transmit(const std::uint8_t* bytes, std::size_t count);
 

@@ -1,3 +1,4 @@
+// Mode and restart of the chip's watchdog; see watchdog.hpp.
 #include "watchdog.hpp"
 
 #include "registers.hpp"
@@ -5,14 +6,15 @@
 namespace heli::due::watchdog {
 namespace {
 
-// 27 periods of 128 slow clocks, and that clock is an RC oscillator of 20 to 44 kHz: 78 to 173 ms.
+// In periods of 128 slow clocks; 27 pass. The slow clock is an RC oscillator of 20 to 44 kHz, so
+// the timeout is 78 to 173 ms.
 constexpr std::uint32_t kTimeout = 26;
 
-// Ticks between two restarts: a fifth of the shortest timeout. The restart crosses into the slow
-// clock's domain, which a write at every millisecond would only crowd.
+// Ticks between two restarts: a fifth of the shortest timeout. Each restart has to cross into the
+// slow clock's domain, so more frequent ones would bring nothing.
 constexpr std::uint32_t kInterval = 16;
 
-std::uint32_t restarted_at;
+std::uint32_t restarted_at;  // in ticks
 
 }  // namespace
 

@@ -124,7 +124,7 @@ LOCK_TIMES = (
         "return select(PMC_MCKR_PRES_CLK_2 | PMC_MCKR_CSS_MAIN_CLK) &&\n         select(", "return select("
     ),
     locking("return wait_for(PMC_SR_MCKRDY);", "return true;"),
-    locking("kPatience = 20000", "kPatience = 200"),
+    locking("kMaxPolls = 20000", "kMaxPolls = 200"),
 )
 
 FILTERS = (
@@ -133,7 +133,7 @@ FILTERS = (
     filtering("TC_BMR_MAXFILT(63)", "TC_BMR_MAXFILT(31)"),
     filtering("start_decoder(TC0);", "start_decoder(TC0);\n  TC0->TC_BMR.write(kDecoder & ~kFilter);"),
     motors(
-        " |\n                     PWM_FMR_FFIL(kStopInput)",
+        " | PWM_FMR_FFIL(kStopInput)",
         "",
         noise.test_a_spike_shorter_than_a_clock_is_no_stop_and_a_longer_one_is,
     ),
@@ -236,7 +236,7 @@ ORDER = (
     ),
     Mutation(
         "motors.cpp",
-        "  if constexpr (kEnablesD != 0U) drive(PIOD, kEnablesD, kOff);\n",
+        "  if constexpr (kEnablesD != 0U) drive_output(PIOD, kEnablesD, kOff);\n",
         "",
         timing.test_enables_are_driven_low_within_microseconds_of_a_reset,
     ),
@@ -248,8 +248,8 @@ ORDER = (
     ),
     Mutation(
         "main.cpp",
-        "  tick_timer::acknowledge();\n  flying->tick(last_tick);",
-        "  flying->tick(last_tick);\n  tick_timer::acknowledge();",
+        "  tick_timer::acknowledge();\n  flight_core->tick(last_tick);",
+        "  flight_core->tick(last_tick);\n  tick_timer::acknowledge();",
         timing.test_a_tick_that_takes_longer_than_its_millisecond_is_one_late_tick,
     ),
     Mutation(
@@ -288,17 +288,17 @@ RACES = (
     ),
     Mutation(
         "tick_timer.cpp",
-        "const std::uint32_t due = running().TC_CV.read() - since_due;",
+        "const std::uint32_t due = free_channel().TC_CV.read() - since_due;",
         "const std::uint32_t due = due_at + kPeriod + 0U * since_due;",
         timing.test_ticks_that_nobody_served_make_the_next_one_late_by_their_number,
         (4.3,),
     ),
-    missing("missed > 0 || ", "", 2.1),
-    missing("missed * link::kTick_us + ", "", 4.3),
+    missing("missed_ticks > 0 || ", "", 2.1),
+    missing("missed_ticks * link::kTick_us + ", "", 4.3),
     missing("kPeriod / 2) / kPeriod", "kPeriod) / kPeriod", 1.5),
     Mutation(
         "tick_timer.cpp",
-        " || taken >= kPeriod",
+        " || elapsed >= kPeriod",
         "",
         timing.test_a_tick_that_takes_longer_than_its_millisecond_is_one_late_tick,
     ),
@@ -321,14 +321,14 @@ RACES = (
         timing.test_an_idle_loop_that_other_interrupts_wake_does_not_hide_a_tick_that_died,
     ),
     receiving(
-        "left > 1U",
-        "left > 0U",
+        "remaining > 2U",
+        "remaining > 0U",
         claims.test_the_board_hears_again_after_a_stall_that_filled_its_receive_ring,
         0,
         1023,
     ),
     receiving(
-        "if (offered - taken > kReceiveHalf) return;",
+        "if (offered - fetched > kReceiveHalf) return;",
         "",
         claims.test_bytes_that_find_no_room_are_lost_and_no_older_ones,
     ),
@@ -343,7 +343,7 @@ RACES = (
         claims.test_no_byte_of_the_board_is_lost_or_wrong_wherever_its_ring_ends,
     ),
     receiving(
-        "waiting < in_a_row ? waiting : in_a_row",
+        "available < until_ring_end ? available : until_ring_end",
         "waiting",
         claims.test_no_byte_of_the_board_is_lost_or_wrong_wherever_its_ring_ends,
     ),
@@ -358,13 +358,13 @@ RACES = (
 CORE = (
     core(
         "flight/supervisor.cpp",
-        "  at_arming_.overruns = seen_->overruns;\n",
+        "  at_arming_.overruns = observation_->overruns;\n",
         "",
         since_when.test_late_ticks_from_before_arming_are_no_fault_and_later_ones_are,
     ),
     core(
         "flight/supervisor.cpp",
-        "    at_arming_.illegal[axis] = seen_->illegal[axis];\n",
+        "    at_arming_.illegal[axis] = observation_->illegal[axis];\n",
         "",
         claims.test_illegal_transitions_are_counted_beyond_16_bits,
         2,
@@ -377,14 +377,14 @@ CORE = (
     ),
     core(
         "flight/supervisor.cpp",
-        "    setpoints_.hold_at(kTravel, seen_->angle_rad[kTravel]);\n",
+        "    setpoints_.hold_at(kTravel, observation_->angle_rad[kTravel]);\n",
         "",
         since_when.test_a_hold_stays_where_it_began_on_every_axis_that_it_holds,
     ),
     core(
         "flight/limits.cpp",
         "  // Checked first, because a wrong count exceeds the other limits too.\n"
-        "  if (s.overload_edges > 0U) {",
+        "  if (observation.overload_edges > 0U) {",
         "  if (false) {",
         safety.test_edges_too_fast_to_count_switch_off_and_inform_the_host,
         2.5e6,
@@ -395,7 +395,7 @@ CORE = (
 BOOT_IDS = (
     numbering("PMC->PMC_PCER1.write(bit(ID_TRNG - 32));", ""),
     numbering("kKey | TRNG_CR_ENABLE", "kKey"),
-    numbering("kPatience = 100", "kPatience = 0"),
+    numbering("kMaxPolls = 100", "kMaxPolls = 0"),
     numbering("TRNG_CR_KEY(0x524E47)", "TRNG_CR_KEY(0x524E46)"),
 )
 

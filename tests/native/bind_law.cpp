@@ -178,14 +178,15 @@ class LawReplay {
                         float per_V) {
       const auto whole = heli::control::product<0>(volts_V, motor.duty_per_V).raw();
       const auto duty = heli::control::clamp<std::int32_t>(whole, motor.min_duty, motor.max_duty);
-      const auto acted =
+      const auto applied =
           heli::control::product<24>(heli::control::Whole::from_raw(duty), motor.V_per_duty);
-      return heli::control::product<0>(acted, heli::control::Fixed<14>::of(per_V)).raw();
+      return heli::control::product<0>(applied, heli::control::Fixed<14>::of(per_V)).raw();
     };
-    const heli::law::Acted acted{raw(out.front_V, conversion_.front, heli::link::kFrontPerUnit),
-                                 raw(out.back_V, conversion_.back, heli::link::kBackPerUnit)};
-    uploaded_->set_acted(acted);
-    return std::tuple(acted.front_raw, acted.back_raw);
+    const heli::law::AppliedVoltages applied{
+        raw(out.front_V, conversion_.front, heli::link::kFrontPerUnit),
+        raw(out.back_V, conversion_.back, heli::link::kBackPerUnit)};
+    uploaded_->set_applied(applied);
+    return std::tuple(applied.front_raw, applied.back_raw);
   }
 
   std::tuple<std::array<std::int32_t, heli::kAxisCount>, std::array<std::int32_t, 4>> told() const {

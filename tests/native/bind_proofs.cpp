@@ -41,7 +41,7 @@ std::string broken_by(const std::string& member) {
     core.uploaded_.tape_.program_at_ = core.uploaded_.tape_.shape_.outputs();
     core.uploaded_.tape_.ends_[0] = 1;
   } else if (member == "slew") {
-    core.derived_[core.active_].bounds.step_max_rad[0] = heli::flight::Step::from_raw(-1);
+    core.derived_[core.active_].setpoint_limits.step_max_rad[0] = heli::flight::Step::from_raw(-1);
   } else if (member == "path") {
     core.supervisor_.setpoints_.axes_[0].path.raw_ = std::int64_t{1} << 44;
   } else if (member == "differential") {

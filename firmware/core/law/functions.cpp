@@ -1,3 +1,4 @@
+// The functions of functions.hpp, by polynomials in fixed point. They run in the tick.
 #include "law/functions.hpp"
 
 #include <cstddef>
@@ -10,10 +11,12 @@ namespace {
 // that the arguments are reduced to.
 using Q30 = std::int32_t;
 
+// Product, rounded down.
 constexpr Q30 times(Q30 a, Q30 b) {
   return static_cast<Q30>((static_cast<std::int64_t>(a) * b) >> 30);
 }
 
+// Horner's scheme; the coefficient of x^0 is the first.
 template <std::size_t kCount>
 constexpr Q30 polynomial(const Q30 (&coefficients)[kCount], Q30 x) {
   Q30 sum = coefficients[kCount - 1];
@@ -36,33 +39,35 @@ constexpr Q30 kArctangent[] = {1073741821, -357913393, 214729366, -153132481, 11
 constexpr Q30 kTanh[] = {1073741821, -357912582, 143056179, -55114107};
 
 constexpr std::uint32_t kTwoOverPi = 2734261102U;  // 32 bits behind the point
-constexpr std::uint32_t kLog2OfE = 3098164009U;    // 31
-constexpr std::int32_t kHalfPi = 843314857;        // 29
-constexpr std::int32_t kPi = 1686629713;           // 29
+constexpr std::uint32_t kLog2OfE = 3098164009U;    // 31 bits behind the point
+constexpr std::int32_t kHalfPi = 843314857;        // 29 bits behind the point
+constexpr std::int32_t kPi = 1686629713;           // 29 bits behind the point
 
 constexpr std::uint32_t kLargestAngle = 127U + 13U;  // exponent of 8192
 constexpr std::uint32_t kSmallAngle = 127U - 12U;    // below, sin(a) is a to half a bit
 
-// The angle's size in right angles: which quarter of the turn, and from its middle.
+// An angle in units of a right angle, as its nearest whole number and the difference from it.
 struct Quarter {
-  std::uint32_t number;
-  Q30 from_middle;  // within 1/2
+  std::uint32_t number;  // modulo 4
+  Q30 from_middle;       // -1/2 to 1/2
 };
 
+// Of the angle's magnitude; its exponent is from kSmallAngle to below kLargestAngle.
 Quarter quarter_of(Bits angle_rad) {
   const std::uint64_t exact = static_cast<std::uint64_t>(mantissa_of(angle_rad)) * kTwoOverPi;
   const auto phase =
       static_cast<std::uint32_t>(exact >> (127U + 23U + 32U - 30U - exponent_of(angle_rad)));
-  const std::uint32_t ahead = phase + (1U << 29U);
-  return {ahead >> 30U, static_cast<Q30>(ahead & 0x3fffffffU) - (1 << 29)};
+  const std::uint32_t shifted_phase = phase + (1U << 29U);
+  return {shifted_phase >> 30U, static_cast<Q30>(shifted_phase & 0x3fffffffU) - (1 << 29)};
 }
 
 Bits sine_of(const Quarter& quarter) {
+  // Odd quarters are a cosine; the second half of the turn is negative.
   const Q30 square = times(quarter.from_middle, quarter.from_middle);
-  const Q30 size = (quarter.number & 1U) != 0U
-                       ? polynomial(kCosine, square)
-                       : times(polynomial(kSine, square), quarter.from_middle);
-  return from_fixed((quarter.number & 2U) != 0U ? -size : size, 30);
+  const Q30 magnitude = (quarter.number & 1U) != 0U
+                            ? polynomial(kCosine, square)
+                            : times(polynomial(kSine, square), quarter.from_middle);
+  return from_fixed((quarter.number & 2U) != 0U ? -magnitude : magnitude, 30);
 }
 
 // Converts a number from 0 to 2.
@@ -78,33 +83,33 @@ Bits square_root(Bits a) {
   if (exponent == 0U) {
     return a & kSign;
   }
-  if ((a & kSign) != 0U || is_no_number(a)) {
-    return kNoNumber;
+  if ((a & kSign) != 0U || is_nan(a)) {
+    return kNan;
   }
   if (exponent == 0xffU) {
     return a;
   }
   // One binary digit of the root at a time.
-  std::uint32_t rest = mantissa_of(a) << ((exponent & 1U) != 0U ? 1U : 2U);
+  std::uint32_t remainder = mantissa_of(a) << ((exponent & 1U) != 0U ? 1U : 2U);
   std::uint32_t root = 0;
   std::uint32_t doubled = 0;
   for (std::uint32_t digit = 0x01000000U; digit != 0U; digit >>= 1U) {
-    const std::uint32_t tried = doubled + digit;
-    if (tried <= rest) {
-      doubled = tried + digit;
-      rest -= tried;
+    const std::uint32_t candidate = doubled + digit;
+    if (candidate <= remainder) {
+      doubled = candidate + digit;
+      remainder -= candidate;
       root += digit;
     }
-    rest <<= 1U;
+    remainder <<= 1U;
   }
-  const std::uint32_t mantissa = (root << 7U) | (rest != 0U ? 1U : 0U);
+  const std::uint32_t mantissa = (root << 7U) | (remainder != 0U ? 1U : 0U);
   return rounded(0U, static_cast<std::int32_t>((exponent + 127U) >> 1U), mantissa);
 }
 
 Bits sine(Bits angle_rad) {
   const std::uint32_t exponent = exponent_of(angle_rad);
   if (exponent >= kLargestAngle) {
-    return kNoNumber;
+    return kNan;
   }
   if (exponent < kSmallAngle) {
     return angle_rad;
@@ -115,7 +120,7 @@ Bits sine(Bits angle_rad) {
 Bits cosine(Bits angle_rad) {
   const std::uint32_t exponent = exponent_of(angle_rad);
   if (exponent >= kLargestAngle) {
-    return kNoNumber;
+    return kNan;
   }
   if (exponent < kSmallAngle) {
     return kOne;
@@ -127,38 +132,41 @@ Bits cosine(Bits angle_rad) {
 
 Bits tangent(Bits angle_rad) { return divide(sine(angle_rad), cosine(angle_rad)); }
 
+// atan(smaller / larger) from 0 to 45 degrees, then mirrored at 45 and at 90 degrees, as far as the
+// signs and sizes of x and y demand. The result has the sign of y.
 Bits arctangent(Bits y, Bits x) {
-  if (is_no_number(y) || is_no_number(x)) {
-    return kNoNumber;
+  if (is_nan(y) || is_nan(x)) {
+    return kNan;
   }
-  const Bits height = y & ~kSign;
-  const Bits width = x & ~kSign;
-  const bool steep = height > width;
+  const Bits size_y = y & ~kSign;
+  const Bits size_x = x & ~kSign;
+  const bool steeper_than_45 = size_y > size_x;
   Bits ratio = kOne;
-  if (height != width) {
-    ratio = steep ? divide(width, height) : divide(height, width);
-  } else if (!holds(height)) {
+  if (size_y != size_x) {
+    ratio = steeper_than_45 ? divide(size_x, size_y) : divide(size_y, size_x);
+  } else if (!is_true(size_y)) {
     ratio = 0U;
   }
-  const bool behind = (x & kSign) != 0U;
-  if (!steep && !behind && exponent_of(ratio) < kSmallAngle) {
+  const bool x_is_negative = (x & kSign) != 0U;
+  if (!steeper_than_45 && !x_is_negative && exponent_of(ratio) < kSmallAngle) {
     return ratio | (y & kSign);
   }
-  const Q30 part = to_q30(ratio);
-  std::int32_t angle = times(polynomial(kArctangent, times(part, part)), part) >> 1;
-  if (steep) {
+  const Q30 ratio_q30 = to_q30(ratio);
+  std::int32_t angle = times(polynomial(kArctangent, times(ratio_q30, ratio_q30)), ratio_q30) >> 1;
+  if (steeper_than_45) {
     angle = kHalfPi - angle;
   }
-  if (behind) {
+  if (x_is_negative) {
     angle = kPi - angle;
   }
   return from_fixed(angle, 29) ^ (y & kSign);
 }
 
+// 2^(a log2(e)): the whole part is the result's exponent, the fraction goes through a polynomial.
 Bits exponential(Bits a) {
   constexpr Bits kLargest = 0x42b20000U;  // 89
-  if (is_no_number(a)) {
-    return kNoNumber;
+  if (is_nan(a)) {
+    return kNan;
   }
   const bool negative = (a & kSign) != 0U;
   const std::uint32_t exponent = exponent_of(a);
@@ -169,31 +177,32 @@ Bits exponential(Bits a) {
     return kOne;
   }
   // In powers of two, 32 bits behind the point.
-  const std::uint64_t size = (static_cast<std::uint64_t>(mantissa_of(a)) * kLog2OfE) >>
-                             (127U + 23U + 31U - 32U - exponent);
-  const std::uint64_t power = negative ? 0U - size : size;
+  const std::uint64_t magnitude = (static_cast<std::uint64_t>(mantissa_of(a)) * kLog2OfE) >>
+                                  (127U + 23U + 31U - 32U - exponent);
+  const std::uint64_t power = negative ? 0U - magnitude : magnitude;
   const auto fraction = static_cast<Q30>(static_cast<std::uint32_t>(power) >> 2U);
   const auto whole = static_cast<std::int32_t>(static_cast<std::uint32_t>(power >> 32U));
   const auto mantissa = static_cast<std::uint32_t>(polynomial(kPower, fraction));
   return rounded(0U, whole + kBias, mantissa << 1U);
 }
 
+// A polynomial for small numbers; otherwise 1 - 2 / (exp(2 |a|) + 1).
 Bits hyperbolic_tangent(Bits a) {
-  if (is_no_number(a)) {
-    return kNoNumber;
+  if (is_nan(a)) {
+    return kNan;
   }
   const Bits sign = a & kSign;
-  const Bits size = a & ~kSign;
-  if (size < 0x3e800000U) {  // 1/4
-    const Q30 part = to_q30(size);
-    return multiply(a, from_fixed(polynomial(kTanh, times(part, part)), 30));
+  const Bits magnitude = a & ~kSign;
+  if (magnitude < 0x3e800000U) {  // 1/4
+    const Q30 x = to_q30(magnitude);
+    return multiply(a, from_fixed(polynomial(kTanh, times(x, x)), 30));
   }
-  if (size >= 0x41200000U) {  // 10: 1 to half a bit
+  if (magnitude >= 0x41200000U) {  // 10: 1 to half a bit
     return sign | kOne;
   }
   constexpr Bits kTwo = 0x40000000U;
-  const Bits grown = exponential(add(size, size));
-  return sign | subtract(kOne, divide(kTwo, add(grown, kOne)));
+  const Bits exp_2x = exponential(add(magnitude, magnitude));
+  return sign | subtract(kOne, divide(kTwo, add(exp_2x, kOne)));
 }
 
 }  // namespace heli::law

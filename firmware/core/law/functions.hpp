@@ -9,7 +9,7 @@ namespace heli::law {
 Bits square_root(Bits a);
 
 // Beyond 8192 rad the last bit of an angle is a milliradian, and such an angle is the result of a
-// diverging law: the functions then return "no number".
+// diverging law: the functions then return NaN.
 Bits sine(Bits angle_rad);
 Bits cosine(Bits angle_rad);
 Bits tangent(Bits angle_rad);

@@ -20,24 +20,25 @@ using link::Takeover;
 
 // Derived from the parameters in the idle loop.
 struct GuardLimits {
-  Quantity jump_max_V;
+  Quantity jump_max_V;  // change of a motor's voltage from one output of the law to the next
   Quantity angle_max_rad[kAxisCount];
   Quantity rate_max_rad_s[kAxisCount];
-  Quantity table_rad;
+  Quantity table_rad;           // elevation of the table
   Gain braking_s2[kAxisCount];  // angle to brake in, per (rad/s)^2; 0: not predicted
   Gain lift_rad_s2_per_V;       // acceleration of elevation by lift beyond hover's
   Quantity hover_V;             // lift that carries the arm at level
   Gain hover_V_per_rad;         // additional lift per elevation
   control::DeadZone dead_zone;
   Quantity following_max_rad[kAxisCount];
-  // From this error on the supervisor counts its time limit, of which the way back takes a part.
+  // From this error on the supervisor counts the time to its own limit, of which the return takes a
+  // part; so the guard allows no time here.
   Quantity following_end_rad[kAxisCount];
-  std::uint32_t following_ticks = 0;
+  std::uint32_t following_ticks = 0;  // time above following_max_rad that is tolerated
 };
 
 // Lift of both motors in excess of what carries the arm at that elevation.
-Quantity spare_lift_V(Quantity front_V, Quantity back_V, Quantity elevation_rad,
-                      const GuardLimits& limits);
+Quantity excess_lift_V(Quantity front_V, Quantity back_V, Quantity elevation_rad,
+                       const GuardLimits& limits);
 
 GuardLimits guard_limits_of(const params::Params& params);
 
@@ -56,21 +57,21 @@ struct GuardVerdict {
 class Guard {
  public:
   void restart() {
-    for (std::uint32_t& ticks : astray_ticks_) {
+    for (std::uint32_t& ticks : error_ticks_) {
       ticks = 0;
     }
   }
-  // `before`: the output that acted in the previous tick.
-  GuardVerdict check(const control::ControlInput& in, const LawOutput& wish,
-                     const LawOutput& before, const GuardLimits& limits);
+  // Once per tick. `previous`: the output that acted in the previous tick.
+  GuardVerdict check(const control::ControlInput& in, const LawOutput& output,
+                     const LawOutput& previous, const GuardLimits& limits);
 
  private:
-  GuardVerdict check_envelope(const control::ControlInput& in, const LawOutput& before,
+  GuardVerdict check_envelope(const control::ControlInput& in, const LawOutput& previous,
                               const GuardLimits& limits) const;
-  GuardVerdict check_following(const control::ControlInput& in, const LawOutput& wish,
+  GuardVerdict check_following(const control::ControlInput& in, const LawOutput& output,
                                const GuardLimits& limits);
 
-  std::uint32_t astray_ticks_[kAxisCount] = {};
+  std::uint32_t error_ticks_[kAxisCount] = {};
 };
 
 }  // namespace heli::law

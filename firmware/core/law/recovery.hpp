@@ -1,11 +1,12 @@
-// After an uploaded law's flight, the board's own law first brings the arm to rest, then flies on.
+// After an uploaded law's flight, the compiled controller first brings the arm to rest, then flies
+// on. All of it runs in the tick, except recovery_limits_of().
 //
 // By then the arm may be far from its setpoint. The cascade overshoots such a step by a quarter:
 // from 16 degrees on it would reach the upper limit. So an axis that is far from its setpoint gets
 // a new one where the arm is, until the arm is at rest. From there the supervisor's setpoint moves
 // on to the host's target at its usual rates. If travel has to return, elevation waits where the
-// rotors have enough lift to tilt: lower, the tilt itself lifts the arm, by 15 degrees at -24, and
-// further on slow rotors.
+// rotors have enough lift to tilt. Lower, the tilt itself lifts the arm: by 15 degrees at an
+// elevation of -24 degrees, and further with slow rotors.
 #pragma once
 
 #include <cstdint>
@@ -55,14 +56,14 @@ class Recovery {
   // One tick of each phase; false when the phase has ended.
   bool stop_arm(control::ControlInput& in, const RecoveryLimits& limits);
   bool return_travel(control::ControlInput& in, const RecoveryLimits& limits);
-  void move(control::ControlInput& in, std::size_t axis, Quantity setpoint_rad);
-  bool calm_for_long(bool calm);
+  void override_setpoint(control::ControlInput& in, std::size_t axis, Quantity setpoint_rad);
+  bool at_rest_long_enough(bool at_rest_now);
 
-  bool active_ = false;
-  bool begun_ = false;
-  bool returning_ = false;
-  std::uint32_t ticks_ = 0;
-  std::uint32_t calm_ticks_ = 0;
+  bool active_ = false;      // from start() until both phases have ended
+  bool begun_ = false;       // the first update() has taken place
+  bool returning_ = false;   // the second phase
+  std::uint32_t ticks_ = 0;  // since the first update(), in both phases
+  std::uint32_t rest_ticks_ = 0;
   bool overrides_[kAxisCount] = {};
   Quantity setpoint_rad_[kAxisCount];
 };

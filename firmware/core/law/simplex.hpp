@@ -36,6 +36,8 @@ class Simplex {
   }
 
  private:
+  // A flight with an uploaded law, or the recovery after it. Not inlined, so that update() stays
+  // short without one.
   [[gnu::noinline]] ControlOutput update_both(const ControlInput& in, Bank bank) {
     ControlOutput out{};
     if (uploaded_.flying() && uploaded_.update(in, bank, out)) {

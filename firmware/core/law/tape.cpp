@@ -1,3 +1,5 @@
+// Runs a verified tape in the tick. A word is operation (5 bits), target, first and second operand
+// (9 bits each: cell numbers), from the top bit down; docs/reference/link.md describes the format.
 #include "law/tape.hpp"
 
 #include "law/functions.hpp"
@@ -9,7 +11,8 @@ using link::Operation;
 
 namespace {
 
-// A function of its own, because its loop needs all registers.
+// Adds cell times cell for each word from `term` to `end`; the sign is the word's top bit. A
+// separate function, because its loop needs all registers.
 [[gnu::noinline]] Bits sum_of_products(const Bits* cells, const std::uint32_t* term,
                                        const std::uint32_t* end) {
   Sum sum;
@@ -23,6 +26,7 @@ namespace {
 
 }  // namespace
 
+// Sets the states to their initial values, which the image holds after constants and parameters.
 void Tape::restart() {
   const std::uint32_t* first = image_ + Shape::kHeadWords + shape_.constants + shape_.parameters;
   Bits* state = cells_ + shape_.first_state();
@@ -31,6 +35,7 @@ void Tape::restart() {
   }
 }
 
+// False if the law has no such parameter. A number below the normal ones becomes zero.
 bool Tape::set_parameter(std::uint32_t index, Bits value) {
   if (index >= shape_.parameters) {
     return false;
@@ -45,22 +50,24 @@ bool Tape::run(std::uint32_t tick) {
   return tick + 1U == ticks_;
 }
 
+// Moves the new states, the last outputs, to the cells of the states.
 bool Tape::commit_states() {
-  const std::uint32_t* from = image_ + outputs_at_ + Shape::kFirstSignal + shape_.signals;
+  const std::uint32_t* output_cells = image_ + outputs_at_ + Shape::kFirstSignal + shape_.signals;
   Bits* state = cells_ + shape_.first_state();
-  Bits largest = 0;
+  Bits largest = 0;  // without its sign; infinity and NaN are larger than all numbers
   for (std::uint32_t k = 0; k < shape_.states; ++k) {
-    const Bits fresh = cells_[from[k]];
-    state[k] = fresh;
-    largest = (fresh << 1U) > largest ? fresh << 1U : largest;
+    const Bits new_state = cells_[output_cells[k]];
+    state[k] = new_state;
+    largest = (new_state << 1U) > largest ? new_state << 1U : largest;
   }
   return is_finite(largest >> 1U);
 }
 
-void Tape::execute(const std::uint32_t* from, const std::uint32_t* to) {
+// Executes the instructions up to `end`. The verifier has checked every cell number.
+void Tape::execute(const std::uint32_t* instruction, const std::uint32_t* end) {
   Bits* const cells = cells_;
-  for (; from != to; ++from) {
-    const std::uint32_t word = *from;
+  for (; instruction != end; ++instruction) {
+    const std::uint32_t word = *instruction;
     const Bits a = cells[(word >> 9U) & 0x1ffU];
     const Bits b = cells[word & 0x1ffU];
     Bits result = a;
@@ -140,8 +147,8 @@ void Tape::execute(const std::uint32_t* from, const std::uint32_t* to) {
         result = exponential(a);
         break;
       case Operation::sum_of_products:
-        result = sum_of_products(cells, from + 1, from + 1 + (word & 0x1ffU));
-        from += word & 0x1ffU;
+        result = sum_of_products(cells, instruction + 1, instruction + 1 + (word & 0x1ffU));
+        instruction += word & 0x1ffU;
         break;
     }
     cells[(word >> 18U) & 0x1ffU] = result;

@@ -1,4 +1,4 @@
-// A law as data: uploaded in parts, verified, then called again and again.
+// A law as data (a "tape" of instructions): uploaded in parts, verified, then called periodically.
 //
 // The idle loop receives and verifies, the tick runs. Each writes one byte that the other only
 // reads. The tick starts a law only if the byte says `ready`. The idle loop first withdraws
@@ -17,9 +17,10 @@ namespace heli::law {
 using link::LawError;
 using link::LawState;
 
-// The header of an upload.
+// The header of an upload: how many cells and words each part has. Cells are, in this order:
+// inputs, constants, parameters, states, and cells that instructions write.
 struct Shape {
-  std::uint32_t divisor = 1;
+  std::uint32_t divisor = 1;  // a call begins every `divisor` ticks
   std::uint32_t signals = 0;
   std::uint32_t parameters = 0;
   std::uint32_t constants = 0;
@@ -55,6 +56,7 @@ struct UploadCheck {
 class Tape {
  public:
   // Idle loop.
+  // One call per message of the host.
   UploadCheck begin(const link::LawBeginMessage& message);
   UploadCheck receive(const link::LawPartMessage& message);
   // Verifies the upload; if it passes, `value` is the cost of a call in instructions.
@@ -66,6 +68,7 @@ class Tape {
   LawState state() const { return flying() ? LawState::flying : stored(); }
   bool flying() const { return flying_.load(std::memory_order_relaxed); }
   const Shape& shape() const { return shape_; }
+  // Ticks over which a call is spread.
   std::uint32_t ticks() const { return ticks_; }
 
   // Tick, and only while `ready` or `flying`.
@@ -89,13 +92,14 @@ class Tape {
   static constexpr std::size_t kCells = link::kLawCells;
   static constexpr std::size_t kWords = link::kLawWords;
 
+  // Steps of end(), in this order.
   UploadCheck check();
   UploadCheck read_shape();
   UploadCheck check_numbers() const;
   UploadCheck check_program();
   UploadCheck schedule();
   void prepare();
-  void execute(const std::uint32_t* from, const std::uint32_t* to);
+  void execute(const std::uint32_t* instruction, const std::uint32_t* end);
 
   LawState stored() const { return stored_.load(std::memory_order_acquire); }
   void store(LawState state) { stored_.store(state, std::memory_order_release); }
@@ -103,18 +107,18 @@ class Tape {
   std::atomic<LawState> stored_{LawState::none};
   std::atomic<bool> flying_{false};
   std::uint32_t hash_ = 0;
-  std::uint32_t expected_ = 0;  // words
-  std::uint32_t received_ = 0;
+  std::uint32_t expected_ = 0;  // words of the upload
+  std::uint32_t received_ = 0;  // words received so far
   Shape shape_;
-  std::uint32_t outputs_at_ = 0;  // in the image
-  std::uint32_t program_at_ = 0;
-  std::uint32_t cost_ = 0;
+  std::uint32_t outputs_at_ = 0;  // index in the image of the first output's cell number
+  std::uint32_t program_at_ = 0;  // index in the image of the first instruction
+  std::uint32_t cost_ = 0;        // of a call, in processor instructions
   std::uint32_t ticks_ = 1;
-  std::uint32_t inputs_read_ = 0;
+  std::uint32_t inputs_read_ = 0;  // one bit per input
   // Index past the last instruction of each tick of a call.
   std::uint16_t ends_[link::kLawMaxTicks] = {};
-  std::uint32_t image_[kWords] = {};
-  Bits cells_[kCells] = {};
+  std::uint32_t image_[kWords] = {};  // the upload: head, numbers, output cells, program
+  Bits cells_[kCells] = {};           // memory of the running law
 };
 
 }  // namespace heli::law

@@ -1,5 +1,7 @@
-// Verifies a tape before it may fly. A tape has no loop, so these can be checked in advance: each
-// cell is written before it is read, each written cell is free, and the cost of a call has a bound.
+// Verifies a tape before it may fly, in the idle loop. A tape has no loop, so these can be checked
+// in advance: each cell is written before it is read, no instruction writes a cell of an input,
+// number or state, and the cost of a call has a bound. A word is operation (5 bits), target, first
+// and second operand (9 bits each: cell numbers), from the top bit down.
 #include <cstring>
 
 #include "law/tape.hpp"
@@ -9,10 +11,10 @@ namespace heli::law {
 
 namespace {
 
-constexpr std::uint32_t kPartWords = 12;
+constexpr std::uint32_t kPartWords = 12;  // of an upload message
 
-constexpr std::uint32_t kCellMask = 0x1ffU;
-constexpr std::uint32_t kPairMask = 0x3ffffU;
+constexpr std::uint32_t kCellMask = 0x1ffU;    // one cell number
+constexpr std::uint32_t kPairMask = 0x3ffffU;  // two cell numbers
 
 constexpr bool is_sum(std::uint32_t word) {
   return word >> 27U == static_cast<std::uint32_t>(link::Operation::sum_of_products);
@@ -51,6 +53,7 @@ struct Rest {
   std::uint32_t count;
 };
 
+// Checks a sum of products: its head has the number of terms, each term is a sign and two cells.
 UploadCheck check_sum(const Rest& rest, Cells& cells) {
   const std::uint32_t word = rest.words[0];
   const std::uint32_t terms = word & kCellMask;
@@ -101,13 +104,13 @@ UploadCheck check_instruction(const Rest& rest, std::uint32_t first_written, Cel
 // Checks the cell of output `k`. A new state must not be the cell of a state, because states are
 // replaced one by one.
 UploadCheck check_output(const Shape& shape, std::uint32_t k, std::uint32_t cell, Cells& cells) {
-  const std::uint32_t place = shape.instructions + k;
+  const std::uint32_t word_index = shape.instructions + k;
   const bool is_state = cell >= shape.first_state() && cell < shape.first_written();
   if (cell >= link::kLawCells || (k >= Shape::kFirstSignal + shape.signals && is_state)) {
-    return {LawError::bad_cell, place};
+    return {LawError::bad_cell, word_index};
   }
   if (!cells.read(cell)) {
-    return {LawError::not_written, place};
+    return {LawError::not_written, word_index};
   }
   return {};
 }
@@ -133,6 +136,7 @@ Overhead overhead_of(const Shape& shape, std::uint32_t inputs_read) {
   return cost;
 }
 
+// Cost of an instruction with its terms, in processor instructions.
 std::uint32_t cost_of(std::uint32_t word) {
   return link::kOperationCost[word >> 27U] + (words_of(word) - 1U) * link::kLawTermCost;
 }
@@ -228,9 +232,9 @@ UploadCheck Tape::end() {
   if (received_ != expected_) {
     return {LawError::incomplete, received_};
   }
-  const UploadCheck found = check();
-  store(found.error == LawError::none ? LawState::ready : LawState::none);
-  return found.error == LawError::none ? UploadCheck{LawError::none, cost_} : found;
+  const UploadCheck verdict = check();
+  store(verdict.error == LawError::none ? LawState::ready : LawState::none);
+  return verdict.error == LawError::none ? UploadCheck{LawError::none, cost_} : verdict;
 }
 
 // The first reason why the law cannot fly, or its cost. Each check relies on those before it.
@@ -256,11 +260,11 @@ UploadCheck Tape::check() {
   if (program.error != LawError::none) {
     return program;
   }
-  const UploadCheck division = schedule();
-  if (division.error == LawError::none) {
+  const UploadCheck timing = schedule();
+  if (timing.error == LawError::none) {
     prepare();
   }
-  return division;
+  return timing;
 }
 
 // Sets the positions of all parts on the tape.
@@ -290,6 +294,7 @@ UploadCheck Tape::read_shape() {
   return {};
 }
 
+// Constants, parameters and initial states must be finite.
 UploadCheck Tape::check_numbers() const {
   const std::uint32_t numbers = shape_.constants + shape_.parameters + shape_.states;
   for (std::uint32_t k = 0; k < numbers; ++k) {
@@ -300,6 +305,7 @@ UploadCheck Tape::check_numbers() const {
   return {};
 }
 
+// Checks all instructions and outputs, in the order in which they run.
 UploadCheck Tape::check_program() {
   const std::uint32_t first_written = shape_.first_written();
   const std::uint32_t* const program = image_ + program_at_;
@@ -321,6 +327,7 @@ UploadCheck Tape::check_program() {
   return {};
 }
 
+// Divides a call into ticks; refuses a law whose call does not end before the next one begins.
 UploadCheck Tape::schedule() {
   Schedule schedule(overhead_of(shape_, inputs_read_), ends_);
   const std::uint32_t* const program = image_ + program_at_;
@@ -336,6 +343,7 @@ UploadCheck Tape::schedule() {
   return {};
 }
 
+// Copies the numbers to their cells, so that the tick can start the law.
 void Tape::prepare() {
   const std::uint32_t numbers = shape_.constants + shape_.parameters + shape_.states;
   for (std::uint32_t k = 0; k < numbers; ++k) {

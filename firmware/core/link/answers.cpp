@@ -4,6 +4,7 @@
 
 namespace heli::link {
 
+// Stores the answer; Link sends it when the transmitter has room.
 template <class Message>
 void Dispatcher::send(const Message& message) {
   static_assert(Message::kSize <= Outgoing::kMaxBytes, "the reply must fit");
@@ -37,11 +38,12 @@ void Dispatcher::status_read(const Frame& frame) {
   send(status);
 }
 
+// Opens a session if the host has the same declaration. A new session forgets the last command.
 void Dispatcher::hello(const Frame& frame) {
   const auto message = HelloMessage::read(frame.payload);
   session_open_ = message.link_hash == kLinkHash;
   if (session_open_) {
-    if (!session_known_ || session_ != message.session) memory_.valid = false;
+    if (!session_known_ || session_ != message.session) last_command_.valid = false;
     session_known_ = true;
     session_ = message.session;
   }
@@ -63,6 +65,7 @@ void Dispatcher::hello(const Frame& frame) {
   send(welcome);
 }
 
+// Answers with the values from `first` on, as many as fit one message.
 void Dispatcher::params_read(const Frame& frame) {
   const auto message = ParamsReadMessage::read(frame.payload);
   if (message.first >= kParamCount) {
@@ -81,14 +84,15 @@ void Dispatcher::params_read(const Frame& frame) {
   reply_.size += 4U * head.count;
 }
 
-void Dispatcher::report(const Frame& frame, const law::UploadCheck& finding) {
+// Acknowledges a step of a law's upload with the result of its check.
+void Dispatcher::report(const Frame& frame, const law::UploadCheck& check) {
   AckMessage ack;
   ack.request = frame.payload[0];
   ack.command = frame.id;
   ack.result =
-      static_cast<std::uint8_t>(finding.error == LawError::none ? Result::ok : Result::bad_law);
-  ack.detail = static_cast<std::uint8_t>(finding.error);
-  ack.value = static_cast<float>(finding.value);
+      static_cast<std::uint8_t>(check.error == LawError::none ? Result::ok : Result::bad_law);
+  ack.detail = static_cast<std::uint8_t>(check.error);
+  ack.value = static_cast<float>(check.value);
   acknowledge(ack);
 }
 

@@ -1,4 +1,5 @@
-// Little-endian numbers in byte arrays, whatever the alignment and the machine's own byte order.
+// Writes and reads little-endian numbers in byte arrays, for any alignment and any byte order of
+// the machine.
 #pragma once
 
 #include <cstdint>

@@ -14,11 +14,11 @@ constexpr std::size_t cobs_bytes(std::size_t count) { return count + 1 + count /
 
 class CobsEncoder {
  public:
-  // `to` must have room for cobs_bytes() of all that will be put, plus the delimiter.
+  // `to` must have room for cobs_bytes() of all bytes that follow, plus the delimiter.
   explicit CobsEncoder(std::uint8_t* to) : to_(to) {}
 
   void put(std::uint8_t byte) {
-    // A full block is closed only when more follows, as the shortest encoding asks.
+    // The shortest encoding closes a full block only when more bytes follow.
     if (end_ - code_ == 255) open_block();
     if (byte == 0) {
       open_block();
@@ -35,14 +35,15 @@ class CobsEncoder {
   }
 
  private:
+  // Writes the code of the present block, and leaves room for the next one's.
   void open_block() {
     to_[code_] = static_cast<std::uint8_t>(end_ - code_);
     code_ = end_++;
   }
 
   std::uint8_t* to_;
-  std::size_t code_ = 0;
-  std::size_t end_ = 1;
+  std::size_t code_ = 0;  // index of the present block's code byte
+  std::size_t end_ = 1;   // index of the next byte
 };
 
 class CobsDecoder {
@@ -70,8 +71,8 @@ class CobsDecoder {
   }
 
  private:
-  std::uint8_t left_ = 0;
-  bool zero_follows_ = false;
+  std::uint8_t left_ = 0;      // bytes that the block still needs
+  bool zero_follows_ = false;  // a zero follows the block if another block does
 };
 
 }  // namespace heli::link

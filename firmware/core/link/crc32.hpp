@@ -6,7 +6,7 @@
 
 namespace heli::link {
 
-// `before` continues a checksum: crc32(b, nb, crc32(a, na)) is that of a followed by b.
-std::uint32_t crc32(const std::uint8_t* bytes, std::size_t count, std::uint32_t before = 0);
+// `crc_before` continues a checksum: crc32(b, nb, crc32(a, na)) is that of a followed by b.
+std::uint32_t crc32(const std::uint8_t* bytes, std::size_t count, std::uint32_t crc_before = 0);
 
 }  // namespace heli::link

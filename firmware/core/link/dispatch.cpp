@@ -1,3 +1,4 @@
+// The table of commands and the checks that all of them share; see dispatch.hpp. Idle loop.
 #include "link/dispatch.hpp"
 
 #include "link/bytes.hpp"
@@ -22,6 +23,7 @@ struct CommandInfo {
 
 namespace {
 
+// Floats of the message: byte offset of the first, its field number, and how many.
 template <class Message>
 constexpr CommandInfo entry(Kind kind, std::uint8_t offset = 0, std::uint8_t field = 0,
                             std::uint8_t floats = 0) {
@@ -95,6 +97,8 @@ bool Dispatcher::handle(const Frame& frame, std::uint32_t tick) {
   return true;
 }
 
+// Checks a command, then answers it here or gives it to the tick. Exactly one answer, except when
+// the board is busy: then none.
 void Dispatcher::command(const CommandInfo* info, const Frame& frame) {
   const bool is_stop = info != nullptr && info->id == MessageId::stop;
   if (busy_ && is_stop && session_open_ && frame.size == info->size) {
@@ -105,6 +109,7 @@ void Dispatcher::command(const CommandInfo* info, const Frame& frame) {
   if (busy_ || (reply_waits_ && !is_stop)) return;
   if (frame.size > 0) age_requests(frame.payload[0]);
 
+  // The checks that every command must pass.
   const bool is_hello = info != nullptr && info->id == MessageId::hello;
   if (!is_hello && !session_open_) return refuse(frame, Result::no_handshake);
   if (info == nullptr) return refuse(frame, Result::unknown_command);
@@ -141,6 +146,8 @@ void Dispatcher::local(const Frame& frame) {
   }
 }
 
+// Checks a streamed value and queues it for the tick. A refused one is counted and becomes an
+// event.
 void Dispatcher::stream(const CommandInfo& info, const Frame& frame, std::uint32_t tick) {
   Result result = Result::ok;
   std::uint8_t field = kNoField;

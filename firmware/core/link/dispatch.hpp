@@ -75,7 +75,9 @@ class Dispatcher {
   std::uint32_t stale_streams() const { return stale_streams_; }
 
  private:
-  struct Memory {
+  // The last command that the tick executed, and its answer: a repeated request gets the same
+  // answer and is not executed again.
+  struct LastCommand {
     bool valid = false;
     std::uint8_t age = 0;  // other requests seen since
     Request request;
@@ -97,7 +99,7 @@ class Dispatcher {
   void hello(const Frame& frame);
   void ping(const Frame& frame);
   void params_read(const Frame& frame);
-  void report(const Frame& frame, const law::UploadCheck& finding);
+  void report(const Frame& frame, const law::UploadCheck& check);
   void law_read(const Frame& frame);
   void controller_read(const Frame& frame);
   void params_origin_read(const Frame& frame);
@@ -121,7 +123,7 @@ class Dispatcher {
   Request pending_;
   bool stop_waits_ = false;  // came while busy; goes to the tick next
   std::uint8_t stop_request_ = 0;
-  Memory memory_;
+  LastCommand last_command_;
   std::uint8_t last_request_ = 0;
 
   bool reply_waits_ = false;

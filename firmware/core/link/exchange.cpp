@@ -1,4 +1,5 @@
-// One command at a time to the tick and back, each exactly once.
+// Gives one command at a time to the tick and takes its reply, so that each command is executed
+// exactly once, although the host repeats requests. Idle loop.
 #include <cstring>
 
 #include "link/dispatch.hpp"
@@ -9,21 +10,22 @@ namespace {
 
 // A request number is remembered for this many others: far more than a retry can lag behind, and
 // so few that the number of a new command, eight bits and counting, cannot meet an old one.
-constexpr std::uint8_t kMemoryAge = 128;
+constexpr std::uint8_t kForgetAfterRequests = 128;
 
-bool same(const Request& a, const Request& b) {
+bool same_command(const Request& a, const Request& b) {
   return a.id == b.id && a.size == b.size && std::memcmp(a.payload, b.payload, a.size) == 0;
 }
 
 }  // namespace
 
+// Posts a command to the tick, unless it repeats the last one: that is answered from memory.
 void Dispatcher::remote(MessageId id, const std::uint8_t* payload, std::uint8_t size) {
   pending_.id = id;
   pending_.size = size;
   std::memcpy(pending_.payload, payload, size);
-  if (memory_.valid && same(memory_.request, pending_)) {
+  if (last_command_.valid && same_command(last_command_.request, pending_)) {
     ++duplicates_;
-    return acknowledge(memory_.ack);
+    return acknowledge(last_command_.ack);
   }
   busy_ = mailbox_.post(pending_);
 }
@@ -44,16 +46,17 @@ bool Dispatcher::collect(std::uint32_t tick) {
       reply.result = Result::flash_failed;
     }
   }
-  memory_.valid = true;
-  memory_.age = 0;
-  memory_.request = pending_;
-  memory_.ack.request = pending_.payload[0];
-  memory_.ack.command = static_cast<std::uint8_t>(pending_.id);
-  memory_.ack.result = static_cast<std::uint8_t>(reply.result);
-  memory_.ack.detail = reply.detail;
-  memory_.ack.value = reply.value;
+  last_command_.valid = true;
+  last_command_.age = 0;
+  last_command_.request = pending_;
+  last_command_.ack.request = pending_.payload[0];
+  last_command_.ack.command = static_cast<std::uint8_t>(pending_.id);
+  last_command_.ack.result = static_cast<std::uint8_t>(reply.result);
+  last_command_.ack.detail = reply.detail;
+  last_command_.ack.value = reply.value;
   busy_ = false;
-  acknowledge(memory_.ack);
+  acknowledge(last_command_.ack);
+  // A stop that came while the tick was busy goes next.
   if (stop_waits_) {
     stop_waits_ = false;
     age_requests(stop_request_);
@@ -62,10 +65,13 @@ bool Dispatcher::collect(std::uint32_t tick) {
   return true;
 }
 
+// Counts the requests with other numbers since the last command; forgets it before its number
+// recurs.
 void Dispatcher::age_requests(std::uint8_t request) {
   if (request == last_request_) return;
   last_request_ = request;
-  if (memory_.valid && ++memory_.age >= kMemoryAge) memory_.valid = false;
+  if (last_command_.valid && ++last_command_.age >= kForgetAfterRequests)
+    last_command_.valid = false;
 }
 
 }  // namespace heli::link

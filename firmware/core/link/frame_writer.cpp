@@ -1,3 +1,4 @@
+// Frame: protocol, id, sequence, payload, CRC-32, encoded with COBS.
 #include "link/frame_writer.hpp"
 
 #include "link/bytes.hpp"

@@ -1,3 +1,5 @@
+// The link's work in the idle loop (receive, answer, pack, send) and its few functions for the
+// tick; link.hpp says which is which.
 #include "link/link.hpp"
 
 #include <cstring>
@@ -13,7 +15,7 @@ constexpr std::size_t kReceiveChunks = 8;
 // that many milliseconds, and half of the sample ring is left.
 constexpr std::size_t kBatchPatience = 32;
 
-constexpr std::uint32_t kStatusTicks = 1000000U / kTick_us;
+constexpr std::uint32_t kStatusTicks = 1000000U / kTick_us;  // one status per second
 
 }  // namespace
 
@@ -41,6 +43,7 @@ void Link::read_batch_ticks() {
   if (batch_ticks_ > kMaxBatchTicks) batch_ticks_ = kMaxBatchTicks;
 }
 
+// Parses what has arrived, at most kReceiveChunks chunks per call.
 void Link::receive() {
   std::uint8_t chunk[kReceiveChunk];
   for (std::size_t i = 0; i < kReceiveChunks; ++i) {
@@ -97,6 +100,7 @@ std::uint32_t Link::ticks_since_host_frame() const {
   return now() - host_frame_tick_.load(std::memory_order_relaxed);
 }
 
+// Frames and transmits a message. False if the transmitter has no room; then nothing is sent.
 bool Link::send(MessageId id, const std::uint8_t* payload, std::size_t size) {
   if (board_.transmit_free() < FrameWriter::wire_bytes(size)) return false;
   const std::size_t count = writer_.write(static_cast<std::uint8_t>(id), payload, size, wire_);
@@ -140,33 +144,37 @@ void Link::send_events() {
 void Link::send_status() {
   const std::uint32_t age_ticks = now() - status_tick_;
   if (age_ticks < kStatusTicks) return;
-  // Just behind a batch: its 2 ms on the line would make one that is nearly full late.
+  // Wait until a batch has just been sent: the status takes 2 ms on the line, which would delay a
+  // batch that is nearly full.
   if (batch_count_ > 0 && age_ticks < kStatusTicks + kMaxBatchTicks) return;
   std::uint8_t payload[StatusMessage::kSize];
   status(0).write(payload);
   if (send(MessageId::status, payload, sizeof payload)) status_tick_ = now();
 }
 
+// Counters of both contexts. `request`: the number that the answer repeats, 0 if unasked.
 StatusMessage Link::status(std::uint8_t request) const {
   constexpr auto kRelaxed = std::memory_order_relaxed;
-  StatusMessage m;
-  m.request = request;
-  m.tick = now();
-  m.frames_ok = parser_.frames_ok();
-  m.frames_bad = parser_.frames_bad();
-  m.frames_lost = parser_.frames_lost();
-  m.duplicates = dispatcher_.duplicates();
-  m.stale_streams = dispatcher_.stale_streams() + stale_streams_.load(kRelaxed);
-  m.ticks_dropped = ticks_dropped_ + samples_lost_.load(kRelaxed);
-  m.overruns = overruns_.load(kRelaxed);
-  m.tick_max_us = tick_max_us_.load(kRelaxed);
-  m.illegal_elevation = illegal_[kElevation].load(kRelaxed);
-  m.illegal_pitch = illegal_[kPitch].load(kRelaxed);
-  m.illegal_travel = illegal_[kTravel].load(kRelaxed);
-  m.setpoint_rate_Hz = setpoint_rate_Hz_.load(kRelaxed);
-  return m;
+  StatusMessage message;
+  message.request = request;
+  message.tick = now();
+  message.frames_ok = parser_.frames_ok();
+  message.frames_bad = parser_.frames_bad();
+  message.frames_lost = parser_.frames_lost();
+  message.duplicates = dispatcher_.duplicates();
+  message.stale_streams = dispatcher_.stale_streams() + stale_streams_.load(kRelaxed);
+  message.ticks_dropped = ticks_dropped_ + samples_lost_.load(kRelaxed);
+  message.overruns = overruns_.load(kRelaxed);
+  message.tick_max_us = tick_max_us_.load(kRelaxed);
+  message.illegal_elevation = illegal_[kElevation].load(kRelaxed);
+  message.illegal_pitch = illegal_[kPitch].load(kRelaxed);
+  message.illegal_travel = illegal_[kTravel].load(kRelaxed);
+  message.setpoint_rate_Hz = setpoint_rate_Hz_.load(kRelaxed);
+  return message;
 }
 
+// Collects samples until a batch is full or a tick is missing, then sends it. Without a session the
+// samples are dropped.
 void Link::send_telemetry() {
   if (!dispatcher_.session_open()) {
     while (samples_.front() != nullptr) samples_.pop();
@@ -188,6 +196,8 @@ void Link::send_telemetry() {
   if (batch_count_ >= batch_ticks_) flush_batch();
 }
 
+// Sends the batch, in several messages if it does not fit one. False if some of it could not be
+// sent.
 bool Link::flush_batch() {
   // Called in every turn of the idle loop: it packs again only when there is room for the result.
   while (batch_count_ > 0 && board_.transmit_free() >= batch_bytes_) {

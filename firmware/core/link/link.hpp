@@ -40,7 +40,7 @@ class Link {
   Link(Board& board, params::Params& params, params::Store& store, law::Tape& tape,
        const ControllerNames& controllers);
 
-  // Idle loop: call again and again. Bounded work, never waits.
+  // Idle loop: call it repeatedly. Bounded work, never waits.
   void poll();
 
   // Tick: first thing in it; the clock of everything that poll() sends.
@@ -106,7 +106,7 @@ class Link {
   Dispatcher dispatcher_;
   Sample batch_[kMaxBatchTicks];
   std::size_t batch_count_ = 0;
-  std::size_t batch_bytes_ = 0;  // room that the full batch was found to need; 0: not packed yet
+  std::size_t batch_bytes_ = 0;  // room that the full batch needs; 0: not packed yet
   std::size_t batch_ticks_ = 0;
   std::uint32_t ticks_dropped_ = 0;
   std::uint32_t status_tick_ = 0;

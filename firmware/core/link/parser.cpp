@@ -1,3 +1,4 @@
+// Decodes, checks and counts frames, byte by byte; see parser.hpp. Idle loop.
 #include "link/parser.hpp"
 
 #include "link/bytes.hpp"
@@ -32,6 +33,7 @@ bool Parser::put(std::uint8_t byte) {
   return ok;
 }
 
+// At a delimiter: true if the decoded bytes are a valid frame.
 bool Parser::finish() {
   if (too_long_ || !cobs_.whole() || decoded_count_ < kFrameHead + kFrameTail) return false;
   const std::size_t checked = decoded_count_ - kFrameTail;
@@ -46,12 +48,13 @@ bool Parser::finish() {
   return true;
 }
 
+// Counts the frames that are missing before this one, by their sequence numbers.
 void Parser::count_gap() {
   const auto step = static_cast<std::uint8_t>(frame_.sequence - last_sequence_);
   // Step 0 is the same frame once more. A hello may come from a host that has just started to
   // count.
-  const bool starts = !in_sequence_ || frame_.id == static_cast<std::uint8_t>(MessageId::hello);
-  if (!starts && step > 1) frames_lost_ += static_cast<std::uint32_t>(step - 1);
+  const bool is_first = !in_sequence_ || frame_.id == static_cast<std::uint8_t>(MessageId::hello);
+  if (!is_first && step > 1) frames_lost_ += static_cast<std::uint32_t>(step - 1);
   last_sequence_ = frame_.sequence;
   in_sequence_ = true;
 }

@@ -1,4 +1,4 @@
-// Bytes in, frames out. Whatever arrives, the parser is in step again at the next zero byte.
+// Turns received bytes into frames. After any wrong bytes, the next zero byte starts a new frame.
 #pragma once
 
 #include <cstddef>

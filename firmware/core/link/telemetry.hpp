@@ -1,4 +1,4 @@
-// Telemetry: one sample a tick, packed into delta-coded batches as docs/reference/link.md says.
+// Telemetry: one sample per tick, packed into delta-coded batches as docs/reference/link.md says.
 #pragma once
 
 #include <cstddef>

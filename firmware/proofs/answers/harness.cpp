@@ -36,7 +36,7 @@ void put_in_any_state(Dispatcher& d) {
   d.session_open_ = any<bool>();
   d.session_known_ = any<bool>();
   d.session_ = any<std::uint32_t>();
-  d.memory_.valid = any<bool>();
+  d.last_command_.valid = any<bool>();
   d.reply_.id = any<MessageId>();
   d.reply_.size = any<std::size_t>();
   d.reply_waits_ = false;

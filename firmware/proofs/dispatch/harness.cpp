@@ -102,7 +102,9 @@ void Dispatcher::remote(MessageId id, const std::uint8_t* bytes, std::uint8_t si
     busy_ = true;
   }
 }
-void Dispatcher::age_requests(std::uint8_t) { memory_.valid = memory_.valid && any<bool>(); }
+void Dispatcher::age_requests(std::uint8_t) {
+  last_command_.valid = last_command_.valid && any<bool>();
+}
 
 // Contracts: the functions of answers.cpp. Each makes one answer.
 
@@ -112,7 +114,7 @@ void Dispatcher::refuse(const Frame&, Result, std::uint8_t) { ANSWER(); }
 void Dispatcher::hello(const Frame&) {
   ANSWER();
   session_open_ = any<bool>();
-  memory_.valid = memory_.valid && any<bool>();
+  last_command_.valid = last_command_.valid && any<bool>();
 }
 void Dispatcher::ping(const Frame&) { ANSWER(); }
 void Dispatcher::params_read(const Frame&) { ANSWER(); }
@@ -150,7 +152,7 @@ void put_in_any_state(Dispatcher& d) {
   d.busy_ = any<bool>();
   d.stop_waits_ = any<bool>();
   d.stop_request_ = any<std::uint8_t>();
-  d.memory_.valid = any<bool>();
+  d.last_command_.valid = any<bool>();
   d.reply_waits_ = any<bool>();
   d.stream_waits_ = any<bool>();
   ASSUME(!d.stop_waits_ || d.busy_);

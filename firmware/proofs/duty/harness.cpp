@@ -67,7 +67,7 @@ void step_conversion() {
   const auto params = any<heli::params::Params>();
   const auto full = any<std::int16_t>();
   ASSUME(1 <= full && full <= kMostDuty);
-  const heli::MotorConversion motor = heli::motor_of(params, any<float>(), full);
+  const heli::MotorConversion motor = heli::motor_conversion_of(params, any<float>(), full);
   CLAIM(holds(motor, full), "the limits are within full duty");
 }
 

@@ -60,10 +60,10 @@ void put_in_any_state(Dispatcher& d) {
   d.pending_.size = any<std::uint8_t>();
   d.stop_waits_ = any<bool>();
   d.stop_request_ = any<std::uint8_t>();
-  d.memory_.valid = any<bool>();
-  d.memory_.age = any<std::uint8_t>();
-  d.memory_.request.id = any<MessageId>();
-  d.memory_.request.size = any<std::uint8_t>();
+  d.last_command_.valid = any<bool>();
+  d.last_command_.age = any<std::uint8_t>();
+  d.last_command_.request.id = any<MessageId>();
+  d.last_command_.request.size = any<std::uint8_t>();
   d.last_request_ = any<std::uint8_t>();
   d.reply_waits_ = any<bool>();
   ASSUME(holds(d, mailbox));

@@ -11,7 +11,7 @@ inline bool holds(const link::Dispatcher& dispatcher, const link::Mailbox& mailb
          (!dispatcher.stop_waits_ || dispatcher.busy_) &&
          dispatcher.reply_.size <= link::Outgoing::kMaxBytes &&
          dispatcher.pending_.size <= link::Request::kMaxBytes &&
-         dispatcher.memory_.request.size <= link::Request::kMaxBytes;
+         dispatcher.last_command_.request.size <= link::Request::kMaxBytes;
 }
 
 }  // namespace heli::proofs
