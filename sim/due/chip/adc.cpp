@@ -57,6 +57,32 @@ constexpr Register kRegisters[] = {
     {0x124, "ADC_PTSR", kRead},
 };
 
+// Offsets of the registers that the code below names.
+constexpr std::uint32_t kCr = 0x00;
+constexpr std::uint32_t kMr = 0x04;
+constexpr std::uint32_t kCher = 0x10;
+constexpr std::uint32_t kChdr = 0x14;
+constexpr std::uint32_t kChsr = 0x18;
+constexpr std::uint32_t kLcdr = 0x20;
+constexpr std::uint32_t kIer = 0x24;
+constexpr std::uint32_t kIdr = 0x28;
+constexpr std::uint32_t kImr = 0x2C;
+constexpr std::uint32_t kIsr = 0x30;
+constexpr std::uint32_t kOver = 0x3C;
+constexpr std::uint32_t kEmr = 0x40;
+constexpr std::uint32_t kCwr = 0x44;
+constexpr std::uint32_t kCgr = 0x48;
+constexpr std::uint32_t kCor = 0x4C;
+constexpr std::uint32_t kCdr0 = 0x50;
+constexpr std::uint32_t kCdr15 = 0x8C;
+constexpr std::uint32_t kAcr = 0x94;
+constexpr std::uint32_t kRpr = 0x100;
+constexpr std::uint32_t kRcr = 0x104;
+constexpr std::uint32_t kRnpr = 0x110;
+constexpr std::uint32_t kRncr = 0x114;
+constexpr std::uint32_t kPtcr = 0x120;
+constexpr std::uint32_t kPtsr = 0x124;
+
 // ADC_MR
 constexpr std::uint32_t kTriggered = 1U << 0;
 constexpr std::uint32_t kLowResolution = 1U << 4;
@@ -141,7 +167,7 @@ void Adc::move() {
   const std::uint32_t at = transfer_.pointer;
   if (!system_.bus.dma_write(at, static_cast<std::uint8_t>(last_)) ||
       !system_.bus.dma_write(at + 1, static_cast<std::uint8_t>(last_ >> 8))) {
-    misuse(0x100, "the PDC would write to " + hex(at) + ", where there is no SRAM");
+    misuse(kRpr, "the PDC would write to " + hex(at) + ", where there is no SRAM");
   }
   transfer_.pointer += 2;
   if (--transfer_.count != 0) return;
@@ -164,42 +190,42 @@ void Adc::event(std::uint64_t) {
 std::uint32_t Adc::read(std::uint32_t offset) {
   std::uint32_t value = 0;
   switch (offset) {
-    case 0x04:
+    case kMr:
       return mode_;
-    case 0x18:
+    case kChsr:
       return channels_;
-    case 0x20:
+    case kLcdr:
       ready_ = false;
       value = last_;
       break;
-    case 0x2C:
+    case kImr:
       return interrupts_;
-    case 0x30:
+    case kIsr:
       value = flags();
       overrun_ = false;
       break;
-    case 0x3C:
+    case kOver:
       return std::exchange(overruns_, 0U);
-    case 0x40:
+    case kEmr:
       return extended_;
-    case 0x44:
+    case kCwr:
       return window_;
-    case 0x94:
+    case kAcr:
       return analog_;
-    case 0x100:
+    case kRpr:
       return transfer_.pointer;
-    case 0x104:
+    case kRcr:
       return transfer_.count;
-    case 0x110:
+    case kRnpr:
       return transfer_.next_pointer;
-    case 0x114:
+    case kRncr:
       return transfer_.next_count;
-    case 0x124:
+    case kPtsr:
       return transfer_.enabled ? 1 : 0;
     default:
-      if (offset < 0x50 || offset > 0x8C) return 0;
-      complete_ &= ~(1U << ((offset - 0x50) / 4));
-      value = data_[(offset - 0x50) / 4];
+      if (offset < kCdr0 || offset > kCdr15) return 0;
+      complete_ &= ~(1U << ((offset - kCdr0) / 4));
+      value = data_[(offset - kCdr0) / 4];
       break;
   }
   update();
@@ -208,63 +234,63 @@ std::uint32_t Adc::read(std::uint32_t offset) {
 
 void Adc::write_mode(std::uint32_t value) {
   if ((value & kTriggered) != 0)
-    not_modelled(0x04, "triggers from timers and pins are not modelled");
-  if ((value & kSequence) != 0) not_modelled(0x04, "user sequences are not modelled");
+    not_modelled(kMr, "triggers from timers and pins are not modelled");
+  if ((value & kSequence) != 0) not_modelled(kMr, "user sequences are not modelled");
   mode_ = value;
   if ((value & kFreeRun) != 0) start();
 }
 
 void Adc::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
-    case 0x00:
+    case kCr:
       if ((value & 1U) != 0) return reset();
       if ((value & 2U) != 0) start();
       return;
-    case 0x04:
+    case kMr:
       return write_mode(value);
-    case 0x10:
+    case kCher:
       channels_ |= value & 0xFFFFU;
       if ((mode_ & kFreeRun) != 0) start();
       return;
-    case 0x14:
+    case kChdr:
       channels_ &= ~value;
       return;
-    case 0x24:
+    case kIer:
       if ((value & kComparison) != 0) not_modelled(offset, "comparison is not modelled");
       interrupts_ |= value & (0xFFFFU | kDrdy | kGovre | kEndRx | kRxBuff);
       break;
-    case 0x28:
+    case kIdr:
       interrupts_ &= ~value;
       break;
-    case 0x40:
+    case kEmr:
       // CMPMODE, CMPSEL and CMPALL matter to who looks at COMPE, which IER refuses.
       extended_ = value & 0x010032F3U;
       return;
-    case 0x44:
+    case kCwr:
       window_ = value & 0x0FFF0FFFU;
       return;
-    case 0x48:
-    case 0x4C:
+    case kCgr:
+    case kCor:
       if (value != 0) not_modelled(offset, "gain and offset are not modelled");
       return;
-    case 0x94:
+    case kAcr:
       analog_ = value & 0x310U;
       return;
-    case 0x100:
+    case kRpr:
       transfer_.pointer = value;
       return;
-    case 0x104:
+    case kRcr:
       transfer_.count = value & 0xFFFFU;
       if (transfer_.count != 0) transfer_.ended = transfer_.full = false;
       break;
-    case 0x110:
+    case kRnpr:
       transfer_.next_pointer = value;
       return;
-    case 0x114:
+    case kRncr:
       transfer_.next_count = value & 0xFFFFU;
       if (transfer_.next_count != 0) transfer_.ended = transfer_.full = false;
       break;
-    case 0x120:
+    case kPtcr:
       if ((value & 1U) != 0) transfer_.enabled = true;
       if ((value & 2U) != 0) transfer_.enabled = false;
       return;

@@ -31,6 +31,19 @@ constexpr Register kRegisters[] = {
     {0x124, "DACC_PTSR", kRead | kUnmodelled},
 };
 
+// Offsets of the registers that the code below names.
+constexpr std::uint32_t kCr = 0x00;
+constexpr std::uint32_t kMr = 0x04;
+constexpr std::uint32_t kCher = 0x10;
+constexpr std::uint32_t kChdr = 0x14;
+constexpr std::uint32_t kChsr = 0x18;
+constexpr std::uint32_t kCdr = 0x20;
+constexpr std::uint32_t kIer = 0x24;
+constexpr std::uint32_t kIdr = 0x28;
+constexpr std::uint32_t kImr = 0x2C;
+constexpr std::uint32_t kIsr = 0x30;
+constexpr std::uint32_t kAcr = 0x94;
+
 constexpr std::uint32_t kTriggered = 1U << 0;
 constexpr std::uint32_t kWord = 1U << 4;
 constexpr std::uint32_t kTag = 1U << 20;
@@ -71,9 +84,9 @@ std::uint32_t Dacc::flags() const {
 void Dacc::queue(std::uint32_t half_word) {
   const std::size_t channel = ((mode_ & kTag) != 0 ? half_word >> 12 : mode_ >> 16) & 1U;
   if (((channels_ >> channel) & 1U) == 0) {
-    return misuse(0x20, "value for channel " + std::to_string(channel) + ", which is off");
+    return misuse(kCdr, "value for channel " + std::to_string(channel) + ", which is off");
   }
-  if (waiting_.size() == kQueue) return misuse(0x20, "write while DACC_ISR.TXRDY is 0");
+  if (waiting_.size() == kQueue) return misuse(kCdr, "write while DACC_ISR.TXRDY is 0");
   waiting_.push_back({channel, half_word & 0xFFFU});
   if (waiting_.size() == 1) system_.scheduler.set(id_, system_.now() + kCycles);
 }
@@ -89,19 +102,19 @@ void Dacc::event(std::uint64_t) {
 
 std::uint32_t Dacc::read(std::uint32_t offset) {
   switch (offset) {
-    case 0x04:
+    case kMr:
       return mode_;
-    case 0x18:
+    case kChsr:
       return channels_;
-    case 0x2C:
+    case kImr:
       return interrupts_;
-    case 0x30: {
+    case kIsr: {
       const std::uint32_t value = flags();
       complete_ = false;
       update();
       return value;
     }
-    case 0x94:
+    case kAcr:
       return analog_;
     default:
       return 0;
@@ -110,31 +123,31 @@ std::uint32_t Dacc::read(std::uint32_t offset) {
 
 void Dacc::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
-    case 0x00:
+    case kCr:
       if ((value & 1U) != 0) return reset();
       return;
-    case 0x04:
+    case kMr:
       if ((value & kTriggered) != 0) not_modelled(offset, "triggers are not modelled");
       mode_ = value & 0x3F33FF7FU;
       return;
-    case 0x10:
+    case kCher:
       channels_ |= value & 3U;
       break;
-    case 0x14:
+    case kChdr:
       channels_ &= ~value;
       break;
-    case 0x20:
+    case kCdr:
       queue(value & 0xFFFFU);
       if ((mode_ & kWord) != 0) queue(value >> 16);
       break;
-    case 0x24:
+    case kIer:
       if ((value & 0xCU) != 0) not_modelled(offset, "the PDC is not modelled");
       interrupts_ |= value & 3U;
       break;
-    case 0x28:
+    case kIdr:
       interrupts_ &= ~value;
       break;
-    case 0x94:
+    case kAcr:
       analog_ = value & 0x30FU;
       return;
     default:

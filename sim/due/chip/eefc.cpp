@@ -18,6 +18,11 @@ constexpr Register kRegisters[] = {
     {0x0C, "EEFC_FRR", kRead},
 };
 
+// Offsets of the registers that the code below names.
+constexpr std::uint32_t kFmr = 0x00;
+constexpr std::uint32_t kFcr = 0x04;
+constexpr std::uint32_t kFsr = 0x08;
+
 constexpr std::uint32_t kGetd = 0x00;
 constexpr std::uint32_t kWp = 0x01;
 constexpr std::uint32_t kWpl = 0x02;
@@ -155,9 +160,9 @@ void FlashController::event(std::uint64_t) {
 
 std::uint32_t FlashController::read(std::uint32_t offset) {
   switch (offset) {
-    case 0x00:
+    case kFmr:
       return mode_;
-    case 0x08: {
+    case kFsr: {
       const std::uint32_t value = (busy() ? 0U : kFrdy) | errors_;
       errors_ = 0;
       return value;
@@ -169,7 +174,7 @@ std::uint32_t FlashController::read(std::uint32_t offset) {
 }
 
 void FlashController::write(std::uint32_t offset, std::uint32_t value) {
-  if (offset == 0x04) return command(value);
+  if (offset == kFcr) return command(value);
   if (busy()) misuse(offset, "write while the plane is being programmed");
   mode_ = value & 0x01010F01U;
   update_irq();
@@ -191,7 +196,7 @@ void FlashController::check_caller() const {
   const std::uint32_t pc = system_.cpu.pc();
   const std::uint32_t offset = pc >= kFlashBase ? pc - kFlashBase : pc;
   if (offset >= kFlashSize || offset / kPlaneSize != static_cast<std::uint32_t>(index_)) return;
-  misuse(0x04, "a plane is programmed by code that runs from it");
+  misuse(kFcr, "a plane is programmed by code that runs from it");
   system_.cpu.stall(ready_cycle() - system_.now());
 }
 
@@ -204,7 +209,7 @@ void FlashController::start(std::uint32_t code, std::uint32_t page, BoardTime er
     return;
   }
   if (code <= kEa && ((mode_ >> 8) & 0xFU) < kWriteWaitStates) {
-    misuse(0x04, "flash is written with FWS = " + std::to_string((mode_ >> 8) & 0xFU) +
+    misuse(kFcr, "flash is written with FWS = " + std::to_string((mode_ >> 8) & 0xFU) +
                      "; the errata ask for 6");
   }
   command_ = code | kBusyMark;
@@ -224,9 +229,9 @@ void FlashController::command(std::uint32_t value) {
   const std::uint32_t argument = (value >> 8) & 0xFFFFU;
   if ((value >> 24) != kKey) {
     errors_ |= kFcmde;
-    return misuse(0x04, "command without the key 0x5A");
+    return misuse(kFcr, "command without the key 0x5A");
   }
-  if (busy()) return misuse(0x04, "command while EEFC_FSR.FRDY is 0");
+  if (busy()) return misuse(kFcr, "command while EEFC_FSR.FRDY is 0");
   errors_ = 0;
   result_count_ = result_next_ = 0;
   switch (code) {
@@ -241,7 +246,7 @@ void FlashController::command(std::uint32_t value) {
     case kEwpl:
       if (argument >= kPages) {
         errors_ |= kFcmde;
-        return misuse(0x04, "page " + std::to_string(argument) + " is outside of the plane");
+        return misuse(kFcr, "page " + std::to_string(argument) + " is outside of the plane");
       }
       return start(code, argument, code >= kEwp ? kEraseTime : 0, kWriteTime);
     case kEa:
@@ -267,7 +272,7 @@ void FlashController::command(std::uint32_t value) {
       return result(flash_.gpnvm);
     default:
       errors_ |= kFcmde;
-      return not_modelled(0x04, "command " + std::to_string(code) + " is not modelled");
+      return not_modelled(kFcr, "command " + std::to_string(code) + " is not modelled");
   }
 }
 

@@ -60,6 +60,44 @@ constexpr Register kRegisters[] = {
     {0xE8, "PIO_WPSR", kGet | kUnmodelled},
 };
 
+// Offsets of the registers that the code below names.
+constexpr std::uint32_t kPer = 0x00;
+constexpr std::uint32_t kPdr = 0x04;
+constexpr std::uint32_t kPsr = 0x08;
+constexpr std::uint32_t kOer = 0x10;
+constexpr std::uint32_t kOdr = 0x14;
+constexpr std::uint32_t kOsr = 0x18;
+constexpr std::uint32_t kIfer = 0x20;
+constexpr std::uint32_t kIfdr = 0x24;
+constexpr std::uint32_t kIfsr = 0x28;
+constexpr std::uint32_t kSodr = 0x30;
+constexpr std::uint32_t kCodr = 0x34;
+constexpr std::uint32_t kOdsr = 0x38;
+constexpr std::uint32_t kPdsr = 0x3C;
+constexpr std::uint32_t kIer = 0x40;
+constexpr std::uint32_t kIdr = 0x44;
+constexpr std::uint32_t kImr = 0x48;
+constexpr std::uint32_t kIsr = 0x4C;
+constexpr std::uint32_t kMder = 0x50;
+constexpr std::uint32_t kMddr = 0x54;
+constexpr std::uint32_t kMdsr = 0x58;
+constexpr std::uint32_t kPudr = 0x60;
+constexpr std::uint32_t kPuer = 0x64;
+constexpr std::uint32_t kPusr = 0x68;
+constexpr std::uint32_t kAbsr = 0x70;
+constexpr std::uint32_t kOwer = 0xA0;
+constexpr std::uint32_t kOwdr = 0xA4;
+constexpr std::uint32_t kOwsr = 0xA8;
+constexpr std::uint32_t kAimer = 0xB0;
+constexpr std::uint32_t kAimdr = 0xB4;
+constexpr std::uint32_t kAimmr = 0xB8;
+constexpr std::uint32_t kEsr = 0xC0;
+constexpr std::uint32_t kLsr = 0xC4;
+constexpr std::uint32_t kElsr = 0xC8;
+constexpr std::uint32_t kFellsr = 0xD0;
+constexpr std::uint32_t kRehlsr = 0xD4;
+constexpr std::uint32_t kFrlhsr = 0xD8;
+
 }  // namespace
 
 Pio::Pio(System& system, Pins& pins, int port, const char* name, std::uint32_t base)
@@ -123,19 +161,19 @@ void Pio::update_irq() {
 
 std::uint32_t Pio::read(std::uint32_t offset) {
   switch (offset) {
-    case 0x08:
+    case kPsr:
       return pio_;
-    case 0x18:
+    case kOsr:
       return output_;
-    case 0x28:
+    case kIfsr:
       return filter_;
-    case 0x38:
+    case kOdsr:
       return data_;
-    case 0x3C:
+    case kPdsr:
       return levels();
-    case 0x48:
+    case kImr:
       return interrupts_;
-    case 0x4C: {
+    case kIsr: {
       const std::uint32_t by_level = additional_ & on_level_;
       const std::uint32_t value =
           status_ | (by_level != 0 ? by_level & ~(levels() ^ rising_high_) : 0U);
@@ -143,19 +181,19 @@ std::uint32_t Pio::read(std::uint32_t offset) {
       update_irq();
       return value;
     }
-    case 0x58:
+    case kMdsr:
       return open_drain_;
-    case 0x68:
+    case kPusr:
       return no_pull_up_;
-    case 0x70:
+    case kAbsr:
       return select_b_;
-    case 0xA8:
+    case kOwsr:
       return direct_;
-    case 0xB8:
+    case kAimmr:
       return additional_;
-    case 0xC8:
+    case kElsr:
       return on_level_;
-    case 0xD8:
+    case kFrlhsr:
       return rising_high_;
     default:
       return 0;
@@ -164,81 +202,81 @@ std::uint32_t Pio::read(std::uint32_t offset) {
 
 void Pio::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
-    case 0x00:
+    case kPer:
       pio_ |= value;
       return apply(value);
-    case 0x04:
+    case kPdr:
       pio_ &= ~value;
       return apply(value);
-    case 0x10:
+    case kOer:
       output_ |= value;
       return apply(value);
-    case 0x14:
+    case kOdr:
       output_ &= ~value;
       return apply(value);
     // The glitch filter drops pulses below half a clock; nothing here is that short.
-    case 0x20:
+    case kIfer:
       filter_ |= value;
       return;
-    case 0x24:
+    case kIfdr:
       filter_ &= ~value;
       return;
-    case 0x30:
+    case kSodr:
       data_ |= value;
       return apply(value);
-    case 0x34:
+    case kCodr:
       data_ &= ~value;
       return apply(value);
-    case 0x38: {
+    case kOdsr: {
       const std::uint32_t before = data_;
       data_ = (data_ & ~direct_) | (value & direct_);
       return apply(before ^ data_);
     }
-    case 0x40:
+    case kIer:
       interrupts_ |= value;
       return update_irq();
-    case 0x44:
+    case kIdr:
       interrupts_ &= ~value;
       return update_irq();
-    case 0x50:
+    case kMder:
       open_drain_ |= value;
       return apply(value);
-    case 0x54:
+    case kMddr:
       open_drain_ &= ~value;
       return apply(value);
-    case 0x60:
+    case kPudr:
       no_pull_up_ |= value;
       return apply(value);
-    case 0x64:
+    case kPuer:
       no_pull_up_ &= ~value;
       return apply(value);
-    case 0x70: {
+    case kAbsr: {
       const std::uint32_t changed = select_b_ ^ value;
       select_b_ = value;
       return apply(changed);
     }
-    case 0xA0:
+    case kOwer:
       direct_ |= value;
       return;
-    case 0xA4:
+    case kOwdr:
       direct_ &= ~value;
       return;
-    case 0xB0:
+    case kAimer:
       additional_ |= value;
       return update_irq();
-    case 0xB4:
+    case kAimdr:
       additional_ &= ~value;
       return update_irq();
-    case 0xC0:
+    case kEsr:
       on_level_ &= ~value;
       return update_irq();
-    case 0xC4:
+    case kLsr:
       on_level_ |= value;
       return update_irq();
-    case 0xD0:
+    case kFellsr:
       rising_high_ &= ~value;
       return update_irq();
-    case 0xD4:
+    case kRehlsr:
       rising_high_ |= value;
       return update_irq();
     default:

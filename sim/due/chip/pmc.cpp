@@ -43,6 +43,25 @@ constexpr Register kRegisters[] = {
     {0x10C, "PMC_PCR", kBoth | kUnmodelled},
 };
 
+// Offsets of the registers that the code below names.
+constexpr std::uint32_t kScer = 0x00;
+constexpr std::uint32_t kScdr = 0x04;
+constexpr std::uint32_t kScsr = 0x08;
+constexpr std::uint32_t kPcer0 = 0x10;
+constexpr std::uint32_t kPcdr0 = 0x14;
+constexpr std::uint32_t kPcsr0 = 0x18;
+constexpr std::uint32_t kUckr = 0x1C;
+constexpr std::uint32_t kMor = 0x20;
+constexpr std::uint32_t kMcfr = 0x24;
+constexpr std::uint32_t kPllar = 0x28;
+constexpr std::uint32_t kMckr = 0x30;
+constexpr std::uint32_t kUsb = 0x38;
+constexpr std::uint32_t kSr = 0x68;
+constexpr std::uint32_t kWpmr = 0xE4;
+constexpr std::uint32_t kPcer1 = 0x100;
+constexpr std::uint32_t kPcdr1 = 0x104;
+constexpr std::uint32_t kPcsr1 = 0x108;
+
 constexpr std::uint32_t kMoscXtEn = 1U << 0;
 constexpr std::uint32_t kMoscRcEn = 1U << 3;
 constexpr std::uint32_t kMoscSel = 1U << 24;
@@ -134,17 +153,17 @@ std::uint32_t Pmc::master_Hz(std::uint32_t mckr) const {
 void Pmc::apply_master_clock() {
   const std::uint32_t hz = master_Hz(master_);
   if (hz == 0) {
-    misuse(0x30, "the source of the master clock is not running");
+    misuse(kMckr, "the source of the master clock is not running");
     return;
   }
   if (hz > kFull_Hz)
-    misuse(0x30, "a master clock of " + std::to_string(hz) + " Hz is above 84 MHz");
+    misuse(kMckr, "a master clock of " + std::to_string(hz) + " Hz is above 84 MHz");
   for (std::size_t plane = 0; plane < system_.flash_wait_states.size(); ++plane) {
     const std::uint32_t wait_states = system_.flash_wait_states[plane];
     if (hz <= flash_limit_Hz(wait_states)) continue;
-    misuse(0x30, "a master clock of " + std::to_string(hz) +
-                     " Hz needs more flash wait states than FWS = " + std::to_string(wait_states) +
-                     " of EFC" + std::to_string(plane));
+    misuse(kMckr, "a master clock of " + std::to_string(hz) +
+                      " Hz needs more flash wait states than FWS = " + std::to_string(wait_states) +
+                      " of EFC" + std::to_string(plane));
   }
   system_.change_mck(hz);
 }
@@ -180,29 +199,29 @@ void Pmc::event(std::uint64_t) {
 std::uint32_t Pmc::read(std::uint32_t offset) {
   settle();
   switch (offset) {
-    case 0x008:
+    case kScsr:
       return system_clocks_;
-    case 0x018:
+    case kPcsr0:
       return static_cast<std::uint32_t>(system_.peripheral_clocks);
-    case 0x108:
+    case kPcsr1:
       return static_cast<std::uint32_t>(system_.peripheral_clocks >> 32);
-    case 0x01C:
+    case kUckr:
       return upll_;
-    case 0x020:
+    case kMor:
       return main_oscillator_;
     // Main clock cycles in 16 periods of the slow clock, and that the count is complete.
-    case 0x024:
+    case kMcfr:
       return (1U << 16) |
              static_cast<std::uint32_t>(std::uint64_t{main_Hz()} * 16 / system_.slow_Hz);
-    case 0x028:
+    case kPllar:
       return plla_;
-    case 0x030:
+    case kMckr:
       return master_;
-    case 0x038:
+    case kUsb:
       return usb_;
-    case 0x068:
+    case kSr:
       return status_;
-    case 0x0E4:
+    case kWpmr:
       return protect_;
     default:
       return 0;
@@ -210,7 +229,7 @@ std::uint32_t Pmc::read(std::uint32_t offset) {
 }
 
 void Pmc::write_main_oscillator(std::uint32_t value) {
-  if (((value >> 16) & 0xFFU) != kMorKey) return misuse(0x20, "write without the key 0x37");
+  if (((value >> 16) & 0xFFU) != kMorKey) return misuse(kMor, "write without the key 0x37");
   const std::uint32_t before = main_oscillator_;
   main_oscillator_ = value & ~0x00FF0000U;
   if ((value & kMoscXtEn) != 0 && (before & kMoscXtEn) == 0) {
@@ -225,26 +244,26 @@ void Pmc::write_main_oscillator(std::uint32_t value) {
   status_ = (value & kMoscRcEn) != 0 ? status_ | kMoscRcS : status_ & ~kMoscRcS;
   const bool crystal = (value & kMoscSel) != 0;
   if (crystal && (status_ & kMoscXtS) == 0) {
-    misuse(0x20, "the crystal is chosen before PMC_SR.MOSCXTS says that it runs");
+    misuse(kMor, "the crystal is chosen before PMC_SR.MOSCXTS says that it runs");
   } else if (crystal && system_.board_now() < crystal_steady_) {
-    misuse(0x20, "CKGR_MOR.MOSCXTST is too short: the crystal needs 1.4 ms to start");
+    misuse(kMor, "CKGR_MOR.MOSCXTST is too short: the crystal needs 1.4 ms to start");
   }
   if (!crystal && (value & kMoscRcEn) == 0)
-    misuse(0x20, "no oscillator is left for the main clock");
+    misuse(kMor, "no oscillator is left for the main clock");
   plan();
   apply_master_clock();
 }
 
 void Pmc::write_plla(std::uint32_t value) {
-  if ((value & (1U << 29)) == 0) return misuse(0x28, "write without bit 29, which must be 1");
-  if ((master_ & 3U) == 2) misuse(0x28, "PLLA is changed while the master clock runs from it");
+  if ((value & (1U << 29)) == 0) return misuse(kPllar, "write without bit 29, which must be 1");
+  if ((master_ & 3U) == 2) misuse(kPllar, "PLLA is changed while the master clock runs from it");
   plla_ = value & ~(1U << 29);
   status_ &= ~kLockA;
   const std::uint32_t hz = plla_Hz();
   plla_ready_ = 0;
   if (hz != 0) {
     if (hz < kPllaLowest_Hz || hz > kPllaHighest_Hz) {
-      misuse(0x28, "PLLA at " + std::to_string(hz) + " Hz is outside of 84 to 192 MHz");
+      misuse(kPllar, "PLLA at " + std::to_string(hz) + " Hz is outside of 84 to 192 MHz");
     }
     plla_ready_ = system_.board_now() + system_.slow_periods(((value >> 8) & 0x3FU) + 1);
     plla_steady_ = system_.board_now() + kPllaStart;
@@ -258,14 +277,14 @@ void Pmc::write_upll(std::uint32_t value) {
   upll_ = value;
   if ((value & kUpllEn) == 0) {
     if ((system_clocks_ & kUsbClock) != 0 && (usb_ & 1U) != 0) {
-      misuse(0x1C, "UPLL is switched off while the USB clock runs from it");
+      misuse(kUckr, "UPLL is switched off while the USB clock runs from it");
     }
     status_ &= ~kLockU;
     system_.upll_locked = false;
     upll_ready_ = 0;
   } else if (!was_on) {
     if ((main_oscillator_ & kMoscXtEn) == 0 || system_.board_now() < crystal_steady_) {
-      misuse(0x1C, "UPLL is switched on before the 12 MHz crystal runs, which it multiplies");
+      misuse(kUckr, "UPLL is switched on before the 12 MHz crystal runs, which it multiplies");
     }
     const std::uint64_t startup = 8 * ((value >> 20) & 0xFU);
     upll_ready_ = system_.board_now() + system_.slow_periods(startup + 1);
@@ -277,7 +296,7 @@ void Pmc::write_upll(std::uint32_t value) {
 void Pmc::write_system_clocks(std::uint32_t offset, std::uint32_t value) {
   if ((value & 0x700U) != 0) not_modelled(offset, "programmable clocks are not modelled");
   const std::uint32_t bits = value & kUsbClock;
-  if (offset == 0x004) {
+  if (offset == kScdr) {
     system_clocks_ &= ~bits;
     return;
   }
@@ -295,18 +314,18 @@ void Pmc::write_system_clocks(std::uint32_t offset, std::uint32_t value) {
 }
 
 void Pmc::write_master_clock(std::uint32_t value) {
-  if ((status_ & kMckRdy) == 0) misuse(0x30, "write before PMC_SR.MCKRDY is set");
+  if ((status_ & kMckRdy) == 0) misuse(kMckr, "write before PMC_SR.MCKRDY is set");
   if ((value & 3U) == 2 && (status_ & kLockA) == 0) {
-    return misuse(0x30, "PLLA is chosen before PMC_SR.LOCKA says that it is stable");
+    return misuse(kMckr, "PLLA is chosen before PMC_SR.LOCKA says that it is stable");
   }
   if ((value & 3U) == 2 && system_.board_now() < plla_steady_) {
-    misuse(0x30, "CKGR_PLLAR.PLLACOUNT is too short: PLLA needs 0.2 ms to lock");
+    misuse(kMckr, "CKGR_PLLAR.PLLACOUNT is too short: PLLA needs 0.2 ms to lock");
   }
-  if ((value & 3U) == 3) return not_modelled(0x30, "a master clock from UPLL is not modelled");
+  if ((value & 3U) == 3) return not_modelled(kMckr, "a master clock from UPLL is not modelled");
   const bool source = ((value ^ master_) & 3U) != 0;
   const bool prescaler = ((value ^ master_) & 0x1070U) != 0;
   if (source && prescaler) {
-    misuse(0x30, "prescaler and source of the master clock must not change in one write");
+    misuse(kMckr, "prescaler and source of the master clock must not change in one write");
   }
   master_ = value & 0x3073U;
   apply_master_clock();
@@ -317,7 +336,7 @@ void Pmc::write_master_clock(std::uint32_t value) {
 }
 
 void Pmc::write_peripheral(std::uint32_t offset, std::uint32_t value) {
-  const unsigned shift = offset >= 0x100 ? 32 : 0;
+  const unsigned shift = offset >= kPcer1 ? 32 : 0;
   const std::uint64_t bits = std::uint64_t{value} << shift;
   if ((bits & ~kSwitchable) != 0)
     misuse(offset, "bits of peripherals that have no clock to switch");
@@ -331,26 +350,26 @@ void Pmc::write_peripheral(std::uint32_t offset, std::uint32_t value) {
 void Pmc::write(std::uint32_t offset, std::uint32_t value) {
   settle();
   switch (offset) {
-    case 0x000:
-    case 0x004:
+    case kScer:
+    case kScdr:
       return write_system_clocks(offset, value);
-    case 0x010:
-    case 0x014:
-    case 0x100:
-    case 0x104:
+    case kPcer0:
+    case kPcdr0:
+    case kPcer1:
+    case kPcdr1:
       return write_peripheral(offset, value);
-    case 0x01C:
+    case kUckr:
       return write_upll(value);
-    case 0x020:
+    case kMor:
       return write_main_oscillator(value);
-    case 0x028:
+    case kPllar:
       return write_plla(value);
-    case 0x030:
+    case kMckr:
       return write_master_clock(value);
-    case 0x038:
+    case kUsb:
       usb_ = value & 0xF01U;
       return;
-    case 0x0E4:
+    case kWpmr:
       if ((value >> 8) != kProtectKey) return misuse(offset, "write without the key 0x504D43");
       protect_ = value & 1U;
       return;

@@ -53,6 +53,14 @@ constexpr Register kRegisters[] = {
     {0xE4, "TC_WPMR", kBoth | kUnmodelled},
 };
 
+// Offsets of the registers that the code below names.
+constexpr std::uint32_t kBcr = 0xC0;
+constexpr std::uint32_t kBmr = 0xC4;
+constexpr std::uint32_t kQier = 0xC8;
+constexpr std::uint32_t kQidr = 0xCC;
+constexpr std::uint32_t kQimr = 0xD0;
+constexpr std::uint32_t kQisr = 0xD4;
+
 constexpr const char* kNames[] = {"TC0", "TC1", "TC2"};
 constexpr std::uint32_t kSpeed = 1U << 10;
 
@@ -86,7 +94,7 @@ void Tc::reset() {
 
 // Each channel has its own clock; the block's registers run on that of channel 0.
 int Tc::clock_of(std::uint32_t offset) const {
-  return offset < 0xC0 ? clock_id_ + static_cast<int>(offset / 0x40) : clock_id_;
+  return offset < kBcr ? clock_id_ + static_cast<int>(offset / 0x40) : clock_id_;
 }
 
 bool Tc::pin_level(int channel, bool is_a) const {
@@ -132,19 +140,19 @@ void Tc::pin_changed(int signal, bool level, std::uint64_t now) {
 }
 
 std::uint32_t Tc::from_outside(std::uint32_t offset) const {
-  if (offset == 0xD4) return ~0U;                                   // QISR
+  if (offset == kQisr) return ~0U;                                  // QISR
   return offset % 0x40 >= 0x10 && offset % 0x40 <= 0x20 ? ~0U : 0;  // CV, RA, RB, SR
 }
 
 std::uint32_t Tc::read(std::uint32_t offset) {
   if (quadrature_.enabled()) quadrature_.settle(system_.now());
-  if (offset < 0xC0) return channels_[offset / 0x40].read(offset % 0x40);
+  if (offset < kBcr) return channels_[offset / 0x40].read(offset % 0x40);
   switch (offset) {
-    case 0xC4:
+    case kBmr:
       return block_mode_;
-    case 0xD0:
+    case kQimr:
       return quadrature_interrupts_;
-    case 0xD4: {
+    case kQisr: {
       const std::uint32_t value =
           quadrature_.take_flags() | (quadrature_.direction_down() ? 1U << 8 : 0U);
       channels_[0].update_irq();
@@ -157,21 +165,21 @@ std::uint32_t Tc::read(std::uint32_t offset) {
 
 void Tc::write(std::uint32_t offset, std::uint32_t value) {
   if (quadrature_.enabled()) quadrature_.settle(system_.now());
-  if (offset < 0xC0) return channels_[offset / 0x40].write(offset % 0x40, value);
+  if (offset < kBcr) return channels_[offset / 0x40].write(offset % 0x40, value);
   switch (offset) {
-    case 0xC0:
+    case kBcr:
       if ((value & 1U) == 0) return;
       for (TcChannel& channel : channels_) channel.software_trigger();
       return;
-    case 0xC4:
+    case kBmr:
       block_mode_ = value & 0x03FBFF3FU;
       if ((value & kSpeed) != 0) not_modelled(offset, "speed measurement is not modelled");
       quadrature_.set_mode(block_mode_, pin_level(0, true), pin_level(0, false));
       return;
-    case 0xC8:
+    case kQier:
       quadrature_interrupts_ |= value & 7U;
       break;
-    case 0xCC:
+    case kQidr:
       quadrature_interrupts_ &= ~value;
       break;
     default:

@@ -12,6 +12,12 @@ constexpr Register kRegisters[] = {
     {0x18, "TRNG_IMR", kRead}, {0x1C, "TRNG_ISR", kRead},  {0x50, "TRNG_ODATA", kRead},
 };
 
+// Offsets of the registers that the code below names.
+constexpr std::uint32_t kCr = 0x00;
+constexpr std::uint32_t kIdr = 0x14;
+constexpr std::uint32_t kImr = 0x18;
+constexpr std::uint32_t kIsr = 0x1C;
+
 constexpr std::uint32_t kKey = 0x524E47;  // "RNG"
 
 // SplitMix64 (Steele, Lea, Flood 2014): every seed, also a small one, gives well-mixed words.
@@ -63,8 +69,8 @@ void Trng::event(std::uint64_t) {
 std::uint32_t Trng::read(std::uint32_t offset) {
   catch_up();
   std::uint32_t value = value_;
-  if (offset == 0x18) value = masked_ ? 0 : 1;
-  if (offset == 0x1C) {
+  if (offset == kImr) value = masked_ ? 0 : 1;
+  if (offset == kIsr) {
     value = ready_ ? 1 : 0;
     ready_ = false;
   }
@@ -74,11 +80,11 @@ std::uint32_t Trng::read(std::uint32_t offset) {
 
 void Trng::write(std::uint32_t offset, std::uint32_t value) {
   catch_up();
-  if (offset == 0x00) {
+  if (offset == kCr) {
     if (value >> 8 != kKey) return misuse(offset, "write without its key 0x524E47");
     enable((value & 1U) != 0);
   } else if ((value & 1U) != 0) {
-    masked_ = offset == 0x14;
+    masked_ = offset == kIdr;
   }
   update();
 }

@@ -20,6 +20,26 @@ constexpr Register kRegisters[] = {
     {0x124, "UART_PTSR", kRead},
 };
 
+// Offsets of the registers that the code below names.
+constexpr std::uint32_t kCr = 0x00;
+constexpr std::uint32_t kMr = 0x04;
+constexpr std::uint32_t kIer = 0x08;
+constexpr std::uint32_t kIdr = 0x0C;
+constexpr std::uint32_t kImr = 0x10;
+constexpr std::uint32_t kSr = 0x14;
+constexpr std::uint32_t kRhr = 0x18;
+constexpr std::uint32_t kThr = 0x1C;
+constexpr std::uint32_t kBrgr = 0x20;
+constexpr std::uint32_t kRpr = 0x100;
+constexpr std::uint32_t kRcr = 0x104;
+constexpr std::uint32_t kTpr = 0x108;
+constexpr std::uint32_t kTcr = 0x10C;
+constexpr std::uint32_t kRnpr = 0x110;
+constexpr std::uint32_t kRncr = 0x114;
+constexpr std::uint32_t kTnpr = 0x118;
+constexpr std::uint32_t kTncr = 0x11C;
+constexpr std::uint32_t kPtcr = 0x120;
+
 constexpr std::uint32_t kRxRdy = 1U << 0;
 constexpr std::uint32_t kTxRdy = 1U << 1;
 constexpr std::uint32_t kEndRx = 1U << 3;
@@ -113,7 +133,7 @@ void Uart::begin_shift(std::uint8_t byte, std::uint64_t from) {
 }
 
 void Uart::transmit(std::uint8_t byte) {
-  if (divider_ == 0) return misuse(0x1C, "a byte is sent while BRGR.CD is 0");
+  if (divider_ == 0) return misuse(kThr, "a byte is sent while BRGR.CD is 0");
   if (!shifting_) return begin_shift(byte, system_.now());
   holding_ = byte;
   holding_full_ = true;
@@ -123,7 +143,7 @@ void Uart::feed_transmitter() {
   while (tx_enabled_ && tx_.ready() && !holding_full_) {
     std::uint8_t byte = 0;
     if (!system_.bus.dma_read(tx_.pointer, byte)) {
-      misuse(0x108, "the PDC reads from " + hex(tx_.pointer) + ", where there is no memory");
+      misuse(kTpr, "the PDC reads from " + hex(tx_.pointer) + ", where there is no memory");
       tx_.enabled = false;
       return;
     }
@@ -147,7 +167,7 @@ void Uart::event(std::uint64_t) {
   if (loop == 2) return receive(byte, bit_cycles());
   const PinSetting& pin = pins_.setting(kTxPin);
   if (!pin.given_to_peripheral || pin.peripheral_b) {
-    return misuse(0x1C, "a byte is sent while PA9 is not given to the UART (PIO_PDR, PIO_ABSR)");
+    return misuse(kThr, "a byte is sent while PA9 is not given to the UART (PIO_PDR, PIO_ABSR)");
   }
   if (peer_ == nullptr) return;
   peer_->byte_from_uart(understood() ? byte : garbled(byte), bit_cycles(), end);
@@ -179,7 +199,7 @@ void Uart::receive(std::uint8_t byte, std::uint64_t sender_bit_cycles) {
 void Uart::drain_receiver() {
   if (!rx_ready_ || !rx_.ready()) return;
   if (!system_.bus.dma_write(rx_.pointer, rx_byte_)) {
-    misuse(0x100, "the PDC writes to " + hex(rx_.pointer) + ", where there is no SRAM");
+    misuse(kRpr, "the PDC writes to " + hex(rx_.pointer) + ", where there is no SRAM");
     rx_.enabled = false;
     return;
   }
@@ -205,21 +225,21 @@ void Uart::control(std::uint32_t value) {
 
 std::uint32_t Uart::read_pdc(std::uint32_t offset) const {
   switch (offset) {
-    case 0x100:
+    case kRpr:
       return rx_.pointer;
-    case 0x104:
+    case kRcr:
       return rx_.count;
-    case 0x108:
+    case kTpr:
       return tx_.pointer;
-    case 0x10C:
+    case kTcr:
       return tx_.count;
-    case 0x110:
+    case kRnpr:
       return rx_.next_pointer;
-    case 0x114:
+    case kRncr:
       return rx_.next_count;
-    case 0x118:
+    case kTnpr:
       return tx_.next_pointer;
-    case 0x11C:
+    case kTncr:
       return tx_.next_count;
     default:
       return (rx_.enabled ? 1U : 0U) | (tx_.enabled ? 1U << 8 : 0U);
@@ -230,7 +250,7 @@ std::uint32_t Uart::read_pdc(std::uint32_t offset) const {
 void Uart::check_pdc(std::uint32_t offset, std::uint32_t value) const {
   const PdcHalf& half = (offset & 8U) != 0 ? tx_ : rx_;
   if (!half.enabled) return;
-  const bool next = offset >= 0x110;
+  const bool next = offset >= kRnpr;
   if (!next && half.count != 0) misuse(offset, "write while the PDC moves the running buffer");
   if (next && half.count == 1 && value != 0) {
     misuse(offset, "write while the PDC moves the last byte of the running buffer");
@@ -238,30 +258,30 @@ void Uart::check_pdc(std::uint32_t offset, std::uint32_t value) const {
 }
 
 void Uart::write_pdc(std::uint32_t offset, std::uint32_t value) {
-  if (offset < 0x120) check_pdc(offset, value);
+  if (offset < kPtcr) check_pdc(offset, value);
   switch (offset) {
-    case 0x100:
+    case kRpr:
       rx_.pointer = value;
       break;
-    case 0x104:
+    case kRcr:
       rx_.set_count(value);
       break;
-    case 0x108:
+    case kTpr:
       tx_.pointer = value;
       break;
-    case 0x10C:
+    case kTcr:
       tx_.set_count(value);
       break;
-    case 0x110:
+    case kRnpr:
       rx_.next_pointer = value;
       break;
-    case 0x114:
+    case kRncr:
       rx_.set_next_count(value);
       break;
-    case 0x118:
+    case kTnpr:
       tx_.next_pointer = value;
       break;
-    case 0x11C:
+    case kTncr:
       tx_.set_next_count(value);
       break;
     default:
@@ -276,24 +296,24 @@ void Uart::write_pdc(std::uint32_t offset, std::uint32_t value) {
 }
 
 std::uint32_t Uart::from_outside(std::uint32_t offset) const {
-  if (offset == 0x14) return kRxRdy | kEndRx | kRxBufF | kOvre | kFrame | kPare;
-  return offset == 0x18 || offset == 0x100 || offset == 0x104 ? ~0U : 0;
+  if (offset == kSr) return kRxRdy | kEndRx | kRxBufF | kOvre | kFrame | kPare;
+  return offset == kRhr || offset == kRpr || offset == kRcr ? ~0U : 0;
 }
 
 std::uint32_t Uart::read(std::uint32_t offset) {
-  if (offset >= 0x100) return read_pdc(offset);
+  if (offset >= kRpr) return read_pdc(offset);
   switch (offset) {
-    case 0x04:
+    case kMr:
       return mode_;
-    case 0x10:
+    case kImr:
       return interrupts_;
-    case 0x14:
+    case kSr:
       return status();
-    case 0x18:
+    case kRhr:
       rx_ready_ = false;
       update_irq();
       return rx_byte_;
-    case 0x20:
+    case kBrgr:
       return divider_;
     default:
       return 0;
@@ -302,26 +322,26 @@ std::uint32_t Uart::read(std::uint32_t offset) {
 
 void Uart::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
-    case 0x00:
+    case kCr:
       control(value);
       break;
-    case 0x04:
+    case kMr:
       mode_ = value & 0xCE00U;
       if (((value >> 14) & 1U) != 0) not_modelled(offset, "this channel mode is not modelled");
       break;
-    case 0x08:
+    case kIer:
       interrupts_ |= value;
       break;
-    case 0x0C:
+    case kIdr:
       interrupts_ &= ~value;
       break;
-    case 0x1C:
+    case kThr:
       if ((status() & kTxRdy) == 0) {
         misuse(offset, "write while UART_SR.TXRDY is 0: a byte is lost");
       }
       transmit(static_cast<std::uint8_t>(value));
       break;
-    case 0x20:
+    case kBrgr:
       divider_ = value & 0xFFFFU;
       break;
     default:

@@ -88,6 +88,16 @@ constexpr Register kRegisters[] = {
     {0x80C, "UOTGHS_SFR", kWriteNot},
     {0x82C, "UOTGHS_FSM", kRead},
 };
+
+// Offsets of the registers that the code below names.
+constexpr std::uint32_t kDevctrl = 0x00;
+constexpr std::uint32_t kDevimr = 0x10;
+constexpr std::uint32_t kDevidr = 0x14;
+constexpr std::uint32_t kDevier = 0x18;
+constexpr std::uint32_t kDevept = 0x1C;
+constexpr std::uint32_t kCtrl = 0x800;
+constexpr std::uint32_t kSr = 0x804;
+constexpr std::uint32_t kFsm = 0x82C;
 #undef DUE_TEN
 #undef DUE_DMA
 
@@ -111,17 +121,17 @@ void Uotghs::reset() {
 
 std::uint32_t Uotghs::read(std::uint32_t offset) {
   switch (offset) {
-    case 0x000:
+    case kDevctrl:
       return device_;
-    case 0x010:
+    case kDevimr:
       return interrupts_;
-    case 0x01C:
+    case kDevept:
       return endpoints_;
-    case 0x800:
+    case kCtrl:
       return control_;
-    case 0x804:
+    case kSr:
       return kIdIsDevice | ((control_ & kUsbe) != 0 && system_.upll_locked ? kClkUsable : 0);
-    case 0x82C:
+    case kFsm:
       return kIdleState;
     default:
       return 0;
@@ -130,19 +140,19 @@ std::uint32_t Uotghs::read(std::uint32_t offset) {
 
 void Uotghs::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
-    case 0x000:
+    case kDevctrl:
       device_ = value;
       return;
-    case 0x014:
+    case kDevidr:
       interrupts_ &= ~value;
       return;
-    case 0x018:
+    case kDevier:
       interrupts_ |= value;
       return;
-    case 0x01C:
+    case kDevept:
       endpoints_ = value;
       return;
-    case 0x800:
+    case kCtrl:
       control_ = value;
       return;
     default:
