@@ -41,6 +41,7 @@ std::uint32_t status_when_ready() {
 
 }  // namespace
 
+// Word by word, because the flash is volatile here and memcpy() does not take volatile memory.
 void read_page(std::size_t page, std::uint8_t* to, std::size_t count) {
   const volatile std::uint32_t* from = words_of(page);
   for (std::size_t i = 0; i < count / 4; ++i) {

@@ -1,3 +1,4 @@
+// The control law and its constants; lqr.hpp describes the controller.
 #include "control/lqr.hpp"
 
 #include "control/math.hpp"

@@ -1,3 +1,4 @@
+// Runs the emulated Due a millisecond at a time, in step with its control tick; see due_board.hpp.
 #include "due_board.hpp"
 
 #include <algorithm>
@@ -22,19 +23,19 @@ using due_emulator::Stop;
 constexpr BoardTime kBit = BoardTime{1000000} * kOneUs / heli::link::kBaud;
 constexpr BoardTime kByte = 10 * kBit;
 
-// The last byte of a millisecond comes so long after the next tick has begun: while that runs, the
-// idle loop does not, so whole frames are seen once a tick, as on a board without registers.
+// Time from the begin of the next tick to the last byte of a millisecond. While the tick runs, the
+// idle loop does not, so it receives whole frames once per tick, as on the native board.
 constexpr BoardTime kLastByte = 15 * kOneUs;
-// Edges end so long before the next tick: their filters and interrupts are done by then.
-constexpr BoardTime kQuiet = 5 * kOneUs;
-// When to look whether the handler has returned, and how often after that.
-constexpr BoardTime kFirstLook = 100 * kOneUs;
-constexpr BoardTime kLook = 25 * kOneUs;
+// Time from the last edge to the next tick, so that filters and interrupts have finished by then.
+constexpr BoardTime kSettleTime = 5 * kOneUs;
+// When to check for the first time whether the handler has returned, and how often after that.
+constexpr BoardTime kFirstPoll = 100 * kOneUs;
+constexpr BoardTime kPollInterval = 25 * kOneUs;
 constexpr BoardTime kPwmPeriod = 50 * kOneUs;
 // A program has this many PWM periods, 0.1 s, to begin its first tick.
-constexpr int kMaxBoot = 2000;
-// A jump of the arm (a test puts it somewhere else) is told at 200,000 steps a second at most.
-constexpr std::int32_t kMaxJump = 150;
+constexpr int kMaxBootPeriods = 2000;
+// A test may move the arm to another place. Its steps are then played at 150 per tick at most.
+constexpr std::int32_t kMaxStepsPerTick = 150;
 
 }  // namespace
 
@@ -53,63 +54,70 @@ void DueBoard::run_until(BoardTime until) {
   if (due_->chip.system.cpu.halt() == Halt::kLockup) throw Stop("the processor is locked up");
 }
 
-// Whether the handler has begun anew; the millisecond then begins with it.
+// Whether the handler has begun since the last call. The first time, the millisecond is aligned to
+// it.
 bool DueBoard::ticked() {
   const std::uint64_t entry = due_->chip.system.cpu.stats(handler_).last_entry;
-  if (handler_ == 0 || entry == entry_seen_) return false;
-  entry_seen_ = entry;
+  if (handler_ == 0 || entry == last_entry_) return false;
+  last_entry_ = entry;
   if (aligned_) return true;
   tick_at_ = due_->chip.system.clock.time_at(entry);
   aligned_ = true;
   return true;
 }
 
+// Switches the power on and runs to the program's first tick, or for kMaxBootPeriods.
 void DueBoard::start() {
   due_->power_on();
   tick_at_ = due_->now();
   if (handler_ == 0 || in_reset()) return;
-  for (int look = 0; look < kMaxBoot && !ticked(); ++look) run_until(due_->now() + kPwmPeriod);
+  for (int period = 0; period < kMaxBootPeriods && !ticked(); ++period)
+    run_until(due_->now() + kPwmPeriod);
   if (!aligned_) tick_at_ = due_->now();
 }
 
+// Runs until the tick's handler has returned and its duties are at the pins, a PWM period later.
 void DueBoard::wait_for_command() {
-  run_until(tick_at_ + kFirstLook);
+  run_until(tick_at_ + kFirstPoll);
   if (!ticked()) {
-    // In reset, starting, or hung: the next handler that begins is followed again.
+    // In reset, starting, or hung: align again to the next handler that begins.
     aligned_ = false;
     return;
   }
   const Exceptions& exceptions = due_->chip.system.exceptions;
-  const BoardTime latest = tick_at_ + kOneMs - kPwmPeriod - kQuiet;
-  while (exceptions.active(handler_) && due_->now() < latest) run_until(due_->now() + kLook);
+  const BoardTime latest = tick_at_ + kOneMs - kPwmPeriod - kSettleTime;
+  while (exceptions.active(handler_) && due_->now() < latest)
+    run_until(due_->now() + kPollInterval);
   run_until(due_->now() + kPwmPeriod);
 }
 
 void DueBoard::tick(const std::int32_t* count) {
   for (int axis = 0; axis < kEncoders; ++axis) {
     if (!due_->chip.powered()) due_->set_encoder(axis, count[axis]);
-    jump_[static_cast<std::size_t>(axis)] = count[axis] - due_->encoder(axis);
+    unreported_steps_[static_cast<std::size_t>(axis)] = count[axis] - due_->encoder(axis);
   }
-  leaving_ = from_uart_.size() + due_->chip.uart.unsent();
-  const bool first = !due_->chip.powered();
-  if (first) start();
+  sendable_bytes_ = from_uart_.size() + due_->chip.uart.unsent();
+  const bool earliest = !due_->chip.powered();
+  if (earliest) start();
   plan_bytes();
   if (handler_ == 0) return;
-  if (first) entry_seen_ = 0;
+  if (earliest) last_entry_ = 0;
   wait_for_command();
 }
 
+// The rest of the millisecond, with the encoders' edges spread over it.
 void DueBoard::rest(const Edge* edges, std::size_t edge_count) {
   const BoardTime from = due_->now();
   const BoardTime end = tick_at_ + kOneMs;
-  const BoardTime until = std::max(from, end - kQuiet);
+  const BoardTime until = std::max(from, end - kSettleTime);
   const double per_us = static_cast<double>(until - from) / 1000.0;
   std::vector<Edge> steps(edges, edges + edge_count);
   for (std::uint8_t axis = 0; axis < kEncoders; ++axis) {
-    const std::int32_t jump = std::clamp(jump_[axis], -kMaxJump, kMaxJump);
-    for (std::int32_t k = 0; k < std::abs(jump); ++k) {
-      const double time_us = 1000.0 * (k + 0.5) / std::abs(jump);
-      steps.push_back({time_us, axis, static_cast<std::int8_t>(jump > 0 ? 1 : -1)});
+    const std::int32_t pending_steps =
+        std::clamp(unreported_steps_[axis], -kMaxStepsPerTick, kMaxStepsPerTick);
+    for (std::int32_t k = 0; k < std::abs(pending_steps); ++k) {
+      const double time_us = 1000.0 * (k + 0.5) / std::abs(pending_steps);
+      steps.push_back({time_us, axis, static_cast<std::int8_t>(pending_steps > 0 ? 1 : -1)});
     }
   }
   std::stable_sort(steps.begin(), steps.end(),
@@ -133,7 +141,7 @@ MotorOutput DueBoard::motors() const {
 void DueBoard::reset(heli::link::Reset cause) {
   to_uart_.clear();
   from_uart_.clear();
-  leaving_ = 0;
+  sendable_bytes_ = 0;
   aligned_ = false;
   if (cause == heli::link::Reset::power_up) {
     due_->power_off();
@@ -155,8 +163,8 @@ void DueBoard::erase() {
 }
 
 bool DueBoard::uart_transmit(std::uint8_t& byte) {
-  if (leaving_ == 0 || from_uart_.empty()) return false;
-  --leaving_;
+  if (sendable_bytes_ == 0 || from_uart_.empty()) return false;
+  --sendable_bytes_;
   byte = from_uart_.front();
   from_uart_.pop_front();
   return true;
@@ -172,24 +180,27 @@ void DueBoard::plan_bytes() {
   const auto count =
       static_cast<BoardTime>(std::count_if(to_uart_.begin(), to_uart_.end(), is_new));
   const BoardTime last = tick_at_ + kOneMs + kLastByte;
-  BoardTime when = std::max({due_->now(), wire_free_, last + kByte - count * kByte});
+  BoardTime when = std::max({due_->now(), wire_free_time_, last + kByte - count * kByte});
   for (Arrival& arrival : to_uart_) {
     if (!is_new(arrival)) continue;
     arrival.when = when;
     when += kByte;
-    wire_free_ = when;
+    wire_free_time_ = when;
   }
   plan();
 }
 
+// Schedules the next arriving byte or the end of the reset, whichever comes first.
 void DueBoard::plan() {
-  BoardTime first = ~BoardTime{0};
-  if (!to_uart_.empty() && to_uart_.front().when != 0) first = to_uart_.front().when;
-  if (reset_end_ != 0) first = std::min(first, reset_end_);
-  const bool any = first != ~BoardTime{0};
-  due_->chip.system.scheduler.set(id_, any ? due_->chip.system.clock.cycle_at(first) : kNever);
+  BoardTime earliest = ~BoardTime{0};
+  if (!to_uart_.empty() && to_uart_.front().when != 0) earliest = to_uart_.front().when;
+  if (reset_end_ != 0) earliest = std::min(earliest, reset_end_);
+  const bool has_event = earliest != ~BoardTime{0};
+  due_->chip.system.scheduler.set(id_,
+                                  has_event ? due_->chip.system.clock.cycle_at(earliest) : kNever);
 }
 
+// Delivers the byte whose time has come, and ends a reset.
 void DueBoard::event(std::uint64_t) {
   const BoardTime now = due_->now();
   if (!to_uart_.empty() && to_uart_.front().when != 0 && to_uart_.front().when <= now) {

@@ -29,10 +29,10 @@ class DueBoard final : public SimBoard,
 
   DueBoard();
 
-  // Names the handler, an exception that comes every millisecond. Its command acts once it has
-  // returned and a PWM period has ended. The first tick of a program that starts shifts the
-  // milliseconds, once. With 0 they follow nothing: a command is what the pins did at the end of
-  // the last one.
+  // Sets the exception number of the control tick. Its command acts once the handler has returned
+  // and a PWM period has ended. When a program starts, its first tick shifts the beginning of the
+  // milliseconds, once. With 0 they are not aligned: the command is the state of the pins at the
+  // end of the previous millisecond.
   void align(std::uint8_t handler);
 
   bool wants_edges() const override { return true; }
@@ -74,12 +74,13 @@ class DueBoard final : public SimBoard,
   std::uint8_t handler_ = 0;  // exception number; 0: none
   BoardTime tick_at_ = 0;     // when this millisecond's tick begins
   bool aligned_ = false;
-  std::uint64_t entry_seen_ = 0;
-  std::array<std::int32_t, kEncoders> jump_{};  // steps that no edge has told of
+  std::uint64_t last_entry_ = 0;
+  std::array<std::int32_t, kEncoders>
+      unreported_steps_{};  // difference between the rig's count and the board's
   std::deque<Arrival> to_uart_;
-  BoardTime wire_free_ = 0;
+  BoardTime wire_free_time_ = 0;
   std::deque<std::uint8_t> from_uart_;
-  std::size_t leaving_ = 0;  // bytes handed over before this millisecond
+  std::size_t sendable_bytes_ = 0;  // bytes that the program has sent before this millisecond
   BoardTime reset_end_ = 0;
 };
 

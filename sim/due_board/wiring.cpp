@@ -1,3 +1,4 @@
+// Pins of encoders, motor drivers and stop input on the emulated Due; see wiring.hpp.
 #include "wiring.hpp"
 
 #include <array>

@@ -1,3 +1,4 @@
+// Splits a function into what is known beforehand and what must be stepped; see integrator.hpp.
 #include "integrator.hpp"
 
 #include <algorithm>
@@ -5,9 +6,11 @@
 namespace heli_lab {
 namespace {
 
+// Numbers of the function's inputs.
 constexpr std::int32_t kZ = 0;
 constexpr std::int32_t kTime = 1;
 
+// Which values depend on z or on time: those must be evaluated step by step.
 std::vector<bool> by_z_or_time(const Function& function) {
   std::vector<bool> result(function.values.size(), false);
   for (std::size_t i = 0; i < result.size(); ++i) {
@@ -47,6 +50,7 @@ Integrator::Integrator(const Function& function, const std::vector<std::int32_t>
   beforehand_.emplace(function, std::vector<std::vector<std::int32_t>>{known_});
 }
 
+// Returns the value's place in the table; at the first call for a value it gets one.
 std::int32_t Integrator::place_of(std::int32_t id, const std::vector<bool>& sequential) {
   const auto at = static_cast<std::size_t>(id);
   if (place_[at] < 0) {
@@ -58,6 +62,7 @@ std::int32_t Integrator::place_of(std::int32_t id, const std::vector<bool>& sequ
   return place_[at];
 }
 
+// The steps that compute the wanted values from z, time and values known beforehand.
 Integrator::Stepper Integrator::sequence(const Function& function,
                                          const std::vector<bool>& sequential,
                                          const std::vector<std::int32_t>& wanted) {
@@ -96,6 +101,7 @@ Integrator::Stepper Integrator::sequence(const Function& function,
   return stepper;
 }
 
+// Runs the steps in the table, and copies the results to `out`.
 void Integrator::follow(const Stepper& stepper, double* table, double* out) {
   for (std::size_t i = 0; i < stepper.steps.size(); ++i) {
     const Value& value = stepper.steps[i];
@@ -112,7 +118,7 @@ void Integrator::run(const std::vector<const double*>& course, const double* t_s
   const std::size_t width = known_.size();
   std::vector<double> known(rows * width);
   std::vector<const double*> inputs(course);
-  // z and time are asked for by no value that is evaluated beforehand.
+  // No value that is evaluated beforehand reads z or time, so these inputs may be null.
   inputs.insert(inputs.begin(), {nullptr, nullptr});
   beforehand_->evaluate(inputs, rows, {known.data()});
   std::vector<double> table(table_);
@@ -122,6 +128,7 @@ void Integrator::run(const std::vector<const double*>& course, const double* t_s
   std::vector<double> k3(states_);
   std::vector<double> k4(states_);
   const double h = step_s / static_cast<double>(substeps);
+  // dz/dt at z + share * slope, at the time in the table.
   const auto rate = [&](const std::vector<double>* slope, double share, std::vector<double>& to) {
     for (std::size_t i = 0; i < states_; ++i) {
       table[i] = z[i] + (slope == nullptr ? 0.0 : share * (*slope)[i]);
@@ -134,6 +141,7 @@ void Integrator::run(const std::vector<const double*>& course, const double* t_s
           known[row * width + k];
     }
     for (std::size_t sub = 0; sub < substeps; ++sub) {
+      // A row's time t_s is the middle of its step.
       const double from_middle = static_cast<double>(sub) - 0.5 * static_cast<double>(substeps);
       const double now_s = t_s[row] + h * from_middle;
       table[states_] = now_s;

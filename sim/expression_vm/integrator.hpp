@@ -9,16 +9,18 @@
 
 namespace heli_lab {
 
-// Inputs of `function` are z, time, then what a row of the course holds, then what all rows share.
-// What does not depend on z or time is evaluated once a row; the rest step by step.
+// The inputs of `function` are: z, time in s, the columns of the course (one row per sample), and
+// values that all rows share. Values that do not depend on z or time are evaluated once per row,
+// the others in each substep.
 class Integrator {
  public:
   // `rates` are the values that hold dz/dt, `resets` those that z jumps to at the end of a step.
   Integrator(const Function& function, const std::vector<std::int32_t>& rates,
              const std::vector<std::int32_t>& resets);
 
-  // Integrates by the rule of Runge and Kutta, `substeps` in each row, z being `start` before the
-  // first. out is [rows][z], at the end of each row's substep `seen`.
+  // Integrates by the fourth-order Runge-Kutta method with `substeps` per row. `start` is z before
+  // the first row. `t_s` is the time in the middle of each row, which lasts `step_s`. Writes z at
+  // the end of substep number `seen` of each row: out is [rows][z].
   void run(const std::vector<const double*>& course, const double* t_s, std::size_t rows,
            double step_s, std::size_t substeps, std::size_t seen, const double* start,
            double* out) const;

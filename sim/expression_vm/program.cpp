@@ -1,3 +1,4 @@
+// Compiles a function to steps on registers, and runs it in blocks of rows; see program.hpp.
 #include "program.hpp"
 
 #include <algorithm>
@@ -12,6 +13,8 @@ namespace {
 // enough that the values in use stay in the first two caches.
 constexpr std::size_t kLanes = 32;
 
+// to[i] = f(a[i], b[i]) for kLanes rows; a uniform operand has one value for all rows. At most one
+// of the two is uniform.
 template <typename F>
 void each(F f, double* to, const double* a, bool a_uniform, const double* b, bool b_uniform) {
   if (a_uniform) {
@@ -61,12 +64,14 @@ std::vector<bool> varying(const Function& function) {
   return result;
 }
 
+// Uniform values become scalars. The others become steps, whose values are in registers: a register
+// is free again after the last step that reads its value.
 Program::Program(const Function& function, const std::vector<std::vector<std::int32_t>>& wanted)
     : widths_(function.widths) {
   const std::vector<Value>& values = function.values;
   const std::size_t count = values.size();
   const std::vector<bool> vary = varying(function);
-  // The last step that reads a value; `count` for what is wanted.
+  // The last value that reads each value: -1 if none does, `count` for an output.
   std::vector<std::int64_t> last(count, -1);
   for (const std::vector<std::int32_t>& output : wanted) {
     for (const std::int32_t id : output) {
@@ -83,6 +88,7 @@ Program::Program(const Function& function, const std::vector<std::vector<std::in
       used = std::max(used, static_cast<std::int64_t>(i));
     }
   }
+  // Place of each value among the scalars or the registers, and the registers that are free.
   std::vector<std::int32_t> place(count, -1);
   std::vector<std::int32_t> free;
   const auto operand = [&](std::int32_t id) {
@@ -95,6 +101,7 @@ Program::Program(const Function& function, const std::vector<std::vector<std::in
     }
     const Value& value = values[i];
     const int operands = arguments_of(value.op);
+    // A uniform value: its operands are scalars too.
     if (!vary[i]) {
       Value own = value;
       if (operands > 0) {
@@ -111,9 +118,10 @@ Program::Program(const Function& function, const std::vector<std::vector<std::in
     step.op = value.op;
     if (operands > 0) {
       step.a = operand(value.a);
-      // Where there is one argument the operations are given it twice.
+      // An operation with one argument gets it twice.
       step.b = operands > 1 ? operand(value.b) : step.a;
     }
+    // Operands that are read for the last time give their registers back.
     for (int k = 0; k < operands; ++k) {
       const auto read = static_cast<std::size_t>(k == 0 ? value.a : value.b);
       if (vary[read] && last[read] == static_cast<std::int64_t>(i)) {
@@ -142,6 +150,7 @@ Program::Program(const Function& function, const std::vector<std::vector<std::in
   }
 }
 
+// Evaluates the scalars once, then all rows.
 void Program::evaluate(const std::vector<const double*>& inputs, std::size_t rows,
                        const std::vector<double*>& outputs) const {
   std::vector<double> scalars(scalars_.size());
@@ -165,6 +174,7 @@ void Program::run(const std::vector<const double*>& inputs, std::size_t rows, co
                   const std::vector<double*>& outputs) const {
   std::vector<double> vectors(registers_ * kLanes);
   for (std::size_t start = 0; start < rows; start += kLanes) {
+    // The last block may be short: its last row fills the remaining lanes.
     const std::size_t here = std::min(kLanes, rows - start);
     for (const Loaded& load : loads_) {
       const std::size_t stride = widths_[static_cast<std::size_t>(load.input)];

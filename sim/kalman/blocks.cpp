@@ -1,3 +1,4 @@
+// Deviations over blocks of steps, and the implicit midpoint rule; see kalman.hpp.
 #include <algorithm>
 #include <cmath>
 #include <utility>
@@ -43,6 +44,8 @@ HELI_WIDE void block_response(const Signals& signals, std::size_t block, double*
       add_rows(phi + i * states, states, now.data(), width, table + i * width);
     }
   };
+  // Every step advances the block's transition and the deviations of the steps before it, then adds
+  // its own.
   for (std::size_t number = 0; number < blocks; ++number) {
     double* over = transition + number * states * states;
     for (std::size_t i = 0; i < states * states; ++i) {
@@ -67,6 +70,7 @@ HELI_WIDE void block_response(const Signals& signals, std::size_t block, double*
 
 HELI_WIDE void midpoint(const double* jacobian, std::size_t steps, std::size_t states,
                         double step_s, double* transition, double* input) {
+  // `input` first holds the inverse of I - h A / 2, by elimination of `left`.
   std::vector<double> left(states * states);
   for (std::size_t step = 0; step < steps; ++step) {
     const double* a = jacobian + step * states * states;

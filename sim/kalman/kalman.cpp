@@ -1,3 +1,5 @@
+// Kalman filter, tracking and the backward pass of smoother and shock scores; see kalman.hpp.
+// "Order" is the number of states and disturbances together; all matrices are row-major.
 #include "kalman.hpp"
 
 #include <algorithm>
@@ -6,10 +8,10 @@
 namespace heli_lab {
 namespace {
 
-constexpr double kNothing = 1e-60;
+constexpr double kNegligible = 1e-60;  // innovations below count as 0
 
 // What the backward pass of the smoother needs of a step.
-struct Kept {
+struct StepRecord {
   std::vector<double> mean;        // predicted, [order]
   std::vector<double> covariance;  // predicted, [order][order]
   std::vector<double> gain;        // [outputs][order]
@@ -17,6 +19,8 @@ struct Kept {
   std::vector<double> variance;    // [outputs]; 0 where nothing was measured
 };
 
+// Mean and covariance of [states, disturbances], from the initial ones on: update(0), predict(0),
+// update(1) and so on.
 class Filter {
  public:
   explicit Filter(const LinearSystem& system)
@@ -41,16 +45,18 @@ class Filter {
     }
   }
 
-  // One output after the other: their measurement errors are independent.
+  // Uses the measurements of a step, one output after the other, because their errors are
+  // independent. Writes the innovations divided by their standard deviation, [outputs][columns],
+  // and adds the logarithms of their variances. `record` may be null.
   HELI_INLINE void update(std::size_t step, double* innovations, double* log_variances,
-                          Kept* kept) {
+                          StepRecord* record) {
     const std::size_t states = system_.states;
     const std::size_t columns = system_.columns;
     for (std::size_t output = 0; output < system_.outputs; ++output) {
       double* out = innovations + output * columns;
       const double error = system_.measurement_variance[step * system_.outputs + output];
-      if (kept != nullptr) {
-        kept->variance[output] = 0.0;
+      if (record != nullptr) {
+        record->variance[output] = 0.0;
       }
       if (!(error > 0.0)) {
         std::fill(out, out + columns, 0.0);
@@ -69,8 +75,8 @@ class Filter {
         variance += row[j] * gain_[j];
       }
       const double scale = 1.0 / std::sqrt(variance);
-      const double* seen = system_.measured + (step * system_.outputs + output) * columns;
-      std::copy(seen, seen + columns, out);
+      const double* measured = system_.measured + (step * system_.outputs + output) * columns;
+      std::copy(measured, measured + columns, out);
       for (std::size_t j = 0; j < states; ++j) {
         const double weight = row[j];
         if (weight == 0.0) {
@@ -81,17 +87,17 @@ class Filter {
           out[c] -= weight * from[c];
         }
       }
-      if (kept != nullptr) {
-        kept->innovation[output] = out[0];
-        kept->variance[output] = variance;
+      if (record != nullptr) {
+        record->innovation[output] = out[0];
+        record->variance[output] = variance;
         for (std::size_t i = 0; i < order_; ++i) {
-          kept->gain[output * order_ + i] = gain_[i] / variance;
+          record->gain[output * order_ + i] = gain_[i] / variance;
         }
       }
       for (std::size_t c = 0; c < columns; ++c) {
-        // What a window's beginning left dies out: its squares would be denormal, which costs a
-        // hundredfold.
-        out[c] = std::fabs(out[c]) < kNothing ? 0.0 : out[c] * scale;
+        // The effect of a window's beginning decays so far that its squares would be denormal
+        // numbers, with which the processor is a hundred times slower.
+        out[c] = std::fabs(out[c]) < kNegligible ? 0.0 : out[c] * scale;
       }
       for (std::size_t i = 0; i < order_; ++i) {
         const double weight = gain_[i] * scale;
@@ -108,6 +114,8 @@ class Filter {
     }
   }
 
+  // From after the measurement of `step` to before the next one: mean and covariance through F =
+  // [transition disturbance_input; 0 memory], plus the disturbances' new noise.
   HELI_INLINE void predict(std::size_t step) {
     const std::size_t states = system_.states;
     const std::size_t disturbances = system_.disturbances;
@@ -124,6 +132,7 @@ class Filter {
       add_rows(weights, order_, mean_.data(), columns, next_.data() + i * columns);
       add_rows(weights, order_, covariance_.data(), order_, product_.data() + i * order_);
     }
+    // Mean.
     std::copy(next_.begin(), next_.end(), mean_.begin());
     for (std::size_t i = 0; i < disturbances; ++i) {
       double* to = mean_.data() + (states + i) * columns;
@@ -131,6 +140,7 @@ class Filter {
         to[c] *= step_memory_[i];
       }
     }
+    // Covariance: states with states, states with disturbances, then disturbances.
     for (std::size_t i = 0; i < states; ++i) {
       const double* line = product_.data() + i * order_;
       for (std::size_t k = 0; k <= i; ++k) {
@@ -166,7 +176,7 @@ class Filter {
     std::fill(input_.begin(), input_.end(), 0.0);
     for (std::size_t first = 0; first < system_.disturbances; first += kind) {
       for (std::size_t k = 0; k < kind; ++k) {
-        double left = 1.0;
+        double left = 1.0;  // of the disturbance, at the part's beginning
         for (std::size_t part = 0; part < system_.parts; ++part) {
           const double* from = system_.part_input + (part * system_.steps + step) * size + k;
           for (std::size_t i = 0; i < system_.states; ++i) {
@@ -181,9 +191,9 @@ class Filter {
 
   const std::vector<double>& step_memory() const { return step_memory_; }
 
-  void keep(Kept& kept) const {
-    first_column(kept.mean.data());
-    kept.covariance = covariance_;
+  void record_prediction(StepRecord& record) const {
+    first_column(record.mean.data());
+    record.covariance = covariance_;
   }
 
   void first_column(double* out) const {
@@ -235,30 +245,32 @@ void track(const LinearSystem& system, double* predicted, double* filtered) {
 
 namespace {
 
-// Modified Bryson-Frazier: adjoint vector and matrix run backwards, nothing is inverted, so that
-// disturbances of variance 0 and exact states are no special case. Bierman, Automatica 9 (1973)
-// 503.
-// Calls `visit(step, kept, adjoint, matrix)` for each step, the last first.
+// Modified Bryson-Frazier smoother: an adjoint vector and its matrix run backwards. Nothing is
+// inverted, so disturbances of variance 0 and exactly known states are no special case. G. J.
+// Bierman, Automatica 9 (1973) 503. Uses the first column only.
+// Calls `visit(step, record, adjoint, matrix)` for each step, the last first.
 template <typename Visit>
 void backward(const LinearSystem& system, Visit visit) {
   const std::size_t states = system.states;
   const std::size_t order = states + system.disturbances;
   Filter filter(system);
-  std::vector<Kept> kept(system.steps);
+  // Forward pass: the filter, with a record of each step.
+  std::vector<StepRecord> records(system.steps);
   std::vector<double> unused(system.outputs * system.columns);
   std::vector<double> log_variances(system.outputs, 0.0);
   for (std::size_t step = 0; step < system.steps; ++step) {
-    Kept& now = kept[step];
+    StepRecord& now = records[step];
     now.mean.resize(order);
     now.gain.resize(system.outputs * order);
     now.innovation.resize(system.outputs);
     now.variance.resize(system.outputs);
-    filter.keep(now);
+    filter.record_prediction(now);
     filter.update(step, unused.data(), log_variances.data(), &now);
     if (step + 1 < system.steps) {
       filter.predict(step);
     }
   }
+  // Backward pass.
   std::vector<double> adjoint(order, 0.0);
   std::vector<double> matrix(order * order, 0.0);
   std::vector<double> product(order * order);
@@ -302,16 +314,19 @@ void backward(const LinearSystem& system, Visit visit) {
         }
       }
     }
-    const Kept& now = kept[step];
+    const StepRecord& now = records[step];
+    // Back through the measurements, the last output first: with row h, gain k, innovation e and
+    // its variance v, adjoint' = (I - k h)' adjoint - h e / v and matrix' = (I - k h)' matrix (I -
+    // k h) + h' h / v.
     for (std::size_t output = system.outputs; output-- > 0;) {
       if (!(now.variance[output] > 0.0)) {
         continue;
       }
       const double* row = system.measurement + (step * system.outputs + output) * states;
       const double* gain = now.gain.data() + output * order;
-      double along = 0.0;
+      double gain_dot_adjoint = 0.0;
       for (std::size_t i = 0; i < order; ++i) {
-        along += gain[i] * adjoint[i];
+        gain_dot_adjoint += gain[i] * adjoint[i];
         double sum = 0.0;
         for (std::size_t j = 0; j < order; ++j) {
           sum += matrix[i * order + j] * gain[j];
@@ -324,7 +339,7 @@ void backward(const LinearSystem& system, Visit visit) {
       }
       const double inverse = 1.0 / now.variance[output];
       for (std::size_t i = 0; i < states; ++i) {
-        adjoint[i] -= row[i] * (along + now.innovation[output] * inverse);
+        adjoint[i] -= row[i] * (gain_dot_adjoint + now.innovation[output] * inverse);
       }
       for (std::size_t i = 0; i < order; ++i) {
         const double own = i < states ? row[i] : 0.0;
@@ -344,7 +359,7 @@ void backward(const LinearSystem& system, Visit visit) {
 void smooth(const LinearSystem& system, double* mean, double* variance) {
   const std::size_t order = system.states + system.disturbances;
   std::vector<double> line(order);
-  backward(system, [&](std::size_t step, const Kept& now, const std::vector<double>& adjoint,
+  backward(system, [&](std::size_t step, const StepRecord& now, const std::vector<double>& adjoint,
                        const std::vector<double>& matrix) {
     for (std::size_t i = 0; i < order; ++i) {
       double sum = now.mean[i];
@@ -366,9 +381,11 @@ void smooth(const LinearSystem& system, double* mean, double* variance) {
   });
 }
 
+// The adjoint before a step's measurement is minus the gradient of the log-likelihood with respect
+// to an addition to the state there, and the matrix is the information.
 void shock_scores(const LinearSystem& system, double* score, double* information) {
   const std::size_t order = system.states + system.disturbances;
-  backward(system, [&](std::size_t step, const Kept&, const std::vector<double>& adjoint,
+  backward(system, [&](std::size_t step, const StepRecord&, const std::vector<double>& adjoint,
                        const std::vector<double>& matrix) {
     for (std::size_t i = 0; i < order; ++i) {
       score[step * order + i] = -adjoint[i];

@@ -9,9 +9,9 @@
 
 namespace heli_lab {
 
-// to[c] += sum of weights[j] table[j][c], `count` rows of a table of `columns`, from column c on,
-// `kTogether` columns at once, so that their sums stay in registers; returns the first that is
-// left.
+// Adds a weighted sum of table rows: to[c] += sum over j of weights[j] table[j][c]. The table has
+// `count` rows of `columns` numbers. Begins at column c and takes `kTogether` columns at a time,
+// whose sums stay in registers. Returns the first column that did not fit.
 template <std::size_t kTogether>
 HELI_INLINE std::size_t add_columns(const double* weights, std::size_t count, const double* table,
                                     std::size_t columns, std::size_t c, double* to) {
@@ -34,7 +34,7 @@ HELI_INLINE std::size_t add_columns(const double* weights, std::size_t count, co
   return c;
 }
 
-// The same of all columns.
+// The same for all columns.
 HELI_INLINE void add_rows(const double* weights, std::size_t count, const double* table,
                           std::size_t columns, double* to) {
   std::size_t c = add_columns<16>(weights, count, table, columns, 0, to);
@@ -42,11 +42,12 @@ HELI_INLINE void add_rows(const double* weights, std::size_t count, const double
   add_columns<1>(weights, count, table, columns, c, to);
 }
 
-// e' = transition e + input w + drive, w' = memory^parts w + noise, y = measurement e + error.
-// Matrices are row-major, one a step; `columns` signals share the gains, because filtering is
-// linear. A step has one or more equal parts. The disturbances w come in kinds of `kind` each,
-// that differ by their memory: what one of any kind moves in a step is the sum of what it moves in
-// each part, memory^part left of it.
+// e' = transition e + input w + drive, w' = memory^parts w + noise, y = measurement e + error; a
+// prime is the next step. Matrices are row-major, one per step. `columns` signals are filtered with
+// the same gains, because filtering is linear. A step has one or more equal parts. The disturbances
+// w are groups of `kind` each; groups differ by their memory only. A disturbance decays by its
+// memory in each part, so its effect in a step is the sum over the parts of memory^part times
+// part_input.
 struct LinearSystem {
   std::size_t steps = 0;
   std::size_t parts = 0;
@@ -66,8 +67,8 @@ struct LinearSystem {
   const double* measured = nullptr;              // [steps][outputs][columns]
 };
 
-// Writes the innovations in their standard deviations, [steps][outputs][columns], and for each
-// output the sum of the logarithms of their variances, [outputs].
+// Writes the innovations divided by their standard deviations, [steps][outputs][columns], and for
+// each output the sum of the logarithms of their variances, [outputs].
 void filter(const LinearSystem& system, double* innovations, double* log_variances);
 
 // The log-likelihood of the first column under several models of the disturbances, without its
@@ -92,7 +93,7 @@ void smooth(const LinearSystem& system, double* mean, double* variance);
 // that begins there, one with memory 0 and variance 0 an impulse.
 void shock_scores(const LinearSystem& system, double* score, double* information);
 
-// Rates that drive deviations, e' = transition e + input rates, row-major, one a step.
+// Rates that drive deviations: e' = transition e + input rates. Row-major, one matrix per step.
 struct Signals {
   std::size_t steps = 0;
   std::size_t states = 0;
@@ -102,16 +103,16 @@ struct Signals {
   const double* rates = nullptr;       // [steps][states][columns]
 };
 
-// What the rates of a block of steps have moved at its end, from nothing at its beginning, [steps /
-// block][states][columns].
+// Deviation at the end of each block of steps, from zero at its beginning: [steps / block][states]
+// [columns].
 void over_blocks(const Signals& signals, std::size_t block, double* out);
 
-// Transition over each block of steps, [steps / block][states][states], and what the rates of each
-// of its steps alone have moved at its end, [block][steps / block][states][columns].
+// Transition over each block of steps, [steps / block][states][states], and the deviation at its
+// end that the rates of each of its steps cause alone, [block][steps / block][states][columns].
 void block_response(const Signals& signals, std::size_t block, double* transition, double* parts);
 
-// The implicit midpoint rule over steps of `step_s` where rates change with the state by
-// `jacobian`: transition, and what rates during a step move; all [steps][states][states].
+// Implicit midpoint rule over steps of `step_s`, for de/dt = jacobian e + rates: writes the
+// transition and the input matrix of the rates. All matrices are [steps][states][states].
 void midpoint(const double* jacobian, std::size_t steps, std::size_t states, double step_s,
               double* transition, double* input);
 

@@ -1,3 +1,4 @@
+// Log-likelihoods under several disturbance models in one pass; see kalman.hpp.
 #include <algorithm>
 #include <cmath>
 #include <vector>

@@ -1,3 +1,4 @@
+// Counts from angles, and the edges between two angles; see encoders.hpp.
 #include "encoders.hpp"
 
 #include <algorithm>
@@ -15,37 +16,39 @@ std::int64_t floor_count(double position) {
 
 void Encoders::move(const double* angle_rad) {
   for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
-    double position =
-        angle_rad[axis] * config_.counts_per_rad[axis] + config_.offset_count[axis] - lost_[axis];
-    if (out_[axis] && moved_) {
-      lost_[axis] += position - now_[axis];
-      position = now_[axis];
+    double position = angle_rad[axis] * config_.counts_per_rad[axis] + config_.offset_count[axis] -
+                      lost_count_[axis];
+    if (unplugged_[axis] && has_position_) {
+      lost_count_[axis] += position - position_count_[axis];
+      position = position_count_[axis];
     }
-    before_[axis] = moved_ ? now_[axis] : position;
-    now_[axis] = position;
+    previous_count_[axis] = has_position_ ? position_count_[axis] : position;
+    position_count_[axis] = position;
     count_[axis] = static_cast<std::int32_t>(floor_count(position));
   }
-  moved_ = true;
+  has_position_ = true;
 }
 
 const std::vector<Edge>& Encoders::edges() {
   edges_.clear();
   for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
-    const std::int64_t from = floor_count(before_[axis]);
-    const std::int64_t to = floor_count(now_[axis]);
+    const std::int64_t from = floor_count(previous_count_[axis]);
+    const std::int64_t to = floor_count(position_count_[axis]);
     if (from == to) continue;
-    const bool up = to > from;
+    const bool upwards = to > from;
     const double us_per_count =
-        static_cast<double>(heli::link::kTick_us) / (now_[axis] - before_[axis]);
+        static_cast<double>(heli::link::kTick_us) / (position_count_[axis] - previous_count_[axis]);
     const auto axis_index = static_cast<std::uint8_t>(axis);
     // Upwards the count changes when the position reaches a whole number, downwards when it falls
     // below one.
-    const std::int64_t first = up ? from + 1 : to + 1;
-    const std::int64_t last = up ? to : from;
-    for (std::int64_t line = first; line <= last; ++line) {
-      const double time_us = (static_cast<double>(line) - before_[axis]) * us_per_count;
-      edges_.push_back(
-          {std::clamp(time_us, 0.0, 999.999), axis_index, static_cast<std::int8_t>(up ? 1 : -1)});
+    const std::int64_t first = upwards ? from + 1 : to + 1;
+    const std::int64_t last = upwards ? to : from;
+    for (std::int64_t edge_count = first; edge_count <= last; ++edge_count) {
+      const double time_us =
+          (static_cast<double>(edge_count) - previous_count_[axis]) * us_per_count;
+      // Within the millisecond of 1000 us, also after rounding.
+      edges_.push_back({std::clamp(time_us, 0.0, 999.999), axis_index,
+                        static_cast<std::int8_t>(upwards ? 1 : -1)});
     }
   }
   std::stable_sort(edges_.begin(), edges_.end(),

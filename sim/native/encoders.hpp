@@ -10,8 +10,8 @@ namespace heli_sim {
 
 struct EncoderConfig {
   double counts_per_rad[heli::kAxisCount];
-  // Where the disc stands relative to the angle, in counts; its fraction is the phase of the first
-  // edge. A free-running counter starts anywhere.
+  // Count at angle 0. Its fraction is the phase of the first edge. Any value is possible, because a
+  // free-running counter starts anywhere.
   double offset_count[heli::kAxisCount];
 };
 
@@ -19,12 +19,12 @@ class Encoders {
  public:
   explicit Encoders(const EncoderConfig& config) : config_(config) {}
 
-  // The plug of an axis is out, or in: while it is out nothing counts, and what moved meanwhile is
-  // lost.
-  void set_out(std::size_t axis, bool out) { out_[axis] = out; }
-  bool out(std::size_t axis) const { return out_[axis]; }
+  // Unplugs or plugs in the encoder of an axis. While it is unplugged nothing counts; the motion in
+  // that time is lost.
+  void set_out(std::size_t axis, bool out) { unplugged_[axis] = out; }
+  bool out(std::size_t axis) const { return unplugged_[axis]; }
 
-  // Reads the angles; those of the last call stay as the start of the millisecond for edges().
+  // Reads the angles at the end of a millisecond; those of the previous call are its start.
   void move(const double* angle_rad);
 
   const std::int32_t* count() const { return count_; }
@@ -35,13 +35,13 @@ class Encoders {
 
  private:
   EncoderConfig config_;
-  double before_[heli::kAxisCount] = {};  // position in counts
-  double now_[heli::kAxisCount] = {};
-  double lost_[heli::kAxisCount] = {};
-  bool out_[heli::kAxisCount] = {};
+  double previous_count_[heli::kAxisCount] = {};  // position in counts
+  double position_count_[heli::kAxisCount] = {};
+  double lost_count_[heli::kAxisCount] = {};  // motion while unplugged
+  bool unplugged_[heli::kAxisCount] = {};
   std::int32_t count_[heli::kAxisCount] = {};
   std::vector<Edge> edges_;
-  bool moved_ = false;
+  bool has_position_ = false;
 };
 
 }  // namespace heli_sim

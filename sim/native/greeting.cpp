@@ -1,3 +1,4 @@
+// Sends hello to a board and reads its welcome; see greeting.hpp.
 #include "greeting.hpp"
 
 #include <algorithm>

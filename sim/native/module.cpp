@@ -1,3 +1,4 @@
+// The Python module of the simulated world.
 #include "bindings.hpp"
 
 NB_MODULE(_native, module) {

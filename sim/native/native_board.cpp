@@ -1,3 +1,4 @@
+// The functions of Board and SimBoard on memory instead of hardware; see native_board.hpp.
 #include "native_board.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Calls the step function of a compiled or a Python plant; see plant_step.hpp.
 #include "plant_step.hpp"
 
 #include <stdexcept>

@@ -1,23 +1,26 @@
+// Carries bytes in steps of one millisecond; the times are those of serial_line.hpp.
 #include "serial_line.hpp"
 
 namespace heli_sim {
 
+// Queues the host's bytes in its driver; those without room are lost.
 void SerialLine::host_write(const std::uint8_t* bytes, std::size_t count) {
-  const std::size_t waiting = driver_.size() - driver_first_;
-  const std::size_t room = kDriverBytes - waiting;
-  const std::size_t taken = count < room ? count : room;
-  counters_.to_board_overflow += count - taken;
-  if (waiting == 0) {
-    driver_.clear();
-    driver_first_ = 0;
+  const std::size_t queued = driver_queue_.size() - driver_queue_start_;
+  const std::size_t room = kDriverBytes - queued;
+  const std::size_t accepted = count < room ? count : room;
+  counters_.to_board_overflow += count - accepted;
+  if (queued == 0) {
+    driver_queue_.clear();
+    driver_queue_start_ = 0;
   }
-  driver_.insert(driver_.end(), bytes, bytes + taken);
+  driver_queue_.insert(driver_queue_.end(), bytes, bytes + accepted);
 }
 
 void SerialLine::carry_to_board(SimBoard& board) {
-  for (std::uint32_t slot = 0; slot < kBytesPerTick; ++slot) {
-    while (driver_first_ < driver_.size() && to_board_.push(driver_[driver_first_])) {
-      ++driver_first_;
+  for (std::uint32_t byte_slot = 0; byte_slot < kBytesPerTick; ++byte_slot) {
+    while (driver_queue_start_ < driver_queue_.size() &&
+           to_board_.push(driver_queue_[driver_queue_start_])) {
+      ++driver_queue_start_;
     }
     if (to_board_.empty()) return;
     board.uart_receive(to_board_.pop());
@@ -30,7 +33,7 @@ void SerialLine::carry_to_host(SimBoard& board, std::vector<std::uint8_t>& to_ho
   std::uint8_t byte = 0;
   while (now_us_ < end_us && board.uart_transmit(byte)) {
     now_us_ += kByte_us;
-    while (next_burst_us_ < now_us_) hand_over(to_host);
+    while (next_burst_us_ < now_us_) deliver_burst(to_host);
     if (to_host_.push(byte)) {
       if (to_host_.size() >= kNearlyFull && host_reading_) {
         counters_.to_host_bytes += to_host_.size();
@@ -41,10 +44,11 @@ void SerialLine::carry_to_host(SimBoard& board, std::vector<std::uint8_t>& to_ho
     }
   }
   now_us_ = end_us;
-  while (next_burst_us_ <= now_us_) hand_over(to_host);
+  while (next_burst_us_ <= now_us_) deliver_burst(to_host);
 }
 
-void SerialLine::hand_over(std::vector<std::uint8_t>& to_host) {
+// The end of the 16U2's interval: what its ring holds goes to the host, if that reads.
+void SerialLine::deliver_burst(std::vector<std::uint8_t>& to_host) {
   next_burst_us_ += kBurst_us;
   if (!host_reading_) return;
   counters_.to_host_bytes += to_host_.size();
@@ -52,8 +56,8 @@ void SerialLine::hand_over(std::vector<std::uint8_t>& to_host) {
 }
 
 void SerialLine::clear() {
-  driver_.clear();
-  driver_first_ = 0;
+  driver_queue_.clear();
+  driver_queue_start_ = 0;
   to_board_.clear();
   to_host_.clear();
 }

@@ -2,9 +2,9 @@
 //
 // 250 kbaud, 8N1: one byte every 40 us each way. Towards the host the 16U2 collects bytes in a ring
 // of 128 and hands them over every 4.096 ms (timer 0 at 16 MHz / 256, 8 bits) or as soon as 96
-// wait; nobody checks that ring for overflow, so a host that does not read loses bytes without a
-// sign. Towards the board the 16U2 takes bytes from USB only while its ring has room, so nothing is
-// lost there: they wait in the host's driver.
+// wait. The 16U2 does not check that ring for overflow, so a host that does not read loses bytes
+// unnoticed. Towards the board the 16U2 takes bytes from USB only while its ring has room, so
+// nothing is lost there: they wait in the host's driver.
 #pragma once
 
 #include <cstddef>
@@ -30,7 +30,7 @@ class SerialLine {
   static constexpr std::uint64_t kBurst_us = 4096;
   static constexpr std::size_t kRingBytes = 128;
   static constexpr std::size_t kNearlyFull = 96;
-  // Far more than a host that waits for answers can have under way.
+  // Far more than a host that waits for answers can have in transit.
   static constexpr std::size_t kDriverBytes = 65536;
 
   void host_write(const std::uint8_t* bytes, std::size_t count);
@@ -47,13 +47,15 @@ class SerialLine {
   void clear();
 
   const LineCounters& counters() const { return counters_; }
-  std::size_t to_board_waiting() const { return driver_.size() - driver_first_ + to_board_.size(); }
+  std::size_t to_board_waiting() const {
+    return driver_queue_.size() - driver_queue_start_ + to_board_.size();
+  }
 
  private:
-  void hand_over(std::vector<std::uint8_t>& to_host);
+  void deliver_burst(std::vector<std::uint8_t>& to_host);
 
-  std::vector<std::uint8_t> driver_;
-  std::size_t driver_first_ = 0;
+  std::vector<std::uint8_t> driver_queue_;
+  std::size_t driver_queue_start_ = 0;
   ByteRing<kRingBytes> to_board_;
   ByteRing<kRingBytes> to_host_;
   LineCounters counters_;

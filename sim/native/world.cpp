@@ -1,3 +1,4 @@
+// One millisecond of the whole simulation, and its faults; see world.hpp.
 #include "world.hpp"
 
 #include <algorithm>
@@ -43,6 +44,7 @@ World::World(std::shared_ptr<SimBoard> board, std::shared_ptr<PlantStep> step,
       state_(std::move(state)),
       next_state_(state_.size()),
       parameters_(std::move(parameters)) {
+  // NaN: no axis is held by hand.
   hand_rad_.fill(std::numeric_limits<double>::quiet_NaN());
   require_size("the state", state_.size(), step_->state_count());
   require_size("the parameter vector", parameters_.size(), step_->parameter_count());

@@ -41,6 +41,8 @@ Quantity excess_lift_V(Quantity front_V, Quantity back_V, Quantity elevation_rad
          limits.hover_V_per_rad * elevation_rad;
 }
 
+// The parameter law_envelope is the share of the supervisor's limits that a law may use: of angle
+// (pitch only), rate, following error and its time.
 GuardLimits guard_limits_of(const params::Params& params) {
   const auto rad = [&params](Param p) { return params.get(p) * kRadPerDeg; };
   const float share = params.get(Param::law_envelope);
@@ -67,7 +69,8 @@ GuardLimits guard_limits_of(const params::Params& params) {
   limits.following_ticks = control::ticks_of(share * params.get(Param::following_s));
   limits.table_rad =
       Quantity::of(rad(Param::elevation_rest_deg) - kMargin_deg[kElevation] * kRadPerDeg);
-  // The rig can reach all accelerations that setpoints may have.
+  // Braking from a rate takes rate^2 / (2 acceleration). The rig can reach all accelerations that
+  // setpoints may have.
   limits.braking_s2[kElevation] = Gain::of(0.5F / rad(Param::elevation_acceleration_deg_s2));
   limits.braking_s2[kTravel] = Gain::of(0.5F / rad(Param::travel_acceleration_deg_s2));
   const float acceleration_ff_V = params.get(Param::elevation_acceleration_ff) * kDegPerRad;

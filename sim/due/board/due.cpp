@@ -1,3 +1,4 @@
+// The Due around its chip: power, reset button, encoders and the USB bridge; see due.hpp.
 #include "board/due.hpp"
 
 #include <algorithm>
@@ -62,6 +63,7 @@ void Due::plan() {
   chip.system.scheduler.set(id_, when);
 }
 
+// Moves the encoders by the scheduled steps whose time has come.
 void Due::event(std::uint64_t) {
   const BoardTime time = now();
   while (!steps_.empty() && steps_.front().when <= time) {

@@ -1,3 +1,4 @@
+// The ATmega16U2 of the programming port, byte by byte; see usb_bridge.hpp.
 #include "board/usb_bridge.hpp"
 
 #include <algorithm>

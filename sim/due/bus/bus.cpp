@@ -1,3 +1,4 @@
+// Reads and writes by address: memories first, then bit bands and peripherals; see bus.hpp.
 #include "bus/bus.hpp"
 
 #include <algorithm>
@@ -207,6 +208,8 @@ std::uint32_t Bus::read_device(std::uint32_t address, std::uint32_t size) {
          (size == 1 ? 0xFFU : 0xFFFFU);
 }
 
+// A write to a peripheral's register. A rehearsal of an instruction writes nothing. A narrow write
+// is reported, and reaches the register as a word.
 void Bus::write_peripheral(std::uint32_t address, std::uint32_t value, std::uint32_t size) {
   if (rehearsal_.on) return;
   cpu_->stall(kApbCycles);

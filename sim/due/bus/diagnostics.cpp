@@ -1,3 +1,4 @@
+// Reports of misuse with the place in the program, as error or warning; see diagnostics.hpp.
 #include "bus/diagnostics.hpp"
 
 #include <cxxabi.h>

@@ -1,3 +1,4 @@
+// The arrays of flash and SRAM, and the address windows in which the processor sees them.
 #include "bus/memory.hpp"
 
 #include <algorithm>

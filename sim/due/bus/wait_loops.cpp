@@ -1,3 +1,4 @@
+// Finds a program that waits for a register that never changes; see wait_loops.hpp.
 #include "bus/wait_loops.hpp"
 
 #include <algorithm>

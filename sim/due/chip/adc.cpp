@@ -1,3 +1,4 @@
+// Conversions, their sequence and the ADC's registers; see adc.hpp.
 #include "chip/adc.hpp"
 
 #include <algorithm>
@@ -121,7 +122,7 @@ void Adc::reset() {
   update();
 }
 
-// Cycles of MCK.
+// Period of the converter's clock in cycles of MCK: (PRESCAL + 1) times 2.
 std::uint64_t Adc::period() const { return (((mode_ >> 8) & 0xFFU) + 1) * 2; }
 
 std::uint32_t Adc::flags() const {
@@ -145,6 +146,7 @@ void Adc::start() {
   convert_from(0, was_awake ? 0 : kStartup[(mode_ >> 16) & 0xFU]);
 }
 
+// The end of a conversion: 12 bits (or 10) of the input relative to the reference, and the flags.
 void Adc::finish() {
   const auto index = static_cast<std::size_t>(running_);
   const double share = std::clamp(input_V_[index] / kReference_V, 0.0, 1.0);
@@ -160,7 +162,8 @@ void Adc::finish() {
   if ((extended_ & kTag) != 0) last_ |= static_cast<std::uint32_t>(index) << 12;
 }
 
-// The PDC takes the last value, which reads LCDR.
+// The PDC stores the last value, two bytes; that counts as a read of LCDR. Then its next buffer
+// runs.
 void Adc::move() {
   if (!transfer_.enabled || transfer_.count == 0) return;
   ready_ = false;
@@ -179,7 +182,7 @@ void Adc::move() {
 
 void Adc::event(std::uint64_t) {
   if (running_ < 0) return;
-  // Without its clock it stands still.
+  // Without its clock the converter does not advance: try again one period later.
   if (!system_.clocked(id::kAdc)) return system_.scheduler.set(id_, system_.now() + period());
   finish();
   move();

@@ -1,3 +1,4 @@
+// Connects the peripherals, and resets and powers all of them; see chip.hpp.
 #include "chip/chip.hpp"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// Conversions of the DAC from its FIFO, and its registers; see dacc.hpp.
 #include "chip/dacc.hpp"
 
 namespace due_emulator {

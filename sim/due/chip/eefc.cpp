@@ -1,3 +1,4 @@
+// Flash commands, their duration and their errors, and the registers; see eefc.hpp.
 #include "chip/eefc.hpp"
 
 #include <algorithm>

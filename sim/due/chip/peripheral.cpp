@@ -1,3 +1,4 @@
+// Checks of each register access before the model sees it; see peripheral.hpp.
 #include "chip/peripheral.hpp"
 
 namespace due_emulator {

@@ -1,3 +1,4 @@
+// Levels of the pins from their drivers, and calls of their listeners; see pins.hpp.
 #include "chip/pins.hpp"
 
 #include <string>

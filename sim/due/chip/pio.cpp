@@ -1,3 +1,4 @@
+// Registers of a parallel port, and its pin interrupts; see pio.hpp.
 #include "chip/pio.hpp"
 
 namespace due_emulator {

@@ -1,3 +1,4 @@
+// Oscillators, PLL, master clock and peripheral clocks; see pmc.hpp.
 #include "chip/pmc.hpp"
 
 #include <algorithm>

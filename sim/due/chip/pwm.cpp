@@ -1,3 +1,4 @@
+// Channels, synchronous updates, overrides and faults of the PWM controller; see pwm.hpp.
 #include "chip/pwm.hpp"
 
 #include <algorithm>

@@ -1,4 +1,8 @@
-// Registers of the PWM controller and the checks on what is written to them.
+// Registers of the PWM controller and the checks on what is written to them. Offsets in hex are
+// those of the datasheet (38.7): 0x00 CLK, 0x04 ENA, 0x08 DIS, 0x0C SR, 0x20 SCM, 0x28 SCUC, 0x44
+// OOV, 0x48 OS, 0x4C OSS, 0x50 OSC, 0x5C FMR, 0x60 FSR, 0x64 FCR, 0x68 FPV, 0x6C FPE1, 0x70 FPE2; a
+// channel's are from 0x200 on, 0x20 each: 0x00 CMR, 0x04 CDTY, 0x08 CDTYUPD, 0x0C CPRD, 0x10
+// CPRDUPD, 0x14 CCNT.
 #include "chip/pwm.hpp"
 
 namespace due_emulator {
@@ -45,6 +49,7 @@ void Pwm::write_sync_mode(std::uint32_t value) {
   sync_ = value & 0x00F000FFU;
 }
 
+// CDTYUPD or CPRDUPD of a channel: the value acts at the end of its period.
 void Pwm::write_update(int channel, std::uint32_t offset, std::uint32_t value) {
   Channel& own = channels_[index(channel)];
   const std::uint32_t reg = 0x200U + 32U * static_cast<std::uint32_t>(channel) + offset;
@@ -61,12 +66,13 @@ void Pwm::write_update(int channel, std::uint32_t offset, std::uint32_t value) {
     own.period_waiting = true;
     own.update_since = system_.now();
   }
-  // A channel that does not run takes the value at once.
+  // A channel that does not run uses the value immediately.
   if (synchronous(channel)) return;
   if (!own.enabled) load_updates(channel);
   plan();
 }
 
+// A channel's register. The masks keep the bits that the register has.
 void Pwm::write_channel(int channel, std::uint32_t offset, std::uint32_t value) {
   Channel& own = channels_[index(channel)];
   const std::uint32_t reg = 0x200U + 32U * static_cast<std::uint32_t>(channel) + offset;

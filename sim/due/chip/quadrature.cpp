@@ -1,3 +1,4 @@
+// Filter, direction and errors of the quadrature decoder; see quadrature.hpp.
 #include "chip/quadrature.hpp"
 
 #include <algorithm>

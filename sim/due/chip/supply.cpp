@@ -1,3 +1,4 @@
+// Registers of watchdog, reset controller, backup registers and chip identifier; see supply.hpp.
 #include "chip/supply.hpp"
 
 namespace due_emulator {

@@ -1,3 +1,4 @@
+// The block of three channels: its registers, its pins and the decoder; see tc.hpp.
 #include "chip/tc.hpp"
 
 namespace due_emulator {

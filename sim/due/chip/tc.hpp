@@ -11,8 +11,8 @@ namespace due_emulator {
 
 class Tc;
 
-// One channel. Its counter is computed when somebody looks; events are planned only for compares
-// that an interrupt or an output waits for.
+// One channel. Its counter is computed when it is read. Events are scheduled only for compares that
+// an interrupt or an output waits for.
 class TcChannel final : public EventSink {
  public:
   TcChannel(System& system, Tc& block, int index, int identifier);

@@ -1,3 +1,4 @@
+// One timer channel. Its counter is computed from the time when it is read, not stepped.
 #include <algorithm>
 #include <utility>
 
@@ -7,12 +8,13 @@ namespace due_emulator {
 
 namespace {
 
+// TC_SR: overflow, and compares with RA, RB and RC.
 constexpr std::uint32_t kCovfs = 1U << 0;
 constexpr std::uint32_t kCpas = 1U << 2;
 constexpr std::uint32_t kCpbs = 1U << 3;
 constexpr std::uint32_t kCpcs = 1U << 4;
 
-constexpr std::uint64_t kWhole = std::uint64_t{1} << 32;
+constexpr std::uint64_t kWhole = std::uint64_t{1} << 32;  // values of the counter
 
 // Offsets of a channel's registers.
 constexpr std::uint32_t kCcr = 0x00;
@@ -42,7 +44,7 @@ void TcChannel::reset() {
   update_irq();
 }
 
-// Processor cycles for one step of the counter, 0 when it counts something else than time.
+// Processor cycles per step of the counter, by TCCLKS; 0 if it counts edges instead of time.
 std::uint64_t TcChannel::step() const {
   switch (mode_ & 7U) {
     case 0:
@@ -60,7 +62,7 @@ std::uint64_t TcChannel::step() const {
   }
 }
 
-// A trigger has come, and no edge of the counter's clock since: the old value still stands.
+// True after a trigger until the next edge of the counter's clock: the counter keeps its old value.
 bool TcChannel::pending() const {
   return step() != 0 ? system_.now() / step() < start_step_ : clears_;
 }
@@ -101,6 +103,8 @@ std::uint64_t TcChannel::next_match(std::uint64_t after, std::uint32_t compare) 
   return match;
 }
 
+// Applies an effect field of TC_CMR (ACPA and the like) to an output: 0 none, 1 set, 2 clear, 3
+// toggle.
 void TcChannel::effect(bool& level, std::uint32_t code, bool is_a) {
   const bool before = level;
   switch (code & 3U) {
@@ -119,6 +123,8 @@ void TcChannel::effect(bool& level, std::uint32_t code, bool is_a) {
   if (level != before) block_.output_changed(index_, is_a);
 }
 
+// A compare has matched: sets its status flag, and in waveform mode the outputs. The effects are
+// TC_CMR shifted so that their fields are the low bits.
 void TcChannel::matched(std::uint32_t flag, std::uint32_t a_effect, std::uint32_t b_effect) {
   status_ |= flag;
   if (!is_wave()) return;
@@ -126,7 +132,8 @@ void TcChannel::matched(std::uint32_t flag, std::uint32_t a_effect, std::uint32_
   effect(level_b_, b_effect, false);
 }
 
-// Works off the compares and overflows between the last look and now, in their order.
+// Applies the compares and overflows from the last call until now, in order of time. The shifts of
+// mode_ select the fields ACPA, BCPB, ACPC and BCPC.
 void TcChannel::settle() {
   if (!running_ || step() == 0 || pending()) return;
   const std::uint64_t now = ticks(system_.now());
@@ -138,7 +145,7 @@ void TcChannel::settle() {
     const bool overflows = !resets_at_rc() && !updown();
     const std::uint64_t first = std::min({a, b, c, overflows ? overflow : kNever});
     if (first > now) break;
-    // A long wait with nobody looking: only the last rounds can still be told apart.
+    // After a long time without a call, only the last two periods are applied one by one.
     if (now - first > 4 * period()) {
       seen_ticks_ = now - now % period() - 2 * period();
       status_ |= (is_wave() ? kCpas | kCpbs : 0U) | kCpcs | (overflows ? kCovfs : 0U);
@@ -150,6 +157,7 @@ void TcChannel::settle() {
     if (overflows && overflow == first) status_ |= kCovfs;
     if (c == first) {
       matched(kCpcs, mode_ >> 18, mode_ >> 26);
+      // CPCSTOP and CPCDIS.
       const bool stops = is_wave() && (mode_ & (1U << 6)) != 0;
       const bool disables = is_wave() && (mode_ & (1U << 7)) != 0;
       if (stops || disables) {
@@ -162,6 +170,7 @@ void TcChannel::settle() {
   seen_ticks_ = std::max(seen_ticks_, now);
 }
 
+// Schedules an event for the next compare that an interrupt, an output or CPCSTOP waits for.
 void TcChannel::plan() {
   std::uint64_t when = kNever;
   if (running_ && step() != 0) {
@@ -192,6 +201,7 @@ void TcChannel::update_irq() {
   system_.set_irq(identifier_, (status_ & interrupts_) != 0 || quadrature);
 }
 
+// Lets the counter run on from this value, in steps, now.
 void TcChannel::restart(std::uint32_t from) {
   running_ = enabled_;
   clears_ = false;
@@ -254,6 +264,7 @@ std::uint32_t TcChannel::read(std::uint32_t offset) {
       return rc_;
     case kImr:
       return interrupts_;
+    // Reading clears the flags. Bits 16 to 18 are CLKSTA, MTIOA, MTIOB.
     case kSr: {
       const bool a = is_wave() ? level_a_ : block_.pin_level(index_, true);
       const bool b = is_wave() ? level_b_ : block_.pin_level(index_, false);
@@ -268,6 +279,7 @@ std::uint32_t TcChannel::read(std::uint32_t offset) {
   }
 }
 
+// TC_CCR: CLKEN is bit 0, CLKDIS bit 1, SWTRG bit 2; disabling has priority.
 void TcChannel::write_control(std::uint32_t value) {
   if ((value & 2U) != 0) {
     stop();
@@ -277,6 +289,7 @@ void TcChannel::write_control(std::uint32_t value) {
   if ((value & 4U) != 0) software_trigger();
 }
 
+// TC_CMR. Refuses what is not modelled; a running counter keeps its value.
 void TcChannel::write_mode(std::uint32_t value) {
   const std::uint32_t at = value != 0 || running_ ? this->value() : 0;
   const bool quadrature = (value & 7U) == 5 && index_ == 0;

@@ -1,3 +1,4 @@
+// A new random value every 84 cycles, from a seeded generator; see trng.hpp.
 #include "chip/trng.hpp"
 
 namespace due_emulator {

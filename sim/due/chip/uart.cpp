@@ -1,3 +1,4 @@
+// Transmitter, receiver, PDC (peripheral DMA) and registers of the UART; see uart.hpp.
 #include "chip/uart.hpp"
 
 #include <algorithm>
@@ -40,6 +41,7 @@ constexpr std::uint32_t kTnpr = 0x118;
 constexpr std::uint32_t kTncr = 0x11C;
 constexpr std::uint32_t kPtcr = 0x120;
 
+// UART_SR
 constexpr std::uint32_t kRxRdy = 1U << 0;
 constexpr std::uint32_t kTxRdy = 1U << 1;
 constexpr std::uint32_t kEndRx = 1U << 3;
@@ -55,8 +57,7 @@ constexpr int kTxPin = pin_of('A', 9);
 // Half a bit less the start bit's uncertainty of a sixteenth, over the 9.5 bits to the stop bit.
 constexpr double kLargestMismatch = 0.045;
 
-// What a receiver makes of a byte that it cannot read: any wrong value will do, also when the peer
-// changes it once more because the rates differ.
+// Returns a wrong value for a byte that the receiver cannot decode. Any wrong value is right here.
 std::uint8_t garbled(std::uint8_t byte) { return static_cast<std::uint8_t>(byte ^ 0x5AU); }
 
 }  // namespace
@@ -75,7 +76,7 @@ void PdcHalf::set_count(std::uint32_t value) {
   if (count != 0) ended = false;
 }
 
-// Writing the next buffer while the current one is used up starts it at once.
+// If the running buffer is used up, the next one starts immediately.
 void PdcHalf::set_next_count(std::uint32_t value) {
   next_count = value & 0xFFFFU;
   if (next_count == 0) return;
@@ -125,6 +126,7 @@ std::uint64_t Uart::frame_cycles() const {
 
 // -- transmitter ------------------------------------------------------------------------------
 
+// Sends a byte from the cycle `from` on; event() is its end.
 void Uart::begin_shift(std::uint8_t byte, std::uint64_t from) {
   shifting_ = true;
   shift_byte_ = byte;
@@ -132,6 +134,7 @@ void Uart::begin_shift(std::uint8_t byte, std::uint64_t from) {
   system_.scheduler.set(id_, shift_end_);
 }
 
+// UART_THR: the byte goes to the shift register, or waits in the holding register.
 void Uart::transmit(std::uint8_t byte) {
   if (divider_ == 0) return misuse(kThr, "a byte is sent while BRGR.CD is 0");
   if (!shifting_) return begin_shift(byte, system_.now());
@@ -139,6 +142,7 @@ void Uart::transmit(std::uint8_t byte) {
   holding_full_ = true;
 }
 
+// Moves bytes from the PDC's buffer to the transmitter while that has room.
 void Uart::feed_transmitter() {
   while (tx_enabled_ && tx_.ready() && !holding_full_) {
     std::uint8_t byte = 0;
@@ -152,6 +156,7 @@ void Uart::feed_transmitter() {
   }
 }
 
+// The end of a byte: the next one begins, then the peer (or the local loopback) gets this one.
 void Uart::event(std::uint64_t) {
   if (!shifting_) return;
   const std::uint64_t end = shift_end_;
@@ -179,8 +184,8 @@ void Uart::receive(std::uint8_t byte, std::uint64_t sender_bit_cycles) {
   if (!rx_enabled_ || divider_ == 0 || !system_.clocked(clock_id_)) return;
   const double ratio = static_cast<double>(sender_bit_cycles) / bit_cycles();
   const bool in_step = ratio >= 1.0 - kLargestMismatch && ratio <= 1.0 + kLargestMismatch;
-  // One end's parity bit is the other's stop bit, and the next start bit is not where it is looked
-  // for. The local loopback has only one end.
+  // With different parities, a parity bit is read as a stop bit, and the next start bit is expected
+  // at the wrong time. The local loopback has only one end.
   const bool same_frame = ((mode_ >> 14) & 3U) != 0 || understood();
   if (!in_step || !same_frame) {
     errors_ |= same_frame ? kFrame : kFrame | kPare;
@@ -196,6 +201,7 @@ void Uart::receive(std::uint8_t byte, std::uint64_t sender_bit_cycles) {
   update_irq();
 }
 
+// Moves the received byte to the PDC's buffer, if there is one.
 void Uart::drain_receiver() {
   if (!rx_ready_ || !rx_.ready()) return;
   if (!system_.bus.dma_write(rx_.pointer, rx_byte_)) {
@@ -209,6 +215,7 @@ void Uart::drain_receiver() {
 
 // -- registers --------------------------------------------------------------------------------
 
+// UART_CR: bits 2 to 8 are RSTRX, RSTTX, RXEN, RXDIS, TXEN, TXDIS, RSTSTA.
 void Uart::control(std::uint32_t value) {
   if ((value & (1U << 2)) != 0) rx_enabled_ = rx_ready_ = false;
   if ((value & (1U << 3)) != 0) {
@@ -246,7 +253,8 @@ std::uint32_t Uart::read_pdc(std::uint32_t offset) const {
   }
 }
 
-// What a buffer that is written just when the running one ends does is nowhere said.
+// The datasheet does not say what happens when a buffer is written just as the running one ends, so
+// that is reported as misuse.
 void Uart::check_pdc(std::uint32_t offset, std::uint32_t value) const {
   const PdcHalf& half = (offset & 8U) != 0 ? tx_ : rx_;
   if (!half.enabled) return;
@@ -257,6 +265,7 @@ void Uart::check_pdc(std::uint32_t offset, std::uint32_t value) const {
   }
 }
 
+// Registers of the PDC. UART_PTCR (default): bits 0, 1, 8, 9 are RXTEN, RXTDIS, TXTEN, TXTDIS.
 void Uart::write_pdc(std::uint32_t offset, std::uint32_t value) {
   if (offset < kPtcr) check_pdc(offset, value);
   switch (offset) {

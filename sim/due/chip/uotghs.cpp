@@ -1,3 +1,4 @@
+// Registers of the USB controller, as far as start-up code needs them; see uotghs.hpp.
 #include "chip/uotghs.hpp"
 
 namespace due_emulator {

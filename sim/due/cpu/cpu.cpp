@@ -1,3 +1,4 @@
+// The processor's run loop, registers, memory accesses and breakpoints; see cpu.hpp.
 #include "cpu/cpu.hpp"
 
 #include <algorithm>

@@ -219,6 +219,7 @@ class Cpu {
     std::uint8_t kinds;
     Handler original;
   };
+  // A call of a probed function that has not returned: its place, and the counters at its entry.
   struct OpenProbe {
     std::uint32_t function;
     std::uint32_t return_address;

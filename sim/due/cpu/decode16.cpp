@@ -338,6 +338,7 @@ void Decoder::hints(std::uint32_t w) {
   }
 }
 
+// STM (bit 11 clear) and LDM (A7.7). `ra` is 1 if the base register gets the end address.
 void Decoder::multiple16(std::uint32_t w) {
   rn(field(w, 8, 3));
   registers(field(w, 0, 8));

@@ -103,6 +103,8 @@ void Decoder::modified_immediate(std::uint32_t a, std::uint32_t b) {
   data_processing32(field(a, 5, 4), field(a, 4, 1) != 0, op2, field(b, 8, 4), field(a, 0, 4));
 }
 
+// Plain binary immediate (A5.3.3), by op: 0 ADDW, 10 SUBW (with PC: ADR), 4 MOVW, 12 MOVT, 16 and
+// 18 SSAT, 24 and 26 USAT, 20 SBFX, 28 UBFX, 22 BFI and BFC.
 void Decoder::plain_immediate(std::uint32_t a, std::uint32_t b) {
   const std::uint32_t op = field(a, 4, 5);
   const std::uint32_t n = field(a, 0, 4);
@@ -162,6 +164,7 @@ void Decoder::plain_immediate(std::uint32_t a, std::uint32_t b) {
   }
 }
 
+// Register operations (A5.3.12): shifts, extensions, reversals of bytes and bits, CLZ.
 void Decoder::register_operations(std::uint32_t a, std::uint32_t b) {
   using ops::Extend;
   using ops::Shift;

@@ -20,6 +20,7 @@ Decoder::Decoder(const Cpu& cpu, const CodeWindow& window, std::uint32_t address
   out_.it = it;
   out_.length = 1;
   out_.cycles = 1;
+  // Halfwords from 0xE800 on begin a 32-bit instruction (ARMv7-M A5.1).
   if (first < 0xE800U) {
     decode16(first);
     return;

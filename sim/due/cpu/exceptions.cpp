@@ -1,3 +1,4 @@
+// Pending, enabled and active exceptions, and which of them is the most urgent.
 #include "cpu/exceptions.hpp"
 
 #include <algorithm>
@@ -61,11 +62,13 @@ std::uint8_t Exceptions::most_urgent(int below) const {
   return best != 0 && group(best_priority) < below ? best : std::uint8_t{0};
 }
 
+// Finds the exception to take next, after a change of pending, enabled, priorities or masks, and
+// ends the run of the processor (deadline) if there is one.
 void Exceptions::refresh() {
   next_ = 0;
   if ((pending_ & enabled_) == 0) return;
   next_ = most_urgent(execution_priority());
-  // A sleeping processor must look, even when a mask holds the exception back.
+  // A sleeping processor must wake, even if a mask holds the exception back.
   if (deadline_ != nullptr && (next_ != 0 || primask_)) *deadline_ = 0;
 }
 

@@ -70,6 +70,8 @@ const Insn* Cpu::marked(const Insn* insn) {
   return mark.original(*this, insn);
 }
 
+// Ends the probed calls that return to this address with the stack pointer of their entry, and adds
+// their instructions to the function's statistics; those of interrupts in between are not counted.
 void Cpu::close_probes(std::uint32_t address) {
   const std::size_t depth = open_exceptions_.size();
   while (!open_probes_.empty()) {

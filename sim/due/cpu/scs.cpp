@@ -1,3 +1,4 @@
+// Reads and writes of the system control space: NVIC, SCB and debug registers; see scs.hpp.
 #include "cpu/scs.hpp"
 
 namespace due_emulator {
@@ -14,6 +15,7 @@ constexpr std::uint32_t kCountFlag = 1U << 16;
 
 constexpr std::uint32_t kDemcrTrace = 1U << 24;
 
+// An exception with bits in SHCSR (System Handler Control and State Register).
 struct SystemHandler {
   std::uint8_t number;
   std::uint32_t active_bit;
@@ -60,6 +62,8 @@ std::uint32_t SystemControl::read_private(std::uint32_t address, std::uint32_t s
   return (word >> (8 * (address & 3U))) & (size == 1 ? 0xFFU : 0xFFFFU);
 }
 
+// A write to the private peripheral bus. Only priority registers (NVIC_IPR at 0x400, SHPR at 0xD18)
+// may be written in bytes or halfwords.
 void SystemControl::write_private(std::uint32_t address, std::uint32_t value, std::uint32_t size) {
   if (size == 4) return write_word(address, value);
   const std::uint32_t offset = address - 0xE000E000;
@@ -291,6 +295,7 @@ std::uint32_t SystemControl::read_priorities(std::uint32_t first) const {
   return value;
 }
 
+// Four priority bytes, of the exceptions from `first` on; 7 to 10 and 13 are reserved.
 void SystemControl::write_priorities(std::uint32_t first, std::uint32_t value) {
   for (std::uint32_t i = 0; i < 4; ++i) {
     const std::uint32_t number = first + i;

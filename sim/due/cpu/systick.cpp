@@ -11,6 +11,7 @@ constexpr std::uint32_t kCountFlag = 1U << 16;
 
 }  // namespace
 
+// SYST_CVR now. systick_zero_ is the cycle at which the counter becomes 0; from there it repeats.
 std::uint32_t SystemControl::systick_value() const {
   if ((systick_control_ & kEnable) == 0 || systick_reload_ == 0) return systick_stopped_value_;
   const std::uint64_t now = cpu_.cycles();

@@ -1,3 +1,4 @@
+// The Python module of the emulator.
 #include "bus/diagnostics.hpp"
 #include "python/bindings.hpp"
 
