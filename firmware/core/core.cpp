@@ -278,7 +278,7 @@ void Core::log_law(link::Sample& sample) {
   set_channel(Channel::signal_3, uploaded_.signal_raw(2));
   set_channel(Channel::signal_4, uploaded_.signal_raw(3));
   uploaded_.set_applied({sample.raw[static_cast<std::size_t>(Channel::front)],
-                       sample.raw[static_cast<std::size_t>(Channel::back)]});
+                         sample.raw[static_cast<std::size_t>(Channel::back)]});
 }
 
 // Fills and commits the sample of this tick, then publishes the counters for the idle loop.

@@ -19,11 +19,11 @@ constexpr std::uint32_t kTiltEffect_updates = 750;
 // Longest tilt to one side, 2 s: twice what pitch needs to follow. Longer, a dead axis turns by
 // more than 30 degrees.
 constexpr std::uint32_t kTiltMax_updates = 500;
-// Pitch that has moved by kStir_rad (tracking.cpp) stirs the arm for so long, 1 s. Whatever turns
-// travel shows in pitch first, also a travel loop that winds up. Where pitch is still, as in a
-// simulation without disturbances, silence shows nothing, and a tilt would only disturb the flight.
-// Longer: a step that settles in calm ends in a tilt. Shorter: a dead axis under weak disturbances
-// is probed late.
+// Pitch that has moved by kStirringPitch_rad (tracking.cpp) stirs the arm for so long, 1 s.
+// Whatever turns travel shows in pitch first, also a travel loop that winds up. Where pitch is
+// still, as in a simulation without disturbances, silence shows nothing, and a tilt would only
+// disturb the flight. Longer: a step that settles in calm ends in a tilt. Shorter: a dead axis
+// under weak disturbances is probed late.
 constexpr std::uint32_t kPitchStillMax_updates = 250;
 // The pitch at which the arm was still, over half a second.
 constexpr int kPitchAveraging = 7;
