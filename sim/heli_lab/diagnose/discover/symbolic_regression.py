@@ -188,8 +188,8 @@ class EquationSearch:
                 or len(finalists) >= 2 * EQUATION_FINALISTS
             ):
                 continue
-            family = _family(scored_group.group)
-            if sum(_family(other.group) == family for other in finalists) < ALTERNATIVES:
+            family = _channel_and_quantities(scored_group.group)
+            if sum(_channel_and_quantities(other.group) == family for other in finalists) < ALTERNATIVES:
                 finalists.append(scored_group)
         return finalists
 
@@ -325,7 +325,7 @@ def discover(
     )
 
 
-def _family(group: TermGroup) -> tuple[str, frozenset[str]]:
+def _channel_and_quantities(group: TermGroup) -> tuple[str, frozenset[str]]:
     """Return channel and quantities of a group; groups of one family compete with each other.
 
     All encoders count as one, because a scale error of one of them shifts the filtered states of all.

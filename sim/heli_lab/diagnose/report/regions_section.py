@@ -41,7 +41,7 @@ def _regions_sentence(regions: FailingRegions, models: Sequence[str]) -> str:
     for model, test in zip(models, (regions.before, regions.after), strict=False):
         name = model.replace("with the", "model with the")
         share = f"in {100 * test.share:.0f} % of the time" if test.fails.any() else "in no cell"
-        texts.append(f"the {name} lacks {_mNm(test.rms_Nm)} mN m rms and fails {share}")
+        texts.append(f"the {name} lacks {_torque_text_mNm(test.rms_Nm)} mN m rms and fails {share}")
     return f"About {regions.axis}: " + "; ".join(texts)
 
 
@@ -74,6 +74,6 @@ def unknown_torque(diagnosis: Diagnosis, save_figure: SaveFigure) -> Picture | N
     return save_figure("unknown", equation_figures.figure_of_unknown_torque(diagnosis.failing))
 
 
-def _mNm(torque_Nm: float) -> str:
+def _torque_text_mNm(torque_Nm: float) -> str:
     """Write a torque in mN m: whole numbers from 10 mN m on, two digits below."""
     return f"{1e3 * torque_Nm:.0f}" if torque_Nm >= 0.01 else f"{1e3 * torque_Nm:.2g}"
