@@ -86,7 +86,7 @@ def test_watch_commands_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPa
 def test_motors_get_the_voltage_for_the_time_and_are_off_afterwards() -> None:
     with heli_host.connect("sil://?speed=max") as heli:
         heli.arm()
-        motors._drive(heli, 1.0, 0.5, 1.0)
+        motors._apply_voltages(heli, 1.0, 0.5, 1.0)
         heli.stop()
         heli.wait(0.1)
         flown = heli.samples()

@@ -439,7 +439,7 @@ def test_options_of_platformio_are_not_those_of_the_new_uploader(image: Path) ->
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert "extra arguments" in done.stderr
-    failed = uploading._failure(find_bossac(Path(path)), "nowhere", done.returncode, done.stderr)
+    failed = uploading._error_from_output(find_bossac(Path(path)), "nowhere", done.returncode, done.stderr)
     assert "does not know the options" in str(failed)
 
 

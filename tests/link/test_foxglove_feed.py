@@ -113,7 +113,7 @@ def test_the_link_does_not_wait_for_a_server_that_hangs(heli: Heli, monkeypatch:
     hangs = threading.Event()
     with feeds.foxglove_feed(heli, 0) as feed:
         assert feed is not None
-        monkeypatch.setattr(feed, "_write", lambda kind, data: hangs.wait(PATIENCE_S))
+        monkeypatch.setattr(feed, "_send_message", lambda kind, data: hangs.wait(PATIENCE_S))
         before_s = heli.latest.t_s
         heli.wait(0.5)
         assert heli.latest.t_s >= before_s + 0.5 and feed.dropped >= 10

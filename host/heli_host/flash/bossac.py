@@ -86,11 +86,11 @@ def find_bossac(named: Path | None = None) -> Bossac:
         If no bossac is found, or if `named` is another program.
     """
     if named is not None:
-        return _ask(str(named))
+        return _version_and_options(str(named))
     doubtful = []
-    for path in _candidates():
+    for path in _candidate_paths():
         try:
-            bossac = _ask(path)
+            bossac = _version_and_options(path)
         except UploaderError:
             continue
         if not bossac.doubtful:
@@ -101,7 +101,7 @@ def find_bossac(named: Path | None = None) -> Bossac:
     return doubtful[0]
 
 
-def _candidates() -> Iterable[str]:
+def _candidate_paths() -> Iterable[str]:
     """Yield the paths at which bossac may be, the one on the search path first."""
     on_path = shutil.which("bossac")
     if on_path is not None:
@@ -110,7 +110,7 @@ def _candidates() -> Iterable[str]:
         yield from (str(path) for path in sorted(Path.home().glob(pattern)))
 
 
-def _ask(path: str) -> Bossac:
+def _version_and_options(path: str) -> Bossac:
     """Run a bossac with --help, and return it with its version and its USB option. An UploaderError reports a
     program that does not run, or is not bossac.
     """
@@ -175,10 +175,10 @@ def write_image(bossac: Bossac, port: str, image: Path, timeout_s: float = WRITE
     except OSError as error:
         raise FlashError(f"{bossac.path} does not run: {error.strerror}", GET_BOSSAC) from error
     if done.returncode != 0:
-        raise _failure(bossac, port, done.returncode, done.stdout)
+        raise _error_from_output(bossac, port, done.returncode, done.stdout)
 
 
-def _failure(bossac: Bossac, port: str, code: int, output: str) -> FlashError:
+def _error_from_output(bossac: Bossac, port: str, code: int, output: str) -> FlashError:
     """Why bossac failed, from its output."""
     lines = [line.strip() for line in re.split(r"[\r\n]+", output) if line.strip()]
     last_line = lines[-1] if lines else "nothing"

@@ -80,7 +80,7 @@ class Landing:
         elif self._session.state is State.ARMED:
             self._heli.stop()
         elif self._session.state not in _DOWN:
-            trouble = self._descend()
+            trouble = self._land_and_wait()
         wait_ticks(self._session, _AFTER_TICKS)
         newest = self._session.latest
         if is_completed and not trouble and newest is not None:
@@ -89,7 +89,7 @@ class Landing:
             return self._monitor.why_down() if by_itself and newest[1][Channel.STATE] in _DOWN else ""
         return trouble
 
-    def _descend(self) -> str:
+    def _land_and_wait(self) -> str:
         """Land, wait until the motors are off, and return the reason if that failed; an empty text otherwise.
         A board that does not land in time is stopped.
         """

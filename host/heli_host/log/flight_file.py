@@ -41,10 +41,10 @@ def read_flight(path: str | Path, *, allow_gaps: bool = False) -> Flight:
         return flight
     if name.endswith((".csv", ".csv.gz")):
         return read_csv(path, allow_gaps=allow_gaps)
-    raise FlightDataError(*_not_a_flight(path))
+    raise FlightDataError(*_cause_and_remedy(path))
 
 
-def _not_a_flight(path: Path) -> tuple[str, str]:
+def _cause_and_remedy(path: Path) -> tuple[str, str]:
     """What is wrong with a path that has no ending of a flight, and what to do."""
     if path.is_dir():
         flights = sorted(entry.name for entry in path.iterdir() if entry.name.endswith(_ENDINGS))

@@ -153,7 +153,7 @@ def summarise(log: Log) -> FlightSummary:
         ticks_lost=log.ticks_lost,
         rms_error_deg=rms_deg,
         max_error_deg=max_deg,
-        link=_link(log),
+        link=_last_link_counters(log),
         plans=plans,
         rig=session.get("rig", ""),
         board=session.get("board", ""),
@@ -190,7 +190,7 @@ def _closed_axes(text: str) -> tuple[str, ...]:
     return named or AXES
 
 
-def _link(log: Log) -> dict[str, int]:
+def _last_link_counters(log: Log) -> dict[str, int]:
     """Return the link counters of a log, the last of the flight or those at its end."""
     counted = {"frames_ok": 0, "frames_bad": 0, "retries": 0, "reconnects": 0}
     last = log.link[-1] if log.link else {}

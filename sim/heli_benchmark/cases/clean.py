@@ -140,18 +140,18 @@ class Case:
 
 def clean_cases() -> list[Case]:
     """Return all clean cases, in an order in which the first are a fair sample of all."""
-    cases = list(_in_order())
+    cases = list(_cases_by_kind())
     return [cases[i] for i in np.random.default_rng(0).permutation(len(cases))]
 
 
-def _in_order() -> Iterator[Case]:
+def _cases_by_kind() -> Iterator[Case]:
     """Yield the cases by kind. Each later kind has its own range of seeds, which keeps earlier cases."""
     seed = 1000
     for size in (2, 1):
         word = ("", "small", "large")[size]
         for name, (maker, small, large) in LISTED.items():
             seed += 1
-            value = (large if size == 2 else small) * _factor(seed)
+            value = (large if size == 2 else small) * _size_factor(seed)
             yield Case(f"{name}-{word}", ((name, value),), (), seed, (maker,))
         for number in range(_NOTHING // 2):
             seed += 1
@@ -177,10 +177,10 @@ def _in_order() -> Iterator[Case]:
     for size in (2, 1):
         for name, (maker, small, large) in MORE_LISTED.items():
             seed += 1
-            value = (large if size == 2 else small) * _factor(seed)
+            value = (large if size == 2 else small) * _size_factor(seed)
             yield Case(f"{name}-{('', 'small', 'large')[size]}", ((name, value),), (), seed, (maker,))
 
 
-def _factor(seed: int) -> float:
+def _size_factor(seed: int) -> float:
     """Draw a factor by which the size of an effect differs from the small or large one in its list."""
     return float(np.random.default_rng([seed, 0]).uniform(0.8, 1.3))

@@ -97,36 +97,36 @@ _SEVERAL = (
 
 def disturbed_cases() -> list[DisturbedCase]:
     """Return all cases, in an order in which the first are a fair sample of all."""
-    cases = list(_in_order())
+    cases = list(_cases_by_kind())
     return [cases[i] for i in np.random.default_rng(2).permutation(len(cases))]
 
 
-def _in_order() -> Iterator[DisturbedCase]:
+def _cases_by_kind() -> Iterator[DisturbedCase]:
     """Yield the cases by kind; each has a fixed seed."""
     seed = 3000
     for number in range(_NOTHING):
         seed += 1
-        yield _case(f"w-nothing-{number}", seed, (), ())
+        yield _draw_case(f"w-nothing-{number}", seed, (), ())
     for number in range(4):
         seed += 1
-        yield _case(f"w-lag-{number}", seed, (LAG,), ())
+        yield _draw_case(f"w-lag-{number}", seed, (LAG,), ())
     for name in SIZES:
         if name not in (LAG, SPEED_LAG) and not name.startswith(NEVER_DRAWN):
             seed += 1
-            yield _case(f"w-lag+{name}", seed, (LAG, name), ())
+            yield _draw_case(f"w-lag+{name}", seed, (LAG, name), ())
     for name in _ALONE:
         seed += 1
-        yield _case(f"w-{name}", seed, (name,), ())
+        yield _draw_case(f"w-{name}", seed, (name,), ())
     for names in _SEVERAL:
         seed += 1
-        yield _case("w-" + "+".join(names).replace(LAG, "lag"), seed, names, ())
+        yield _draw_case("w-" + "+".join(names).replace(LAG, "lag"), seed, names, ())
     for law in DISTURBED:
         for beside in ((LAG,), ()):
             seed += 1
-            yield _case("w-" + "lag+" * len(beside) + f"off-{law}", seed, beside, (law,))
+            yield _draw_case("w-" + "lag+" * len(beside) + f"off-{law}", seed, beside, (law,))
 
 
-def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]) -> DisturbedCase:
+def _draw_case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]) -> DisturbedCase:
     """Draw rig, flight and disturbances of a case, and the sizes that suit them."""
     rng = np.random.default_rng([seed, 6])
     strength = int(rng.integers(3))
@@ -147,8 +147,8 @@ def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]
     if any(cause.startswith(STRONGLY_EXCITED_ONLY) for cause in (*effects, *equations)):
         gentle = False
     larger = STRENGTH_FACTORS[strength] * (WEAK_EXCITATION_FACTOR if gentle else 1.0)
-    sized = [(name, _size(name, SIZES[name], larger, rng)) for name in effects]
-    sized_unlisted = [(law, _size(law, DISTURBED[law][1], larger, rng)) for law in equations]
+    sized = [(name, _draw_size(name, SIZES[name], larger, rng)) for name in effects]
+    sized_unlisted = [(law, _draw_size(law, DISTURBED[law][1], larger, rng)) for law in equations]
     return DisturbedCase(
         name,
         tuple(sized),
@@ -163,7 +163,7 @@ def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]
     )
 
 
-def _size(name: str, typical: float, larger: float, rng: np.random.Generator) -> float:
+def _draw_size(name: str, typical: float, larger: float, rng: np.random.Generator) -> float:
     # A lag depends on the rotors, not on the disturbances.
     if name in (LAG, SPEED_LAG, "input_delay"):
         larger = 1.0

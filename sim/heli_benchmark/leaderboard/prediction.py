@@ -121,7 +121,7 @@ def _model_errors(case: BenchmarkCase, rig: Rig, causes: Mapping[str, Mapping[st
     """Return the RMS prediction errors of the model with a rig and causes, as `true_errors` does."""
     model = MultibodyModel(tuple(catalogue()[name].make(values) for name, values in causes.items()))
     predictor = _OpenLoopPredictor(model, rig)
-    return _rms([predictor.errors(flight) for flight in case.validation])
+    return _rms_by_axis([predictor.errors(flight) for flight in case.validation])
 
 
 def _errors_of_predicted_flights(case: BenchmarkCase, predicted: Mapping[str, AxisSeries]) -> Floats | None:
@@ -132,10 +132,10 @@ def _errors_of_predicted_flights(case: BenchmarkCase, predicted: Mapping[str, Ax
         series = predicted.get(flight_name(number))
         measured = _interpolated(t_s[ends], flight.t_s, flight.angles_rad)
         errors.append(np.full(measured.shape, np.nan) if series is None else series.at(t_s[ends]) - measured)
-    return _rms(errors)
+    return _rms_by_axis(errors)
 
 
-def _rms(errors: Sequence[Floats]) -> Floats | None:
+def _rms_by_axis(errors: Sequence[Floats]) -> Floats | None:
     """Root mean square of the errors of all flights by axis, or None if the flights are too short."""
     pooled = np.concatenate(errors)
     return np.sqrt(np.mean(pooled**2, axis=0)) if len(pooled) else None
@@ -154,13 +154,13 @@ def _prediction_rows(flight: Flight) -> tuple[Floats, Integers, Integers]:
     return t_s, starts, starts + horizon
 
 
-def _sample_s(flight: Flight) -> float:
+def _mean_step_s(flight: Flight) -> float:
     return float(flight.t_s[-1] - flight.t_s[0]) / (len(flight) - 1)
 
 
 def _window_rows(flight: Flight) -> int:
     """Length of the filter of the rates, an odd number of rows."""
-    return 2 * round(_WINDOW_s / 2.0 / _sample_s(flight)) + 1
+    return 2 * round(_WINDOW_s / 2.0 / _mean_step_s(flight)) + 1
 
 
 class _OpenLoopPredictor:
@@ -184,7 +184,7 @@ class _OpenLoopPredictor:
         t_s, starts, ends = _prediction_rows(flight)
         if not len(starts):
             return np.empty((0, 3))
-        window, sample_s = _window_rows(flight), _sample_s(flight)
+        window, sample_s = _window_rows(flight), _mean_step_s(flight)
         smooth_angles, rate = (
             savgol_filter(flight.angles_rad, window, 3, deriv=deriv, delta=sample_s, axis=0)
             for deriv in (0, 1)

@@ -38,9 +38,9 @@ def comparison_table(summary: Mapping[str, Any]) -> str:
     """
     heads = ["method", *(title for _, title, _ in _COLUMNS), "CPU s per case", "peak MB", "failed"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    for name in _ranked(summary):
+    for name in _methods_by_skill(summary):
         of = summary["methods"][name]
-        cells = [_cell(of[key], form) for key, _, form in _COLUMNS]
+        cells = [_score_cell(of[key], form) for key, _, form in _COLUMNS]
         cost = ["-" if of[key] is None else f"{of[key]:.3g}" for key in ("cpu_s", "peak_MB")]
         lines.append(f"| {name} | " + " | ".join([*cells, *cost, str(of["failed"])]) + " |")
     return "\n".join(lines)
@@ -58,7 +58,7 @@ def pair_lines(summary: Mapping[str, Any]) -> list[str]:
     for pair in summary["pairs"]:
         parts = []
         for key, word, form in (("skill", "skill", "{:+.2f}"), ("all_named", "every cause named", "{:+.0%}")):
-            parts.append(f"{word} {_cell(pair[key], form)}")
+            parts.append(f"{word} {_score_cell(pair[key], form)}")
         lines.append(f"{pair['first']} minus {pair['second']}: {', '.join(parts)}")
     return lines
 
@@ -92,7 +92,7 @@ def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    names = _ranked(summary)[::-1]
+    names = _methods_by_skill(summary)[::-1]
     figure, axes = plt.subplots(1, len(_PANELS), figsize=(9.0, 0.8 + 0.36 * len(names)), sharey=True)
     for axis, (key, title) in zip(axes, _PANELS, strict=True):
         for place, name in enumerate(names):
@@ -119,11 +119,11 @@ def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
     plt.close(figure)
 
 
-def _ranked(summary: Mapping[str, Any]) -> list[str]:
+def _methods_by_skill(summary: Mapping[str, Any]) -> list[str]:
     return sorted(summary["methods"], key=lambda name: -summary["methods"][name]["skill"]["value"])
 
 
-def _cell(of: Mapping[str, Any], form: str) -> str:
+def _score_cell(of: Mapping[str, Any], form: str) -> str:
     """Return a score with its interval; a dash if there is none."""
     if of["value"] is None:
         return "-"

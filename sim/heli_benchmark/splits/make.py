@@ -81,7 +81,7 @@ def make_split(
     origin = {"seed": draw} if seal is None else {"secret_sha256": seal.digest}
     content = {"schema": SCHEMA, "split": split, **origin, "count": count, "causes": causes_content()}
     mark = folder / CAUSES_FILE
-    if mark.exists() and not _continues(read_json(mark, "choose another folder"), content):
+    if mark.exists() and not _has_all_earlier_cases(read_json(mark, "choose another folder"), content):
         raise BenchmarkError(
             f"{folder} contains another split, or the split of another release",
             "choose another folder, or delete it",
@@ -92,7 +92,7 @@ def make_split(
     cases = list(published_cases(draw.seed if isinstance(draw, Seal) else draw, count))
     waiting = [case for case in cases if not (folder / "cases" / case.name).exists()]
     write = partial(_fly_and_write, folder=folder, truth_folder=truth_folder, seal=seal)
-    for done, name in enumerate(_each(write, waiting, workers), count - len(waiting) + 1):
+    for done, name in enumerate(_results_in_order(write, waiting, workers), count - len(waiting) + 1):
         if say is not None:
             say(name, done)
     write_card(folder, content)
@@ -101,14 +101,14 @@ def make_split(
         write_commitments(folder, truth_folder, [case.name for case in cases])
 
 
-def _continues(earlier: Mapping[str, Any], content: Mapping[str, Any]) -> bool:
+def _has_all_earlier_cases(earlier: Mapping[str, Any], content: Mapping[str, Any]) -> bool:
     """Whether the split with `content` has all cases of the earlier one."""
     if "seed" not in content:
         return earlier == content
     return {**earlier, "count": content["count"]} == content and earlier["count"] <= content["count"]
 
 
-def _each(
+def _results_in_order(
     work: Callable[[PublishedCase], str], cases: Sequence[PublishedCase], workers: int
 ) -> Iterator[str]:
     """Yield the result of `work` on each case, in order."""

@@ -87,7 +87,7 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
     still = '<inertial pos="0 0 0" mass="1e-9" ' + _POINT + "/>"
     missing = "".join(f"\n  - {line}" for line in left_out(rig)).replace("--", "- -")
     return f"""<?xml version="1.0" encoding="utf-8"?>
-<!-- {_comment(rig.description)}
+<!-- {_comment_lines(rig.description)}
 Written by heli-host rig export. Controls: front and back motor, V. The model leaves out:{missing}
 -->
 <mujoco model="{escape(rig.name, {'"': "&quot;"})}">
@@ -128,7 +128,7 @@ Written by heli-host rig export. Controls: front and back motor, V. The model le
 """
 
 
-def _comment(text: str) -> str:
+def _comment_lines(text: str) -> str:
     # XML forbids two hyphens in a comment.
     return text.replace("--", "- -")
 

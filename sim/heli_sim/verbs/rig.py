@@ -289,7 +289,7 @@ def diff(
 
     first, second = load_rig(left), load_rig(right)
     compared = compare_rigs(first, second)
-    shown = [_compared(difference) for difference in compared if show_all or not difference.same]
+    shown = [_comparison_row(difference) for difference in compared if show_all or not difference.same]
     # A rig that was drawn or measured often keeps the name of the rig that it began from.
     names = (first.name, second.name) if first.name != second.name else (str(left), str(right))
     if write_result(json, {"left": names[0], "right": names[1], "numbers": shown}):
@@ -576,7 +576,7 @@ def read_text(path: Path) -> str:
         raise RigError(f"{path} is not text in UTF-8", "save it as UTF-8") from None
 
 
-def _compared(difference: Difference) -> dict[str, Any]:
+def _comparison_row(difference: Difference) -> dict[str, Any]:
     return {**asdict(difference), "tolerances": difference.tolerances}
 
 

@@ -153,7 +153,7 @@ def check_permissions(ports: list[PortInfo]) -> Iterator[Finding]:
     for port in ports:
         if not port.device.startswith("/") or os.access(port.device, os.R_OK | os.W_OK):
             continue
-        group = _group_of(port.device)
+        group = _group_for_ports(port.device)
         yield Finding(
             Verdict.BAD if is_due(port) else Verdict.NOTE,
             f"you have no permission to open {port.device}",
@@ -161,7 +161,7 @@ def check_permissions(ports: list[PortInfo]) -> Iterator[Finding]:
         )
 
 
-def _group_of(device: str) -> str:
+def _group_for_ports(device: str) -> str:
     """Group that may open a port: dialout on Debian, uucp on Arch."""
     try:
         return Path(device).group()
