@@ -331,10 +331,10 @@ def rate_problem(rate_Hz: float) -> tuple[str, str]:
     rates = [TICK_Hz / d for d in DIVISORS]
     above = [rate for rate in rates if rate >= rate_Hz]
     below = [rate for rate in rates if rate <= rate_Hz]
-    near = sorted({*above[-1:], *below[:1]})
+    nearest_rates = sorted({*above[-1:], *below[:1]})
     return (
         f"a law cannot be called at {rate_Hz:g} Hz: a call every so many ticks of {TICK_Hz} Hz",
-        f"give {' or '.join(f'{rate:g}' for rate in near)} Hz",
+        f"give {' or '.join(f'{rate:g}' for rate in nearest_rates)} Hz",
     )
 
 

@@ -79,8 +79,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _alternate_clean_and_disturbed() -> list[Case]:
     """Alternate clean and disturbed cases, so that the first are a fair sample of all."""
-    both = zip_longest(clean_cases(), disturbed_cases())
-    return [case for pair in both for case in pair if case is not None]
+    pairs = zip_longest(clean_cases(), disturbed_cases())
+    return [case for pair in pairs for case in pair if case is not None]
 
 
 def _print_earlier_results(options: argparse.Namespace) -> int:
@@ -147,9 +147,11 @@ def _print_progress(results: Iterable[tuple[Row | None, str]], count: int) -> It
         if row is None:
             print(f"[{progress}] {failure}", flush=True)
             continue
-        word = "failed" if row.failure else ("right" if row.right else "WRONG")
+        judgement = "failed" if row.failure else ("right" if row.right else "WRONG")
         causes = ", ".join(row.named) or row.failure or "no cause"
-        print(f"[{progress}] {row.case}: {word}; {row.verdict}: {causes}; {row.seconds:.0f} s", flush=True)
+        print(
+            f"[{progress}] {row.case}: {judgement}; {row.verdict}: {causes}; {row.seconds:.0f} s", flush=True
+        )
         yield row
 
 

@@ -32,7 +32,7 @@ from heli_sim.due._due_board import motor_duty
 
 from firmware.due.report import Image
 from tests.channels.groups import COUNTS
-from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Board, flying
+from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Board, flying_board_and_host
 from tests.firmware.measures import boot_to_first_frame_ms, rx_lost_bytes, travel_counts_lost
 
 pytestmark = pytest.mark.emulated
@@ -63,7 +63,7 @@ def open_loop(heli: Heli, front_V: float, back_V: float) -> None:
 
 
 def test_a_flight_goes_where_it_is_sent_and_ends_on_the_table(elf: Path, image: Image) -> None:
-    board, heli = flying(elf, image)
+    board, heli = flying_board_and_host(elf, image)
     assert board.arm is not None
     heli.setpoint(elevation_deg=5.0, travel_deg=20.0)
     heli.wait(6.0)

@@ -61,7 +61,7 @@ def test_dry_friction_and_play_are_not_taken_for_a_dead_encoder(case: Case) -> N
     assert flown(case).outcome == "completed"
 
 
-def told() -> dict[str, list[float]]:
+def numbers_of_document() -> dict[str, list[float]]:
     """Numbers of the table's rows, by what fails."""
     lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
     begin = lines.index(HEAD) + 2
@@ -72,7 +72,7 @@ def told() -> dict[str, list[float]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["elevation", "pitch", "travel"])
 def test_a_flight_of_the_sweep_is_within_the_worst_of_the_document(kind: str) -> None:
-    count, _, within_s, off_deg, *_ = told()[kind]
+    count, _, within_s, off_deg, *_ = numbers_of_document()[kind]
     for case in [*swept(kind, int(count))][: samples(int(count), 4)][0 if LONG else 2 :]:
         seen = flown(case)
         if seen.reported:

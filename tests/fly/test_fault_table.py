@@ -32,7 +32,7 @@ def document() -> list[str]:
     return lines[begin:end]
 
 
-def assert_is_told(case: Case, outcome: Outcome) -> None:
+def assert_agrees_with_document(case: Case, outcome: Outcome) -> None:
     """The document's row has the same words, and numbers within a tenth of a second or 2 %."""
     [told] = [line for line in document() if line.startswith(f"| {case.what} |")]
     flown_row = row(case, outcome)
@@ -63,7 +63,7 @@ def test_every_row_of_the_table_is_shown_by_a_flight_or_a_test() -> None:
 def test_a_fault_is_handled_as_the_table_says(case: Case) -> None:
     outcome = flown(case)
     assert_handled(case, outcome)
-    assert_is_told(case, outcome)
+    assert_agrees_with_document(case, outcome)
 
 
 @pytest.mark.emulated
@@ -71,7 +71,7 @@ def test_a_fault_is_handled_as_the_table_says(case: Case) -> None:
 def test_a_fault_is_handled_by_the_emulated_due_as_the_table_says(case: Case) -> None:
     outcome = flown(case, "due", str(built_elf()))
     assert_handled(case, outcome)
-    assert_is_told(case, outcome)
+    assert_agrees_with_document(case, outcome)
 
 
 def test_without_a_cable_the_board_does_what_it_does_without_a_host() -> None:

@@ -37,7 +37,7 @@ def plants_flight(plant: Plant, volts_V: Floats) -> Floats:
     return np.asarray(measured).T
 
 
-def opened(path: Path, folder: Path, *, co_simulation: bool) -> Any:
+def instance_in_initialization(path: Path, folder: Path, *, co_simulation: bool) -> Any:
     """An instance of the FMU, in initialization mode."""
     import fmpy
     from fmpy.fmi3 import FMU3Model, FMU3Slave
@@ -58,7 +58,7 @@ def opened(path: Path, folder: Path, *, co_simulation: bool) -> Any:
 
 def co_simulated(path: Path, folder: Path, volts_V: Floats, ticks: int = 1) -> Floats:
     """Measured angles after each communication step of so many milliseconds."""
-    slave = opened(path, folder, co_simulation=True)
+    slave = instance_in_initialization(path, folder, co_simulation=True)
     slave.exitInitializationMode()
     found = []
     for row in range(0, len(volts_V), ticks):
@@ -76,7 +76,7 @@ def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[F
     """
     from ctypes import c_double
 
-    model = opened(path, folder, co_simulation=False)
+    model = instance_in_initialization(path, folder, co_simulation=False)
     model.setFloat64([1, 2], volts_V[0].tolist())
     model.exitInitializationMode()
     buffer, rates = (c_double * states)(), (c_double * states)()

@@ -26,7 +26,7 @@ from heli_lab.law import Command, Law, control_law
 from heli_sim.sil.inprocess import InProcessTransport
 
 from tests.law.flown import law_of
-from tests.link.core_harness import Harness, of_kind, open_harness
+from tests.link.core_harness import Harness, open_harness, payloads_of
 
 LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
 
@@ -54,9 +54,11 @@ def law_on(harness: Harness) -> LawMessage:
     """The board's report of its law to a host that has just reconnected."""
     # Half a frame swallows what follows it, as on a line; a host greets until it is answered.
     hello = HelloMessage(240, LINK_HASH, 2)
-    greeted = any(of_kind(harness.turn(harness.frame(hello), ticks=2), MessageId.WELCOME) for _ in range(9))
+    greeted = any(
+        payloads_of(harness.turn(harness.frame(hello), ticks=2), MessageId.WELCOME) for _ in range(9)
+    )
     assert greeted
-    (told,) = of_kind(harness.ask(LawReadMessage(241)), MessageId.LAW)
+    (told,) = payloads_of(harness.ask(LawReadMessage(241)), MessageId.LAW)
     return LawMessage.unpack(told)
 
 

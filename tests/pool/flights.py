@@ -45,7 +45,7 @@ class Pooled:
         Estimates without the prior, by name, if the flights are informative.
     """
 
-    off: dict[str, float]
+    normalised_errors: dict[str, float]
     alone: dict[str, ParameterEstimate]
 
 
@@ -108,6 +108,6 @@ def shares_of_one(name: str, rigs: Iterable[int]) -> list[float]:
     ]
 
 
-def off(count: int, rigs: Iterable[int]) -> Floats:
+def normalised_errors(count: int, rigs: Iterable[int]) -> Floats:
     """Return all estimates of each rig from `count` flights minus the true values, in standard errors."""
     return np.array([value for rig in rigs for value in pooled(rig, count).off.values()])

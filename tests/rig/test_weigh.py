@@ -28,7 +28,7 @@ def truth() -> Rig:
     return load_rig("makki2024").replace(**HIDDEN)
 
 
-def swung(rig: Rig, from_deg: float, swings: int) -> tuple[float, float]:
+def swing_pitch_in_mujoco(rig: Rig, from_deg: float, swings: int) -> tuple[float, float]:
     """Let pitch go in MuJoCo, elevation and travel held: time of so many swings, and the amplitude then."""
     model = mujoco_rig(rig)
     data = mujoco.MjData(model)
@@ -55,7 +55,7 @@ def balanced_deg(rig: Rig) -> float:
 def bench(rig: Rig) -> dict[str, Any]:
     volts = [2.0, 3.0, 4.5]
     grams = [round(1e3 * rig["thrust_gain"].value * (v - rig["dead_zone"].value) / 9.81) for v in volts]
-    seconds, to_deg = swung(rig, 10.0, 3)
+    seconds, to_deg = swing_pitch_in_mujoco(rig, 10.0, 3)
     return {
         "thrust": {"volts_V": volts, "front_g": grams, "back_g": grams},
         "balance": {"elevation_deg": round(balanced_deg(rig), 1)},

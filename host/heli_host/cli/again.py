@@ -79,21 +79,23 @@ def read_repeat(log: Log, effect_files: Mapping[str, Path]) -> Repeat:
     _check_repeatable(log, record)
     try:
         options = dict(parse_qsl(urlsplit(record["address"]).query))
-        needed = _json_of_record(record, "effect_files")
+        stored_effect_files = _json_of_record(record, "effect_files")
         parameters = {name: float(value) for name, value in _json_of_record(record, "parameters").items()}
         plans = tuple(_plans_as_started(log, record))
         rig_name = record["rig_name"]
         rig = record["rig"]
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         raise LogError(f"{log.path} describes its simulation incompletely: {error}", _FLY) from error
-    for file, digest in needed.items():
+    for file, digest in stored_effect_files.items():
         if digest not in effect_files:
             raise LogError(
                 f"{log.path} needs the effect file {Path(file).name} with SHA-256 {digest[:12]}, and a log "
                 "holds no code",
                 f"add --effect-file {Path(file).name}",
             )
-    options["effects"] = ";".join(str(effect_files[digest].absolute()) for digest in needed.values())
+    options["effects"] = ";".join(
+        str(effect_files[digest].absolute()) for digest in stored_effect_files.values()
+    )
     is_exact = options.get("speed", "max") == "max" and not options.pop("process", "")
     return Repeat(
         options=options,

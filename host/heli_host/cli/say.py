@@ -86,8 +86,8 @@ def write_result(file: Path | None, content: Mapping[str, Any]) -> bool:
 
 def say_dropped(reasons: Iterable[str], file: Path | None = None) -> None:
     """Print the `reasons` why values of a parameter `file` of another schema are not used, one line each."""
-    where = f"{file}: " if file is not None else ""
-    say(*(f"{where}dropped: {reason}" for reason in reasons))
+    file_text = f"{file}: " if file is not None else ""
+    say(*(f"{file_text}dropped: {reason}" for reason in reasons))
 
 
 def say_data(text: str) -> None:

@@ -116,13 +116,13 @@ def _version_and_options(path: str) -> Bossac:
     """
     try:
         # Its --help ends with 1.
-        done = subprocess.run(
+        process = subprocess.run(
             [path, "--help"], capture_output=True, text=True, timeout=_ASK_TIMEOUT_S, check=False
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         reason = error.strerror if isinstance(error, OSError) else "it does not answer"
         raise UploaderError(f"{path} does not run: {reason}", GET_BOSSAC) from error
-    text = done.stdout + done.stderr
+    text = process.stdout + process.stderr
     version = re.search(r"\(BOSSA\) Version (\S+)", text)
     if version is None:
         raise UploaderError(f"{path} is not bossac, because it prints no version", GET_BOSSAC)
@@ -157,7 +157,7 @@ def write_image(bossac: Bossac, port: str, image: Path, timeout_s: float = WRITE
         If it fails; the board's flash is then erased or half written, and its motors stay off.
     """
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             bossac.arguments(port, image),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -174,8 +174,8 @@ def write_image(bossac: Bossac, port: str, image: Path, timeout_s: float = WRITE
         ) from None
     except OSError as error:
         raise FlashError(f"{bossac.path} does not run: {error.strerror}", GET_BOSSAC) from error
-    if done.returncode != 0:
-        raise _error_from_output(bossac, port, done.returncode, done.stdout)
+    if process.returncode != 0:
+        raise _error_from_output(bossac, port, process.returncode, process.stdout)
 
 
 def _error_from_output(bossac: Bossac, port: str, code: int, output: str) -> FlashError:

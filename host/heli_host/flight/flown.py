@@ -75,9 +75,9 @@ def led_rows(flight: Flight, axis: str) -> Booleans:
     if setpoint_rad is None:
         return np.zeros(len(flight), np.bool_)
     apart_rad = np.abs(getattr(flight, f"{axis}_rad") - setpoint_rad)
-    for theirs in (_rows_in_state(flight, _STREAMED), _rows_of_uploaded_law(flight)):
-        if theirs.any() and apart_rad[theirs].max() <= _TOLD_rad:
-            rows = rows & ~theirs
+    for rows_of_other_law in (_rows_in_state(flight, _STREAMED), _rows_of_uploaded_law(flight)):
+        if rows_of_other_law.any() and apart_rad[rows_of_other_law].max() <= _TOLD_rad:
+            rows = rows & ~rows_of_other_law
     return rows
 
 

@@ -78,8 +78,8 @@ class FlightMonitor:
         state = self._session.state
         self.was_closed = self.was_closed or state is State.CLOSED_LOOP
         flying = (State.CLOSED_LOOP, State.HOLD) if self.was_closed else (State.CLOSED_LOOP, State.ARMED)
-        wrong = (state is not None and state not in flying) or self._recorder.error is not None
-        return wrong or bool(self._end_when())
+        is_wrong = (state is not None and state not in flying) or self._recorder.error is not None
+        return is_wrong or bool(self._end_when())
 
     def check(self, t_s: float) -> None:
         """Raise the error that must end the flight, if there is one.

@@ -196,8 +196,8 @@ class Pilot:
                 with contextlib.suppress(HeliError):
                     self._heli.stop()
                     break
-            when = "again" if was_interrupted(self.outcome) else "while landing"
-            trouble = f"{name_of(error)} {when}, motors stopped in the air"
+            moment_text = "again" if was_interrupted(self.outcome) else "while landing"
+            trouble = f"{name_of(error)} {moment_text}, motors stopped in the air"
             self._note_interrupt(trouble)
         except LinkLost as error:
             trouble = f"link lost while landing: {error.cause}; the board lands by itself"

@@ -377,11 +377,11 @@ def _read_start(values: Any, source: str) -> Start:
     if not isinstance(values, dict):
         raise PlanError(f"{source}: [start] is not a table", "write [start] above its keys")
     table = PlanTable(values, f"{source}, start", ("elevation_deg", "rate_deg_s", "settle_s"))
-    usual = Start()
+    default_start = Start()
     return Start(
-        table.number("elevation_deg", ANGLE, usual.elevation_deg),
-        table.number("rate_deg_s", RATE, usual.rate_deg_s),
-        table.number("settle_s", PAUSE, usual.settle_s),
+        table.number("elevation_deg", ANGLE, default_start.elevation_deg),
+        table.number("rate_deg_s", RATE, default_start.rate_deg_s),
+        table.number("settle_s", PAUSE, default_start.settle_s),
     )
 
 

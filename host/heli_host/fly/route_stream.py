@@ -63,10 +63,10 @@ class RouteStream:
         self._lock = threading.Lock()
         self._streaming = False
         self._sent_tick = 0
-        self._first_piece_of_phases = _first_piece_of_phases(route)
+        self._coming_phases = _first_piece_of_phases(route)
         # The take-off lasts until the first phase of another name begins.
         take_off_s = next(
-            (piece.start_s for piece in self._first_piece_of_phases if piece.phase != TAKE_OFF),
+            (piece.start_s for piece in self._coming_phases if piece.phase != TAKE_OFF),
             route.duration_s,
         )
         self._take_off_ticks = round(take_off_s / TICK_S)
@@ -121,8 +121,8 @@ class RouteStream:
             if not self._streaming:
                 return
             self._tracking.take(ticks, self.taken_off_tick)
-            while self._first_piece_of_phases and tick >= self.tick_of(self._first_piece_of_phases[0]):
-                begun_piece = self._first_piece_of_phases.pop(0)
+            while self._coming_phases and tick >= self.tick_of(self._coming_phases[0]):
+                begun_piece = self._coming_phases.pop(0)
                 self._recorder.mark_phase(self.tick_of(begun_piece), begun_piece.phase)
             if tick >= self._sent_tick + INTERVAL_TICKS:
                 self._send_setpoint_due_after(tick)

@@ -351,8 +351,8 @@ def _read_excitation_table(table: PlanTable, duration_s: float) -> PlannedExcita
     if front_V == 0.0 and back_V == 0.0:
         table.fail("it excites no motor", "add front_V = 0.25 or back_V = 0.25")
     needs_start, needs_stop = signal in ("chirp", "multisine"), signal in ("chirp", "multisine", "prbs")
-    for key, needed in (("start_Hz", needs_start), ("stop_Hz", needs_stop)):
-        if key in table.values and not needed:
+    for key, is_needed in (("start_Hz", needs_start), ("stop_Hz", needs_stop)):
+        if key in table.values and not is_needed:
             table.fail(f"{key} has no effect on a {signal}", "remove it")
     start_Hz = table.number("start_Hz", EXCITATION_HZ, None if needs_start else 0.0)
     stop_Hz = table.number("stop_Hz", EXCITATION_HZ, None if needs_stop else 0.0)

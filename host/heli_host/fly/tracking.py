@@ -175,10 +175,10 @@ class TrackingMonitor:
         for index, axis in enumerate(AXES):
             if self.longest_s[index] > self.tolerance.for_s:
                 worst_deg, duration_s = self.worst_deg[index], self.longest_s[index]
-                allowed = f"{self._bound_deg[index]:g} for {self.tolerance.for_s:g} s"
+                tolerance_text = f"{self._bound_deg[index]:g} for {self.tolerance.for_s:g} s"
                 return (
                     f"{NOT_TRACKED}: {axis} was up to {worst_deg:.1f} degrees from its setpoint for "
-                    f"{duration_s:.1f} s (allowed: {allowed}); tune the gains for this rig, or widen "
+                    f"{duration_s:.1f} s (allowed: {tolerance_text}); tune the gains for this rig, or widen "
                     "[tolerance] of the plan"
                 )
         return ""

@@ -184,9 +184,9 @@ class ClockFit:
             tick_s = self._estimate.tick_s
         if self._bins and tick - self._bins[0][0] >= _BIN_TICKS // 2:
             mean_tick = (self._bin_ticks + tick) / (len(self._bins) + 1)
-            left, right = _hull_edge_at(mean_tick, _lower_hull([newest], self._hull))
-            tick_s = max((right[1] - left[1]) / (right[0] - left[0]), 1e-9)
-            tick, host_s = left
+            edge_start, edge_end = _hull_edge_at(mean_tick, _lower_hull([newest], self._hull))
+            tick_s = max((edge_end[1] - edge_start[1]) / (edge_end[0] - edge_start[0]), 1e-9)
+            tick, host_s = edge_start
         round_trip_s = min(self._round_trip_s, default=0.0)
         delays = sorted(self._delays_s)
         jitter_s = delays[int(0.95 * len(delays))] if delays else 0.0

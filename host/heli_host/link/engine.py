@@ -113,7 +113,7 @@ class Engine:
     def counters(self) -> LinkCounters:
         """Return all counts since the first welcome."""
         frames_ok, frames_bad, frames_lost, received, dropped = (
-            now - then for now, then in zip(self._parser_counts(), self._baseline, strict=True)
+            present - first for present, first in zip(self._parser_counts(), self._baseline, strict=True)
         )
         streams, account = self.streams, self.telemetry.account
         return LinkCounters(

@@ -217,11 +217,11 @@ class DirectFile:
         if self._last_record is None:
             return
         data = self._last_record(reason)
-        written = 0
+        written_bytes = 0
         with contextlib.suppress(OSError):
             self._file.seek(self._bytes_written)
-            written = self._file.write(data) or 0
-        if written < len(data):
+            written_bytes = self._file.write(data) or 0
+        if written_bytes < len(data):
             self._file.truncate(self._bytes_written)
 
 
@@ -431,19 +431,19 @@ def check_free_space(path: Path, duration_s: float) -> None:
     LogWriteError
         If less is free than its ticks can need.
     """
-    needed = RESERVED_BYTES + max(_MIN_FLIGHT_S, duration_s) * MAX_BYTES_PER_S
-    free = free_bytes(path.parent)
-    if free is not None and free < needed:
+    needed_bytes = RESERVED_BYTES + max(_MIN_FLIGHT_S, duration_s) * MAX_BYTES_PER_S
+    free_bytes_left = free_bytes(path.parent)
+    if free_bytes_left is not None and free_bytes_left < needed_bytes:
         raise LogWriteError(
-            f"the disk of the log {path} has {_megabytes_text(free)} left, but the flight can need "
-            f"{_megabytes_text(needed)}",
+            f"the disk of the log {path} has {_megabytes_text(free_bytes_left)} left, but the flight can "
+            f"need {_megabytes_text(needed_bytes)}",
             "free disk space, or choose another disk with --log",
         )
     max_bytes = max_file_bytes()
-    if max_bytes is not None and max_bytes < needed:
+    if max_bytes is not None and max_bytes < needed_bytes:
         raise LogWriteError(
             f"this system allows files of {_megabytes_text(max_bytes)}, but the log {path} can need "
-            f"{_megabytes_text(needed)}",
+            f"{_megabytes_text(needed_bytes)}",
             "raise the limit (ulimit -f), or fly for a shorter time",
         )
 

@@ -125,24 +125,24 @@ def _subtitle(summary: FlightSummary) -> str:
 
     If the flight was aborted, the reason comes first.
     """
-    lost = f"{summary.ticks_lost:,} lost" if summary.ticks_lost else "none lost"
+    lost_text = f"{summary.ticks_lost:,} lost" if summary.ticks_lost else "none lost"
     link = summary.link
-    parts = [
-        f"{summary.duration_s:.1f} s, {summary.ticks_logged:,} ticks logged, {lost}",
+    phrases = [
+        f"{summary.duration_s:.1f} s, {summary.ticks_logged:,} ticks logged, {lost_text}",
         f"link: {_count_text(link, 'frames_ok', 'frame')}, {link.get('frames_bad', 0)} bad, "
         f"{_count_text(link, 'retries', 'retry')}, {_count_text(link, 'reconnects', 'reconnect')}",
     ]
     if summary.board:
-        parts.append(summary.board)
-    numbers = "   ·   ".join([*parts, *summary.notes])
+        phrases.append(summary.board)
+    numbers = "   ·   ".join([*phrases, *summary.notes])
     abort_reason = [] if summary.completed or ":" not in summary.outcome else [summary.outcome]
     return "\n".join(line for text in (*abort_reason, numbers) for line in textwrap.wrap(text, 150))
 
 
 def _count_text(link: Mapping[str, int], name: str, noun: str) -> str:
     number = link.get(name, 0)
-    many = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
-    return f"{number:,} {noun if number == 1 else many}"
+    plural = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    return f"{number:,} {noun if number == 1 else plural}"
 
 
 def _draw_axis(

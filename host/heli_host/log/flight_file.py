@@ -51,8 +51,8 @@ def _cause_and_remedy(path: Path) -> tuple[str, str]:
         example = f", such as {path / flights[0]}" if flights else ""
         return f"{path} is a folder, not a flight", f"give a file{example}"
     if not path.exists():
-        written = [f"{path}{ending}" for ending in _ENDINGS if Path(f"{path}{ending}").exists()]
+        existing_paths = [f"{path}{ending}" for ending in _ENDINGS if Path(f"{path}{ending}").exists()]
         return f"cannot read {path}: there is no such file", (
-            f"did you mean {written[0]}?" if written else "check the path"
+            f"did you mean {existing_paths[0]}?" if existing_paths else "check the path"
         )
     return f"{path} is not a flight", f"give a file that ends in {', '.join(_ENDINGS[:-1])} or {_ENDINGS[-1]}"

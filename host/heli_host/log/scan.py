@@ -280,10 +280,10 @@ class Scan:
             self.notes.append(f"{self._damaged_chunks} chunks are damaged and were left out")
         for start, stop in self._lost:
             self.notes.append(f"bytes {start} to {stop} are damaged and were left out")
-        written = self._index.message_counts.get(self._tick.channel) if self._index else None
-        read = sum(map(len, self.ticks))
-        if written is not None and written != read:
-            self.notes.append(f"{written} ticks were written, {read} are readable")
+        written_count = self._index.message_counts.get(self._tick.channel) if self._index else None
+        read_count = sum(map(len, self.ticks))
+        if written_count is not None and written_count != read_count:
+            self.notes.append(f"{written_count} ticks were written, {read_count} are readable")
 
     def _read_chunk(self, chunk: Chunk) -> None:
         """Add ticks and messages of a chunk. A damaged chunk adds nothing, because its content is checked

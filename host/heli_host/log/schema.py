@@ -114,11 +114,11 @@ class MessageLayout:
         prefix : str
             ``STATE``, ``FAULT`` or ``FLAGS``.
         """
-        mark = prefix + "_"
+        constant_prefix = prefix + "_"
         return {
-            value: name.removeprefix(mark).lower()
+            value: name.removeprefix(constant_prefix).lower()
             for name, value in self.constants.items()
-            if name.startswith(mark)
+            if name.startswith(constant_prefix)
         }
 
 

@@ -131,14 +131,14 @@ def summarise(log: Log) -> FlightSummary:
     session = log.metadata.get("session", {})
     result = log.metadata.get("result", {})
     plans = tuple(log.metadata.get("plan", {}))
-    closed = _closed_axes(session.get("axes", ""))
+    closed_axes = _closed_axes(session.get("axes", ""))
     rms_deg: dict[str, float | None] = dict.fromkeys(AXES)
     max_deg: dict[str, float | None] = dict.fromkeys(AXES)
     if len(log.ticks):
         flight = log.flight()
         for axis, errors_deg in zip(AXES, tracking_errors_deg(flight).T, strict=True):
             led_deg = errors_deg[~np.isnan(errors_deg)]
-            if len(led_deg) and axis in closed:
+            if len(led_deg) and axis in closed_axes:
                 rms_deg[axis] = round(rms(led_deg), 4)
                 max_deg[axis] = round(float(np.max(np.abs(led_deg))), 4)
     outcome = result.get("outcome") or (

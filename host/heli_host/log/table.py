@@ -142,12 +142,12 @@ def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -
                     _write_rows(packed, inside, list(columns), row_format, table)
             else:
                 _write_rows(file, inside, list(columns), row_format, table)
-        beside = notes_path(path)
+        notes_file = notes_path(path)
         if notes and not notes_inside:
-            beside.write_text("".join(line + "\n" for line in notes), encoding="utf-8", newline="\n")
+            notes_file.write_text("".join(line + "\n" for line in notes), encoding="utf-8", newline="\n")
         else:
             # The notes of an older table would describe another flight.
-            beside.unlink(missing_ok=True)
+            notes_file.unlink(missing_ok=True)
     except OSError as error:
         raise LogWriteError(
             f"cannot write {path}: {error.strerror or error}", "choose another folder"

@@ -150,8 +150,8 @@ class PageClient:
         """
         if self.ask("ask").get("granted"):
             return True
-        mine = self._news["hello"]["you"]
-        self._wait_until(lambda: self.flies or self._news["control"]["asking"] != mine, timeout_s)
+        own_key = self._news["hello"]["you"]
+        self._wait_until(lambda: self.flies or self._news["control"]["asking"] != own_key, timeout_s)
         return self.flies
 
     def setpoint(self, *, elevation_deg: float | None = None, travel_deg: float | None = None) -> None:
@@ -333,15 +333,13 @@ class PageClient:
 def _as_json(request: Mapping[str, Any]) -> str:
     """Return a request as JSON; a PageError reports one that JSON cannot hold or that is too long."""
     try:
-        words = json.dumps(request)
+        text = json.dumps(request)
     except (TypeError, ValueError, RecursionError) as error:
         raise PageError(f"JSON cannot hold the request: {error}", "give numbers, texts and lists") from None
     # The server does not parse a longer request, so that it cannot answer with the number of the request.
-    if len(words) > LONGEST_REQUEST:
-        raise PageError(
-            f"a request of {len(words)} characters is too long", f"send at most {LONGEST_REQUEST}"
-        )
-    return words
+    if len(text) > LONGEST_REQUEST:
+        raise PageError(f"a request of {len(text)} characters is too long", f"send at most {LONGEST_REQUEST}")
+    return text
 
 
 def join(address: str) -> PageClient:

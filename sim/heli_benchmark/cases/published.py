@@ -211,8 +211,12 @@ def _draw_disturbances(rng: np.random.Generator) -> tuple[DisturbanceModel, floa
     shares, drift_s = rng.uniform(0.5, 1.0, 3), float(rng.uniform(20.0, 40.0))
     if kind == "none":
         gusts_Nm = (0.0, 0.0, 0.0)
-    e, p, t = (float(gust_Nm) for gust_Nm in shares * gusts_Nm * (kind == "drifting"))
-    return DisturbanceModel(gusts_Nm, correlation_time_s, (e, p, t), drift_s), STRENGTH_FACTORS[strength]
+    elevation_Nm, pitch_Nm, travel_Nm = (
+        float(gust_Nm) for gust_Nm in shares * gusts_Nm * (kind == "drifting")
+    )
+    return DisturbanceModel(
+        gusts_Nm, correlation_time_s, (elevation_Nm, pitch_Nm, travel_Nm), drift_s
+    ), STRENGTH_FACTORS[strength]
 
 
 @cache

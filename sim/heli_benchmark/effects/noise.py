@@ -58,7 +58,7 @@ def _gusts_Nm(correlation_time_s: float, rng: np.random.Generator) -> Floats:
     return torque_Nm
 
 
-def _bursts_Nm(rng: np.random.Generator) -> list[HiddenEffect]:
+def _bursts(rng: np.random.Generator) -> list[HiddenEffect]:
     """Bursts of 1 to 4 s with 2.5 times the moderate strength; for 4 to 12 s between them, weak gusts."""
     strength = np.full(_STEPS, _BACKGROUND)
     start_s = float(rng.uniform(2.0, 8.0))
@@ -69,7 +69,7 @@ def _bursts_Nm(rng: np.random.Generator) -> list[HiddenEffect]:
     return [_Torques(strength[:, None] * _gusts_Nm(_CORRELATION_TIME_s, rng))]
 
 
-def _gusts_and_kicks_Nm(rng: np.random.Generator) -> list[HiddenEffect]:
+def _gusts_and_kicks(rng: np.random.Generator) -> list[HiddenEffect]:
     """Weak gusts, and a torque pulse of 50 ms about a random axis every 3 s on average."""
     torque_Nm = _BACKGROUND * _gusts_Nm(_CORRELATION_TIME_s, rng)
     for at_s in np.cumsum(rng.exponential(3.0, 200)):
@@ -85,7 +85,7 @@ def _thrust_torques(rng: np.random.Generator) -> list[HiddenEffect]:
     return [_ThrustTorques(_gusts_Nm(_CORRELATION_TIME_s, rng))]
 
 
-def _gusts_of_two_time_scales_Nm(rng: np.random.Generator) -> list[HiddenEffect]:
+def _gusts_of_two_time_scales(rng: np.random.Generator) -> list[HiddenEffect]:
     """Gusts with correlation times of 0.1 s and 2.5 s."""
     return [_Torques(0.8 * (_gusts_Nm(0.1, rng) + _gusts_Nm(2.5, rng)))]
 
@@ -98,10 +98,10 @@ def _wandering_supply(rng: np.random.Generator) -> list[HiddenEffect]:
 
 
 NOISE: Final[dict[str, Callable[[np.random.Generator], list[HiddenEffect]]]] = {
-    "bursts": _bursts_Nm,
-    "kicks": _gusts_and_kicks_Nm,
+    "bursts": _bursts,
+    "kicks": _gusts_and_kicks,
     "thrust": _thrust_torques,
-    "two-scales": _gusts_of_two_time_scales_Nm,
+    "two-scales": _gusts_of_two_time_scales,
     "supply": _wandering_supply,
 }
 """Hidden effects of a flight with each kind of noise."""

@@ -59,8 +59,10 @@ class MethodAddress:
 
 def builtin_methods() -> list[str]:
     """Return the names of the methods of this package: files with a function `diagnose`."""
-    mark = f"\ndef {_FUNCTION}("
-    return sorted(path.stem for path in _METHODS.glob("*.py") if mark in path.read_text(encoding="utf-8"))
+    definition = f"\ndef {_FUNCTION}("
+    return sorted(
+        path.stem for path in _METHODS.glob("*.py") if definition in path.read_text(encoding="utf-8")
+    )
 
 
 def find_method(text: str) -> MethodAddress:

@@ -34,7 +34,7 @@ def scores_content(split: Split, runs: Mapping[str, Sequence[CaseScore]]) -> dic
         ``splits``: the digest of the split. ``case_scores``: fields of each `CaseScore` by method. All keys
         of `summarise_runs`.
     """
-    return _read_scores_file([split_digest(split)], runs)
+    return _scores_file_content([split_digest(split)], runs)
 
 
 def pooled_scores(files: Sequence[Path]) -> dict[str, Any]:
@@ -72,10 +72,10 @@ def pooled_scores(files: Sequence[Path]) -> dict[str, Any]:
             raise BenchmarkError(f"{lacking} has no method '{name}'", "score the same methods on each split")
         for name, scores in runs.items():
             pooled.setdefault(name, []).extend(scores)
-    return _read_scores_file(list(origin), pooled)
+    return _scores_file_content(list(origin), pooled)
 
 
-def _read_scores_file(digests: list[str], runs: Mapping[str, Sequence[CaseScore]]) -> dict[str, Any]:
+def _scores_file_content(digests: list[str], runs: Mapping[str, Sequence[CaseScore]]) -> dict[str, Any]:
     """Return the content of a file of scores, with the digests of all splits in it."""
     cases = {name: [asdict(case) for case in scores] for name, scores in runs.items()}
     return {"splits": digests, **summarise_runs(runs), "case_scores": cases}

@@ -128,10 +128,12 @@ def _errors_of_predicted_flights(case: BenchmarkCase, predicted: Mapping[str, Ax
     """RMS errors of flights that an answer predicts; NaN if a flight is missing or does not last as long."""
     errors = []
     for number, flight in enumerate(case.validation):
-        t_s, _, ends = _prediction_rows(flight)
+        t_s, _, end_steps = _prediction_rows(flight)
         series = predicted.get(flight_name(number))
-        measured = _interpolated(t_s[ends], flight.t_s, flight.angles_rad)
-        errors.append(np.full(measured.shape, np.nan) if series is None else series.at(t_s[ends]) - measured)
+        measured = _interpolated(t_s[end_steps], flight.t_s, flight.angles_rad)
+        errors.append(
+            np.full(measured.shape, np.nan) if series is None else series.at(t_s[end_steps]) - measured
+        )
     return _rms_by_axis(errors)
 
 
@@ -148,10 +150,10 @@ def _prediction_rows(flight: Flight) -> tuple[Floats, Integers, Integers]:
     """
     t_s = np.arange(flight.t_s[0], flight.t_s[-1] - 2.0 * _STEP_s, _STEP_s)
     horizon = round(HORIZON_s / _STEP_s)
-    edge = round(_WINDOW_s / _STEP_s)
-    last = len(t_s) - horizon - edge if _window_rows(flight) <= len(flight) else 0
-    starts = np.arange(edge, last, round(_START_INTERVAL_s / _STEP_s))
-    return t_s, starts, starts + horizon
+    edge_steps = round(_WINDOW_s / _STEP_s)
+    last_start = len(t_s) - horizon - edge_steps if _window_rows(flight) <= len(flight) else 0
+    start_steps = np.arange(edge_steps, last_start, round(_START_INTERVAL_s / _STEP_s))
+    return t_s, start_steps, start_steps + horizon
 
 
 def _mean_step_s(flight: Flight) -> float:
@@ -181,8 +183,8 @@ class _OpenLoopPredictor:
 
     def errors(self, flight: Flight) -> Floats:
         """Return predicted minus measured angles at the end of each prediction, rad, shape (k, 3)."""
-        t_s, starts, ends = _prediction_rows(flight)
-        if not len(starts):
+        t_s, start_steps, end_steps = _prediction_rows(flight)
+        if not len(start_steps):
             return np.empty((0, 3))
         window, sample_s = _window_rows(flight), _mean_step_s(flight)
         smooth_angles, rate = (
@@ -193,11 +195,11 @@ class _OpenLoopPredictor:
             _interpolated(t_s, flight.t_s, signal) for signal in (smooth_angles, rate, flight.angles_rad)
         )
         volts = self._mean_volts(flight, t_s)
-        states = self._all_states(measured, rates, volts, t_s)[starts].T
-        for k in range(ends[0] - starts[0]):
-            states = np.asarray(self._step(states, volts[starts + k].T, t_s[starts + k][None]))
-        predicted = np.asarray(self._encoders(states, volts[ends].T, t_s[ends][None])).T
-        return np.asarray(predicted - angles[ends])
+        states = self._all_states(measured, rates, volts, t_s)[start_steps].T
+        for k in range(end_steps[0] - start_steps[0]):
+            states = np.asarray(self._step(states, volts[start_steps + k].T, t_s[start_steps + k][None]))
+        predicted = np.asarray(self._encoders(states, volts[end_steps].T, t_s[end_steps][None])).T
+        return np.asarray(predicted - angles[end_steps])
 
     def _mean_volts(self, flight: Flight, t_s: Floats) -> Floats:
         """Return the means of the voltages over each step, late by the delay."""

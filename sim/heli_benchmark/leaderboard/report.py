@@ -39,10 +39,12 @@ def comparison_table(summary: Mapping[str, Any]) -> str:
     heads = ["method", *(title for _, title, _ in _COLUMNS), "CPU s per case", "peak MB", "failed"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for name in _methods_by_skill(summary):
-        of = summary["methods"][name]
-        cells = [_score_cell(of[key], form) for key, _, form in _COLUMNS]
-        cost = ["-" if of[key] is None else f"{of[key]:.3g}" for key in ("cpu_s", "peak_MB")]
-        lines.append(f"| {name} | " + " | ".join([*cells, *cost, str(of["failed"])]) + " |")
+        method_scores = summary["methods"][name]
+        cells = [_score_cell(method_scores[key], form) for key, _, form in _COLUMNS]
+        cost = [
+            "-" if method_scores[key] is None else f"{method_scores[key]:.3g}" for key in ("cpu_s", "peak_MB")
+        ]
+        lines.append(f"| {name} | " + " | ".join([*cells, *cost, str(method_scores["failed"])]) + " |")
     return "\n".join(lines)
 
 
@@ -73,8 +75,8 @@ def report_text(summary: Mapping[str, Any]) -> str:
     """
     pairs = "\n".join(f"- {line}" for line in pair_lines(summary))
     splits = len(summary["splits"])
-    of = "one split" if splits == 1 else f"{splits} splits"
-    return f"{comparison_table(summary)}\n\n{pairs}\n\nCases: {summary['cases']}, of {of}.\n"
+    splits_text = "one split" if splits == 1 else f"{splits} splits"
+    return f"{comparison_table(summary)}\n\n{pairs}\n\nCases: {summary['cases']}, of {splits_text}.\n"
 
 
 def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
@@ -95,17 +97,17 @@ def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
     names = _methods_by_skill(summary)[::-1]
     figure, axes = plt.subplots(1, len(_PANELS), figsize=(9.0, 0.8 + 0.36 * len(names)), sharey=True)
     for axis, (key, title) in zip(axes, _PANELS, strict=True):
-        for place, name in enumerate(names):
-            of = summary["methods"][name][key]
-            if of["value"] is None:
+        for row, name in enumerate(names):
+            score = summary["methods"][name][key]
+            if score["value"] is None:
                 continue
             colour = "tab:blue" if name == "ours" else "0.35"
-            axis.plot([of["low"], of["high"]], [place, place], color=colour, linewidth=2.0)
-            if of["value"] < _LEAST:
-                axis.plot(_LEAST, place, "<", color=colour)
-                axis.text(_LEAST + 0.1, place, f"{of['value']:.1f}", color=colour, va="center", fontsize=9)
+            axis.plot([score["low"], score["high"]], [row, row], color=colour, linewidth=2.0)
+            if score["value"] < _LEAST:
+                axis.plot(_LEAST, row, "<", color=colour)
+                axis.text(_LEAST + 0.1, row, f"{score['value']:.1f}", color=colour, va="center", fontsize=9)
             else:
-                axis.plot(of["value"], place, "o", color=colour)
+                axis.plot(score["value"], row, "o", color=colour)
         axis.set_title(title, fontsize=10)
         axis.grid(axis="x", color="0.9")
         axis.set_axisbelow(True)

@@ -169,11 +169,11 @@ def _calibration(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]
     """
     bins = len(_BINS) - 1
     excess, counts = np.zeros((len(scores), bins)), np.zeros((len(scores), bins))
-    for i, case in enumerate(scores):
-        for probability, true in case.calibration:
+    for case_index, case in enumerate(scores):
+        for probability, is_true in case.calibration:
             bin_index = int(np.searchsorted(_BINS, probability, side="right")) - 1
-            excess[i, bin_index] += probability - true
-            counts[i, bin_index] += 1.0
+            excess[case_index, bin_index] += probability - is_true
+            counts[case_index, bin_index] += 1.0
     excess, counts = excess[:, 1:], counts[:, 1:]
     if not counts.sum():
         return {"value": None, "low": None, "high": None, "cases": 0}

@@ -85,9 +85,9 @@ def visibility(case: DisturbedCase, duration_s: float = TRAIN_S) -> dict[str, fl
     causes = []
     for i in range(len(names)):
         effects = case.hidden(0)
-        without = ReplayedRig(rig, [*effects[:i], *effects[i + 1 :]])
-        forces_without = without.forces(trajectory) if acts_by_itself(effects[i]) else forces
-        difference = acceleration - without.accelerations(trajectory, forces_without)
+        rig_without_cause = ReplayedRig(rig, [*effects[:i], *effects[i + 1 :]])
+        forces_without = rig_without_cause.forces(trajectory) if acts_by_itself(effects[i]) else forces
+        difference = acceleration - rig_without_cause.accelerations(trajectory, forces_without)
         encoder_error_rad = forces.encoder_rad - forces_without.encoder_rad
         causes.append(CauseContribution(linearised.torque(difference, FINE), encoder_error_rad))
     others = imitators(rig, trajectory, forces, linearised)

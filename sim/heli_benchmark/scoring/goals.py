@@ -115,14 +115,14 @@ def table(goals: dict[str, dict[str, Any]]) -> list[str]:
     lines = []
     for name, goal in goals.items():
         share = f"{goal['share']:.1%}" if goal["of"] else "-"
-        wanted, mark = "", ""
+        wanted_text, mark_text = "", ""
         if goal["wanted"] is not None:
-            wanted = f"{'<=' if goal['at_most'] else '>='} {goal['wanted']:.0%}"
-            mark = {True: "reached", False: "MISSED", None: "nothing counted"}[goal["reached"]]
+            wanted_text = f"{'<=' if goal['at_most'] else '>='} {goal['wanted']:.0%}"
+            mark_text = {True: "reached", False: "MISSED", None: "nothing counted"}[goal["reached"]]
         cases = goal.get("borderline")
         borderline = f"; borderline {cases['count']} of {cases['of']}" if cases and cases["of"] else ""
         counts = f"{goal['count']:4d} of {goal['of']:4d}  {share:>6s}"
-        lines.append(f"  {name:61s} {counts}  {wanted:8s} {mark}{borderline}".rstrip())
+        lines.append(f"  {name:61s} {counts}  {wanted_text:8s} {mark_text}{borderline}".rstrip())
     return lines
 
 

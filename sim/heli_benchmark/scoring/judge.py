@@ -288,7 +288,7 @@ def judge(
         for pair, truth in effect.amplitudes.items():
             if all(name in estimates for name in pair):
                 parameters[f"{pair[0]}, {pair[1]}"] = (
-                    *_amplitude_and_phase([estimates[name] for name in pair]),
+                    *_amplitude_and_error([estimates[name] for name in pair]),
                     truth,
                 )
     # The numbers are null if nothing was excited.
@@ -329,7 +329,7 @@ def _or_infinite(value: float | None) -> float:
     return math.inf if value is None else value
 
 
-def _amplitude_and_phase(pair: Sequence[Mapping[str, float]]) -> tuple[float, float]:
+def _amplitude_and_error(pair: Sequence[Mapping[str, float]]) -> tuple[float, float]:
     """Return the amplitude of a sine and a cosine estimate, and its standard error to first order."""
     values, stds = (np.array([estimate[key] for estimate in pair], float) for key in ("value", "std"))
     amplitude = float(np.hypot(*values))

@@ -120,7 +120,7 @@ class _ScaleProblem:
     def __init__(
         self, weak_form: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats
     ) -> None:
-        self._weak_form, self._noise_of_axes, self._start = weak_form, noise, start
+        self._weak_form, self._noise, self._start = weak_form, noise, start
         self._free = np.array([*axes, *range(3, len(weak_form.mean))], int)
         self._mean, self._precision = weak_form.mean[self._free], weak_form.std[self._free] ** -2
 
@@ -162,12 +162,8 @@ class _ScaleProblem:
     def _evaluate_at(self, free: Floats) -> _Iterate:
         """Compute residuals, derivatives and cost for the free unknowns, shape (f,)."""
         residuals, jacobians = self._weak_form.residuals(self.unknowns(free))
-        errors = np.concatenate(
-            [values / std for values, std in zip(residuals, self._noise_of_axes, strict=True)]
-        )
-        rows = [
-            values[:, self._free] / std for values, std in zip(jacobians, self._noise_of_axes, strict=True)
-        ]
+        errors = np.concatenate([values / std for values, std in zip(residuals, self._noise, strict=True)])
+        rows = [values[:, self._free] / std for values, std in zip(jacobians, self._noise, strict=True)]
         prior_cost = self._precision @ (free - self._mean) ** 2
         return _Iterate(free, residuals, errors, np.vstack(rows), float(errors @ errors + prior_cost))
 

@@ -63,7 +63,7 @@ class FlightInWeakForm:
         self._parameters = static.parameter_values(rig)
         std_by_parameter = _prior_stds(static, rig)
         self._places = [static.parameter_names.index(name) for name in std_by_parameter]
-        self._compile_functions = _compile_functions(static, tuple(std_by_parameter))
+        self._functions = _compile_functions(static, tuple(std_by_parameter))
         rest_deg = flight.parameters.get("elevation_rest_deg", rig["elevation_min"].value)
         self._pivot: Floats = np.array([np.radians(rest_deg), 0.0, 0.0])
         self.mean: Floats = np.concatenate(([0.0] * 3, [_LAG_s], [0.0] * 2, self._parameters[self._places]))
@@ -133,7 +133,7 @@ class FlightInWeakForm:
         state = np.hstack((self._pivot + deflections, rates))
         trajectory = Trajectory(part.t_s, state, volts, part.step_s, parameters)
         # Shapes (n, states, 1 + parameters), (n, states, states) and (n, states, 2).
-        value, by_state, _, by_volts, *_ = self._compile_functions.along(trajectory)
+        value, by_state, _, by_volts, *_ = self._functions.along(trajectory)
         # The states are three angles and three rates; the derivative of a rate is an acceleration.
         rows, angle_columns, rate_columns = slice(3, 6), slice(0, 3), slice(3, 6)
         by_angles, by_rates = by_state[:, rows, angle_columns], by_state[:, rows, rate_columns]

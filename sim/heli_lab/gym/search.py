@@ -55,11 +55,11 @@ def mean_return(env: gymnasium.Env[Any, Any], policy: Callable[[Observation], Ac
     total = 0.0
     for seed in seeds:
         observation, _ = env.reset(seed=seed)
-        ended = False
-        while not ended:
+        has_ended = False
+        while not has_ended:
             observation, reward, terminated, truncated, _ = env.step(policy(observation))
             total += float(reward)
-            ended = terminated or truncated
+            has_ended = terminated or truncated
     return total / len(seeds)
 
 

@@ -98,13 +98,13 @@ def _copy_read_states(law: LawFunction, program: Program, outputs: list[int]) ->
 
 def _without_unused_values(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
     """Remove the values that no operation and no output reads; return the program and its `outputs`."""
-    needed = set(outputs)
+    read_values = set(outputs)
     for index in range(len(program.values) - 1, -1, -1):
-        if index in needed:
-            needed.update(program.values[index].operands)
+        if index in read_values:
+            read_values.update(program.values[index].operands)
     smaller = Program(program.name)
     new_index: dict[int, int] = {}
-    for index in sorted(needed):
+    for index in sorted(read_values):
         smaller.copy_value(program, index, new_index)
     return smaller, [new_index[output] for output in outputs]
 

@@ -217,8 +217,8 @@ def _run_in_process(
 
 def _error_of_ended_process(path: Path, status: int) -> BadLaw:
     """Describe the error that the file at `path` ended its process with an exit `status`."""
-    how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
-    return BadLaw(f"{path.name} ended Python ({how})", "correct the file; python FILE shows details")
+    reason = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
+    return BadLaw(f"{path.name} ended Python ({reason})", "correct the file; python FILE shows details")
 
 
 def _read_answer(pipe: IO[bytes], answers: queue.SimpleQueue[bytes], max_bytes: int) -> None:

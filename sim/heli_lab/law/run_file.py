@@ -30,10 +30,12 @@ def answer_to(path: Path) -> dict[str, Any]:
     """Run a file; return its law, or the cause and fix of the error."""
     try:
         law = run_law(path)
-        plain = Law(law.name, law.rate_Hz, law.function, dict(law.states), dict(law.parameters), law.signals)
+        picklable_law = Law(
+            law.name, law.rate_Hz, law.function, dict(law.states), dict(law.parameters), law.signals
+        )
     except HeliError as error:
         return {"law": None, "cause": error.cause, "remedy": error.remedy}
-    return {"law": plain, "cause": "", "remedy": ""}
+    return {"law": picklable_law, "cause": "", "remedy": ""}
 
 
 def program_or_error(path: Path) -> dict[str, str]:

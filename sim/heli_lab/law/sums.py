@@ -57,10 +57,10 @@ def with_sums(program: Program, outputs: list[int]) -> tuple[Program, list[int]]
     """
     readers = Counter(operand for value in program.values for operand in value.operands)
     readers.update(outputs)
-    needed = set(outputs)
+    read_values = set(outputs)
     sums: dict[int, list[_Product]] = {}
     for index in range(len(program.values) - 1, -1, -1):
-        if index not in needed:
+        if index not in read_values:
             continue
         value = program.values[index]
         if value.kind in _LINEAR:
@@ -68,14 +68,14 @@ def with_sums(program: Program, outputs: list[int]) -> tuple[Program, list[int]]
                 program, _expand_to_products(program, readers, index, 1.0, is_root=True)
             )
             for product in sums[index]:
-                needed.add(product.first)
+                read_values.add(product.first)
                 if product.second is not None:
-                    needed.add(product.second)
+                    read_values.add(product.second)
         else:
-            needed.update(value.operands)
+            read_values.update(value.operands)
     result = Program(program.name)
     new_index: dict[int, int] = {}
-    for index in sorted(needed):
+    for index in sorted(read_values):
         if index in sums:
             products = [_reindexed(product, new_index) for product in sums[index]]
             new_index[index] = _append_cheapest_sum(result, products)

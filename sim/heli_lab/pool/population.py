@@ -87,13 +87,13 @@ class RigPopulation:
         """
         source = f"pooled from {', '.join(diagnosis.label for diagnosis in self.diagnoses)}"
         numbers = dict(base.numbers)
-        for quantity, old in base.numbers.items():
-            if quantity not in self.parameters or old.tolerance == 0.0:
+        for quantity, base_number in base.numbers.items():
+            if quantity not in self.parameters or base_number.tolerance == 0.0:
                 continue
-            prior = ParameterEstimate(old.value, 0.5 * old.tolerance, old.unit)
+            prior = ParameterEstimate(base_number.value, 0.5 * base_number.tolerance, base_number.unit)
             value, std = self.predict_parameter(quantity, prior, PRIOR_SPREAD * prior.std)
-            text = f"{source}; before: {old.value:g} +- {old.tolerance:g}"
-            numbers[quantity] = replace(old, value=value, tolerance=2.0 * std, source=text)
+            text = f"{source}; before: {base_number.value:g} +- {base_number.tolerance:g}"
+            numbers[quantity] = replace(base_number, value=value, tolerance=2.0 * std, source=text)
         effects: dict[str, Mapping[str, Number]] = dict(base.effects)
         kinds = catalogue()
         for id_, cause_share in self.causes.items():

@@ -342,8 +342,8 @@ def _with_masses(
         after,
         names,
         [
-            Tested(what, unit, reading, width, float(before), float(now))
-            for (what, unit, reading, width), before, now in zip(
+            Tested(reading_name, unit, reading, width, float(before_value), float(after_value))
+            for (reading_name, unit, reading, width), before_value, after_value in zip(
                 readings, predict(mean), predict(final), strict=True
             )
         ],

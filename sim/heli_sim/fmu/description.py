@@ -125,7 +125,8 @@ def _variables_in_order(plant: Plant) -> Iterator[Variable]:
         seen.add(quantity.name)
         yield Variable(
             name, _PARAMETERS + index, quantity.unit, quantity.meaning,
-            "local" if is_constant else "parameter", "constant" if is_constant else "tunable", "exact", float(plant.parameters[index]),
+            "local" if is_constant else "parameter", "constant" if is_constant else "tunable", "exact",
+            float(plant.parameters[index]),
         )  # fmt: skip
 
 

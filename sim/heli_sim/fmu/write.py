@@ -101,8 +101,8 @@ def _compile_library(sources: dict[str, bytes], compiled: list[str]) -> bytes | 
             (Path(folder) / name).write_bytes(data)
         # As the plant's own step is compiled, so that both give the same numbers.
         command = [cc, "-std=c99", *FLAGS, *_HIDDEN, "-o", "model.bin", *compiled, *LIBRARIES]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            reason = (done.stderr.strip().splitlines() or ["no message"])[0]
+        process = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if process.returncode != 0:
+            reason = (process.stderr.strip().splitlines() or ["no message"])[0]
             raise PlantError(f"{cc} cannot compile the FMU: {reason}", "set CC to a working C compiler")
         return (Path(folder) / "model.bin").read_bytes()

@@ -221,15 +221,15 @@ class _Writer:
                 continue
             self._name_parts(child, result)
             if key in self._repeated:
-                right = self._latex_and_binding(child)[0]
+                right_side = self._latex_and_binding(child)[0]
                 self._names[key] = self._new_name(child)
-                result.append(Equation(self._names[key], right))
+                result.append(Equation(self._names[key], right_side))
 
     def _new_name(self, expression: ca.SX) -> str:
         """Return the next free name: zeta_1, zeta_2 for angles, otherwise a_1, a_2."""
         letter = r"\zeta" if expression.op() == ca.OP_ATAN else "a"
-        taken = sum(name.startswith(letter) for name in self._names.values())
-        return f"{letter}_{{{taken + 1}}}"
+        used_count = sum(name.startswith(letter) for name in self._names.values())
+        return f"{letter}_{{{used_count + 1}}}"
 
     def _latex_and_binding(self, expression: ca.SX) -> _BoundText:
         """Return an expression in LaTeX, and its binding strength."""

@@ -78,6 +78,7 @@ def rotor_height_m(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -
 
     It depends on the angles in `state`, and on L_a, L_h and L_theta in `parameter` [m].
     """
+    # Cosine and sine of the elevation.
     c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
     mean_m = parameter["L_a"] * s - parameter["L_theta"] * c
     difference_m = parameter["L_h"] * ca.sin(state["pitch_rad"]) * c

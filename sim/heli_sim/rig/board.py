@@ -77,10 +77,10 @@ def in_simulation(rig: Rig) -> dict[str, float]:
         The board cannot be set to one of them.
     """
     stated = parameters_of(rig)
-    wanted = {
+    in_simulation_values = {
         name: min(value, _SPECS[name].default) if name in _UPPER else value for name, value in stated.items()
     }
-    return {name: value for name, value in wanted.items() if value != _SPECS[name].default}
+    return {name: value for name, value in in_simulation_values.items() if value != _SPECS[name].default}
 
 
 def board_settings(rig: Rig, board: Mapping[str, float] | None = None) -> dict[str, float]:

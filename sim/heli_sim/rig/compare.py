@@ -41,8 +41,8 @@ class Difference:
         if self.left is None or self.right is None:
             return math.inf
         difference = self.right.value - self.left.value
-        together = math.hypot(self.left.tolerance, self.right.tolerance)
-        return difference / together if together > 0.0 else math.copysign(math.inf, difference)
+        joint_tolerance = math.hypot(self.left.tolerance, self.right.tolerance)
+        return difference / joint_tolerance if joint_tolerance > 0.0 else math.copysign(math.inf, difference)
 
 
 def compare_rigs(left: Rig, right: Rig) -> list[Difference]:

@@ -23,8 +23,8 @@ def rig_text(rig: Rig, comment: str = "", digits: int = _DIGITS) -> str:
     for name, number in rig.items():
         lines += _lines_of_number(name, number, digits)
     for effect, numbers in rig.effects.items():
-        for what, number in numbers.items():
-            lines += _lines_of_number(f"effects.{toml_string(effect)}.{what}", number, digits)
+        for short_name, number in numbers.items():
+            lines += _lines_of_number(f"effects.{toml_string(effect)}.{short_name}", number, digits)
     return "\n".join(lines) + "\n"
 
 

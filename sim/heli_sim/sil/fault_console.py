@@ -140,9 +140,9 @@ class FaultConsole:
         )
 
     def _set_plugged(self, faults: RigFaults, axis: str) -> tuple[tuple[str, Interval], ...]:
-        mine = tuple(interval for name, interval in faults.encoders_out if name == axis)
+        intervals_of_axis = tuple(interval for name, interval in faults.encoders_out if name == axis)
         others = tuple(pair for pair in faults.encoders_out if pair[0] != axis)
-        return (*others, *((axis, interval) for interval in self._until_now(mine)))
+        return (*others, *((axis, interval) for interval in self._until_now(intervals_of_axis)))
 
     def _in_background(self) -> bool:
         """Whether a read would suspend this process, because a shell started it with ``&`` and owns the

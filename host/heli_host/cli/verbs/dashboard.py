@@ -185,15 +185,15 @@ def _serve_board(
         try:
             with serving(cockpit, host, http_port) as served:
                 _say_addresses(served)
-                ended = threading.Event()
+                has_ended = threading.Event()
                 if first_plans:
                     threading.Thread(
-                        target=_fly_plans, args=(cockpit, first_plans, ended), name="plans", daemon=True
+                        target=_fly_plans, args=(cockpit, first_plans, has_ended), name="plans", daemon=True
                     ).start()
                 try:
                     _wait_for_interrupt(heli)
                 finally:
-                    ended.set()
+                    has_ended.set()
         finally:
             if watch is not None:
                 watch.close()

@@ -40,18 +40,18 @@ def doctor(json: JsonOption = None) -> None:
 
     if json is not None:
         findings = list(examine())
-        bad = sum(finding.verdict is Verdict.BAD for finding in findings)
-        shown = [
+        bad_count = sum(finding.verdict is Verdict.BAD for finding in findings)
+        shown_findings = [
             {"verdict": finding.verdict.value, "what": finding.what, "remedy": finding.remedy}
             for finding in findings
         ]
-        write_result(json, {"ready": not bad, "findings": shown})
-        raise typer.Exit(1 if bad else 0)
-    marks = {Verdict.GOOD: "[green]✓[/]", Verdict.NOTE: "[yellow]–[/]", Verdict.BAD: "[red]✗[/]"}
+        write_result(json, {"ready": not bad_count, "findings": shown_findings})
+        raise typer.Exit(1 if bad_count else 0)
+    mark_of_verdict = {Verdict.GOOD: "[green]✓[/]", Verdict.NOTE: "[yellow]–[/]", Verdict.BAD: "[red]✗[/]"}
     console = Console(highlight=False, soft_wrap=True)
     bad_count = 0
     for finding in examine():
-        console.print(f"{marks[finding.verdict]} {escape(printable(finding.what))}")
+        console.print(f"{mark_of_verdict[finding.verdict]} {escape(printable(finding.what))}")
         if finding.remedy:
             console.print(f"    {escape(printable(finding.remedy))}")
         bad_count += finding.verdict is Verdict.BAD

@@ -71,7 +71,7 @@ def flash(
     if manager.verdict is Verdict.BAD:
         say(f"note: {manager.what}; {manager.remedy}")
 
-    kept = _keep_parameters(port, discard_parameters)
+    saved_parameters = _keep_parameters(port, discard_parameters)
     if not yes:
         if not sys.stdin.isatty():
             raise typer.BadParameter(
@@ -85,8 +85,11 @@ def flash(
     write_image(uploader, port, file)
     restart_chip(port)
     say(f"flashed: {_description_of_board(port, uploader)}")
-    if kept is not None:
-        say(f"its parameters are the defaults; yours: heli-host params restore {kept} --save --port {port}")
+    if saved_parameters is not None:
+        say(
+            f"its parameters are the defaults; yours: heli-host params restore {saved_parameters} --save "
+            f"--port {port}"
+        )
 
 
 def _uploader_warning(uploader: Bossac) -> str:

@@ -48,8 +48,8 @@ def info(
     if truth is not None:
         for name, value in _verified_truth(flight_file, truth).items():
             # A rig's file has a hundred lines; the truth file holds them.
-            shown = ", ".join(map(str, value)) if isinstance(value, list | dict) else value
-            say(f"truth, {name}: {shown}")
+            value_text = ", ".join(map(str, value)) if isinstance(value, list | dict) else value
+            say(f"truth, {name}: {value_text}")
     if flight_file.name.lower().endswith(".mcap"):
         from heli_host.log.reader import read_log
 

@@ -178,12 +178,12 @@ class ListedEffects:
         """
         equation = warm_start.candidates[-1]
         start = {name: rival.values[name] for name in effect.effect.priors if name in rival.values}
-        both = self.comparison.refit([*self.base.candidates, effect, equation], start, warm_start)
+        with_both_terms = self.comparison.refit([*self.base.candidates, effect, equation], start, warm_start)
 
         def gain_over(model: Hypothesis) -> float:
             """Return the gain of the model with both over another model on all flights, nats."""
-            fitted = both.log_likelihood - model.log_likelihood
-            return fitted + self.held_out(both) - self.held_out(model)
+            fitted = with_both_terms.log_likelihood - model.log_likelihood
+            return fitted + self.held_out(with_both_terms) - self.held_out(model)
 
         equation_gain, effect_gain = gain_over(rival), gain_over(warm_start)
         return equation_gain - penalty > max(MIN_MARGIN, effect_gain - self.complexity_penalty(effect))

@@ -150,11 +150,11 @@ def _used_flights(identification: Identification) -> list[dict[str, Any]]:
     windows.
     """
     fit = identification.fit
-    used = []
+    sections = []
     flights = zip(fit.problem.records, identification.training, fit.weights, strict=True)
     for record, errors, weights in flights:
         notes = "".join(f" {note}." for note in record.notes)
-        used.append(
+        sections.append(
             {
                 "sentence": f"{record.label}: {errors.seconds_used:.1f} s of free flight in windows of "
                 f"{errors.window_s:.2f} s.{notes}",
@@ -162,4 +162,4 @@ def _used_flights(identification: Identification) -> list[dict[str, Any]]:
                 "outlier_count": sum(1 for weight in weights if weight < 1.0),
             }
         )
-    return used
+    return sections

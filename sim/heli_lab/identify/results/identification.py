@@ -79,19 +79,19 @@ class Identification:
         these torques, and their scatter in the tolerance. If encoder zeros were estimated for each flight,
         the rig keeps its old zeros.
         """
-        old = self.fit.problem.rig
+        fitted_rig = self.fit.problem.rig
         labels = ", ".join(record.label for record in self.fit.problem.records)
-        numbers = dict(old.numbers)
+        numbers = dict(fitted_rig.numbers)
         uninformed = set(self.uninformed_parameters)
         for quantity, estimates in self._estimates_by_quantity().items():
-            before = numbers[quantity]
+            prior_number = numbers[quantity]
             values, errors = np.array(estimates).T
             scatter = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
             tolerance = 2.0 * math.hypot(float(np.sqrt(np.mean(errors**2))), scatter)
             origin = "not informed by" if quantity in uninformed else "identified from"
-            source = f"{origin} {labels}; before: {before.value:g} +- {before.tolerance:g}"
-            numbers[quantity] = Number(float(np.mean(values)), before.unit, tolerance, source)
-        description = f"{old.name} as identified from {labels}"
+            source = f"{origin} {labels}; before: {prior_number.value:g} +- {prior_number.tolerance:g}"
+            numbers[quantity] = Number(float(np.mean(values)), prior_number.unit, tolerance, source)
+        description = f"{fitted_rig.name} as identified from {labels}"
         return Rig(name, description, numbers, self._effect_numbers(), self.fit.problem.model.name)
 
     def _estimates_by_quantity(self) -> dict[str, list[tuple[float, float]]]:

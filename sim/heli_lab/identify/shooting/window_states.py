@@ -170,8 +170,8 @@ class _WindowSearch:
         normal = np.einsum("a,waij->wij", 1.0 / self.variance, self.normal_matrix)
         add_state_prior(self._problem, normal, self.states, self.prior_mean, damping)
         # The parameters are fixed: keep the rows and columns of the states and of the right-hand side.
-        kept = [*range(state_count), normal.shape[1] - 1]
-        _, gain = eliminate(normal[:, kept][:, :, kept], state_count, SINGULAR_GUARD)
+        kept_rows = [*range(state_count), normal.shape[1] - 1]
+        _, gain = eliminate(normal[:, kept_rows][:, :, kept_rows], state_count, SINGULAR_GUARD)
         return self.states + gain[:, :, 0]
 
     def write_back(self, cost: ShootingCost, iterate: Iterate, index: int) -> None:
