@@ -83,11 +83,11 @@ def run_and_measure(command: Sequence[str], folder: Path, environment: dict[str,
         command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     )
     assert started.stderr is not None
-    said = started.stderr.read().decode()
+    output = started.stderr.read().decode()
     _, status, used = os.wait4(started.pid, 0)
     started.returncode = os.waitstatus_to_exitcode(status)
     if started.returncode != 0:
-        raise RuntimeError(f"{' '.join(command)}: {said[-2000:]}")
+        raise RuntimeError(f"{' '.join(command)}: {output[-2000:]}")
     unit = 1.0 if sys.platform == "darwin" else 1024.0
     return Spent(time.perf_counter() - start_s, used.ru_utime + used.ru_stime, used.ru_maxrss * unit / 1e9)
 

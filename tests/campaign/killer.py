@@ -76,8 +76,10 @@ class Cluster:
             self.add_worker()
 
     def add_worker(self, path: Path = ROOT) -> None:
-        words = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--memory-limit", "0")
-        self.parts.append(start_program("-m", "distributed.cli.dask_worker", self.address, *words, path=path))
+        arguments = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--memory-limit", "0")
+        self.parts.append(
+            start_program("-m", "distributed.cli.dask_worker", self.address, *arguments, path=path)
+        )
 
     def wait_for_workers(self, count: int) -> None:
         from distributed import Client

@@ -292,9 +292,9 @@ def test_bytes_that_find_no_room_are_lost_and_no_older_ones(board: Board) -> Non
     sent = board.advance(50)
     board.due.hold_processor(False)
     frames = FrameParser().feed(sent + board.advance(300))
-    heard = [PongMessage.unpack(frame.payload).host_us for frame in frames if frame.id == MessageId.PONG]
+    received = [PongMessage.unpack(frame.payload).host_us for frame in frames if frame.id == MessageId.PONG]
     assert kept >= 512 // len(pings[0])
-    assert heard[:kept] == list(range(kept))
+    assert received[:kept] == list(range(kept))
 
 
 def test_no_byte_of_the_board_is_lost_or_wrong_wherever_its_ring_ends(board: Board) -> None:
@@ -314,11 +314,11 @@ def test_answers_that_wait_for_the_line_overwrite_nothing_that_is_being_sent(boa
     """
     board.advance(20)
     parser = FrameParser()
-    sent = [
+    sent_values = [
         encode_frame(MessageId.HELLO, 0, HelloMessage(1, LINK_HASH, 1).pack()),
         *(encode_frame(MessageId.PARAMS_READ, 1 + k, ParamsReadMessage(2 + k, 0).pack()) for k in range(60)),
     ]
-    board.write(b"".join(sent))
+    board.write(b"".join(sent_values))
     frames = parser.feed(board.advance(1200))
     assert sum(frame.id == MessageId.PARAMS for frame in frames) > 10
     assert (parser.frames_bad, parser.frames_lost) == (0, 0)

@@ -274,8 +274,8 @@ def test_telemetry_states_the_cause_of_a_state_also_after_touchdown() -> None:
     harness.tick(2900)
     assert harness.state is State.IDLE
     harness.tick(40)
-    told = states_in_telemetry(harness)
-    assert told == [
+    reported = states_in_telemetry(harness)
+    assert reported == [
         (State.IDLE, Trigger.START),
         (State.ARMED, Trigger.ARM),
         (State.CLOSED_LOOP, Trigger.CLOSE_LOOP),
@@ -286,7 +286,7 @@ def test_telemetry_states_the_cause_of_a_state_also_after_touchdown() -> None:
         (State.IDLE, Trigger.STALE_LAND),
     ]
     events = [(e.detail, e.cause) for e in harness.events if e.kind == Event.STATE]
-    assert events == [*told[1:-1], (State.IDLE, Trigger.TOUCHDOWN)]
+    assert events == [*reported[1:-1], (State.IDLE, Trigger.TOUCHDOWN)]
 
 
 def test_telemetry_reports_a_trip_and_its_clearing() -> None:

@@ -60,14 +60,14 @@ def co_simulated(path: Path, folder: Path, volts_V: Floats, ticks: int = 1) -> F
     """Measured angles after each communication step of so many milliseconds."""
     slave = instance_in_initialization(path, folder, co_simulation=True)
     slave.exitInitializationMode()
-    found = []
+    matches = []
     for row in range(0, len(volts_V), ticks):
         slave.setFloat64([1, 2], volts_V[row].tolist())
         slave.doStep(row * STEP_S, ticks * STEP_S)
-        found.append(slave.getFloat64(OUTPUTS))
+        matches.append(slave.getFloat64(OUTPUTS))
     slave.terminate()
     slave.freeInstance()
-    return np.array(found)
+    return np.array(matches)
 
 
 def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[Floats, int]:
@@ -96,7 +96,7 @@ def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[F
         return float(next_s) if due else np.inf
 
     next_s, events = event(), 1
-    found = []
+    matches = []
     for row in range(len(volts_V)):
         at_s, h = row * STEP_S, STEP_S
         x = np.array(buffer[:])
@@ -114,7 +114,7 @@ def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[F
         if next_s <= at_s + h + 1e-9 or min(indicators[:]) <= 0.0:
             model.enterEventMode()
             next_s, events = event(), events + 1
-        found.append(model.getFloat64(OUTPUTS))
+        matches.append(model.getFloat64(OUTPUTS))
     model.terminate()
     model.freeInstance()
-    return np.array(found), events
+    return np.array(matches), events

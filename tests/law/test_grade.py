@@ -132,11 +132,11 @@ def test_the_command_fails_if_a_law_was_taken_over_and_still_writes_all(terminal
     Path("good.py").write_text(law_text())
     Path("wild.py").write_text(law_text(front_V="if_else(late, 20.0, front_V)"))
     Path("empty.py").write_text("")
-    ended = terminal(
+    result = terminal(
         "law", "grade", "good.py", "wild.py", "empty.py", "--seeds", 1, "--duration", 5, "--json", "g.json"
     )
-    assert ended.code == FAILED
-    assert "2 of 3 laws did not fly to the end: wild, empty" in ended.err
+    assert result.code == FAILED
+    assert "2 of 3 laws did not fly to the end: wild, empty" in result.err
     grades = json.loads(Path("g.json").read_text())["grades"]
     assert [one["law"] for one in grades] == ["the board's own", "good", "wild", "empty"]
     assert grades[1]["takeovers"] == 0 and grades[2]["flights"][0]["ended"] == "voltage_jump"

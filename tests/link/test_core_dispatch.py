@@ -54,13 +54,13 @@ NO_NUMBERS = [math.nan, math.inf, -math.inf]
 
 def float_fields(cls: Any) -> list[tuple[int, int]]:
     """(position among the fields, byte offset) of the floats of a message."""
-    found = []
+    matches = []
     offset = 0
     for field, code in enumerate(cls.STRUCT.format.lstrip("<")):
         if code == "f":
-            found.append((field, offset))
+            matches.append((field, offset))
         offset += struct.calcsize("<" + code)
-    return found
+    return matches
 
 
 FLOATS = [(cls, field, offset) for cls in TO_BOARD for field, offset in float_fields(cls)]
@@ -291,6 +291,6 @@ def test_the_board_gives_the_names_of_its_controllers_and_how_many_it_has() -> N
         frames = harness.turn(harness.frame(ControllerReadMessage(9, index)), ticks=2)
         (payload,) = payloads_of(frames, MessageId.CONTROLLER)
         answer = ControllerMessage.unpack(payload)
-        words = (answer.name_0, answer.name_1, answer.name_2, answer.name_3)
+        arguments = (answer.name_0, answer.name_1, answer.name_2, answer.name_3)
         assert (answer.request, answer.index, answer.count) == (9, index, 2)
-        assert b"".join(word.to_bytes(4, "little") for word in words).rstrip(b"\0") == name
+        assert b"".join(word.to_bytes(4, "little") for word in arguments).rstrip(b"\0") == name

@@ -143,13 +143,13 @@ def test_all_parameters_arrive_over_several_replies() -> None:
 def test_status_is_read_and_also_comes_by_itself() -> None:
     board = FakeBoard()
     session = connected_session(board)
-    seen: list[StatusMessage] = []
-    session.subscribe_status(seen.append)
+    received: list[StatusMessage] = []
+    session.subscribe_status(received.append)
     assert session.status().illegal_travel == 11
-    seen.clear()
+    received.clear()
     session.wait(3.0)
-    assert len(seen) == 3
-    assert session.counters.board == seen[-1]
+    assert len(received) == 3
+    assert session.counters.board == received[-1]
 
 
 def test_a_board_that_forgot_the_session_is_greeted_again_and_the_command_executed_once() -> None:
@@ -193,7 +193,7 @@ def test_the_board_hears_something_at_least_five_times_a_second() -> None:
 def test_setpoints_go_out_at_200_Hz_at_most_and_the_latest_wins() -> None:
     board = FakeBoard()
     session = connected_session(board)
-    began = board.tick
+    first_tick = board.tick
     for index in range(1000):
         session.stream(SetpointMessage(0, index * 1e-3, 0.0, 0.0))
         if index % 10 == 9:
@@ -201,7 +201,7 @@ def test_setpoints_go_out_at_200_Hz_at_most_and_the_latest_wins() -> None:
     session.wait_for(lambda: False, 0.05)
     ticks = ticks_of_received(board, MessageId.SETPOINT)
     counters = session.counters
-    assert len(ticks) <= (board.tick - began) / 5 + 1
+    assert len(ticks) <= (board.tick - first_tick) / 5 + 1
     assert len(ticks) == counters.setpoints_sent
     assert counters.setpoints_sent + counters.setpoints_skipped == 1000
     last = [frame for _, frame in board.heard if frame.id == MessageId.SETPOINT][-1]
@@ -211,11 +211,11 @@ def test_setpoints_go_out_at_200_Hz_at_most_and_the_latest_wins() -> None:
 def test_voltages_go_out_at_500_Hz_at_most() -> None:
     board = FakeBoard()
     session = connected_session(board)
-    began = board.tick
+    first_tick = board.tick
     for _ in range(500):
         session.stream(VoltagesMessage(1.0, 2.0, 50))
         session.wait_for(lambda: False, 0.001)
-    assert 200 <= len(ticks_of_received(board, MessageId.VOLTAGES)) <= (board.tick - began) / 2 + 1
+    assert 200 <= len(ticks_of_received(board, MessageId.VOLTAGES)) <= (board.tick - first_tick) / 2 + 1
     assert session.counters.voltages_skipped > 0
 
 

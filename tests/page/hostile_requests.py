@@ -63,8 +63,8 @@ def status_of_request(
     with socket.create_connection((address.host, address.port), timeout=PATIENCE_S) as connection:
         connection.sendall("\r\n".join(lines).encode("latin-1", "replace"))
         connection.shutdown(socket.SHUT_WR)
-        heard = connection.recv(100)
-    return int(heard.split()[1]) if heard else 0
+        received = connection.recv(100)
+    return int(received.split()[1]) if received else 0
 
 
 UPGRADE: Final = [

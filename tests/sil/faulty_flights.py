@@ -167,7 +167,7 @@ class Flown:
 
 def flown(case: Case) -> Flown:
     """Fly one case in lockstep."""
-    heard = Heard()
+    received = Heard()
     delivered: list[Ticks] = []
 
     def on_progress(progress: Progress) -> None:
@@ -176,7 +176,7 @@ def flown(case: Case) -> Flown:
 
     with heli_host.connect(f"sil://?{case.options}") as heli:
         world = world_of(heli)
-        heard.listen(world)
+        received.listen(world)
         # The frame that was on its way is heard from its middle on.
         heli.wait(0.1)
         waiting = [case.blow]
@@ -191,7 +191,7 @@ def flown(case: Case) -> Flown:
         )
     world.advance(round(1e3 * _DOWN_S))
     since = newest[0] if newest is not None else 0
-    return Flown(case, summary.outcome, heard, delivered, counters, since, list(world.native.volts_V))
+    return Flown(case, summary.outcome, received, delivered, counters, since, list(world.native.volts_V))
 
 
 def world_of(heli: Heli) -> SilWorld:

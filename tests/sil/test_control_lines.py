@@ -215,13 +215,13 @@ def test_1200_baud_is_refused_by_the_host_and_would_have_erased_the_flash(elf: P
 def test_bytes_that_mean_something_to_telnet_pass_unchanged() -> None:
     everything = bytes(range(256)) + b"\xff\xff\xf0\xfa"
     endpoint = Rfc2217Endpoint()
-    heard = bytearray()
+    received = bytearray()
     stop = threading.Event()
 
     def echo() -> None:
         while not stop.wait(0.001):
             data = endpoint.receive()
-            heard.extend(data)
+            received.extend(data)
             endpoint.send(data)
 
     thread = threading.Thread(target=echo)
@@ -234,4 +234,4 @@ def test_bytes_that_mean_something_to_telnet_pass_unchanged() -> None:
         stop.set()
         thread.join()
         endpoint.close()
-    assert bytes(heard) == everything
+    assert bytes(received) == everything
