@@ -14,6 +14,7 @@ RESTART = 0xA500_0001
 
 
 def chip_with_watchdog(value: int, *, window: int = 0xFFF, slow_Hz: int = 32_000, more: int = 0) -> Chip:
+    """A chip whose watchdog fires after `value` + 1 periods of 128 cycles of the slow clock."""
     chip = Chip()
     chip.due.set_slow_clock(slow_Hz)
     chip["WDT.MR"] = value | window << 16 | RSTEN | more

@@ -168,6 +168,7 @@ def test_a_lost_stack_is_no_way_around_the_fault_handler(elf: Path, image: Image
     board, heli = flying_board_and_host(elf, image)
     board.due.run_us(500.0)
     board.due.set_check("unmapped", False)
+    # Register 13 is the stack pointer; it then points to addresses without memory.
     board.due.set_reg(13, 0x10000000)
     assert board.milliseconds_until_off() <= A_TICK_MS
     assert_fault_reported(heli, Reset.SOFTWARE, Fault.HARD_FAULT)

@@ -117,10 +117,11 @@ def test_a_landing_has_its_own_time_and_no_following_error_of_the_elevation() ->
     harness = board_in_level_flight()
     hover(harness, 200)
     harness.ask(d.LandMessage(0))
-    around = list(harness.angles_deg)
+    hover_deg = list(harness.angles_deg)
+    # Eight seconds of a small swing, in which the arm does not descend.
     for k in range(8000):
-        swing = (0, 2, 4, 2)[k // 10 % 4] * COUNT_DEG
-        harness.move(*(at + swing for at in around))
+        swing_deg = (0, 2, 4, 2)[k // 10 % 4] * COUNT_DEG
+        harness.move(*(angle_deg + swing_deg for angle_deg in hover_deg))
         harness.tick()
     assert harness.state is State.LANDING
 

@@ -317,15 +317,15 @@ class PageClient:
         self._buffer.append(rows.tick, np.ascontiguousarray(rows.raw))
         self._socket.send(rows.number.to_bytes(4, "little"))
 
-    def _store_message(self, words: Mapping[str, Any]) -> None:
+    def _store_message(self, message: Mapping[str, Any]) -> None:
         """Store what a JSON message of the server contains: an answer, status, control or values."""
         with self._changed:
-            if "answer" in words and words["answer"] is not None:
-                self._answers[int(words["answer"])] = words
+            if "answer" in message and message["answer"] is not None:
+                self._answers[int(message["answer"])] = message
             for name in ("hello", "status", "control"):
-                if name in words:
-                    self._news[name] = words[name]
-            values = words.get("values", words.get("hello", {}).get("values"))
+                if name in message:
+                    self._news[name] = message[name]
+            values = message.get("values", message.get("hello", {}).get("values"))
             if values is not None:
                 self._values = values
 

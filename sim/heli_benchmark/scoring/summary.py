@@ -26,17 +26,21 @@ def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
     table: dict[str, Counter[str]] = {}
     for row in rows:
         counts = table.setdefault(" + ".join(row.hidden) or "nothing", Counter())
-        answer = "failed" if row.failure else row.answer
-        if not row.failure and row.right and row.kind in ("one", "several"):
-            answer = "right, ambiguous" if row.verdict == "ambiguous" else "right"
-            if row.verdict == "unexplained":
-                answer = "right, but unexplained"
-        elif not row.failure and row.right:
-            answer = "right"
-        elif not row.counts:
-            answer = f"{answer} ({_reason_not_counted(row)})"
-        counts[answer] += 1
+        counts[_answer_label(row)] += 1
     return {hidden: dict(counts) for hidden, counts in sorted(table.items())}
+
+
+def _answer_label(row: Row) -> str:
+    """Return what the confusion table calls an answer: right, if so with its doubt, or the first name."""
+    if row.right and not row.failure:
+        has_causes = row.kind in ("one", "several")
+        if has_causes and row.verdict == "unexplained":
+            return "right, but unexplained"
+        if has_causes and row.verdict == "ambiguous":
+            return "right, ambiguous"
+        return "right"
+    answer = "failed" if row.failure else row.answer
+    return answer if row.counts else f"{answer} ({_reason_not_counted(row)})"
 
 
 def text(rows: Sequence[Row]) -> str:

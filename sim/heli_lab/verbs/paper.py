@@ -66,7 +66,7 @@ def tables(
         line = read_thrust(plant, seed).line()
         tables_ = []
         for place, number in enumerate(records):
-            on_progress = _report_stage(bar.show, f"fitting Table {number}", 0.1 + 0.1 * place, 0.1)
+            on_progress = _stage_reporter(bar.show, f"fitting Table {number}", 0.1 + 0.1 * place, 0.1)
             tables_.append(fit_table(number, plant.rig, records[number], on_progress))
         by_rig = fit_rig(plant.rig, records, line, lambda done: bar.show("fitting Table 2", 0.4 + 0.6 * done))
     say(*table_lines(line, by_rig, tables_))
@@ -246,12 +246,12 @@ def _fly_plans(
         for set_number, (label, gains) in enumerate(gain_sets):
             share = 1.0 / (len(PLANS) * len(gain_sets))
             earlier_share = share * (len(gain_sets) * plan_number + set_number)
-            on_flight_progress = _report_stage(on_progress, f"flying {name}", earlier_share, share)
+            on_flight_progress = _stage_reporter(on_progress, f"flying {name}", earlier_share, share)
             flights.setdefault(name, []).append(fly_plan(name, plant, label, gains, seed, on_flight_progress))
     return flights
 
 
-def _report_stage(
+def _stage_reporter(
     on_progress: Callable[[str, float], None], stage: str, earlier_share: float, share: float
 ) -> Callable[[float], None]:
     """Return a function that takes the progress of one stage, from 0 to 1, and reports that of all stages.

@@ -49,7 +49,7 @@ def write_fmu(plant: Plant, path: str | Path) -> str:
         The compiler fails, or the file cannot be written.
     """
     identifier = re.sub(r"\W", "_", f"heli_{plant.rig.name}", flags=re.ASCII)
-    token = _guid_of(plant)
+    token = _instantiation_token(plant)
     files = {"modelDescription.xml": describe(plant, identifier, token)}
     sources = {name: text.encode() for name, text in generate(plant, token).files.items()}
     sources |= {path.name: path.read_bytes() for path in sorted(_SOURCES.glob("*.[ch]"))}
@@ -72,7 +72,7 @@ def write_fmu(plant: Plant, path: str | Path) -> str:
     return f"{machine}-{system}" if binary is not None else ""
 
 
-def _guid_of(plant: Plant) -> str:
+def _instantiation_token(plant: Plant) -> str:
     """Identify this FMU: a digest of its variables and equations."""
     text = "\n".join(
         [*(repr(variable) for variable in variables(plant)), *generate(plant, "").files.values()]

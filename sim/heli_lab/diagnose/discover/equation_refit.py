@@ -285,11 +285,11 @@ def _equation_without_term(refitted: RefittedEquation, number: int) -> _Equation
     equation = Equation(tuple(term for i, term in enumerate(longer.terms) if i != number))
     start, held = dict[str, float](), set[str]()
     for i, term in enumerate(equation.terms):
-        old_i = i if i < number else i + 1
-        start[equation.coefficient(i)] = old_values[longer.coefficient(old_i)]
+        i_before = i if i < number else i + 1
+        start[equation.coefficient(i)] = old_values[longer.coefficient(i_before)]
         for j in range(len(term.term.factors)):
             new_names = equation.inner_names(i, j)
-            for inner_name, old_name in longer.inner_names(old_i, j).items():
+            for inner_name, old_name in longer.inner_names(i_before, j).items():
                 start[new_names[inner_name]] = old_values[old_name]
                 if old_name in refitted.held:
                     held.add(new_names[inner_name])

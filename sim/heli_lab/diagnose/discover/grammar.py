@@ -57,19 +57,20 @@ def groups(spans: Mapping[str, tuple[float, float]]) -> list[TermGroup]:
         Lowest and highest value of each quantity in the flights, SI units, by name; bumps are placed between
         them.
     """
-    singles = list(_single_factor_products(spans))
-    pairs = list(_two_factor_products())
-    triples = list(_three_factor_products())
+    single_factors = list(_single_factor_products(spans))
+    two_factors = list(_two_factor_products())
+    three_factors = list(_three_factor_products())
     result: list[TermGroup] = []
     for axis in AXES:
         channel = f"torque.{axis}"
-        result += [_term_group(channel, terms) for terms in (*singles, *pairs, *triples)]
+        result += [_term_group(channel, terms) for terms in (*single_factors, *two_factors, *three_factors)]
     for channel in CHANNELS:
         if channel.startswith("thrust") or channel == "voltage.both":
-            result += [_term_group(channel, terms) for terms in _rotor_products(channel, singles)]
+            result += [_term_group(channel, terms) for terms in _rotor_products(channel, single_factors)]
         if channel.startswith("measurement"):
             result += [
-                _term_group(channel, terms) for terms in _encoder_products(channel.partition(".")[2], singles)
+                _term_group(channel, terms)
+                for terms in _encoder_products(channel.partition(".")[2], single_factors)
             ]
     return result
 

@@ -135,9 +135,11 @@ class TermSignals:
         pole = math.exp(-linear.trajectory.step_s / dict(factor.parameters)["s"])
         lagged = np.empty_like(x)
         for window in linear.windows:
-            inside = x[window]
+            window_values = x[window]
             # The initial condition `zi` is that of a constant input equal to the first value.
-            lagged[window] = lfilter([1.0 - pole], [1.0, -pole], inside, axis=0, zi=pole * inside[:1])[0]
+            lagged[window] = lfilter(
+                [1.0 - pole], [1.0, -pole], window_values, axis=0, zi=pole * window_values[:1]
+            )[0]
         return lagged if factor.lag_filter == "lag" else lagged - x
 
     def signal(self, index: int, term: EquationTerm, value: Floats) -> Floats:

@@ -22,17 +22,22 @@ def regions_section(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, 
     """
     first = diagnosis.failing
     all_regions = [first, *(diagnosis.failing_about(axis) for axis in AXES if axis != first.axis)]
-    models = ["baseline", "model with all named causes"]
-    if diagnosis.proposal is not None:
-        models = [models[1], "with the proposed equation"]
-    elif not diagnosis.assessment.extended.candidates:
-        models = models[:1]
+    models = _compared_models(diagnosis)
     figure = equation_figures.figure_of_failing_regions(all_regions, models)
     return {
         "address": save_figure("regions", figure),
         "sentences": [_regions_sentence(regions, models) for regions in all_regions],
         "note": _regions_note(diagnosis, first.after if len(models) > 1 else first.before),
     }
+
+
+def _compared_models(diagnosis: Diagnosis) -> list[str]:
+    """Name the models that the regions compare: before and after the last extension of the model."""
+    if diagnosis.proposal is not None:
+        return ["model with all named causes", "with the proposed equation"]
+    if diagnosis.assessment.extended.candidates:
+        return ["baseline", "model with all named causes"]
+    return ["baseline"]
 
 
 def _regions_sentence(regions: FailingRegions, models: Sequence[str]) -> str:

@@ -33,6 +33,9 @@ from heli_lab.diagnose.search import QUANTITIES
 from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
 from heli_lab.identify import check
 
+_SCREENED, _SPLINES = 8, 3
+"""Candidates of a round in the ranking: effects, then splines."""
+
 
 def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
     """Write a `result` as a JSON object; docs/reference/json.md describes its keys.
@@ -300,7 +303,7 @@ def _ranking_json(result: Diagnosis) -> list[dict[str, Any]]:
     rows = []
     for number, round_ in enumerate(result.search.rounds, 1):
         refits = {refit.candidate.id: refit for refit in round_.refits}
-        for scored in (*round_.screened[:8], *round_.splines[:3]):
+        for scored in (*round_.screened[:_SCREENED], *round_.splines[:_SPLINES]):
             refit = refits.get(scored.candidate.id)
             rows.append(
                 {
