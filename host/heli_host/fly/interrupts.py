@@ -54,6 +54,8 @@ class Interrupts:
         self._before: dict[signal.Signals, Callable[[int, FrameType | None], Any]] = {}
 
     def __enter__(self) -> Self:
+        # Python accepts new handlers in the main thread only. Windows lacks some of the signals, and a signal
+        # without a handler in Python is not callable: it keeps its default.
         if threading.current_thread() is threading.main_thread():
             for name in _NAMES:
                 number = getattr(signal.Signals, name, None)

@@ -84,9 +84,13 @@ class Landing:
         wait_ticks(self._session, _AFTER_TICKS)
         newest = self._session.latest
         if is_completed and not trouble and newest is not None:
-            # The host may have been suspended between the end of the plan and the landing.
-            by_itself = newest[1][Channel.TRIGGER] not in _REQUESTED
-            return self._monitor.why_down() if by_itself and newest[1][Channel.STATE] in _DOWN else ""
+            # The board may have landed by itself, if the host was suspended between the end of the plan and
+            # the landing.
+            _, channels = newest
+            was_requested = channels[Channel.TRIGGER] in _REQUESTED
+            if channels[Channel.STATE] in _DOWN and not was_requested:
+                return self._monitor.why_down()
+            return ""
         return trouble
 
     def _land_and_wait(self) -> str:

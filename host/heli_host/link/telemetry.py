@@ -155,6 +155,7 @@ def _unpacking_plan(shape: bytes, layout: _Layout) -> _Plan:
     # Two channels share a byte: each has a code of four bits for the width of its differences.
     codes = [nibble for byte in shape[1:] for nibble in (byte & 15, byte >> 4)][: layout.channels]
     if len(codes) < layout.channels or shape[0] == 0 or max(codes) >= len(_WIDTH_BITS):
+        # No payload has this size, so that each batch with these widths counts as malformed.
         empty = np.empty((0, layout.channels))
         return _Plan(-1, empty.astype(np.intp), empty.astype(np.uint32), empty.astype(np.int32))
     count = shape[0]

@@ -138,6 +138,7 @@ def main() -> None:
     path, limits = Path(sys.argv[1]), [float(word) for word in sys.argv[2:]]
     sys.argv = [str(path)]
     with _reserved_standard_output() as answers:
+        # The limit of time counts from this line on, and not while Python imports this module.
         answers.write(b"begins\n")
         answers.flush()
         if limits:
