@@ -45,7 +45,7 @@ class Pooled:
         Estimates without the prior, by name, if the flights are informative.
     """
 
-    normalised_errors: dict[str, float]
+    off: dict[str, float]
     alone: dict[str, ParameterEstimate]
 
 
