@@ -62,8 +62,8 @@ def test_pooled_scores_equal_those_of_one_split_with_all_cases(
     assert without(pooled, "splits") == without(pooled_scores([whole]), "splits")
     assert pooled["cases"] == 6
     # Intervals and pairs are those of all cases, not of one part.
-    one_flight = pooled_scores([first])
-    assert pooled["methods"]["informed"]["skill"] != one_flight["methods"]["informed"]["skill"]
+    first_scores = pooled_scores([first])
+    assert pooled["methods"]["informed"]["skill"] != first_scores["methods"]["informed"]["skill"]
     assert pooled["pairs"][0]["skill"]["cases"] == 6
     assert 0.0 < pooled["pairs"][0]["skill"]["low"] < pooled["pairs"][0]["skill"]["high"] <= 1.0
 

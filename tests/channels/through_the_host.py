@@ -56,10 +56,10 @@ def random_raw_numbers() -> NDArray[np.int32]:
 def value_in_unit(channel: int, number: int) -> float:
     """A raw number in the unit of its column, by docs/reference/link.md."""
     spec = CHANNELS[channel]
-    complete = number % 2**32 if spec.code == "<I" else number
+    unsigned_number = number % 2**32 if spec.code == "<I" else number
     if spec.axis is not None:
-        return complete * 2.0 * np.pi / abs(PARAMETERS[f"{spec.axis}_counts_per_rev"])
-    return complete * spec.scale
+        return unsigned_number * 2.0 * np.pi / abs(PARAMETERS[f"{spec.axis}_counts_per_rev"])
+    return unsigned_number * spec.scale
 
 
 def decoded(raw: NDArray[np.int32]) -> Ticks:

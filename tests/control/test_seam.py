@@ -125,16 +125,16 @@ def test_a_tick_in_the_middle_of_a_change_sees_nothing_of_it() -> None:
     harness.set("hover_V", 4.0)
     harness.tick()
     assert law.hover_V_of_update == 4.0
-    received = []
+    observed = []
 
     def interrupt() -> None:
         harness.core.interrupt()
-        received.append(law.hover_V_of_update)
+        observed.append(law.hover_V_of_update)
 
     law.while_deriving = interrupt
     harness.set("hover_V", 5.0)
     law.while_deriving = None
-    assert received == [4.0]
+    assert observed == [4.0]
     harness.tick()
     assert law.hover_V_of_update == 5.0
 

@@ -101,7 +101,7 @@ def test_right_model_has_smaller_defects_along_the_trajectory() -> None:
 def test_filtered_states_do_not_depend_on_later_measurements() -> None:
     record = flight_with_disturbances()
     cut = len(record.t_s) // 2
-    complete = filter_record(record)
+    reference = filter_record(record)
     half = filter_record(
         replace(
             record,
@@ -112,7 +112,7 @@ def test_filtered_states_do_not_depend_on_later_measurements() -> None:
         )
     )
     compared = slice(0, len(half.filtered) - 2)
-    assert np.allclose(half.filtered[compared], complete.filtered[compared], atol=1e-6)
+    assert np.allclose(half.filtered[compared], reference.filtered[compared], atol=1e-6)
 
 
 def test_axis_is_at_rest_while_its_count_stays_the_same_for_long() -> None:

@@ -135,13 +135,13 @@ def test_a_page_takes_what_is_written_and_is_erased_behind_it(idle: Board, page:
 
 def test_a_page_is_programmed_with_the_wait_states_of_programming(idle: Board) -> None:
     back = enter(idle, WRITE_PAGE, 1, SCRATCH, PAGE)
-    received = set()
+    observed = set()
     idle.due.add_breakpoint(back)
     while idle.due.halt != "breakpoint":
         if idle.due.flash_busy:
-            received.add(wait_states(idle))
+            observed.add(wait_states(idle))
         idle.due.run_us(50.0)
-    assert received == {PROGRAMMING}
+    assert observed == {PROGRAMMING}
     assert wait_states(idle) == READING
     assert idle.due.reg(0) == 1
 

@@ -146,8 +146,8 @@ def test_pwm_pins_stay_low_while_they_are_handed_over(elf: Path, image: Image) -
 def test_edges_interrupt_ticks_and_nothing_else_interrupts(started: Board) -> None:
     enabled = [started.register(NVIC_ISER + 4 * k) for k in range(2)]
     assert enabled == [1 << PIOD | 1 << TC3, 0]
-    arguments = (started.register(NVIC_IPR + 4 * k) for k in range(12))
-    priorities = [byte for word in arguments for byte in word.to_bytes(4, "little")]
+    registers = (started.register(NVIC_IPR + 4 * k) for k in range(12))
+    priorities = [byte for word in registers for byte in word.to_bytes(4, "little")]
     # Four bits each, in the upper half; smaller is more urgent.
     assert {k: value >> 4 for k, value in enumerate(priorities) if value} == {TC3: 8}
     assert ports(started, PIO_IMR) == in_ports(*EDGE_PINS)

@@ -51,8 +51,8 @@ def assert_handled(case: Case, outcome: Outcome) -> None:
 
 
 def test_every_row_of_the_table_is_shown_by_a_flight_or_a_test() -> None:
-    reported = [line.split(" | ")[0].removeprefix("| ") for line in document()]
-    assert reported == [case.what for case in CASES] + list(ELSEWHERE)
+    first_cells = [line.split(" | ")[0].removeprefix("| ") for line in document()]
+    assert first_cells == [case.what for case in CASES] + list(ELSEWHERE)
     tests = "".join(path.read_text(encoding="utf-8") for path in TESTS.glob("test_*.py"))
     for name in ELSEWHERE.values():
         assert f"def {name}(" in tests
@@ -76,7 +76,7 @@ def test_a_fault_is_handled_by_the_emulated_due_as_the_table_says(case: Case) ->
 
 def test_without_a_cable_the_board_does_what_it_does_without_a_host() -> None:
     off_s = {line.split(" | ")[0]: line.partition("motors off after ")[2] for line in document()}
-    one_flight = off_s["| the host is killed (`kill -9`)"].partition(" |")[0]
+    off_text = off_s["| the host is killed (`kill -9`)"].partition(" |")[0]
     for case in CASES:
         if case.as_if is not None:
-            assert off_s[f"| {case.what}"].partition(" |")[0] == one_flight
+            assert off_s[f"| {case.what}"].partition(" |")[0] == off_text

@@ -118,8 +118,8 @@ def test_window_has_the_same_bits_alone_and_together_with_others(name: str) -> N
     together = results(slice(6), slice(rows))
     for number, first in enumerate(np.cumsum(steps) - steps):
         window, window_rows = slice(number, number + 1), slice(int(first), int(first + steps[number]))
-        one_flight = results(window, window_rows)
-        for result_alone, result_together, is_by_row in zip(one_flight, together, has_rows, strict=True):
+        one_window = results(window, window_rows)
+        for result_alone, result_together, is_by_row in zip(one_window, together, has_rows, strict=True):
             entries = window_rows if is_by_row else window
             np.testing.assert_array_equal(result_alone, result_together[entries])
 

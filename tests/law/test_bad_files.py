@@ -137,17 +137,17 @@ def test_a_file_that_never_ends_is_one_line_with_its_limit(verb: str, terminal: 
 
 
 def test_what_an_endless_file_has_started_ends_with_it(tmp_path: Path) -> None:
-    reported = tmp_path / "pid"
+    pid_file = tmp_path / "pid"
     (tmp_path / "law.py").write_text(
         "import pathlib, subprocess, sys\n"
         "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(3600)'])\n"
-        f"pathlib.Path({str(reported)!r}).write_text(str(child.pid))\n"
+        f"pathlib.Path({str(pid_file)!r}).write_text(str(child.pid))\n"
         "child.wait()\n"
     )
     with pytest.raises(BadLaw, match="did not end within 3 s"):
         load_law(tmp_path / "law.py", 3.0)
     # The kernel delivers the signal, but the child may be scheduled a moment later: nobody here can wait for it.
-    assert ends(int(reported.read_text()), within_s=30.0)
+    assert ends(int(pid_file.read_text()), within_s=30.0)
 
 
 def test_a_page_refuses_a_law_whose_file_never_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

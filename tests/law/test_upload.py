@@ -64,9 +64,9 @@ def law_on(harness: Harness) -> LawMessage:
 
 def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
     old, new = small("old", 0.5).program, small("new", 0.25).program
-    complete = len(b"".join(upload_frames(open_harness(), new, 50)))
-    received = set()
-    for cut in range(complete + 1):
+    byte_count = len(b"".join(upload_frames(open_harness(), new, 50)))
+    observed = set()
+    for cut in range(byte_count + 1):
         harness = open_harness()
         for frame in upload_frames(harness, old, 1):
             harness.turn(frame, ticks=2)
@@ -76,12 +76,12 @@ def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
             left = max(0, left - len(frame))
         law = law_on(harness)
         if law.state == LawState.READY:
-            assert law.hash == (new.hash if cut == complete else old.hash), cut
+            assert law.hash == (new.hash if cut == byte_count else old.hash), cut
         else:
             assert law.state in (LawState.NONE, LawState.RECEIVING), cut
-            assert cut < complete
-        received.add((law.state, law.hash if law.state == LawState.READY else 0))
-    assert received >= {(LawState.READY, old.hash), (LawState.READY, new.hash), (LawState.RECEIVING, 0)}
+            assert cut < byte_count
+        observed.add((law.state, law.hash if law.state == LawState.READY else 0))
+    assert observed >= {(LawState.READY, old.hash), (LawState.READY, new.hash), (LawState.RECEIVING, 0)}
 
 
 @pytest.mark.medium

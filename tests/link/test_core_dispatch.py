@@ -291,6 +291,6 @@ def test_the_board_gives_the_names_of_its_controllers_and_how_many_it_has() -> N
         frames = harness.turn(harness.frame(ControllerReadMessage(9, index)), ticks=2)
         (payload,) = payloads_of(frames, MessageId.CONTROLLER)
         answer = ControllerMessage.unpack(payload)
-        arguments = (answer.name_0, answer.name_1, answer.name_2, answer.name_3)
+        name_words = (answer.name_0, answer.name_1, answer.name_2, answer.name_3)
         assert (answer.request, answer.index, answer.count) == (9, index, 2)
-        assert b"".join(word.to_bytes(4, "little") for word in arguments).rstrip(b"\0") == name
+        assert b"".join(word.to_bytes(4, "little") for word in name_words).rstrip(b"\0") == name

@@ -155,15 +155,15 @@ def test_an_axis_that_a_law_does_not_lead_has_no_error() -> None:
     flight = second_order()
     assert flight.state is not None
     law = np.where(flight.t_s > 10.0, Flags.LAW, 0).astype(np.uint8)
-    without_setpoints = replace(flight, flags=law, pitch_rad=flight.pitch_rad + 0.1)
-    commanded = np.where(law > 0, without_setpoints.pitch_rad, 0.0)
-    all_responses = responses(replace(without_setpoints, pitch_setpoint_rad=commanded))
+    flight_of_law = replace(flight, flags=law, pitch_rad=flight.pitch_rad + 0.1)
+    commanded = np.where(law > 0, flight_of_law.pitch_rad, 0.0)
+    all_responses = responses(replace(flight_of_law, pitch_setpoint_rad=commanded))
     # Over the rows in which the board led it alone: no merit for the law.
     assert all_responses[1].rms_deg == pytest.approx(math.degrees(0.1))
-    one_flight = of_its_law(replace(without_setpoints, pitch_setpoint_rad=commanded))
-    assert one_flight.t_s[0] > 10.0
-    assert math.isnan(responses(one_flight)[1].rms_deg)
-    assert responses(one_flight)[0].rms_deg == pytest.approx(math.degrees(0.01))
+    rows_of_law = of_its_law(replace(flight_of_law, pitch_setpoint_rad=commanded))
+    assert rows_of_law.t_s[0] > 10.0
+    assert math.isnan(responses(rows_of_law)[1].rms_deg)
+    assert responses(rows_of_law)[0].rms_deg == pytest.approx(math.degrees(0.01))
 
 
 def test_step_that_does_not_settle_has_no_settling_time() -> None:

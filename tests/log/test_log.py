@@ -166,8 +166,8 @@ def test_cut_at_any_byte_a_log_gives_its_whole_chunks_and_never_a_wrong_tick(tmp
             assert "\n" not in str(error)
             assert length < 6000, "the head was there to say what it is"
             continue
-        complete = sum(length >= end for end in ends)
-        assert len(log.ticks) == min(3300, complete * CHUNK_TICKS)
+        complete_count = sum(length >= end for end in ends)
+        assert len(log.ticks) == min(3300, complete_count * CHUNK_TICKS)
         np.testing.assert_array_equal(log.raw, raw[: len(log.ticks)])
         np.testing.assert_array_equal(log.ticks["tick"], tick[: len(log.ticks)])
         assert log.complete or log.notes

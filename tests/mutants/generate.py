@@ -169,14 +169,14 @@ class _Source:
         start, end, kind, after = change
         line, column = self._lines.at(start)
         index = next(i for i, token in enumerate(self._tokens) if token.end > start)
-        complete = self._lines.text(line)
+        line_text = self._lines.text(line)
         return Mutant(
             file=self._file,
             line=line,
             last_line=max(line, self._lines.at(self._tokens[self._end[index]].start)[0]),
-            source_line=complete.strip(),
+            source_line=line_text.strip(),
             occurrence=occurrence[line],
-            column=column - (len(complete) - len(complete.lstrip())),
+            column=column - (len(line_text) - len(line_text.lstrip())),
             kind=kind,
             before=self._text[start:end],
             after=after,

@@ -55,8 +55,8 @@ def test_the_intervals_hold_the_make_and_the_next_machine() -> None:
 
 
 def test_one_machine_is_itself_and_machines_that_agree_differ_by_nothing() -> None:
-    one_flight = der_simonian_laird([3.0], [0.2])
-    assert (one_flight.mean, one_flight.std, one_flight.tau, one_flight.prediction) == (
+    one_rig = der_simonian_laird([3.0], [0.2])
+    assert (one_rig.mean, one_rig.std, one_rig.tau, one_rig.prediction) == (
         3.0,
         pytest.approx(0.2),
         0.0,
