@@ -142,7 +142,7 @@ def run_controller(
     try:
         params["telemetry_batch_ticks"] = min(period_ticks, _MAX_BATCH_TICKS)
         session.read_interval_s = _READ_INTERVAL_S
-        _loop(heli, law, run)
+        _run_law_at_rate(heli, law, run)
     except BaseException:
         with contextlib.suppress(HeliError):
             if heli.motors_may_run:
@@ -159,10 +159,10 @@ def run_controller(
         heli.land()
     else:
         heli.stop()
-    return _report(run, session.ticks_counted_on, acted)
+    return _summary_of_run(run, session.ticks_counted_on, acted)
 
 
-def _loop(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
+def _run_law_at_rate(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
     """Call a control law at its rate, and send its voltages, until the duration has passed. A takeover by the
     board is retried a few times, if it then holds level.
     """
@@ -195,7 +195,7 @@ def _loop(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
         run.misses += late_periods
         due_tick += (1 + late_periods) * run.period_ticks
         began_s = time.perf_counter()
-        front_V, back_V = _two_voltages(law, sample)
+        front_V, back_V = _checked_voltages(law, sample)
         run.law_s.append(time.perf_counter() - began_s)
         if isinstance(law, Following):
             session.stream(FollowingMessage(*(law.setpoints_rad[axis] for axis in AXES)))
@@ -207,7 +207,7 @@ def _loop(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
         run.back_V.append(clipped[1])
 
 
-def _two_voltages(law: ControlLaw, sample: Sample) -> tuple[float, float]:
+def _checked_voltages(law: ControlLaw, sample: Sample) -> tuple[float, float]:
     """Call a control law, and check that it returns two finite voltages."""
     try:
         front_V, back_V = (float(value) for value in law(sample))
@@ -224,7 +224,7 @@ def _two_voltages(law: ControlLaw, sample: Sample) -> tuple[float, float]:
     return front_V, back_V
 
 
-def _report(
+def _summary_of_run(
     run: _Run, counted_on: Callable[[Ticks], npt.NDArray[np.int64]], acted: list[Ticks]
 ) -> ControllerReport:
     """Summarise a run: calls, misses, and percentiles of latency and of the law's computing time. `acted` has

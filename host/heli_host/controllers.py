@@ -24,7 +24,7 @@ def controller_names(session: Session) -> tuple[str, ...]:
         One name per value of the parameter ``controller``, from 0 on.
     """
     # No board has more; a damaged answer must not keep the host asking.
-    count = min(_ask(session, 0).count, round(PARAMS[Param.CONTROLLER].max) + 1)
+    count = min(_ask_row(session, 0).count, round(PARAMS[Param.CONTROLLER].max) + 1)
     return tuple(controller_name(session, row) for row in range(count))
 
 
@@ -38,11 +38,11 @@ def controller_name(session: Session, selected: float) -> str:
     selected : float
         A value of the parameter ``controller``.
     """
-    answer = _ask(session, round(selected))
+    answer = _ask_row(session, round(selected))
     words = (answer.name_0, answer.name_1, answer.name_2, answer.name_3)
     text = b"".join(word.to_bytes(4, "little") for word in words).rstrip(b"\0")
     return text.decode("ascii", "replace")
 
 
-def _ask(session: Session, row: int) -> ControllerMessage:
+def _ask_row(session: Session, row: int) -> ControllerMessage:
     return ControllerMessage.unpack(session.request(ControllerReadMessage(0, row & 0xFF)).payload)

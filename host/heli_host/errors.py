@@ -232,10 +232,10 @@ class CommandRefused(LinkError):
         self.state: State | None = None
         self.fault: Fault | None = None
         self.parameter: str | None = None
-        cause, remedy = self._explain()
+        cause, remedy = self._cause_and_remedy()
         super().__init__(f"the board refused {_message_name(command)}: {cause}", remedy)
 
-    def _explain(self) -> tuple[str, str]:
+    def _cause_and_remedy(self) -> tuple[str, str]:
         """Return cause and remedy of a refused command in words, and set the state, fault or parameter that
         it concerns.
         """
@@ -265,7 +265,7 @@ class CommandRefused(LinkError):
                 return f"{param.name} may only be set while idle", "land first, or stop the motors"
             return f"{param.name} does not take this value", f"give {range_text(Param(detail))}"
         if self.result == Result.BAD_LAW:
-            return _law_text(detail, self.value)
+            return _cause_and_remedy_of_law(detail, self.value)
         remedy = {
             Result.UNKNOWN_COMMAND: "flash the firmware of this release",
             Result.BAD_LENGTH: "flash the firmware of this release",
@@ -393,7 +393,7 @@ def range_text(param: Param) -> str:
     return f"{kind} from {spec.min:g} to {spec.max:g}{unit}{zero}"
 
 
-def _law_text(code: int, value: float) -> tuple[str, str]:
+def _cause_and_remedy_of_law(code: int, value: float) -> tuple[str, str]:
     """Return cause and remedy of a refused law; the meaning of `value` depends on the error `code`."""
     if code not in LawError._value2member_map_:
         return f"law error {code}", "update heli_host: it does not know this error"

@@ -92,7 +92,7 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise ValueError("it is nested too deeply")
     try:
         content = tomllib.loads(text)
-        _check_numbers(content)
+        _refuse_long_integers(content)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     except tomllib.TOMLDecodeError:
@@ -121,13 +121,13 @@ def toml_string(text: str) -> str:
     return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'
 
 
-def _check_numbers(value: object) -> None:
+def _refuse_long_integers(value: object) -> None:
     """Refuse whole numbers anywhere in a value that have too many digits for a float."""
     if isinstance(value, dict):
         for element in value.values():
-            _check_numbers(element)
+            _refuse_long_integers(element)
     elif isinstance(value, list):
         for element in value:
-            _check_numbers(element)
+            _refuse_long_integers(element)
     elif isinstance(value, int) and not -_MAX_WHOLE <= value < _MAX_WHOLE:
         raise ValueError(_TOO_MANY_DIGITS)

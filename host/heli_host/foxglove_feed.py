@@ -81,10 +81,10 @@ class FoxgloveFeed:
             "start_wall_ns": self._last_wall_ns,
             "rad_per_count": rad_per_count(dict(heli.params)).tolist(),
         }
-        self._write(SETTINGS, json.dumps(settings).encode())
-        answer = self._answer()
+        self._send_message(SETTINGS, json.dumps(settings).encode())
+        answer = self._port_from_first_line()
         if "port" not in answer:
-            self._end()
+            self._end_server()
             raise PortError(
                 f"cannot serve Foxglove on {HOST}:{port}: {answer.get('error', 'the server ended')}",
                 "give --foxglove another port, or 0 for a free one",
@@ -92,7 +92,7 @@ class FoxgloveFeed:
         self.address = f"ws://{HOST}:{answer['port']}"
         """URL for viewers."""
         self._queue: queue.Queue[tuple[int, bytes] | None] = queue.Queue(_WAITING_PARTS)
-        self._thread = threading.Thread(target=self._run, name="foxglove", daemon=True)
+        self._thread = threading.Thread(target=self._send_queued, name="foxglove", daemon=True)
         self._thread.start()
         self._unsubscribe = (
             heli.session.subscribe_ticks(self._take_ticks),
@@ -111,9 +111,9 @@ class FoxgloveFeed:
         with contextlib.suppress(queue.Full):
             self._queue.put(None, timeout=_END_S)
         self._thread.join(_END_S)
-        self._end()
+        self._end_server()
 
-    def _answer(self) -> dict[str, Any]:
+    def _port_from_first_line(self) -> dict[str, Any]:
         """Read the first line of the server: its port, or an error."""
         assert self._server.stdout is not None
         try:
@@ -122,7 +122,7 @@ class FoxgloveFeed:
             return {}
         return answer if isinstance(answer, dict) else {}
 
-    def _write(self, kind: int, content: bytes) -> None:
+    def _send_message(self, kind: int, content: bytes) -> None:
         """Send a message of a `kind` to the server."""
         assert self._server.stdin is not None
         # A server that has ended must not end the flight.
@@ -130,7 +130,7 @@ class FoxgloveFeed:
             self._server.stdin.write(HEADER.pack(kind, len(content)) + content)
             self._server.stdin.flush()
 
-    def _end(self) -> None:
+    def _end_server(self) -> None:
         """End the server by closing its input, and kill it if it does not end in time."""
         with contextlib.suppress(OSError):
             if self._server.stdin is not None:
@@ -143,10 +143,10 @@ class FoxgloveFeed:
         if self._server.stdout is not None:
             self._server.stdout.close()
 
-    def _run(self) -> None:
+    def _send_queued(self) -> None:
         """Send queued messages until `None` ends the thread."""
         while (message := self._queue.get()) is not None:
-            self._write(*message)
+            self._send_message(*message)
 
     def _enqueue(self, kind: int, content: bytes) -> None:
         """Queue a message for the server, or drop it if too many wait."""

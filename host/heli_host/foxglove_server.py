@@ -157,7 +157,7 @@ def read_parts(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
         yield kind, content
 
 
-def _answer(content: Mapping[str, Any]) -> None:
+def _write_answer(content: Mapping[str, Any]) -> None:
     sys.stdout.write(json.dumps(content) + "\n")
     sys.stdout.flush()
 
@@ -172,9 +172,9 @@ def main() -> None:
     try:
         server = FoxgloveServer(json.loads(settings))
     except (RuntimeError, ImportError) as error:
-        _answer({"error": str(error)})
+        _write_answer({"error": str(error)})
         return
-    _answer({"port": server.port})
+    _write_answer({"port": server.port})
     for kind, content in received:
         if kind == TICKS:
             server.publish_ticks(content)

@@ -35,10 +35,10 @@ class Heli(Vehicle):
 
     def __repr__(self) -> str:
         transport = self.session.transport
-        what = transport_label(transport) or self.info.board
+        board_text = transport_label(transport) or self.info.board
         rig = transport_rig(transport)
         newest = repr(self.latest).strip("<>") if self.session.latest is not None else "no sample yet"
-        return f"<Heli on {transport.url} ({what}{', rig ' + rig if rig else ''}): {newest}>"
+        return f"<Heli on {transport.url} ({board_text}{', rig ' + rig if rig else ''}): {newest}>"
 
     def arm(self) -> None:
         """Enable the motor drivers at 0 V; see `heli_host.vehicle.Vehicle.arm`.

@@ -185,7 +185,7 @@ class LawProgram:
         numbers = [*self.constants, *(v for _, v in self.parameters), *(v for _, v in self.states)]
         return (
             *header,
-            *(_bits(value) for value in numbers),
+            *(_bits_of_single(value) for value in numbers),
             *self.outputs,
             *(word for instruction in self.instructions for word in instruction.words),
         )
@@ -331,10 +331,10 @@ def rate_problem(rate_Hz: float) -> tuple[str, str]:
     rates = [TICK_Hz / d for d in DIVISORS]
     above = [rate for rate in rates if rate >= rate_Hz]
     below = [rate for rate in rates if rate <= rate_Hz]
-    near = sorted({*above[-1:], *below[:1]})
+    nearest_rates = sorted({*above[-1:], *below[:1]})
     return (
         f"a law cannot be called at {rate_Hz:g} Hz: a call every so many ticks of {TICK_Hz} Hz",
-        f"give {' or '.join(f'{rate:g}' for rate in near)} Hz",
+        f"give {' or '.join(f'{rate:g}' for rate in nearest_rates)} Hz",
     )
 
 
@@ -358,7 +358,7 @@ def divisor_of(rate_Hz: float) -> int:
     raise BadLaw(*rate_problem(rate_Hz))
 
 
-def _bits(value: float) -> int:
+def _bits_of_single(value: float) -> int:
     """Return the 32 bits of a number in single precision."""
     bits: int = struct.unpack("<I", struct.pack("<f", value))[0]
     return bits

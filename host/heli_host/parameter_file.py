@@ -107,7 +107,7 @@ def parameter_set(content: Mapping[str, object], file: Path) -> ParameterSet:
     ParameterError
         If a table contains anything but numbers, or a value is invalid under this host's schema.
     """
-    values = _values(content, file)
+    values = _numbers_by_name(content, file)
     units = content.get(UNITS)
     other_schema = content.get(SCHEMA, f"{PARAMS_HASH:08x}") != f"{PARAMS_HASH:08x}"
     accepted: dict[str, float] = {}
@@ -130,7 +130,7 @@ def parameter_set(content: Mapping[str, object], file: Path) -> ParameterSet:
     )
 
 
-def _values(content: Mapping[str, object], file: Path) -> dict[str, float]:
+def _numbers_by_name(content: Mapping[str, object], file: Path) -> dict[str, float]:
     """Return the numbers of a parameter file by name."""
     table = content.get(TABLE)
     if not isinstance(table, dict) or not table:

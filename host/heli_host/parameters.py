@@ -215,13 +215,13 @@ def checked(name: str, value: float) -> ParamSpec:
         There is no such parameter, or the value lies outside its range.
     """
     spec = spec_of(name)
-    good = (
+    is_in_range = (
         math.isfinite(value)
         and spec.min <= value <= spec.max
         and not (spec.nonzero and value == 0.0)
         and not (spec.integer and value != round(value))
     )
-    if not good:
+    if not is_in_range:
         raise ParameterError(f"{name} = {value:g} is out of range", f"give {_range(spec)}")
     return spec
 

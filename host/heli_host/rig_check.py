@@ -229,13 +229,14 @@ def check_rig(
         remedy = f"leave {names} out of the parameters, or correct the rig's file"
     else:
         sets = (
-            f"heli-host params set {row.parameter} {_with_sign(row, directed):g} --save" for row in refused
+            f"heli-host params set {row.parameter} {_with_direction(row, directed):g} --save"
+            for row in refused
         )
         remedy = f"{' && '.join(sets)}, or correct the rig's file"
     raise RigMismatch(f"board and rig disagree: {cause}", remedy)
 
 
-def _with_sign(difference: RigDifference, directed: Collection[str]) -> float:
+def _with_direction(difference: RigDifference, directed: Collection[str]) -> float:
     """Return the counts of the rig; if it states no direction, with the sign of the board, for its wiring."""
     if difference.parameter in directed:
         return difference.rig

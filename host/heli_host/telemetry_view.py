@@ -157,7 +157,7 @@ class TelemetryView:
             Length of the history in device time [s]; None for all.
         """
         count = None if last_s is None else round(last_s / TICK_S)
-        return self._in_units(self._ring.newest(count))
+        return self._samples_in_units(self._ring.newest(count))
 
     def on_ticks(self, callback: Callable[[Samples], None]) -> Unsubscribe:
         """Register a callback for new samples, and return a function that cancels the subscription.
@@ -170,7 +170,7 @@ class TelemetryView:
         """
 
         def convert(ticks: Ticks) -> None:
-            callback(self._in_units(ticks))
+            callback(self._samples_in_units(ticks))
 
         return self.session.subscribe_ticks(convert)
 
@@ -238,7 +238,7 @@ class TelemetryView:
             )
         return matching[0]
 
-    def _in_units(self, ticks: Ticks) -> Samples:
+    def _samples_in_units(self, ticks: Ticks) -> Samples:
         return self._current_scales().samples(self.session.ticks_counted_on(ticks), ticks.raw)
 
     def _current_scales(self) -> Scales:

@@ -147,7 +147,7 @@ class TwinWatch:
         )
         self._thread: threading.Thread | None = None
         if not session.lockstep:
-            self._thread = threading.Thread(target=self._run, name="twin", daemon=True)
+            self._thread = threading.Thread(target=self._process_queue, name="twin", daemon=True)
             self._thread.start()
         self._unsubscribe = session.subscribe_ticks(self._take_ticks)
 
@@ -183,14 +183,14 @@ class TwinWatch:
         """Pass ticks to the twin, in its thread if it has one; it skips some if it falls behind."""
         tick = self._session.ticks_counted_on(ticks)
         if self._thread is None:
-            self._feed(tick, ticks.raw)
+            self._update_twin(tick, ticks.raw)
         else:
             if self._queued_ticks - self.skipped_ticks - self._processed_ticks > _MAX_BEHIND_TICKS:
-                self._skip()
+                self._discard_waiting()
             self._queued_ticks += len(tick)
             self._queue.put((tick, ticks.raw))
 
-    def _skip(self) -> None:
+    def _discard_waiting(self) -> None:
         """Discard the samples that wait, because the twin is too slow."""
         with contextlib.suppress(queue.Empty):
             while (batch := self._queue.get_nowait()) is not None:
@@ -198,12 +198,12 @@ class TwinWatch:
             # None is the request of `close` to end the thread; it must not be lost.
             self._queue.put(None)
 
-    def _run(self) -> None:
+    def _process_queue(self) -> None:
         while (batch := self._queue.get()) is not None:
-            self._feed(*batch)
+            self._update_twin(*batch)
             self._processed_ticks += len(batch[0])
 
-    def _feed(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> None:
+    def _update_twin(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> None:
         """Update the twin, and pass its news on; its first alarm may end the flight."""
         if self.trouble:
             return

@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.read:
         return _print_earlier_results(options)
-    cases = chosen(_mixed(), options)
+    cases = chosen(_alternate_clean_and_disturbed(), options)
     if not cases:
         print(f"error: no case is called {', '.join(options.only)}; sim/heli_benchmark/cases has their names")
         return 2
@@ -66,10 +66,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.flights:
         return _print_visibilities(cases, options)
     rows: list[Row] = []
-    for row in _print_progress(_run(cases, options), len(cases)):
+    for row in _print_progress(_run_cases(cases, options), len(cases)):
         rows = sorted((*rows, row), key=lambda scored: scored.case)
         # After each case, so that a stopped run keeps its results.
-        options.json.write_text(json.dumps(_report(rows), indent=1) + "\n")
+        options.json.write_text(json.dumps(_report_content(rows), indent=1) + "\n")
     print(text(rows))
     figure = options.json.with_suffix(".png")
     draw(reliability(rows), figure)
@@ -77,10 +77,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if len(rows) == len(cases) else 1
 
 
-def _mixed() -> list[Case]:
+def _alternate_clean_and_disturbed() -> list[Case]:
     """Alternate clean and disturbed cases, so that the first are a fair sample of all."""
-    both = zip_longest(clean_cases(), disturbed_cases())
-    return [case for pair in both for case in pair if case is not None]
+    pairs = zip_longest(clean_cases(), disturbed_cases())
+    return [case for pair in pairs for case in pair if case is not None]
 
 
 def _print_earlier_results(options: argparse.Namespace) -> int:
@@ -107,7 +107,7 @@ def _print_visibilities(cases: Sequence[Case], options: argparse.Namespace) -> i
     return 0
 
 
-def _run(cases: Sequence[Case], options: argparse.Namespace) -> Iterator[tuple[Row | None, str]]:
+def _run_cases(cases: Sequence[Case], options: argparse.Namespace) -> Iterator[tuple[Row | None, str]]:
     """Run all cases, and yield for each its row and an empty text, or None and the failure.
 
     Rows of an earlier run with the same code come first; the others come as they are finished.
@@ -147,13 +147,15 @@ def _print_progress(results: Iterable[tuple[Row | None, str]], count: int) -> It
         if row is None:
             print(f"[{progress}] {failure}", flush=True)
             continue
-        word = "failed" if row.failure else ("right" if row.right else "WRONG")
+        judgement = "failed" if row.failure else ("right" if row.right else "WRONG")
         causes = ", ".join(row.named) or row.failure or "no cause"
-        print(f"[{progress}] {row.case}: {word}; {row.verdict}: {causes}; {row.seconds:.0f} s", flush=True)
+        print(
+            f"[{progress}] {row.case}: {judgement}; {row.verdict}: {causes}; {row.seconds:.0f} s", flush=True
+        )
         yield row
 
 
-def _report(rows: Sequence[Row]) -> dict[str, object]:
+def _report_content(rows: Sequence[Row]) -> dict[str, object]:
     """Return the content of the JSON file: counts over all cases, then each row with its judgement."""
     return {
         "goals": goals(rows),

@@ -81,13 +81,13 @@ def _folder_digest(package: str, folder: str) -> bytes:
 def package_digest(package: str) -> bytes:
     """Digest an installed package; its files are read once per process."""
     digest = hashlib.sha256(package.encode())
-    for name, path in sorted(_files(package)):
+    for name, path in sorted(_files_of_package(package)):
         digest.update(name.encode())
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.digest()
 
 
-def _files(package: str) -> Iterator[tuple[str, Path]]:
+def _files_of_package(package: str) -> Iterator[tuple[str, Path]]:
     """List the files of an installed package, or of a single module, with their names within the package."""
     spec = importlib.util.find_spec(package)
     if spec is None:

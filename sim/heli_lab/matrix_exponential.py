@@ -14,11 +14,11 @@ def matrix_exponentials(matrices: Floats) -> Floats:
     """
     # Halve the matrices until the largest norm is at most 0.25, where nine terms of the series are exact.
     halvings = max(0, int(np.ceil(np.log2(np.abs(matrices).sum(axis=2).max() / 0.25))))
-    small = matrices / 2.0**halvings
+    halved = matrices / 2.0**halvings
     result = unit = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape)
     # Horner's scheme: 1 + x (1 + x / 2 (1 + x / 3 (...))).
     for order in range(9, 0, -1):
-        result = unit + small @ result / order
+        result = unit + halved @ result / order
     for _ in range(halvings):
         result = result @ result
     return np.asarray(result)

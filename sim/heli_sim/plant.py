@@ -156,6 +156,7 @@ def end_of_step(
         The state, the angles that the encoders see [rad], and the generator's next state.
     """
     p_model, limits = p[: len(model.parameters)], p[len(model.parameters) :]
+    # Limits: elevation_min, elevation_max, pitch_max, travel_max, table_damping.
     low = ca.vertcat(limits[0], -limits[2], -limits[3]) * _RAD_PER_DEG
     high = ca.vertcat(limits[1], limits[2], limits[3]) * _RAD_PER_DEG
     angles, speeds = next_model_state[0:3], next_model_state[3:6]
@@ -217,7 +218,7 @@ def _random_numbers(generator_state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
     return ca.vertcat(*numbers), generator_state
 
 
-def _step(model: Model, delay_s: float) -> tuple[Extras, ca.Function]:
+def _step_with_effects(model: Model, delay_s: float) -> tuple[Extras, ca.Function]:
     return extras(model, delay_s), step_function(model, delay_s)
 
 
@@ -227,7 +228,7 @@ def _step_without_effects(kind: type[Model]) -> tuple[Extras, ca.Function]:
 
     They are kept, because building them takes half of the time in which a simulated board opens.
     """
-    return _step(kind(), 0.0)
+    return _step_with_effects(kind(), 0.0)
 
 
 class Plant:
@@ -240,7 +241,7 @@ class Plant:
         names = [parameter.name for parameter in model.parameters]
         delay_s = float(values[names.index(model.delay)]) if model.delay else 0.0
         self.extras, self.function = (
-            _step_without_effects(type(model)) if model.is_plain else _step(model, delay_s)
+            _step_without_effects(type(model)) if model.is_plain else _step_with_effects(model, delay_s)
         )
         """Additional states, which follow those of the model, and the function of one millisecond."""
         limits = [rig[name].value for name in LIMITS]

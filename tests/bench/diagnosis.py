@@ -76,26 +76,26 @@ class Spent:
 Run = Callable[[Sequence[str]], Spent]
 
 
-def spent(command: Sequence[str], folder: Path, environment: dict[str, str]) -> Spent:
+def run_and_measure(command: Sequence[str], folder: Path, environment: dict[str, str]) -> Spent:
     """Run a command to its end and look at what the system counted."""
     start_s = time.perf_counter()
     started = subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     )
     assert started.stderr is not None
-    said = started.stderr.read().decode()
+    output = started.stderr.read().decode()
     _, status, used = os.wait4(started.pid, 0)
     started.returncode = os.waitstatus_to_exitcode(status)
     if started.returncode != 0:
-        raise RuntimeError(f"{' '.join(command)}: {said[-2000:]}")
+        raise RuntimeError(f"{' '.join(command)}: {output[-2000:]}")
     unit = 1.0 if sys.platform == "darwin" else 1024.0
     return Spent(time.perf_counter() - start_s, used.ru_utime + used.ru_stime, used.ru_maxrss * unit / 1e9)
 
 
-def now(folder: Path) -> Run:
+def run_heli_host(folder: Path) -> Run:
     """Run ``heli-host`` as it is."""
     program = [sys.executable, "-c", "from heli_host.cli import main; main()"]
-    return lambda arguments: spent([*program, *arguments], folder, dict(os.environ))
+    return lambda arguments: run_and_measure([*program, *arguments], folder, dict(os.environ))
 
 
 def earlier(folder: Path) -> Run | str:
@@ -112,7 +112,7 @@ def earlier(folder: Path) -> Run | str:
         copy.build("-O2")
     except AssertionError as error:
         return f"commit {EARLIER[:7]} does not build here: {str(error).strip().splitlines()[-1]}"
-    return lambda arguments: spent(copy.heli_host_command(*arguments), folder, copy.environment())
+    return lambda arguments: run_and_measure(copy.heli_host_command(*arguments), folder, copy.environment())
 
 
 def ratios(say: Callable[[str], None]) -> list[Measured]:
@@ -122,7 +122,7 @@ def ratios(say: Callable[[str], None]) -> list[Measured]:
         return []
     with TemporaryDirectory() as name:
         folder = Path(name)
-        before, here = earlier(folder), now(folder)
+        before, here = earlier(folder), run_heli_host(folder)
         if isinstance(before, str):
             say(f"      skipped: {before}")
             return []
@@ -146,4 +146,4 @@ def peak() -> Measured:
             summary = fly(heli, Plan.parse(LONG, "ten minutes"), log_path=folder / "long.mcap")
         assert summary.completed, summary.outcome
         words = ["diagnose", "long.mcap", "--rig", RIG]
-        return Measured("diagnose_peak_GB_10_min", [now(folder)(words).peak_GB])
+        return Measured("diagnose_peak_GB_10_min", [run_heli_host(folder)(words).peak_GB])

@@ -91,9 +91,9 @@ def measure() -> list[Measured]:
                 without_ms += stop_latencies_ms(PRESSES_PER_BLOCK, press, heli)
                 with watched_feed(heli, missing):
                     with_ms += stop_latencies_ms(PRESSES_PER_BLOCK, press, heli)
-        alone = busy_share(heli)
+        share_alone = busy_share(heli)
         with watched_feed(heli, missing) as feed:
-            share = busy_share(heli, feed) - alone
+            share = busy_share(heli, feed) - share_alone
     return [
         Measured("foxglove_cpu_at_1khz", [share]),
         Measured("foxglove_ticks_missed", [float(sum(missing))]),

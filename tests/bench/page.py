@@ -180,12 +180,12 @@ def cost_and_gaps(watched_s: float = WATCHED_S) -> tuple[float, int]:
         How long they are watched [s].
     """
     with TemporaryDirectory() as folder, page_of_a_simulated_board(Path(folder)) as served:
-        alone = core_share(served.heli, Path(folder))
+        share_alone = core_share(served.heli, Path(folder))
         with tabs(served, 3) as ask:
             served.heli.wait(1.0)
             shown = core_share(served.heli, Path(folder))
             served.heli.wait(max(watched_s - HOVER_S, 0.0))
-            return shown / alone, int(ask("gaps")) + served.heli.counters.ticks_lost
+            return shown / share_alone, int(ask("gaps")) + served.heli.counters.ticks_lost
 
 
 def measure() -> list[Measured]:

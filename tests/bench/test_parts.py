@@ -14,14 +14,14 @@ from tests.bench.result import PROMISES, Measured
 
 
 def test_a_part_without_its_package_is_skipped_in_one_line_and_the_next_is_measured() -> None:
-    said = io.StringIO()
+    output = io.StringIO()
     first = Part(
         "first", "what cannot be", 5, lambda _: [Measured("never", [1.0])], module("no_such_package")
     )
     second = replace(first, name="second", measure=lambda _: [Measured("there", [2.0])], lack=lambda: "")
-    measured = measured_by([first, second], Console(file=said, width=100))
+    measured = measured_by([first, second], Console(file=output, width=100))
     assert [one.key for one in measured] == ["there"]
-    assert said.getvalue().splitlines()[1] == (
+    assert output.getvalue().splitlines()[1] == (
         "      skipped: no_such_package is not installed; make bench does that"
     )
 

@@ -101,9 +101,13 @@ def test_a_cause_that_is_not_visible_is_not_scored() -> None:
     assert score(WITH_FAINT, with_it).log_loss == score(WITH_FAINT, without).log_loss == 0.0
     assert score(WITH_FAINT, with_it).false_names == 0
     assert score(LAG, with_it).false_names == 1
-    alone = {"causes": {"axis_tilt": WITH_FAINT["causes"]["axis_tilt"]}, "unlisted": {}}
-    assert score(alone, certain(NOTHING)).log_loss == score(alone, certain("axis_tilt")).log_loss == 0.0
-    assert score(alone, certain(NOTHING)).false_alarm is None
+    only_axis_tilt = {"causes": {"axis_tilt": WITH_FAINT["causes"]["axis_tilt"]}, "unlisted": {}}
+    assert (
+        score(only_axis_tilt, certain(NOTHING)).log_loss
+        == score(only_axis_tilt, certain("axis_tilt")).log_loss
+        == 0.0
+    )
+    assert score(only_axis_tilt, certain(NOTHING)).false_alarm is None
 
 
 def test_sizes_are_scored_by_their_intervals() -> None:
@@ -168,7 +172,7 @@ def test_several_runs_read_each_case_once(tmp_path: Path, monkeypatch: pytest.Mo
         folder.mkdir()
         for case in split.cases:
             write_answer(folder / f"{case.name}.json", informed(split.truth(case.name)))
-    alone = [score_run(split, folder) for folder in folders]
+    separate_scores = [score_run(split, folder) for folder in folders]
     read: list[str] = []
 
     def read_and_note(folder: Path) -> BenchmarkCase:
@@ -176,7 +180,7 @@ def test_several_runs_read_each_case_once(tmp_path: Path, monkeypatch: pytest.Mo
         return read_case(folder)
 
     monkeypatch.setattr(score_module, "read_case", read_and_note)
-    assert score_runs(split, folders) == alone
+    assert score_runs(split, folders) == separate_scores
     assert read == [case.name for case in split.cases]
 
 

@@ -165,8 +165,10 @@ def test_evidence_of_simulated_causes_is_highest_for_the_cause_that_was_drawn() 
     share = np.mean([NOTHING in of for of in hidden])
     assert abs(share - RATES[NOTHING]) < 0.1
     listed = list(CAUSES.listed)
-    alone = [(gain, next(iter(of))) for gain, of in zip(gains, hidden, strict=True) if len(of) == 1]
-    right = [gain.max() < 5.0 if name == NOTHING else listed[gain.argmax()] == name for gain, name in alone]
+    single_causes = [(gain, next(iter(of))) for gain, of in zip(gains, hidden, strict=True) if len(of) == 1]
+    right = [
+        gain.max() < 5.0 if name == NOTHING else listed[gain.argmax()] == name for gain, name in single_causes
+    ]
     assert np.mean(right) > 0.95
 
 

@@ -48,9 +48,9 @@ def without(content: dict[str, Any], *keys: str) -> dict[str, Any]:
 
 @pytest.fixture
 def splits(tmp_path: Path) -> tuple[Split, Split, Split]:
-    whole = make(tmp_path / "whole")
-    first = part(whole, tmp_path / "first", "first", slice(0, 4))
-    return whole, first, part(whole, tmp_path / "second", "second", slice(4, None))
+    complete = make(tmp_path / "whole")
+    first = part(complete, tmp_path / "first", "first", slice(0, 4))
+    return complete, first, part(complete, tmp_path / "second", "second", slice(4, None))
 
 
 @pytest.mark.medium
@@ -62,8 +62,8 @@ def test_pooled_scores_equal_those_of_one_split_with_all_cases(
     assert without(pooled, "splits") == without(pooled_scores([whole]), "splits")
     assert pooled["cases"] == 6
     # Intervals and pairs are those of all cases, not of one part.
-    alone = pooled_scores([first])
-    assert pooled["methods"]["informed"]["skill"] != alone["methods"]["informed"]["skill"]
+    first_scores = pooled_scores([first])
+    assert pooled["methods"]["informed"]["skill"] != first_scores["methods"]["informed"]["skill"]
     assert pooled["pairs"][0]["skill"]["cases"] == 6
     assert 0.0 < pooled["pairs"][0]["skill"]["low"] < pooled["pairs"][0]["skill"]["high"] <= 1.0
 

@@ -21,7 +21,7 @@ TRUTH: dict[str, Any] = {
 }
 
 
-def ratio(answer: Answer, *named: str) -> float:
+def prediction_ratio_of(answer: Answer, *named: str) -> float:
     reference = true_errors(CASE, TRUTH)
     assert reference is not None
     return prediction_ratio(CASE, answer, named, reference)
@@ -34,21 +34,21 @@ def spring(value: float, **rig: float) -> Answer:
 
 @pytest.mark.medium
 def test_the_true_causes_and_sizes_predict_as_well_as_the_true_model() -> None:
-    assert ratio(spring(SIZE), SPRING) == pytest.approx(1.0)
+    assert prediction_ratio_of(spring(SIZE), SPRING) == pytest.approx(1.0)
 
 
 @pytest.mark.medium
 def test_a_missing_cause_and_a_wrong_size_predict_worse() -> None:
-    missing = ratio(Answer({"nothing": 1.0}))
-    halved = ratio(spring(0.5 * SIZE), SPRING)
+    missing = prediction_ratio_of(Answer({"nothing": 1.0}))
+    halved = prediction_ratio_of(spring(0.5 * SIZE), SPRING)
     assert 1.05 < halved < missing
 
 
 @pytest.mark.medium
 def test_the_rig_parameters_of_an_answer_are_used() -> None:
     gain = RIG["thrust_gain"].value
-    assert ratio(spring(SIZE, thrust_gain=1.3 * gain), SPRING) > 1.2
-    assert ratio(spring(SIZE, thrust_gain=-gain), SPRING) == WORST_RATIO
+    assert prediction_ratio_of(spring(SIZE, thrust_gain=1.3 * gain), SPRING) > 1.2
+    assert prediction_ratio_of(spring(SIZE, thrust_gain=-gain), SPRING) == WORST_RATIO
 
 
 def predicted(angles_rad: Floats, t_s: Floats = FLIGHT.t_s) -> Answer:
@@ -60,18 +60,18 @@ def test_a_predicted_flight_is_scored_in_place_of_the_model() -> None:
     reference = true_errors(CASE, TRUTH)
     assert reference is not None
     # The errors of the true model on each axis, as a constant error.
-    as_good = ratio(predicted(FLIGHT.angles_rad + reference), SPRING)
+    as_good = prediction_ratio_of(predicted(FLIGHT.angles_rad + reference), SPRING)
     assert as_good == pytest.approx(1.0)
-    assert ratio(predicted(FLIGHT.angles_rad + 2.0 * reference), SPRING) == pytest.approx(2.0)
-    assert ratio(predicted(FLIGHT.angles_rad), SPRING) < as_good
+    assert prediction_ratio_of(predicted(FLIGHT.angles_rad + 2.0 * reference), SPRING) == pytest.approx(2.0)
+    assert prediction_ratio_of(predicted(FLIGHT.angles_rad), SPRING) < as_good
 
 
 @pytest.mark.medium
 def test_a_predicted_flight_that_ends_early_or_is_missing_counts_as_a_wrong_model() -> None:
     half = len(FLIGHT) // 2
-    assert ratio(predicted(FLIGHT.angles_rad[:half], FLIGHT.t_s[:half]), SPRING) == WORST_RATIO
+    assert prediction_ratio_of(predicted(FLIGHT.angles_rad[:half], FLIGHT.t_s[:half]), SPRING) == WORST_RATIO
     other = Answer({}, predicted_flights={"validation-2": AxisSeries(FLIGHT.t_s, FLIGHT.angles_rad)})
-    assert ratio(other, SPRING) == WORST_RATIO
+    assert prediction_ratio_of(other, SPRING) == WORST_RATIO
 
 
 @pytest.mark.medium

@@ -28,7 +28,7 @@ FLIGHT = Flight(
 RIG = load_rig("makki2024").replace(dead_zone=0.0, reverse_thrust=1.0)
 
 
-def hidden(id_: str, size: float) -> Flight:
+def flight_with_hidden_effect(id_: str, size: float) -> Flight:
     return hide(FLIGHT, KnownEffect(id_, size), 5.0, COUNT_RAD)
 
 
@@ -52,13 +52,13 @@ def judged(
 
 
 def test_with_a_delay_the_voltages_of_the_log_act_later() -> None:
-    log = hidden("input_delay", 0.06)
+    log = flight_with_hidden_effect("input_delay", 0.06)
     assert np.array_equal(log.front_V, FLIGHT.front_V[30:])
     assert np.array_equal(log.pitch_rad, FLIGHT.pitch_rad[:-30])
 
 
 def test_a_rotor_that_loses_voltage_is_logged_with_more_than_acts() -> None:
-    log = hidden("thrust_step.front", 0.1)
+    log = flight_with_hidden_effect("thrust_step.front", 0.1)
     later = t_s >= 5.0
     np.testing.assert_allclose(0.9 * log.front_V[later], FLIGHT.front_V[later])
     assert np.array_equal(log.front_V[~later], FLIGHT.front_V[~later])
@@ -66,7 +66,7 @@ def test_a_rotor_that_loses_voltage_is_logged_with_more_than_acts() -> None:
 
 
 def test_an_encoder_with_play_lags_by_half_of_it_in_whole_counts() -> None:
-    log, play_rad = hidden("backlash.pitch", 0.05), 0.05
+    log, play_rad = flight_with_hidden_effect("backlash.pitch", 0.05), 0.05
     behind_rad = log.pitch_rad - FLIGHT.pitch_rad
     assert np.abs(behind_rad).max() == pytest.approx(0.5 * play_rad, abs=COUNT_RAD[1])
     counts = log.pitch_rad / COUNT_RAD[1]

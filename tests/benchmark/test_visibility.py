@@ -35,9 +35,9 @@ def flown(name: str) -> tuple[DisturbedCase, TrueTrajectory]:
 
 def chance(case: DisturbedCase, trajectory: TrueTrajectory) -> CauseContribution:
     """The gusts as they blew, and errors of as many counts as the encoders have, each by itself."""
-    alone = replace(case, effects=(), unlisted=(), makers=())
+    case_without_causes = replace(case, effects=(), unlisted=(), makers=())
     rig = case.rig().replace(torque_elevation=0.0, torque_pitch=0.0, torque_travel=0.0)
-    torque = ReplayedRig(rig, alone.hidden(0)).forces(trajectory).torque_Nm
+    torque = ReplayedRig(rig, case_without_causes.hidden(0)).forces(trajectory).torque_Nm
     errors = np.random.default_rng(1).uniform(-0.5, 0.5, (steps(trajectory), 3)) * count_rad(rig)
     return CauseContribution(torque.reshape(-1, FINE, 3).mean(axis=1), errors)
 
@@ -72,16 +72,16 @@ def test_visibility_is_the_ratio_of_the_size_to_the_disturbances() -> None:
     nothing = np.zeros_like(torque)
     elevation, pitch, travel = case.disturbances.gusts_Nm
     strong = replace(case.disturbances, gusts_Nm=(2.0 * elevation, 2.0 * pitch, 2.0 * travel))
-    seen = []
+    visibilities = []
     for size, disturbances in ((1.0, case.disturbances), (2.0, case.disturbances), (1.0, strong)):
         line = LinearisedRig(trajectory, rig, disturbances)
         white = line.innovations(
             [CauseContribution(size * torque, nothing), *imitators(rig, trajectory, forces, line)]
         )
-        seen.append(residual_norm(white, 0, 1))
-    assert seen[1] == pytest.approx(2.0 * seen[0], rel=1e-6)
-    assert 0.45 * seen[0] < seen[2] < 0.75 * seen[0]
-    assert visibility(case, DURATION_s)["off-pitch_by_elevation"] == pytest.approx(seen[0], rel=0.01)
+        visibilities.append(residual_norm(white, 0, 1))
+    assert visibilities[1] == pytest.approx(2.0 * visibilities[0], rel=1e-6)
+    assert 0.45 * visibilities[0] < visibilities[2] < 0.75 * visibilities[0]
+    assert visibility(case, DURATION_s)["off-pitch_by_elevation"] == pytest.approx(visibilities[0], rel=0.01)
 
 
 @pytest.mark.slow
@@ -95,8 +95,8 @@ def test_what_another_number_of_the_rig_can_be_does_not_stand_out() -> None:
     plain = ReplayedRig(rig, ())
     change = plain.accelerations(trajectory, stronger) - plain.accelerations(trajectory, forces)
     gain = CauseContribution(line.torque(change, FINE), np.zeros((steps(trajectory), 3)))
-    alone = np.linalg.norm(line.innovations([gain]))
-    assert alone > 30.0
+    norm_alone = np.linalg.norm(line.innovations([gain]))
+    assert norm_alone > 30.0
     assert residual_norm(line.innovations([gain, *others]), 0, 1) < 3.0
 
 

@@ -292,9 +292,9 @@ def test_without_motors_no_voltage_is_given(tmp_path: Path) -> None:
 
 def test_the_verb_writes_rig_parameters_log_and_result(terminal: Terminal) -> None:
     wires = ("--sil", "--miswired", "pitch,swapped", "--max-V", "1.25")
-    ended = terminal("calibrate", *wires, "--save-params", "p.toml", "--json", "r.json", "--log", "c.mcap")
-    assert ended.code == 1, ended
-    assert "note: the motors are exchanged" in ended.out
+    result = terminal("calibrate", *wires, "--save-params", "p.toml", "--json", "r.json", "--log", "c.mcap")
+    assert result.code == 1, result
+    assert "note: the motors are exchanged" in result.out
     assert load_rig("makki2024-calibrated.toml")["encoder_direction_pitch"].value == -1.0
     assert "pitch_counts_per_rev = -4096" in Path("p.toml").read_text(encoding="utf-8")
     content = json.loads(Path("r.json").read_text(encoding="utf-8"))
@@ -319,7 +319,7 @@ def test_the_verb_writes_rig_parameters_log_and_result(terminal: Terminal) -> No
     ],
 )
 def test_a_wrong_request_is_one_line(terminal: Terminal, arguments: tuple[str, ...], text: str) -> None:
-    ended = terminal("calibrate", *arguments)
-    assert text in refusal(ended, code=ended.code)
-    assert ended.code in (2, 4)
+    result = terminal("calibrate", *arguments)
+    assert text in refusal(result, code=result.code)
+    assert result.code in (2, 4)
     assert not list(Path().glob("*.toml"))

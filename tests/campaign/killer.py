@@ -23,7 +23,7 @@ def free_port() -> int:
         return int(one.getsockname()[1])
 
 
-def start(*words: str, path: Path = ROOT) -> subprocess.Popen[bytes]:
+def start_program(*words: str, path: Path = ROOT) -> subprocess.Popen[bytes]:
     """Start a Python program in a group of its own, which finds packages in a folder first."""
     return subprocess.Popen(
         [sys.executable, *words],
@@ -71,13 +71,15 @@ class Cluster:
         port = free_port()
         self.address = f"tcp://127.0.0.1:{port}"
         scheduler = ("-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port))
-        self.parts = [start(*scheduler, "--no-dashboard")]
+        self.parts = [start_program(*scheduler, "--no-dashboard")]
         for _ in range(self.workers):
             self.add_worker()
 
     def add_worker(self, path: Path = ROOT) -> None:
-        words = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--memory-limit", "0")
-        self.parts.append(start("-m", "distributed.cli.dask_worker", self.address, *words, path=path))
+        arguments = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--memory-limit", "0")
+        self.parts.append(
+            start_program("-m", "distributed.cli.dask_worker", self.address, *arguments, path=path)
+        )
 
     def wait_for_workers(self, count: int) -> None:
         from distributed import Client

@@ -10,7 +10,7 @@ import pytest
 from heli_lab.campaign import Case, JobResult
 from heli_lab.campaign.worker_process import Limits, WorkerProcess
 
-from tests.campaign.killer import PATIENCE_s, kill_all, start
+from tests.campaign.killer import PATIENCE_s, kill_all, start_program
 
 pytestmark = pytest.mark.medium
 
@@ -80,7 +80,7 @@ cage = WorkerProcess(Limits())
 print(cage.run(case, "key").detail["pid"], flush=True)
 cage.run(Case("long", "tests.campaign.works:count", {"number": 3, "nap_s": 3600}), "key")
 """
-    parent = start("-c", program)
+    parent = start_program("-c", program)
     assert parent.stdout is not None
     pid = int(parent.stdout.readline())
     # Killed alone: nobody else ends the process that it started.

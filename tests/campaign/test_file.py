@@ -103,10 +103,10 @@ TABLES = st.dictionaries(
 @settings(max_examples=60, deadline=None)
 @given(TABLES, st.sampled_from(["fly", "diagnose", "a.b:c", None]))
 def test_any_table_is_a_campaign_or_refused(table: dict[str, Any], work: str | None) -> None:
-    from heli_lab.campaign.file import _campaign
+    from heli_lab.campaign.file import _campaign_of_table
 
     try:
-        campaign = _campaign(Path("c.toml"), {**table, **({"work": work} if work else {})})
+        campaign = _campaign_of_table(Path("c.toml"), {**table, **({"work": work} if work else {})})
     except CampaignError:
         return
     assert all(isinstance(case.key("code"), str) for case in campaign.cases)

@@ -15,7 +15,7 @@ import pytest
 from heli_lab.campaign import Store
 
 from tests.campaign.driver import CODE, cases
-from tests.campaign.killer import Cluster, children, kill_all, start, wait_until
+from tests.campaign.killer import Cluster, children, kill_all, start_program, wait_until
 from tests.running.long import samples
 
 pytestmark = pytest.mark.slow
@@ -57,10 +57,10 @@ def expected(folder: Path, log: Path) -> list[dict[str, Any]]:
 def test_killed_at_random_it_ends_with_the_same_table_and_nothing_is_done_twice(tmp_path: Path) -> None:
     chance = random.Random(5)
     folder, log = tmp_path / "out", tmp_path / "begun.txt"
-    words = ("-m", "tests.campaign.driver", str(folder), str(log), str(COUNT), str(NAP_s))
+    arguments = ("-m", "tests.campaign.driver", str(folder), str(log), str(COUNT), str(NAP_s))
     for number in range(KILLS):
         done, before = ended(folder), begun(log)
-        program = start(*words)
+        program = start_program(*arguments)
         goal = len(done) + chance.randint(1, max(1, (COUNT - len(done)) // (KILLS - number + 1)))
         wait_until(partial(has_ended, folder, goal), program)
         if number % 2:
@@ -72,7 +72,7 @@ def test_killed_at_random_it_ends_with_the_same_table_and_nothing_is_done_twice(
         numbers = {case.key(CODE): str(case.settings["number"]) for case in cases(COUNT, NAP_s, str(log))}
         again = begun(log) - before
         assert not [key for key in done if again[numbers[key]]], "what had ended was begun again"
-    last = start(*words)
+    last = start_program(*arguments)
     assert last.wait(300) == 0, last.stdout.read() if last.stdout else b""
     kill_all(last)
     assert table(folder) == expected(folder, log)
@@ -80,9 +80,9 @@ def test_killed_at_random_it_ends_with_the_same_table_and_nothing_is_done_twice(
 
 def test_a_cluster_loses_workers_and_its_scheduler_and_the_campaign_goes_on(tmp_path: Path) -> None:
     folder, log = tmp_path / "out", tmp_path / "begun.txt"
-    words = ("-m", "tests.campaign.driver", str(folder), str(log), str(COUNT), str(NAP_s))
+    arguments = ("-m", "tests.campaign.driver", str(folder), str(log), str(COUNT), str(NAP_s))
     with Cluster() as cluster:
-        program = start(*words, cluster.address)
+        program = start_program(*arguments, cluster.address)
         wait_until(lambda: len(ended(folder)) >= 5, program)
         kill_all(cluster.parts.pop())
         cluster.add_worker()
@@ -93,7 +93,7 @@ def test_a_cluster_loses_workers_and_its_scheduler_and_the_campaign_goes_on(tmp_
         assert b"the scheduler has stopped" in output and b"run the same command again" in output
     done, before = ended(folder), begun(log)
     assert 15 <= len(done) < COUNT
-    again = start(*words)
+    again = start_program(*arguments)
     assert again.wait(300) == 0
     kill_all(again)
     numbers = {case.key(CODE): str(case.settings["number"]) for case in cases(COUNT, NAP_s, str(log))}

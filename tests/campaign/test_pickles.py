@@ -76,7 +76,7 @@ def test_the_number_of_threads_changes_no_number() -> None:
 def test_a_diagnosis_says_what_it_said() -> None:
     fit, held_out = (thinned(flight, 2) for flight in flights("rotor_lag=0.08"))
     rig = load_rig("makki2024")
-    found = diagnose(MultibodyModel(), rig, [fit], [held_out], stop_s=25.0, refits=3, threads=1)
-    other = copied(found)
-    assert to_json(other) == to_json(found)
-    assert other.rig("again") == found.rig("again")
+    diagnosis = diagnose(MultibodyModel(), rig, [fit], [held_out], stop_s=25.0, refits=3, threads=1)
+    other = copied(diagnosis)
+    assert to_json(other) == to_json(diagnosis)
+    assert other.rig("again") == diagnosis.rig("again")

@@ -30,14 +30,14 @@ def test_a_result_that_was_torn_is_computed_again_and_no_other_is(tmp_path: Path
     log = tmp_path / "log.txt"
     campaign = logged(tmp_path, log)
     store = Store(tmp_path / "out")
-    whole = run_campaign(campaign, store, code="test")
+    complete = run_campaign(campaign, store, code="test")
     assert sorted(log.read_text().split()) == ["0", "1", "2", "3"]
     torn, gone = (store.path(case.key("test")) for case in campaign.cases[1:3])
     torn.write_text(torn.read_text()[:40])
     gone.unlink()
     again = run_campaign(campaign, store, code="test")
     assert sorted(log.read_text().split()[4:]) == ["1", "2"]
-    assert [row["square"] for row in again] == [row["square"] for row in whole] == [0, 1, 4, 9]
+    assert [row["square"] for row in again] == [row["square"] for row in complete] == [0, 1, 4, 9]
 
 
 @pytest.mark.medium

@@ -80,8 +80,8 @@ class ChangedCopy:
         configure += ["-DCMAKE_BUILD_TYPE=Debug", f"-DCMAKE_CXX_FLAGS_DEBUG={optimised}"]
         configure += ["-DCMAKE_UNITY_BUILD=ON", "-DCMAKE_UNITY_BUILD_BATCH_SIZE=0"]
         for command in (configure, [cmake, "--build", str(build), "--target", "_native", "--parallel", "2"]):
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
+            process = subprocess.run(command, capture_output=True, text=True, check=False)
+            assert process.returncode == 0, process.stdout[-4000:] + process.stderr[-4000:]
         (extension,) = build.glob("_native*.so")
         self.extension.write_bytes(extension.read_bytes())
         # The extensions of the laboratory do not depend on the declaration.
@@ -104,7 +104,7 @@ class ChangedCopy:
         The installed packages hook themselves in by a file of site-packages; without the module `site` that
         is not read, and the copy is what is found.
         """
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-S", *command],
             cwd=self.root,
             env=self.environment(),
@@ -112,8 +112,8 @@ class ChangedCopy:
             text=True,
             check=False,
         )
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
+        assert process.returncode == 0, process.stdout + process.stderr
+        return process.stdout
 
     def environment(self) -> dict[str, str]:
         """In which Python without `site` finds the copy's packages."""

@@ -92,9 +92,9 @@ def test_a_refusal_is_one_line_for_a_person_and_nothing_is_written(tmp_path: Pat
     source = declared(tmp_path, with_channel(channel("tick", "u32")))
     command = [sys.executable, str(ROOT / "firmware" / "generate.py"), "--source", str(source)]
     command += ["--root", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.count("\n") == 1 and done.stderr.startswith("link.toml: channel tick: ")
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert process.returncode == 2 and process.stdout == ""
+    assert process.stderr.count("\n") == 1 and process.stderr.startswith("link.toml: channel tick: ")
     assert not (tmp_path / "out").exists()
 
 

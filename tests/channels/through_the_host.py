@@ -31,7 +31,7 @@ PARAMETERS = {spec.name: spec.default for spec in PARAMS}
 KINDS = [spec.kind for spec in CHANNELS]
 
 
-def made() -> NDArray[np.int32]:
+def random_raw_numbers() -> NDArray[np.int32]:
     """Raw numbers (TICKS, channels): wandering, jumping to the ends of each type, each channel its own."""
     random = np.random.default_rng(1)
     raw = np.empty((TICKS, len(CHANNELS)), np.int64)
@@ -53,13 +53,13 @@ def made() -> NDArray[np.int32]:
     return raw.astype(np.int32)
 
 
-def value(channel: int, number: int) -> float:
+def value_in_unit(channel: int, number: int) -> float:
     """A raw number in the unit of its column, by docs/reference/link.md."""
     spec = CHANNELS[channel]
-    whole = number % 2**32 if spec.code == "<I" else number
+    unsigned_number = number % 2**32 if spec.code == "<I" else number
     if spec.axis is not None:
-        return whole * 2.0 * np.pi / abs(PARAMETERS[f"{spec.axis}_counts_per_rev"])
-    return whole * spec.scale
+        return unsigned_number * 2.0 * np.pi / abs(PARAMETERS[f"{spec.axis}_counts_per_rev"])
+    return unsigned_number * spec.scale
 
 
 def decoded(raw: NDArray[np.int32]) -> Ticks:
@@ -74,10 +74,10 @@ def decoded(raw: NDArray[np.int32]) -> Ticks:
 
 def check(folder: Path) -> None:
     """Fail when a number comes out otherwise than it went in."""
-    raw = made()
+    raw = random_raw_numbers()
     ticks = decoded(raw)
     expected = {
-        spec.column: np.array([value(channel, number) for number in raw[:, channel].tolist()])
+        spec.column: np.array([value_in_unit(channel, number) for number in raw[:, channel].tolist()])
         for channel, spec in enumerate(CHANNELS)
     }
     scales = Scales(PARAMETERS)

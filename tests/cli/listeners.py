@@ -26,13 +26,13 @@ def tree(pid: int) -> Iterator[int]:
 def listeners(pid: int) -> set[tuple[IPv4Address | IPv6Address, int]]:
     """Addresses and ports at which a process, or one that it started, takes what comes."""
     sockets = {name for process in tree(pid) for name in _sockets(process)}
-    found = set()
+    matches = set()
     for table, state in _TABLES.items():
         for line in (_PROC / "net" / table).read_text().splitlines()[1:]:
             fields = line.split()
             if fields[3] == state and f"socket:[{fields[9]}]" in sockets:
-                found.add(_address(fields[1]))
-    return found
+                matches.add(_address(fields[1]))
+    return matches
 
 
 def _sockets(pid: int) -> Iterator[str]:

@@ -76,12 +76,12 @@ def test_a_flight_is_repeated_from_its_log_alone(terminal: Terminal, tmp_path: P
     arm = rig["L_a"]
     numbers = {**rig.numbers, "L_a": replace(arm, value=arm.value + 1.0e-9 / 3.0)}
     own.write_text(rig_text(Rig("mine", "One arm", numbers, rig.effects, rig.model), digits=17))
-    words = ("--sil", "--speed", "max", "--rig", own, "--seed", "7", "--effect", "rotor_lag=0.05")
+    arguments = ("--sil", "--speed", "max", "--rig", own, "--seed", "7", "--effect", "rotor_lag=0.05")
     flown = terminal(
         "fly",
         plan,
         plan,
-        *words,
+        *arguments,
         "--effect",
         "random_torque.travel=0.02",
         "--gains",
@@ -110,8 +110,8 @@ def test_another_seed_gives_other_samples_and_an_error(
         return replace(repeat, options={**repeat.options, "seed": "2"})
 
     monkeypatch.setattr(again, "read_repeat", with_another_seed)
-    ended = terminal("fly", "--again", "a.mcap", "--log", "b.mcap")
-    assert ended.code != 0 and "the samples differ from" in ended.err
+    result = terminal("fly", "--again", "a.mcap", "--log", "b.mcap")
+    assert result.code != 0 and "the samples differ from" in result.err
 
 
 def test_code_of_effects_is_asked_for_and_never_taken_from_the_log(
@@ -119,8 +119,8 @@ def test_code_of_effects_is_asked_for_and_never_taken_from_the_log(
 ) -> None:
     file = tmp_path / "mine.py"
     file.write_text(EFFECT_FILE)
-    words = ("--effect-file", file, "--sil", "--speed", "max", "--log", "a.mcap")
-    assert terminal("fly", plan, *words).code == 0
+    arguments = ("--effect-file", file, "--sil", "--speed", "max", "--log", "a.mcap")
+    assert terminal("fly", plan, *arguments).code == 0
     refused = terminal("fly", "--again", "a.mcap", "--log", "b.mcap")
     assert (
         refused.code != 0 and "add --effect-file mine.py" in refused.err and "code has run" not in refused.out
@@ -186,6 +186,6 @@ def test_what_a_log_gives_is_refused_on_the_command_line(terminal: Terminal) -> 
         ("--effect", "rotor_lag=0.1"),
         ("--gains", "paper"),
     ):
-        ended = terminal("fly", "--again", "a.mcap", *words)
-        assert ended.code == 2 and "takes this from the log" in ended.err
+        result = terminal("fly", "--again", "a.mcap", *words)
+        assert result.code == 2 and "takes this from the log" in result.err
     assert "no plan is given" in terminal("fly", "--sil").err

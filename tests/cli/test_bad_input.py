@@ -102,8 +102,8 @@ def test_a_plan_beyond_the_limits_does_not_take_off(terminal: Terminal, plan: Pa
 def test_a_setpoint_outside_the_limits_does_not_take_off(
     terminal: Terminal, option: str, tmp_path: Path
 ) -> None:
-    ended = terminal("setpoint", option, "--take-off", *SIL, "--log", tmp_path / "f.mcap")
-    assert "limits" in refusal(ended, code=ASKED)
+    result = terminal("setpoint", option, "--take-off", *SIL, "--log", tmp_path / "f.mcap")
+    assert "limits" in refusal(result, code=ASKED)
     assert not (tmp_path / "f.mcap").exists()
 
 

@@ -34,9 +34,9 @@ SIL = ("--sil", "--speed", "max")
 
 
 def test_watch_shows_counts_angles_and_errors_of_each_axis(terminal: Terminal) -> None:
-    ended = terminal("watch", *SIL, "--duration", "1")
-    assert ended.code == 0, ended
-    first, *lines = ended.out.splitlines()
+    result = terminal("watch", *SIL, "--duration", "1")
+    assert result.code == 0, result
+    first, *lines = result.out.splitlines()
     assert "native board, firmware 0.1.0" in first
     # On the table, at -25 degrees, 284 counts of 4096 below level.
     assert lines[0].startswith("elevation   -284 ( -24.96 deg, 0 bad)  pitch     +0")
@@ -86,7 +86,7 @@ def test_watch_commands_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPa
 def test_motors_get_the_voltage_for_the_time_and_are_off_afterwards() -> None:
     with heli_host.connect("sil://?speed=max") as heli:
         heli.arm()
-        motors._drive(heli, 1.0, 0.5, 1.0)
+        motors._apply_voltages(heli, 1.0, 0.5, 1.0)
         heli.stop()
         heli.wait(0.1)
         flown = heli.samples()
@@ -100,9 +100,9 @@ def test_motors_get_the_voltage_for_the_time_and_are_off_afterwards() -> None:
 
 
 def test_motors_without_a_voltage_only_enable(terminal: Terminal) -> None:
-    ended = terminal("motors", *SIL, "--duration", "1")
-    assert ended.code == 0, ended
-    assert "drivers off again" in ended.out
+    result = terminal("motors", *SIL, "--duration", "1")
+    assert result.code == 0, result
+    assert "drivers off again" in result.out
 
 
 def test_motors_refuse_a_voltage_beyond_the_limits_and_enable_nothing(

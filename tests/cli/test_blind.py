@@ -134,8 +134,8 @@ def test_a_blind_export_of_an_open_log_gives_nothing_away(short: Terminal, tmp_p
     assert dict(whole.parameters) == dict(bare.parameters) and len(whole.events) == len(bare.events)
     # The log itself, and the export, each match the truth file.
     for file in ("a.mcap", "a.csv"):
-        shown = short("info", file, "--truth", "a.truth.json")
-        assert shown.code == 0 and f"{EFFECT}%3D{SIZE}" in shown.out
+        result = short("info", file, "--truth", "a.truth.json")
+        assert result.code == 0 and f"{EFFECT}%3D{SIZE}" in result.out
 
 
 def test_the_truth_file_settles_what_flew(short: Terminal, tmp_path: Path) -> None:
@@ -143,8 +143,8 @@ def test_the_truth_file_settles_what_flew(short: Terminal, tmp_path: Path) -> No
         assert short("fly", *FLOWN, "--blind", "--log", f"{name}.mcap").code == 0
     key = tmp_path / "a.truth.json"
     assert stat.S_IMODE(key.stat().st_mode) == 0o600
-    shown = short("info", "a.mcap", "--truth", "a.truth.json")
-    assert f"truth, effects: {EFFECT}={SIZE}" in shown.out and f"truth, rig: {RIG}.toml" in shown.out
+    result = short("info", "a.mcap", "--truth", "a.truth.json")
+    assert f"truth, effects: {EFFECT}={SIZE}" in result.out and f"truth, rig: {RIG}.toml" in result.out
     truth: dict[str, Any] = json.loads(short("info", "a.mcap", "--truth", "a.truth.json", "--json", "-").out)[
         "truth"
     ]

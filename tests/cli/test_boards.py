@@ -34,9 +34,9 @@ def board_line(out: str) -> str:
 def test_a_flight_of_the_emulated_due_says_so_everywhere(
     terminal: Terminal, tmp_path: Path, built: Path
 ) -> None:
-    ended = terminal("fly", "hover", *MAX, "--board", "due", "--json", "f.json", "--log", "f.mcap")
-    assert ended.code == 0, ended.err
-    assert f"emulated Due, {built.name}" in board_line(ended.out)
+    result = terminal("fly", "hover", *MAX, "--board", "due", "--json", "f.json", "--log", "f.mcap")
+    assert result.code == 0, result.err
+    assert f"emulated Due, {built.name}" in board_line(result.out)
     summary = json.loads((tmp_path / "f.json").read_text())
     assert (summary["board"], summary["outcome"]) == ("emulated Due", "completed")
     # Where the ELF lies is no part of a flight: the same flight leaves the same log elsewhere.
@@ -44,8 +44,8 @@ def test_a_flight_of_the_emulated_due_says_so_everywhere(
 
 
 def test_the_native_board_is_flown_unless_asked_otherwise(terminal: Terminal, tmp_path: Path) -> None:
-    ended = terminal("fly", "hover", *MAX, "--json", "f.json", "--log", "f.mcap")
-    assert "native board" in board_line(ended.out)
+    result = terminal("fly", "hover", *MAX, "--json", "f.json", "--log", "f.mcap")
+    assert "native board" in board_line(result.out)
     assert json.loads((tmp_path / "f.json").read_text())["board"] == "native"
 
 
@@ -53,10 +53,10 @@ def test_auto_without_firmware_flies_the_native_board_and_says_why(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(firmware, "candidates", list)
-    ended = terminal("fly", "hover", *MAX, "--board", "auto", "--log", "f.mcap")
-    assert ended.code == 0
-    assert "native board" in board_line(ended.out)
-    assert "make firmware" in ended.out
+    result = terminal("fly", "hover", *MAX, "--board", "auto", "--log", "f.mcap")
+    assert result.code == 0
+    assert "native board" in board_line(result.out)
+    assert "make firmware" in result.out
     assert terminal("fly", "hover", *MAX, "--board", "due").code == 2
 
 
@@ -75,20 +75,20 @@ def test_auto_without_firmware_flies_the_native_board_and_says_why(
 def test_what_makes_no_sense_is_refused_in_one_line(
     terminal: Terminal, arguments: tuple[str, ...], says: str
 ) -> None:
-    ended = terminal(*arguments)
-    assert ended.code == 2
-    assert ended.err.startswith("error: ")
-    assert len(ended.err.splitlines()) == 1
-    assert says in ended.err
+    result = terminal(*arguments)
+    assert result.code == 2
+    assert result.err.startswith("error: ")
+    assert len(result.err.splitlines()) == 1
+    assert says in result.err
 
 
 def test_sil_serves_the_emulated_due_with_its_control_lines(tmp_path: Path, built: Path) -> None:
     arguments = ("--rfc2217", "127.0.0.1:0", "--board", "due", "--elf", built, "--speed", "max")
     with process(tmp_path, "sil", *arguments) as server:
         assert server.stdout is not None
-        said = server.stdout.readline()
-        assert "emulated Due" in said
-        url = next(word for word in said.replace(",", " ").split() if word.startswith("rfc2217://"))
+        output = server.stdout.readline()
+        assert "emulated Due" in output
+        url = next(word for word in output.replace(",", " ").split() if word.startswith("rfc2217://"))
         with heli_host.connect(url) as heli:
             assert (heli.info.board, heli.info.reset) == ("Arduino Due", "user")
         server.send_signal(signal.SIGINT)

@@ -51,10 +51,10 @@ def test_an_effect_changes_the_flight_and_the_seed_its_chance(terminal: Terminal
 def test_what_cannot_be_flown_is_refused_in_one_line(
     terminal: Terminal, options: tuple[str, ...], message: str
 ) -> None:
-    ended = terminal("fly", "hover", *options)
-    assert ended.code != 0
-    assert message in ended.err
-    assert len(ended.err.strip().splitlines()) == 1
+    result = terminal("fly", "hover", *options)
+    assert result.code != 0
+    assert message in result.err
+    assert len(result.err.strip().splitlines()) == 1
 
 
 def test_a_rigs_effects_are_shown_and_checked(terminal: Terminal, tmp_path: Path) -> None:
@@ -65,6 +65,6 @@ def test_a_rigs_effects_are_shown_and_checked(terminal: Terminal, tmp_path: Path
     assert terminal("rig", "check", path).code == 0
     assert "rotor_lag.s" in terminal("rig", "show", path).out
     path.write_text(path.read_text().replace("rotor_lag", "rotor_lg"))
-    ended = terminal("rig", "check", path)
-    assert ended.code != 0
-    assert "unknown effect 'rotor_lg'; did you mean rotor_lag?" in ended.err
+    result = terminal("rig", "check", path)
+    assert result.code != 0
+    assert "unknown effect 'rotor_lg'; did you mean rotor_lag?" in result.err

@@ -85,8 +85,8 @@ def test_a_board_is_flashed_and_answers(
     monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
     uploader = Uploader(tmp_path / "bin")
     on_path(monkeypatch, uploader)
-    ended = terminal("flash", image, "--port", board.url, "--yes")
-    assert ended.code == 0, ended
+    result = terminal("flash", image, "--port", board.url, "--yes")
+    assert result.code == 0, result
     device = os.path.realpath(board.url).removeprefix("/dev/")
     assert uploader.calls == [
         [
@@ -100,8 +100,8 @@ def test_a_board_is_flashed_and_answers(
             str(image),
         ]
     ]
-    assert "flashed: simulated board, firmware 0.1.0" in ended.out
-    assert "nothing to keep" in ended.out
+    assert "flashed: simulated board, firmware 0.1.0" in result.out
+    assert "nothing to keep" in result.out
 
 
 @pytest.mark.slow
@@ -110,12 +110,12 @@ def test_parameters_that_were_changed_are_kept_in_a_file_that_restores_them(
 ) -> None:
     monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
     assert terminal("params", "set", "hover_V", "1.25", "--save", "--port", board.url).code == 0
-    ended = terminal(
+    result = terminal(
         "flash", image, "--port", board.url, "--yes", "--bossac", Uploader(tmp_path / "bin").program
     )
-    assert ended.code == 0, ended
+    assert result.code == 0, result
     [kept] = tmp_path.glob("parameters-*.toml")
-    assert f"params restore {kept.name} --save --port {board.url}" in ended.out
+    assert f"params restore {kept.name} --save --port {board.url}" in result.out
     # The flash of the simulated board is not erased; a changed value shows that the file has the old one.
     assert terminal("params", "set", "hover_V", "1.75", "--port", board.url).code == 0
     assert terminal("params", "restore", kept, "--port", board.url).code == 0
@@ -136,12 +136,12 @@ def test_parameters_of_a_board_with_another_link_version_are_kept(
     assert terminal("params", "set", "hover_V", "1.25", "--save", "--port", board.url).code == 0
     request.getfixturevalue("other_link")
     uploader = Uploader(tmp_path / "bin")
-    ended = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
+    result = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
     [kept] = tmp_path.glob("parameters-*.toml")
     assert read_parameter_set(kept).values["hover_V"] == 1.25
     assert len(uploader.calls) == 1
     # The simulated board is not really flashed, so that it still has the other link version.
-    assert "has link version" in refusal(ended, code=LINK)
+    assert "has link version" in refusal(result, code=LINK)
 
 
 @pytest.mark.slow
@@ -149,8 +149,8 @@ def test_a_board_with_another_link_version_and_no_saved_parameters_is_flashed(
     terminal: Terminal, image: Path, board: SilProcess, tmp_path: Path, other_link: None
 ) -> None:
     uploader = Uploader(tmp_path / "bin")
-    ended = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
-    assert "nothing to keep" in ended.out
+    result = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
+    assert "nothing to keep" in result.out
     assert len(uploader.calls) == 1
 
 
@@ -167,12 +167,12 @@ def test_saved_parameters_of_another_schema_are_erased_only_on_demand(
     request.getfixturevalue("other_link")
     monkeypatch.setattr("heli_host.flash.other_link.PARAMS_HASH", PARAMS_HASH ^ 1)
     uploader = Uploader(tmp_path / "bin")
-    words = ("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
-    line = refusal(terminal(*words), code=LINK)
+    arguments = ("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
+    line = refusal(terminal(*arguments), code=LINK)
     assert f"{PARAMS_HASH:08x}" in line
     assert "params dump" in line
     assert uploader.calls == []
-    assert "discarded: " in terminal(*words, "--discard-parameters").out
+    assert "discarded: " in terminal(*arguments, "--discard-parameters").out
     assert len(uploader.calls) == 1
 
 
@@ -181,8 +181,8 @@ def test_nothing_is_erased_before_somebody_agreed(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
 ) -> None:
     uploader = Uploader(tmp_path / "bin")
-    ended = terminal("flash", image, "--port", silent_port, "--bossac", uploader.program)
-    assert "--yes" in refusal(ended, code=ASKED)
+    result = terminal("flash", image, "--port", silent_port, "--bossac", uploader.program)
+    assert "--yes" in refusal(result, code=ASKED)
     assert uploader.calls == []
 
 
@@ -191,8 +191,8 @@ def test_a_board_without_this_firmware_is_flashed_without_its_parameters(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
 ) -> None:
     uploader = Uploader(tmp_path / "bin")
-    ended = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)
-    assert "no parameters could be read" in ended.out
+    result = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)
+    assert "no parameters could be read" in result.out
     assert len(uploader.calls) == 1
 
 
@@ -270,8 +270,8 @@ def test_each_way_in_which_the_uploader_fails_has_its_remedy(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path, ending: str, says: str
 ) -> None:
     uploader = Uploader(tmp_path / "bin", ending)
-    ended = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)
-    assert says in refusal(ended, code=LINK)
+    result = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)
+    assert says in refusal(result, code=LINK)
     assert len(uploader.calls) == 1
 
 
@@ -286,10 +286,10 @@ def test_an_uploader_that_hangs_is_ended(image: Path, tmp_path: Path) -> None:
 def test_a_board_that_does_not_answer_afterwards_is_an_error(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
 ) -> None:
-    ended = terminal(
+    result = terminal(
         "flash", image, "--port", silent_port, "--yes", "--bossac", Uploader(tmp_path / "bin").program
     )
-    line = refusal(ended, code=LINK)
+    line = refusal(result, code=LINK)
     assert "written and verified, but the board does not answer" in line
     assert "RESET" in line
 
@@ -299,9 +299,9 @@ def test_a_version_that_is_reported_not_to_boot_is_named_before_and_after(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
 ) -> None:
     new = Uploader(tmp_path / "bin", version="1.9.1")
-    ended = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", new.program)
-    assert "1.9.1 is reported" in ended.out
-    assert "1.7.0" in refusal(ended, code=LINK)
+    result = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", new.program)
+    assert "1.9.1 is reported" in result.out
+    assert "1.7.0" in refusal(result, code=LINK)
     assert "--usb-port=0" in new.calls[0]
     assert "--reset" not in new.calls[0]
 
@@ -312,8 +312,8 @@ def test_a_busy_port_is_named_and_nothing_erased(
 ) -> None:
     uploader = Uploader(tmp_path / "bin")
     with serial.Serial(silent_port, exclusive=True):
-        ended = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)
-    assert "in use by another program" in refusal(ended, code=LINK)
+        result = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)
+    assert "in use by another program" in refusal(result, code=LINK)
     assert uploader.calls == []
 
 
@@ -329,8 +329,8 @@ def test_a_missing_uploader_says_how_to_get_it(terminal: Terminal, image: Path, 
 def test_only_a_port_of_this_computer_can_be_flashed(
     terminal: Terminal, image: Path, tmp_path: Path, port: str
 ) -> None:
-    ended = terminal("flash", image, "--port", port, "--yes", "--bossac", Uploader(tmp_path / "bin").program)
-    assert "port of this computer" in refusal(ended, code=ASKED)
+    result = terminal("flash", image, "--port", port, "--yes", "--bossac", Uploader(tmp_path / "bin").program)
+    assert "port of this computer" in refusal(result, code=ASKED)
 
 
 @pytest.mark.medium
@@ -338,8 +338,8 @@ def test_flash_without_a_port_erases_nothing(
     terminal: Terminal, image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(list_ports, "comports", list)
-    ended = terminal("flash", image, "--yes", "--bossac", Uploader(tmp_path / "bin").program)
-    line = refusal(ended, code=LINK)
+    result = terminal("flash", image, "--yes", "--bossac", Uploader(tmp_path / "bin").program)
+    line = refusal(result, code=LINK)
     assert "no board is named, and no Due is plugged in; add --port PORT" in line
     assert "--sil" not in line
 
@@ -371,8 +371,8 @@ def test_a_file_that_is_no_firmware_of_ours_erases_nothing(
     path = tmp_path / "firmware.bin"
     path.write_bytes(content)
     uploader = Uploader(tmp_path / "bin")
-    ended = terminal("flash", path, "--port", silent_port, "--yes", "--bossac", uploader.program)
-    assert says in refusal(ended, code=ASKED)
+    result = terminal("flash", path, "--port", silent_port, "--yes", "--bossac", uploader.program)
+    assert says in refusal(result, code=ASKED)
     assert uploader.calls == []
 
 
@@ -434,12 +434,14 @@ def test_options_of_platformio_are_not_those_of_the_new_uploader(image: Path) ->
     path = shutil.which("bossac", path=os.defpath + ":/usr/bin")
     if path is None or not find_bossac(Path(path)).version.startswith("1.9"):
         pytest.skip("bossac 1.9 is not installed; on Debian: apt-get install bossa-cli")
-    done = subprocess.run(
+    process = subprocess.run(
         [path, "--port", "nowhere", "--write", "-U", "false", str(image)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert "extra arguments" in done.stderr
-    failed = uploading._failure(find_bossac(Path(path)), "nowhere", done.returncode, done.stderr)
+    assert "extra arguments" in process.stderr
+    failed = uploading._error_from_output(
+        find_bossac(Path(path)), "nowhere", process.returncode, process.stderr
+    )
     assert "does not know the options" in str(failed)
 
 
@@ -457,8 +459,8 @@ def test_a_board_that_flies_is_not_flashed(
         heli.take_off()
         # Ends the session but not the flight: the board holds level for a while.
         heli.session.close()
-        ended = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
-    assert "land first, or stop the motors" in refusal(ended, code=LINK)
+        result = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
+    assert "land first, or stop the motors" in refusal(result, code=LINK)
     assert uploader.calls == []
 
 
@@ -471,8 +473,8 @@ def test_after_a_no_the_board_is_unchanged(
     os.write(ours, b"n\n")
     with os.fdopen(theirs) as keyboard:
         monkeypatch.setattr("sys.stdin", keyboard)
-        ended = terminal("flash", image, "--port", silent_port, "--bossac", uploader.program)
+        result = terminal("flash", image, "--port", silent_port, "--bossac", uploader.program)
     os.close(ours)
-    assert "erases the whole flash" in ended.out
-    assert ended.code == 130
+    assert "erases the whole flash" in result.out
+    assert result.code == 130
     assert uploader.calls == []

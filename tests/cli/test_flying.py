@@ -27,8 +27,8 @@ FLY = ("fly", "hover", "--sil", "--speed", "10", "--log", "f.mcap", "--params", 
 
 
 def test_a_flight_leaves_log_summary_and_figure(terminal: Terminal, tmp_path: Path) -> None:
-    ended = terminal("fly", "hover", "step", *SIL)
-    assert ended.code == 0
+    result = terminal("fly", "hover", "step", *SIL)
+    assert result.code == 0
     (folder,) = (tmp_path / "flights").iterdir()
     assert sorted(path.name for path in folder.iterdir()) == ["figure.png", "flight.mcap", "summary.json"]
     summary = json.loads((folder / "summary.json").read_text())
@@ -37,7 +37,7 @@ def test_a_flight_leaves_log_summary_and_figure(terminal: Terminal, tmp_path: Pa
     assert summary["ticks_logged"] == pytest.approx(1000 * summary["duration_s"], abs=2)
     assert set(summary["rms_error_deg"]) == {"elevation", "pitch", "travel"}
     assert {"frames_ok", "frames_bad", "retries", "reconnects"} <= set(summary["link"])
-    last = "\n".join(ended.out.splitlines()[-5:])
+    last = "\n".join(result.out.splitlines()[-5:])
     for expected in ("hover + step", "elevation", "ticks logged, 0 lost", str(folder.name), "board:"):
         assert expected in last
 
@@ -46,9 +46,9 @@ def test_a_flight_that_hung_low_is_not_tracked_and_ends_with_4(terminal: Termina
     (tmp_path / "weak.toml").write_text(
         "[parameters]\nelevation_integral_max_V = 0.0\nhover_V = 0.8\nelevation_kp = 0.03\n"
     )
-    ended = terminal("fly", "hover", *SIL, "--params", "weak.toml", "--log", "low.mcap")
-    assert ended.code == 4
-    assert "not_tracked: elevation was up to" in ended.out + ended.err
+    result = terminal("fly", "hover", *SIL, "--params", "weak.toml", "--log", "low.mcap")
+    assert result.code == 4
+    assert "not_tracked: elevation was up to" in result.out + result.err
 
 
 @pytest.mark.skipif(not LONG, reason="tests/fly and tests/sil ask the same; this one runs in make long")
@@ -172,9 +172,9 @@ def test_a_full_disk_lands_and_keeps_what_was_logged(terminal: Terminal, tmp_pat
     log = read_log(tmp_path / "f.mcap")
     assert len(log.ticks) > 2000
     assert (tmp_path / "f.mcap").stat().st_size <= limit_bytes
-    shown = terminal("info", "f.mcap").out
-    assert "not closed: the log could not be written further (File too large)" in shown
-    assert "the host ended" not in shown
+    result = terminal("info", "f.mcap").out
+    assert "not closed: the log could not be written further (File too large)" in result
+    assert "the host ended" not in result
 
 
 def test_a_log_cut_short_is_read_up_to_there(terminal: Terminal, tmp_path: Path) -> None:
@@ -182,9 +182,9 @@ def test_a_log_cut_short_is_read_up_to_there(terminal: Terminal, tmp_path: Path)
     assert terminal("fly", "hover", *SIL, "--log", whole).code == 0
     data = whole.read_bytes()
     cut.write_bytes(data[: len(data) * 2 // 3])
-    ended = terminal("info", cut)
-    assert ended.code == 0
-    assert "not closed" in ended.out
+    result = terminal("info", cut)
+    assert result.code == 0
+    assert "not closed" in result.out
     assert terminal("plot", cut, "--figure", tmp_path / "cut.png").code == 0
     assert terminal("export", cut, "--csv").code == 0
     flown, left = read_flight(whole), read_flight(tmp_path / "cut.csv")

@@ -63,14 +63,14 @@ def test_what_a_log_says_reaches_the_terminal_as_text(terminal: Terminal, tmp_pa
     writer.write_metadata("plan", {f"plan{ESCAPES}": f"# a plan\n{ESCAPES}"})
     writer.write_metadata("parameters", {f"param{ESCAPES}": "1.0"})
     writer.close({"result": {"outcome": f"outcome{ESCAPES}"}})
-    shown = terminal("info", "a.mcap", "--events", "--params", "--plan")
-    assert shown.code == 0 and not raw(shown.out) and "\\x1b]0;owned\\x07" in shown.out
+    result = terminal("info", "a.mcap", "--events", "--params", "--plan")
+    assert result.code == 0 and not raw(result.out) and "\\x1b]0;owned\\x07" in result.out
     notes = f"# event.x: 0.01 {ESCAPES}\n# rig: {ESCAPES}\n"
     (tmp_path / "a.csv").write_text(
         notes + NAMES.replace("\n", f",c{ESCAPES}\n") + ROWS.replace("\n", ",1\n")
     )
-    shown = terminal("info", "a.csv", "--events")
-    assert shown.code == 0 and not raw(shown.out) and "\\x1b]0;owned\\x07" in shown.out
+    result = terminal("info", "a.csv", "--events")
+    assert result.code == 0 and not raw(result.out) and "\\x1b]0;owned\\x07" in result.out
 
 
 @pytest.mark.medium
@@ -79,8 +79,8 @@ def test_what_a_plan_says_reaches_the_terminal_as_text(terminal: Terminal, tmp_p
     line = refusal(terminal("fly", "a.toml", "--sil", "--speed", "max"), code=ASKED)
     assert not raw(line)
     (tmp_path / "b.toml").write_text('title = "\\u001b[2Jx"\n' + HOLD.partition("\n")[2] + "1\n")
-    shown = terminal("fly", "b.toml", "--sil", "--speed", "max", "--log", "b.mcap")
-    assert shown.code == 0 and not raw(shown.out) and "flying: \\x1b[2Jx" in shown.out
+    result = terminal("fly", "b.toml", "--sil", "--speed", "max", "--log", "b.mcap")
+    assert result.code == 0 and not raw(result.out) and "flying: \\x1b[2Jx" in result.out
 
 
 @pytest.mark.medium
@@ -101,10 +101,10 @@ def test_names_of_files_reach_the_terminal_as_text(terminal: Terminal, tmp_path:
         ("rig", "diff", f"r{ESCAPES}.toml", "makki2024", "--all"),
         ("params", "dump", f"p{ESCAPES}.toml", "--sil"),
     ):
-        shown = terminal(*words)
-        assert shown.code == 0, shown
-        assert not raw(shown.out), words
-        assert "\\x1b" in shown.out, words
+        result = terminal(*words)
+        assert result.code == 0, result
+        assert not raw(result.out), words
+        assert "\\x1b" in result.out, words
 
 
 def test_each_file_is_reported_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,14 +23,14 @@ sys.exit(code or next((name for name in sys.modules if name.startswith(heavy)), 
 @pytest.mark.medium
 def test_an_option_is_imported_without_the_verbs() -> None:
     program = "import heli_lab.fit_inputs, sys; sys.exit('heli_host.cli.entry' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (process.returncode, process.stdout, process.stderr) == (0, "", "")
 
 
 @pytest.mark.medium
 def test_a_flight_and_its_checks_import_no_library_of_analyses(tmp_path: Path) -> None:
     (tmp_path / "short.toml").write_text(SHORT)
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", FLY], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr

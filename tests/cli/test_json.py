@@ -34,13 +34,13 @@ WITHOUT_PARTS = {
 
 
 def test_every_verb_with_a_result_takes_a_json_file() -> None:
-    found = set()
+    matches = set()
     for name, leaf in leaves(command_line()).items():
         options = [one for one in leaf.params if "--json" in one.opts]  # type: ignore[attr-defined]
         if not leaf.hidden and not options:  # type: ignore[attr-defined]
-            found.add(name)
+            matches.add(name)
         assert all(one.metavar == "FILE" and not one.is_flag for one in options), name
-    assert found == WITHOUT | WITHOUT_PARTS
+    assert matches == WITHOUT | WITHOUT_PARTS
 
 
 @pytest.mark.parametrize(
@@ -62,9 +62,9 @@ def test_a_result_on_standard_output_is_json_alone(
     words: tuple[str, ...], key: str, terminal: Terminal
 ) -> None:
     Path("short.toml").write_text('[[segment]]\nkind = "hold"\nduration_s = 1\n')
-    ended = terminal(*words, "--json", "-")
-    assert ended.code == 0, ended.err
-    content: dict[str, Any] = json.loads(ended.out)
+    result = terminal(*words, "--json", "-")
+    assert result.code == 0, result.err
+    content: dict[str, Any] = json.loads(result.out)
     assert content["schema"] == 1
     assert key in content
     assert content.get("trial", {"taken_over": ""})["taken_over"] == ""
@@ -79,16 +79,16 @@ def test_law_fly_writes_its_result_once(terminal: Terminal, monkeypatch: pytest.
         return write_text(path, *args, **options)
 
     monkeypatch.setattr(Path, "write_text", noted)
-    ended = terminal("law", "fly", LAW, *SIL, "--duration", "1", "--log", "c.mcap", "--json", "c.json")
-    assert ended.code == 0, ended.err
+    result = terminal("law", "fly", LAW, *SIL, "--duration", "1", "--log", "c.mcap", "--json", "c.json")
+    assert result.code == 0, result.err
     assert written.count("c.json") == 1
     content = json.loads(Path("c.json").read_text())
     assert content["outcome"] == "completed" and content["law"] == "lqr" and content["trial"]
 
 
 def test_a_result_in_a_file_leaves_the_text_where_it_was(terminal: Terminal) -> None:
-    ended = terminal("rig", "check", "makki2024", "--json", "new/rigs.json")
-    assert "makki2024: " in ended.out
+    result = terminal("rig", "check", "makki2024", "--json", "new/rigs.json")
+    assert "makki2024: " in result.out
     assert json.loads(Path("new/rigs.json").read_text())["rigs"][0]["can_fly"]
 
 

@@ -45,11 +45,11 @@ def test_rigs_are_json_where_asked(terminal: Terminal) -> None:
 
 
 def test_rig_that_cannot_be_is_json_and_an_error(terminal: Terminal) -> None:
-    shown = terminal("rig", "check", "nobodys", "--json", "-")
-    assert shown.code != 0
-    (checked,) = json.loads(shown.out)["rigs"]
+    result = terminal("rig", "check", "nobodys", "--json", "-")
+    assert result.code != 0
+    (checked,) = json.loads(result.out)["rigs"]
     assert not checked["is_valid"]
-    assert checked["error"] in shown.err
+    assert checked["error"] in result.err
 
 
 def test_one_parameter_is_json_with_its_unit(terminal: Terminal) -> None:
@@ -102,9 +102,9 @@ def test_setpoint_for_a_board_that_does_not_fly_is_an_error(terminal: Terminal) 
 
 
 def test_doctor_ends_alike_in_both_forms(terminal: Terminal) -> None:
-    ended = terminal("doctor", "--json", "-")
-    report = json.loads(ended.out)
-    assert report["ready"] == (ended.code == 0)
+    result = terminal("doctor", "--json", "-")
+    report = json.loads(result.out)
+    assert report["ready"] == (result.code == 0)
     assert {finding["verdict"] for finding in report["findings"]} <= {"good", "note", "bad"}
 
 
@@ -117,16 +117,16 @@ def test_a_table_goes_to_standard_output(flight: Path) -> None:
 
 
 def test_a_log_that_is_no_log_is_refused_before_anything_is_recorded(terminal: Terminal) -> None:
-    ended = terminal("record", "--sil", "--duration", "1", "-o", "x.csv")
-    assert ended.code == 5
-    assert "export --csv" in ended.err
+    result = terminal("record", "--sil", "--duration", "1", "-o", "x.csv")
+    assert result.code == 5
+    assert "export --csv" in result.err
     assert not Path("x.csv").exists()
 
 
 def test_version_and_short_help(terminal: Terminal) -> None:
-    ended = terminal("--version")
-    assert ended.code == 0
-    assert ended.out.startswith("heli-host ")
+    result = terminal("--version")
+    assert result.code == 0
+    assert result.out.startswith("heli-host ")
     assert terminal("-h").code == 0
     assert "Example" in terminal("rig", "show", "-h").out
     assert "--install-completion" in terminal("--help").out

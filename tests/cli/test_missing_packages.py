@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_host.cli.entry import _explain
+from heli_host.cli.entry import _line_and_exit_code
 
 
 @pytest.mark.parametrize(
@@ -17,6 +17,6 @@ from heli_host.cli.entry import _explain
     ],
 )
 def test_the_remedy_installs_the_extra(package: str, remedy: str) -> None:
-    said, code = _explain(ModuleNotFoundError("gone", name=package))
+    said, code = _line_and_exit_code(ModuleNotFoundError("gone", name=package))
     assert said.endswith(remedy)
     assert code == 2

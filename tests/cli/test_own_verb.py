@@ -31,10 +31,10 @@ def install(folder: Path, package: str, modules: dict[str, str]) -> None:
     (folder / package).mkdir()
     for name, text in {"__init__": "", **modules}.items():
         (folder / package / f"{name}.py").write_text(text)
-    told = folder / f"{package}-1.0.dist-info"
-    told.mkdir()
-    (told / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-    (told / "entry_points.txt").write_text(f"[heli_host.verbs]\nown = {package}\n")
+    metadata_folder = folder / f"{package}-1.0.dist-info"
+    metadata_folder.mkdir()
+    (metadata_folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    (metadata_folder / "entry_points.txt").write_text(f"[heli_host.verbs]\nown = {package}\n")
 
 
 def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

@@ -37,9 +37,9 @@ def test_list_names_every_rig_of_the_package(terminal: Terminal) -> None:
 
 @pytest.mark.parametrize("name", rig_names())
 def test_show_has_value_tolerance_unit_and_source_of_every_number(terminal: Terminal, name: str) -> None:
-    ended = terminal("rig", "show", name)
-    assert ended.code == 0, ended
-    words = " ".join(ended.out.split())
+    result = terminal("rig", "show", name)
+    assert result.code == 0, result
+    words = " ".join(result.out.split())
     for quantity in RIG_QUANTITIES:
         number = load_rig(name)[quantity.name]
         width = f"{number.tolerance:g}" if number.tolerance else "exact"
@@ -84,10 +84,10 @@ def test_check_refuses_a_rig_that_cannot_be_by_name(
 
 def test_check_goes_on_after_a_rig_that_cannot_be(terminal: Terminal, tmp_path: Path) -> None:
     bad = spoiled(tmp_path, "value = 1.565", "value = nan")
-    ended = terminal("rig", "check", bad, "makki2024")
-    assert "1 of 2" in refusal(ended, code=ASKED)
-    assert "M_w = nan is not finite" in ended.out
-    assert "makki2024: 3" in ended.out
+    result = terminal("rig", "check", bad, "makki2024")
+    assert "1 of 2" in refusal(result, code=ASKED)
+    assert "M_w = nan is not finite" in result.out
+    assert "makki2024: 3" in result.out
 
 
 def test_check_ends_with_1_when_a_rig_is_too_heavy_for_its_supply(terminal: Terminal, tmp_path: Path) -> None:
@@ -96,11 +96,11 @@ def test_check_ends_with_1_when_a_rig_is_too_heavy_for_its_supply(terminal: Term
         ("value = 1.565", "value = 9.0", "does not hover"),
     ):
         rig = spoiled(tmp_path, old, new)
-        ended = terminal("rig", "check", rig, "quanser-course")
-        assert ended.code == 1 and says in ended.out and not ended.err
-        ended = terminal("rig", "check", rig, "--json", "-")
-        [told] = json.loads(ended.out)["rigs"]
-        assert ended.code == 1 and told["is_valid"] and not told["can_fly"]
+        result = terminal("rig", "check", rig, "quanser-course")
+        assert result.code == 1 and says in result.out and not result.err
+        result = terminal("rig", "check", rig, "--json", "-")
+        [told] = json.loads(result.out)["rigs"]
+        assert result.code == 1 and told["is_valid"] and not told["can_fly"]
     assert terminal("rig", "check", *rig_names()).code == 0
 
 
@@ -133,11 +133,11 @@ def test_a_number_beyond_calculation_of_an_effect_is_refused_by_name(
 
 
 def test_numbers_that_no_table_bears_are_named(terminal: Terminal, tmp_path: Path) -> None:
-    ended = terminal("rig", "check", spoiled(tmp_path, "value = 0.45", "value = 45.0"))
-    assert "L_b = 45 m is outside 0.02 to 3 m, the range of a table-top rig" in ended.out
+    result = terminal("rig", "check", spoiled(tmp_path, "value = 0.45", "value = 45.0"))
+    assert "L_b = 45 m is outside 0.02 to 3 m, the range of a table-top rig" in result.out
     for stated in ("L_a=64", "M_w=1565", "M_f=0.0035", "thrust_gain=58", "encoder_counts_pitch=4"):
-        words = ("rig", "new", "new.toml", "--set", stated)
-        line = refusal(terminal(*words), code=ASKED)
+        arguments = ("rig", "new", "new.toml", "--set", stated)
+        line = refusal(terminal(*arguments), code=ASKED)
         assert f"{stated.partition('=')[0]} = " in line and "the range of a table-top rig; " in line
         assert not Path("new.toml").exists()
     assert terminal("rig", "new", "new.toml", "--set", "L_a=3.5", "--force").code == 0
@@ -158,9 +158,9 @@ def test_diff_counts_in_tolerances_and_marks_what_is_beyond(terminal: Terminal) 
 
 def test_a_rig_does_not_differ_from_itself_written_and_read(terminal: Terminal, tmp_path: Path) -> None:
     write_rig(load_rig("quanser-course"), tmp_path / "same.toml")
-    ended = terminal("rig", "diff", "quanser-course", "same.toml")
-    assert ended.code == 0, ended
-    assert ended.out.startswith("0 of ")
+    result = terminal("rig", "diff", "quanser-course", "same.toml")
+    assert result.code == 0, result
+    assert result.out.startswith("0 of ")
     assert "thrust_gain" in terminal("rig", "diff", "quanser-course", "same.toml", "--all").out
 
 

@@ -60,9 +60,9 @@ def test_params_set_says_what_was_before(terminal: Terminal) -> None:
 def test_setpoint_holds_then_lands(terminal: Terminal, tmp_path: Path) -> None:
     log = tmp_path / "f.mcap"
     given = ("--elevation-deg", "4", "--travel-deg", "8", "--duration", "12")
-    ended = terminal("setpoint", "--take-off", *given, *SIL, "--log", log)
-    assert ended.code == 0
-    assert ended.out.splitlines()[-1] == "landed"
+    result = terminal("setpoint", "--take-off", *given, *SIL, "--log", log)
+    assert result.code == 0
+    assert result.out.splitlines()[-1] == "landed"
     flight = read_flight(log)
     assert flight.elevation_setpoint_rad is not None
     assert flight.elevation_rad[-1] == pytest.approx(flight.elevation_rad[0], abs=0.02)
@@ -104,8 +104,8 @@ def test_sil_serves_a_board_until_it_is_stopped(terminal: Terminal, tmp_path: Pa
 
 
 def test_doctor_finds_this_computer_fit(terminal: Terminal) -> None:
-    ended = terminal("doctor")
-    assert ended.code == 0, ended.out
+    result = terminal("doctor")
+    assert result.code == 0, result.out
 
 
 def test_doctor_says_what_to_repair(
@@ -114,10 +114,10 @@ def test_doctor_says_what_to_repair(
     monkeypatch.setattr(list_ports, "comports", lambda: [NATIVE])
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "below"))
     (tmp_path / "file").write_text("")
-    ended = terminal("doctor")
-    assert ended.code == 1
-    assert "move the cable to the programming port" in ended.out
-    assert "XDG_CACHE_HOME" in ended.out
+    result = terminal("doctor")
+    assert result.code == 1
+    assert "move the cable to the programming port" in result.out
+    assert "XDG_CACHE_HOME" in result.out
 
 
 def test_doctor_calls_a_missing_compiler_slow_not_broken(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,8 +163,8 @@ def test_help_imports_nothing_heavy() -> None:
         "heavy &= set(sys.modules); "
         "sys.exit(', '.join(sorted(heavy)) or 0)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
 
 
 def test_a_folder_is_named_after_local_time(terminal: Terminal, tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def test_the_due_builds_it_within_its_bounds_and_divides_nowhere_in_a_tick(tmp_p
     copy = followed(tmp_path / "copy")
     take_over_objects(tmp_path / "build", copy.root / "firmware")
     command = ["make", "-C", f"{copy.root}/firmware/due", f"BUILD={tmp_path}/build"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    compiled = re.findall(r"-c \S+/firmware/(\S+)", done.stdout)
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stdout + process.stderr
+    compiled = re.findall(r"-c \S+/firmware/(\S+)", process.stdout)
     assert sorted(compiled) == ["core/control/lqr.cpp", "due/main.cpp"]

@@ -125,16 +125,16 @@ def test_a_tick_in_the_middle_of_a_change_sees_nothing_of_it() -> None:
     harness.set("hover_V", 4.0)
     harness.tick()
     assert law.hover_V_of_update == 4.0
-    seen = []
+    observed = []
 
     def interrupt() -> None:
         harness.core.interrupt()
-        seen.append(law.hover_V_of_update)
+        observed.append(law.hover_V_of_update)
 
     law.while_deriving = interrupt
     harness.set("hover_V", 5.0)
     law.while_deriving = None
-    assert seen == [4.0]
+    assert observed == [4.0]
     harness.tick()
     assert law.hover_V_of_update == 5.0
 

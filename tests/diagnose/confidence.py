@@ -149,7 +149,7 @@ def diagnosed(drawn: Case, reverse: bool) -> dict[str, Any]:
     # Equation and next flight take three quarters of the time, and do not enter the confidence of a cause.
     with (
         patch.object(run, "propose_experiment", return_value=None),
-        patch.object(run, "_propose", return_value=None),
+        patch.object(run, "_propose_equation", return_value=None),
     ):
         for role, flights in roles.items():
             result = diagnose(MultibodyModel(), load_rig("makki2024"), *flights, kinds=offered, refits=80)

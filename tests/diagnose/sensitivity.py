@@ -127,10 +127,10 @@ def in_a_process(changed: dict[str, float], names: Sequence[str]) -> dict[str, l
         "--worker",
         json.dumps([changed, list(names)]),
     ]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    if done.returncode:
-        return {name: ["failed", done.stderr.strip().splitlines()[-1]] for name in names}
-    answer: dict[str, list[str]] = json.loads(done.stdout.splitlines()[-1])
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if process.returncode:
+        return {name: ["failed", process.stderr.strip().splitlines()[-1]] for name in names}
+    answer: dict[str, list[str]] = json.loads(process.stdout.splitlines()[-1])
     return answer
 
 

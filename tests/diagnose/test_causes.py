@@ -94,7 +94,7 @@ def test_exhausted_refits_are_stated_with_the_verdict() -> None:
 
 
 def test_resumed_search_has_the_result_of_an_uninterrupted_one(tmp_path: Path) -> None:
-    whole = to_json(diagnosed("rotor_lag=0.06"))
+    complete = to_json(diagnosed("rotor_lag=0.06"))
     fit, held_out = flights("rotor_lag=0.06")
     steps: list[str] = []
 
@@ -120,7 +120,7 @@ def test_resumed_search_has_the_result_of_an_uninterrupted_one(tmp_path: Path) -
     # An interruption while the last line is written leaves a part of it.
     (tmp_path / "search").write_bytes(content[:-200])
     resumed = to_json(run())
-    assert {**resumed, "seconds_taken": 0.0} == {**whole, "seconds_taken": 0.0}
+    assert {**resumed, "seconds_taken": 0.0} == {**complete, "seconds_taken": 0.0}
 
 
 def test_nothing_hidden_is_explained_without_a_cause() -> None:

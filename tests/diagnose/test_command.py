@@ -36,9 +36,9 @@ def test_command_writes_numbers_rig_and_page(
     # test_causes has done this diagnosis already; here only its files are tested.
     monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: diagnosis)
     files = ("--report", "why", "--json", "why.json", "--save-rig", "extended.toml")
-    ended = terminal("diagnose", fit, "--validate", held_out, "--rig", "makki2024", *files)
-    assert ended.code == 0, ended.err
-    assert ended.out.count("explained: ") == 1
+    result = terminal("diagnose", fit, "--validate", held_out, "--rig", "makki2024", *files)
+    assert result.code == 0, result.err
+    assert result.out.count("explained: ") == 1
     numbers = json.loads(Path("why.json").read_text())
     assert {"verdict", "causes", "residual", "gain", "unexplained", "next_flight"} <= numbers.keys()
     assert set(numbers["gain"]["axis"]) == {"elevation", "pitch", "travel"}
@@ -51,7 +51,7 @@ def test_short_part_of_a_flight_gets_a_proposal_for_the_next_flight(
     terminal: Terminal, tables: tuple[Path, Path]
 ) -> None:
     fit, held_out = tables
-    ended = terminal(
+    result = terminal(
         "diagnose",
         fit,
         "--validate",
@@ -65,11 +65,11 @@ def test_short_part_of_a_flight_gets_a_proposal_for_the_next_flight(
         "--report",
         "why",
     )
-    assert ended.code == 0, ended.err
+    assert result.code == 0, result.err
     # Standard output has the numbers and nothing else; words go to standard error.
-    numbers = json.loads(ended.out)
-    assert numbers["sentence"] in ended.err
-    assert "files: why/index.html" in ended.err
+    numbers = json.loads(result.out)
+    assert numbers["sentence"] in result.err
+    assert "files: why/index.html" in result.err
     assert numbers["causes"] == []
     assert numbers["undetectable"]
     assert tomllib.loads(numbers["next_flight"]["plan"])["segment"]
@@ -80,9 +80,9 @@ def test_model_that_the_rig_names_is_the_one_that_is_fitted(
     terminal: Terminal, tables: tuple[Path, Path], verb: str
 ) -> None:
     write_rig(replace(load_rig("makki2024"), model="nobodys"), "mine.toml")
-    ended = terminal(verb, tables[0], "--rig", "mine.toml")
-    assert ended.code != 0
-    assert "unknown model 'nobodys'" in ended.err
+    result = terminal(verb, tables[0], "--rig", "mine.toml")
+    assert result.code != 0
+    assert "unknown model 'nobodys'" in result.err
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_model_that_the_rig_names_is_the_one_that_is_fitted(
 def test_impossible_request_gives_a_one_line_error_with_a_remedy(
     terminal: Terminal, tables: tuple[Path, Path], arguments: tuple[str, ...], words: str
 ) -> None:
-    ended = terminal("diagnose", *arguments)
-    assert ended.code != 0
-    assert len(ended.err.strip().splitlines()) == 1
-    assert words in ended.err
+    result = terminal("diagnose", *arguments)
+    assert result.code != 0
+    assert len(result.err.strip().splitlines()) == 1
+    assert words in result.err

@@ -47,12 +47,12 @@ def answered(terminal: Terminal, *arguments: str | Path, drawn: bool = LONG) -> 
     `drawn` states whether it also writes the page, which takes two seconds.
     """
     page = ("--report", "why") if drawn else ()
-    ended = terminal("diagnose", *arguments, "--json", "why.json", *page, "--save-rig", "found.toml")
-    assert ended.code == 0, ended.err
+    result = terminal("diagnose", *arguments, "--json", "why.json", *page, "--save-rig", "found.toml")
+    assert result.code == 0, result.err
     numbers: dict[str, Any] = json.loads(Path("why.json").read_text())
     assert Path("why/index.html").exists() is drawn
     conforms(numbers, silent=not numbers["flights"])
-    return ended, numbers
+    return result, numbers
 
 
 def test_three_seconds_of_flight_name_no_cause_and_list_hidden_effects(terminal: Terminal) -> None:
@@ -121,6 +121,6 @@ def test_short_validation_flight_is_used_with_a_caution(terminal: Terminal) -> N
 def test_copy_of_the_flight_is_no_validation_flight(terminal: Terminal) -> None:
     write_csv(flights()[0], "a.csv")
     write_csv(flights()[0], "b.csv")
-    ended = terminal("diagnose", "a.csv", "--validate", "b.csv")
-    assert ended.code == 2
-    assert "b.csv is both fitted and validated on" in ended.err
+    result = terminal("diagnose", "a.csv", "--validate", "b.csv")
+    assert result.code == 2
+    assert "b.csv is both fitted and validated on" in result.err

@@ -27,7 +27,7 @@ def test_random_instructions_agree() -> None:
     oracle.write(FLASH, rng.randbytes(FLASH_SIZE))
     oracle.write(RAM, rng.randbytes(RAM_SIZE))
     address = _CODE_FIRST
-    seen: set[str] = set()
+    observed: set[str] = set()
     while oracle.compared < RANDOM_INSTRUCTIONS:
         block = random_block(rng)
         if address + len(block.code) > _CODE_LAST:
@@ -46,10 +46,10 @@ def test_random_instructions_agree() -> None:
             registers[block.index] = 4 * rng.randrange(64)
             oracle.set_registers(registers, rng.getrandbits(5) << 27)
             oracle.run(address, address + len(block.code))
-        seen.update(block.names)
+        observed.update(block.names)
         address += len(block.code) + 64
-    print(f"seed {SEED}: {oracle.compared} random instructions, {len(seen)} encodings, no difference")
-    assert seen >= {encoding.name for encoding in ENCODINGS}
+    print(f"seed {SEED}: {oracle.compared} random instructions, {len(observed)} encodings, no difference")
+    assert observed >= {encoding.name for encoding in ENCODINGS}
     assert oracle.memory_is_equal()
 
 

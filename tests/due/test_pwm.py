@@ -113,11 +113,11 @@ def test_synchronous_channels_change_together_once_unlocked() -> None:
     chip.run_cycles(3 * 4200)
     assert [chip[f"PWM.CDTY{c}"] for c in (4, 5, 6, 7)] == [2100] * 4
     chip["PWM.SCUC"] = 1
-    seen = set()
+    observed = set()
     for _ in range(50):
         chip.run_cycles(100)
-        seen.add(tuple(chip[f"PWM.CDTY{c}"] for c in (4, 5, 6, 7)))
-    assert seen == {(2100,) * 4, (400, 500, 600, 700)}
+        observed.add(tuple(chip[f"PWM.CDTY{c}"] for c in (4, 5, 6, 7)))
+    assert observed == {(2100,) * 4, (400, 500, 600, 700)}
     assert chip["PWM.SCUC"] == 0
 
 

@@ -22,11 +22,11 @@ def generating(seed: int = 1) -> Chip:
 
 
 def words(chip: Chip, count: int) -> list[int]:
-    found = []
+    matches = []
     for _ in range(count):
         chip.due.run_us(CYCLES_US)
-        found.append(chip["TRNG.ODATA"])
-    return found
+        matches.append(chip["TRNG.ODATA"])
+    return matches
 
 
 def test_a_word_is_ready_after_84_cycles_and_reading_the_status_takes_it_back() -> None:

@@ -94,21 +94,21 @@ def test_every_register_of_a_modelled_peripheral_is_known(described: dict[int, D
 
 
 def test_names_and_offsets_are_the_vendors(described: dict[int, Described], due: Due) -> None:
-    wrong = []
+    mistakes = []
     for peripheral, base, name, offset, *_ in due.registers():
         row = described.get(base + offset)
         if row is None or row.peripheral != peripheral or _plain(row.name) != _plain(name):
-            wrong.append(f"{peripheral} {name} at {base + offset:#x}: the vendor has {row}")
-    assert not wrong
+            mistakes.append(f"{peripheral} {name} at {base + offset:#x}: the vendor has {row}")
+    assert not mistakes
 
 
 def test_access_is_the_vendors(described: dict[int, Described], due: Due) -> None:
-    wrong = []
+    mistakes = []
     for peripheral, base, name, offset, readable, writable, _ in due.registers():
         row = described[base + offset]
         if (row.readable, row.writable) != (readable, writable):
-            wrong.append(f"{peripheral} {name}: {readable=} {writable=}, the vendor has {row}")
-    assert not wrong
+            mistakes.append(f"{peripheral} {name}: {readable=} {writable=}, the vendor has {row}")
+    assert not mistakes
 
 
 def test_reset_values_are_the_vendors(described: dict[int, Described], due: Due) -> None:

@@ -13,7 +13,8 @@ RSTEN, PROCESSOR_ONLY, DISABLE, IDLE_HALT = 1 << 13, 1 << 14, 1 << 15, 1 << 29
 RESTART = 0xA500_0001
 
 
-def watched(value: int, *, window: int = 0xFFF, slow_Hz: int = 32_000, more: int = 0) -> Chip:
+def chip_with_watchdog(value: int, *, window: int = 0xFFF, slow_Hz: int = 32_000, more: int = 0) -> Chip:
+    """A chip whose watchdog fires after `value` + 1 periods of 128 cycles of the slow clock."""
     chip = Chip()
     chip.due.set_slow_clock(slow_Hz)
     chip["WDT.MR"] = value | window << 16 | RSTEN | more
@@ -22,7 +23,7 @@ def watched(value: int, *, window: int = 0xFFF, slow_Hz: int = 32_000, more: int
 
 @pytest.mark.parametrize("slow_Hz", [20_000, 32_000, 44_000])
 def test_the_watchdog_fires_after_its_periods_whatever_its_clock(slow_Hz: int) -> None:
-    chip = watched(26, slow_Hz=slow_Hz)
+    chip = chip_with_watchdog(26, slow_Hz=slow_Hz)
     expected_us = 27 * 128 / slow_Hz * 1e6
     chip.due.run_us(expected_us - 20)
     assert chip.due.resets == 1
@@ -32,7 +33,7 @@ def test_the_watchdog_fires_after_its_periods_whatever_its_clock(slow_Hz: int) -
 
 
 def test_restarts_hold_it_off() -> None:
-    chip = watched(26)
+    chip = chip_with_watchdog(26)
     for _ in range(20):
         chip.due.run_us(50_000)
         chip["WDT.CR"] = RESTART
@@ -40,7 +41,7 @@ def test_restarts_hold_it_off() -> None:
 
 
 def test_a_restart_before_the_window_is_an_error() -> None:
-    chip = watched(100, window=50)
+    chip = chip_with_watchdog(100, window=50)
     chip.due.run_us(50_000)
     chip["WDT.CR"] = RESTART
     chip.due.run_us(1)
@@ -57,7 +58,7 @@ def test_without_reset_enable_it_only_reports() -> None:
 
 
 def test_it_can_stand_still_while_the_processor_sleeps() -> None:
-    chip = watched(26, more=IDLE_HALT)
+    chip = chip_with_watchdog(26, more=IDLE_HALT)
     chip.due.run_us(1_000_000)
     assert chip.due.resets == 1
 
@@ -69,12 +70,12 @@ def test_it_runs_from_reset_on() -> None:
 
 def test_its_mode_is_written_once() -> None:
     with pytest.raises(Stop, match="second write"):
-        watched(26)["WDT.MR"] = DISABLE
+        chip_with_watchdog(26)["WDT.MR"] = DISABLE
 
 
 def test_its_key_is_needed() -> None:
     with pytest.raises(Stop, match="key 0xA5"):
-        watched(26)["WDT.CR"] = 1
+        chip_with_watchdog(26)["WDT.CR"] = 1
 
 
 def test_the_reset_line_resets_everything_but_memory_and_backup_registers() -> None:

@@ -126,6 +126,7 @@ def test_dma_sends_back_to_back() -> None:
 
 def test_interrupt_line_follows_status_and_mask() -> None:
     chip = opened()
+    # Pending interrupts of the processor; that of UART0 is number 8.
     pending = 0xE000E200
     assert chip.due.read_word(pending) >> 8 & 1 == 0
     chip["UART.IER"] = RXRDY

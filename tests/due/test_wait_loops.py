@@ -99,8 +99,8 @@ def test_a_loop_that_does_something_is_no_hang() -> None:
 
 def test_keeping_the_watchdog_quiet_is_not_doing_something() -> None:
     # ldr r3, =WDT_CR; ldr r4, =key; then ldr r1, [r0]; str r4, [r3]; tst r1, r2; beq
-    words = (0x4A08, 0x4B08, 0x4C09, 0x6801, 0x601C, 0x4211, 0xD0FB, ENDLESS)
-    code = program(LOAD_ADDRESS, *words, literals=(SPI0_SR, 4, WDT_CR, 0xA500_0001))
+    instructions = (0x4A08, 0x4B08, 0x4C09, 0x6801, 0x601C, 0x4211, 0xD0FB, ENDLESS)
+    code = program(LOAD_ADDRESS, *instructions, literals=(SPI0_SR, 4, WDT_CR, 0xA500_0001))
     with pytest.raises(Stop, match="its bit 2;"):
         booted(code, strict=False).run_us(600_000)
 

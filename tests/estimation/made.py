@@ -29,7 +29,7 @@ def _flown(share: float = 1.0, *further: str) -> Flight:
 
 
 @cache
-def windy() -> Record:
+def flight_with_disturbances() -> Record:
     """Return a flight of `TRUE_RIG` with disturbances that are correlated over half a second."""
     flight = KEPT(f"windy {GUST_Nm} {SECONDS}", _flown, made_by=MADE_BY, rooms=FLOWN)
     return prepare(flight, RIG, "windy")

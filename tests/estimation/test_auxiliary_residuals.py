@@ -7,7 +7,7 @@ import pytest
 from heli_lab.estimation import DisturbanceModel, InnovationsModel, auxiliary_residuals
 from heli_sim.model import MultibodyModel
 
-from tests.estimation.made import RIG, windy
+from tests.estimation.made import RIG, flight_with_disturbances
 
 DISTURBANCES = DisturbanceModel.start((0.012, 0.004, 0.008), (2e-3, 1e-3, 1e-3))
 
@@ -19,9 +19,9 @@ def filtered() -> InnovationsModel:
     from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
 
     model = MultibodyModel()
-    parameters = RigParameters(model, RIG, [windy()])
+    parameters = RigParameters(model, RIG, [flight_with_disturbances()])
     functions = model_functions(model, parameters.quantities)
-    return _linearised(parameters, [filter_record(windy())], functions, parameters.start)
+    return _linearised(parameters, [filter_record(flight_with_disturbances())], functions, parameters.start)
 
 
 @pytest.mark.medium

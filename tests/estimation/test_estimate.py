@@ -19,7 +19,7 @@ from heli_lab.diagnose.search import (
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 
-from tests.estimation.made import RIG, TRUE_RIG, GUST_Nm, flown_with, windy
+from tests.estimation.made import RIG, TRUE_RIG, GUST_Nm, flight_with_disturbances, flown_with
 
 pytestmark = pytest.mark.diagnosis
 
@@ -29,7 +29,7 @@ KINDS = catalogue()
 @cache
 def comparison() -> ModelComparison:
     """Comparison on the simulated flight with disturbances."""
-    return ModelComparison(MultibodyModel(), RIG, [windy()], [])
+    return ModelComparison(MultibodyModel(), RIG, [flight_with_disturbances()], [])
 
 
 @cache

@@ -20,22 +20,28 @@ from heli_lab.identify.flight_model import DISTURBANCE_START, RigParameters, fil
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 
-from tests.estimation.made import RIG, windy
+from tests.estimation.made import RIG, flight_with_disturbances
 
 pytestmark = pytest.mark.slow
 
 
 @cache
-def parts(effect: str = "") -> tuple[ReferenceTrajectory, ModelFunctions, RigParameters]:
+def trajectory_functions_and_parameters(
+    effect: str = "",
+) -> tuple[ReferenceTrajectory, ModelFunctions, RigParameters]:
     """Return reference trajectory, functions and free parameters of a model with an effect."""
     model = MultibodyModel(parse_effects([effect] if effect else []))
-    parameter_vector = RigParameters(model, RIG, [windy()])
-    return filter_record(windy()), model_functions(model, parameter_vector.quantities), parameter_vector
+    parameter_vector = RigParameters(model, RIG, [flight_with_disturbances()])
+    return (
+        filter_record(flight_with_disturbances()),
+        model_functions(model, parameter_vector.quantities),
+        parameter_vector,
+    )
 
 
 def changed(effect: str, name: str, by: float) -> LinearisedFlight:
     """Linearise a model along the trajectory, with the parameter `name` changed `by` an amount."""
-    reference, functions, parameter_vector = parts(effect)
+    reference, functions, parameter_vector = trajectory_functions_and_parameters(effect)
     theta = parameter_vector.start
     theta[parameter_vector.names.index(name)] += by
     return LinearisedFlight(reference, functions, parameter_vector.parameters(theta, 0))
@@ -58,7 +64,7 @@ def all_derivatives(linear: LinearisedFlight) -> Derivatives:
     ],
 )
 def test_derivatives_are_finite_differences_of_the_rates(effect: str, name: str, step: float) -> None:
-    parameter_names = parts(effect)[2].names
+    parameter_names = trajectory_functions_and_parameters(effect)[2].names
     linear, more, less = (changed(effect, name, sign * step) for sign in (0.0, 1.0, -1.0))
     expected = (all_derivatives(more).rates - all_derivatives(less).rates)[:, 3:6, 0] / (2.0 * step)
     by_parameter = -all_derivatives(linear).rates[:, :, 1 + parameter_names.index(name)]
@@ -93,9 +99,9 @@ def test_right_model_has_smaller_defects_along_the_trajectory() -> None:
 
 
 def test_filtered_states_do_not_depend_on_later_measurements() -> None:
-    record = windy()
+    record = flight_with_disturbances()
     cut = len(record.t_s) // 2
-    whole = filter_record(record)
+    reference = filter_record(record)
     half = filter_record(
         replace(
             record,
@@ -106,11 +112,11 @@ def test_filtered_states_do_not_depend_on_later_measurements() -> None:
         )
     )
     compared = slice(0, len(half.filtered) - 2)
-    assert np.allclose(half.filtered[compared], whole.filtered[compared], atol=1e-6)
+    assert np.allclose(half.filtered[compared], reference.filtered[compared], atol=1e-6)
 
 
 def test_axis_is_at_rest_while_its_count_stays_the_same_for_long() -> None:
-    record = windy()
+    record = flight_with_disturbances()
     rows = len(record.t_s)
     time_s = np.arange(rows) * record.step_s
     # Angles in counts. Elevation turns by three counts within the time that makes a rest, so it never rests.
@@ -132,7 +138,7 @@ def test_axis_is_at_rest_while_its_count_stays_the_same_for_long() -> None:
 
 @pytest.mark.parametrize("play_counts", [6.0, 12.0])
 def test_directions_are_the_positions_of_an_axis_within_its_play(play_counts: float) -> None:
-    record = windy()
+    record = flight_with_disturbances()
     time_s, half = np.arange(len(record.t_s)) * record.step_s, 0.5 * play_counts
     # The axis swings; the shaft of the encoder follows it with play. Both in counts.
     axis = 40.0 * np.sin(2.0 * np.pi * time_s / 4.0) + 9.0 * np.sin(2.0 * np.pi * time_s / 1.7)
@@ -157,7 +163,12 @@ def test_directions_are_the_positions_of_an_axis_within_its_play(play_counts: fl
 def test_measurements_within_one_crossing_of_a_play_count_as_one() -> None:
     effect = "backlash.pitch=0.01"
     linear = changed(effect, "backlash_pitch_rad", 0.0)
-    half_rad = 0.5 * linear.trajectory.parameters[parts(effect)[1].names.index("backlash_pitch_rad")]
+    half_rad = (
+        0.5
+        * linear.trajectory.parameters[
+            trajectory_functions_and_parameters(effect)[1].names.index("backlash_pitch_rad")
+        ]
+    )
     reference = linear.reference
     for blocks, window in zip(linear.blocks, linear.windows, strict=True):
         rows = blocks.rows + reference.windows[0].start - window.start
@@ -190,7 +201,11 @@ def _log_likelihood_loss_by_noise(linear: LinearisedFlight, filtered: Innovation
 def test_crossing_of_a_play_counts_as_one_encoder_error() -> None:
     effect = "backlash.pitch=0.01"
     linear = changed(effect, "backlash_pitch_rad", 0.0)
-    filtered = InnovationsModel([linear], parts(effect)[2].columns, len(parts(effect)[2].names))
+    filtered = InnovationsModel(
+        [linear],
+        trajectory_functions_and_parameters(effect)[2].columns,
+        len(trajectory_functions_and_parameters(effect)[2].names),
+    )
     differences = _log_likelihood_loss_by_noise(linear, filtered)
     measurements = np.zeros(3)
     for blocks in linear.blocks:
@@ -201,7 +216,7 @@ def test_crossing_of_a_play_counts_as_one_encoder_error() -> None:
 
 
 def test_rest_of_an_axis_counts_as_one_encoder_error() -> None:
-    reference, functions, parameter_vector = parts()
+    reference, functions, parameter_vector = trajectory_functions_and_parameters()
     rest = slice(reference.windows[0].start + 200, reference.windows[0].start + 300)
     at_rest, pause_s = reference.at_rest.copy(), reference.pause_s.copy()
     at_rest[rest, 2], pause_s[rest, 2] = True, 100 * reference.step_s

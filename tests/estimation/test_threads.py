@@ -23,7 +23,7 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from tests.estimation.made import RIG, windy
+from tests.estimation.made import RIG, flight_with_disturbances
 
 
 class StopReading(Exception):
@@ -100,7 +100,9 @@ def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> Non
     def estimates(threads: int) -> list[np.ndarray]:
         """Estimate a flight, and score candidates of all kinds, with a number of threads."""
         with using_threads(threads):
-            estimate = ModelComparison(MultibodyModel(), RIG, [windy()], []).refit([]).estimate
+            estimate = (
+                ModelComparison(MultibodyModel(), RIG, [flight_with_disturbances()], []).refit([]).estimate
+            )
             screening = Screening(estimate)
             gains = [candidate.log_likelihood_gain for candidate in screening.splines()]
             gains += [candidate.log_likelihood_gain for candidate in screening.effects(KINDS)]

@@ -30,13 +30,13 @@ def built_elf() -> Path:
     BUILD.mkdir(parents=True, exist_ok=True)
     with (BUILD / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        done = subprocess.run(
+        process = subprocess.run(
             ["make", "-s", "-C", ROOT / "firmware" / "due", f"BUILD={BUILD}", BUILD / "heli.elf"],
             capture_output=True,
             text=True,
             check=False,
         )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     return BUILD / "heli.elf"
 
 

@@ -200,7 +200,7 @@ class Board:
         return self
 
 
-def flying(elf: Path, image: Image) -> tuple[Board, Heli]:
+def flying_board_and_host(elf: Path, image: Image) -> tuple[Board, Heli]:
     """A board that flies the arm, and its host."""
     board = Board(elf, image, Arm())
     heli = board.connect()

@@ -59,7 +59,7 @@ class Hang:
             Running.
         """
         address = board.image.symbols[self.function] & ~1 if self.function else 0
-        whole = board.due.peek(address, len(self.code)) if self.code else b""
+        original_code = board.due.peek(address, len(self.code)) if self.code else b""
         if self.code:
             board.due.poke(address, self.code)
         if self.edge:
@@ -69,8 +69,8 @@ class Hang:
         try:
             yield
         finally:
-            if whole:
-                board.due.poke(address, whole)
+            if original_code:
+                board.due.poke(address, original_code)
 
     def __str__(self) -> str:
         return self.name

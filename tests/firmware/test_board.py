@@ -32,7 +32,7 @@ from heli_sim.due._due_board import motor_duty
 
 from firmware.due.report import Image
 from tests.channels.groups import COUNTS
-from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Board, flying
+from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Board, flying_board_and_host
 from tests.firmware.measures import boot_to_first_frame_ms, rx_lost_bytes, travel_counts_lost
 
 pytestmark = pytest.mark.emulated
@@ -63,7 +63,7 @@ def open_loop(heli: Heli, front_V: float, back_V: float) -> None:
 
 
 def test_a_flight_goes_where_it_is_sent_and_ends_on_the_table(elf: Path, image: Image) -> None:
-    board, heli = flying(elf, image)
+    board, heli = flying_board_and_host(elf, image)
     assert board.arm is not None
     heli.setpoint(elevation_deg=5.0, travel_deg=20.0)
     heli.wait(6.0)
@@ -292,9 +292,9 @@ def test_bytes_that_find_no_room_are_lost_and_no_older_ones(board: Board) -> Non
     sent = board.advance(50)
     board.due.hold_processor(False)
     frames = FrameParser().feed(sent + board.advance(300))
-    heard = [PongMessage.unpack(frame.payload).host_us for frame in frames if frame.id == MessageId.PONG]
+    received = [PongMessage.unpack(frame.payload).host_us for frame in frames if frame.id == MessageId.PONG]
     assert kept >= 512 // len(pings[0])
-    assert heard[:kept] == list(range(kept))
+    assert received[:kept] == list(range(kept))
 
 
 def test_no_byte_of_the_board_is_lost_or_wrong_wherever_its_ring_ends(board: Board) -> None:
@@ -314,11 +314,11 @@ def test_answers_that_wait_for_the_line_overwrite_nothing_that_is_being_sent(boa
     """
     board.advance(20)
     parser = FrameParser()
-    sent = [
+    sent_values = [
         encode_frame(MessageId.HELLO, 0, HelloMessage(1, LINK_HASH, 1).pack()),
         *(encode_frame(MessageId.PARAMS_READ, 1 + k, ParamsReadMessage(2 + k, 0).pack()) for k in range(60)),
     ]
-    board.write(b"".join(sent))
+    board.write(b"".join(sent_values))
     frames = parser.feed(board.advance(1200))
     assert sum(frame.id == MessageId.PARAMS for frame in frames) > 10
     assert (parser.frames_bad, parser.frames_lost) == (0, 0)

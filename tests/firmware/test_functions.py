@@ -135,13 +135,13 @@ def test_a_page_takes_what_is_written_and_is_erased_behind_it(idle: Board, page:
 
 def test_a_page_is_programmed_with_the_wait_states_of_programming(idle: Board) -> None:
     back = enter(idle, WRITE_PAGE, 1, SCRATCH, PAGE)
-    seen = set()
+    observed = set()
     idle.due.add_breakpoint(back)
     while idle.due.halt != "breakpoint":
         if idle.due.flash_busy:
-            seen.add(wait_states(idle))
+            observed.add(wait_states(idle))
         idle.due.run_us(50.0)
-    assert seen == {PROGRAMMING}
+    assert observed == {PROGRAMMING}
     assert wait_states(idle) == READING
     assert idle.due.reg(0) == 1
 
@@ -205,8 +205,8 @@ def test_a_set_is_written_over_both_of_its_pages(idle: Board, pages: int, count:
     put(idle, data)
     before = parameter_pages(idle)
     assert call(idle, BOARD_WRITE_PAGE, 0, pages, SCRATCH, count) == 1
-    whole = data[:count].ljust(2 * PAGE, b"\xff")
-    before[2 * pages : 2 * pages + 2] = [whole[:PAGE], whole[PAGE:]]
+    complete = data[:count].ljust(2 * PAGE, b"\xff")
+    before[2 * pages : 2 * pages + 2] = [complete[:PAGE], complete[PAGE:]]
     assert parameter_pages(idle) == before
     put(idle, bytes(2 * PAGE))
     call(idle, BOARD_READ_PAGE, 0, pages, SCRATCH, count)

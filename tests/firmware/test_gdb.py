@@ -64,13 +64,13 @@ def test_a_real_gdb_stops_in_the_tick_and_names_its_lines(elf: Path) -> None:
         "kill",
     ]
     script = [part for line in lines for part in ("-ex", line)]
-    done = subprocess.run(
+    process = subprocess.run(
         [GDB, "-q", "-batch", *script, str(elf)], capture_output=True, text=True, check=False, timeout=60
     )
     server.wait(timeout=20)
-    said = done.stdout + done.stderr
-    assert "tick_interrupt" in done.stdout, said
-    assert "main.cpp" in done.stdout, said
+    output = process.stdout + process.stderr
+    assert "tick_interrupt" in process.stdout, output
+    assert "main.cpp" in process.stdout, output
     # The timer's counter starts again with each tick: one register of the chip as the debugger reads it.
-    counted = re.search(r"0x40080010:\t(0x[0-9a-f]{8})", done.stdout)
-    assert counted is not None and int(counted[1], 16) < 42_000_000 // 1_000_000, said
+    counted = re.search(r"0x40080010:\t(0x[0-9a-f]{8})", process.stdout)
+    assert counted is not None and int(counted[1], 16) < 42_000_000 // 1_000_000, output

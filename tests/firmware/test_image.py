@@ -62,7 +62,9 @@ def test_the_tick_cannot_reach_what_the_idle_loop_asks_of_board_and_law(image: I
 
 
 def test_a_pointer_from_anywhere_may_lead_to_every_virtual_function(image: Image) -> None:
-    blind = added(image, Function("blind", frozenset(), frozenset({None}), stack_bytes=0), "tick_interrupt")
+    blind = firmware_with_function(
+        image, Function("blind", frozenset(), frozenset({None}), stack_bytes=0), "tick_interrupt"
+    )
     below_tick = blind.reachable("tick_interrupt", idle_loop=False)
     virtual = {name for names in image.virtual.values() for name in names}
     # Except those that take what only the idle loop has.
@@ -74,7 +76,7 @@ def test_divisions_of_the_idle_loop_are_seen(image: Image) -> None:
     assert "__aeabi_fdiv" in image.reachable("reset_handler")
 
 
-def added(image: Image, function: Function, caller: str) -> Image:
+def firmware_with_function(image: Image, function: Function, caller: str) -> Image:
     """The same firmware with one more function, called by `caller`."""
     functions = dict(image.functions)
     functions[function.name] = function
@@ -87,25 +89,31 @@ def added(image: Image, function: Function, caller: str) -> Image:
 
 @pytest.mark.parametrize("name", ["__aeabi_ddiv", "__aeabi_dmul", "__aeabi_uldivmod", "__aeabi_idiv", "expf"])
 def test_slow_arithmetic_in_the_tick_is_found(image: Image, name: str) -> None:
-    slow = added(image, Function(name, frozenset(), slots=frozenset(), stack_bytes=0), "tick_interrupt")
+    slow = firmware_with_function(
+        image, Function(name, frozenset(), slots=frozenset(), stack_bytes=0), "tick_interrupt"
+    )
     assert any(name in line for line in report.findings(slow))
 
 
 @pytest.mark.parametrize("name", ["malloc", "_sbrk", "_Znwj", "_ZdlPv"])
 def test_a_heap_is_found(image: Image, name: str) -> None:
-    heap = added(image, Function(name, frozenset(), slots=frozenset(), stack_bytes=0), "reset_handler")
+    heap = firmware_with_function(
+        image, Function(name, frozenset(), slots=frozenset(), stack_bytes=0), "reset_handler"
+    )
     assert any(name in line for line in report.findings(heap))
 
 
 def test_a_deep_stack_is_found(image: Image) -> None:
-    deep = added(image, Function("deep", frozenset(), slots=frozenset(), stack_bytes=3000), "tick_interrupt")
+    deep = firmware_with_function(
+        image, Function("deep", frozenset(), slots=frozenset(), stack_bytes=3000), "tick_interrupt"
+    )
     assert any("stack" in line for line in report.findings(deep))
 
 
 def test_recursion_is_refused(image: Image) -> None:
     endless = Function("endless", frozenset({"tick_interrupt"}), slots=frozenset(), stack_bytes=8)
     with pytest.raises(report.ReportError, match="may call itself"):
-        added(image, endless, "tick_interrupt").stack_needed_bytes()
+        firmware_with_function(image, endless, "tick_interrupt").stack_needed_bytes()
 
 
 def test_too_large_a_firmware_is_found(image: Image) -> None:

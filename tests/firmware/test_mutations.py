@@ -38,7 +38,7 @@ class Workshop:
     folder: Path
 
     def make(self) -> Path:
-        done = subprocess.run(
+        process = subprocess.run(
             [
                 "make",
                 "-s",
@@ -51,7 +51,7 @@ class Workshop:
             text=True,
             check=False,
         )
-        assert done.returncode == 0, done.stderr
+        assert process.returncode == 0, process.stderr
         return self.folder / "build" / "heli.elf"
 
     def spoilt(self, mutation: Mutation) -> Path:
@@ -63,8 +63,8 @@ class Workshop:
         # Source and object come back together, so that make has nothing to build before the next one. A
         # header
         # has many objects: it comes back as changed.
-        whole = self.folder / "build" / path.relative_to(self.folder).with_suffix(".o")
-        kept = [(file, file.read_bytes(), file.stat()) for file in (path, whole) if file.exists()]
+        complete = self.folder / "build" / path.relative_to(self.folder).with_suffix(".o")
+        kept = [(file, file.read_bytes(), file.stat()) for file in (path, complete) if file.exists()]
         path.write_text(text.replace(mutation.right, mutation.wrong))
         try:
             return self.make()

@@ -83,15 +83,15 @@ def test_a_wiring_that_the_board_cannot_have_is_refused(
 
 
 def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, ROOT / "firmware/pio/build.py", "--pins", tmp_path / "none.toml"],
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 2
-    assert done.stderr.startswith(f"error: {tmp_path / 'none.toml'}: cannot be read")
-    assert done.stderr.count("\n") == 1
+    assert process.returncode == 2
+    assert process.stderr.startswith(f"error: {tmp_path / 'none.toml'}: cannot be read")
+    assert process.stderr.count("\n") == 1
 
 
 @pytest.mark.medium

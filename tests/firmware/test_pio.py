@@ -67,7 +67,7 @@ def uploaded(tmp_path_factory: pytest.TempPathFactory) -> Uploaded:
     shutil.copy(ROOT / "platformio.ini", project)
     uploader = Uploader(folder / "bin")
     with SilProcess(speed=None) as board:
-        done = subprocess.run(
+        process = subprocess.run(
             [
                 *(sys.executable, project / "firmware" / "pio" / "build.py", "run", "-e", "due"),
                 *("-t", "upload", "--upload-port", board.url),
@@ -83,8 +83,8 @@ def uploaded(tmp_path_factory: pytest.TempPathFactory) -> Uploaded:
             text=True,
             check=False,
         )
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
-    return Uploaded(project, done.stdout, uploader.calls)
+    assert process.returncode == 0, process.stdout[-2000:] + process.stderr[-2000:]
+    return Uploaded(project, process.stdout, uploader.calls)
 
 
 def test_platformio_builds_the_same_program_as_the_makefile_wherever_the_project_lies(
@@ -102,10 +102,10 @@ def test_platformio_builds_for_another_wiring_apart(uploaded: Uploaded, tmp_path
     project, pins = uploaded.project, tmp_path / "my.toml"
     pins.write_text((project / "firmware" / "pins.toml").read_text().replace('"D22"', '"D34"'))
     program = project / "firmware" / "pio" / "build.py"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, program, "--pins", pins], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    assert process.returncode == 0, process.stdout[-2000:] + process.stderr[-2000:]
     assert "| `FrontForwardEnable` | D34 | PC2 |" in (project / "build/pio-wiring/wiring.md").read_text()
     for_pins, usual = (project / "build" / name / "due" / "firmware.bin" for name in ("pio-pins", "pio"))
     assert for_pins.read_bytes() != usual.read_bytes()

@@ -148,15 +148,17 @@ def test_there_is_always_the_old_set_or_the_new_one(bench: Bench, saves: int) ->
 def test_a_page_torn_bit_by_bit_is_never_taken_for_a_set(bench: Bench) -> None:
     rng = np.random.default_rng(3)
     pages = bench.save(bench.save(ERASED, VALUES[0]), VALUES[1])
-    whole = bench.save(pages, VALUES[2])
+    complete = bench.save(pages, VALUES[2])
     old = bench.start_with(pages).read_params()
     for _ in range(100):
         # Cells that erasing or writing has not reached keep what they had, in any pattern.
         reached = rng.random(SET * 8) < rng.random()
         origin = (pages[:SET], b"\xff" * SET)[rng.integers(2)]
-        before, after = (np.unpackbits(np.frombuffer(data, dtype=np.uint8)) for data in (origin, whole[:SET]))
+        before, after = (
+            np.unpackbits(np.frombuffer(data, dtype=np.uint8)) for data in (origin, complete[:SET])
+        )
         page = np.packbits(np.where(reached, after, before)).tobytes()
-        if page in (pages[:SET], whole[:SET]):
+        if page in (pages[:SET], complete[:SET]):
             continue
         session = bench.start_with(page + pages[SET:])
         assert session.welcome.params_source in GOOD

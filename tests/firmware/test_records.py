@@ -73,13 +73,13 @@ def test_a_fault_is_recorded_with_its_place_its_caller_and_its_cause(
     board.connect().arm()
     resets = board.due.resets
     address = board.image.symbols[POLL] & ~1
-    whole = board.due.peek(address, len(code))
+    original_code = board.due.peek(address, len(code))
     board.due.poke(address, code)
     halt_at(board, "fault_handler")
     while board.due.resets == resets:
         record, pc, lr, cfsr, bfar, _ = recorded(board)
         board.due.step()
-    board.due.poke(address, whole)
+    board.due.poke(address, original_code)
     assert pc == address + place
     assert board.due.describe(lr).startswith("heli::due::run()")
     assert record == MAGIC | HARD_FAULT << 8 | Fault.HARD_FAULT

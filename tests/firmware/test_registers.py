@@ -62,13 +62,13 @@ def text() -> str:
 
 
 def members() -> list[Member]:
-    found = []
+    matches = []
     for block in re.finditer(r"^struct (\w+) \{\n(.*?)^\};", text(), re.MULTILINE | re.DOTALL):
         for line in re.finditer(
             r"^  (ReadOnly|WriteOnly|ReadWrite) (\w+)(?:\[\d+\])?;", block[2], re.MULTILINE
         ):
-            found.append(Member(block[1], line[1], line[2]))
-    return found
+            matches.append(Member(block[1], line[1], line[2]))
+    return matches
 
 
 def short(name: str) -> str:
@@ -96,9 +96,9 @@ def compile_claims(claims: list[str], folder: Path) -> None:
     lines = ["#include <cstddef>", f'#include "{HEADER}"', "using namespace heli::due;", *claims]
     source.write_text("\n".join(lines) + "\n")
     flags = ["-std=c++17", "-fsyntax-only", "-Wno-int-to-pointer-cast", "-Wno-invalid-offsetof"]
-    done = subprocess.run([compiler, *flags, source], capture_output=True, text=True, check=False)
-    failed = re.findall(r"static assertion failed[^\n]*|error:[^\n]*", done.stderr)
-    assert done.returncode == 0, "\n".join(failed)
+    process = subprocess.run([compiler, *flags, source], capture_output=True, text=True, check=False)
+    failed = re.findall(r"static assertion failed[^\n]*|error:[^\n]*", process.stderr)
+    assert process.returncode == 0, "\n".join(failed)
 
 
 def test_every_register_of_the_header_is_in_the_description(description: Description) -> None:
@@ -120,13 +120,13 @@ def test_registers_stand_where_the_description_has_them(description: Description
 
 
 def test_registers_can_be_read_and_written_as_on_the_chip(description: Description) -> None:
-    wrong = [
+    mistakes = [
         f"{member.name} is {register.access}, the header says {ACCESS[member.access]}"
         for member in members()
         for _, register in described(description, member)
         if ACCESS[member.access] != register.access
     ]
-    assert not wrong, "\n".join(wrong)
+    assert not mistakes, "\n".join(mistakes)
 
 
 def test_peripherals_stand_where_the_description_has_them(description: Description) -> None:
@@ -162,27 +162,27 @@ def test_bits_and_fields_are_those_of_the_description(description: Description) 
     bits = re.findall(r"^inline constexpr std::uint32_t (\w+) = bit\((\d+)\);", text(), re.MULTILINE)
     fields = re.findall(r"^inline constexpr Field (\w+)\{(\d+), (\d+)\};", text(), re.MULTILINE)
     assert len(bits) + len(fields) > 60
-    wrong = []
+    mistakes = []
     for name, offset, width in [*((name, offset, "1") for name, offset in bits), *fields]:
         registers, field = split(name, description)
         says = {register.fields[field] for register in registers if field in register.fields}
         if says != {(int(offset), int(width))}:
-            wrong.append(f"{name}: {offset}, {width} instead of {says}")
-    assert not wrong, "\n".join(wrong)
+            mistakes.append(f"{name}: {offset}, {width} instead of {says}")
+    assert not mistakes, "\n".join(mistakes)
 
 
 def test_named_values_are_those_of_the_description(description: Description) -> None:
     values = re.findall(r"^inline constexpr std::uint32_t (\w+) =\s*(\w+)\((\d+)\);", text(), re.MULTILINE)
     values = [value for value in values if value[1] != "bit"]
     assert len(values) >= 8
-    wrong = []
+    mistakes = []
     for name, field_name, value in values:
         registers, field = split(field_name, description)
         meaning = name.removeprefix(field_name + "_")
         says = {register.values.get((field, meaning)) for register in registers} - {None}
         if says != {int(value)}:
-            wrong.append(f"{name}: {value} instead of {says}")
-    assert not wrong, "\n".join(wrong)
+            mistakes.append(f"{name}: {value} instead of {says}")
+    assert not mistakes, "\n".join(mistakes)
 
 
 def test_no_constant_of_the_header_escapes_these_tests() -> None:

@@ -13,7 +13,7 @@ from heli_host.heli import Heli
 from heli_host.link.events import BOARD_RESTARTED
 
 from firmware.due.report import Image
-from tests.firmware.desk import ENABLE_PINS, TICK_INTERRUPT, Board, flying
+from tests.firmware.desk import ENABLE_PINS, TICK_INTERRUPT, Board, flying_board_and_host
 from tests.firmware.hangs import HANGS, POLL, TICK, FASTEST_Hz, Hang, SLOWEST_Hz, off_after_ms
 from tests.firmware.test_board import open_loop
 
@@ -45,7 +45,7 @@ def pend(board: Board, interrupt: int) -> None:
     store(board, NVIC_ISPR + 4 * (interrupt // 32), 1 << interrupt % 32)
 
 
-def assert_told(heli: Heli, reset: Reset, fault: Fault) -> None:
+def assert_fault_reported(heli: Heli, reset: Reset, fault: Fault) -> None:
     """The session that flew finds the board again and says why it restarted."""
     session = heli.session
     session.wait_for(lambda: any(event.kind == BOARD_RESTARTED for event in session.events), 5.0)
@@ -65,12 +65,12 @@ def assert_told(heli: Heli, reset: Reset, fault: Fault) -> None:
 
 @pytest.mark.parametrize("hang", HANGS, ids=str)
 def test_a_program_that_hangs_is_reset_and_the_host_is_informed(elf: Path, image: Image, hang: Hang) -> None:
-    board, heli = flying(elf, image)
+    board, heli = flying_board_and_host(elf, image)
     resets = board.due.resets
     with hang.of(board):
         assert board.milliseconds_until_off() <= MAX_MS
         board.wait_for_reset(resets)
-    assert_told(heli, Reset.WATCHDOG, Fault.WATCHDOG)
+    assert_fault_reported(heli, Reset.WATCHDOG, Fault.WATCHDOG)
     assert board.off()
 
 
@@ -87,7 +87,7 @@ def test_the_motors_are_off_in_time_over_the_watchdogs_tolerance(
 
 
 def test_the_watchdog_leaves_a_normal_flight_alone_with_three_times_to_spare(elf: Path, image: Image) -> None:
-    board, heli = flying(elf, image)
+    board, heli = flying_board_and_host(elf, image)
     board.due.set_slow_clock(3 * FASTEST_Hz)
     heli.setpoint(elevation_deg=5.0, travel_deg=10.0)
     heli.wait(2.0)
@@ -109,7 +109,7 @@ def test_the_watchdog_leaves_a_normal_flight_alone_with_three_times_to_spare(elf
 def test_a_fault_switches_off_at_once_and_the_host_is_informed(
     elf: Path, image: Image, where: str, instruction: bytes, fault: Fault
 ) -> None:
-    board, heli = flying(elf, image)
+    board, heli = flying_board_and_host(elf, image)
     resets = board.due.resets
     address = image.symbols[where] & ~1
     code = board.due.peek(address, 2)
@@ -118,22 +118,22 @@ def test_a_fault_switches_off_at_once_and_the_host_is_informed(
     assert board.milliseconds_until_off() <= A_TICK_MS
     board.wait_for_reset(resets)
     board.due.poke(address, code)
-    assert_told(heli, Reset.SOFTWARE, fault)
+    assert_fault_reported(heli, Reset.SOFTWARE, fault)
 
 
 def test_an_unexpected_interrupt_switches_off_and_informs_the_host(elf: Path, image: Image) -> None:
-    board, heli = flying(elf, image)
+    board, heli = flying_board_and_host(elf, image)
     pend(board, 8)
     assert board.milliseconds_until_off(step_us=1.0) <= AT_ONCE_MS
-    assert_told(heli, Reset.SOFTWARE, Fault.UNEXPECTED_INTERRUPT)
+    assert_fault_reported(heli, Reset.SOFTWARE, Fault.UNEXPECTED_INTERRUPT)
 
 
 @pytest.mark.parametrize("pending", [NMI_PENDING, PENDSV_PENDING, SYSTICK_PENDING])
 def test_exceptions_of_the_processor_switch_off_at_once(elf: Path, image: Image, pending: int) -> None:
-    board, heli = flying(elf, image)
+    board, heli = flying_board_and_host(elf, image)
     store(board, SCB_ICSR, pending)
     assert board.milliseconds_until_off(step_us=1.0) <= AT_ONCE_MS
-    assert_told(heli, Reset.SOFTWARE, Fault.UNEXPECTED_INTERRUPT)
+    assert_fault_reported(heli, Reset.SOFTWARE, Fault.UNEXPECTED_INTERRUPT)
 
 
 def test_every_other_interrupt_switches_off_at_once(board: Board) -> None:
@@ -147,7 +147,7 @@ def test_every_other_interrupt_switches_off_at_once(board: Board) -> None:
 
 
 def test_pwm_pins_go_low_with_the_enables(elf: Path, image: Image) -> None:
-    board, _ = flying(elf, image)
+    board, _ = flying_board_and_host(elf, image)
     assert not board.pwm_low()
     # The reset that follows leaves the pins to their pull-ups: look before it comes.
     board.due.add_breakpoint(image.symbols["fault_handler"] & ~1)
@@ -165,23 +165,24 @@ def test_pwm_pins_go_low_with_the_enables(elf: Path, image: Image) -> None:
 
 
 def test_a_lost_stack_is_no_way_around_the_fault_handler(elf: Path, image: Image) -> None:
-    board, heli = flying(elf, image)
+    board, heli = flying_board_and_host(elf, image)
     board.due.run_us(500.0)
     board.due.set_check("unmapped", False)
+    # Register 13 is the stack pointer; it then points to addresses without memory.
     board.due.set_reg(13, 0x10000000)
     assert board.milliseconds_until_off() <= A_TICK_MS
-    assert_told(heli, Reset.SOFTWARE, Fault.HARD_FAULT)
+    assert_fault_reported(heli, Reset.SOFTWARE, Fault.HARD_FAULT)
 
 
 def test_a_stack_that_went_too_deep_is_a_fault(elf: Path, image: Image) -> None:
-    board, heli = flying(elf, image)
+    board, heli = flying_board_and_host(elf, image)
     store(board, image.symbols["__stack_bottom"], 0)
     assert board.milliseconds_until_off() <= A_TICK_MS
-    assert_told(heli, Reset.SOFTWARE, Fault.HARD_FAULT)
+    assert_fault_reported(heli, Reset.SOFTWARE, Fault.HARD_FAULT)
 
 
 def test_endless_recursion_is_a_fault_though_no_memory_ends_there(elf: Path, image: Image) -> None:
-    board, heli = flying(elf, image)
+    board, heli = flying_board_and_host(elf, image)
     resets = board.due.resets
     # As on the chip, where SRAM0 repeats below itself.
     board.due.set_check("unmapped", False)
@@ -192,13 +193,13 @@ def test_endless_recursion_is_a_fault_though_no_memory_ends_there(elf: Path, ima
     assert board.milliseconds_until_off() <= 2 * A_TICK_MS
     board.wait_for_reset(resets)
     board.due.poke(address, code)
-    assert_told(heli, Reset.SOFTWARE, Fault.HARD_FAULT)
+    assert_fault_reported(heli, Reset.SOFTWARE, Fault.HARD_FAULT)
 
 
 # -- noise on the travel encoder ---------------------------------------------------------------------
 
 
-def flood(board: Board, edges_per_s: float, milliseconds: int, direction: int = 0) -> None:
+def send_travel_edges(board: Board, edges_per_s: float, milliseconds: int, direction: int = 0) -> None:
     """Edges of travel at that rate from now on, back and forth or in one direction."""
     start_us = board.due.now_us + 1.0
     for k in range(round(1e-3 * milliseconds * edges_per_s)):
@@ -218,7 +219,7 @@ def test_edges_too_fast_to_count_switch_off_and_inform_the_host(
     overruns = heli.session.status().overruns
     ticks = board.due.exception_stats(TICK_INTERRUPT)[0]
     start_us = board.due.now_us
-    flood(board, edges_per_s, 150, direction)
+    send_travel_edges(board, edges_per_s, 150, direction)
     assert board.milliseconds_until_off() <= 2 * A_TICK_MS
     heli.wait(0.1)
     # The flood goes on: the tick does too, and so does the link.
@@ -241,7 +242,7 @@ def test_edges_too_fast_to_count_switch_off_and_inform_the_host(
 def test_200000_edges_a_second_are_no_overload(board: Board) -> None:
     heli = board.connect()
     heli.arm()
-    flood(board, 2e5, 100)
+    send_travel_edges(board, 2e5, 100)
     heli.wait(0.1)
     assert board.on()
 
@@ -271,7 +272,7 @@ def test_stopping_takes_every_enable_low(board: Board) -> None:
 
 
 def test_the_reset_line_switches_off_and_off_it_stays(elf: Path, image: Image) -> None:
-    board, heli = flying(elf, image)
+    board, heli = flying_board_and_host(elf, image)
     board.due.set_nrst(True)
     assert board.milliseconds_until_off(step_us=1.0) <= AT_ONCE_MS
     for held in (True, False):
@@ -279,7 +280,7 @@ def test_the_reset_line_switches_off_and_off_it_stays(elf: Path, image: Image) -
         for _ in range(2000):
             board.due.run_us(10.0)
             assert board.off()
-    assert_told(heli, Reset.USER, Fault.NONE)
+    assert_fault_reported(heli, Reset.USER, Fault.NONE)
     assert board.off()
 
 
@@ -295,13 +296,13 @@ def test_without_pull_downs_a_reset_would_switch_the_bridges_on(elf: Path, image
 
 
 def test_power_loss_switches_off(elf: Path, image: Image) -> None:
-    board, _ = flying(elf, image)
+    board, _ = flying_board_and_host(elf, image)
     board.cut_power()
     assert board.off()
 
 
 def test_an_erased_flash_leaves_the_bridges_off(elf: Path, image: Image) -> None:
-    board, _ = flying(elf, image)
+    board, _ = flying_board_and_host(elf, image)
     board.due.usb_line_coding(1200)
     board.due.usb_control_lines(False)
     # Erased under a running program: it locks up, and the reset that the bridge gives ends that.
@@ -333,7 +334,7 @@ def wire_to_supply(board: Board) -> None:
 def test_hardware_stop_cuts_the_duty_with_the_processor_halted(
     elf: Path, image: Image, stop: Callable[[Board], None]
 ) -> None:
-    board, _ = flying(elf, image)
+    board, _ = flying_board_and_host(elf, image)
     assert max(board.duties()) > 0.05
     instructions = board.due.instructions
     board.due.hold_processor(True)
@@ -366,7 +367,7 @@ def test_every_half_bridge_has_the_stop_enabled_in_its_own_channel_too(board: Bo
 
 
 def test_hardware_stop_trips_and_must_be_released_and_cleared(elf: Path, image: Image) -> None:
-    board, heli = flying(elf, image)
+    board, heli = flying_board_and_host(elf, image)
     # Shorter than a tick, and nothing of the program runs until it is over: the fault input alone keeps it,
     # through periods of the outputs that end after it.
     board.due.hold_processor(True)

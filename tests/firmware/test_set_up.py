@@ -69,7 +69,7 @@ def before(elf: Path, image: Image, symbol: str) -> Board:
     return board
 
 
-def mask(port: str, *pins: str) -> int:
+def register_mask(port: str, *pins: str) -> int:
     return sum(1 << int(pin[2:]) for pin in pins if pin[1] == port)
 
 
@@ -78,7 +78,7 @@ def ports(board: Board, register: int) -> dict[str, int]:
 
 
 def in_ports(*pins: str) -> dict[str, int]:
-    return {port: mask(port, *pins) for port in PORTS}
+    return {port: register_mask(port, *pins) for port in PORTS}
 
 
 def inverted(values: dict[str, int]) -> dict[str, int]:
@@ -137,7 +137,7 @@ def test_pwm_pins_stay_low_while_they_are_handed_over(elf: Path, image: Image) -
     for _ in range(400):
         assert not any(board.due.pin(pin) for pin in (*ENABLE_PINS, *PWM_PINS))
         board.due.step()
-    assert ports(board, PIO_ABSR)["C"] & mask("C", *PWM_PINS) == mask("C", *PWM_PINS)
+    assert ports(board, PIO_ABSR)["C"] & register_mask("C", *PWM_PINS) == register_mask("C", *PWM_PINS)
 
 
 # -- interrupts ----------------------------------------------------------------------------------------
@@ -146,8 +146,8 @@ def test_pwm_pins_stay_low_while_they_are_handed_over(elf: Path, image: Image) -
 def test_edges_interrupt_ticks_and_nothing_else_interrupts(started: Board) -> None:
     enabled = [started.register(NVIC_ISER + 4 * k) for k in range(2)]
     assert enabled == [1 << PIOD | 1 << TC3, 0]
-    words = (started.register(NVIC_IPR + 4 * k) for k in range(12))
-    priorities = [byte for word in words for byte in word.to_bytes(4, "little")]
+    registers = (started.register(NVIC_IPR + 4 * k) for k in range(12))
+    priorities = [byte for word in registers for byte in word.to_bytes(4, "little")]
     # Four bits each, in the upper half; smaller is more urgent.
     assert {k: value >> 4 for k, value in enumerate(priorities) if value} == {TC3: 8}
     assert ports(started, PIO_IMR) == in_ports(*EDGE_PINS)

@@ -28,10 +28,10 @@ def functions(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     (folder / "memory.cpp").write_text(renamed)
     library = folder / "support.so"
     flags = ["-std=c++17", "-O2", "-shared", "-fPIC", "-fno-tree-loop-distribute-patterns"]
-    done = subprocess.run(
+    process = subprocess.run(
         [compiler, *flags, folder / "memory.cpp", "-o", library], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     return ctypes.CDLL(str(library))
 
 

@@ -9,7 +9,15 @@ import pytest
 from heli_host.declaration import Event, Fault, State, Trigger
 
 from tests.flight.harness import REST_DEG, Harness
-from tests.flight.test_tracking import COUNT_DEG, ELEVATION, PITCH, TRAVEL, hover, level, tripped
+from tests.flight.test_tracking import (
+    COUNT_DEG,
+    ELEVATION,
+    PITCH,
+    TRAVEL,
+    board_in_level_flight,
+    hover,
+    tripped,
+)
 
 HOVER_V, DEAD_V, MOTION_V = (
     next(spec.default for spec in d.PARAMS if spec.name == name)
@@ -40,7 +48,7 @@ def drive(
 
 @pytest.mark.parametrize(("low", "high", "moves"), [(-1, 0, False), (-2, 2, True), (-1, 1, True)])
 def test_motion_is_more_than_a_count_on_either_side_of_zero(low: int, high: int, moves: bool) -> None:
-    harness = level(axes=3)
+    harness = board_in_level_flight(axes=3)
     hover(harness, 1000)
     for k in range(1500):
         if k % 20 == 0:
@@ -106,19 +114,20 @@ def test_the_drive_of_the_single_tick_in_which_a_swing_turns_round_is_none_to_co
 
 
 def test_a_landing_has_its_own_time_and_no_following_error_of_the_elevation() -> None:
-    harness = level()
+    harness = board_in_level_flight()
     hover(harness, 200)
     harness.ask(d.LandMessage(0))
-    around = list(harness.angles_deg)
+    hover_deg = list(harness.angles_deg)
+    # Eight seconds of a small swing, in which the arm does not descend.
     for k in range(8000):
-        swing = (0, 2, 4, 2)[k // 10 % 4] * COUNT_DEG
-        harness.move(*(at + swing for at in around))
+        swing_deg = (0, 2, 4, 2)[k // 10 % 4] * COUNT_DEG
+        harness.move(*(angle_deg + swing_deg for angle_deg in hover_deg))
         harness.tick()
     assert harness.state is State.LANDING
 
 
 def test_how_far_travel_must_have_turned_is_given_in_degrees() -> None:
-    harness = level()
+    harness = board_in_level_flight()
     hover(harness, 1000)
     harness.glide(PITCH, 12.0, 60.0)
     hover(harness, 1300, still=(TRAVEL,))

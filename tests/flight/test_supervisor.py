@@ -258,7 +258,7 @@ def test_setpoint_loss_holds_level_after_half_a_second_then_lands_after_two_then
     assert harness.motors_off
 
 
-def told_by_telemetry(harness: Harness) -> list[tuple[State, Trigger]]:
+def states_in_telemetry(harness: Harness) -> list[tuple[State, Trigger]]:
     """States with what led to them, as the samples have them, each once."""
     batches = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY]
     raw = TelemetryDecoder().decode(batches).raw
@@ -274,8 +274,8 @@ def test_telemetry_states_the_cause_of_a_state_also_after_touchdown() -> None:
     harness.tick(2900)
     assert harness.state is State.IDLE
     harness.tick(40)
-    told = told_by_telemetry(harness)
-    assert told == [
+    reported = states_in_telemetry(harness)
+    assert reported == [
         (State.IDLE, Trigger.START),
         (State.ARMED, Trigger.ARM),
         (State.CLOSED_LOOP, Trigger.CLOSE_LOOP),
@@ -286,7 +286,7 @@ def test_telemetry_states_the_cause_of_a_state_also_after_touchdown() -> None:
         (State.IDLE, Trigger.STALE_LAND),
     ]
     events = [(e.detail, e.cause) for e in harness.events if e.kind == Event.STATE]
-    assert events == [*told[1:-1], (State.IDLE, Trigger.TOUCHDOWN)]
+    assert events == [*reported[1:-1], (State.IDLE, Trigger.TOUCHDOWN)]
 
 
 def test_telemetry_reports_a_trip_and_its_clearing() -> None:
@@ -296,7 +296,7 @@ def test_telemetry_reports_a_trip_and_its_clearing() -> None:
     harness.tick(40)
     harness.ask(d.ClearFaultMessage(0))
     harness.tick(40)
-    assert told_by_telemetry(harness)[-2:] == [(State.FAULT, Trigger.TRIP), (State.IDLE, Trigger.CLEAR)]
+    assert states_in_telemetry(harness)[-2:] == [(State.FAULT, Trigger.TRIP), (State.IDLE, Trigger.CLEAR)]
 
 
 def test_a_setpoint_that_comes_back_ends_the_hold_but_not_a_landing() -> None:

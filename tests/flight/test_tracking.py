@@ -14,7 +14,7 @@ COUNT_DEG = 360.0 / 4096.0
 ELEVATION, PITCH, TRAVEL = range(3)
 
 
-def level(axes: int = 7) -> Harness:
+def board_in_level_flight(axes: int = 7) -> Harness:
     """A board that flies level, its arm moving a little all the time on every axis."""
     harness = Harness(tracked=True)
     assert harness.arm().result == Result.OK
@@ -41,7 +41,7 @@ def tripped(harness: Harness) -> tuple[Fault, Trigger]:
 
 
 def test_an_arm_that_moves_and_is_where_it_should_be_flies_on() -> None:
-    harness = level()
+    harness = board_in_level_flight()
     hover(harness, 5000)
     assert harness.state is State.CLOSED_LOOP
 
@@ -80,7 +80,7 @@ def test_an_arm_on_the_table_may_rest_while_the_motors_push_too_little() -> None
 
 @pytest.mark.parametrize("still", [(), (PITCH,)], ids=["counting", "silent"])
 def test_a_pitch_that_is_driven_and_does_not_count_cuts_the_motors(still: tuple[int, ...]) -> None:
-    harness = level(axes=3)
+    harness = board_in_level_flight(axes=3)
     hover(harness, 1000)
     hover(harness, 1500, still=still, pitch_deg=12.0)
     assert harness.motors_off == bool(still)
@@ -90,7 +90,7 @@ def test_a_pitch_that_is_driven_and_does_not_count_cuts_the_motors(still: tuple[
 
 @pytest.mark.parametrize("step_counts", [1, 2])
 def test_a_single_count_to_and_fro_is_no_motion(step_counts: int) -> None:
-    harness = level(axes=3)
+    harness = board_in_level_flight(axes=3)
     hover(harness, 1000)
     for k in range(1500):
         if k % 20 == 0:
@@ -102,7 +102,7 @@ def test_a_single_count_to_and_fro_is_no_motion(step_counts: int) -> None:
 
 
 def test_a_travel_that_does_not_count_while_the_arm_tilts_is_landed_without_it_and_latched() -> None:
-    harness = level()
+    harness = board_in_level_flight()
     hover(harness, 1000)
     harness.glide(PITCH, 12.0, 60.0)
     hover(harness, 900, still=(TRAVEL,))
@@ -205,7 +205,7 @@ def test_a_landing_does_not_close_a_doubtful_travel(doubtful: bool) -> None:
 def test_an_axis_that_stays_away_from_its_setpoint_is_a_following_error(
     axis: int, away_deg: float, fault: Fault, ends: State
 ) -> None:
-    harness = level(axes=3 if axis == PITCH else 7)
+    harness = board_in_level_flight(axes=3 if axis == PITCH else 7)
     # Else pitch, which the test holds, would not be where travel asks for it.
     for gain in ("travel_kp", "travel_ki", "travel_kd"):
         harness.set(gain, 0.0)
@@ -226,7 +226,7 @@ def test_nothing_of_this_applies_to_a_bench_in_open_loop_nor_to_an_axis_that_is_
         bench.ping()
         bench.tick(100)
     assert bench.state is State.OPEN_LOOP
-    tilted = level(axes=3)
+    tilted = board_in_level_flight(axes=3)
     tilted.glide(PITCH, 10.0, 60.0)
     hover(tilted, 3000, still=(TRAVEL,), pitch_deg=10.0)
     assert tilted.state is State.CLOSED_LOOP

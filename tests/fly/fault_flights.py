@@ -209,10 +209,10 @@ def flown(case: Case, board: str = "native", elf: str = "") -> Outcome:
         with patch("heli_host.log.disk.io.FileIO", Disk), contextlib.suppress(KilledError):
             summary = fly(heli, case.plan)
         struck.alone(0 if summary is None or summary.completed else _DOWN_MS)
-    return told(case, struck, summary)
+    return outcome_of_case(case, struck, summary)
 
 
-def told(case: Case, struck: Struck, summary: FlightSummary | None) -> Outcome:
+def outcome_of_case(case: Case, struck: Struck, summary: FlightSummary | None) -> Outcome:
     """What happened, from the board's events and the motors' voltages."""
     closed_tick = next(event.tick for event in struck.states if event.detail == State.CLOSED_LOOP)
     begin_tick = round(1e3 * case.at_s) if case.at_s else closed_tick

@@ -93,8 +93,8 @@ def _overwrite(struck: Struck, ms: int, code: bytes) -> None:
     image = read_image(struck.world.options.elf)
     address = image.address(TICK_SYMBOL)
     start, data = next(piece for piece in image.segments if 0 <= address - piece[0] < len(piece[1]))
-    whole = data[address - start :][: len(code)]
-    emulated(struck.world).sim.due.poke(address, code if ms == 0 else whole)
+    original_code = data[address - start :][: len(code)]
+    emulated(struck.world).sim.due.poke(address, code if ms == 0 else original_code)
 
 
 def full_receiver(struck: Struck, ms: int) -> bytes:

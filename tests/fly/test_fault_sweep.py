@@ -32,18 +32,18 @@ OTHERS = (
 @pytest.mark.slow
 @pytest.mark.parametrize("case", TRAVEL, ids=lambda case: f"{case.rig}-{case.plan}")
 def test_a_dead_travel_encoder_is_named_before_travel_is_far_off(case: Case) -> None:
-    seen = flown(case)
-    assert seen.tracking_fault == "travel_motionless"
-    assert seen.away_deg < LEFT_DEG
-    assert not seen.stop
+    outcome = flown(case)
+    assert outcome.tracking_fault == "travel_motionless"
+    assert outcome.away_deg < LEFT_DEG
+    assert not outcome.stop
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", OTHERS, ids=lambda case: str(case.kind))
 def test_an_axis_without_its_encoder_is_stopped_before_its_stop(case: Case) -> None:
-    seen = flown(case)
-    assert seen.tracking_fault == f"{case.kind}_motionless"
-    assert not seen.stop
+    outcome = flown(case)
+    assert outcome.tracking_fault == f"{case.kind}_motionless"
+    assert not outcome.stop
 
 
 @pytest.mark.emulated
@@ -61,7 +61,7 @@ def test_dry_friction_and_play_are_not_taken_for_a_dead_encoder(case: Case) -> N
     assert flown(case).outcome == "completed"
 
 
-def told() -> dict[str, list[float]]:
+def numbers_of_document() -> dict[str, list[float]]:
     """Numbers of the table's rows, by what fails."""
     lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
     begin = lines.index(HEAD) + 2
@@ -72,12 +72,12 @@ def told() -> dict[str, list[float]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["elevation", "pitch", "travel"])
 def test_a_flight_of_the_sweep_is_within_the_worst_of_the_document(kind: str) -> None:
-    count, _, within_s, off_deg, *_ = told()[kind]
+    count, _, within_s, off_deg, *_ = numbers_of_document()[kind]
     for case in [*swept(kind, int(count))][: samples(int(count), 4)][0 if LONG else 2 :]:
-        seen = flown(case)
-        if seen.reported:
-            assert seen.acted_s <= within_s + 0.05
-            assert seen.away_deg <= off_deg + 0.5
+        outcome = flown(case)
+        if outcome.reported:
+            assert outcome.acted_s <= within_s + 0.05
+            assert outcome.away_deg <= off_deg + 0.5
 
 
 @pytest.mark.medium

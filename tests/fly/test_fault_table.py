@@ -32,7 +32,7 @@ def document() -> list[str]:
     return lines[begin:end]
 
 
-def assert_is_told(case: Case, outcome: Outcome) -> None:
+def assert_agrees_with_document(case: Case, outcome: Outcome) -> None:
     """The document's row has the same words, and numbers within a tenth of a second or 2 %."""
     [told] = [line for line in document() if line.startswith(f"| {case.what} |")]
     flown_row = row(case, outcome)
@@ -51,8 +51,8 @@ def assert_handled(case: Case, outcome: Outcome) -> None:
 
 
 def test_every_row_of_the_table_is_shown_by_a_flight_or_a_test() -> None:
-    told = [line.split(" | ")[0].removeprefix("| ") for line in document()]
-    assert told == [case.what for case in CASES] + list(ELSEWHERE)
+    first_cells = [line.split(" | ")[0].removeprefix("| ") for line in document()]
+    assert first_cells == [case.what for case in CASES] + list(ELSEWHERE)
     tests = "".join(path.read_text(encoding="utf-8") for path in TESTS.glob("test_*.py"))
     for name in ELSEWHERE.values():
         assert f"def {name}(" in tests
@@ -63,7 +63,7 @@ def test_every_row_of_the_table_is_shown_by_a_flight_or_a_test() -> None:
 def test_a_fault_is_handled_as_the_table_says(case: Case) -> None:
     outcome = flown(case)
     assert_handled(case, outcome)
-    assert_is_told(case, outcome)
+    assert_agrees_with_document(case, outcome)
 
 
 @pytest.mark.emulated
@@ -71,12 +71,12 @@ def test_a_fault_is_handled_as_the_table_says(case: Case) -> None:
 def test_a_fault_is_handled_by_the_emulated_due_as_the_table_says(case: Case) -> None:
     outcome = flown(case, "due", str(built_elf()))
     assert_handled(case, outcome)
-    assert_is_told(case, outcome)
+    assert_agrees_with_document(case, outcome)
 
 
 def test_without_a_cable_the_board_does_what_it_does_without_a_host() -> None:
     off_s = {line.split(" | ")[0]: line.partition("motors off after ")[2] for line in document()}
-    alone = off_s["| the host is killed (`kill -9`)"].partition(" |")[0]
+    off_text = off_s["| the host is killed (`kill -9`)"].partition(" |")[0]
     for case in CASES:
         if case.as_if is not None:
-            assert off_s[f"| {case.what}"].partition(" |")[0] == alone
+            assert off_s[f"| {case.what}"].partition(" |")[0] == off_text

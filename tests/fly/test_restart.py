@@ -31,7 +31,7 @@ def world_of(heli: Heli) -> SilWorld:
     return transport.world
 
 
-def once(at_s: float, action: Callable[[], None]) -> Callable[[Progress], None]:
+def call_once_at(at_s: float, action: Callable[[], None]) -> Callable[[Progress], None]:
     waiting = [action]
 
     def call(progress: Progress) -> None:
@@ -46,7 +46,7 @@ def flown(url: str, path: Path, at_s: float = 3.0) -> tuple[FlightSummary, float
     with heli_host.connect(url) as heli:
         heli.params["landing_timeout_s"] = 15.0
         cut = world_of(heli).cycle_power
-        summary = fly(heli, PLAN, log_path=path, on_progress=once(at_s, cut))
+        summary = fly(heli, PLAN, log_path=path, on_progress=call_once_at(at_s, cut))
         assert heli.session.state is State.IDLE
         assert heli.counters.restarts == 1
         # One that finds the link, not a pair for every batch.
@@ -54,7 +54,7 @@ def flown(url: str, path: Path, at_s: float = 3.0) -> tuple[FlightSummary, float
         return summary, heli.params["landing_timeout_s"]
 
 
-def assert_told(summary: FlightSummary, path: Path) -> None:
+def assert_restart_reported(summary: FlightSummary, path: Path) -> None:
     assert not summary.completed
     assert summary.outcome.startswith("aborted: the board restarted (power_up) in flight")
     assert "link lost" not in summary.outcome
@@ -72,7 +72,7 @@ def assert_told(summary: FlightSummary, path: Path) -> None:
 def test_a_board_that_lost_its_power_in_flight_ends_the_flight(tmp_path: Path, at_s: float) -> None:
     path = tmp_path / "a.mcap"
     summary, landing_timeout_s = flown("sil://?seed=3", path, at_s)
-    assert_told(summary, path)
+    assert_restart_reported(summary, path)
     assert landing_timeout_s == 12.0
 
 
@@ -82,7 +82,7 @@ def test_the_emulated_due_that_lost_its_power_in_flight_ends_the_flight(tmp_path
         pytest.skip("no firmware is built: install the cross-compiler, then make setup or make firmware")
     path = tmp_path / "a.mcap"
     summary, landing_timeout_s = flown("sil://?seed=3&board=due", path)
-    assert_told(summary, path)
+    assert_restart_reported(summary, path)
     assert landing_timeout_s == 12.0
 
 
@@ -98,7 +98,7 @@ def test_power_lost_while_a_command_waits_is_a_restart_and_no_lost_link(tmp_path
         def cut_at_landing() -> None:
             heli.session.command = cut_first  # type: ignore[method-assign, assignment]
 
-        summary = fly(heli, PLAN, on_progress=once(6.5, cut_at_landing))
+        summary = fly(heli, PLAN, on_progress=call_once_at(6.5, cut_at_landing))
     assert summary.outcome.startswith("aborted: the board restarted (power_up) in flight")
     assert "link lost" not in summary.outcome and "lands by itself" not in summary.outcome
 

@@ -454,11 +454,11 @@ def test_over_a_pseudo_terminal_it_flies_the_same(tmp_path: Path) -> None:
     process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
     with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
         heli.params.restore(PATIENT)
-        seen: list[Progress] = []
-        summary = fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=seen.append)
+        received: list[Progress] = []
+        summary = fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=received.append)
         assert heli.state is State.IDLE
     assert summary.completed and summary.ticks_lost == 0
-    assert {"take-off", "short", "landing"} <= {progress.phase for progress in seen}
+    assert {"take-off", "short", "landing"} <= {progress.phase for progress in received}
 
 
 @pytest.mark.slow

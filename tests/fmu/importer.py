@@ -37,7 +37,7 @@ def plants_flight(plant: Plant, volts_V: Floats) -> Floats:
     return np.asarray(measured).T
 
 
-def opened(path: Path, folder: Path, *, co_simulation: bool) -> Any:
+def instance_in_initialization(path: Path, folder: Path, *, co_simulation: bool) -> Any:
     """An instance of the FMU, in initialization mode."""
     import fmpy
     from fmpy.fmi3 import FMU3Model, FMU3Slave
@@ -58,16 +58,16 @@ def opened(path: Path, folder: Path, *, co_simulation: bool) -> Any:
 
 def co_simulated(path: Path, folder: Path, volts_V: Floats, ticks: int = 1) -> Floats:
     """Measured angles after each communication step of so many milliseconds."""
-    slave = opened(path, folder, co_simulation=True)
+    slave = instance_in_initialization(path, folder, co_simulation=True)
     slave.exitInitializationMode()
-    found = []
+    matches = []
     for row in range(0, len(volts_V), ticks):
         slave.setFloat64([1, 2], volts_V[row].tolist())
         slave.doStep(row * STEP_S, ticks * STEP_S)
-        found.append(slave.getFloat64(OUTPUTS))
+        matches.append(slave.getFloat64(OUTPUTS))
     slave.terminate()
     slave.freeInstance()
-    return np.array(found)
+    return np.array(matches)
 
 
 def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[Floats, int]:
@@ -76,7 +76,7 @@ def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[F
     """
     from ctypes import c_double
 
-    model = opened(path, folder, co_simulation=False)
+    model = instance_in_initialization(path, folder, co_simulation=False)
     model.setFloat64([1, 2], volts_V[0].tolist())
     model.exitInitializationMode()
     buffer, rates = (c_double * states)(), (c_double * states)()
@@ -96,7 +96,7 @@ def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[F
         return float(next_s) if due else np.inf
 
     next_s, events = event(), 1
-    found = []
+    matches = []
     for row in range(len(volts_V)):
         at_s, h = row * STEP_S, STEP_S
         x = np.array(buffer[:])
@@ -114,7 +114,7 @@ def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[F
         if next_s <= at_s + h + 1e-9 or min(indicators[:]) <= 0.0:
             model.enterEventMode()
             next_s, events = event(), events + 1
-        found.append(model.getFloat64(OUTPUTS))
+        matches.append(model.getFloat64(OUTPUTS))
     model.terminate()
     model.freeInstance()
-    return np.array(found), events
+    return np.array(matches), events

@@ -22,7 +22,7 @@ pytest.importorskip("fmpy", reason="skipped: no fmpy")
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
-from tests.fmu.importer import co_simulated, exchanged, opened, plants_flight, voltages
+from tests.fmu.importer import co_simulated, exchanged, instance_in_initialization, plants_flight, voltages
 
 pytestmark = [
     pytest.mark.medium,
@@ -78,7 +78,7 @@ def test_longer_communication_steps_are_whole_milliseconds_inside(plain: Path, t
 def test_a_number_of_the_rig_can_be_set_and_has_its_effect(plain: Path, tmp_path: Path) -> None:
     variables = {one.name: one for one in read_model_description(str(plain)).modelVariables}
     one = variables["rig.thrust_gain"]
-    slave = opened(plain, tmp_path / "u", co_simulation=True)
+    slave = instance_in_initialization(plain, tmp_path / "u", co_simulation=True)
     slave.setFloat64([one.valueReference], [1.1 * float(one.start)])
     slave.exitInitializationMode()
     changed = plant_of(SilOptions())
@@ -94,7 +94,7 @@ def test_a_number_of_the_rig_can_be_set_and_has_its_effect(plain: Path, tmp_path
 def test_a_state_kept_and_set_again_gives_the_same_flight_again(tmp_path: Path) -> None:
     path = tmp_path / "rig.fmu"
     write_fmu(plant_named("sampled"), path)
-    slave = opened(path, tmp_path / "u", co_simulation=True)
+    slave = instance_in_initialization(path, tmp_path / "u", co_simulation=True)
     slave.exitInitializationMode()
     slave.setFloat64([1, 2], [2.0, 1.9])
     slave.doStep(0.0, 0.5)

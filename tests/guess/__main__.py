@@ -13,7 +13,7 @@ from heli_host.tables import read_table
 from heli_lab.guess import guess_by_rigs
 from heli_sim.rig import load_rig
 
-from tests.guess.distort import drawn, write
+from tests.guess.distort import draw_distortion, write
 from tests.guess.exports import FORMS, corrections
 from tests.guess.flights import SIMULATED, measured, measured_flight, simulated
 from tests.guess.judge import FileVerdict, judge_file
@@ -46,7 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         guess_result = judge_seed(seed, path)
         tally[guess_result.verdict] += 1
         print(
-            f"{seed:4d} {guess_result.verdict:15s} {drawn(seed).text()} | {guess_result.reason}", flush=True
+            f"{seed:4d} {guess_result.verdict:15s} {draw_distortion(seed).text()} | {guess_result.reason}",
+            flush=True,
         )
     print()
     for verdict, count in tally.most_common():
@@ -82,7 +83,7 @@ def judge_seed(seed: int, path: Path | None = None) -> FileVerdict:
     flight, rig = measured_flight(path) if path else simulated(seed % SIMULATED)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "flight.csv"
-        how = drawn(seed)
+        how = draw_distortion(seed)
         truth = write(flight, rig, how, file, seed)
         return judge_file(file, truth, how, rig)
 

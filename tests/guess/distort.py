@@ -95,7 +95,7 @@ class Distortion:
         return ", ".join(part for part in parts if part)
 
 
-def drawn(seed: int) -> Distortion:
+def draw_distortion(seed: int) -> Distortion:
     """Draw a distortion."""
     random = np.random.default_rng(seed)
 

@@ -388,14 +388,14 @@ def _corrections(
     inside = made.t_s - made.t_s[0] + start <= truth.t_s[-1]
     if not inside.any():
         return (*more, "time.unit")
-    wrong: list[str] = []
+    mistakes: list[str] = []
     for axis in _AXES:
         mine, true = getattr(made, f"{axis}_rad")[inside], getattr(truth, f"{axis}_rad")[rows][inside]
-        wrong += [f"{axis}.{what}" for what in _angle(mine, true, axis)]
+        mistakes += [f"{axis}.{what}" for what in _angle(mine, true, axis)]
     mine_V = np.column_stack((made.front_V, made.back_V))[inside]
     true_V = np.column_stack((truth.front_V, truth.back_V))[rows][inside]
-    wrong += _voltages(mine_V, true_V, "sum" in profile.voltages)
-    return (*more, *wrong)
+    mistakes += _voltages(mine_V, true_V, "sum" in profile.voltages)
+    return (*more, *mistakes)
 
 
 def _angle(mine: Floats, true: Floats, axis: str) -> list[str]:
@@ -403,16 +403,16 @@ def _angle(mine: Floats, true: Floats, axis: str) -> list[str]:
     rest = float(np.std(true - slope * mine - level))
     if rest > 0.02 * float(np.std(true)):
         return ["column"]
-    wrong = []
+    mistakes = []
     if slope < 0.0:
-        wrong.append("sign")
+        mistakes.append("sign")
     if abs(abs(slope) - 1.0) > 0.02:
-        wrong.append(f"unit x {abs(slope):.3g}")
+        mistakes.append(f"unit x {abs(slope):.3g}")
     off = float(np.degrees(np.mean(true - np.sign(slope) * mine)))
     far = {"elevation": 6.5, "pitch": 0.5, "travel": math.inf}[axis]
-    if not wrong and abs(off) > far:
-        wrong.append(f"offset {off:.1f}")
-    return wrong
+    if not mistakes and abs(off) > far:
+        mistakes.append(f"offset {off:.1f}")
+    return mistakes
 
 
 def _voltages(mine: Floats, true: Floats, summed: bool) -> list[str]:
@@ -422,18 +422,18 @@ def _voltages(mine: Floats, true: Floats, summed: bool) -> list[str]:
     names = ("sum", "difference") if summed else ("front", "back")
     best: list[str] | None = None
     for order in ((0, 1), (1, 0)):
-        wrong = [] if order == (0, 1) else [f"{name}.column" for name in names]
+        mistakes = [] if order == (0, 1) else [f"{name}.column" for name in names]
         for name, place, column in zip(names, order, true.T, strict=True):
             values = mine[:, place]
             slope, level = np.polyfit(values, column, 1) if np.ptp(values) > 0.0 else (0.0, 0.0)
             rest = float(np.std(column - slope * values - level))
             if rest > 0.15 * float(np.std(column)):
-                wrong.append(f"{name}.column")
+                mistakes.append(f"{name}.column")
                 continue
-            wrong += [f"{name}.sign"] if slope < 0.0 else []
-            wrong += [f"{name}.unit x {abs(slope):.3g}"] if abs(abs(slope) - 1.0) > 0.05 else []
+            mistakes += [f"{name}.sign"] if slope < 0.0 else []
+            mistakes += [f"{name}.unit x {abs(slope):.3g}"] if abs(abs(slope) - 1.0) > 0.05 else []
             off = abs(float(np.mean(column - np.sign(slope) * values)))
             if abs(abs(slope) - 1.0) <= 0.05 and off > 0.75:
-                wrong.append(f"{name}.offset_V {off:.2f}")
-        best = wrong if best is None or len(wrong) < len(best) else best
+                mistakes.append(f"{name}.offset_V {off:.2f}")
+        best = mistakes if best is None or len(mistakes) < len(best) else best
     return best or []

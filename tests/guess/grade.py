@@ -70,32 +70,34 @@ def grade(file: ForeignFile) -> Grade:
 def _wrong_entries(file: ForeignFile, table: object, guess: Guess) -> tuple[str, ...]:
     # Delays are compared as such; without them the flights can be compared row by row.
     guessed = replace(guess, profile=_with_delays(guess.profile, file.profile))
-    wrong = list(corrections(table, guessed, file.truth))  # type: ignore[arg-type]
+    mistakes = list(corrections(table, guessed, file.truth))  # type: ignore[arg-type]
     wrong_unit: list[str] = []
     in_true_units = _with_voltage_units(guessed.profile, file.profile)
-    if in_true_units is not None and any(entry.endswith(".column") for entry in wrong):
+    if in_true_units is not None and any(entry.endswith(".column") for entry in mistakes):
         # Commands in a wrong unit are clipped elsewhere, and then do not even resemble the voltages.
         guessed = replace(guessed, profile=in_true_units)
-        wrong = list(corrections(table, guessed, file.truth))  # type: ignore[arg-type]
+        mistakes = list(corrections(table, guessed, file.truth))  # type: ignore[arg-type]
         wrong_unit = ["voltages.unit"]
     supply_V = next(iter(file.profile.voltages.values())).supply_V
-    as_logged = wrong
+    as_logged = mistakes
     for smallest_V in (-supply_V, 0.0):
         clipped = replace(guessed.profile, clip_V=(smallest_V, supply_V))
         others = list(corrections(table, replace(guessed, profile=clipped), file.truth))  # type: ignore[arg-type]
-        if len(others) < len(as_logged) and (wrong is as_logged or len(others) + 1 < len(wrong)):
-            wrong = [*others, f"voltages.clip_V {smallest_V:g} to {supply_V:g}"]
-    wrong += wrong_unit
-    units = [entry for entry in wrong if ".unit" in entry and entry.split(".")[0] in file.profile.voltages]
+        if len(others) < len(as_logged) and (mistakes is as_logged or len(others) + 1 < len(mistakes)):
+            mistakes = [*others, f"voltages.clip_V {smallest_V:g} to {supply_V:g}"]
+    mistakes += wrong_unit
+    units = [entry for entry in mistakes if ".unit" in entry and entry.split(".")[0] in file.profile.voltages]
     if len(units) == len(file.profile.voltages) and len({unit.split(".")[1] for unit in units}) == 1:
         # One entry gives the unit of both voltages.
-        wrong = [entry for entry in wrong if entry not in units] + [f"voltages.{units[0].split('.', 1)[1]}"]
+        mistakes = [entry for entry in mistakes if entry not in units] + [
+            f"voltages.{units[0].split('.', 1)[1]}"
+        ]
     if guess.profile.time_unit != file.profile.time_unit:
-        wrong.append("time.unit")
+        mistakes.append("time.unit")
     for name, mine, true in _delays(guess.profile, file.profile):
         if abs(mine - true) > _MAX_DELAY_s:
-            wrong.append(f"{name}.delay_s {mine:.2f}")
-    return tuple(wrong)
+            mistakes.append(f"{name}.delay_s {mine:.2f}")
+    return tuple(mistakes)
 
 
 def _with_delays(profile: Profile, true: Profile) -> Profile:

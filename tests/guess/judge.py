@@ -45,9 +45,9 @@ def judge_file(path: Path, truth: Flight, how: Distortion, rig: Rig) -> FileVerd
         guess_result = guess(table, rig)
     except HeliError as error:
         return FileVerdict("refused", str(error))
-    made = flights_of(table, guess_result.profile)[0]
-    wrong = _wrong(made, truth, how, guess_result)
-    if wrong and guess_result.sure and not _wrong(_mirrored(made), truth, how, guess_result):
+    imported = flights_of(table, guess_result.profile)[0]
+    wrong = _wrong(imported, truth, how, guess_result)
+    if wrong and guess_result.sure and not _wrong(_mirrored(imported), truth, how, guess_result):
         return FileVerdict("right", "in a mirror")
     open_ = "; ".join(ambiguity.subject for ambiguity in guess_result.ambiguities)
     if not wrong:
@@ -71,7 +71,7 @@ def _mirrored(flight: Flight) -> Flight:
 
 
 def _wrong(made: Flight, truth: Flight, how: Distortion, guess_result: Guess) -> str:
-    wrong = []
+    mistakes = []
     rows = min(len(made), len(truth))
     late_s = {axis: item.delay_s for axis, item in guess_result.profile.angles.items()}
     for name in ("elevation", "pitch", "travel"):
@@ -82,17 +82,17 @@ def _wrong(made: Flight, truth: Flight, how: Distortion, guess_result: Guess) ->
             return "nothing left"
         off = mine[: len(true)] - true
         if np.std(off) > _MAX_RAD or (name == "elevation" and abs(np.mean(off)) > _MAX_ZERO_RAD):
-            wrong.append(name)
+            mistakes.append(name)
         if name == "pitch" and abs(np.mean(off)) > _MAX_RAD:
-            wrong.append("pitch zero")
+            mistakes.append("pitch zero")
     for name in ("front_V", "back_V"):
         # Rows are lost at the beginning or the end where a delay was taken out.
         shift = max(0, round(-min(late_s.values()) * how.rate_Hz))
         mine, true = getattr(made, name)[: rows - shift], getattr(truth, name)[shift:rows]
         span = max(float(np.ptp(truth.voltages_V)), 1e-9)
         if float(np.abs(mine[: len(true)] - true[: len(mine)]).mean()) > _MAX_V_SHARE * span:
-            wrong.append(name)
+            mistakes.append(name)
     which, seconds = how.late
     if which and seconds > _MAX_LATE_s[which] and guess_result.sure:
-        wrong.append(f"{which} {seconds:.2f} s late")
-    return ", ".join(wrong)
+        mistakes.append(f"{which} {seconds:.2f} s late")
+    return ", ".join(mistakes)

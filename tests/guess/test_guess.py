@@ -11,7 +11,7 @@ from heli_host.tables import Column, Table, flights_of, read_table
 from heli_lab.guess import guess
 
 from tests.guess.__main__ import judge_seed
-from tests.guess.distort import Distortion, drawn, write
+from tests.guess.distort import Distortion, draw_distortion, write
 from tests.guess.flights import measured, measured_flight, simulated
 from tests.running.long import samples
 
@@ -93,7 +93,7 @@ def test_a_flight_without_voltages_is_refused() -> None:
 @pytest.mark.parametrize("seed", range(samples(24, 2)))
 def test_no_distorted_flight_is_silently_wrong(seed: int) -> None:
     guess_result = judge_seed(seed)
-    print(seed, drawn(seed).text(), guess_result)
+    print(seed, draw_distortion(seed).text(), guess_result)
     assert guess_result.verdict != "SILENTLY WRONG"
 
 

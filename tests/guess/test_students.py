@@ -22,14 +22,14 @@ def assert_right(flight: Flight, rig: Rig, path: Path, offset_V: float = 0.0) ->
     """Hold a guess against the flight; return what it says is open."""
     table = read_table(path)
     guess_result = guess(table, rig)
-    made = flights_of(table, guess_result.profile)[0]
+    imported = flights_of(table, guess_result.profile)[0]
     for name in ("elevation_rad", "pitch_rad", "travel_rad"):
-        assert getattr(made, name) == pytest.approx(getattr(flight, name), abs=1e-6), name
+        assert getattr(imported, name) == pytest.approx(getattr(flight, name), abs=1e-6), name
     rows = slice(None, None, 50)
-    assert made.front_V[rows] - made.back_V[rows] == pytest.approx(
+    assert imported.front_V[rows] - imported.back_V[rows] == pytest.approx(
         flight.front_V[rows] - flight.back_V[rows], abs=1e-6
     )
-    both = (made.front_V + made.back_V - flight.front_V - flight.back_V).mean()
+    both = (imported.front_V + imported.back_V - flight.front_V - flight.back_V).mean()
     assert abs(both) < 0.5 + 0.1 * abs(offset_V)
     return {ambiguity.subject for ambiguity in guess_result.ambiguities}
 
@@ -55,9 +55,9 @@ def test_angles_and_voltages_in_two_files_are_one_flight(tmp_path: Path) -> None
     guess_result = guess(merge_tables([read_table(angles), read_table(voltages)]), rig)
     columns = {axis: item.column for axis, item in guess_result.profile.angles.items()}
     assert columns == {"travel": "1: ans[2]", "pitch": "1: ans[4]", "elevation": "1: ans[6]"}
-    made = flights_of(merge_tables([read_table(angles), read_table(voltages)]), guess_result.profile)[0]
-    assert made.pitch_rad == pytest.approx(flight.pitch_rad[100:], abs=1e-6)
-    assert made.front_V == pytest.approx(flight.front_V[100:], abs=1e-6)
+    imported = flights_of(merge_tables([read_table(angles), read_table(voltages)]), guess_result.profile)[0]
+    assert imported.pitch_rad == pytest.approx(flight.pitch_rad[100:], abs=1e-6)
+    assert imported.front_V == pytest.approx(flight.front_V[100:], abs=1e-6)
 
 
 def test_measured_flights_logged_without_names_and_bias_are_guessed_right(tmp_path: Path) -> None:

@@ -170,7 +170,7 @@ def test_error_names_the_file_of_a_bad_validation_flight(terminal: Terminal, tmp
 
 def test_a_gap_is_left_out_on_request(terminal: Terminal, tmp_path: Path) -> None:
     write_csv(without_rows(1000, 1200)(flight()), tmp_path / "gap.csv")
-    ended = terminal(
+    result = terminal(
         "identify",
         "gap.csv",
         "--allow-gaps",
@@ -180,7 +180,7 @@ def test_a_gap_is_left_out_on_request(terminal: Terminal, tmp_path: Path) -> Non
         "new.json",
         "--skip-sign-check",
     )
-    assert ended.code == 0, ended
+    assert result.code == 0, result
     assert (tmp_path / "new.json").exists()
 
 
@@ -204,6 +204,6 @@ def test_impossible_request_gives_a_one_line_error(
 ) -> None:
     write_csv(flight(), tmp_path / "good.csv")
     # The check of signs would refuse these artificial waves first.
-    ended = terminal("identify", *arguments, "--skip-sign-check")
-    assert words in refusal(ended, code=ended.code)
-    assert ended.code in (REQUEST_ERROR, FILE_ERROR)
+    result = terminal("identify", *arguments, "--skip-sign-check")
+    assert words in refusal(result, code=result.code)
+    assert result.code in (REQUEST_ERROR, FILE_ERROR)

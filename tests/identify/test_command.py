@@ -79,8 +79,8 @@ def test_identified_rig_has_the_true_parameters_and_flies(terminal: Terminal, tm
 
 def test_page_is_self_contained_and_has_its_figures(terminal: Terminal, tmp_path: Path) -> None:
     fly_hidden(terminal, tmp_path, "a", 16, seed=1)
-    ended = terminal("identify", "a.mcap", "--free", *HIDDEN, "--report", "page/of/a")
-    assert ended.code == 0, ended
+    result = terminal("identify", "a.mcap", "--free", *HIDDEN, "--report", "page/of/a")
+    assert result.code == 0, result
     folder = tmp_path / "page/of/a"
     page = (folder / "index.html").read_text()
     sources = re.findall(r"(?:src|href)=\"([^\"]*)\"", page)
@@ -97,8 +97,8 @@ def test_estimated_effect_is_in_the_rig_file_and_flies_with_it(terminal: Termina
     options = ("--sil", "--speed", "max", "--model", "multibody", "--effect", "rotor_lag=0.05")
     flown = terminal("fly", "a.toml", *options, "--log", "a.mcap")
     assert flown.code == 0, flown
-    ended = terminal("identify", "a.mcap", "--effect", "rotor_lag=0.1", "--save-rig", "new.toml")
-    assert ended.code == 0, ended
+    result = terminal("identify", "a.mcap", "--effect", "rotor_lag=0.1", "--save-rig", "new.toml")
+    assert result.code == 0, result
     lag = load_rig(tmp_path / "new.toml").effects["rotor_lag"]["s"]
     assert lag.value == pytest.approx(0.05, abs=2 * lag.tolerance)
     hover = terminal("fly", "hover", "--sil", "--rig", "new.toml", "--speed", "max", "--log", "hover.mcap")
@@ -125,12 +125,12 @@ def test_a_second_flight_to_validate_on_is_not_fitted(terminal: Terminal, tmp_pa
         wave = np.sin(2 * np.pi * t_s / 3.0) + 0.01 * random.standard_normal()
         volts = 1.7 + 0.2 * wave, 1.7 - 0.1 * wave
         write_csv(Flight(t_s, *volts, 0.1 * wave, 0.2 * wave, 0.5 * wave), tmp_path / f"{name}.csv")
-    ended = terminal(
+    result = terminal(
         *("identify", "a.csv", "--free", "thrust_gain", "--validate", "b.csv", "c.csv", "--json", "-")
     )
-    assert ended.code == 0, ended
-    flights = json.loads(ended.out)["flights"]
-    assert "thrust_gain" in ended.err
+    assert result.code == 0, result
+    flights = json.loads(result.out)["flights"]
+    assert "thrust_gain" in result.err
     assert [(flight["flight"], flight["role"]) for flight in flights] == [
         *(("a.csv", "train"), ("b.csv", "validation"), ("c.csv", "validation"))
     ]

@@ -75,14 +75,14 @@ def test_standard_errors_cover_the_truth_on_flights_of_random_rigs() -> None:
 def test_several_flights_share_the_rig_and_each_keeps_its_own_zeros() -> None:
     rig = known().replace(**CHANGED)
     flights = [changed_flight(seed) for seed in (3, 4)]
-    alone = identify(MultibodyModel(), known(), flights[:1], labels=["third"])
+    one_flight = identify(MultibodyModel(), known(), flights[:1], labels=["third"])
     both = identify(MultibodyModel(), known(), flights, labels=["third", "fourth"])
     assert_estimates(both, CHANGED)
     for label, seed in (("third", 3), ("fourth", 4)):
         zeros = encoder_zeros_deg(rig, seed)
         assert_estimates(both, {f"{name}[{label}]": zero for name, zero in zeros.items()})
     for name in CHANGED:
-        assert both.fit.std[name] < alone.fit.std[name]
+        assert both.fit.std[name] < one_flight.fit.std[name]
     assert both.rig("new")["offset_pitch"] == known()["offset_pitch"]
 
 
@@ -92,8 +92,8 @@ def test_fit_succeeds_from_a_rig_file_with_large_errors() -> None:
         numbers[name] = replace(numbers[name], value=value, tolerance=tolerance)
     vague = Rig("vague", "hardly anything is known", numbers)
     # Windows that a step leaves behind find their own way: so long ones alone do.
-    alone = solve(Problem(MultibodyModel(), vague, [changed_flight(3)]), fine=False)
-    assert check(alone).normalised <= 1.03
+    one_flight = solve(Problem(MultibodyModel(), vague, [changed_flight(3)]), fine=False)
+    assert check(one_flight).normalised <= 1.03
     result = identify(MultibodyModel(), vague, [changed_flight(3)])
     assert_estimates(result, CHANGED, within=4.0)
     assert result.json()["normalised_residual"]["train"] <= 1.03
@@ -129,17 +129,17 @@ def test_without_a_compiler_the_answer_is_the_same(monkeypatch: pytest.MonkeyPat
 
 
 def test_the_take_off_is_left_out_wherever_the_log_begins() -> None:
-    whole = changed_flight(3)
-    bare = Flight(whole.t_s, whole.front_V, whole.back_V, *whole.angles_rad.T)
+    complete = changed_flight(3)
+    bare = Flight(complete.t_s, complete.front_V, complete.back_V, *complete.angles_rad.T)
     first_fitted_s = {}
-    for label, flight in (("states", whole), ("no states", bare), ("late start", bare.between(0.2, 99.0))):
+    for label, flight in (("states", complete), ("no states", bare), ("late start", bare.between(0.2, 99.0))):
         record = prepare(flight, known(), label)
         first_fitted_s[label] = record.t_s[record.segments[0][0]]
         assert np.rad2deg(record.angles_rad[record.segments[0][0], 0]) > -15.0
         assert record.cuts[0].start_s == record.t_s[0]
     assert max(first_fitted_s.values()) - min(first_fitted_s.values()) < 0.01
     with_take_off, in_flight = (
-        solve(Problem(MultibodyModel(), known(), [flight])) for flight in (whole, bare.between(8.0, 99.0))
+        solve(Problem(MultibodyModel(), known(), [flight])) for flight in (complete, bare.between(8.0, 99.0))
     )
     for name in CHANGED:
         within = 3 * in_flight.std[name]
@@ -147,21 +147,21 @@ def test_the_take_off_is_left_out_wherever_the_log_begins() -> None:
 
 
 def test_a_touch_of_the_table_in_flight_is_left_out() -> None:
-    whole = changed_flight(3)
-    angles = whole.angles_rad.copy()
-    touch = (whole.t_s > 15.0) & (whole.t_s < 15.3)
+    complete = changed_flight(3)
+    angles = complete.angles_rad.copy()
+    touch = (complete.t_s > 15.0) & (complete.t_s < 15.3)
     angles[touch, 0] = np.deg2rad(-25.0)
-    record = prepare(Flight(whole.t_s, whole.front_V, whole.back_V, *angles.T), known())
+    record = prepare(Flight(complete.t_s, complete.front_V, complete.back_V, *angles.T), known())
     assert not any(touch[start:stop].any() for start, stop in record.segments)
 
 
 def test_disturbed_window_hardly_changes_the_robust_estimate() -> None:
-    whole = changed_flight(3)
-    angles = whole.angles_rad.copy()
-    pushed = (whole.t_s > 15.0) & (whole.t_s < 15.5)
+    complete = changed_flight(3)
+    angles = complete.angles_rad.copy()
+    pushed = (complete.t_s > 15.0) & (complete.t_s < 15.5)
     # For half a second, pitch swings by 4 degrees without any cause in the model.
-    angles[pushed, 1] += np.deg2rad(4.0) * np.sin(2 * np.pi * whole.t_s[pushed])
-    flight = Flight(whole.t_s, whole.front_V, whole.back_V, *angles.T)
+    angles[pushed, 1] += np.deg2rad(4.0) * np.sin(2 * np.pi * complete.t_s[pushed])
+    flight = Flight(complete.t_s, complete.front_V, complete.back_V, *angles.T)
     problem = Problem(MultibodyModel(), known(), [flight])
     robust, plain = solve(problem, fine=False), solve(problem, fine=False, robust=False)
     assert robust.weights[0].min() < 0.1

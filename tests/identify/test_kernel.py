@@ -56,7 +56,7 @@ def inputs(substeps: int, shaped: tuple[str, ...]) -> Inputs:
     )
 
 
-def start(equations: Model) -> Floats:
+def random_initial_states(equations: Model) -> Floats:
     """Return random initial states of the three windows, shape (3, states)."""
     random = np.random.default_rng(4)
     states: Floats = 0.1 * random.standard_normal((3, len(equations.states)))
@@ -77,7 +77,7 @@ def test_compiled_and_interpreted_loops_agree(name: str, substeps: int) -> None:
     compiled, interpreted = kernel(equations, free), InterpretedKernel(Functions(equations, free))
     assert isinstance(compiled, CompiledKernel)
     drive = inputs(substeps, ("input_delay_s", "dead_zone") if name == "late" else ())
-    arguments = drive, start(equations), equations.parameter_values(RIG)
+    arguments = drive, random_initial_states(equations), equations.parameter_values(RIG)
     measured = np.random.default_rng(5).normal(0.0, 0.1, (drive.rows, 3))
     for of_compiled, of_interpreted in zip(
         (*compiled.jacobian(*arguments), *compiled.predict(*arguments)),
@@ -118,8 +118,8 @@ def test_window_has_the_same_bits_alone_and_together_with_others(name: str) -> N
     together = results(slice(6), slice(rows))
     for number, first in enumerate(np.cumsum(steps) - steps):
         window, window_rows = slice(number, number + 1), slice(int(first), int(first + steps[number]))
-        alone = results(window, window_rows)
-        for result_alone, result_together, is_by_row in zip(alone, together, has_rows, strict=True):
+        one_window = results(window, window_rows)
+        for result_alone, result_together, is_by_row in zip(one_window, together, has_rows, strict=True):
             entries = window_rows if is_by_row else window
             np.testing.assert_array_equal(result_alone, result_together[entries])
 
@@ -128,7 +128,7 @@ def test_window_has_the_same_bits_alone_and_together_with_others(name: str) -> N
 def test_jacobian_is_the_finite_difference_of_the_free_run(name: str) -> None:
     equations, free = model(name)
     runner, drive = kernel(equations, free), inputs(2, ())
-    states, values = start(equations), equations.parameter_values(RIG)
+    states, values = random_initial_states(equations), equations.parameter_values(RIG)
     _, jacobian = runner.jacobian(drive, states, values)
     state_count = states.shape[1]
     # The columns of the Jacobian are the initial states, then the free parameters.

@@ -71,11 +71,11 @@ def test_noise_is_not_accepted_as_a_flight(kind: str, rig: str) -> None:
 @pytest.mark.medium
 def test_noise_is_refused_in_a_line_and_writes_no_rig(terminal: Terminal, tmp_path: Path) -> None:
     write_csv(noise("white", 103), tmp_path / "imu.csv")
-    words = ("identify", "imu.csv", "--save-rig", "new.toml", "--free", "thrust_gain")
-    line = refusal(terminal(*words), code=2)
+    arguments = ("identify", "imu.csv", "--save-rig", "new.toml", "--free", "thrust_gain")
+    line = refusal(terminal(*arguments), code=2)
     assert line.startswith("error: imu.csv: the voltages do not explain the motion: ")
     assert not (tmp_path / "new.toml").exists()
-    assert terminal(*words, "--skip-sign-check").code == 0 and (tmp_path / "new.toml").exists()
+    assert terminal(*arguments, "--skip-sign-check").code == 0 and (tmp_path / "new.toml").exists()
 
 
 @pytest.mark.slow

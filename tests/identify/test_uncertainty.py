@@ -81,9 +81,9 @@ def test_counterweight_and_constant_torque_are_inseparable_near_level() -> None:
         [],
         [{"M_w", "torque_elevation"}],
     )
-    alone = identified("M_w", "friction_elevation")
-    assert alone.strong_correlations == []
-    assert alone.fit.std["M_w"] < 0.3 * both.fit.std["M_w"]
+    two_parameters = identified("M_w", "friction_elevation")
+    assert two_parameters.strong_correlations == []
+    assert two_parameters.fit.std["M_w"] < 0.3 * both.fit.std["M_w"]
 
 
 def test_correlations_are_those_of_the_covariance() -> None:

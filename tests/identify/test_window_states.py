@@ -34,7 +34,7 @@ def dry_flight(seed: int) -> Flight:
     return flown(RIG, seed, FLIGHT_S, MultibodyModel((true,)))
 
 
-def posed(size_Nm: float, seed: int = 7) -> Problem:
+def fit_with_friction(size_Nm: float, seed: int = 7) -> Problem:
     """Pose the fit of a flight with dry friction, which starts from friction of this size."""
     effect = KIND.make({"coulomb_friction_pitch_Nm": size_Nm})
     record = prepare(dry_flight(seed), RIG, f"flight {seed}")
@@ -42,7 +42,7 @@ def posed(size_Nm: float, seed: int = 7) -> Problem:
 
 
 def test_hard_dry_friction_of_the_light_axis_is_found_from_a_start_without_any() -> None:
-    fit = solve(posed(0.0))
+    fit = solve(fit_with_friction(0.0))
     assert check(fit).normalised < 1.03
     error_Nm = fit.values["coulomb_friction_pitch_Nm"] - DRY_Nm
     assert abs(error_Nm) < 3.0 * fit.std["coulomb_friction_pitch_Nm"]
@@ -58,7 +58,7 @@ def iterate_at(problem: Problem, states: Floats, prior: Floats) -> tuple[Shootin
 
 
 def test_window_in_a_wrong_state_is_refined_without_the_others() -> None:
-    problem = posed(DRY_Nm)
+    problem = fit_with_friction(DRY_Nm)
     theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
     cost, refined = iterate_at(problem, states, states)
@@ -118,7 +118,7 @@ def test_periodic_torque_is_fitted_from_a_small_size_and_wrong_phase() -> None:
 
 
 def test_refined_states_fall_back_to_better_earlier_states() -> None:
-    problem = posed(DRY_Nm)
+    problem = fit_with_friction(DRY_Nm)
     theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
     diverged = states.copy()
@@ -129,7 +129,7 @@ def test_refined_states_fall_back_to_better_earlier_states() -> None:
 
 
 def test_a_window_may_start_where_the_one_before_it_ends() -> None:
-    problem = posed(DRY_Nm)
+    problem = fit_with_friction(DRY_Nm)
     theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
     states[2] = np.nan
@@ -146,7 +146,7 @@ def test_a_window_may_start_where_the_one_before_it_ends() -> None:
 
 
 def test_residuals_agree_with_the_products_of_the_kernel() -> None:
-    problem = posed(DRY_Nm)
+    problem = fit_with_friction(DRY_Nm)
     theta = problem.parameter_vector.start
     (states,) = initial_state_guess(problem, theta)
     residual, evaluation = problem.residual(0, theta, states), problem.evaluation(0, theta, states)
@@ -156,7 +156,7 @@ def test_residuals_agree_with_the_products_of_the_kernel() -> None:
 
 
 def test_variants_of_a_problem_share_its_kernel() -> None:
-    problem = posed(0.01)
+    problem = fit_with_friction(0.01)
     for other in (problem.with_windows(1.0), problem.with_split_windows(2), problem.with_free(problem.free)):
         assert other.kernel is problem.kernel
         assert other.grid(0, False, problem.parameter_vector.start) is not problem.grid(

@@ -163,8 +163,8 @@ Run = Callable[[Sequence[str]], tuple[int, str]]
 
 def in_a_process(words: Sequence[str]) -> tuple[int, str]:
     """Run ``heli-host`` in another process."""
-    done = subprocess.run([*HOST, *words], capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout + done.stderr
+    process = subprocess.run([*HOST, *words], capture_output=True, text=True, check=False)
+    return process.returncode, process.stdout + process.stderr
 
 
 def mark_class(folder: Path, *options: str, run: Run = in_a_process) -> Marked:

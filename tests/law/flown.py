@@ -101,8 +101,12 @@ def replayed(flown: Flown, program: LawProgram, board: str = "native") -> int:
 
     Where the law logs a setpoint of its own, the board's comes from the signal that holds it.
     """
-    told = {f"board_{axis}_setpoint_rad": k for k, axis in enumerate(AXES)}
-    given = {told[name]: SIGNALS[k] for k, name in enumerate(program.signal_names) if name in told}
+    axis_of_column = {f"board_{axis}_setpoint_rad": k for k, axis in enumerate(AXES)}
+    given = {
+        axis_of_column[name]: SIGNALS[k]
+        for k, name in enumerate(program.signal_names)
+        if name in axis_of_column
+    }
     replay = native_law.LawReplay(flown.params, DUTY_FULL[board])
     assert replay.load(program.words, program.hash) == 0
     flying, count = flown.flying, 0

@@ -137,17 +137,17 @@ def test_a_file_that_never_ends_is_one_line_with_its_limit(verb: str, terminal: 
 
 
 def test_what_an_endless_file_has_started_ends_with_it(tmp_path: Path) -> None:
-    told = tmp_path / "pid"
+    pid_file = tmp_path / "pid"
     (tmp_path / "law.py").write_text(
         "import pathlib, subprocess, sys\n"
         "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(3600)'])\n"
-        f"pathlib.Path({str(told)!r}).write_text(str(child.pid))\n"
+        f"pathlib.Path({str(pid_file)!r}).write_text(str(child.pid))\n"
         "child.wait()\n"
     )
     with pytest.raises(BadLaw, match="did not end within 3 s"):
         load_law(tmp_path / "law.py", 3.0)
     # The kernel delivers the signal, but the child may be scheduled a moment later: nobody here can wait for it.
-    assert ends(int(told.read_text()), within_s=30.0)
+    assert ends(int(pid_file.read_text()), within_s=30.0)
 
 
 def test_a_page_refuses_a_law_whose_file_never_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -179,8 +179,8 @@ def test_a_law_may_import_a_file_of_its_folder(terminal: Terminal) -> None:
     Path("gains_of_mine.py").write_text("KP = 2.5\n")
     text = law("return Command(KP * now.pitch_rad + 1.0, 1.0)")
     Path("law.py").write_text("from gains_of_mine import KP\n" + text)
-    ended = terminal("law", "export", "law.py", "--output", "law.c")
-    assert ended.code == 0, ended
+    result = terminal("law", "export", "law.py", "--output", "law.c")
+    assert result.code == 0, result
     assert "2.5" in Path("law.c").read_text()
 
 

@@ -37,8 +37,8 @@ def in_process(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
     def type_in(words: Sequence[str], answer: str = "") -> tuple[int, str]:
         monkeypatch.setattr("sys.stdin", io.StringIO(f"{answer}\n"))
         code = run(list(words))
-        said = capsys.readouterr()
-        return code, said.out + said.err
+        output = capsys.readouterr()
+        return code, output.out + output.err
 
     return type_in
 

@@ -137,11 +137,11 @@ def test_a_tick_with_the_most_expensive_accepted_tape_is_within_its_bound() -> N
     assert LAW_TICK_COST - 400 < program.cost <= LAW_TICK_COST
     flight = flown(program)
     _, _, update = flight.function(LAW_UPDATE)
-    whole = flight.tick()[2]
+    tick_cycles = flight.tick()[2]
     assert update <= program.cost <= 1.15 * update
-    assert whole <= MAX_TICK
+    assert tick_cycles <= MAX_TICK
     # What is around the law has room too, so that no program of the same cost does more.
-    assert LAW_TICK_COST + (whole - update) <= MAX_TICK
+    assert LAW_TICK_COST + (tick_cycles - update) <= MAX_TICK
 
 
 @pytest.mark.skipif(not LONG, reason="builds the firmware without the seat for laws: make long")
@@ -154,11 +154,13 @@ def test_a_board_on_which_no_law_flies_pays_at_most_20_instructions_a_tick_for_t
         text = source.read_text()
         assert text.count(seat) == 1, seat
         source.write_text(text.replace(seat, without))
-    alone = tmp_path / "heli.elf"
+    elf_without_seat = tmp_path / "heli.elf"
     subprocess.run(
-        ["make", "-s", "-C", tmp_path / "firmware" / "due", f"BUILD={tmp_path}", alone], check=True
+        ["make", "-s", "-C", tmp_path / "firmware" / "due", f"BUILD={tmp_path}", elf_without_seat], check=True
     )
-    with_seat, bare = (max(flight.tick()[2] for flight in fly_the_worst(elf)) for elf in (built_elf(), alone))
+    with_seat, bare = (
+        max(flight.tick()[2] for flight in fly_the_worst(elf)) for elf in (built_elf(), elf_without_seat)
+    )
     assert 0 < with_seat - bare <= 20
 
 

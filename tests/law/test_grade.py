@@ -49,7 +49,7 @@ def flight(travel_deg: float = 0.0) -> Flight:
     )
 
 
-def a_law(**setpoints: Any) -> Law:
+def law_with_setpoints(**setpoints: Any) -> Law:
     @control_law()
     def law(now: Any, state: Any, parameter: Any) -> Command:
         wanted = {name: getattr(now, angle) for name, angle in setpoints.items()}
@@ -67,18 +67,20 @@ def test_each_law_flies_each_rig_with_each_seed_in_the_same_order() -> None:
             calls.append((rig, seed))
             return LawTrial(flight())
 
-        grade(label, a_law().program, [("x", 1), ("x", 2), ("y", 1), ("y", 2)], fly)
+        grade(label, law_with_setpoints().program, [("x", 1), ("x", 2), ("y", 1), ("y", 2)], fly)
     assert flown["a"] == flown["b"] == [("x", 1), ("x", 2), ("y", 1), ("y", 2)]
 
 
 def test_a_law_that_logs_its_angle_as_its_setpoint_is_judged_by_the_board_s() -> None:
-    program = a_law(elevation_setpoint_rad="elevation_rad", travel_setpoint_rad="travel_rad").program
+    program = law_with_setpoints(
+        elevation_setpoint_rad="elevation_rad", travel_setpoint_rad="travel_rad"
+    ).program
     fair = with_plan_setpoints(program)
     random = np.random.default_rng(2)
     inputs = random.uniform(-0.2, 0.2, 17).tolist()
     voltages, honest = (law_of_program(one).runner()(inputs) for one in (program, fair))
     assert list(voltages)[:2] == list(honest)[:2], "the voltages are the same"
-    ours = with_plan_setpoints(a_law().program)
+    ours = with_plan_setpoints(law_with_setpoints().program)
     assert fair.outputs[2] == ours.outputs[2] and fair.outputs[4] == ours.outputs[4]
     assert program.outputs[4] != fair.outputs[4]
 
@@ -91,8 +93,8 @@ def test_a_takeover_and_a_refusal_fail_a_law_and_no_other() -> None:
             raise HeliError("the board refuses the law", "simplify it")
         return LawTrial(flight(1.0), "voltage_jump" if seed == 4 else "")
 
-    good = grade("good", a_law().program, [("x", 1)], fly)
-    bad = grade("bad", a_law().program, [("x", seed) for seed in (1, 2, 3, 4)], fly)
+    good = grade("good", law_with_setpoints().program, [("x", 1)], fly)
+    bad = grade("bad", law_with_setpoints().program, [("x", seed) for seed in (1, 2, 3, 4)], fly)
     refused = LawGrade("refused", "no law")
     assert (good.passed, bad.passed, refused.passed) == (True, False, False)
     assert bad.takeovers == 3
@@ -130,11 +132,11 @@ def test_the_command_fails_if_a_law_was_taken_over_and_still_writes_all(terminal
     Path("good.py").write_text(law_text())
     Path("wild.py").write_text(law_text(front_V="if_else(late, 20.0, front_V)"))
     Path("empty.py").write_text("")
-    ended = terminal(
+    result = terminal(
         "law", "grade", "good.py", "wild.py", "empty.py", "--seeds", 1, "--duration", 5, "--json", "g.json"
     )
-    assert ended.code == FAILED
-    assert "2 of 3 laws did not fly to the end: wild, empty" in ended.err
+    assert result.code == FAILED
+    assert "2 of 3 laws did not fly to the end: wild, empty" in result.err
     grades = json.loads(Path("g.json").read_text())["grades"]
     assert [one["law"] for one in grades] == ["the board's own", "good", "wild", "empty"]
     assert grades[1]["takeovers"] == 0 and grades[2]["flights"][0]["ended"] == "voltage_jump"

@@ -169,9 +169,9 @@ def test_a_law_flies_where_no_compiler_is_on_the_path(board: str, tmp_path: Path
         "--duration",
         "2",
     ]
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", start, *asked],
         capture_output=True, text=True, check=False, env={**os.environ, "PATH": str(tmp_path / "bin")},
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "RMS error" in done.stdout
+    assert process.returncode == 0, process.stderr
+    assert "RMS error" in process.stdout

@@ -87,8 +87,8 @@ def test_a_law_that_flies_cannot_be_replaced() -> None:
     assert (refused.result, refused.detail) == (Result.BAD_LAW, LawError.FLYING)
     assert upload(harness, other).result == Result.BAD_LAW
     harness.keep_flying(50)
-    told = law_on(harness)
-    assert (told.state, told.hash) == (LawState.FLYING, flying.hash)
+    reported = law_on(harness)
+    assert (reported.state, reported.hash) == (LawState.FLYING, flying.hash)
     assert harness.motors == motors
     assert not taken_over(harness)
 

@@ -26,7 +26,7 @@ from heli_lab.law import Command, Law, control_law
 from heli_sim.sil.inprocess import InProcessTransport
 
 from tests.law.flown import law_of
-from tests.link.core_harness import Harness, of_kind, open_harness
+from tests.link.core_harness import Harness, open_harness, payloads_of
 
 LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
 
@@ -54,17 +54,19 @@ def law_on(harness: Harness) -> LawMessage:
     """The board's report of its law to a host that has just reconnected."""
     # Half a frame swallows what follows it, as on a line; a host greets until it is answered.
     hello = HelloMessage(240, LINK_HASH, 2)
-    greeted = any(of_kind(harness.turn(harness.frame(hello), ticks=2), MessageId.WELCOME) for _ in range(9))
+    greeted = any(
+        payloads_of(harness.turn(harness.frame(hello), ticks=2), MessageId.WELCOME) for _ in range(9)
+    )
     assert greeted
-    (told,) = of_kind(harness.ask(LawReadMessage(241)), MessageId.LAW)
+    (told,) = payloads_of(harness.ask(LawReadMessage(241)), MessageId.LAW)
     return LawMessage.unpack(told)
 
 
 def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
     old, new = small("old", 0.5).program, small("new", 0.25).program
-    whole = len(b"".join(upload_frames(open_harness(), new, 50)))
-    seen = set()
-    for cut in range(whole + 1):
+    byte_count = len(b"".join(upload_frames(open_harness(), new, 50)))
+    observed = set()
+    for cut in range(byte_count + 1):
         harness = open_harness()
         for frame in upload_frames(harness, old, 1):
             harness.turn(frame, ticks=2)
@@ -74,12 +76,12 @@ def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
             left = max(0, left - len(frame))
         law = law_on(harness)
         if law.state == LawState.READY:
-            assert law.hash == (new.hash if cut == whole else old.hash), cut
+            assert law.hash == (new.hash if cut == byte_count else old.hash), cut
         else:
             assert law.state in (LawState.NONE, LawState.RECEIVING), cut
-            assert cut < whole
-        seen.add((law.state, law.hash if law.state == LawState.READY else 0))
-    assert seen >= {(LawState.READY, old.hash), (LawState.READY, new.hash), (LawState.RECEIVING, 0)}
+            assert cut < byte_count
+        observed.add((law.state, law.hash if law.state == LawState.READY else 0))
+    assert observed >= {(LawState.READY, old.hash), (LawState.READY, new.hash), (LawState.RECEIVING, 0)}
 
 
 @pytest.mark.medium

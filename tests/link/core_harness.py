@@ -118,15 +118,15 @@ def open_harness(execute: Execute = always_ok, session: int = 1) -> Harness:
     return harness
 
 
-def of_kind(frames: list[Frame], message_id: MessageId) -> list[bytes]:
+def payloads_of(frames: list[Frame], message_id: MessageId) -> list[bytes]:
     """Payloads of the frames with this id."""
     return [frame.payload for frame in frames if frame.id == message_id]
 
 
 def acks_in(frames: list[Frame]) -> list[AckMessage]:
-    return [AckMessage.unpack(payload) for payload in of_kind(frames, MessageId.ACK)]
+    return [AckMessage.unpack(payload) for payload in payloads_of(frames, MessageId.ACK)]
 
 
-def ramp(count: int) -> np.ndarray:
+def slowly_changing_samples(count: int) -> np.ndarray:
     """Samples whose channels all move a little, shape (count, channels)."""
     return np.repeat(np.arange(count, dtype=np.int32)[:, None] % 7, len(Channel), axis=1)

@@ -321,13 +321,13 @@ class PtyBoard:
             os.write(master, self.board.advance(max(due, 0)))
 
 
-def opened(board: FakeBoard) -> Session:
+def connected_session(board: FakeBoard) -> Session:
     """A session that is connected to it."""
     session = Session(FakeLine(board))
     session.connect()
     return session
 
 
-def heard(board: FakeBoard, message_id: MessageId) -> list[int]:
+def ticks_of_received(board: FakeBoard, message_id: MessageId) -> list[int]:
     """Ticks at which the board heard a message."""
     return [tick for tick, frame in board.heard if frame.id == message_id]

@@ -72,11 +72,11 @@ def main(address: str) -> None:
     address : str
         URL of the feed.
     """
-    ended = threading.Event()
+    has_ended = threading.Event()
 
     def wait_for_end() -> None:
         sys.stdin.read()
-        ended.set()
+        has_ended.set()
 
     threading.Thread(target=wait_for_end, daemon=True).start()
     with Viewer.of(address) as viewer:
@@ -84,7 +84,7 @@ def main(address: str) -> None:
         layout = parse_layout(viewer.channels[TICK_TOPIC]["schema"])
         bodies = [body for _, body in viewer.messages(1)]
         print("ready", flush=True)
-        while not ended.is_set():
+        while not has_ended.is_set():
             if viewer.has_message():
                 bodies += [body for _, body in viewer.messages(1)]
     tick = np.frombuffer(b"".join(body[4:] for body in bodies), layout.dtype)["tick"].astype(np.int64)

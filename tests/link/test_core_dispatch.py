@@ -39,8 +39,8 @@ from tests.link.core_harness import (
     Harness,
     acks_in,
     named,
-    of_kind,
     open_harness,
+    payloads_of,
 )
 
 BY_BOARD_ALONE = (
@@ -54,13 +54,13 @@ NO_NUMBERS = [math.nan, math.inf, -math.inf]
 
 def float_fields(cls: Any) -> list[tuple[int, int]]:
     """(position among the fields, byte offset) of the floats of a message."""
-    found = []
+    matches = []
     offset = 0
     for field, code in enumerate(cls.STRUCT.format.lstrip("<")):
         if code == "f":
-            found.append((field, offset))
+            matches.append((field, offset))
         offset += struct.calcsize("<" + code)
-    return found
+    return matches
 
 
 FLOATS = [(cls, field, offset) for cls in TO_BOARD for field, offset in float_fields(cls)]
@@ -93,7 +93,7 @@ def test_no_field_takes_what_is_no_number(cls: Any, field: int, offset: int) -> 
         struct.pack_into("<f", payload, offset, value)
         frames = harness.turn(harness.raw_frame(cls.ID, bytes(payload)), ticks=3)
         if cls in STREAMS:
-            (event,) = (EventMessage.unpack(payload) for payload in of_kind(frames, MessageId.EVENT))
+            (event,) = (EventMessage.unpack(payload) for payload in payloads_of(frames, MessageId.EVENT))
             assert (event.kind, event.detail) == (Event.SETPOINT_REJECTED, Result.BAD_VALUE)
         else:
             (ack,) = acks_in(frames)
@@ -143,7 +143,7 @@ def test_a_stop_is_executed_even_when_no_answer_can_leave() -> None:
 def test_ping_returns_the_host_clock_and_the_tick_of_the_answer() -> None:
     harness = open_harness()
     harness.turn(ticks=100)
-    (pong,) = of_kind(harness.turn(harness.frame(PingMessage(3, 2**60 + 5))), MessageId.PONG)
+    (pong,) = payloads_of(harness.turn(harness.frame(PingMessage(3, 2**60 + 5))), MessageId.PONG)
     assert PongMessage.unpack(pong) == PongMessage(3, 2**60 + 5, 101)
 
 
@@ -153,14 +153,14 @@ def test_a_pong_that_had_to_wait_carries_the_tick_at_which_it_left() -> None:
     sent = harness.turn(harness.frame(PingMessage(3, 5)), ticks=20)
     assert sent == []
     harness.room = 100
-    (pong,) = of_kind(harness.turn(), MessageId.PONG)
+    (pong,) = payloads_of(harness.turn(), MessageId.PONG)
     assert PongMessage.unpack(pong).tick == harness.tick - 1
 
 
 @pytest.mark.parametrize("first", [0, 1, 20, 31, 32, len(PARAMS) - 1])
 def test_params_are_read_in_table_order_at_most_32_at_a_time(first: int) -> None:
     harness = open_harness()
-    (payload,) = of_kind(harness.ask(ParamsReadMessage(4, first)), MessageId.PARAMS)
+    (payload,) = payloads_of(harness.ask(ParamsReadMessage(4, first)), MessageId.PARAMS)
     head = ParamsMessage.unpack(payload)
     expected = [spec.default for spec in PARAMS[first : first + 32]]
     assert (head.request, head.first, head.count) == (4, first, len(expected))
@@ -188,7 +188,7 @@ def test_a_save_is_reported_with_its_generation_and_not_repeated() -> None:
     for generation in (1, 2):
         frames = harness.ask(ParamsSaveMessage(generation))
         (ack,) = acks_in(frames)
-        (event,) = (EventMessage.unpack(payload) for payload in of_kind(frames, MessageId.EVENT))
+        (event,) = (EventMessage.unpack(payload) for payload in payloads_of(frames, MessageId.EVENT))
         assert (ack.result, ack.value) == (Result.OK, generation)
         assert (event.kind, event.value) == (Event.PARAMS_SAVED, generation)
         assert acks_in(harness.ask(ParamsSaveMessage(generation))) == [ack]
@@ -202,7 +202,7 @@ def test_a_flash_that_does_not_hold_what_was_written_is_reported() -> None:
     frames = harness.ask(ParamsSaveMessage(1))
     (ack,) = acks_in(frames)
     assert ack.result == Result.FLASH_FAILED
-    assert of_kind(frames, MessageId.EVENT) == []
+    assert payloads_of(frames, MessageId.EVENT) == []
 
 
 def test_streams_reach_the_tick_unanswered_and_in_order() -> None:
@@ -225,7 +225,7 @@ def test_of_more_streamed_values_than_the_tick_takes_the_latest_wins() -> None:
 def test_a_stream_of_wrong_length_is_refused_and_counted() -> None:
     harness = open_harness()
     frames = harness.turn(harness.raw_frame(MessageId.SETPOINT, bytes(15)))
-    (event,) = (EventMessage.unpack(payload) for payload in of_kind(frames, MessageId.EVENT))
+    (event,) = (EventMessage.unpack(payload) for payload in payloads_of(frames, MessageId.EVENT))
     assert (event.kind, event.detail) == (Event.SETPOINT_REJECTED, Result.BAD_LENGTH)
     assert harness.status().stale_streams == 1
 
@@ -263,7 +263,7 @@ def test_no_sequence_of_frames_keeps_the_board_from_answering_a_ping(
         harness.turn(harness.raw_frame(message_id, payload))
     harness.turn(ticks=5)
     harness.hello(session=99)
-    (pong,) = of_kind(harness.ask(PingMessage(77, 1)), MessageId.PONG)
+    (pong,) = payloads_of(harness.ask(PingMessage(77, 1)), MessageId.PONG)
     assert pong[0] == 77
 
 
@@ -275,7 +275,7 @@ def test_no_bytes_keep_the_board_from_answering_a_ping(chunks: list[bytes]) -> N
         harness.turn(chunk)
     harness.turn(b"\0", ticks=3)
     harness.hello()
-    assert of_kind(harness.ask(PingMessage(1, 1)), MessageId.PONG)
+    assert payloads_of(harness.ask(PingMessage(1, 1)), MessageId.PONG)
 
 
 def test_the_sequence_numbers_of_the_board_have_no_gap() -> None:
@@ -289,8 +289,8 @@ def test_the_board_gives_the_names_of_its_controllers_and_how_many_it_has() -> N
     harness = open_harness()
     for index, name in ((0, b"cascade"), (1, b"sixteen_letters_"), (2, b""), (255, b"")):
         frames = harness.turn(harness.frame(ControllerReadMessage(9, index)), ticks=2)
-        (payload,) = of_kind(frames, MessageId.CONTROLLER)
+        (payload,) = payloads_of(frames, MessageId.CONTROLLER)
         answer = ControllerMessage.unpack(payload)
-        words = (answer.name_0, answer.name_1, answer.name_2, answer.name_3)
+        name_words = (answer.name_0, answer.name_1, answer.name_2, answer.name_3)
         assert (answer.request, answer.index, answer.count) == (9, index, 2)
-        assert b"".join(word.to_bytes(4, "little") for word in words).rstrip(b"\0") == name
+        assert b"".join(word.to_bytes(4, "little") for word in name_words).rstrip(b"\0") == name

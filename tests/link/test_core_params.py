@@ -16,7 +16,7 @@ SUBNORMAL = struct.unpack("<f", b"\x01\0\0\0")[0]
 specs = st.sampled_from(PARAMS)
 
 
-def above(value: float) -> float:
+def next_single(value: float) -> float:
     """The next number that a 32-bit float can hold."""
     bits = struct.unpack("<i", struct.pack("<f", value))[0]
     if value == 0.0:
@@ -55,14 +55,14 @@ def test_both_ends_of_every_range_are_taken_and_what_lies_beyond_is_not(spec: Pa
     for end in (spec.min, spec.max):
         expected = Result.OUT_OF_RANGE if spec.nonzero and end == 0.0 else Result.OK
         assert params.set(spec.index, end, True) == expected
-    assert params.set(spec.index, above(spec.max), True) == Result.OUT_OF_RANGE
-    assert params.set(spec.index, -above(-spec.min), True) == Result.OUT_OF_RANGE
+    assert params.set(spec.index, next_single(spec.max), True) == Result.OUT_OF_RANGE
+    assert params.set(spec.index, -next_single(-spec.min), True) == Result.OUT_OF_RANGE
 
 
 @pytest.mark.parametrize("name", ["motor_front_sign", "motor_back_sign"])
 def test_a_sign_is_either_minus_one_or_one_on_the_board(name: str) -> None:
     params = core_link.Params()
-    for value in (0.5, -0.5, 0.0, above(-1.0), -above(1.0), SUBNORMAL):
+    for value in (0.5, -0.5, 0.0, next_single(-1.0), -next_single(1.0), SUBNORMAL):
         assert params.set(INDEX[name], value, True) == Result.OUT_OF_RANGE
     for value in (-1.0, 1.0):
         assert params.set(INDEX[name], value, True) == Result.OK

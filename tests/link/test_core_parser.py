@@ -123,8 +123,8 @@ def test_a_host_that_starts_again_with_hello_loses_nothing() -> None:
 
 def test_what_a_noisy_line_delivers_is_always_what_was_sent() -> None:
     rng = random.Random(20240611)
-    sent = [rng.randbytes(rng.randrange(MAX_COMMAND_PAYLOAD)) for _ in range(2000)]
-    stream = bytearray(stream_of([(10, payload) for payload in sent]))
+    sent_values = [rng.randbytes(rng.randrange(MAX_COMMAND_PAYLOAD)) for _ in range(2000)]
+    stream = bytearray(stream_of([(10, payload) for payload in sent_values]))
     for _ in range(300):
         stream[rng.randrange(len(stream))] ^= 1 << rng.randrange(8)
     parser = core_link.Parser()
@@ -132,7 +132,7 @@ def test_what_a_noisy_line_delivers_is_always_what_was_sent() -> None:
     index = -1
     for _, sequence, payload in arrived:
         index += (sequence - index) % 256
-        assert payload == sent[index]
+        assert payload == sent_values[index]
     assert len(arrived) >= 2000 - 600
     assert parser.frames_ok == len(arrived)
     assert parser.frames_ok + parser.frames_lost <= 2000

@@ -22,7 +22,16 @@ from heli_host.declaration import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.link.core_harness import STREAMS, TO_BOARD, Harness, acks_in, named, of_kind, open_harness, ramp
+from tests.link.core_harness import (
+    STREAMS,
+    TO_BOARD,
+    Harness,
+    acks_in,
+    named,
+    open_harness,
+    payloads_of,
+    slowly_changing_samples,
+)
 
 NEVER = 0xFFFFFFFF
 
@@ -34,7 +43,7 @@ def test_before_the_handshake_nothing_but_hello_is_heard(cls: Any) -> None:
     assert harness.executed == []
     assert harness.streamed == []
     if cls.ID == MessageId.HELLO:
-        (welcome,) = of_kind(frames, MessageId.WELCOME)
+        (welcome,) = payloads_of(frames, MessageId.WELCOME)
         assert welcome[1] == Result.HASH_MISMATCH
     elif cls in STREAMS:
         assert frames == []
@@ -46,7 +55,7 @@ def test_before_the_handshake_nothing_but_hello_is_heard(cls: Any) -> None:
 def test_before_the_handshake_the_board_says_nothing_by_itself() -> None:
     harness = Harness()
     harness.native.push_event(0, 0)
-    harness.native.push_samples(0, ramp(60))
+    harness.native.push_samples(0, slowly_changing_samples(60))
     assert harness.turn(ticks=3000) == []
 
 
@@ -57,7 +66,7 @@ def test_events_before_the_handshake_are_reported_after_it() -> None:
     harness.turn(ticks=100)
     frames = harness.turn(harness.frame(HelloMessage(1, LINK_HASH, 1)))
     assert [frame.id for frame in frames] == [MessageId.WELCOME] + [MessageId.EVENT] * 5
-    assert [event[0] for event in of_kind(frames, MessageId.EVENT)] == [0, 1, 2, 3, 4]
+    assert [event[0] for event in payloads_of(frames, MessageId.EVENT)] == [0, 1, 2, 3, 4]
 
 
 def test_another_declaration_gets_welcome_with_the_mismatch_and_no_session() -> None:

@@ -173,10 +173,11 @@ def test_a_parameter_that_moved_in_the_table_keeps_its_value() -> None:
     board = saved_board(3.0)
     other_schema(board)
     flash = board.flash
-    a, b = entry(HOVER), entry(0)
+    hover_at, first_at = entry(HOVER), entry(0)
+    # Exchange the entries of the two parameters, six bytes each, in both copies.
     for page in (0, 1):
-        rewrite(board, page, a, flash[b : b + 6])
-        rewrite(board, page, b, flash[a : a + 6])
+        rewrite(board, page, hover_at, flash[first_at : first_at + 6])
+        rewrite(board, page, first_at, flash[hover_at : hover_at + 6])
     assert load(board) == (ParamsSource.MIGRATED, 3.0)
 
 

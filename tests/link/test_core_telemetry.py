@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.channels.groups import UNSIGNED
 from tests.link import host_reference as reference
-from tests.link.core_harness import Harness, of_kind, open_harness, ramp
+from tests.link.core_harness import Harness, open_harness, payloads_of, slowly_changing_samples
 
 BATCH = next(spec for spec in PARAMS if spec.name == "telemetry_batch_ticks")
 RING_TICKS = 64
@@ -24,7 +24,7 @@ def turn_with_sample(harness: Harness, row: np.ndarray, received: bytes = b"") -
 
 
 def batches(frames: list[Frame]) -> list[tuple[int, list[list[int]]]]:
-    return [reference.telemetry_samples(payload) for payload in of_kind(frames, MessageId.TELEMETRY)]
+    return [reference.telemetry_samples(payload) for payload in payloads_of(frames, MessageId.TELEMETRY)]
 
 
 def ticks_of(frames: list[Frame]) -> list[int]:
@@ -51,7 +51,7 @@ def test_a_batch_has_as_many_ticks_as_the_parameter_says() -> None:
     for count in (20, 4, 32):
         harness.native.params.set(BATCH.index, float(count), True)
         harness.ask(ParamSetMessage(count, BATCH.index, float(count)))
-        frames = [frame for row in ramp(200) for frame in turn_with_sample(harness, row)]
+        frames = [frame for row in slowly_changing_samples(200) for frame in turn_with_sample(harness, row)]
         sizes = [len(rows) for _, rows in batches(frames)]
         assert sizes[2:]
         assert set(sizes[2:]) == {count}
@@ -59,28 +59,28 @@ def test_a_batch_has_as_many_ticks_as_the_parameter_says() -> None:
 
 def test_a_gap_in_the_ticks_ends_a_batch() -> None:
     harness = open_harness()
-    harness.native.push_samples(100, ramp(7))
-    harness.native.push_samples(200, ramp(20))
+    harness.native.push_samples(100, slowly_changing_samples(7))
+    harness.native.push_samples(200, slowly_changing_samples(20))
     assert [(first, len(rows)) for first, rows in batches(harness.turn())] == [(100, 7), (200, 20)]
 
 
 def test_tick_numbers_may_wrap() -> None:
     harness = open_harness()
-    harness.native.push_samples(2**32 - 10, ramp(20))
+    harness.native.push_samples(2**32 - 10, slowly_changing_samples(20))
     assert [(first, len(rows)) for first, rows in batches(harness.turn())] == [(2**32 - 10, 20)]
 
 
 def test_an_idle_loop_that_is_late_loses_nothing_within_the_ring() -> None:
     harness = open_harness()
-    harness.native.push_samples(0, ramp(RING_TICKS))
+    harness.native.push_samples(0, slowly_changing_samples(RING_TICKS))
     frames = harness.turn()
-    harness.native.push_samples(RING_TICKS, ramp(16))
+    harness.native.push_samples(RING_TICKS, slowly_changing_samples(16))
     assert ticks_of(frames + harness.turn()) == list(range(80))
 
 
 def test_ticks_beyond_the_ring_are_lost_and_counted() -> None:
     harness = open_harness()
-    harness.native.push_samples(0, ramp(RING_TICKS + 9))
+    harness.native.push_samples(0, slowly_changing_samples(RING_TICKS + 9))
     harness.turn()
     assert harness.status().ticks_dropped == 9
 
@@ -90,11 +90,11 @@ def test_a_full_line_costs_whole_batches_which_are_counted() -> None:
     harness.room = 0
     start = harness.tick
     frames: list[Frame] = []
-    for row in ramp(500):
+    for row in slowly_changing_samples(500):
         frames += turn_with_sample(harness, row)
     assert frames == []
     harness.room = 100000
-    for row in ramp(100):
+    for row in slowly_changing_samples(100):
         frames += turn_with_sample(harness, row)
     seen = ticks_of(frames)
     missing = set(range(start, seen[-1])) - set(seen)
@@ -108,7 +108,7 @@ def test_replies_leave_before_events_and_events_before_telemetry() -> None:
     harness = open_harness()
     harness.room = 0
     harness.native.push_event(0, 1)
-    harness.native.push_samples(0, ramp(20))
+    harness.native.push_samples(0, slowly_changing_samples(20))
     harness.turn(harness.frame(PingMessage(1, 0)), ticks=2)
     harness.room = 10000
     assert [frame.id for frame in harness.turn()] == [MessageId.PONG, MessageId.EVENT, MessageId.TELEMETRY]
@@ -121,18 +121,18 @@ def test_the_board_never_sends_more_than_there_is_room_for(rooms: list[int]) -> 
     for number, room in enumerate(rooms):
         harness.room = room  # the bench raises when more is sent
         harness.native.push_event(harness.tick, 1)
-        turn_with_sample(harness, ramp(1)[0], harness.frame(PingMessage(number % 256, 0)))
+        turn_with_sample(harness, slowly_changing_samples(1)[0], harness.frame(PingMessage(number % 256, 0)))
 
 
 def test_status_comes_once_a_second_by_itself() -> None:
     harness = open_harness()
     frames = harness.turn(ticks=5000)
-    assert [payload[0] for payload in of_kind(frames, MessageId.STATUS)] == [0] * 5
+    assert [payload[0] for payload in payloads_of(frames, MessageId.STATUS)] == [0] * 5
 
 
 def test_of_too_many_events_the_first_sixteen_are_kept() -> None:
     harness = open_harness()
     for tick in range(30):
         harness.native.push_event(tick, 1)
-    events = of_kind(harness.turn(), MessageId.EVENT)
+    events = payloads_of(harness.turn(), MessageId.EVENT)
     assert [event[0] for event in events] == list(range(16))

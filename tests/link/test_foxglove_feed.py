@@ -57,14 +57,14 @@ def feed_and_viewer(heli: Heli) -> Iterator[Viewer]:
 
 
 def test_a_viewer_gets_every_tick_as_the_board_sent_it(heli: Heli) -> None:
-    sent: list[tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]] = []
+    sent_values: list[tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]] = []
     with feed_and_viewer(heli) as viewer:
         assert viewer.channels[TICK_TOPIC]["encoding"] == "cdr"
         viewer.subscribe(TICK_TOPIC)
-        heli.session.subscribe_ticks(lambda ticks: sent.append((ticks.tick.copy(), ticks.raw.copy())))
+        heli.session.subscribe_ticks(lambda ticks: sent_values.append((ticks.tick.copy(), ticks.raw.copy())))
         until_watched(heli, viewer)
         heli.wait(1.5)
-        tick, raw = (np.concatenate(parts) for parts in zip(*sent, strict=True))
+        tick, raw = (np.concatenate(parts) for parts in zip(*sent_values, strict=True))
         got = viewer.messages(1)
         first = int(
             np.frombuffer(got[0][1][4:], parse_layout(viewer.channels[TICK_TOPIC]["schema"]).dtype)["tick"][0]
@@ -113,7 +113,7 @@ def test_the_link_does_not_wait_for_a_server_that_hangs(heli: Heli, monkeypatch:
     hangs = threading.Event()
     with feeds.foxglove_feed(heli, 0) as feed:
         assert feed is not None
-        monkeypatch.setattr(feed, "_write", lambda kind, data: hangs.wait(PATIENCE_S))
+        monkeypatch.setattr(feed, "_send_message", lambda kind, data: hangs.wait(PATIENCE_S))
         before_s = heli.latest.t_s
         heli.wait(0.5)
         assert heli.latest.t_s >= before_s + 0.5 and feed.dropped >= 10
@@ -141,7 +141,7 @@ def test_record_and_fly_name_the_address_for_viewers(terminal: Terminal) -> None
     Path("short.toml").write_text(SHORT_PLAN)
     sil = ("--sil", "--speed", "max", "--foxglove", "0")
     for words in (("record", "--duration", "0.5", "-o", "a.mcap"), ("fly", "short.toml", "--log", "b.mcap")):
-        ended = terminal(*words, *sil)
-        assert ended.code == 0 and "viewers: ws://127.0.0.1:" in ended.out + ended.err
+        result = terminal(*words, *sil)
+        assert result.code == 0 and "viewers: ws://127.0.0.1:" in result.out + result.err
     refused = terminal("dashboard", "--replay", "a.mcap", "--foxglove", "0")
     assert refused.code == 2 and "viewers open a.mcap as a file" in refused.err

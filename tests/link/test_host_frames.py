@@ -119,10 +119,12 @@ def test_the_longest_payload_passes(message_id: int, size: int) -> None:
 @pytest.mark.parametrize("damage", ["flip", "drop", "double"])
 def test_no_damaged_frame_passes_and_every_loss_is_counted(damage: str) -> None:
     chance = random.Random(7)
-    sent = [bytes(chance.randrange(256) for _ in range(chance.randrange(10, 200))) for _ in range(3000)]
+    sent_values = [
+        bytes(chance.randrange(256) for _ in range(chance.randrange(10, 200))) for _ in range(3000)
+    ]
     # 3 in 10^3 bytes: some thirty times worse than what the link must stand, so that much is tried.
     stream = bytearray()
-    for byte in b"".join(encode_frame(133, seq, payload) for seq, payload in enumerate(sent)):
+    for byte in b"".join(encode_frame(133, seq, payload) for seq, payload in enumerate(sent_values)):
         hit = chance.random() < 3e-3
         if hit and damage == "flip":
             stream.append(byte ^ (1 << chance.randrange(8)))
@@ -131,10 +133,10 @@ def test_no_damaged_frame_passes_and_every_loss_is_counted(damage: str) -> None:
         elif not hit:
             stream.append(byte)
     parser = FrameParser()
-    frames = parser.feed(b"\0" + bytes(stream) + encode_frame(133, len(sent), b"last"))
-    remaining = iter(enumerate(sent))
+    frames = parser.feed(b"\0" + bytes(stream) + encode_frame(133, len(sent_values), b"last"))
+    remaining = iter(enumerate(sent_values))
     for frame in frames[:-1]:
         assert any(seq % 256 == frame.seq and payload == frame.payload for seq, payload in remaining)
     assert frames[-1].payload == b"last"
     assert parser.frames_bad > 0
-    assert parser.frames_ok + parser.frames_lost == len(sent) + 1
+    assert parser.frames_ok + parser.frames_lost == len(sent_values) + 1

@@ -45,8 +45,8 @@ def test_an_event_may_carry_any_number(kind: int, value: float) -> None:
 def test_a_sample_of_a_state_that_nobody_declared_is_refused_and_counted() -> None:
     board = FakeBoard()
     session = Session(FakeLine(board))
-    seen: list[Ticks] = []
-    session.subscribe_ticks(seen.append)
+    received: list[Ticks] = []
+    session.subscribe_ticks(received.append)
     session.connect()
     session.wait(0.1)
     board.state = 9  # type: ignore[assignment]
@@ -54,12 +54,12 @@ def test_a_sample_of_a_state_that_nobody_declared_is_refused_and_counted() -> No
     board.state = State.IDLE
     session.wait(0.2)
     counters = session.counters
-    delivered = sum(map(len, seen))
-    assert all(raw in list(State) for ticks in seen for raw in ticks.raw[:, Channel.STATE])
+    delivered = sum(map(len, received))
+    assert all(raw in list(State) for ticks in received for raw in ticks.raw[:, Channel.STATE])
     assert counters.frames_bad >= 1
     assert counters.ticks_lost >= 180
     assert counters.ticks_received == delivered
-    assert delivered + counters.ticks_lost == int(seen[-1].tick[-1]) - int(seen[0].tick[0]) + 1
+    assert delivered + counters.ticks_lost == int(received[-1].tick[-1]) - int(received[0].tick[0]) + 1
 
 
 def test_every_declared_value_passes_and_no_other() -> None:

@@ -121,12 +121,12 @@ def test_a_fault_is_reported_by_its_code() -> None:
 def test_a_session_reports_a_lost_event_once_with_telemetry_as_source(lost: bool) -> None:
     board = FakeBoard()
     session = Session(FakeLine(board))
-    seen: list[LinkEvent] = []
-    session.subscribe_events(seen.append)
+    received: list[LinkEvent] = []
+    session.subscribe_events(received.append)
     session.connect()
     session.wait(0.5)
     board.change_state(State.HOLD, tell=not lost)
     session.wait(0.5)
-    [event] = [event for event in seen if event.kind == "state"]
+    [event] = [event for event in received if event.kind == "state"]
     assert event.text.startswith("state hold, because of ")
     assert ("lost" in event.text) == lost

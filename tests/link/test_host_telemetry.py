@@ -125,16 +125,16 @@ def test_the_last_tick_before_the_counter_wraps_is_followed_by_zero() -> None:
 
 @pytest.mark.medium
 def test_hundreds_of_batches_of_changing_size_keep_their_order() -> None:
-    sent = []
+    sent_values = []
     first = 0
     for index in range(600):
         count = 20 if index % 50 else 5 + index % 7
         columns = range(3, 3 + len(CHANNELS))
-        sent.append((first, [[(first + k) * c % 250 for c in columns] for k in range(count)]))
+        sent_values.append((first, [[(first + k) * c % 250 for c in columns] for k in range(count)]))
         first += count
-    ticks = TelemetryDecoder().decode([reference.telemetry_payload(*batch) for batch in sent])
+    ticks = TelemetryDecoder().decode([reference.telemetry_payload(*batch) for batch in sent_values])
     assert ticks.tick.tolist() == list(range(first))
-    assert ticks.raw.tolist() == [row for _, rows in sent for row in rows]
+    assert ticks.raw.tolist() == [row for _, rows in sent_values for row in rows]
 
 
 def test_no_payloads_are_no_ticks() -> None:

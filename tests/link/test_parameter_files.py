@@ -31,30 +31,30 @@ OTHER = (f"{PARAMS_HASH:08x}", f"{PARAMS_HASH ^ 1:08x}")
 
 
 def test_a_file_of_the_same_schema_is_taken_whole(tmp_path: Path) -> None:
-    given = read_parameter_set(written(tmp_path))
-    assert given.values == {**DEFAULTS, "hover_V": 1.75}
-    assert (given.dropped, given.new) == ((), ())
+    parameter_set = read_parameter_set(written(tmp_path))
+    assert parameter_set.values == {**DEFAULTS, "hover_V": 1.75}
+    assert (parameter_set.dropped, parameter_set.new) == ((), ())
 
 
 def test_a_file_of_another_schema_keeps_what_is_known(tmp_path: Path) -> None:
     changes = (OTHER, ("hover_slope =", "hover_curve ="))
-    given = read_parameter_set(written(tmp_path, *changes))
-    assert given.values["hover_V"] == 1.75
-    assert len(given.values) == len(PARAMS) - 1
-    assert given.dropped == ("unknown parameter hover_curve",)
-    assert given.new == ("hover_slope",)
+    parameter_set = read_parameter_set(written(tmp_path, *changes))
+    assert parameter_set.values["hover_V"] == 1.75
+    assert len(parameter_set.values) == len(PARAMS) - 1
+    assert parameter_set.dropped == ("unknown parameter hover_curve",)
+    assert parameter_set.new == ("hover_slope",)
 
 
 def test_a_value_out_of_the_new_range_is_dropped_and_named(tmp_path: Path) -> None:
-    given = read_parameter_set(written(tmp_path, OTHER, ("hover_V = 1.75", "hover_V = 1e6")))
-    assert "hover_V" not in given.values
-    assert given.dropped == ("hover_V = 1e+06 is out of range",)
+    parameter_set = read_parameter_set(written(tmp_path, OTHER, ("hover_V = 1.75", "hover_V = 1e6")))
+    assert "hover_V" not in parameter_set.values
+    assert parameter_set.dropped == ("hover_V = 1e+06 is out of range",)
 
 
 def test_a_value_in_another_unit_is_dropped_and_named(tmp_path: Path) -> None:
-    given = read_parameter_set(written(tmp_path, OTHER, ('hover_V = "V"', 'hover_V = "mV"')))
-    assert "hover_V" not in given.values
-    assert given.dropped == ("hover_V was in mV and is in V now",)
+    parameter_set = read_parameter_set(written(tmp_path, OTHER, ('hover_V = "V"', 'hover_V = "mV"')))
+    assert "hover_V" not in parameter_set.values
+    assert parameter_set.dropped == ("hover_V was in mV and is in V now",)
 
 
 def test_fly_takes_known_values_of_another_schema_and_lists_the_others(

@@ -22,24 +22,24 @@ from heli_host.declaration import (
 )
 from heli_host.errors import CommandRefused, CommandTimeout, LinkLost
 
-from tests.link.fake_board import FakeBoard, FakeLine, heard, opened
+from tests.link.fake_board import FakeBoard, FakeLine, connected_session, ticks_of_received
 
 
 def test_a_command_whose_acks_are_lost_is_repeated_and_executed_once() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     board.lose_replies = 3
     ack = session.command(ParamSetMessage(0, Param.HOVER_V, 2.5))
     assert ack.value == 2.5
     assert len(board.executed) == 1
     assert session.counters.retries == 3
-    assert len(heard(board, MessageId.PARAM_SET)) == 4
+    assert len(ticks_of_received(board, MessageId.PARAM_SET)) == 4
     assert len({frame.payload for _, frame in board.heard if frame.id == MessageId.PARAM_SET}) == 1
 
 
 def test_a_command_that_is_lost_on_its_way_is_repeated() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     line = session.transport
     assert isinstance(line, FakeLine)
     lost = [2]
@@ -58,7 +58,7 @@ def test_a_command_that_is_lost_on_its_way_is_repeated() -> None:
 
 def test_repeated_acks_are_not_taken_for_answers_to_later_commands() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     board.repeat_replies = 3
     for index in range(20):
         assert session.command(ParamSetMessage(0, Param.HOVER_V, index / 8)).value == index / 8
@@ -68,7 +68,7 @@ def test_repeated_acks_are_not_taken_for_answers_to_later_commands() -> None:
 
 def test_a_late_ack_of_the_same_command_is_not_taken_for_the_answer_to_a_new_one() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     session.command(ParamSetMessage(0, Param.HOVER_V, 1.0))
     late = ParamSetMessage.unpack(
         next(frame for _, frame in board.heard if frame.id == MessageId.PARAM_SET).payload
@@ -82,7 +82,7 @@ def test_a_late_ack_of_the_same_command_is_not_taken_for_the_answer_to_a_new_one
 @pytest.mark.medium
 def test_a_command_without_any_answer_times_out_at_its_deadline() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     board.lose_replies = 10**6
     began_s = session.transport.now_s()
     with pytest.raises(CommandTimeout, match=r"did not answer arm in [0-9]+ tries"):
@@ -94,7 +94,7 @@ def test_a_command_without_any_answer_times_out_at_its_deadline() -> None:
 @pytest.mark.medium
 def test_three_hundred_commands_wrap_the_request_number_without_confusion() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     for index in range(300):
         session.command(ParamSetMessage(0, Param.ELEVATION_KP, index / 64))
     assert [ParamSetMessage.unpack(b"\0" + done[1:]).value for done in board.executed] == [
@@ -106,7 +106,7 @@ def test_a_failed_check_names_the_fault_its_limit_and_the_remedy() -> None:
     board = FakeBoard()
     board.refusals[MessageId.ARM] = (Result.CHECK_FAILED, Fault.NOT_AT_REST, -17.5)
     with pytest.raises(CommandRefused) as caught:
-        opened(board).command(ArmMessage(0))
+        connected_session(board).command(ArmMessage(0))
     assert caught.value.fault is Fault.NOT_AT_REST
     assert caught.value.parameter == "arm_elevation_tolerance_deg"
     for part in ("arm", "not_at_rest", "does not rest on the table", "-17.5", "let it rest on the table"):
@@ -120,7 +120,7 @@ def test_a_wrong_state_names_the_state_and_what_to_do_first() -> None:
     with pytest.raises(
         CommandRefused, match=r"control: not allowed in state fault; .*clear the fault"
     ) as caught:
-        opened(board).command(ControlMessage(0, 7, 0.0, 0.0))
+        connected_session(board).command(ControlMessage(0, 7, 0.0, 0.0))
     assert caught.value.state is State.FAULT
 
 
@@ -136,25 +136,25 @@ def test_every_refusal_is_one_line_with_a_remedy(result: int, detail: int) -> No
 def test_all_parameters_arrive_over_several_replies() -> None:
     board = FakeBoard()
     board.params = [index / 4 for index in range(len(Param))]
-    assert list(opened(board).read_params()) == board.params
+    assert list(connected_session(board).read_params()) == board.params
 
 
 @pytest.mark.medium
 def test_status_is_read_and_also_comes_by_itself() -> None:
     board = FakeBoard()
-    session = opened(board)
-    seen: list[StatusMessage] = []
-    session.subscribe_status(seen.append)
+    session = connected_session(board)
+    received: list[StatusMessage] = []
+    session.subscribe_status(received.append)
     assert session.status().illegal_travel == 11
-    seen.clear()
+    received.clear()
     session.wait(3.0)
-    assert len(seen) == 3
-    assert session.counters.board == seen[-1]
+    assert len(received) == 3
+    assert session.counters.board == received[-1]
 
 
 def test_a_board_that_forgot_the_session_is_greeted_again_and_the_command_executed_once() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     board.open = False
     assert session.command(ArmMessage(0)).result == Result.OK
     assert len(board.executed) == 1
@@ -163,7 +163,7 @@ def test_a_board_that_forgot_the_session_is_greeted_again_and_the_command_execut
 
 def test_a_command_is_not_repeated_to_a_board_that_restarted() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     session.wait(0.5)
     board.lose_replies = 1
     execute = board._execute
@@ -183,7 +183,7 @@ def test_a_command_is_not_repeated_to_a_board_that_restarted() -> None:
 @pytest.mark.medium
 def test_the_board_hears_something_at_least_five_times_a_second() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     session.wait(10.0)
     ticks = [tick for tick, _ in board.heard]
     assert max(later - sooner for sooner, later in itertools.pairwise(ticks)) <= 220
@@ -192,16 +192,16 @@ def test_the_board_hears_something_at_least_five_times_a_second() -> None:
 @pytest.mark.medium
 def test_setpoints_go_out_at_200_Hz_at_most_and_the_latest_wins() -> None:
     board = FakeBoard()
-    session = opened(board)
-    began = board.tick
+    session = connected_session(board)
+    first_tick = board.tick
     for index in range(1000):
         session.stream(SetpointMessage(0, index * 1e-3, 0.0, 0.0))
         if index % 10 == 9:
             session.wait_for(lambda: False, 0.01)
     session.wait_for(lambda: False, 0.05)
-    ticks = heard(board, MessageId.SETPOINT)
+    ticks = ticks_of_received(board, MessageId.SETPOINT)
     counters = session.counters
-    assert len(ticks) <= (board.tick - began) / 5 + 1
+    assert len(ticks) <= (board.tick - first_tick) / 5 + 1
     assert len(ticks) == counters.setpoints_sent
     assert counters.setpoints_sent + counters.setpoints_skipped == 1000
     last = [frame for _, frame in board.heard if frame.id == MessageId.SETPOINT][-1]
@@ -210,39 +210,39 @@ def test_setpoints_go_out_at_200_Hz_at_most_and_the_latest_wins() -> None:
 
 def test_voltages_go_out_at_500_Hz_at_most() -> None:
     board = FakeBoard()
-    session = opened(board)
-    began = board.tick
+    session = connected_session(board)
+    first_tick = board.tick
     for _ in range(500):
         session.stream(VoltagesMessage(1.0, 2.0, 50))
         session.wait_for(lambda: False, 0.001)
-    assert 200 <= len(heard(board, MessageId.VOLTAGES)) <= (board.tick - began) / 2 + 1
+    assert 200 <= len(ticks_of_received(board, MessageId.VOLTAGES)) <= (board.tick - first_tick) / 2 + 1
     assert session.counters.voltages_skipped > 0
 
 
 @pytest.mark.medium
 def test_the_last_setpoint_is_kept_fresh_only_while_the_board_flies_on_setpoints() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     session.keep_alive(SetpointMessage(0, 0.1, 0.0, 0.0))
     session.wait(1.0)
-    assert heard(board, MessageId.SETPOINT) == []
+    assert ticks_of_received(board, MessageId.SETPOINT) == []
     session.command(ArmMessage(0))
     session.command(ControlMessage(0, 7, 0.0, 0.0))
     session.wait(0.2)
-    began = len(heard(board, MessageId.SETPOINT))
+    began = len(ticks_of_received(board, MessageId.SETPOINT))
     session.wait(5.0)
-    ticks = heard(board, MessageId.SETPOINT)[began:]
+    ticks = ticks_of_received(board, MessageId.SETPOINT)[began:]
     assert max(later - sooner for sooner, later in itertools.pairwise(ticks)) <= 120
     session.keep_alive(None)
     session.wait(0.1)
-    before = len(heard(board, MessageId.SETPOINT))
+    before = len(ticks_of_received(board, MessageId.SETPOINT))
     session.wait(1.0)
-    assert len(heard(board, MessageId.SETPOINT)) == before
+    assert len(ticks_of_received(board, MessageId.SETPOINT)) == before
 
 
 def test_an_ack_for_another_command_with_the_same_number_is_no_answer() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     board.lose_replies = 1
     request = session._engine.commands.ask(ArmMessage(0), session.transport.now_s(), 1.0)
     board.send(AckMessage(request.command.request, MessageId.STOP, Result.OK, 0, 0.0))

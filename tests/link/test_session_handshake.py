@@ -100,27 +100,27 @@ def test_telemetry_that_flows_already_does_not_disturb_and_is_not_counted() -> N
 
     line._to_board = answer_later
     with Session(line) as session:
-        seen: list[int] = []
-        session.subscribe_ticks(lambda ticks: seen.append(int(ticks.tick[0])))
+        received: list[int] = []
+        session.subscribe_ticks(lambda ticks: received.append(int(ticks.tick[0])))
         session.connect()
         session.wait(1.0)
         counters = session.counters
-    assert seen[0] > session.welcome.tick - BATCH_TICKS
+    assert received[0] > session.welcome.tick - BATCH_TICKS
     assert (counters.frames_bad, counters.frames_lost, counters.ticks_lost) == (0, 0, 0)
     assert counters.ticks_received >= 1000
 
 
 @pytest.mark.medium
 def test_the_same_lockstep_session_twice_sends_the_same_bytes() -> None:
-    heard = []
+    received = []
     for _ in range(2):
         board = FakeBoard()
         with Session(FakeLine(board)) as session:
             session.connect()
             session.wait(2.0)
-        heard.append(board.heard)
-    assert heard[0] == heard[1]
-    assert len(heard[0]) > 5
+        received.append(board.heard)
+    assert received[0] == received[1]
+    assert len(received[0]) > 5
 
 
 def _rubbish_until(board: FakeBoard, tick: int) -> Callable[[bytes], bytes]:

@@ -223,10 +223,10 @@ def test_voltages_outside_the_boards_limits_are_not_sent() -> None:
         heli.voltages(11.0, 3.0)
     heli.voltages(2.0, 3.0, valid_s=0.02)
     heli.wait(0.01)
-    sent = [
+    sent_values = [
         VoltagesMessage.unpack(frame.payload) for _, frame in board.heard if frame.id == MessageId.VOLTAGES
     ]
-    assert sent == [VoltagesMessage(2.0, 3.0, 20)]
+    assert sent_values == [VoltagesMessage(2.0, 3.0, 20)]
 
 
 def test_excitations_go_by_name_and_a_wrong_name_lists_the_right_ones() -> None:
@@ -323,18 +323,18 @@ def test_a_control_law_runs_on_device_time_and_hands_over_to_the_board_afterward
     board = FakeBoard()
     heli = connected(board)
     heli.arm()
-    seen: list[int] = []
+    received: list[int] = []
 
     def law(sample: Sample) -> tuple[float, float]:
-        seen.append(sample.tick)
+        received.append(sample.tick)
         return 1.0, 99.0
 
     report = heli.run_controller(law, rate_Hz=50.0, duration_s=2.0)
-    assert report.calls == len(seen) == 100
+    assert report.calls == len(received) == 100
     assert report.misses == 0
     assert report.clipped == 100
     assert report.rate_Hz == pytest.approx(50.0)
-    assert (np.diff(seen) == 20).all()
+    assert (np.diff(received) == 20).all()
     assert board.state is State.CLOSED_LOOP
     assert board.params[Param.TELEMETRY_BATCH_TICKS] == PARAMS[Param.TELEMETRY_BATCH_TICKS].default
     assert "100 calls at 50.0 Hz" in str(report)

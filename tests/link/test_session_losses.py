@@ -21,9 +21,9 @@ pytestmark = pytest.mark.medium
 
 
 def collected(session: Session) -> list[Ticks]:
-    seen: list[Ticks] = []
-    session.subscribe_ticks(seen.append)
-    return seen
+    received: list[Ticks] = []
+    session.subscribe_ticks(received.append)
+    return received
 
 
 def assert_true(seen: list[Ticks]) -> None:

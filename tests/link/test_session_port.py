@@ -134,27 +134,27 @@ def test_reading_collects_bytes_and_times_out_empty() -> None:
 @pytest.mark.medium
 @posix
 def test_a_session_over_a_terminal_delivers_true_ticks_and_answers_commands(rig: PtyBoard) -> None:
-    seen: list[Ticks] = []
+    received: list[Ticks] = []
     with open_session(rig) as session:
-        session.subscribe_ticks(seen.append)
+        session.subscribe_ticks(received.append)
         for index in range(10):
             session.command(ParamSetMessage(0, Param.HOVER_V, index / 8))
         session.wait(0.5)
         counters = session.counters
     assert len(rig.board.executed) == 10
-    for ticks in seen:
+    for ticks in received:
         for tick, raw in zip(ticks.tick.tolist(), ticks.raw.tolist(), strict=True):
             assert raw == truth(tick)
-    assert sum(map(len, seen)) >= 500
+    assert sum(map(len, received)) >= 500
     assert (counters.frames_bad, counters.ticks_lost) == (0, 0)
 
 
 @pytest.mark.medium
 @posix
 def test_unplugged_and_plugged_in_again_the_session_goes_on_by_itself(rig: PtyBoard) -> None:
-    seen: list[Ticks] = []
+    received: list[Ticks] = []
     with open_session(rig, reconnect_timeout_s=60.0) as session:
-        session.subscribe_ticks(seen.append)
+        session.subscribe_ticks(received.append)
         session.wait(0.2)
         rig.unplug()
         assert session.wait_for(lambda: not session.connected, 30.0)
@@ -167,7 +167,10 @@ def test_unplugged_and_plugged_in_again_the_session_goes_on_by_itself(rig: PtyBo
         counters = session.counters
     assert counters.reconnects == 1
     assert counters.ticks_lost > 0
-    assert sum(map(len, seen)) + counters.ticks_lost >= int(seen[-1].tick[-1]) - int(seen[0].tick[0]) + 1
+    assert (
+        sum(map(len, received)) + counters.ticks_lost
+        >= int(received[-1].tick[-1]) - int(received[0].tick[0]) + 1
+    )
 
 
 @posix

@@ -16,23 +16,23 @@ from heli_host.declaration import (
 )
 from heli_host.errors import LinkError
 
-from tests.link.fake_board import FakeBoard, heard, opened
+from tests.link.fake_board import FakeBoard, connected_session, ticks_of_received
 
 
 def test_stop_returns_before_its_answer_and_is_repeated_until_it_comes() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     session.command(ArmMessage(0))
     board.lose_replies = 2
     session.stop_now()
     session.wait(1.0)
-    assert len(heard(board, MessageId.STOP)) == 3
+    assert len(ticks_of_received(board, MessageId.STOP)) == 3
     assert board.state == State.IDLE
 
 
 def test_stop_goes_out_while_another_command_waits_for_an_answer_that_does_not_come() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     session.command(ArmMessage(0))
     board.lose_replies = 10_000
     ended: list[LinkError] = []
@@ -44,7 +44,7 @@ def test_stop_goes_out_while_another_command_waits_for_an_answer_that_does_not_c
 
     # The first try of the parameter is heard while `set_parameter` waits; the stop comes from its callback.
     def stop_when_heard(_: object) -> None:
-        if heard(board, MessageId.PARAM_SET) and not heard(board, MessageId.STOP):
+        if ticks_of_received(board, MessageId.PARAM_SET) and not ticks_of_received(board, MessageId.STOP):
             session.stop_now()
             board.lose_replies = 0
 
@@ -52,18 +52,18 @@ def test_stop_goes_out_while_another_command_waits_for_an_answer_that_does_not_c
     set_parameter()
     session.wait(0.2)
     assert ended
-    assert heard(board, MessageId.STOP)
+    assert ticks_of_received(board, MessageId.STOP)
     assert board.state == State.IDLE
 
 
 def test_nothing_that_starts_motors_is_sent_after_a_stop_until_it_is_released() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     session.stop_now()
     for command in (ArmMessage(0), ControlMessage(0, 7, 0.0, 0.0)):
         with pytest.raises(LinkError, match="a stop cancelled this command"):
             session.command(command)
-    assert not heard(board, MessageId.ARM)
+    assert not ticks_of_received(board, MessageId.ARM)
     assert session.command(ParamSetMessage(0, Param.HOVER_V, 2.0)).value == 2.0
     assert session.release_stop(session.stops)
     session.command(ArmMessage(0))
@@ -72,7 +72,7 @@ def test_nothing_that_starts_motors_is_sent_after_a_stop_until_it_is_released() 
 
 def test_a_wish_from_before_the_stop_releases_nothing() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     stops = session.stops
     session.stop_now()
     assert not session.release_stop(stops)
@@ -82,34 +82,34 @@ def test_a_wish_from_before_the_stop_releases_nothing() -> None:
 
 def test_what_follows_a_stop_does_not_take_its_place_before_it_is_answered() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     board.lose_replies = 2
     session.stop_now()
     session.command(ParamSetMessage(0, Param.HOVER_V, 2.0))
-    stops, sets = heard(board, MessageId.STOP), heard(board, MessageId.PARAM_SET)
+    stops, sets = ticks_of_received(board, MessageId.STOP), ticks_of_received(board, MessageId.PARAM_SET)
     assert len(stops) == 3
     assert min(sets) > max(stops)
 
 
 def test_a_stop_forgets_the_setpoint_that_was_kept_alive() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     session.command(ArmMessage(0))
     session.command(ControlMessage(0, 7, 0.0, 0.0))
     session.keep_alive(SetpointMessage(0, 0.1, 0.0, 0.0))
     session.wait(1.0)
-    assert heard(board, MessageId.SETPOINT)
+    assert ticks_of_received(board, MessageId.SETPOINT)
     session.stop_now()
     session.wait(0.1)
     board.state = State.CLOSED_LOOP
     board.heard.clear()
     session.wait(1.0)
-    assert not heard(board, MessageId.SETPOINT)
+    assert not ticks_of_received(board, MessageId.SETPOINT)
 
 
 def test_no_setpoint_is_sent_while_none_is_permitted_and_it_goes_on_after() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     session.command(ArmMessage(0))
     session.command(ControlMessage(0, 7, 0.0, 0.0))
     session.keep_alive(SetpointMessage(0, 0.1, 0.0, 0.0))
@@ -121,15 +121,15 @@ def test_no_setpoint_is_sent_while_none_is_permitted_and_it_goes_on_after() -> N
     for _ in range(5):
         session.stream(SetpointMessage(0, 0.2, 0.0, 0.0))
         session.wait(0.2)
-    assert not heard(board, MessageId.SETPOINT)
+    assert not ticks_of_received(board, MessageId.SETPOINT)
     permitted[0] = True
     session.wait(0.5)
-    assert len(heard(board, MessageId.SETPOINT)) >= 4
+    assert len(ticks_of_received(board, MessageId.SETPOINT)) >= 4
 
 
 def test_many_threads_may_stop_at_once() -> None:
     board = FakeBoard()
-    session = opened(board)
+    session = connected_session(board)
     session.command(ArmMessage(0))
     threads = [threading.Thread(target=session.stop_now) for _ in range(8)]
     for thread in threads:

@@ -65,9 +65,9 @@ def fuzz_log(seed: int, count: int) -> Counter[str]:
         warnings.simplefilter("error")
         path = Path(folder) / "made.mcap"
         write_made_log(path, n=600)
-        whole = path.read_bytes()
+        complete = path.read_bytes()
         for _ in range(count):
-            path.write_bytes(damaged(whole, chance))
+            path.write_bytes(damaged(complete, chance))
             try:
                 summarise(read_log(path))
             except HeliError:

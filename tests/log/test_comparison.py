@@ -155,15 +155,15 @@ def test_an_axis_that_a_law_does_not_lead_has_no_error() -> None:
     flight = second_order()
     assert flight.state is not None
     law = np.where(flight.t_s > 10.0, Flags.LAW, 0).astype(np.uint8)
-    untold = replace(flight, flags=law, pitch_rad=flight.pitch_rad + 0.1)
-    led = np.where(law > 0, untold.pitch_rad, 0.0)
-    both = responses(replace(untold, pitch_setpoint_rad=led))
+    flight_of_law = replace(flight, flags=law, pitch_rad=flight.pitch_rad + 0.1)
+    commanded = np.where(law > 0, flight_of_law.pitch_rad, 0.0)
+    all_responses = responses(replace(flight_of_law, pitch_setpoint_rad=commanded))
     # Over the rows in which the board led it alone: no merit for the law.
-    assert both[1].rms_deg == pytest.approx(math.degrees(0.1))
-    alone = of_its_law(replace(untold, pitch_setpoint_rad=led))
-    assert alone.t_s[0] > 10.0
-    assert math.isnan(responses(alone)[1].rms_deg)
-    assert responses(alone)[0].rms_deg == pytest.approx(math.degrees(0.01))
+    assert all_responses[1].rms_deg == pytest.approx(math.degrees(0.1))
+    rows_of_law = of_its_law(replace(flight_of_law, pitch_setpoint_rad=commanded))
+    assert rows_of_law.t_s[0] > 10.0
+    assert math.isnan(responses(rows_of_law)[1].rms_deg)
+    assert responses(rows_of_law)[0].rms_deg == pytest.approx(math.degrees(0.01))
 
 
 def test_step_that_does_not_settle_has_no_settling_time() -> None:
@@ -175,10 +175,10 @@ def test_step_that_does_not_settle_has_no_settling_time() -> None:
 def test_flights_are_laid_over_each_other_with_their_metrics(terminal: Terminal) -> None:
     for name in ("a", "b"):
         write_csv(second_order(state=False), f"{name}.csv")
-    ended = terminal("plot", "a.csv", "b.csv", "--figure", "both.png")
-    assert ended.code == 0, ended
+    result = terminal("plot", "a.csv", "b.csv", "--figure", "both.png")
+    assert result.code == 0, result
     assert Path("both.png").read_bytes().startswith(b"\x89PNG")
-    head, *rows = ended.out.splitlines()
+    head, *rows = result.out.splitlines()
     assert head.split()[:2] == ["flight", "axis"]
     assert [row.split()[0] for row in rows if row[0] != " "] == ["a.csv", "b.csv", "files:"]
     numbers = json.loads(terminal("plot", "a.csv", "b.csv", "--json", "-").out)

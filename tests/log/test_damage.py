@@ -53,8 +53,8 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     path = tmp_path_factory.mktemp("damage") / "a.mcap"
     write_made_log(path, TICKS)
     log = read_log(path)
-    whole = Written(path, path.read_bytes(), 0, log, log.flight().angles_rad)
-    return Written(path, whole.closed, whole.chunk_starts[0], log, whole.angles_rad)
+    complete = Written(path, path.read_bytes(), 0, log, log.flight().angles_rad)
+    return Written(path, complete.closed, complete.chunk_starts[0], log, complete.angles_rad)
 
 
 def _read(written: Written, data: bytes) -> Log:

@@ -146,9 +146,9 @@ def test_the_time_that_the_disk_blocked_is_reported(tmp_path: Path, monkeypatch:
     write_all(writer, *make_samples(6000))
     writer.close()
     log = read_log(tmp_path / "a.mcap")
-    told = [event["message"] for event in log.events if event["name"] == "disk_blocked"]
-    assert told == ["the disk blocked for 2.5 s", "the disk blocked for 41.0 s"]
-    assert set(told) <= set(summarise(log).notes)
+    reported = [event["message"] for event in log.events if event["name"] == "disk_blocked"]
+    assert reported == ["the disk blocked for 2.5 s", "the disk blocked for 41.0 s"]
+    assert set(reported) <= set(summarise(log).notes)
 
 
 def test_the_disk_is_made_to_keep_the_log_every_second_or_two_and_its_name_once(

@@ -166,8 +166,8 @@ def test_cut_at_any_byte_a_log_gives_its_whole_chunks_and_never_a_wrong_tick(tmp
             assert "\n" not in str(error)
             assert length < 6000, "the head was there to say what it is"
             continue
-        whole = sum(length >= end for end in ends)
-        assert len(log.ticks) == min(3300, whole * CHUNK_TICKS)
+        complete_count = sum(length >= end for end in ends)
+        assert len(log.ticks) == min(3300, complete_count * CHUNK_TICKS)
         np.testing.assert_array_equal(log.raw, raw[: len(log.ticks)])
         np.testing.assert_array_equal(log.ticks["tick"], tick[: len(log.ticks)])
         assert log.complete or log.notes
@@ -187,11 +187,11 @@ def test_a_damaged_log_raises_nothing_but_log_errors(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "damaged.mcap"
-    whole = path.with_name("sound.mcap")
-    if not whole.exists():
-        write_made_log(whole, 2200)
+    complete = path.with_name("sound.mcap")
+    if not complete.exists():
+        write_made_log(complete, 2200)
     _, raw = make_samples(2200)
-    content = bytearray(whole.read_bytes())
+    content = bytearray(complete.read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
         position = data.draw(st.integers(0, len(content) - 1))
         content[position] ^= data.draw(st.integers(1, 255))

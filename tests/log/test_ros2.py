@@ -118,9 +118,9 @@ def test_mcap_core_and_foxgloves_parser_read_every_number(bag: Path, flight: Fli
         pytest.skip("skipped: no @mcap/core; .ci/setup test installs it where there is npm")
     script = NPM / "read.cjs"
     script.write_text(READ_BY_NODE)
-    done = subprocess.run(["node", str(script), str(bag)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
-    messages = json.loads(done.stdout)
+    process = subprocess.run(["node", str(script), str(bag)], capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr[-2000:]
+    messages = json.loads(process.stdout)
     assert messages["profile"] == "ros2"
     for name, column in flight.columns().items():
         field = re.sub("_V$", "_volt", name)

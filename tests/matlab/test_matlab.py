@@ -33,7 +33,7 @@ def octave() -> str:
 
 
 def run(script: str, cwd: Path, **environment: str) -> str:
-    done = subprocess.run(
+    process = subprocess.run(
         [octave(), "--quiet", "--norc", "--path", str(CLASS), str(HERE / script)],
         cwd=cwd,
         env={**os.environ, **environment},
@@ -41,10 +41,10 @@ def run(script: str, cwd: Path, **environment: str) -> str:
         text=True,
         check=False,
     )
-    if "package_name='instrument-control'" in done.stderr or "instrument-control" in done.stderr:
+    if "package_name='instrument-control'" in process.stderr or "instrument-control" in process.stderr:
         pytest.skip("skipped: no instrument-control in Octave (apt-get install octave-instrument-control)")
-    assert done.returncode == 0, done.stderr[-2000:]
-    return done.stdout
+    assert process.returncode == 0, process.stderr[-2000:]
+    return process.stdout
 
 
 @pytest.mark.medium

@@ -49,7 +49,7 @@ class Found:
     normalised: float
 
 
-def find(kind: EffectSpec, seed: int = 7) -> Found:
+def fly_and_identify(kind: EffectSpec, seed: int = 7) -> Found:
     """Fly an effect and identify it."""
     true = kind.make(kind.typical)
     rig = load_rig("makki2024")
@@ -94,7 +94,7 @@ def main(ids: list[str]) -> None:
     for kind in catalogue().values():
         shown = not kind.baseline and not kind.id.startswith(BY_CHANCE) and kind.id != HIDDEN
         if kind.id in ids or (shown and not ids):
-            found = find(kind)
+            found = fly_and_identify(kind)
             print(f"{kind.id}: residual {found.normalised:.3f}", end="")
             for name, off in found.off.items():
                 print(f"; {name} {found.values[name]:.5g} +- {found.std[name]:.2g} ({off:+.1f} std)", end="")

@@ -18,7 +18,7 @@ from heli_lab.twin import changes
 from heli_sim.errors import EffectError, RigError
 from heli_sim.model import MultibodyModel, effects
 from heli_sim.model.effects import catalogue, effect_numbers, parse_effects
-from heli_sim.model.effects.catalogue import _built_in
+from heli_sim.model.effects.catalogue import _built_in_effects
 from heli_sim.model.effects.spec import format_estimate
 from heli_sim.model.effects.table import with_table
 from heli_sim.plant import Plant
@@ -151,11 +151,11 @@ def in_the_folder(folder: Path, text: str) -> Iterator[None]:
     before = list(effects.__path__)
     try:
         effects.__path__ = [*before, str(folder)]
-        _built_in.cache_clear()
+        _built_in_effects.cache_clear()
         yield
     finally:
         effects.__path__ = before
-        _built_in.cache_clear()
+        _built_in_effects.cache_clear()
         sys.modules.pop("heli_sim.model.effects.window_draught", None)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from heli_sim.model.effects import catalogue
 
-from tests.model.flown import find
+from tests.model.flown import fly_and_identify
 from tests.running.long import samples
 
 pytestmark = pytest.mark.slow
@@ -19,6 +19,6 @@ SHARE = (
 
 @pytest.mark.parametrize("id", SHARE[: samples(len(SHARE), 3)])
 def test_a_flown_effect_is_found_within_three_standard_errors(id: str) -> None:
-    found = find(catalogue()[id])
+    found = fly_and_identify(catalogue()[id])
     assert max(abs(off) for off in found.off.values()) < 3.0
     assert found.normalised < 1.05

@@ -33,14 +33,14 @@ def voltages_V() -> Floats:
     return np.column_stack((1.75 + 0.2 * np.sin(3 * t + 0.3), 1.74 + 0.2 * np.sin(2.3 * t)))
 
 
-def start() -> Floats:
+def initial_state() -> Floats:
     return np.array([-0.05, 0.1, 0.2, 0.1, 0.0, 0.4])
 
 
-def ours(effect: str) -> Floats:
+def simulate_with_casadi(effect: str) -> Floats:
     plant = Plant(MultibodyModel(parse_effects([effect])), RIG)
     state = plant.rest_state()
-    state[:6] = start()
+    state[:6] = initial_state()
     step = plant.function.mapaccum(TICKS)
     after, _ = step(state, voltages_V().T, np.zeros(3), plant.parameters)
     return np.asarray(after).T[:, :3]
@@ -58,7 +58,7 @@ def theirs(
     model = mujoco_rig(RIG)
     data = mujoco.MjData(model)
     address = [model.joint(name).qposadr[0] for name in JOINTS]
-    data.qpos[address], data.qvel[address] = start()[:3], start()[3:]
+    data.qpos[address], data.qvel[address] = initial_state()[:3], initial_state()[3:]
     static_N = RIG["thrust_gain"].value * (voltages_V() - RIG["dead_zone"].value)
     tick = 0
 
@@ -105,13 +105,13 @@ def climb_m_s(model: Any, data: Any) -> Floats:
 
 
 def agree(effect: str, witness: Floats, within_rad: float = 1e-6) -> None:
-    mine = ours(effect)
+    mine = simulate_with_casadi(effect)
     assert np.abs(mine - theirs()).max() > 1e-3, "the effect does nothing here"
     np.testing.assert_allclose(mine, witness, atol=within_rad)
 
 
 def test_without_effects_both_fly_alike() -> None:
-    np.testing.assert_allclose(ours("thrust_asymmetry=0"), theirs(), atol=1e-6)
+    np.testing.assert_allclose(simulate_with_casadi("thrust_asymmetry=0"), theirs(), atol=1e-6)
 
 
 def test_asymmetry_is_one_rotor_stronger_and_one_weaker() -> None:
@@ -259,7 +259,7 @@ def test_dry_friction_is_mujocos_friction_loss(axis: str) -> None:
 
     # MuJoCo's friction gives way a little like a spring where it should hold.
     witness = theirs(change)
-    error_rad = np.abs(ours(f"coulomb_friction.{axis}=0.02") - witness).max()
+    error_rad = np.abs(simulate_with_casadi(f"coulomb_friction.{axis}=0.02") - witness).max()
     assert error_rad < 0.003 * np.abs(theirs() - witness).max()
 
 

@@ -45,16 +45,16 @@ def main(words: list[str] | None = None) -> int:
 
 def _run(chosen: list[Mutant]) -> list[Result]:
     session.preload()
-    found: list[Result] = []
+    matches: list[Result] = []
     core = [mutant for mutant in chosen if mutant.file.startswith(bench_core.FOLDER)]
     if core:
         sources_digest, tests_digest = digest(*bench_core.SOURCES), digest(*bench_core.test_files())
-        found += _run_on(bench_core.CoreBench(BUILD / "work" / "core"), core, sources_digest, tests_digest)
+        matches += _run_on(bench_core.CoreBench(BUILD / "work" / "core"), core, sources_digest, tests_digest)
     due = [mutant for mutant in chosen if mutant.file.startswith(bench_due.FOLDER)]
     if due:
         sources_digest, tests_digest = digest(*bench_due.SOURCES), digest(*bench_due.ROOMS)
-        found += _run_on(bench_due.DueBench(BUILD / "work" / "due"), due, sources_digest, tests_digest)
-    return found
+        matches += _run_on(bench_due.DueBench(BUILD / "work" / "due"), due, sources_digest, tests_digest)
+    return matches
 
 
 def _run_on(
@@ -66,11 +66,11 @@ def _run_on(
     print("looking which test reaches which line; after a change of sources this takes minutes", flush=True)
     results = Results(BUILD / "results.jsonl")
     runner = Runner(bench, bench.reach(), read_declarations(), results, sources_digest, tests_digest)
-    found = []
+    matches = []
     for number, result in enumerate(runner.run(mutants), 1):
         print(f"{number}/{len(mutants)} {result.outcome} {result.text}  ({result.by[-70:]})", flush=True)
-        found.append(result)
-    return found
+        matches.append(result)
+    return matches
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -67,11 +67,11 @@ class CoreBench:
         """A build that notes every block that it enters."""
         recorder = self._work / "recorder.o"
         source = Path(__file__).with_name("recorder.cpp")
-        done = subprocess.run(
+        process = subprocess.run(
             ["c++", "-O2", "-fPIC", "-c", source, "-o", recorder], capture_output=True, text=True, check=False
         )
-        if done.returncode != 0:
-            raise BuildError(done.stderr)
+        if process.returncode != 0:
+            raise BuildError(process.stderr)
         objects = self._native.compile(self._native.recompiled(), "covered", _COVERED)
         return self._native.link(objects, recorder)
 

@@ -172,6 +172,6 @@ def _look(elf: Path, addresses: list[int]) -> dict[str, Any]:
 
 
 def _run(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise BuildError(done.stderr.strip() or done.stdout.strip())
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    if process.returncode != 0:
+        raise BuildError(process.stderr.strip() or process.stdout.strip())

@@ -169,14 +169,14 @@ class _Source:
         start, end, kind, after = change
         line, column = self._lines.at(start)
         index = next(i for i, token in enumerate(self._tokens) if token.end > start)
-        whole = self._lines.text(line)
+        line_text = self._lines.text(line)
         return Mutant(
             file=self._file,
             line=line,
             last_line=max(line, self._lines.at(self._tokens[self._end[index]].start)[0]),
-            source_line=whole.strip(),
+            source_line=line_text.strip(),
             occurrence=occurrence[line],
-            column=column - (len(whole) - len(whole.lstrip())),
+            column=column - (len(line_text) - len(line_text.lstrip())),
             kind=kind,
             before=self._text[start:end],
             after=after,
@@ -377,11 +377,13 @@ def _other_numbers(text: str) -> list[str]:
         changed = [0.0, value + 1.0, 2.0 * value, 0.5 * value, 10.0 * value]
         others = [repr(number) + suffix for number in dict.fromkeys(changed) if number != value]
         return [other if "." in other or "e" in other else other + ".0" for other in others]
-    whole = (
+    complete = (
         int(digits, 0) if digits[:1] != "0" or len(digits) < 2 or digits[1:2] in "xXbB" else int(digits, 8)
     )
     written = hex if digits[:2].lower() == "0x" else str
-    changed_to = dict.fromkeys([0, whole + 1, 2 * whole, (whole + 1) // 2, 10 * whole])
+    changed_to = dict.fromkeys([0, complete + 1, 2 * complete, (complete + 1) // 2, 10 * complete])
     return [
-        written(number) + suffix.replace("f", "").replace("F", "") for number in changed_to if number != whole
+        written(number) + suffix.replace("f", "").replace("F", "")
+        for number in changed_to
+        if number != complete
     ]

@@ -143,8 +143,8 @@ def _built_base() -> Path:
     newest = max(path.stat().st_mtime for room in _ROOMS for path in (ROOT / room).rglob("*.[ch]pp"))
     for installed in sorted((ROOT / "build").glob("cp*")):
         libraries = [installed / name for name in _LIBRARIES]
-        whole = all(path.exists() for path in (*libraries, installed / "compile_commands.json"))
-        if whole and libraries[1].stat().st_mtime > newest and list(installed.glob("tests/native/**/*.o")):
+        complete = all(path.exists() for path in (*libraries, installed / "compile_commands.json"))
+        if complete and libraries[1].stat().st_mtime > newest and list(installed.glob("tests/native/**/*.o")):
             return installed
     base = BUILD / "native"
     base.mkdir(parents=True, exist_ok=True)
@@ -172,6 +172,6 @@ def _compiler() -> list[str]:
 
 
 def _run(command: list[str], cwd: Path = ROOT) -> None:
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise BuildError(done.stderr.strip() or done.stdout.strip())
+    process = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+    if process.returncode != 0:
+        raise BuildError(process.stderr.strip() or process.stdout.strip())

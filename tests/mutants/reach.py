@@ -78,7 +78,7 @@ class Reach:
         names = {name for pair in declared for name in pair if name} - seen
         if not names or len(seen) > _MAX_NAMES:
             return None
-        found: list[frozenset[str]] = []
+        matches: list[frozenset[str]] = []
         for name in names:
             for other, line in self._mentioning(name):
                 part = (
@@ -87,8 +87,8 @@ class Reach:
                     else None
                 )
                 if part is not None:
-                    found.append(part)
-        return frozenset().union(*found) if found else None
+                    matches.append(part)
+        return frozenset().union(*matches) if matches else None
 
     def _mentioning(self, name: str) -> list[tuple[str, int]]:
         if not self._mentions:

@@ -202,8 +202,8 @@ def test_some_mutants_that_were_killed_once_are_killed_again() -> None:
         "--seed",
         digest("firmware/core"),
     ]
-    done = subprocess.run(
+    process = subprocess.run(
         command, cwd=ROOT, capture_output=True, text=True, check=False, env={**os.environ, "HELI_LONG": ""}
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert len(done.stdout.splitlines()) == ROTATING
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert len(process.stdout.splitlines()) == ROTATING

@@ -55,14 +55,16 @@ def hostile_request(chance: random.Random, harmless: bool = False) -> dict[str, 
     return {**arguments, **more, "do": name}
 
 
-def asked(address: Address, path: str, headers: list[tuple[str, str]], method: str = "GET") -> int:
+def status_of_request(
+    address: Address, path: str, headers: list[tuple[str, str]], method: str = "GET"
+) -> int:
     """Status that the server answers with; 0 where it closes the connection without one."""
     lines = [f"{method} {path} HTTP/1.1", *(f"{name}: {value}" for name, value in headers), "", ""]
     with socket.create_connection((address.host, address.port), timeout=PATIENCE_S) as connection:
         connection.sendall("\r\n".join(lines).encode("latin-1", "replace"))
         connection.shutdown(socket.SHUT_WR)
-        heard = connection.recv(100)
-    return int(heard.split()[1]) if heard else 0
+        received = connection.recv(100)
+    return int(received.split()[1]) if received else 0
 
 
 UPGRADE: Final = [
@@ -115,7 +117,7 @@ def hostile_http(chance: random.Random, address: Address) -> str:
     if path == "stop" and is_known and headers == [("Host", good)]:
         # The stop itself is for everybody who has the token.
         return ""
-    status = asked(address, f"/{path}{token}", headers + (UPGRADE if upgrade else []), method)
+    status = status_of_request(address, f"/{path}{token}", headers + (UPGRADE if upgrade else []), method)
     request = f"{method} /{path[:40]} {headers}"
     if status >= 500:
         return f"{request} is answered with {status}"

@@ -99,8 +99,11 @@ class SocketPage:
         return str(self.stop_socket.recv(PATIENCE_S))
 
     def events(self, kind: str) -> list[str]:
-        told = [*self.known["hello"]["events"], *(one["event"] for one in list(self.words) if "event" in one)]
-        return [one["text"] for one in told if one["kind"] == kind]
+        reported = [
+            *self.known["hello"]["events"],
+            *(one["event"] for one in list(self.words) if "event" in one),
+        ]
+        return [one["text"] for one in reported if one["kind"] == kind]
 
     def _read(self) -> None:
         with contextlib.suppress(WebSocketException, OSError):

@@ -193,15 +193,15 @@ def test_a_status_that_waited_while_the_page_was_suspended_is_not_shown(
 ) -> None:
     page = window.open(served.address.page)
     expect(page.locator("#state")).to_have_text("idle")
-    stamped = service._stamped
+    stamped = service._with_time
 
     def old(status: Mapping[str, Any]) -> dict[str, Any]:
         return {**status, "state": int(State.CLOSED_LOOP), "sent_s": time.monotonic() - 5.0}
 
-    monkeypatch.setattr(service, "_stamped", old)
+    monkeypatch.setattr(service, "_with_time", old)
     expect(page.locator("#alarm")).to_contain_text("no longer sends its status")
     expect(page.locator("#state")).to_have_text("idle")
-    monkeypatch.setattr(service, "_stamped", stamped)
+    monkeypatch.setattr(service, "_with_time", stamped)
     expect(page.locator("#alarm")).to_be_hidden()
 
 

@@ -24,7 +24,7 @@ pytest.importorskip("starlette", reason="the extra 'page' is not installed: make
 from heli_host.log.reader import read_log
 from heli_host.page.client import PageError
 
-from tests.page.hostile_requests import ARGUMENTS, FAR, UPGRADE, asked
+from tests.page.hostile_requests import ARGUMENTS, FAR, UPGRADE, status_of_request
 from tests.page.laws import steady
 from tests.page.log_lines import log_lines, traces
 from tests.page.page_server import SHORT_PLAN, Served, page_of_a_simulated_board
@@ -218,17 +218,19 @@ def test_what_was_an_internal_error_is_refused_in_one_line(replayed: Address) ->
     page, token = f"/?token={replayed.token}", replayed.token
     with log_lines() as lines:
         # Without the token nothing else is looked at.
-        assert asked(replayed, "/", [("Host", "[")]) == 403
-        assert asked(replayed, "/stop?token=no", [("Host", "[")], "POST") == 403
+        assert status_of_request(replayed, "/", [("Host", "[")]) == 403
+        assert status_of_request(replayed, "/stop?token=no", [("Host", "[")], "POST") == 403
         assert not lines
-        assert asked(replayed, page, [("Host", "[")]) == 400
-        assert asked(replayed, "/main.js", [("Host", "[")]) == 400
-        assert asked(replayed, page, [host, ("Origin", "http://[")]) == 403
-        assert asked(replayed, f"/stop?token={token}", [host, ("Origin", "http://[")], "POST") == 403
-        assert asked(replayed, f"/ws?token={token}", [("Host", "["), *UPGRADE]) == 403
-        assert asked(replayed, f"/{'x' * 9000}.js", [host]) == 414
-        assert asked(replayed, f"/{'x' * 150}/{'%00' * 10}.js", [host]) == 404
-        assert asked(replayed, page, [host]) == 200
+        assert status_of_request(replayed, page, [("Host", "[")]) == 400
+        assert status_of_request(replayed, "/main.js", [("Host", "[")]) == 400
+        assert status_of_request(replayed, page, [host, ("Origin", "http://[")]) == 403
+        assert (
+            status_of_request(replayed, f"/stop?token={token}", [host, ("Origin", "http://[")], "POST") == 403
+        )
+        assert status_of_request(replayed, f"/ws?token={token}", [("Host", "["), *UPGRADE]) == 403
+        assert status_of_request(replayed, f"/{'x' * 9000}.js", [host]) == 414
+        assert status_of_request(replayed, f"/{'x' * 150}/{'%00' * 10}.js", [host]) == 404
+        assert status_of_request(replayed, page, [host]) == 200
     assert lines == [
         "page: a request of 127.0.0.1 is refused: its Host header is '['",
         "page: a request of 127.0.0.1 is refused: its Origin header is 'http://['",
@@ -270,7 +272,7 @@ def test_no_request_of_anybody_is_an_internal_error(
     headers = [("Host", good if host is None else host)]
     headers += [("Origin", origin)] if origin is not None else []
     with log_lines() as lines:
-        status = asked(
+        status = status_of_request(
             replayed,
             f"/{path}{token.format(replayed.token)}",
             headers + (UPGRADE if upgrade else []),

@@ -37,7 +37,7 @@ def without_start(log: Log) -> Log:
     return replace(log, metadata={**log.metadata, "session": session})
 
 
-def played(replay: Replay, ticks: int) -> None:
+def advance(replay: Replay, ticks: int) -> None:
     replay._advance(ticks)
 
 
@@ -45,7 +45,7 @@ def test_what_is_played_is_what_the_log_holds(log: Log) -> None:
     replay = Replay(log, {})
     position, tick, raw = 0, [], []
     while replay.status()["playing"]:
-        played(replay, 333)
+        advance(replay, 333)
         cut = replay.buffer.rows_since(position, 10_000)
         position = cut.end
         tick.append(cut.tick)
@@ -56,22 +56,22 @@ def test_what_is_played_is_what_the_log_holds(log: Log) -> None:
 
 def test_it_goes_on_from_where_it_was_put_and_shows_what_was_before(log: Log) -> None:
     replay = Replay(log, {})
-    played(replay, 10)
+    advance(replay, 10)
     replay.actions["seek"].run({"t_s": float(log.ticks["t_s"][4000])})
     cut = replay.buffer.rows_since(10, 10_000)
     assert cut.reset
     np.testing.assert_array_equal(cut.raw, log.raw[:4000])
-    played(replay, 100)
+    advance(replay, 100)
     np.testing.assert_array_equal(replay.buffer.rows_since(cut.end, 10_000).raw, log.raw[4000:4100])
 
 
 def test_it_ends_at_the_end_and_begins_again_when_it_is_played(log: Log) -> None:
     replay = Replay(log, {})
-    played(replay, 10**7)
+    advance(replay, 10**7)
     assert not replay.status()["playing"]
     replay.actions["play"].run({"on": True, "speed": 1000.0})
     assert replay.status()["speed"] == 50.0
-    played(replay, 5)
+    advance(replay, 5)
     assert replay.status()["at_s"] < float(log.ticks["t_s"][20])
 
 

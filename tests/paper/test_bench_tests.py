@@ -55,8 +55,8 @@ def test_on_a_rig_that_obeys_30_its_coefficients_are_found_within_three_standard
 
 
 def test_a_parameter_that_the_papers_tests_cannot_show_gets_no_value(by_paper: dict[int, Table]) -> None:
-    untold = {row.name for table in by_paper.values() for row in table.rows if row.estimate is None}
-    assert untold == {"P_11", "P_1", "P_5", "P_15", "P_17", "P_18"}
+    without_estimate = {row.name for table in by_paper.values() for row in table.rows if row.estimate is None}
+    assert without_estimate == {"P_11", "P_1", "P_5", "P_15", "P_17", "P_18"}
 
 
 def test_the_short_arm_below_the_pitch_axis_makes_P_3_a_third_larger_than_16_has_it(

@@ -36,8 +36,15 @@ def build() -> Path:
 @pytest.mark.medium
 def test_a_library_that_a_power_cut_damaged_is_built_again() -> None:
     library = build()
-    whole = library.read_bytes()
-    for damaged in (b"", whole[:700], whole[: len(whole) // 2], whole[:-1], bytes(len(whole)), whole[:-2000]):
+    complete = library.read_bytes()
+    for damaged in (
+        b"",
+        complete[:700],
+        complete[: len(complete) // 2],
+        complete[:-1],
+        bytes(len(complete)),
+        complete[:-2000],
+    ):
         library.write_bytes(damaged)
         assert not is_intact(library)
         assert build() == library and is_intact(library)

@@ -35,13 +35,13 @@ def in_mujoco(rig: Rig, start: np.ndarray) -> np.ndarray:
     data = mujoco.MjData(model)
     for joint, angle in zip(JOINTS, start, strict=True):
         data.joint(joint).qpos[0] = angle
-    seen = []
+    observed = []
     for step in range(round(SECONDS / STEP_s)):
-        seen.append([data.joint(joint).qpos[0] for joint in JOINTS])
+        observed.append([data.joint(joint).qpos[0] for joint in JOINTS])
         for side, volts in zip(("front", "back"), volts_V(step * STEP_s), strict=True):
             data.actuator(side).ctrl[0] = volts
         mujoco.mj_step(model, data)
-    return np.array(seen)
+    return np.array(observed)
 
 
 def by_equations(rig: Rig, start: np.ndarray) -> np.ndarray:
@@ -83,8 +83,8 @@ def test_what_the_file_does_not_say_is_said_in_it_and_on_the_terminal(terminal: 
     lagging = replace(rig, effects={"rotor_lag": {}}, description="odd -- <name> & more")
     ET.fromstring(mjcf(lagging))
     assert "the effect rotor_lag" in mjcf(lagging)
-    told = terminal("rig", "export", "makki2024", "--format", "mjcf", "-o", "m.xml")
-    assert "air drag" in told.out
+    export_result = terminal("rig", "export", "makki2024", "--format", "mjcf", "-o", "m.xml")
+    assert "air drag" in export_result.out
     mujoco.MjModel.from_xml_path(str(Path("m.xml")))
     piped = terminal("rig", "export", "makki2024", "--format", "mjcf", "-o", "-")
     assert piped.out == Path("m.xml").read_text()

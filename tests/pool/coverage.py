@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.pool.flights import BY_FLIGHTS, FLIGHTS, off, shares_of_one
+from tests.pool.flights import BY_FLIGHTS, FLIGHTS, normalised_errors, shares_of_one
 
 RIGS = range(1, 13)
 
@@ -23,7 +23,7 @@ def main() -> None:
             flush=True,
         )
     for count in (1, FLIGHTS):
-        every = off(count, RIGS)
+        every = normalised_errors(count, RIGS)
         print(
             f"{count} flights: {np.mean(np.abs(every) < 2.0):.1%} of {len(every)} numbers within 2 standard "
             f"errors, rms {np.sqrt(np.mean(every**2)):.2f}",

@@ -88,7 +88,7 @@ def pooled(rig: int, count: int) -> Pooled:
     std = np.sqrt(np.diag(fit.covariance))
     truth = {**{name: number.value for name, number in true.items()}, "rotor_lag_s": lag_s}
     shared = [(i, item) for i, item in enumerate(parameter_vector.free) if item.record is None]
-    alone = {
+    one_flight = {
         item.name: without_prior(
             float(theta[i]), float(std[i]), ParameterEstimate(item.prior.mean, item.prior.std, item.unit)
         )
@@ -96,7 +96,7 @@ def pooled(rig: int, count: int) -> Pooled:
     }
     return Pooled(
         {item.name: float((theta[i] - truth[item.quantity]) / std[i]) for i, item in shared},
-        {name: item for name, item in alone.items() if item is not None},
+        {name: item for name, item in one_flight.items() if item is not None},
     )
 
 
@@ -108,6 +108,6 @@ def shares_of_one(name: str, rigs: Iterable[int]) -> list[float]:
     ]
 
 
-def off(count: int, rigs: Iterable[int]) -> Floats:
+def normalised_errors(count: int, rigs: Iterable[int]) -> Floats:
     """Return all estimates of each rig from `count` flights minus the true values, in standard errors."""
     return np.array([value for rig in rigs for value in pooled(rig, count).off.values()])

@@ -185,9 +185,9 @@ def _diagnosis(label: str, hypothesis: Hypothesis) -> RigDiagnosis:
     for i, item in enumerate(estimate.parameter_vector.free):
         if item.record is None:
             priors[item.name] = ParameterEstimate(item.prior.mean, item.prior.std, item.unit)
-            alone = without_prior(float(estimate.theta[i]), float(std[i]), priors[item.name])
-            if alone is not None:
-                numbers[item.name] = alone
+            from_flights = without_prior(float(estimate.theta[i]), float(std[i]), priors[item.name])
+            if from_flights is not None:
+                numbers[item.name] = from_flights
     return RigDiagnosis(label, "makki2024", "multibody", numbers, priors, {_LAG: 1.0}, ())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.pool.flights import BY_FLIGHTS, FLIGHTS, off, shares_of_one
+from tests.pool.flights import BY_FLIGHTS, FLIGHTS, normalised_errors, shares_of_one
 from tests.running.long import samples
 
 pytestmark = pytest.mark.slow
@@ -20,4 +20,4 @@ def test_the_standard_error_falls_with_the_root_of_the_number_of_flights(name: s
 
 @pytest.mark.parametrize("count", [1, FLIGHTS])
 def test_flights_hold_the_truth_within_two_standard_errors(count: int) -> None:
-    assert np.mean(np.abs(off(count, RIGS)) < 2.0) > 0.85
+    assert np.mean(np.abs(normalised_errors(count, RIGS)) < 2.0) > 0.85

@@ -55,8 +55,13 @@ def test_the_intervals_hold_the_make_and_the_next_machine() -> None:
 
 
 def test_one_machine_is_itself_and_machines_that_agree_differ_by_nothing() -> None:
-    alone = der_simonian_laird([3.0], [0.2])
-    assert (alone.mean, alone.std, alone.tau, alone.prediction) == (3.0, pytest.approx(0.2), 0.0, None)
+    one_rig = der_simonian_laird([3.0], [0.2])
+    assert (one_rig.mean, one_rig.std, one_rig.tau, one_rig.prediction) == (
+        3.0,
+        pytest.approx(0.2),
+        0.0,
+        None,
+    )
     same = der_simonian_laird([3.0, 3.0, 3.0], [0.3, 0.3, 0.3])
     assert (same.tau, same.i2) == (0.0, 0.0)
     assert same.std == pytest.approx(0.3 / math.sqrt(3.0))

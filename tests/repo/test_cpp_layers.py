@@ -33,8 +33,8 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def checked(root: Path) -> tuple[int, str]:
     command = [sys.executable, str(ROOT / ".ci" / "includes"), str(root)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout + done.stderr
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    return process.returncode, process.stdout + process.stderr
 
 
 def test_the_sources_keep_the_contract(tree: Path) -> None:

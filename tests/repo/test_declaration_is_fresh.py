@@ -63,6 +63,6 @@ def test_a_missing_generated_file_is_written_again(copy_of_tree: Path, name: str
     (copy_of_tree / name).unlink()
     assert check(copy_of_tree) == 1
     command = [sys.executable, str(ROOT / "firmware/generate.py"), "--root", str(copy_of_tree)]
-    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert told == f"{name}: written\n"
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert output == f"{name}: written\n"
     assert (copy_of_tree / name).read_text() == (ROOT / name).read_text()

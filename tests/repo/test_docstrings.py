@@ -120,12 +120,12 @@ def explained_by_type(thing: Any) -> set[str]:
     function = vars(thing).get("__init__") if inspect.isclass(thing) else thing
     names = {"None", *CONTAINERS}
     annotations = getattr(function, "__annotations__", {})
-    found = set()
+    matches = set()
     for argument, annotation in annotations.items():
         words = set(re.findall(r"[A-Za-z_]\w*", str(annotation)))
         if words - names and words - names <= OUR_CLASSES:
-            found.add(argument)
-    return found
+            matches.add(argument)
+    return matches
 
 
 def explained_by_name(thing: Any) -> set[str]:

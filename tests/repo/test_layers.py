@@ -178,7 +178,7 @@ def lint(folder: Path) -> dict[str, str]:
     packages = dict.fromkeys((sysconfig.get_path("purelib"), sysconfig.get_path("platlib")))
     path = [folder / "host", folder / "sim", folder / "sim" / "due", *packages]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path)), "COLUMNS": "200"}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-S", "-c", LINT],
         cwd=folder,
         env=environment,
@@ -186,11 +186,11 @@ def lint(folder: Path) -> dict[str, str]:
         text=True,
         check=False,
     )
-    assert "Contracts: " in done.stdout, done.stdout + done.stderr
-    _, _, report = done.stdout.partition("Broken contracts\n")
+    assert "Contracts: " in process.stdout, process.stdout + process.stderr
+    _, _, report = process.stdout.partition("Broken contracts\n")
     parts = re.split(r"^(.+)\n-{3,}$", report, flags=re.MULTILINE)
     said = dict(zip(parts[1::2], parts[2::2], strict=True))
-    assert bool(said) == bool(done.returncode)
+    assert bool(said) == bool(process.returncode)
     return said
 
 
@@ -255,13 +255,13 @@ def test_the_emulator_s_sources_include_nothing_of_the_project(
         (tmp_path / name).touch()
     (tmp_path / "sim" / "due" / "chip").mkdir(parents=True)
     (tmp_path / "sim" / "due" / "chip" / "uart.cpp").write_text(f'#include "{included}"\n')
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, ROOT / ".ci" / "includes", tmp_path], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 1
+    assert process.returncode == 1
     assert (
         f"sim/due/chip/uart.cpp: layer emulated Due may not include {included} of layer {layer}"
-        in done.stdout
+        in process.stdout
     )
 
 

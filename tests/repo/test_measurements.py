@@ -25,23 +25,23 @@ def imported(path: Path) -> Iterator[str]:
 
 def wrong_imports(root: Path) -> list[str]:
     """Imports of tests by measurements and helpers, and of anything in ``tests`` by packages."""
-    wrong = []
+    mistakes = []
     for path in sorted((root / "tests").rglob("*.py")):
         name = path.relative_to(root).as_posix()
         if not path.name.startswith(("test_", "conftest")) and name not in NAMES_ITS_TESTS:
-            wrong += [
+            mistakes += [
                 f"{name} imports {full}"
                 for full in imported(path)
                 if full.startswith("tests.") and any(part.startswith("test_") for part in full.split("."))
             ]
     for package in PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
-            wrong += [
+            mistakes += [
                 f"{path.relative_to(root).as_posix()} imports {full}"
                 for full in imported(path)
                 if full.split(".")[0] == "tests"
             ]
-    return wrong
+    return mistakes
 
 
 @pytest.mark.medium

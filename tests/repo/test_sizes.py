@@ -46,7 +46,7 @@ def judgements(source: str, tree: ast.Module) -> list[str]:
     """Return the constants of a module that are set by judgement, as their types or texts state; a text
     belongs to all constants in the lines just above it.
     """
-    found: set[str] = set()
+    matches: set[str] = set()
     above: list[ast.AnnAssign] = []
     for node in tree.body:
         above = above if above and node.lineno == (above[-1].end_lineno or 0) + 1 else []
@@ -58,8 +58,8 @@ def judgements(source: str, tree: ast.Module) -> list[str]:
         else:
             continue
         if "judgement" in text.lower():
-            found |= {ast.unparse(constant.target) for constant in named}
-    return sorted(found)
+            matches |= {ast.unparse(constant.target) for constant in named}
+    return sorted(matches)
 
 
 def test_no_class_is_longer_than_two_hundred_lines_of_code() -> None:

@@ -64,8 +64,8 @@ def test_any_table_is_numbers_or_one_error(text: str) -> None:
 
 
 def test_rig_of_options_has_what_was_stated_and_the_rest_wide(terminal: Terminal) -> None:
-    ended = terminal("rig", "new", "mine.toml", "--set", "M_w=1.6 kg", "--set", "L_b=46+-0.3 cm; ruler")
-    assert ended.code == 0, ended
+    result = terminal("rig", "new", "mine.toml", "--set", "M_w=1.6 kg", "--set", "L_b=46+-0.3 cm; ruler")
+    assert result.code == 0, result
     rig, like = load_rig("mine.toml"), load_rig("makki2024")
     assert rig.name == "mine"
     assert (rig["L_b"].value, rig["L_b"].tolerance, rig["L_b"].source) == (0.46, 0.003, "ruler")
@@ -74,7 +74,7 @@ def test_rig_of_options_has_what_was_stated_and_the_rest_wide(terminal: Terminal
     assert rig["M_h"].source == "not stated: as makki2024"
     assert rig["g"].tolerance == like["g"].tolerance
     assert rig["encoder_counts_pitch"].tolerance == 0.0
-    assert "hovers at" in ended.out
+    assert "hovers at" in result.out
 
 
 def test_table_and_options_go_together_and_options_win(terminal: Terminal) -> None:
@@ -92,9 +92,9 @@ def test_answers_are_asked_again_until_they_can_be(
 ) -> None:
     answers = ["360 lb", "360 g", *([""] * 18)]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(answers) + "\n"))
-    ended = terminal("rig", "new", "mine.toml")
-    assert ended.code == 0, ended
-    assert "give it in kg or g" in ended.out
+    result = terminal("rig", "new", "mine.toml")
+    assert result.code == 0, result
+    assert "give it in kg or g" in result.out
     assert load_rig("mine.toml")["M_f"].value == pytest.approx(0.36)
     assert load_rig("mine.toml")["M_b"].source == "not stated: as makki2024"
 

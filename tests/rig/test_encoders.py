@@ -109,8 +109,8 @@ def test_a_new_rig_has_the_stated_encoders_and_no_direction_of_another_rig(
     write_rig(odd_rig(), tmp_path / "other.toml")
     sets = ("encoder_counts=2000", "encoder_counts_pitch=1000", "encoder_direction_travel=-1")
     words = [word for stated in sets for word in ("--set", stated)]
-    ended = terminal("rig", "new", "mine.toml", "--like", "other.toml", *words)
-    assert ended.code == 0, ended
+    result = terminal("rig", "new", "mine.toml", "--like", "other.toml", *words)
+    assert result.code == 0, result
     rig = load_rig("mine.toml")
     assert tuple(counts_per_turn(rig)) == (2000.0, 1000.0, 2000.0)
     assert direction_is_known(rig) == (False, False, True)
@@ -153,10 +153,10 @@ def test_rig_check_compares_counts_and_signs_with_a_board(terminal: Terminal, tm
     assert fits.code == 0, fits
     assert "mine.toml: the board's parameters fit" in fits.out
     assert "states no encoder direction of travel: signs not compared" in fits.out
-    ended = terminal("rig", "check", "mine.toml", "--params", "wrong.toml")
-    assert ended.code == 1
-    assert "elevation_counts_per_rev is 4096 count, but the rig has -4096 count" in ended.out
-    assert "pitch_counts_per_rev is 4096 count, but the rig has 1000 count" in ended.out
+    result = terminal("rig", "check", "mine.toml", "--params", "wrong.toml")
+    assert result.code == 1
+    assert "elevation_counts_per_rev is 4096 count, but the rig has -4096 count" in result.out
+    assert "pitch_counts_per_rev is 4096 count, but the rig has 1000 count" in result.out
 
 
 @pytest.mark.medium
@@ -227,11 +227,11 @@ def test_the_cause_is_found_on_such_a_rig() -> None:
 
 def test_a_board_and_a_rig_file_convert_into_each_other(terminal: Terminal, tmp_path: Path) -> None:
     write_rig(odd_rig(encoder_direction_travel=1.0, supply=9.0, elevation_min=-20.0), tmp_path / "mine.toml")
-    ended = terminal("rig", "to-board", "mine.toml", "board.toml")
-    assert ended.code == 0, ended
+    result = terminal("rig", "to-board", "mine.toml", "board.toml")
+    assert result.code == 0, result
     assert terminal("rig", "check", "mine.toml", "--params", "board.toml").code == 0
-    ended = terminal("rig", "from-board", "board.toml", "again.toml")
-    assert ended.code == 0, ended
+    result = terminal("rig", "from-board", "board.toml", "again.toml")
+    assert result.code == 0, result
     mine, again = load_rig("mine.toml"), load_rig("again.toml")
     assert {name: number.value for name, number in again.items()} == {
         name: number.value for name, number in mine.items()

@@ -28,7 +28,7 @@ def truth() -> Rig:
     return load_rig("makki2024").replace(**HIDDEN)
 
 
-def swung(rig: Rig, from_deg: float, swings: int) -> tuple[float, float]:
+def swing_pitch_in_mujoco(rig: Rig, from_deg: float, swings: int) -> tuple[float, float]:
     """Let pitch go in MuJoCo, elevation and travel held: time of so many swings, and the amplitude then."""
     model = mujoco_rig(rig)
     data = mujoco.MjData(model)
@@ -55,7 +55,7 @@ def balanced_deg(rig: Rig) -> float:
 def bench(rig: Rig) -> dict[str, Any]:
     volts = [2.0, 3.0, 4.5]
     grams = [round(1e3 * rig["thrust_gain"].value * (v - rig["dead_zone"].value) / 9.81) for v in volts]
-    seconds, to_deg = swung(rig, 10.0, 3)
+    seconds, to_deg = swing_pitch_in_mujoco(rig, 10.0, 3)
     return {
         "thrust": {"volts_V": volts, "front_g": grams, "back_g": grams},
         "balance": {"elevation_deg": round(balanced_deg(rig), 1)},
@@ -107,18 +107,18 @@ def filled() -> str:
 def test_reading_that_no_such_rig_gives_is_said(terminal: Terminal) -> None:
     Path("bench.toml").write_text(filled().replace("seconds = 13.2", "seconds = 60.0"))
     Path("good.toml").write_text(filled())
-    ended = terminal("rig", "weigh", "makki2024", "bench.toml", "--save-rig", "new.toml")
-    assert ended.code == 0, ended
+    result = terminal("rig", "weigh", "makki2024", "bench.toml", "--save-rig", "new.toml")
+    assert result.code == 0, result
     # A pendulum of 12 s hangs from its own middle: lengths and masses would have to be far from stated.
-    assert "tolerances off: a wrong reading" in ended.out
+    assert "tolerances off: a wrong reading" in result.out
     assert "tolerances off" not in terminal("rig", "weigh", "makki2024", "good.toml").out
     assert load_rig("new.toml").name == "new"
 
 
 def test_template_is_refused_until_it_is_filled_in(terminal: Terminal) -> None:
     assert terminal("rig", "weigh", "makki2024", "--template", "bench.toml").code == 0
-    words = ("rig", "weigh", "makki2024", "bench.toml", "--save-rig", "new.toml")
-    line = refusal(terminal(*words), code=2)
+    arguments = ("rig", "weigh", "makki2024", "bench.toml", "--save-rig", "new.toml")
+    line = refusal(terminal(*arguments), code=2)
     assert "[thrust] front_g is not filled in yet; write your reading" in line
     lines = filled().splitlines()
     template = Path("bench.toml").read_text().splitlines()
@@ -126,7 +126,7 @@ def test_template_is_refused_until_it_is_filled_in(terminal: Terminal) -> None:
     for k in changed:
         Path("bench.toml").write_text("\n".join([*lines[:k], template[k], *lines[k + 1 :]]))
         name = template[k].partition(" ")[0]
-        assert f"{name} is not filled in yet" in refusal(terminal(*words), code=2)
+        assert f"{name} is not filled in yet" in refusal(terminal(*arguments), code=2)
     assert len(changed) == 7 and not Path("new.toml").exists()
 
 

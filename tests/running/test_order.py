@@ -116,8 +116,8 @@ def test_the_tests_of_a_file_run_in_one_worker(
             print(os.environ["PYTEST_XDIST_WORKER"], file=file)
     """
     pytester.makepyfile(test_one=test, test_two=test)
-    words = ("-n2", "-p", "tests.running.order", "-p", "no:cacheprovider")
-    pytester.runpytest_subprocess(*words).assert_outcomes(passed=12)
+    arguments = ("-n2", "-p", "tests.running.order", "-p", "no:cacheprovider")
+    pytester.runpytest_subprocess(*arguments).assert_outcomes(passed=12)
     workers = [set((pytester.path / f"test_{name}.txt").read_text().split()) for name in ("one", "two")]
     assert sorted(map(sorted, workers)) == [["gw0"], ["gw1"]]
 

@@ -51,7 +51,7 @@ class Heard:
             nonlocal parser
             for frame in parser.feed(data):
                 if frame.id == MessageId.TELEMETRY:
-                    self.rows.update(rows_of(decoder.decode([frame.payload])))
+                    self.rows.update(ticks_with_samples(decoder.decode([frame.payload])))
                 elif frame.id == MessageId.EVENT:
                     self.events.append(EventMessage.unpack(frame.payload))
             if world.unplugged:
@@ -77,7 +77,7 @@ class Heard:
         return next((Fault(e.detail) for e in self.events if e.kind == Event.FAULT), Fault.NONE)
 
 
-def rows_of(ticks: Ticks) -> list[Row]:
+def ticks_with_samples(ticks: Ticks) -> list[Row]:
     """Ticks with their samples, to be found among others."""
     return [(tick, raw.tobytes()) for tick, raw in zip(ticks.tick.tolist(), ticks.raw, strict=True)]
 
@@ -167,7 +167,7 @@ class Flown:
 
 def flown(case: Case) -> Flown:
     """Fly one case in lockstep."""
-    heard = Heard()
+    received = Heard()
     delivered: list[Ticks] = []
 
     def on_progress(progress: Progress) -> None:
@@ -176,7 +176,7 @@ def flown(case: Case) -> Flown:
 
     with heli_host.connect(f"sil://?{case.options}") as heli:
         world = world_of(heli)
-        heard.listen(world)
+        received.listen(world)
         # The frame that was on its way is heard from its middle on.
         heli.wait(0.1)
         waiting = [case.blow]
@@ -191,7 +191,7 @@ def flown(case: Case) -> Flown:
         )
     world.advance(round(1e3 * _DOWN_S))
     since = newest[0] if newest is not None else 0
-    return Flown(case, summary.outcome, heard, delivered, counters, since, list(world.native.volts_V))
+    return Flown(case, summary.outcome, received, delivered, counters, since, list(world.native.volts_V))
 
 
 def world_of(heli: Heli) -> SilWorld:
@@ -201,10 +201,10 @@ def world_of(heli: Heli) -> SilWorld:
     return transport.world
 
 
-def wrong(flight: Flown) -> list[str]:
+def mistakes_of(flight: Flown) -> list[str]:
     """What is not as it must be, in words; empty for a flight that was handled right."""
     complaints = []
-    rows = [row for ticks in flight.delivered for row in rows_of(ticks)]
+    rows = [row for ticks in flight.delivered for row in ticks_with_samples(ticks)]
     if invented := [tick for tick, raw in rows if (tick, raw) not in flight.heard.rows]:
         complaints.append(f"{len(invented)} wrong ticks, the first {invented[0]}")
     counted, tick = flight.counters, np.array([tick for tick, _ in rows], np.int64)

@@ -118,7 +118,7 @@ def test_a_hung_idle_loop_is_reset_and_the_session_gets_the_reason(elf: Path) ->
     with heli_host.connect(url({"board": "due", "elf": str(elf)})) as heli:
         due = due_of(world_of(heli)).sim.due
         address = read_image(elf).address(POLL)
-        whole = due.peek(address, 2)
+        instruction = due.peek(address, 2)
         resets = due.resets
         due.poke(address, BRANCH_TO_SELF)
         for _ in range(50):
@@ -126,7 +126,7 @@ def test_a_hung_idle_loop_is_reset_and_the_session_gets_the_reason(elf: Path) ->
             if due.resets > resets:
                 break
         assert due.resets == resets + 1
-        due.poke(address, whole)
+        due.poke(address, instruction)
         with pytest.raises(LinkLost, match="restarted"):
             heli.wait(1.0)
         assert heli.counters.restarts == 1

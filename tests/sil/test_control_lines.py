@@ -53,7 +53,7 @@ def endpoint(tmp_path: Path) -> Iterator[PtyEndpoint]:
     endpoint.close()
 
 
-def opened(bench: Bench) -> Terminal:
+def open_terminal(bench: Bench) -> Terminal:
     host = Terminal(bench.endpoint.url)
     bench.until(lambda: bench.endpoint.ready)
     bench.turn(80)
@@ -74,7 +74,7 @@ def test_every_opening_of_a_terminal_resets_an_emulated_due(endpoint: PtyEndpoin
     bench = Bench(endpoint, world(board="due", elf=str(elf)))
     bench.turn(10)
     for count in (2, 3, 4):
-        host = opened(bench)
+        host = open_terminal(bench)
         assert boots(bench) == count
         closed(bench, host)
         assert boots(bench) == count
@@ -83,28 +83,28 @@ def test_every_opening_of_a_terminal_resets_an_emulated_due(endpoint: PtyEndpoin
 def test_a_host_that_clears_the_hang_up_flag_spares_the_next_one_the_reset(endpoint: PtyEndpoint) -> None:
     bench = Bench(endpoint, world(reset_on_open="1"))
     bench.turn(10)
-    host = opened(bench)
+    host = open_terminal(bench)
     assert boots(bench) == 2
     host.set(hupcl=False)
     closed(bench, host)
-    host = opened(bench)
+    host = open_terminal(bench)
     assert boots(bench) == 2
     host.set(hupcl=True)
     closed(bench, host)
-    opened(bench)
+    open_terminal(bench)
     assert boots(bench) == 3
 
 
 def test_opening_a_native_board_resets_nothing_unless_asked_to(endpoint: PtyEndpoint) -> None:
     bench = Bench(endpoint, world())
     bench.turn(10)
-    opened(bench)
+    open_terminal(bench)
     assert boots(bench) == 1
 
 
 def test_a_terminal_closed_at_1200_baud_erases_the_flash(endpoint: PtyEndpoint, elf: Path) -> None:
     bench = Bench(endpoint, world(board="due", elf=str(elf)))
-    host = opened(bench)
+    host = open_terminal(bench)
     host.set(hupcl=True, speed=termios.B1200)
     closed(bench, host)
     board = bench.world.board
@@ -215,13 +215,13 @@ def test_1200_baud_is_refused_by_the_host_and_would_have_erased_the_flash(elf: P
 def test_bytes_that_mean_something_to_telnet_pass_unchanged() -> None:
     everything = bytes(range(256)) + b"\xff\xff\xf0\xfa"
     endpoint = Rfc2217Endpoint()
-    heard = bytearray()
+    received = bytearray()
     stop = threading.Event()
 
     def echo() -> None:
         while not stop.wait(0.001):
             data = endpoint.receive()
-            heard.extend(data)
+            received.extend(data)
             endpoint.send(data)
 
     thread = threading.Thread(target=echo)
@@ -234,4 +234,4 @@ def test_bytes_that_mean_something_to_telnet_pass_unchanged() -> None:
         stop.set()
         thread.join()
         endpoint.close()
-    assert bytes(heard) == everything
+    assert bytes(received) == everything

@@ -88,9 +88,9 @@ def test_duties_are_those_of_the_registers(image: Image) -> None:
 def test_bytes_pass_at_25_a_millisecond(image: Image) -> None:
     board = booted(image)
     board.receive(bytes(range(100)))
-    sent = [board.take_sent() for _ in range(6) if board.run(STILL, []) is not None]
-    assert b"".join(sent) == bytes(b ^ 0x20 for b in range(100))
-    assert max(len(part) for part in sent) == 25
+    sent_values = [board.take_sent() for _ in range(6) if board.run(STILL, []) is not None]
+    assert b"".join(sent_values) == bytes(b ^ 0x20 for b in range(100))
+    assert max(len(part) for part in sent_values) == 25
 
 
 def test_the_reset_line_stops_the_motors_for_205_ms(image: Image) -> None:

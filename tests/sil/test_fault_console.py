@@ -169,10 +169,10 @@ def test_in_the_background_the_terminal_is_left_to_the_shell(
 
 def test_a_served_board_listens_while_it_flies(host: Host, person: Person) -> None:
     stop_fd, stop_pen = os.pipe()
-    heard: list[str] = []
+    received: list[str] = []
 
     def say(text: str) -> None:
-        heard.append(text)
+        received.append(text)
         os.write(stop_pen, b"x")
 
     reader, pen = os.pipe()
@@ -183,7 +183,7 @@ def test_a_served_board_listens_while_it_flies(host: Host, person: Person) -> No
     serve(endpoint, host.world, TimedClock(1.0), stop_fd, FaultConsole(host.world, reader, say))
     patience.cancel()
     endpoint.close()
-    assert heard and "travel encoder is unplugged" in heard[0]
+    assert received and "travel encoder is unplugged" in received[0]
     for fd in (stop_fd, stop_pen, reader, pen):
         os.close(fd)
 

@@ -24,10 +24,10 @@ CLEAN = bytes(range(256)) * 40
 
 @given(cuts=st.lists(st.integers(0, len(CLEAN)), max_size=30), seed=st.integers(0, 5))
 def test_the_same_seed_spoils_the_same_bytes_however_they_are_cut(cuts: list[int], seed: int) -> None:
-    whole = FaultyStream(PLAN, seed, 0).pass_through(CLEAN)
+    passed_at_once = FaultyStream(PLAN, seed, 0).pass_through(CLEAN)
     stream = FaultyStream(PLAN, seed, 0)
     edges = [0, *sorted(cuts), len(CLEAN)]
-    assert b"".join(stream.pass_through(CLEAN[a:b]) for a, b in pairwise(edges)) == whole
+    assert b"".join(stream.pass_through(CLEAN[a:b]) for a, b in pairwise(edges)) == passed_at_once
 
 
 def test_seeds_and_directions_differ() -> None:

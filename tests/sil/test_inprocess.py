@@ -17,10 +17,10 @@ pytestmark = pytest.mark.medium
 def conversation(url: str, step_s: float = 0.02, until_s: float = 2.0) -> bytes:
     transport = open_transport(url)
     transport.write(hello_frame())
-    heard = b""
+    received = b""
     while transport.now_s() < until_s:
-        heard += transport.read(step_s)
-    return heard
+        received += transport.read(step_s)
+    return received
 
 
 def test_heli_host_finds_the_simulation_by_its_address() -> None:
@@ -53,8 +53,8 @@ def test_time_stands_still_between_reads_and_the_date_follows_it() -> None:
 def test_a_read_returns_when_bytes_come_but_not_before_its_slice() -> None:
     transport = open_transport("sil://?slice_ms=20")
     transport.write(hello_frame())
-    heard = transport.read(5.0)
-    assert heard
+    received = transport.read(5.0)
+    assert received
     assert 0.02 <= transport.now_s() < 0.1
 
 

@@ -45,5 +45,5 @@ def test_the_host_learns_what_was_kept_and_what_is_new(flash: Path) -> None:
 def test_the_command_line_warns_at_connect(flash: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with open_board(None, f"sil://?flash={flash}"):
         pass
-    said = "".join(capsys.readouterr())
-    assert f"{len(PARAMS) - 1} kept, {PARAMS[-1].name} at the default, 0 dropped" in said
+    output = "".join(capsys.readouterr())
+    assert f"{len(PARAMS) - 1} kept, {PARAMS[-1].name} at the default, 0 dropped" in output

@@ -76,10 +76,10 @@ def test_the_next_host_hears_nothing_that_was_meant_for_the_last(port: tuple[End
     bench.until(lambda: endpoint.ready)
     bench.turn(2)
     # The bridge's ring and what the line carried since; two seconds of telemetry would be 5,000 bytes.
-    heard = b""
+    received = b""
     for _ in range(5):
-        heard += second.read()
-    assert len(heard) < 400
+        received += second.read()
+    assert len(received) < 400
 
 
 def test_time_passes_while_nobody_is_there(port: tuple[Endpoint, Opener]) -> None:
@@ -140,15 +140,15 @@ def test_a_terminal_is_raw_before_any_host_sets_it_up(tmp_path: Path) -> None:
     bench.until(lambda: endpoint.ready)
     everything = bytes(range(256))
     endpoint.send(everything)
-    heard = b""
+    received = b""
 
     def hear() -> bool:
-        nonlocal heard
-        heard += host.read()
-        return len(heard) >= 256
+        nonlocal received
+        received += host.read()
+        return len(received) >= 256
 
     bench.until(hear)
-    assert heard[:256] == everything
+    assert received[:256] == everything
     assert endpoint.receive() == b""
 
 

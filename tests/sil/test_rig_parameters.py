@@ -31,7 +31,7 @@ def rig_file(folder: Path, **values: float) -> Path:
     return path
 
 
-def on(board: str, rig: Path, **more: str) -> str:
+def address_of_board(board: str, rig: Path, **more: str) -> str:
     if board == "due" and not firmware.candidates():
         pytest.skip("no firmware is built")
     return "sil://?" + "&".join(
@@ -49,7 +49,7 @@ def true_deg(heli: Heli) -> list[float]:
 @pytest.mark.parametrize("board", BOARDS)
 def test_a_simulated_board_starts_with_what_its_rig_determines(board: str, tmp_path: Path) -> None:
     rig = rig_file(tmp_path, **COARSE, elevation_min=-20.0, supply=9.0, elevation_max=20.0, pitch_max=36.0)
-    with heli_host.connect(on(board, rig)) as heli:
+    with heli_host.connect(address_of_board(board, rig)) as heli:
         assert heli.info.params_source == "stored"
         wanted = {
             "elevation_counts_per_rev": 2000.0,
@@ -75,7 +75,7 @@ def test_the_default_rig_leaves_the_declared_parameters_alone() -> None:
 @pytest.mark.medium
 @pytest.mark.parametrize("board", BOARDS)
 def test_a_setpoint_is_reached_in_truth_whatever_the_encoders_count(board: str, tmp_path: Path) -> None:
-    with heli_host.connect(on(board, rig_file(tmp_path, **COARSE))) as heli:
+    with heli_host.connect(address_of_board(board, rig_file(tmp_path, **COARSE))) as heli:
         heli.take_off()
         heli.setpoint(elevation_deg=5.0, travel_deg=8.0)
         heli.wait(9.0)

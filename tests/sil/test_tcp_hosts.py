@@ -156,5 +156,5 @@ def test_an_address_that_others_can_reach_is_warned_about(
     monkeypatch.setattr(server, "serve", stop)
     for address, warned in (("0.0.0.0:0", True), ("127.0.0.1:0", False)):
         assert run(["sil", "--tcp", address]) == 0
-        said = capsys.readouterr().err
-        assert bool(re.search("everybody on the network can fly this board", said)) is warned
+        output = capsys.readouterr().err
+        assert bool(re.search("everybody on the network can fly this board", output)) is warned

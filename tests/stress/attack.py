@@ -25,7 +25,7 @@ from tests.page.hostile_requests import hostile_http, hostile_request
 from tests.page.log_lines import log_lines, traces
 from tests.page.page_server import page_of_a_simulated_board
 from tests.page.socket_page import SocketPage
-from tests.sil.faulty_flights import case, flown, wrong
+from tests.sil.faulty_flights import case, flown, mistakes_of
 from tests.stress.serial_stories import live, preload, story
 
 _OF_A_SEED: Final = 100_000
@@ -41,7 +41,7 @@ def faulty_links(seed: int, count: int) -> Iterator[str]:
     """Fly over links with noise, stalls and unplugging; complain about samples, reasons and motors."""
     for number in numbers(seed, count):
         one = case(number)
-        yield from (f"{one}: {complaint}" for complaint in wrong(flown(one)))
+        yield from (f"{one}: {complaint}" for complaint in mistakes_of(flown(one)))
 
 
 def serial_trouble(seed: int, count: int) -> Iterator[str]:

@@ -323,20 +323,20 @@ def _wrong_log(path: Path, board: SerialBoard, summary: dict[str, Any]) -> list[
         log = read_log(path)
     except HeliError as error:
         return [f"the log cannot be read: {error}"]
-    wrong = []
+    mistakes = []
     tick = log.ticks["tick"].astype(np.int64)
     known = board.heard.rows
     invented = [t for t, raw in zip(tick.tolist(), log.raw, strict=True) if (t, raw.tobytes()) not in known]
     if invented:
-        wrong.append(f"{len(invented)} wrong samples, the first at tick {invented[0]}")
+        mistakes.append(f"{len(invented)} wrong samples, the first at tick {invented[0]}")
     gaps = int((np.diff(tick) - 1).sum())
     if (np.diff(tick) <= 0).any():
-        wrong.append("ticks go backwards")
+        mistakes.append("ticks go backwards")
     elif summary["ticks_lost"] != gaps:
-        wrong.append(f"{gaps} samples are missing, {summary['ticks_lost']} counted")
+        mistakes.append(f"{gaps} samples are missing, {summary['ticks_lost']} counted")
     if not log.complete:
-        wrong.append("the log is not complete")
-    return wrong
+        mistakes.append("the log is not complete")
+    return mistakes
 
 
 def preload() -> None:

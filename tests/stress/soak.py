@@ -282,8 +282,8 @@ def soak(minutes: float, seed: int, say: Callable[[str], None] = print) -> Soak:
     with tempfile.TemporaryDirectory(prefix="heli-soak-") as name:
         folder = Path(name)
         (folder / "short.toml").write_text(PLAN)
-        words = ("--sil", "--board", "native", "--seed", str(seed), "--twin", "makki2024", "short.toml")
-        with page_process(*words, folder=folder) as (process, url), _drained(process) as lines:
+        arguments = ("--sil", "--board", "native", "--seed", str(seed), "--twin", "makki2024", "short.toml")
+        with page_process(*arguments, folder=folder) as (process, url), _drained(process) as lines:
             keep_busy(result, _address_of(url), process.pid, minutes, say)
             if not result.twin:
                 result.complaints.append("the twin does not run")

@@ -148,8 +148,8 @@ def test_an_uneven_clock_becomes_even_and_a_hole_ends_a_flight() -> None:
     random = np.random.default_rng(3)
     rough.columns["time"].values[:] += random.uniform(-1.0, 1.0, N)
     rough.columns["time"].values[200:] += 1000.0
-    whole = dataclasses.replace(PROFILE, parts={})
-    first, second = flights_of(rough, whole)
+    complete = dataclasses.replace(PROFILE, parts={})
+    first, second = flights_of(rough, complete)
     assert np.ptp(np.diff(first.t_s)) < 1e-9
     # The ramp of a column stays a ramp.
     assert np.degrees(first.elevation_rad) == pytest.approx(
@@ -171,8 +171,10 @@ def test_an_uneven_clock_becomes_even_and_a_hole_ends_a_flight() -> None:
 )
 def test_a_wrong_profile_is_refused_in_a_line(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "p.toml"
-    whole = profile_text(PROFILE)
-    path.write_text(text if message != "sgin" else whole.replace("[elevation]\n", "[elevation]\nsgin = 1\n"))
+    complete = profile_text(PROFILE)
+    path.write_text(
+        text if message != "sgin" else complete.replace("[elevation]\n", "[elevation]\nsgin = 1\n")
+    )
     with pytest.raises(FlightDataError, match=message.replace("[", r"\[")):
         read_profile(path)
 
@@ -188,9 +190,9 @@ def test_a_wrong_profile_is_refused_in_a_line(text: str, message: str, tmp_path:
 )
 def test_a_wrong_entry_is_refused_in_a_line(entry: str, wrong: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "p.toml"
-    whole = profile_text(PROFILE)
-    assert entry in whole
-    path.write_text(whole.replace(entry, wrong))
+    complete = profile_text(PROFILE)
+    assert entry in complete
+    path.write_text(complete.replace(entry, wrong))
     with pytest.raises(FlightDataError, match=message):
         read_profile(path)
 
@@ -211,11 +213,11 @@ def test_an_angle_that_jumps_begins_another_flight_and_says_why() -> None:
 
 
 def test_filled_gaps_are_counted_in_the_notes() -> None:
-    whole = table()
+    complete = table()
     keep = np.ones(N, bool)
     keep[100:103] = False
-    columns = {name: Column(column.values[keep], column.unit) for name, column in whole.columns.items()}
+    columns = {name: Column(column.values[keep], column.unit) for name, column in complete.columns.items()}
     flights = flights_of(Table("x", columns), dataclasses.replace(PROFILE, parts={}))
     assert len(flights) == 1
     assert flights[0].meta["filled"].startswith("3 missing rows in 1 gaps, the longest ")
-    assert "filled" not in flights_of(whole, dataclasses.replace(PROFILE, parts={}))[0].meta
+    assert "filled" not in flights_of(complete, dataclasses.replace(PROFILE, parts={}))[0].meta

@@ -18,7 +18,7 @@ X = np.round(np.sin(T_S) * 7.0, 4)
 Y = np.round(np.cos(3.0 * T_S) - 2.5, 4)
 
 
-def same(table: Table, x: str = "x", y: str = "y") -> None:
+def assert_same_columns(table: Table, x: str = "x", y: str = "y") -> None:
     assert table.columns[x].values == pytest.approx(X)
     assert table.columns[y].values == pytest.approx(Y)
 
@@ -37,7 +37,7 @@ def test_dialects_of_text(separator: str, decimal: str, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text(f"# made by hand\nt{separator}x{separator}y\n{rows(separator, decimal)}\n")
     table = read_table(path)
-    same(table)
+    assert_same_columns(table)
     assert table.notes == "made by hand"
 
 
@@ -45,7 +45,7 @@ def test_text_without_names_and_with_a_separator_at_each_end(tmp_path: Path) -> 
     path = tmp_path / "a.txt"
     path.write_text(rows(";", ".").replace("\n", ";\n") + ";\n")
     table = read_table(path)
-    same(table, "column 2", "column 3")
+    assert_same_columns(table, "column 2", "column 3")
     assert not table.named
 
 
@@ -53,7 +53,7 @@ def test_a_row_of_units_and_a_title(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("Measurement 7\nt,x,y\n[ms],[deg],[V]\n" + rows(",", "."))
     table = read_table(path)
-    same(table)
+    assert_same_columns(table)
     assert [one.unit for one in table.columns.values()] == ["ms", "deg", "V"]
 
 
@@ -76,7 +76,7 @@ def test_clocks_and_dates_are_times(clock: list[str], decimal: str, tmp_path: Pa
         lines = [line.replace("04,01,2024", "04.01.2024") for line in lines]
     path.write_text("at;x;y\n" + "\n".join(lines))
     table = read_table(path)
-    same(table)
+    assert_same_columns(table)
     assert table.columns["at"].values == pytest.approx(T_S, abs=1e-6)
     assert table.columns["at"].unit == "s"
 
@@ -85,34 +85,34 @@ def test_words_are_no_times(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("t,x,y,state\n" + rows(",", ".").replace("\n", ",FLY\n") + ",FLY\n")
     table = read_table(path)
-    same(table)
+    assert_same_columns(table)
     assert "state" not in table.columns
 
 
 def test_rows_of_zeros_behind_a_flight_are_none_of_it(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("t,x,y\n" + rows(",", ".") + "\n" + "0,0,0\n" * 50)
-    same(read_table(path).aligned())
+    assert_same_columns(read_table(path).aligned())
 
 
 def test_numbers_in_the_header_of_labview_are_no_rows(tmp_path: Path) -> None:
     head = "Writer_Version\t2\nDate\t2024/01/04\n***End_of_Header***\t\n\nSamples\t1\t1\nt\tx\ty\tComment\n"
     path = tmp_path / "a.lvm"
     path.write_text(head + rows("\t", ","))
-    same(read_table(path))
+    assert_same_columns(read_table(path))
 
 
 def test_names_in_chinese_or_with_umlauts_without_utf8(tmp_path: Path) -> None:
     for name, encoding in (("高度角", "gb18030"), ("Höhe", "latin-1")):
         path = tmp_path / "a.csv"
         path.write_bytes(f"t,{name},y\n{rows(',', '.')}".encode(encoding))
-        same(read_table(path), name)
+        assert_same_columns(read_table(path), name)
 
 
 def test_utf16_as_spreadsheets_save_it(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_bytes(("t\tx\ty\n" + rows("\t", ".")).encode("utf-16"))
-    same(read_table(path))
+    assert_same_columns(read_table(path))
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def test_a_matrix_of_matlab_in_rows_or_columns(lying: bool, tmp_path: Path) -> N
     matrix = np.column_stack((T_S, X, Y))
     savemat(tmp_path / "a.mat", {"ans": matrix.T if lying else matrix})
     table = read_table(tmp_path / "a.mat")
-    same(table, "ans[2]", "ans[3]")
+    assert_same_columns(table, "ans[2]", "ans[3]")
 
 
 @pytest.mark.medium
@@ -156,7 +156,7 @@ def test_simulinks_structure_with_time(tmp_path: Path) -> None:
     signals = np.array([(X[:, None], "x"), (Y[:, None], "y")], dtype=[("values", object), ("label", object)])
     savemat(tmp_path / "a.mat", {"log": {"time": T_S[:, None], "signals": signals}})
     table = read_table(tmp_path / "a.mat")
-    same(table)
+    assert_same_columns(table)
     assert table.columns["x"].t_s == pytest.approx(T_S)
 
 
@@ -180,7 +180,7 @@ def test_matlab_7_3(tmp_path: Path) -> None:
     import matio
 
     matio.save_to_mat(str(tmp_path / "a.mat"), {"t": T_S, "x": X, "y": Y}, version="v7.3")
-    same(read_table(tmp_path / "a.mat"))
+    assert_same_columns(read_table(tmp_path / "a.mat"))
 
 
 @pytest.mark.medium
@@ -194,7 +194,7 @@ def test_parquet_and_excel(suffix: str, tmp_path: Path) -> None:
         frame.to_parquet(path)
     else:
         frame.to_excel(path, index=False)
-    same(read_table(path))
+    assert_same_columns(read_table(path))
 
 
 @pytest.mark.medium
@@ -215,7 +215,7 @@ def test_a_table_below_titles_or_on_the_second_sheet(
         sheet.append(row)
     book.save(tmp_path / "a.xlsx")
     table = read_table(tmp_path / "a.xlsx")
-    same(table)
+    assert_same_columns(table)
     assert list(table.columns) == ["t", "x", "y"]
 
 
@@ -240,7 +240,7 @@ def test_time_series_of_simulink_in_its_default_format(units: str, times: Any, t
 
     save_to_mat(str(tmp_path / "a.mat"), {"x": series(X), "y": series(Y)})
     table = read_table(tmp_path / "a.mat")
-    same(table)
+    assert_same_columns(table)
     assert table.columns["x"].t_s == pytest.approx(T_S)
 
 
@@ -259,10 +259,10 @@ def test_bags_of_ros_2(storage: str, tmp_path: Path) -> None:
             message = made(layout(dim=[], data_offset=0), np.array([x, y]))
             writer.write(connection, round(t_s * 1e9), store.serialize_cdr(message, made.__msgtype__))
     table = read_table(tmp_path / "bag")
-    same(table, "heli.data[0]", "heli.data[1]")
+    assert_same_columns(table, "heli.data[0]", "heli.data[1]")
     assert table.columns["heli.data[0]"].t_s == pytest.approx(T_S)
     (file,) = (tmp_path / "bag").glob("*.mcap" if storage == "mcap" else "*.db3")
-    same(read_table(file), "heli.data[0]", "heli.data[1]")
+    assert_same_columns(read_table(file), "heli.data[0]", "heli.data[1]")
 
 
 @pytest.mark.medium

@@ -51,7 +51,7 @@ class WatchedFlight:
 
 
 @cache
-def watched_flight() -> WatchedFlight:
+def flight_with_twin() -> WatchedFlight:
     folder = Path(mkdtemp())
     plan, path = folder / "short.toml", folder / "flight.mcap"
     plan.write_text(PLAN)
@@ -62,7 +62,7 @@ def watched_flight() -> WatchedFlight:
 
 
 def test_a_loss_of_thrust_is_detected_named_and_measured() -> None:
-    flight = watched_flight()
+    flight = flight_with_twin()
     (alarm,) = flight.report.alarms
     most_likely = alarm.ranking[0]
     front_V, t_s = flight.log.flight().front_V, flight.log.ticks["t_s"]
@@ -74,7 +74,7 @@ def test_a_loss_of_thrust_is_detected_named_and_measured() -> None:
 
 
 def test_the_flight_ends_in_a_landing_and_the_log_states_why() -> None:
-    flight = watched_flight()
+    flight = flight_with_twin()
     assert flight.exit_code != 0
     assert any(message.startswith("alarm at") for message in flight.messages("twin"))
     assert flight.messages("phase")[-1] == "landing"
@@ -84,7 +84,7 @@ def test_the_flight_ends_in_a_landing_and_the_log_states_why() -> None:
 
 def test_the_events_in_flight_and_afterwards_are_equal() -> None:
     """In flight the ticks arrive in batches of random length."""
-    flight = watched_flight()
+    flight = flight_with_twin()
     log = flight.log
     twin = open_twin("makki2024")(log.parameters, FALSE_ALARM_INTERVAL_h)
     tick = int(log.ticks["tick"][0]) + np.rint(log.ticks["t_s"] / TICK_s).astype(np.int64)
@@ -101,7 +101,7 @@ def test_the_events_in_flight_and_afterwards_are_equal() -> None:
 
 
 def test_the_log_has_the_alarm_at_the_time_of_the_later_report() -> None:
-    flight = watched_flight()
+    flight = flight_with_twin()
     logged_s = [
         float(event["t_s"]) for event in flight.log.events if str(event["message"]).startswith("alarm at")
     ]
@@ -111,6 +111,6 @@ def test_the_log_has_the_alarm_at_the_time_of_the_later_report() -> None:
 
 
 def test_the_part_of_a_flight_before_the_change_has_no_alarm() -> None:
-    path = watched_flight().path
+    path = flight_with_twin().path
     report = monitor_file(open_rig("makki2024"), path, FALSE_ALARM_INTERVAL_h, stop_s=CHANGED_s)
     assert report.free_s > 5.0 and not report.alarms

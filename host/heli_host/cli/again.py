@@ -76,24 +76,26 @@ def read_repeat(log: Log, effect_files: Mapping[str, Path]) -> Repeat:
         The log lacks something; the message names it.
     """
     record = log.metadata.get("simulation", {})
-    _check(log, record)
+    _check_repeatable(log, record)
     try:
         options = dict(parse_qsl(urlsplit(record["address"]).query))
-        needed = _json(record, "effect_files")
-        parameters = {name: float(value) for name, value in _json(record, "parameters").items()}
-        plans = tuple(_plans(log, record))
+        stored_effect_files = _json_of_record(record, "effect_files")
+        parameters = {name: float(value) for name, value in _json_of_record(record, "parameters").items()}
+        plans = tuple(_plans_as_started(log, record))
         rig_name = record["rig_name"]
         rig = record["rig"]
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         raise LogError(f"{log.path} describes its simulation incompletely: {error}", _FLY) from error
-    for file, digest in needed.items():
+    for file, digest in stored_effect_files.items():
         if digest not in effect_files:
             raise LogError(
                 f"{log.path} needs the effect file {Path(file).name} with SHA-256 {digest[:12]}, and a log "
                 "holds no code",
                 f"add --effect-file {Path(file).name}",
             )
-    options["effects"] = ";".join(str(effect_files[digest].absolute()) for digest in needed.values())
+    options["effects"] = ";".join(
+        str(effect_files[digest].absolute()) for digest in stored_effect_files.values()
+    )
     is_exact = options.get("speed", "max") == "max" and not options.pop("process", "")
     return Repeat(
         options=options,
@@ -108,7 +110,7 @@ def read_repeat(log: Log, effect_files: Mapping[str, Path]) -> Repeat:
     )
 
 
-def _check(log: Log, record: Mapping[str, str]) -> None:
+def _check_repeatable(log: Log, record: Mapping[str, str]) -> None:
     """Raise a LogError if a log lacks something that a repetition needs; the message names it.
 
     Parameters
@@ -141,7 +143,7 @@ def _check(log: Log, record: Mapping[str, str]) -> None:
         raise LogError(f"{log.path} lacks the flash memory {record['flash']} of its board", _FLY)
 
 
-def _json(record: Mapping[str, str], name: str) -> dict[str, Any]:
+def _json_of_record(record: Mapping[str, str], name: str) -> dict[str, Any]:
     """Return a mapping that the record has as JSON under a name."""
     content = json.loads(record[name])
     if not isinstance(content, dict):
@@ -149,7 +151,7 @@ def _json(record: Mapping[str, str], name: str) -> dict[str, Any]:
     return content
 
 
-def _plans(log: Log, record: Mapping[str, str]) -> Iterator[Plan]:
+def _plans_as_started(log: Log, record: Mapping[str, str]) -> Iterator[Plan]:
     """Yield the plans of a flight in the order in which they were flown."""
     from heli_host.fly.plan import Plan
 
@@ -201,10 +203,10 @@ def fly_again(path: Path, options: FlightOptions) -> FlownFlight:
             ),
             repeat.plans,
         )
-    return replace(flown, lines=(*flown.lines, _compare(log, read_log(flown.log), repeat)))
+    return replace(flown, lines=(*flown.lines, _comparison_sentence(log, read_log(flown.log), repeat)))
 
 
-def _compare(before: Log, after: Log, repeat: Repeat) -> str:
+def _comparison_sentence(before: Log, after: Log, repeat: Repeat) -> str:
     """Return a line that states whether the samples are the same; raise if they differ without a reason."""
     import numpy as np
 
@@ -223,10 +225,10 @@ def _compare(before: Log, after: Log, repeat: Repeat) -> str:
         return f"again: {difference}, because the first flight was ended from outside"
     say(f"log: {after.path}")
     remedy = "use the version of heli-host that wrote the log"
-    raise HeliError(f"{difference} ({_reason(before, after)})", remedy)
+    raise HeliError(f"{difference} ({_first_difference(before, after)})", remedy)
 
 
-def _reason(before: Log, after: Log) -> str:
+def _first_difference(before: Log, after: Log) -> str:
     """Return the first difference of two logs that may explain different samples."""
     for record, name in (("session", "link_hash"), ("simulation", "firmware"), ("session", "host")):
         values = [log.metadata.get(record, {}).get(name, "") for log in (before, after)]

@@ -173,8 +173,8 @@ def board_text(heli: Heli, *, hidden: bool = False) -> str:
 
     info, transport = heli.info, heli.session.transport
     kind = transport_label(transport) or ("simulated board" if info.board == "native" else info.board)
-    where = "address hidden" if hidden else f"on {transport.url}"
-    return f"{kind}, firmware {info.firmware_version}, {where}"
+    address_text = "address hidden" if hidden else f"on {transport.url}"
+    return f"{kind}, firmware {info.firmware_version}, {address_text}"
 
 
 def board_versions(info: BoardInfo) -> str:

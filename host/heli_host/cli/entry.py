@@ -52,7 +52,7 @@ def _say_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _be_quiet(wanted: bool) -> None:
+def _suppress_progress(wanted: bool) -> None:
     """Suppress progress messages, for the option --quiet."""
     if wanted:
         from heli_host.cli.say import QUIET
@@ -61,14 +61,16 @@ def _be_quiet(wanted: bool) -> None:
 
 
 @app.callback()
-def _every_verb(
+def _common_options(
     version: Annotated[
         bool,
         typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version and exit."),
     ] = False,
     quiet: Annotated[
         bool,
-        typer.Option("--quiet", "-q", callback=_be_quiet, help="Print results and errors only, no progress."),
+        typer.Option(
+            "--quiet", "-q", callback=_suppress_progress, help="Print results and errors only, no progress."
+        ),
     ] = False,
 ) -> None:
     """Options that come before any verb."""
@@ -111,7 +113,7 @@ def run(arguments: list[str] | None = None) -> int:
             raise
         from heli_host.errors import printable
 
-        message, exit_code = _explain(error)
+        message, exit_code = _line_and_exit_code(error)
         if message:
             print(f"error: {printable(message)}", file=sys.stderr)
         return exit_code
@@ -153,10 +155,10 @@ def _land_on_signals() -> None:
         # nohup it finds SIGHUP ignored, which is what its user wants.
         ignored = number is not None and signal.getsignal(number) == signal.SIG_IGN
         if number is not None and not (ignored and name == "SIGHUP"):
-            signal.signal(number, _interrupt)
+            signal.signal(number, _raise_interrupt)
 
 
-def _interrupt(number: int, _frame: FrameType | None) -> NoReturn:
+def _raise_interrupt(number: int, _frame: FrameType | None) -> NoReturn:
     """Raise KeyboardInterrupt for a signal; after SIGHUP the terminal is not used any more."""
     name = signal.Signals(number).name
     if name == "SIGHUP":
@@ -176,7 +178,7 @@ def _leave_the_terminal() -> None:
     os.close(null)
 
 
-def _explain(error: Exception) -> tuple[str, int]:
+def _line_and_exit_code(error: Exception) -> tuple[str, int]:
     """Return one line and an exit code for any error."""
     from heli_host.errors import HeliError, file_remedy
 
@@ -190,12 +192,15 @@ def _explain(error: Exception) -> tuple[str, int]:
         name = f"{error.filename}: " if error.filename else ""
         return f"{name}{error.strerror or error}; {file_remedy(error)}", EXIT_FILE
     if isinstance(error, ModuleNotFoundError):
-        return f"the Python package {error.name} is missing; run: {_remedy(error.name or '')}", EXIT_ASKED
+        return (
+            f"the Python package {error.name} is missing; run: {_install_command(error.name or '')}",
+            EXIT_ASKED,
+        )
     summary = " ".join(f"{type(error).__name__}: {error}".split())
     return f"unexpected {summary}; please report it with what HELI_DEBUG=1 prints", EXIT_BUG
 
 
-def _remedy(package: str) -> str:
+def _install_command(package: str) -> str:
     """Return the command that installs a package, together with the others of its extra if it has one."""
     from heli_host.cli.extras import extra_with
 

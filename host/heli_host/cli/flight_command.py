@@ -292,7 +292,7 @@ def fly_plans(
                 twin=watch,
                 land_on_change=land_on_alarm,
                 sealed=truth.digest if truth is not None else "",
-                setup=_setup(options, parameters, plans) if on_taken_off is None else {},
+                setup=_setup_record(options, parameters, plans) if on_taken_off is None else {},
                 on_taken_off=(lambda: on_taken_off(heli)) if on_taken_off is not None else None,
             )
         if on_flown is not None:
@@ -305,7 +305,9 @@ def fly_plans(
     return FlownFlight(summary, log, tuple(lines), json, figure)
 
 
-def _setup(options: FlightOptions, parameters: Mapping[str, float], plans: Sequence[Plan]) -> dict[str, str]:
+def _setup_record(
+    options: FlightOptions, parameters: Mapping[str, float], plans: Sequence[Plan]
+) -> dict[str, str]:
     """Return what was set on the board before the flight, for `heli_host.cli.again`."""
     from heli_host.fly.recorder import plan_texts
 

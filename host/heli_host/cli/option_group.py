@@ -37,7 +37,7 @@ def with_option_groups(*, without: Collection[str] = ()) -> Callable[[_Verb], _V
         for parameter in inspect.signature(verb, eval_str=True).parameters.values():
             group = parameter.annotation
             if isinstance(group, type) and is_dataclass(group):
-                options = [option for option in _options(group) if option.name not in without]
+                options = [option for option in _options_of_dataclass(group) if option.name not in without]
                 groups[parameter.name] = group, [option.name for option in options]
                 parameters += options
             else:
@@ -56,7 +56,7 @@ def with_option_groups(*, without: Collection[str] = ()) -> Callable[[_Verb], _V
     return decorate
 
 
-def _options(group: type[Any]) -> list[inspect.Parameter]:
+def _options_of_dataclass(group: type[Any]) -> list[inspect.Parameter]:
     """Return the options of a dataclass as parameters of a function."""
     types = get_type_hints(group, include_extras=True)
     return [

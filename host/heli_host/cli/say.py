@@ -72,7 +72,10 @@ def write_result(file: Path | None, content: Mapping[str, Any]) -> bool:
     if file is None:
         return False
     data_on_stdout(file)
-    text = json.dumps(_finite({"schema": RESULT_SCHEMA, **content}), indent=2, allow_nan=False) + "\n"
+    text = (
+        json.dumps(_with_null_for_non_finite({"schema": RESULT_SCHEMA, **content}), indent=2, allow_nan=False)
+        + "\n"
+    )
     if str(file) == STDOUT:
         say_data(text)
         return True
@@ -83,8 +86,8 @@ def write_result(file: Path | None, content: Mapping[str, Any]) -> bool:
 
 def say_dropped(reasons: Iterable[str], file: Path | None = None) -> None:
     """Print the `reasons` why values of a parameter `file` of another schema are not used, one line each."""
-    where = f"{file}: " if file is not None else ""
-    say(*(f"{where}dropped: {reason}" for reason in reasons))
+    file_text = f"{file}: " if file is not None else ""
+    say(*(f"{file_text}dropped: {reason}" for reason in reasons))
 
 
 def say_data(text: str) -> None:
@@ -93,12 +96,12 @@ def say_data(text: str) -> None:
     sys.stdout.flush()
 
 
-def _finite(content: Any) -> Any:
+def _with_null_for_non_finite(content: Any) -> Any:
     """Return content for JSON, with null for each number that is not finite."""
     if isinstance(content, Mapping):
-        return {str(name): _finite(value) for name, value in content.items()}
+        return {str(name): _with_null_for_non_finite(value) for name, value in content.items()}
     if isinstance(content, list | tuple):
-        return [_finite(value) for value in content]
+        return [_with_null_for_non_finite(value) for value in content]
     if isinstance(content, float) and not math.isfinite(content):
         return None
     return content

@@ -227,7 +227,7 @@ def refuse_without_sil(**options: object) -> None:
     typer.BadParameter
         If one of them is neither None nor empty.
     """
-    used = [f"--{name.replace('_', '-')}" for name, value in options.items() if value]
-    if used:
-        verb = "is" if len(used) == 1 else "are"
-        raise typer.BadParameter(f"{' and '.join(used)} {verb} for a simulated board only; add --sil")
+    used_options = [f"--{name.replace('_', '-')}" for name, value in options.items() if value]
+    if used_options:
+        verb = "is" if len(used_options) == 1 else "are"
+        raise typer.BadParameter(f"{' and '.join(used_options)} {verb} for a simulated board only; add --sil")

@@ -19,9 +19,9 @@ class Variadic(TyperCommand):
 
         Returns the arguments that remain after parsing; `ctx` is the context of the command.
         """
-        return list(super().parse_args(ctx, spread(args, self._repeatable())))
+        return list(super().parse_args(ctx, spread(args, self._repeatable_spellings())))
 
-    def _repeatable(self) -> frozenset[str]:
+    def _repeatable_spellings(self) -> frozenset[str]:
         """Return the spellings of all options that may be given several times."""
         return frozenset(
             name

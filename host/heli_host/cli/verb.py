@@ -66,7 +66,7 @@ def installed_verbs() -> dict[str, Verb]:
     and the verbs of other packages still work.
     """
     verbs: dict[str, Verb] = {}
-    for entry in sorted(plugins(ENTRY_POINT_GROUP), key=_order):
+    for entry in sorted(plugins(ENTRY_POINT_GROUP), key=_own_packages_first):
         try:
             for name, verb in _verbs_in(entry.value):
                 if verbs.setdefault(name, verb) is not verb:
@@ -84,7 +84,7 @@ def _warn(cause: str) -> None:
     print(f"warning: {printable(cause)}; left out", file=sys.stderr)
 
 
-def _order(entry: EntryPoint) -> tuple[bool, str]:
+def _own_packages_first(entry: EntryPoint) -> tuple[bool, str]:
     """Sort key that puts packages of this distribution first, so that others cannot take a verb's name."""
     return entry.dist is None or entry.dist.name != DISTRIBUTION, entry.value
 

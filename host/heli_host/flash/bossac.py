@@ -86,11 +86,11 @@ def find_bossac(named: Path | None = None) -> Bossac:
         If no bossac is found, or if `named` is another program.
     """
     if named is not None:
-        return _ask(str(named))
+        return _version_and_options(str(named))
     doubtful = []
-    for path in _candidates():
+    for path in _candidate_paths():
         try:
-            bossac = _ask(path)
+            bossac = _version_and_options(path)
         except UploaderError:
             continue
         if not bossac.doubtful:
@@ -101,7 +101,7 @@ def find_bossac(named: Path | None = None) -> Bossac:
     return doubtful[0]
 
 
-def _candidates() -> Iterable[str]:
+def _candidate_paths() -> Iterable[str]:
     """Yield the paths at which bossac may be, the one on the search path first."""
     on_path = shutil.which("bossac")
     if on_path is not None:
@@ -110,19 +110,19 @@ def _candidates() -> Iterable[str]:
         yield from (str(path) for path in sorted(Path.home().glob(pattern)))
 
 
-def _ask(path: str) -> Bossac:
+def _version_and_options(path: str) -> Bossac:
     """Run a bossac with --help, and return it with its version and its USB option. An UploaderError reports a
     program that does not run, or is not bossac.
     """
     try:
         # Its --help ends with 1.
-        done = subprocess.run(
+        process = subprocess.run(
             [path, "--help"], capture_output=True, text=True, timeout=_ASK_TIMEOUT_S, check=False
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         reason = error.strerror if isinstance(error, OSError) else "it does not answer"
         raise UploaderError(f"{path} does not run: {reason}", GET_BOSSAC) from error
-    text = done.stdout + done.stderr
+    text = process.stdout + process.stderr
     version = re.search(r"\(BOSSA\) Version (\S+)", text)
     if version is None:
         raise UploaderError(f"{path} is not bossac, because it prints no version", GET_BOSSAC)
@@ -157,7 +157,7 @@ def write_image(bossac: Bossac, port: str, image: Path, timeout_s: float = WRITE
         If it fails; the board's flash is then erased or half written, and its motors stay off.
     """
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             bossac.arguments(port, image),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -174,11 +174,11 @@ def write_image(bossac: Bossac, port: str, image: Path, timeout_s: float = WRITE
         ) from None
     except OSError as error:
         raise FlashError(f"{bossac.path} does not run: {error.strerror}", GET_BOSSAC) from error
-    if done.returncode != 0:
-        raise _failure(bossac, port, done.returncode, done.stdout)
+    if process.returncode != 0:
+        raise _error_from_output(bossac, port, process.returncode, process.stdout)
 
 
-def _failure(bossac: Bossac, port: str, code: int, output: str) -> FlashError:
+def _error_from_output(bossac: Bossac, port: str, code: int, output: str) -> FlashError:
     """Why bossac failed, from its output."""
     lines = [line.strip() for line in re.split(r"[\r\n]+", output) if line.strip()]
     last_line = lines[-1] if lines else "nothing"

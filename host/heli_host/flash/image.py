@@ -54,7 +54,7 @@ def read_image(path: Path) -> FirmwareImage:
             f"{path} has {len(content)} bytes; an image for the Due has {VECTORS * 4} to {CODE_MAX_BYTES}",
             _BUILD,
         )
-    _check_vectors(path, content)
+    _check_vector_table(path, content)
     if struct.pack("<I", LINK_HASH) not in content:
         raise ImageError(
             f"{path} does not hold the hash of this host's link ({LINK_HASH:08x}): "
@@ -64,7 +64,7 @@ def read_image(path: Path) -> FirmwareImage:
     return FirmwareImage(path, content)
 
 
-def _check_vectors(path: Path, content: bytes) -> None:
+def _check_vector_table(path: Path, content: bytes) -> None:
     """Refuse what the processor could not start: its first two words are stack and entry."""
     stack, *handlers = struct.unpack_from(f"<{VECTORS}I", content)
     code = range(FLASH_START, FLASH_START + len(content))

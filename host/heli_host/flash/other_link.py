@@ -66,7 +66,7 @@ def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]
         board.ask(ParamsOriginReadMessage(0), ParamsOriginMessage.STRUCT.size)
     )
     if origin.schema != PARAMS_HASH or origin.source == ParamsSource.MIGRATED:
-        raise _unreadable(
+        raise _unreadable_error(
             f"it saved them under the schema {origin.schema:08x}, this host's is {PARAMS_HASH:08x}"
         )
     # Under the same schema, the parameters have the names and the order of this host's declaration.
@@ -76,7 +76,7 @@ def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]
         payload = board.ask(ParamsReadMessage(0, first))
         head, size = ParamsMessage.unpack(payload), ParamsMessage.STRUCT.size
         if head.first != first or head.count == 0 or len(payload) != size + 4 * head.count:
-            raise _unreadable("its list of parameters has another layout")
+            raise _unreadable_error("its list of parameters has another layout")
         values += struct.unpack_from(f"<{head.count}f", payload, size)
     return {spec.name: shortest_decimal(value) for spec, value in zip(PARAMS, values, strict=True)}
 
@@ -103,13 +103,13 @@ class _Asker:
         try:
             payload = request.answer().payload
         except HeliError as error:
-            raise _unreadable("it does not answer the request for them") from error
+            raise _unreadable_error("it does not answer the request for them") from error
         if len(payload) < size:
-            raise _unreadable("it answers the request for them in another layout")
+            raise _unreadable_error("it answers the request for them in another layout")
         return payload
 
 
-def _unreadable(reason: str) -> FlashError:
+def _unreadable_error(reason: str) -> FlashError:
     """Return the error for saved parameters that this host cannot read."""
     return FlashError(
         f"the board has saved parameters that this host cannot read: {reason}",

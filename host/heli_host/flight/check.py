@@ -54,10 +54,11 @@ def check(
     for name, column in flight.columns().items():
         if name in flight.extra or column.dtype.kind != "f":
             continue
-        bad = np.flatnonzero(~np.isfinite(column))
-        if bad.size:
+        bad_rows = np.flatnonzero(~np.isfinite(column))
+        if bad_rows.size:
             raise FlightDataError(
-                f"{source}: {name} is {column[bad[0]]} in {where(int(bad[0]))} ({bad.size} such rows)",
+                f"{source}: {name} is {column[bad_rows[0]]} in {where(int(bad_rows[0]))} "
+                f"({bad_rows.size} such rows)",
                 "remove these rows, or the part of the flight around them",
             )
     # Differences of huge numbers overflow to infinity; the checks then refuse them as too large.
@@ -71,9 +72,9 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
     of the file.
     """
     step_s = np.diff(t_s)
-    back = np.flatnonzero(step_s <= 0.0)
-    if back.size:
-        row = int(back[0]) + 1
+    falling_rows = np.flatnonzero(step_s <= 0.0)
+    if falling_rows.size:
+        row = int(falling_rows[0]) + 1
         raise FlightDataError(
             f"{source}: t_s does not increase in {where(row)}: {t_s[row]:.9g} after {t_s[row - 1]:.9g} s",
             "sort the rows by time, and remove duplicates",
@@ -107,7 +108,7 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
             raise FlightDataError(
                 f"{source}: {name} is {column[row]:.4g} in {where(row)}, which {degrees[0]}", degrees[1]
             )
-        row, rate_rad_s = _usual_highest_rate(column, flight.step_s)
+        row, rate_rad_s = _rate_exceeded_by_1_percent(column, flight.step_s)
         if rate_rad_s > _MAX_RATE_RAD_S:
             raise FlightDataError(
                 f"{source}: {name} moves by {rate_rad_s:.3g} per second in {where(row)}, which {degrees[0]}",
@@ -133,7 +134,7 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
             )
 
 
-def _usual_highest_rate(angle_rad: Floats, step_s: float) -> tuple[int, float]:
+def _rate_exceeded_by_1_percent(angle_rad: Floats, step_s: float) -> tuple[int, float]:
     """Return the rate over 0.1 s that only one row in a hundred exceeds, and a row with this rate."""
     reach = max(1, round(0.1 / step_s))
     if angle_rad.size <= reach:

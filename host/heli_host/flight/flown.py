@@ -41,7 +41,7 @@ def flown_rows(flight: Flight) -> Booleans:
     """
     rows = np.ones(len(flight), np.bool_)
     if flight.state is not None:
-        rows = _in_state(flight, _OWN) | _in_state(flight, _STREAMED)
+        rows = _rows_in_state(flight, _OWN) | _rows_in_state(flight, _STREAMED)
     phases = [event for event in flight.events if event.name == PHASE_EVENT]
     flown_s = [event.t_s for event in phases if event.text not in (TAKE_OFF, LANDING)]
     if phases:
@@ -75,9 +75,9 @@ def led_rows(flight: Flight, axis: str) -> Booleans:
     if setpoint_rad is None:
         return np.zeros(len(flight), np.bool_)
     apart_rad = np.abs(getattr(flight, f"{axis}_rad") - setpoint_rad)
-    for theirs in (_in_state(flight, _STREAMED), _of_law(flight)):
-        if theirs.any() and apart_rad[theirs].max() <= _TOLD_rad:
-            rows = rows & ~theirs
+    for rows_of_other_law in (_rows_in_state(flight, _STREAMED), _rows_of_uploaded_law(flight)):
+        if rows_of_other_law.any() and apart_rad[rows_of_other_law].max() <= _TOLD_rad:
+            rows = rows & ~rows_of_other_law
     return rows
 
 
@@ -99,7 +99,7 @@ def of_its_law(flight: Flight) -> Flight:
     FlightDataError
         If no control law flew.
     """
-    is_flown = _of_law(flight)
+    is_flown = _rows_of_uploaded_law(flight)
     if not is_flown.any():
         is_flown = flown_rows(flight)
     rows = np.flatnonzero(is_flown)
@@ -109,12 +109,12 @@ def of_its_law(flight: Flight) -> Flight:
     return replace(cut, events=tuple(event for event in cut.events if event.name != PHASE_EVENT))
 
 
-def _in_state(flight: Flight, name: str) -> Booleans:
+def _rows_in_state(flight: Flight, name: str) -> Booleans:
     numbers = [number for number, known in flight.state_names.items() if known == name]
     return np.zeros(len(flight), np.bool_) if flight.state is None else np.isin(flight.state, numbers)
 
 
-def _of_law(flight: Flight) -> Booleans:
+def _rows_of_uploaded_law(flight: Flight) -> Booleans:
     if flight.flags is None:
         return np.zeros(len(flight), np.bool_)
     return np.asarray(flight.flags & Flags.LAW, np.bool_)

@@ -162,16 +162,18 @@ def step_metrics(
     if not len(t_s):
         return StepMetrics(math.nan, math.nan, math.nan)
     size_deg = end_deg - start_deg
-    share = (angle_deg - start_deg) / size_deg
-    reached = [np.flatnonzero(share >= level) for level in (0.1, 0.9)]
-    rise_s = float(t_s[reached[1][0]] - t_s[reached[0][0]]) if reached[1].size else math.nan
-    seen_deg = angle_deg
+    completed_share = (angle_deg - start_deg) / size_deg
+    # The rise lasts from 10 % to 90 % of the step.
+    rows_above = [np.flatnonzero(completed_share >= level) for level in (0.1, 0.9)]
+    rise_s = float(t_s[rows_above[1][0]] - t_s[rows_above[0][0]]) if rows_above[1].size else math.nan
+    compared_deg = angle_deg
     if math.isfinite(count_deg):
-        seen_deg = _between_counts(t_s, angle_deg, end_deg, count_deg)
-    outside = np.flatnonzero(np.abs(seen_deg - end_deg) > SETTLED_SHARE * abs(size_deg))
-    settled = not outside.size or outside[-1] < len(share) - 1
-    settling_s = float(t_s[outside[-1] + 1] if outside.size else 0.0) if settled else math.nan
-    return StepMetrics(rise_s, 100.0 * max(float(share.max()) - 1.0, 0.0), settling_s)
+        compared_deg = _between_counts(t_s, angle_deg, end_deg, count_deg)
+    rows_outside = np.flatnonzero(np.abs(compared_deg - end_deg) > SETTLED_SHARE * abs(size_deg))
+    # It has settled after the last row outside the band, unless the flight ends outside it.
+    is_settled = not rows_outside.size or rows_outside[-1] < len(completed_share) - 1
+    settling_s = float(t_s[rows_outside[-1] + 1] if rows_outside.size else 0.0) if is_settled else math.nan
+    return StepMetrics(rise_s, 100.0 * max(float(completed_share.max()) - 1.0, 0.0), settling_s)
 
 
 def _between_counts(t_s: Floats, angle_deg: Floats, end_deg: float, count_deg: float) -> Floats:
@@ -257,17 +259,18 @@ def _held_stretches(flight: Flight, setpoint_deg: Floats, is_commanded: Booleans
     rows = max(4, round(HELD_s / max(flight.step_s, 1e-9)))
     if len(setpoint_deg) <= rows:
         return []
-    # A sine has the same value before and after a crest, so that points between them are compared, too.
+    # `is_still` has an element for each possible first row. A sine has the same value before and after its
+    # crest, so the setpoint is compared at every quarter of the time, and not only at its end.
     is_still = is_commanded[:-rows] & is_commanded[rows:]
-    for part in (1, 2, 3, 4):
-        ahead = setpoint_deg[part * rows // 4 :][: len(is_still)]
-        is_still = is_still & (np.abs(ahead - setpoint_deg[: len(is_still)]) < _HELD_DEG)
+    for quarter in (1, 2, 3, 4):
+        later_deg = setpoint_deg[quarter * rows // 4 :][: len(is_still)]
+        is_still = is_still & (np.abs(later_deg - setpoint_deg[: len(is_still)]) < _HELD_DEG)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], is_still, [False])).astype(np.int8)))
     stretches = []
-    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        first, stop = a, b + rows
+    for first_still, stop_still in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        first, stop = first_still, stop_still + rows
         # A ramp begins so slowly that its first rows look held; they are cut off.
         level_deg = setpoint_deg[(first + stop) // 2]
-        same = np.flatnonzero(np.abs(setpoint_deg[first:stop] - level_deg) < _SAME_DEG)
-        stretches.append((first + int(same[0]), first + int(same[-1]) + 1))
+        held_rows = np.flatnonzero(np.abs(setpoint_deg[first:stop] - level_deg) < _SAME_DEG)
+        stretches.append((first + int(held_rows[0]), first + int(held_rows[-1]) + 1))
     return stretches

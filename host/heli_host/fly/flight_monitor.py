@@ -78,8 +78,8 @@ class FlightMonitor:
         state = self._session.state
         self.was_closed = self.was_closed or state is State.CLOSED_LOOP
         flying = (State.CLOSED_LOOP, State.HOLD) if self.was_closed else (State.CLOSED_LOOP, State.ARMED)
-        wrong = (state is not None and state not in flying) or self._recorder.error is not None
-        return wrong or bool(self._end_when())
+        is_wrong = (state is not None and state not in flying) or self._recorder.error is not None
+        return is_wrong or bool(self._end_when())
 
     def check(self, t_s: float) -> None:
         """Raise the error that must end the flight, if there is one.
@@ -97,8 +97,8 @@ class FlightMonitor:
         self._recorder.check()
         if restarted := self.restarted():
             raise FlightAborted(restarted.removeprefix("aborted: "))
-        slow = not self.was_closed and t_s > _CLOSING_S
-        if not self.must_end() and not slow:
+        closes_too_slowly = not self.was_closed and t_s > _CLOSING_S
+        if not self.must_end() and not closes_too_slowly:
             return
         raise FlightAborted(self._end_when() or self.why_down())
 
@@ -109,14 +109,16 @@ class FlightMonitor:
             return f"fault {fault_text(self.fault())}"
         # Telemetry shows a state slightly before the event with its reason arrives.
         self._session.wait_for(lambda: bool(self._ended_by), _LOOK_S)
-        lost = ", after the link was lost" if self._session.counters.reconnects != self._reconnects else ""
-        name = state.name.lower() if state is not None else "unknown"
+        lost_link_text = (
+            ", after the link was lost" if self._session.counters.reconnects != self._reconnects else ""
+        )
+        state_name = state.name.lower() if state is not None else "unknown"
         reason = self._ended_by or self._newest_state()
         # Most events begin with the name of the state, which the message below already contains.
-        before, _, cause = reason.partition(f"state {name}, ")
-        if cause and not before:
-            return f"the board went to state {name}{lost}, {cause}"
-        return f"the board went to state {name}{lost} ({reason})"
+        text_before, _, cause_after_state = reason.partition(f"state {state_name}, ")
+        if cause_after_state and not text_before:
+            return f"the board went to state {state_name}{lost_link_text}, {cause_after_state}"
+        return f"the board went to state {state_name}{lost_link_text} ({reason})"
 
     def restarted(self) -> str:
         """Return the outcome of a flight whose board has restarted; empty if it has not."""

@@ -54,13 +54,15 @@ class Interrupts:
         self._before: dict[signal.Signals, Callable[[int, FrameType | None], Any]] = {}
 
     def __enter__(self) -> Self:
+        # Python accepts new handlers in the main thread only. Windows lacks some of the signals, and a signal
+        # without a handler in Python is not callable: it keeps its default.
         if threading.current_thread() is threading.main_thread():
             for name in _NAMES:
                 number = getattr(signal.Signals, name, None)
                 handler = signal.getsignal(number) if number is not None else None
                 if number is not None and callable(handler):
                     self._before[number] = handler
-                    signal.signal(number, self._take)
+                    signal.signal(number, self._remember_and_raise)
         return self
 
     def __exit__(
@@ -78,7 +80,7 @@ class Interrupts:
     def allow_one_more(self) -> None:
         """Let the next signal raise KeyboardInterrupt; raise immediately if one has arrived meanwhile."""
         self._raises_left = 1
-        self._catch_up()
+        self._raise_remembered()
 
     def allow_no_more(self) -> None:
         """Only record the signals that arrive from now on."""
@@ -92,18 +94,18 @@ class Interrupts:
             yield
         finally:
             self._shielded = False
-        self._catch_up()
+        self._raise_remembered()
 
-    def _take(self, number: int, frame: FrameType | None) -> None:
+    def _remember_and_raise(self, number: int, frame: FrameType | None) -> None:
         """Record a signal, and raise KeyboardInterrupt if this is permitted now."""
         self._names.append(CTRL_C if number == signal.SIGINT else signal.Signals(number).name)
         # A handler may have more to do than to raise.
         with contextlib.suppress(KeyboardInterrupt):
             self._before[signal.Signals(number)](number, frame)
         if not self._shielded:
-            self._catch_up()
+            self._raise_remembered()
 
-    def _catch_up(self) -> None:
+    def _raise_remembered(self) -> None:
         """Raise KeyboardInterrupt for a recorded signal, as often as permitted."""
         if self._raises_left and self.remembered:
             self._raises_left -= 1

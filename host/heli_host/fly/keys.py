@@ -97,11 +97,13 @@ class PlanTable:
         """
         if key not in self.values:
             if default is None:
-                self.fail(f"{key} is missing", f"add {key} = {_example(key, spec)}")
+                self.fail(f"{key} is missing", f"add {key} = {_example_value(key, spec)}")
             return default
         value = self.values[key]
         if isinstance(value, bool) or not isinstance(value, int | float):
-            self.fail(f"{key} is {_short(value)}, not a number", f"write {key} = {_example(key, spec)}")
+            self.fail(
+                f"{key} is {_shortened(value)}, not a number", f"write {key} = {_example_value(key, spec)}"
+            )
         if not math.isfinite(value):
             self.fail(f"{key} is {value}", "give a finite number")
         if not spec.least <= value <= spec.most or (spec.nonzero and value == 0):
@@ -133,7 +135,7 @@ class PlanTable:
         """
         value = self.values.get(key, default)
         if not isinstance(value, str):
-            self.fail(f"{key} is {_short(value)}, not a text", f'write {key} = "{default or "..."}"')
+            self.fail(f"{key} is {_shortened(value)}, not a text", f'write {key} = "{default or "..."}"')
         return value
 
     def choice(self, key: str, choices: Iterable[str], default: str | None = None) -> str:
@@ -153,19 +155,19 @@ class PlanTable:
             self.fail(f"{key} is missing", f"give one of {', '.join(words)}")
         value = self.values.get(key, default)
         if value not in words:
-            close = difflib.get_close_matches(str(value), words, n=1)
-            hint = f"did you mean {close[0]!r}? " if close else ""
-            self.fail(f"{key} is {_short(value)}", f"{hint}it takes {', '.join(words)}")
+            similar_words = difflib.get_close_matches(str(value), words, n=1)
+            hint = f"did you mean {similar_words[0]!r}? " if similar_words else ""
+            self.fail(f"{key} is {_shortened(value)}", f"{hint}it takes {', '.join(words)}")
         return str(value)
 
 
-def _example(key: str, spec: Number) -> str:
+def _example_value(key: str, spec: Number) -> str:
     if key.endswith("_s"):
         return "10"
     return f"{min(max(5.0, spec.least), spec.most):g}"
 
 
-def _short(value: object) -> str:
+def _shortened(value: object) -> str:
     text = " ".join(repr(value).split())
     return text if len(text) <= 40 else text[:37] + "..."
 

@@ -80,16 +80,20 @@ class Landing:
         elif self._session.state is State.ARMED:
             self._heli.stop()
         elif self._session.state not in _DOWN:
-            trouble = self._descend()
+            trouble = self._land_and_wait()
         wait_ticks(self._session, _AFTER_TICKS)
         newest = self._session.latest
         if is_completed and not trouble and newest is not None:
-            # The host may have been suspended between the end of the plan and the landing.
-            by_itself = newest[1][Channel.TRIGGER] not in _REQUESTED
-            return self._monitor.why_down() if by_itself and newest[1][Channel.STATE] in _DOWN else ""
+            # The board may have landed by itself, if the host was suspended between the end of the plan and
+            # the landing.
+            _, channels = newest
+            was_requested = channels[Channel.TRIGGER] in _REQUESTED
+            if channels[Channel.STATE] in _DOWN and not was_requested:
+                return self._monitor.why_down()
+            return ""
         return trouble
 
-    def _descend(self) -> str:
+    def _land_and_wait(self) -> str:
         """Land, wait until the motors are off, and return the reason if that failed; an empty text otherwise.
         A board that does not land in time is stopped.
         """

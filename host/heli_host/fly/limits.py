@@ -85,16 +85,17 @@ def check_motion(segment: Segment, at_deg: Floats, limits: Limits) -> None:
         With file, segment and key.
     """
     motion = segment.motion(at_deg)
-    slack_deg = 1e-9
+    # Rounding errors of a path that just touches a limit are no violation.
+    rounding_deg = 1e-9
     for index, axis in enumerate(AXES):
         key = segment.limit_keys[index]
         low, high = limits.low_deg[index], limits.high_deg[index]
-        if motion.high_deg[index] > high + slack_deg:
+        if motion.high_deg[index] > high + rounding_deg:
             raise PlanError(
                 f"{segment.where}: {key} takes {axis} to {motion.high_deg[index]:g} degrees",
                 f"stay at or below {high:g} ({limits.high_names[index]})",
             )
-        if motion.low_deg[index] < low - slack_deg:
+        if motion.low_deg[index] < low - rounding_deg:
             raise PlanError(
                 f"{segment.where}: {key} takes {axis} to {motion.low_deg[index]:g} degrees",
                 f"stay at or above {low:g} ({limits.low_names[index]})",

@@ -86,7 +86,7 @@ class Pilot:
         self._interrupts = interrupts or Interrupts()
         self._heli = heli
         self._session = heli.session
-        self._axes = _mask(axes)
+        self._axes = _axes_bit_mask(axes)
         self._recorder = recorder
         self._tracking = TrackingMonitor(tolerance or Tolerance(), rad_per_count(heli.params), axes)
         self._stream = RouteStream(heli, route, recorder, self._tracking)
@@ -121,7 +121,7 @@ class Pilot:
             self.outcome = f"aborted: {type(error).__name__} in this program"
             raise
         finally:
-            self._come_down()
+            self._land_or_stop()
             unsubscribe()
             unsubscribe_events()
             for name in self._interrupts.remembered:
@@ -154,7 +154,7 @@ class Pilot:
             if self._on_taken_off is not None and newest_tick(session) >= stream.taken_off_tick:
                 taken_off, self._on_taken_off = self._on_taken_off, None
                 taken_off()
-            self._excite()
+            self._start_due_excitations()
             self._reports.report(stream.t_s)
             due_tick = min([end_tick, *(stream.tick_of(piece) for piece in self._excitations[:1])])
             if self._on_taken_off is not None:
@@ -164,7 +164,7 @@ class Pilot:
             stream.bridge_a_stall()
         monitor.check(stream.t_s)
 
-    def _excite(self) -> None:
+    def _start_due_excitations(self) -> None:
         """Start the excitations that are due."""
         while self._excitations and newest_tick(self._session) >= self._stream.tick_of(self._excitations[0]):
             excitation = self._excitations.pop(0).excitation
@@ -179,7 +179,7 @@ class Pilot:
                     seed=excitation.seed,
                 )
 
-    def _come_down(self) -> None:
+    def _land_or_stop(self) -> None:
         """Land if the motors may run. A Ctrl-C meanwhile switches them off immediately: the arm falls."""
         try:
             self._stream.end()
@@ -196,8 +196,8 @@ class Pilot:
                 with contextlib.suppress(HeliError):
                     self._heli.stop()
                     break
-            when = "again" if was_interrupted(self.outcome) else "while landing"
-            trouble = f"{name_of(error)} {when}, motors stopped in the air"
+            moment_text = "again" if was_interrupted(self.outcome) else "while landing"
+            trouble = f"{name_of(error)} {moment_text}, motors stopped in the air"
             self._note_interrupt(trouble)
         except LinkLost as error:
             trouble = f"link lost while landing: {error.cause}; the board lands by itself"
@@ -216,7 +216,7 @@ class Pilot:
             self._recorder.note("interrupt", text, LEVEL_WARNING)
 
 
-def _mask(axes: tuple[str, ...]) -> Axes:
+def _axes_bit_mask(axes: tuple[str, ...]) -> Axes:
     """Return the names of axes as a bit mask."""
     mask = Axes(0)
     for axis in axes:

@@ -140,8 +140,8 @@ class Plan:
         """
         name = name or Path(source).stem
         table = PlanTable(values, source, ("title", "axes", "start", "tolerance", "segment"))
-        closed = _read_axes(table)
-        commanded = tuple(axis for axis in closed if axis != "pitch" or "travel" not in closed)
+        closed_axes = _read_axes(table)
+        commanded_axes = tuple(axis for axis in closed_axes if axis != "pitch" or "travel" not in closed_axes)
         start = _read_start(values.get("start", {}), source)
         tolerance_table = values.get("tolerance", {})
         if not isinstance(tolerance_table, dict):
@@ -152,14 +152,14 @@ class Plan:
         if len(rows) > MAX_SEGMENTS:
             table.fail(f"it has {len(rows)} segments", f"use at most {MAX_SEGMENTS}")
         segments = tuple(
-            read_segment(row, f"{source}, segment {number}", commanded)
+            read_segment(row, f"{source}, segment {number}", commanded_axes)
             for number, row in enumerate(rows, start=1)
         )
         for segment in segments[:-1]:
             if segment.kind == "land":
                 raise PlanError(f"{segment.where}: another segment follows", "put land last, or leave it out")
         tolerance = Tolerance.read(tolerance_table, f"{source}, tolerance")
-        return Plan(name, source, table.text("title", name), closed, start, segments, text, tolerance)
+        return Plan(name, source, table.text("title", name), closed_axes, start, segments, text, tolerance)
 
     @cached_property
     def route(self) -> Route:
@@ -221,7 +221,7 @@ class Plan:
         at_deg[Axis.ELEVATION] = self.start.elevation_deg
         for segment in self.segments:
             check_motion(segment, at_deg, limits)
-            at_deg = _end(segment, at_deg)
+            at_deg = _end_deg_of(segment, at_deg)
         return at_deg
 
     def _check_start(self, limits: Limits) -> None:
@@ -255,7 +255,9 @@ def load_plan(name: str | Path) -> Plan:
     """
     text = str(name)
     if text in plan_names():
-        return Plan.parse((_built_in() / f"{text}.toml").read_text(encoding="utf-8"), f"plan {text}", text)
+        return Plan.parse(
+            (_built_in_folder() / f"{text}.toml").read_text(encoding="utf-8"), f"plan {text}", text
+        )
     path = Path(name)
     if not path.exists():
         close = difflib.get_close_matches(text, plan_names(), n=1)
@@ -278,7 +280,9 @@ def load_plan(name: str | Path) -> Plan:
 def plan_names() -> list[str]:
     """Return the names of the built-in plans."""
     return sorted(
-        entry.name.removesuffix(".toml") for entry in _built_in().iterdir() if entry.name.endswith(".toml")
+        entry.name.removesuffix(".toml")
+        for entry in _built_in_folder().iterdir()
+        if entry.name.endswith(".toml")
     )
 
 
@@ -317,7 +321,9 @@ def take_off(plans: Sequence[Plan], parameters: Mapping[str, float], start_deg: 
     for plan in plans:
         at_deg = plan.check(parameters, at_deg)
     for number, plan in enumerate(plans):
-        route = extend(_reach(route, plan, TAKE_OFF if number == 0 else plan.name, settle=number == 0), plan)
+        route = extend(
+            _with_way_to_start(route, plan, TAKE_OFF if number == 0 else plan.name, settle=number == 0), plan
+        )
     return route
 
 
@@ -330,7 +336,7 @@ def extend(route: Route, plan: Plan) -> Route:
     return route
 
 
-def _reach(route: Route, plan: Plan, phase: str, *, settle: bool) -> Route:
+def _with_way_to_start(route: Route, plan: Plan, phase: str, *, settle: bool) -> Route:
     """Add the way from the end of a route to the first elevation of a plan, and the time to settle there."""
     from_deg = route.end_deg
     to_deg = from_deg.copy()
@@ -343,7 +349,7 @@ def _reach(route: Route, plan: Plan, phase: str, *, settle: bool) -> Route:
     return route
 
 
-def _end(segment: Segment, at_deg: Floats) -> Floats:
+def _end_deg_of(segment: Segment, at_deg: Floats) -> Floats:
     motion = segment.motion(at_deg)
     end_deg: Floats = motion.shape(np.array([motion.duration_s]))[0]
     return end_deg
@@ -351,19 +357,19 @@ def _end(segment: Segment, at_deg: Floats) -> Floats:
 
 def _read_axes(table: PlanTable) -> tuple[str, ...]:
     """Return the axes whose loops a plan closes, in the order of the declaration; all if it states none."""
-    given = table.values.get("axes", list(AXES))
+    stated_axes = table.values.get("axes", list(AXES))
     if (
-        not isinstance(given, list)
-        or not all(axis in AXES for axis in given)
-        or len(set(given)) != len(given)
+        not isinstance(stated_axes, list)
+        or not all(axis in AXES for axis in stated_axes)
+        or len(set(stated_axes)) != len(stated_axes)
     ):
         table.fail("axes is not a list of axes", f"write axes = {list(AXES)}".replace("'", '"'))
-    if "elevation" not in given or "pitch" not in given:
+    if "elevation" not in stated_axes or "pitch" not in stated_axes:
         table.fail(
             "axes lacks elevation or pitch",
             "a plan closes both; fly open loop from Python with heli.control()",
         )
-    return tuple(axis for axis in AXES if axis in given)
+    return tuple(axis for axis in AXES if axis in stated_axes)
 
 
 def _read_start(values: Any, source: str) -> Start:
@@ -371,13 +377,13 @@ def _read_start(values: Any, source: str) -> Start:
     if not isinstance(values, dict):
         raise PlanError(f"{source}: [start] is not a table", "write [start] above its keys")
     table = PlanTable(values, f"{source}, start", ("elevation_deg", "rate_deg_s", "settle_s"))
-    usual = Start()
+    default_start = Start()
     return Start(
-        table.number("elevation_deg", ANGLE, usual.elevation_deg),
-        table.number("rate_deg_s", RATE, usual.rate_deg_s),
-        table.number("settle_s", PAUSE, usual.settle_s),
+        table.number("elevation_deg", ANGLE, default_start.elevation_deg),
+        table.number("rate_deg_s", RATE, default_start.rate_deg_s),
+        table.number("settle_s", PAUSE, default_start.settle_s),
     )
 
 
-def _built_in() -> Any:
+def _built_in_folder() -> Any:
     return resources.files("heli_host.fly") / "plans"

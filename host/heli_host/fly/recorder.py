@@ -100,8 +100,8 @@ class Recorder:
             self.path,
             start_wall_ns=heli.session.transport.wall_ns(),
             metadata={
-                **({} if sealed else _simulation(heli, setup)),
-                "session": self._session_notes(self._session(heli, rig_name, plans, board_name)),
+                **({} if sealed else _simulation_record(heli, setup)),
+                "session": self._session_notes(self._session_record(heli, rig_name, plans, board_name)),
                 "parameters": {name: repr(value) for name, value in parameters.items()},
                 "plan": plan_texts(plans),
             },
@@ -112,7 +112,7 @@ class Recorder:
         self._last_wall_ns = 0
         self._law_signals: dict[str, str] = {}
         for event in heli.session.events:
-            self._name_signals(event)
+            self._note_signal_names(event)
         self._unsubscribe = (
             heli.session.subscribe_ticks(self._take_ticks),
             heli.session.subscribe_events(self._take_event),
@@ -144,7 +144,7 @@ class Recorder:
         phase : str
             ``take-off``, the name of a plan, or ``landing``.
         """
-        with self._guard():
+        with self._keep_first_failure():
             self._writer.write_event(tick & 0xFFFFFFFF, PHASE_EVENT, phase)
 
     def note(self, name: str, text: str, level: int = LEVEL_INFO) -> None:
@@ -160,9 +160,9 @@ class Recorder:
             Severity as in ``foxglove.Log``.
         """
         newest = self._heli.session.latest
-        with self._guard():
+        with self._keep_first_failure():
             tick = (newest[0] if newest else 0) & 0xFFFFFFFF
-            self._writer.write_event(tick, name, self._text(text), level)
+            self._writer.write_event(tick, name, self._text_for_log(text), level)
 
     def check(self) -> None:
         """Raise the error that stopped the writing, if there is one.
@@ -188,34 +188,36 @@ class Recorder:
         self._closed = True
         for unsubscribe in self._unsubscribe:
             unsubscribe()
-        log = self._writer.counters
-        counters = _counts(self._heli.counters)
-        last = {
+        log_counters = self._writer.counters
+        counters = _counts_by_name(self._heli.counters)
+        last_metadata = {
             "counters": {name: str(value) for name, value in counters.items()},
             "result": {
-                "outcome": self._text(outcome),
-                "ticks_logged": str(log.ticks_logged),
-                "ticks_lost": str(log.ticks_lost),
-                "ticks_dropped": str(log.ticks_dropped),
-                "events_logged": str(log.events_logged),
+                "outcome": self._text_for_log(outcome),
+                "ticks_logged": str(log_counters.ticks_logged),
+                "ticks_lost": str(log_counters.ticks_lost),
+                "ticks_dropped": str(log_counters.ticks_dropped),
+                "events_logged": str(log_counters.events_logged),
             },
         }
-        changed = {
-            name: repr(value) for name, value in self._values().items() if self._parameters.get(name) != value
+        changed_parameters = {
+            name: repr(value)
+            for name, value in self._present_parameters().items()
+            if self._parameters.get(name) != value
         }
-        if changed:
-            last["parameters_changed"] = changed
-        with self._guard():
-            self._writer.close(last)
+        if changed_parameters:
+            last_metadata["parameters_changed"] = changed_parameters
+        with self._keep_first_failure():
+            self._writer.close(last_metadata)
 
     def _session_notes(self, session: dict[str, str]) -> dict[str, str]:
         """Return the notes of a session; those of a blind flight without what reveals its rig."""
         return blind_notes(session, self._sealed) if self._sealed else session
 
-    def _text(self, text: str) -> str:
+    def _text_for_log(self, text: str) -> str:
         return hide(text) if self._sealed else text
 
-    def _values(self) -> dict[str, float]:
+    def _present_parameters(self) -> dict[str, float]:
         # A board that has restarted would be asked again, and may be gone.
         with contextlib.suppress(HeliError):
             return dict(self._heli.params)
@@ -226,26 +228,28 @@ class Recorder:
         if not len(ticks):
             return
         self._last_wall_ns = self._heli.session.transport.wall_ns()
-        with self._guard():
+        with self._keep_first_failure():
             self._writer.write_ticks(ticks.tick, ticks.raw)
 
     def _take_event(self, event: LinkEvent) -> None:
         """Write an event of the link; an urgent one immediately to the disk. A restart of the board begins a
         new stretch of device time.
         """
-        with self._guard():
+        with self._keep_first_failure():
             if event.kind == BOARD_RESTARTED:
                 self._writer.skip(
                     max(0, event.wall_ns - self._last_wall_ns) / 1e9 if self._last_wall_ns else 0.0
                 )
             level = _LEVELS.get(event.kind, LEVEL_INFO)
-            self._writer.write_event(event.tick & 0xFFFFFFFF, event.kind, self._text(event.text), level)
+            self._writer.write_event(
+                event.tick & 0xFFFFFFFF, event.kind, self._text_for_log(event.text), level
+            )
             if event.kind in _URGENT:
                 # What follows may be silence: nothing should wait in memory for a chunk to fill.
                 self._writer.flush()
-            self._name_signals(event)
+            self._note_signal_names(event)
 
-    def _name_signals(self, event: LinkEvent) -> None:
+    def _note_signal_names(self, event: LinkEvent) -> None:
         """Keep the names of a law's signals; a channel that two laws name differently keeps its own."""
         if event.kind != LAW_SIGNAL_NAMES:
             return
@@ -253,15 +257,15 @@ class Recorder:
             channel = f"signal_{number}"
             self._law_signals[channel] = name if self._law_signals.get(channel, name) == name else channel
         self._law_signals["law"] = event.text
-        with self._guard():
+        with self._keep_first_failure():
             self._writer.write_metadata("law", self._law_signals)
 
     def _take_status(self, status: StatusMessage) -> None:
-        with self._guard():
-            self._writer.write_link(status.tick, _counts(self._heli.counters))
+        with self._keep_first_failure():
+            self._writer.write_link(status.tick, _counts_by_name(self._heli.counters))
 
     @contextlib.contextmanager
-    def _guard(self) -> Iterator[None]:
+    def _keep_first_failure(self) -> Iterator[None]:
         """Keep the first failure and go on without a log: an error must not reach the reading thread."""
         try:
             yield
@@ -271,7 +275,9 @@ class Recorder:
             self.error = self.error or self._writer.nearly_full
 
     @staticmethod
-    def _session(heli: Vehicle, rig_name: str, plans: Sequence[Plan], board_name: str) -> dict[str, str]:
+    def _session_record(
+        heli: Vehicle, rig_name: str, plans: Sequence[Plan], board_name: str
+    ) -> dict[str, str]:
         """Return the record `session` of the log: rig, board, versions, address and start."""
         info = heli.info
         wall_ns = heli.session.transport.wall_ns()
@@ -290,18 +296,18 @@ class Recorder:
             "reset": info.reset,
             "boot_fault": info.boot_fault,
             "params_source": info.params_source,
-            "controller": _controller(heli),
+            "controller": _controller_name(heli),
             "axes": " ".join(plans[0].axes) if plans else "",
         }
 
 
-def _simulation(heli: Vehicle, setup: Mapping[str, str]) -> dict[str, dict[str, str]]:
+def _simulation_record(heli: Vehicle, setup: Mapping[str, str]) -> dict[str, dict[str, str]]:
     """Return the record that repeats a simulated flight; none for hardware."""
     recipe = transport_recipe(heli.session.transport)
     return {SIMULATION: {**recipe, **setup}} if recipe else {}
 
 
-def _controller(heli: Vehicle) -> str:
+def _controller_name(heli: Vehicle) -> str:
     """Return the controller's name; for the default row, the board is not asked."""
     selected = heli.params["controller"]
     return controller_name(heli.session, selected) if selected in range(1, 8) else "default"
@@ -324,16 +330,16 @@ def plan_texts(plans: Sequence[Plan]) -> dict[str, str]:
     return texts
 
 
-def _counts(counters: LinkCounters) -> dict[str, float]:
+def _counts_by_name(counters: LinkCounters) -> dict[str, float]:
     """Return the counters of the host, and those of the board with the prefix ``board_``, by name."""
-    counted: dict[str, float] = {}
+    counts: dict[str, float] = {}
     for entry in fields(counters):
         value = getattr(counters, entry.name)
         if isinstance(value, int):
-            counted[entry.name] = value
+            counts[entry.name] = value
     board = counters.board
     if board is not None:
         for entry in fields(board):
             if entry.name not in ("request", "tick"):
-                counted[f"board_{entry.name}"] = getattr(board, entry.name)
-    return counted
+                counts[f"board_{entry.name}"] = getattr(board, entry.name)
+    return counts

@@ -208,7 +208,7 @@ def sine(from_deg: Floats, amplitude_deg: Floats, period_s: Floats, duration_s: 
 
     def shape(t_s: Floats) -> Floats:
         column = t_s[:, None]
-        envelope = _blend(np.clip(np.minimum(column, duration_s - column) / fades_s, 0.0, 1.0))
+        envelope = _smooth_from_0_to_1(np.clip(np.minimum(column, duration_s - column) / fades_s, 0.0, 1.0))
         return from_deg + amplitude_deg * envelope * np.sin(2.0 * np.pi * column / period_s)
 
     return shape
@@ -249,13 +249,15 @@ def waypoints(at_s: Sequence[Floats], points_deg: Sequence[Floats], smooth: bool
                 columns.append(np.interp(t_s, times, values))
                 continue
             segment = np.clip(np.searchsorted(times, t_s, side="right") - 1, 0, times.size - 2)
-            share = np.clip((t_s - times[segment]) / (times[segment + 1] - times[segment]), 0.0, 1.0)
-            columns.append(values[segment] + _blend(share) * (values[segment + 1] - values[segment]))
+            elapsed_share = np.clip((t_s - times[segment]) / (times[segment + 1] - times[segment]), 0.0, 1.0)
+            columns.append(
+                values[segment] + _smooth_from_0_to_1(elapsed_share) * (values[segment + 1] - values[segment])
+            )
         return np.column_stack(columns)
 
     return shape
 
 
-def _blend(share: Floats) -> Floats:
+def _smooth_from_0_to_1(share: Floats) -> Floats:
     """Go from 0 to 1 with level ends."""
     return share * share * (3.0 - 2.0 * share)

@@ -63,9 +63,13 @@ class RouteStream:
         self._lock = threading.Lock()
         self._streaming = False
         self._sent_tick = 0
-        self._phases = _phases(route)
-        flown_s = next((piece.start_s for piece in self._phases if piece.phase != TAKE_OFF), route.duration_s)
-        self._take_off_ticks = round(flown_s / TICK_S)
+        self._coming_phases = _first_piece_of_phases(route)
+        # The take-off lasts until the first phase of another name begins.
+        take_off_s = next(
+            (piece.start_s for piece in self._coming_phases if piece.phase != TAKE_OFF),
+            route.duration_s,
+        )
+        self._take_off_ticks = round(take_off_s / TICK_S)
 
     @property
     def taken_off_tick(self) -> int:
@@ -90,7 +94,7 @@ class RouteStream:
         """Evaluate the route once. The first evaluation takes 20 ms, most of it numpy's; at 50x real time
         that is a second of flight.
         """
-        self._target_rad(newest_tick(self._session))
+        self._setpoint_rad_at(newest_tick(self._session))
 
     def begin(self) -> None:
         """Send setpoints from the newest tick on."""
@@ -117,11 +121,11 @@ class RouteStream:
             if not self._streaming:
                 return
             self._tracking.take(ticks, self.taken_off_tick)
-            while self._phases and tick >= self.tick_of(self._phases[0]):
-                piece = self._phases.pop(0)
-                self._recorder.mark_phase(self.tick_of(piece), piece.phase)
+            while self._coming_phases and tick >= self.tick_of(self._coming_phases[0]):
+                begun_piece = self._coming_phases.pop(0)
+                self._recorder.mark_phase(self.tick_of(begun_piece), begun_piece.phase)
             if tick >= self._sent_tick + INTERVAL_TICKS:
-                self._send(tick)
+                self._send_setpoint_due_after(tick)
 
     def bridge_a_stall(self) -> None:
         """Send setpoints on the estimated device time while no samples arrive, so that a pause of telemetry
@@ -132,26 +136,26 @@ class RouteStream:
         tick = self._session.device_tick()
         with self._lock:
             if self._streaming and tick >= self._sent_tick + _STALL_TICKS:
-                self._send(tick)
+                self._send_setpoint_due_after(tick)
 
-    def _send(self, tick: int) -> None:
+    def _send_setpoint_due_after(self, tick: int) -> None:
         """Stream the setpoint that is due some ticks after `tick`, so that it arrives in time."""
         # Where samples come in larger portions than setpoints are due, the lead covers the time to the next
         # one.
         lead_ticks = min(max(LEAD_TICKS, tick - self._sent_tick + INTERVAL_TICKS), _LONGEST_LEAD_TICKS)
         at_tick = tick + lead_ticks
-        message = SetpointMessage(at_tick & 0xFFFFFFFF, **self._target_rad(at_tick))
+        message = SetpointMessage(at_tick & 0xFFFFFFFF, **self._setpoint_rad_at(at_tick))
         self._sent_tick = tick
         self._session.stream(message)
         self._session.keep_alive(message if self._heli.keep_alive else None)
 
-    def _target_rad(self, tick: int) -> dict[str, float]:
+    def _setpoint_rad_at(self, tick: int) -> dict[str, float]:
         t_s = np.array([(tick - self.start_tick) * TICK_S])
         angles_rad: list[float] = np.radians(self._route.evaluate(t_s)[0]).tolist()
         return {f"{axis}_rad": angle_rad for axis, angle_rad in zip(AXES, angles_rad, strict=True)}
 
 
-def _phases(route: Route) -> list[Piece]:
+def _first_piece_of_phases(route: Route) -> list[Piece]:
     """Return the first piece of every phase, in order."""
     firsts: list[Piece] = []
     for piece in route.pieces:

@@ -112,7 +112,7 @@ def fly(
     sample = heli.latest
     start_deg = np.degrees([getattr(sample, f"{axis}_rad") for axis in AXES])
     route = take_off(read_plans, dict(heli.params), start_deg)
-    with _log_place(log_path) as path:
+    with _log_path_or_temporary(log_path) as path:
         recorder = Recorder(
             heli,
             path,
@@ -146,7 +146,7 @@ def fly(
                 if twin is not None:
                     twin.close()
                 recorder.close(pilot.outcome)
-        log = _read_written(path, recorder)
+        log = _read_log_or_disk_error(path, recorder)
     # From here on the motors are off and the log is complete, so that an error loses no data.
     outcome = hide(pilot.outcome) if sealed else pilot.outcome
     summary = replace(summarise(log), outcome=outcome, log=str(log_path) if log_path else "")
@@ -157,11 +157,11 @@ def fly(
     if json_path is not None:
         summary.write_json(json_path)
     if figure_path is not None:
-        _draw(log, summary, figure_path)
+        _draw_figure(log, summary, figure_path)
     return summary
 
 
-def _read_written(path: Path, recorder: Recorder) -> Log:
+def _read_log_or_disk_error(path: Path, recorder: Recorder) -> Log:
     """Read the log. If the disk took not even its beginning, report the disk's error, not the reader's."""
     try:
         return read_log(path)
@@ -181,7 +181,7 @@ def _read_plans(plans: PlanLike | Sequence[PlanLike]) -> list[Plan]:
 
 
 @contextlib.contextmanager
-def _log_place(log_path: str | Path | None) -> Iterator[Path]:
+def _log_path_or_temporary(log_path: str | Path | None) -> Iterator[Path]:
     """Yield the path of the log; without one, a path in a folder that is removed afterwards."""
     if log_path is not None:
         yield Path(log_path)
@@ -190,7 +190,7 @@ def _log_place(log_path: str | Path | None) -> Iterator[Path]:
         yield Path(folder) / "flight.mcap"
 
 
-def _draw(log: Log, summary: FlightSummary, path: str | Path) -> None:
+def _draw_figure(log: Log, summary: FlightSummary, path: str | Path) -> None:
     if len(log.ticks):
         write_figure(log.flight(), summary, path)
 

@@ -111,7 +111,7 @@ def read_segment(values: Mapping[str, Any], where: str, commanded: tuple[str, ..
         if key in keys and axis is not None and axis not in commanded:
             kind_only.where = where
             remedy = 'set axes = ["elevation", "pitch"] to command pitch' if axis == "pitch" else "remove it"
-            kind_only.fail(f"{key} has no effect: this plan {_why_not(axis)}", remedy)
+            kind_only.fail(f"{key} has no effect: this plan {_reason_not_commanded(axis)}", remedy)
     return reader(PlanTable(values, where, ("kind", *usable_keys)), commanded)
 
 
@@ -120,14 +120,16 @@ def _axis_of(key: str) -> str | None:
     return next((axis for axis in AXES if key.startswith(axis + "_")), None)
 
 
-def _why_not(axis: str) -> str:
+def _reason_not_commanded(axis: str) -> str:
     """Explain why a plan does not command an axis, for a message."""
     if axis == "pitch":
         return "closes travel, whose loop commands pitch"
     return f"does not close {axis}"
 
 
-def _motion(duration_s: float, shape: Shape, *points_deg: Floats, rate_deg_s: Floats | None = None) -> Motion:
+def _motion_within(
+    duration_s: float, shape: Shape, *points_deg: Floats, rate_deg_s: Floats | None = None
+) -> Motion:
     """Return a motion that stays within the range of some points [deg]; `rate_deg_s` has the greatest rate of
     each axis, 0 for a jump.
     """
@@ -136,7 +138,7 @@ def _motion(duration_s: float, shape: Shape, *points_deg: Floats, rate_deg_s: Fl
     return Motion(duration_s, shape, points.min(axis=0), points.max(axis=0), rate)
 
 
-def _targets(table: PlanTable, commanded: tuple[str, ...]) -> Callable[[Floats], Floats]:
+def _target_replacer(table: PlanTable, commanded: tuple[str, ...]) -> Callable[[Floats], Floats]:
     """Return a function that replaces setpoints [deg], shape (3,), by the targets that a table states."""
     targets_deg = {axis: table.optional(f"{axis}_deg", ANGLE) for axis in AXES}
     if all(value is None for value in targets_deg.values()):
@@ -161,20 +163,20 @@ def _read_hold(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     return Segment(
         "hold",
         table.where,
-        lambda at: _motion(duration_s, route.hold(at), at),
-        excitation=_meanwhile(table, duration_s),
+        lambda at: _motion_within(duration_s, route.hold(at), at),
+        excitation=_read_simultaneous_excitation(table, duration_s),
     )
 
 
 def _read_step(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     """Read a segment whose setpoints jump to the target, and stay there."""
     duration_s = table.number("duration_s", DURATION)
-    with_targets = _targets(table, commanded)
+    with_targets = _target_replacer(table, commanded)
     return Segment(
         "step",
         table.where,
-        lambda at: _motion(duration_s, route.hold(with_targets(at)), at, with_targets(at)),
-        excitation=_meanwhile(table, duration_s),
+        lambda at: _motion_within(duration_s, route.hold(with_targets(at)), at, with_targets(at)),
+        excitation=_read_simultaneous_excitation(table, duration_s),
     )
 
 
@@ -184,7 +186,7 @@ def _read_ramp(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     rate_deg_s = table.optional("rate_deg_s", RATE)
     if (stated_duration_s is None) == (rate_deg_s is None):
         table.fail("it needs duration_s or rate_deg_s, one of them", "add duration_s = 5 or rate_deg_s = 5")
-    with_targets = _targets(table, commanded)
+    with_targets = _target_replacer(table, commanded)
 
     def motion(at: Floats) -> Motion:
         """Return the ramp from the setpoints `at`, degrees (axes,), to the targets."""
@@ -197,7 +199,7 @@ def _read_ramp(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
         )
         # A ramp to the present setpoint still takes a tick, so that its rate is finite.
         duration_s = max(duration_s, TICK_S)
-        return _motion(
+        return _motion_within(
             duration_s,
             route.ramp(at, target_deg, duration_s),
             at,
@@ -219,12 +221,12 @@ def _read_sine(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
         table.fail("it moves no axis", f"add {commanded[-1]}_amplitude_deg = 5")
     period_s = np.ones(len(AXES))
     for index, axis in enumerate(AXES):
-        axis_period_s = _period(table, f"{axis}_")
+        axis_period_s = _read_period(table, f"{axis}_")
         if amplitude_deg[index] == 0.0 and axis_period_s is not None:
             table.fail(
                 f"{axis} has a period but no amplitude", f"add {axis}_amplitude_deg, or remove the period"
             )
-        shared_period_s = _period(table, "")
+        shared_period_s = _read_period(table, "")
         if amplitude_deg[index] == 0.0:
             continue
         chosen = axis_period_s if axis_period_s is not None else shared_period_s
@@ -239,13 +241,15 @@ def _read_sine(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
         fades_s = route.fade_s(period_s, duration_s)
         rate_deg_s += np.where(fades_s < 0.5 * period_s, reach_deg * _SMOOTH_PEAK / fades_s, 0.0)
         shape = route.sine(at, amplitude_deg, period_s, duration_s)
-        return _motion(duration_s, shape, at - reach_deg, at + reach_deg, rate_deg_s=rate_deg_s)
+        return _motion_within(duration_s, shape, at - reach_deg, at + reach_deg, rate_deg_s=rate_deg_s)
 
     keys = tuple(f"{axis}_amplitude_deg" for axis in AXES)
-    return Segment("sine", table.where, motion, keys, "period_s", _meanwhile(table, duration_s))
+    return Segment(
+        "sine", table.where, motion, keys, "period_s", _read_simultaneous_excitation(table, duration_s)
+    )
 
 
-def _period(table: PlanTable, prefix: str) -> float | None:
+def _read_period(table: PlanTable, prefix: str) -> float | None:
     """Return a period [s], stated as such or as a frequency; None if neither is stated. `prefix` is that of
     an axis, or empty for all axes.
     """
@@ -307,7 +311,11 @@ def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
         return Motion(duration_s, route.waypoints(times, values, smooth), low, high, rate_deg_s)
 
     return Segment(
-        "waypoints", table.where, motion, rate_key="at_s", excitation=_meanwhile(table, duration_s)
+        "waypoints",
+        table.where,
+        motion,
+        rate_key="at_s",
+        excitation=_read_simultaneous_excitation(table, duration_s),
     )
 
 
@@ -317,12 +325,12 @@ def _read_excite(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     return Segment(
         "excite",
         table.where,
-        lambda at: _motion(duration_s, route.hold(at), at),
-        excitation=_excitation(table, duration_s),
+        lambda at: _motion_within(duration_s, route.hold(at), at),
+        excitation=_read_excitation_table(table, duration_s),
     )
 
 
-def _meanwhile(table: PlanTable, duration_s: float) -> PlannedExcitation | None:
+def _read_simultaneous_excitation(table: PlanTable, duration_s: float) -> PlannedExcitation | None:
     """What the board adds to the voltages while a segment moves."""
     values = table.values.get("excite")
     if values is None:
@@ -332,10 +340,10 @@ def _meanwhile(table: PlanTable, duration_s: float) -> PlannedExcitation | None:
             'excite = { signal = "multisine", front_V = 0.25, back_V = 0.25, start_Hz = 0.1, stop_Hz = 4 }'
         )
         table.fail("excite is not a table", f"write {example}")
-    return _excitation(PlanTable(values, f"{table.where}, excite", _EXCITE_KEYS), duration_s)
+    return _read_excitation_table(PlanTable(values, f"{table.where}, excite", _EXCITE_KEYS), duration_s)
 
 
-def _excitation(table: PlanTable, duration_s: float) -> PlannedExcitation:
+def _read_excitation_table(table: PlanTable, duration_s: float) -> PlannedExcitation:
     """Read an excitation: a signal for one or both motors, and the frequencies that it needs."""
     signal = table.choice("signal", SIGNALS)
     front_V = table.number("front_V", VOLTAGE, 0.0)
@@ -343,8 +351,8 @@ def _excitation(table: PlanTable, duration_s: float) -> PlannedExcitation:
     if front_V == 0.0 and back_V == 0.0:
         table.fail("it excites no motor", "add front_V = 0.25 or back_V = 0.25")
     needs_start, needs_stop = signal in ("chirp", "multisine"), signal in ("chirp", "multisine", "prbs")
-    for key, needed in (("start_Hz", needs_start), ("stop_Hz", needs_stop)):
-        if key in table.values and not needed:
+    for key, is_needed in (("start_Hz", needs_start), ("stop_Hz", needs_stop)):
+        if key in table.values and not is_needed:
             table.fail(f"{key} has no effect on a {signal}", "remove it")
     start_Hz = table.number("start_Hz", EXCITATION_HZ, None if needs_start else 0.0)
     stop_Hz = table.number("stop_Hz", EXCITATION_HZ, None if needs_stop else 0.0)
@@ -359,7 +367,7 @@ def _excitation(table: PlanTable, duration_s: float) -> PlannedExcitation:
 
 
 def _read_land(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
-    return Segment("land", table.where, lambda at: _motion(0.0, route.hold(at), at))
+    return Segment("land", table.where, lambda at: _motion_within(0.0, route.hold(at), at))
 
 
 _SINE_KEYS = tuple(

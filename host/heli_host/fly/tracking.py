@@ -159,14 +159,14 @@ class TrackingMonitor:
         """
         # Rows at which `is_beyond` changes; they divide the samples into stretches.
         edges = np.flatnonzero(np.diff(is_beyond)) + 1
-        for first, after in zip((0, *edges), (*edges, len(tick)), strict=True):
+        for first, stop in zip((0, *edges), (*edges, len(tick)), strict=True):
             if not is_beyond[first]:
                 self._beyond_since_tick[index] = -1
                 continue
             if self._beyond_since_tick[index] < 0:
                 self._beyond_since_tick[index], self._peak_deg[index] = tick[first], 0.0
-            self._peak_deg[index] = max(self._peak_deg[index], float(error_deg[first:after].max()))
-            duration_s = float(tick[after - 1] - self._beyond_since_tick[index] + 1) * TICK_S
+            self._peak_deg[index] = max(self._peak_deg[index], float(error_deg[first:stop].max()))
+            duration_s = float(tick[stop - 1] - self._beyond_since_tick[index] + 1) * TICK_S
             if duration_s > self.longest_s[index]:
                 self.longest_s[index], self.worst_deg[index] = duration_s, self._peak_deg[index]
 
@@ -175,10 +175,10 @@ class TrackingMonitor:
         for index, axis in enumerate(AXES):
             if self.longest_s[index] > self.tolerance.for_s:
                 worst_deg, duration_s = self.worst_deg[index], self.longest_s[index]
-                allowed = f"{self._bound_deg[index]:g} for {self.tolerance.for_s:g} s"
+                tolerance_text = f"{self._bound_deg[index]:g} for {self.tolerance.for_s:g} s"
                 return (
                     f"{NOT_TRACKED}: {axis} was up to {worst_deg:.1f} degrees from its setpoint for "
-                    f"{duration_s:.1f} s (allowed: {allowed}); tune the gains for this rig, or widen "
+                    f"{duration_s:.1f} s (allowed: {tolerance_text}); tune the gains for this rig, or widen "
                     "[tolerance] of the plan"
                 )
         return ""

@@ -104,11 +104,11 @@ class ClockFit:
         self._bins: deque[_Point] = deque(maxlen=_BINS)  # the quickest of each
         self._hull: list[_Point] = []  # of the bins
         self._bin_ticks = 0  # their sum
-        self._best: _Point | None = None
+        self._quickest_in_bin: _Point | None = None
         self._delays_s: deque[float] = deque(maxlen=200)
         self._round_trip_s: deque[float] = deque(maxlen=60)
         self._estimate: ClockEstimate | None = None
-        self._stale = True
+        self._fit_is_old = True
 
     def observe(self, tick: int, host_s: float) -> None:
         """Take the arrival of something that the board sent at or after a tick.
@@ -120,29 +120,29 @@ class ClockFit:
         host_s : float
             Monotonic host time of the arrival [s].
         """
-        best = self._best
-        if best is None:
-            self._best, self._stale = (tick, host_s), True
+        quickest = self._quickest_in_bin
+        if quickest is None:
+            self._quickest_in_bin, self._fit_is_old = (tick, host_s), True
             return
         estimate = self._estimate
         slope_s = estimate.tick_s if estimate is not None else TICK_S
-        if tick // _BIN_TICKS != best[0] // _BIN_TICKS:
+        if tick // _BIN_TICKS != quickest[0] // _BIN_TICKS:
             self.estimate()
-            self._bins.append(best)
+            self._bins.append(quickest)
             self._forget_before_a_step()
             self._hull = _lower_hull(self._bins)
             self._bin_ticks = sum(bin_tick for bin_tick, _ in self._bins)
-            self._best, self._stale = (tick, host_s), True
-        elif host_s - best[1] < (tick - best[0]) * slope_s:
-            self._best = (tick, host_s)
+            self._quickest_in_bin, self._fit_is_old = (tick, host_s), True
+        elif host_s - quickest[1] < (tick - quickest[0]) * slope_s:
+            self._quickest_in_bin = (tick, host_s)
         if estimate is None:
-            self._stale = True
+            self._fit_is_old = True
         else:
-            late_s = host_s - estimate.host_s_at(tick)
-            self._delays_s.append(late_s)
+            delay_s = host_s - estimate.host_s_at(tick)
+            self._delays_s.append(delay_s)
             # An arrival on the line or above does not change it; rounding errors are below a microsecond
             # here.
-            self._stale |= late_s < estimate.round_trip_s / 2.0 - 1e-6
+            self._fit_is_old |= delay_s < estimate.round_trip_s / 2.0 - 1e-6
 
     def observe_pong(self, sent_s: float, tick: int, host_s: float) -> None:
         """Take the answer to a ping.
@@ -158,7 +158,7 @@ class ClockFit:
         """
         self._round_trip_s.append(max(host_s - sent_s, 0.0))
         self.observe(tick, host_s)
-        self._stale = True
+        self._fit_is_old = True
 
     def estimate(self) -> ClockEstimate | None:
         """Fit the map to what was seen so far.
@@ -168,12 +168,12 @@ class ClockFit:
         ClockEstimate or None
             None before the first arrival.
         """
-        if self._stale and self._best is not None:
-            self._estimate = self._fit(self._best)
-            self._stale = False
+        if self._fit_is_old and self._quickest_in_bin is not None:
+            self._estimate = self._fit_line_below_arrivals(self._quickest_in_bin)
+            self._fit_is_old = False
         return self._estimate
 
-    def _fit(self, newest: _Point) -> ClockEstimate:
+    def _fit_line_below_arrivals(self, newest: _Point) -> ClockEstimate:
         """Fit the line from device tick to host time, which is below all arrivals.
 
         A message can arrive late but not early, so that the earliest arrivals determine the line. Their delay
@@ -184,9 +184,9 @@ class ClockFit:
             tick_s = self._estimate.tick_s
         if self._bins and tick - self._bins[0][0] >= _BIN_TICKS // 2:
             mean_tick = (self._bin_ticks + tick) / (len(self._bins) + 1)
-            left, right = _hull_edge_at(mean_tick, _lower_hull([newest], self._hull))
-            tick_s = max((right[1] - left[1]) / (right[0] - left[0]), 1e-9)
-            tick, host_s = left
+            edge_start, edge_end = _hull_edge_at(mean_tick, _lower_hull([newest], self._hull))
+            tick_s = max((edge_end[1] - edge_start[1]) / (edge_end[0] - edge_start[0]), 1e-9)
+            tick, host_s = edge_start
         round_trip_s = min(self._round_trip_s, default=0.0)
         delays = sorted(self._delays_s)
         jitter_s = delays[int(0.95 * len(delays))] if delays else 0.0
@@ -199,11 +199,11 @@ class ClockFit:
         bins = self._bins
         if len(bins) <= _STEP_BINS or self._estimate is None:
             return
-        delays = [host_s - self._estimate.host_s_at(tick) > _STEP_S for tick, host_s in bins]
+        is_above_line = [host_s - self._estimate.host_s_at(tick) > _STEP_S for tick, host_s in bins]
         kept_count = len(bins)
-        if all(delays[-_STEP_BINS:]):
+        if all(is_above_line[-_STEP_BINS:]):
             kept_count = _STEP_BINS
-        elif 4 * sum(delays) > len(delays):
+        elif 4 * sum(is_above_line) > len(is_above_line):
             # The device clock has become faster, so that the old arrivals hold the line too low.
             kept_count = max(len(bins) // 2, _STEP_BINS)
         for _ in range(len(bins) - kept_count):
@@ -215,8 +215,9 @@ def _lower_hull(points: Iterable[_Point], before: Sequence[_Point] = ()) -> list
     hull = list(before)
     for point in points:
         while len(hull) >= 2:
-            (t0, s0), (t1, s1) = hull[-2], hull[-1]
-            if (s1 - s0) * (point[0] - t0) < (point[1] - s0) * (t1 - t0):
+            (tick_0, host_0_s), (tick_1, host_1_s) = hull[-2], hull[-1]
+            # The last corner stays if the slope to it is smaller than the slope past it to the point.
+            if (host_1_s - host_0_s) * (point[0] - tick_0) < (point[1] - host_0_s) * (tick_1 - tick_0):
                 break
             hull.pop()
         if hull and hull[-1][0] == point[0]:

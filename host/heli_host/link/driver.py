@@ -68,7 +68,9 @@ class Driver:
     def start(self) -> None:
         """Start the reading thread; in lockstep there is none."""
         if not self.transport.lockstep:
-            self._thread = threading.Thread(target=self._run, name="heli-host link", daemon=True)
+            self._thread = threading.Thread(
+                target=self._read_until_closed, name="heli-host link", daemon=True
+            )
             self._thread.start()
 
     def close(self) -> None:
@@ -77,7 +79,7 @@ class Driver:
         if self._thread is not None and not self.in_reading_thread:
             self._thread.join()
         self.transport.close()
-        self._fail(LinkError("the session is closed", "connect again"))
+        self._end_with_error(LinkError("the session is closed", "connect again"))
 
     def check(self) -> None:
         """Raise the error of a failed callback, or the reason why the session has ended, if there is any.
@@ -155,39 +157,41 @@ class Driver:
                     transport.write(due)
         except LinkLost as error:
             lost = error
-        self._deliver(received)
+        self._call_subscribers(received)
         if lost is not None:
-            self._reopen(lost)
+            self._reopen_port(lost)
         if engine.handshake.mismatch is not None:
-            self._fail(engine.handshake.mismatch)
-        elif engine.handshake.unreachable and self.transport.now_s() >= self._give_up_s():
-            self._fail(LinkLost("the board does not answer any more", "check its supply, then connect again"))
+            self._end_with_error(engine.handshake.mismatch)
+        elif engine.handshake.unreachable and self.transport.now_s() >= self._welcome_deadline_s():
+            self._end_with_error(
+                LinkLost("the board does not answer any more", "check its supply, then connect again")
+            )
 
-    def _run(self) -> None:
+    def _read_until_closed(self) -> None:
         """Read and send until the end, in a thread of its own."""
         try:
             while not self._stop.is_set() and self.fatal is None:
                 self.pump(READ_TIMEOUT_S)
         # A thread that dies in silence would leave its user waiting for ever.
         except Exception as error:  # noqa: BLE001
-            self._fail(
+            self._end_with_error(
                 LinkError(f"reading failed: {type(error).__name__}: {error}", "report it with the log")
             )
 
-    def _deliver(self, received: Received) -> None:
+    def _call_subscribers(self, received: Received) -> None:
         self._subscribers.deliver(received.ticks, received.events, received.statuses)
         with self.lock:
             self._changed.notify_all()
 
-    def _reopen(self, error: LinkLost) -> None:
+    def _reopen_port(self, error: LinkLost) -> None:
         """Open a lost port again, with growing pauses; the session fails if it does not come back in time."""
         transport = self.transport
         with self.lock:
             event = self._engine.cut(transport.now_s(), transport.wall_ns(), error.cause)
-        self._deliver(Received(events=[event]))
+        self._call_subscribers(Received(events=[event]))
         transport.close()
         for attempt in range(_MAX_ATTEMPTS):
-            if self._stop.is_set() or transport.now_s() >= self._give_up_s():
+            if self._stop.is_set() or transport.now_s() >= self._welcome_deadline_s():
                 break
             try:
                 reopened = transport.reopen()
@@ -198,11 +202,11 @@ class Driver:
             with self.lock:
                 self.transport = reopened
             return
-        self._fail(
+        self._end_with_error(
             LinkLost(f"{error.cause} and did not come back", "check cable and power, then connect again")
         )
 
-    def _give_up_s(self) -> float:
+    def _welcome_deadline_s(self) -> float:
         """Return the time at which waiting for a welcome ends."""
         handshake = self._engine.handshake
         since_s = handshake.unreachable_since_s
@@ -210,7 +214,7 @@ class Driver:
             return self.handshake_deadline_s
         return since_s + self._reconnect_timeout_s
 
-    def _fail(self, error: HeliError) -> None:
+    def _end_with_error(self, error: HeliError) -> None:
         """End the session with an error, and wake all threads that wait."""
         with self.lock:
             if self.fatal is None:

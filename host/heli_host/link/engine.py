@@ -113,7 +113,7 @@ class Engine:
     def counters(self) -> LinkCounters:
         """Return all counts since the first welcome."""
         frames_ok, frames_bad, frames_lost, received, dropped = (
-            now - then for now, then in zip(self._parser_counts(), self._baseline, strict=True)
+            present - first for present, first in zip(self._parser_counts(), self._baseline, strict=True)
         )
         streams, account = self.streams, self.telemetry.account
         return LinkCounters(
@@ -160,8 +160,8 @@ class Engine:
             return received
         self._accept_telemetry(now_s, wall_ns, received)
         if now_s - self._last_heard_s > SILENCE_S:
-            self._greet(now_s)
-            received.events.append(self._event(LINK_SILENT, "the board has fallen silent", wall_ns))
+            self._restart_handshake(now_s)
+            received.events.append(self._link_event(LINK_SILENT, "the board has fallen silent", wall_ns))
         return received
 
     def outgoing(self, now_s: float) -> bytes:
@@ -180,22 +180,24 @@ class Engine:
         self.commands.expire(now_s)
         if not self.handshake.is_open:
             hello = self.handshake.due_hello(now_s)
-            return b"" if hello is None else self._frame(hello, now_s)
-        waits = self.commands.waits
+            return b"" if hello is None else self._encode_next_frame(hello, now_s)
+        command_waits = self.commands.waits
         command = self.commands.due(now_s)
-        frames_out = b"" if command is None else self._frame(command, now_s)
+        frames_out = b"" if command is None else self._encode_next_frame(command, now_s)
         now = DeviceTime(now_s, self.telemetry.account.last or 0, self.telemetry.speed)
-        flies = self.telemetry.state in (State.CLOSED_LOOP, State.HOLD)
-        for value in self.streams.due(now, flies=flies):
-            frames_out += self._frame(value, now_s)
+        is_flying = self.telemetry.state in (State.CLOSED_LOOP, State.HOLD)
+        for value in self.streams.due(now, flies=is_flying):
+            frames_out += self._encode_next_frame(value, now_s)
         if self._last_sent_s == now_s:
             self._sent_tick = now.tick
         idle_s = now.since(self._last_sent_s, self._sent_tick)
         unpinged_s = now.since(self._last_ping_s, self._ping_tick)
-        if not waits and (idle_s >= HEARTBEAT_S or unpinged_s >= CLOCK_PING_S):
+        if not command_waits and (idle_s >= HEARTBEAT_S or unpinged_s >= CLOCK_PING_S):
             self._last_ping_s = now_s
             self._sent_tick = self._ping_tick = now.tick
-            frames_out += self._frame(PingMessage(self._numbers.take(), round(now_s * 1e6)), now_s)
+            frames_out += self._encode_next_frame(
+                PingMessage(self._numbers.take(), round(now_s * 1e6)), now_s
+            )
         return frames_out
 
     def cut(self, now_s: float, wall_ns: int, reason: str) -> LinkEvent:
@@ -211,34 +213,36 @@ class Engine:
             Cause, for the event's text.
         """
         self.parser.restart()
-        self._greet(now_s)
-        return self._event(LINK_LOST, reason, wall_ns)
+        self._restart_handshake(now_s)
+        return self._link_event(LINK_LOST, reason, wall_ns)
 
     def _process_frame(self, frame: Frame, now_s: float, wall_ns: int, received: Received) -> None:
         """Process a frame from the board. A frame with a payload of wrong length is counted, and ignored."""
         try:
             match frame.id:
                 case MessageId.WELCOME:
-                    self._take_welcome(WelcomeMessage.unpack(frame.payload), now_s, wall_ns, received)
+                    self._process_welcome(WelcomeMessage.unpack(frame.payload), now_s, wall_ns, received)
                 case MessageId.PONG:
-                    self._take_pong(PongMessage.unpack(frame.payload), now_s)
+                    self._process_pong(PongMessage.unpack(frame.payload), now_s)
                 case MessageId.STATUS:
                     self._board = StatusMessage.unpack(frame.payload)
                     received.statuses.append(self._board)
                 case MessageId.EVENT:
-                    self._take_event(EventMessage.unpack(frame.payload), now_s, wall_ns, received)
+                    self._process_event(EventMessage.unpack(frame.payload), now_s, wall_ns, received)
                 case MessageId.PARAMS:
                     # A reply that is too short must not reach the caller of the command.
                     ParamsMessage.unpack(frame.payload)
                 case MessageId.ACK:
                     if AckMessage.unpack(frame.payload).result == Result.NO_HANDSHAKE:
-                        self._greet(now_s)
+                        self._restart_handshake(now_s)
                         return
             self.commands.match(frame)
         except struct.error:
             self._malformed += 1
 
-    def _take_welcome(self, message: WelcomeMessage, now_s: float, wall_ns: int, received: Received) -> None:
+    def _process_welcome(
+        self, message: WelcomeMessage, now_s: float, wall_ns: int, received: Received
+    ) -> None:
         """Process a welcome: the first one, one after a lost link, or one after a restart of the board, which
         makes all unanswered commands fail.
         """
@@ -251,16 +255,16 @@ class Engine:
             self.telemetry.discard_held()
             self._baseline = self._parser_counts()
         elif welcome is Welcome.SAME_START:
-            received.events.append(self._event(LINK_RESTORED, "the link is back", wall_ns))
+            received.events.append(self._link_event(LINK_RESTORED, "the link is back", wall_ns))
             self.commands.hasten(now_s)
         else:
             self.telemetry.restart()
             self.streams.kept = None
             text = _restart_text(message)
-            received.events.append(self._event(BOARD_RESTARTED, text, wall_ns))
+            received.events.append(self._link_event(BOARD_RESTARTED, text, wall_ns))
             self.commands.fail(LinkLost(f"{text} before it answered", "check its supply, then arm again"))
 
-    def _take_pong(self, pong: PongMessage, now_s: float) -> None:
+    def _process_pong(self, pong: PongMessage, now_s: float) -> None:
         """Measure the round trip and the device clock by an answer to a ping."""
         sent_s = pong.host_us * 1e-6
         self.commands.observe_round_trip(now_s - sent_s)
@@ -268,7 +272,7 @@ class Engine:
             tick = self.telemetry.account.unwrap(pong.tick)
             self.telemetry.clock.observe_pong(sent_s, tick, now_s)
 
-    def _take_event(self, message: EventMessage, now_s: float, wall_ns: int, received: Received) -> None:
+    def _process_event(self, message: EventMessage, now_s: float, wall_ns: int, received: Received) -> None:
         """Process an event of the board; if it reports a new start, begin the handshake again."""
         event = LinkEvent(message.tick, wall_ns, event_kind(message), event_text(message), message)
         received.events.append(event)
@@ -276,7 +280,7 @@ class Engine:
         welcome = self.handshake.welcome
         is_same_start = welcome is not None and message.value == welcome.boot_id
         if message.kind == Event.BOOT and not is_same_start:
-            self._greet(now_s)
+            self._restart_handshake(now_s)
 
     def _accept_telemetry(self, now_s: float, wall_ns: int, received: Received) -> None:
         """Accept the telemetry of a reading, with the events that it shows to be lost."""
@@ -287,16 +291,16 @@ class Engine:
         for message in accepted.missed:
             insert_missed(message, wall_ns, received.events)
         if accepted.jumped_back:
-            self._greet(now_s)
+            self._restart_handshake(now_s)
 
-    def _greet(self, now_s: float) -> None:
+    def _restart_handshake(self, now_s: float) -> None:
         self.handshake.begin(now_s)
         self.parser.restart_sequence()
 
-    def _event(self, kind: str, text: str, wall_ns: int) -> LinkEvent:
+    def _link_event(self, kind: str, text: str, wall_ns: int) -> LinkEvent:
         return LinkEvent((self.telemetry.account.last or 0) & _TICK_MASK, wall_ns, kind, text)
 
-    def _frame(self, message: Command | StreamedMessage, now_s: float) -> bytes:
+    def _encode_next_frame(self, message: Command | StreamedMessage, now_s: float) -> bytes:
         self._last_sent_s = now_s
         self._seq = (self._seq + 1) & 0xFF
         return encode_frame(message.ID, self._seq, message.pack())

@@ -72,7 +72,7 @@ def event_text(message: EventMessage) -> str:
     detail, value = message.detail, message.value
     match message.kind:
         case Event.BOOT:
-            return f"board started ({_name(Reset, detail)}), boot id {value:.0f}"
+            return f"board started ({_name_of_value(Reset, detail)}), boot id {value:.0f}"
         case Event.STATE:
             return state_text(detail, message.cause)
         case Event.FAULT:
@@ -85,18 +85,20 @@ def event_text(message: EventMessage) -> str:
         case Event.PARAMS_SAVED:
             return f"parameters saved, generation {value:.0f}"
         case Event.EXCITATION_END:
-            return f"excitation {_name(Excitation, detail)} ended"
+            return f"excitation {_name_of_value(Excitation, detail)} ended"
         case Event.SETPOINT_REJECTED:
-            return f"a streamed value was refused: {_name(Result, detail)}"
+            return f"a streamed value was refused: {_name_of_value(Result, detail)}"
         case Event.ZEROED:
             axes = [axis.name.lower() for axis in Axes if axis.name and axis & detail]
             return f"zero taken: {', '.join(axes)}"
         case Event.LAW_ENGAGED:
             return f"the law of the link flies, a call each {value:.0f} ticks"
         case Event.LAW_TAKEN_OVER:
-            return f"the board's own law took over ({_name(Takeover, detail)}; {value:.4g})"
+            return f"the board's own law took over ({_name_of_value(Takeover, detail)}; {value:.4g})"
         case Event.TRAVEL_PROBE:
-            return f"tilt to check the travel encoder: {_name(Probe, detail)}; tilt {value:.1f} degrees"
+            return (
+                f"tilt to check the travel encoder: {_name_of_value(Probe, detail)}; tilt {value:.1f} degrees"
+            )
         case _:
             return f"event {message.kind}, unknown to this host (detail {detail}, value {value:.4g})"
 
@@ -114,7 +116,7 @@ def event_kind(message: EventMessage) -> str:
     str
         Lower-case name; ``"event_<number>"`` if this host does not know the event.
     """
-    return _name(Event, message.kind, "event_")
+    return _name_of_value(Event, message.kind, "event_")
 
 
 def state_text(state: int, trigger: int) -> str:
@@ -130,10 +132,10 @@ def state_text(state: int, trigger: int) -> str:
     str
         For example ``"state landing, because of stale_land"``.
     """
-    return f"state {_name(State, state)}, because of {_name(Trigger, trigger)}"
+    return f"state {_name_of_value(State, state)}, because of {_name_of_value(Trigger, trigger)}"
 
 
-def _name(
+def _name_of_value(
     kind: type[Event | Probe | Reset | State | Takeover | Trigger | Excitation | Result],
     value: int,
     prefix: str = "",

@@ -122,21 +122,21 @@ class FrameParser:
             Frames in their order; empty while no frame is complete.
         """
         self.bytes_received += len(data)
-        parts = (self._partial + data).split(b"\0")
-        self._partial = parts.pop()
+        encoded_frames = (self._partial + data).split(b"\0")
+        self._partial = encoded_frames.pop()
         frames: list[Frame] = []
         decode, crc32 = cobs.decode, zlib.crc32
-        for part in parts:
+        for encoded in encoded_frames:
             if self._overlong:
                 self._overlong = False
-                self._count_bad(part)
+                self._count_bad(encoded)
                 continue
-            if not part:
+            if not encoded:
                 self._synchronised = True
                 continue
-            if len(part) <= _MAX_ENCODED:
+            if len(encoded) <= _MAX_ENCODED:
                 try:
-                    decoded = decode(part)
+                    decoded = decode(encoded)
                 except cobs.DecodeError:
                     decoded = b""
                 if (
@@ -150,12 +150,12 @@ class FrameParser:
                     self._expected_seq = (seq + 1) & 0xFF
                     frames.append(Frame(decoded[1], seq, decoded[_HEADER_BYTES:-_CRC_BYTES]))
                     continue
-            self._count_bad(part)
+            self._count_bad(encoded)
         if frames:
             self.frames_ok += len(frames)
             self._synchronised = True
         if len(self._partial) > _MAX_ENCODED:
-            self._discard(self._partial)
+            self._count_dropped_bytes(self._partial)
             self._partial = b""
             self._overlong = True
         return frames
@@ -184,10 +184,10 @@ class FrameParser:
             self.frames_lost += gap
 
     def _count_bad(self, part: bytes) -> None:
-        self._discard(part)
+        self._count_dropped_bytes(part)
         self.frames_bad += self._synchronised
         self._synchronised = True
 
-    def _discard(self, part: bytes) -> None:
+    def _count_dropped_bytes(self, part: bytes) -> None:
         self.bytes_dropped += len(part)
         self.excerpt = (self.excerpt + part)[-_EXCERPT_BYTES:]

@@ -30,13 +30,13 @@ def no_welcome(parser: FrameParser, url: str, timeout_s: float) -> LinkError:
         )
     everything = parser.excerpt + parser.pending
     excerpt = everything[-16:]
-    heard = f"{parser.bytes_received} bytes (the last: {excerpt.hex(' ')})"
+    received_text = f"{parser.bytes_received} bytes (the last: {excerpt.hex(' ')})"
     # A boot loader, a console, or a simulated board with another host sends readable text.
-    words = everything.strip(b"\r\n\0").rpartition(b"\n")[2].decode("ascii", errors="replace")
-    if words.isascii() and words.isprintable() and words:
-        heard += f", in words {words!r},"
+    last_line = everything.strip(b"\r\n\0").rpartition(b"\n")[2].decode("ascii", errors="replace")
+    if last_line.isascii() and last_line.isprintable() and last_line:
+        received_text += f", in words {last_line!r},"
     return WrongDevice(
-        f"{heard} came from {url}, but no frame of this link",
+        f"{received_text} came from {url}, but no frame of this link",
         "choose another port (heli-host ports lists them), or flash the firmware of this release",
         parser.bytes_received,
         excerpt,

@@ -73,11 +73,11 @@ class MissedEvents:
             tick_before = int(ticks.tick[index - 1]) if index else self._tick or 0
             state, trigger, fault = rows[index].tolist()
             state_before, trigger_before, fault_before = before[index].tolist()
-            entered = (state, trigger) != (state_before, trigger_before)
-            if entered and not self._has_arrived(Event.STATE, state, tick_before, tick):
+            is_new_state = (state, trigger) != (state_before, trigger_before)
+            if is_new_state and not self._has_arrived(Event.STATE, state, tick_before, tick):
                 missed.append(EventMessage(tick, Event.STATE, state, trigger, 0.0))
-            tripped = fault not in (fault_before, Fault.NONE)
-            if tripped and not self._has_arrived(Event.FAULT, fault, tick_before, tick):
+            is_new_fault = fault not in (fault_before, Fault.NONE)
+            if is_new_fault and not self._has_arrived(Event.FAULT, fault, tick_before, tick):
                 missed.append(EventMessage(tick, Event.FAULT, fault, trigger, math.nan))
         self._tick, self._row = int(ticks.tick[-1]), modes[-1]
         return missed

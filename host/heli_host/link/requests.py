@@ -117,8 +117,8 @@ class Request:
         if self.done or not frame.payload or frame.payload[0] != self.command.request:
             return
         is_ack = frame.id == MessageId.ACK
-        mine = frame.payload[1] == self.command.ID if is_ack else frame.id == self.command.REPLY
-        if mine:
+        is_reply = frame.payload[1] == self.command.ID if is_ack else frame.id == self.command.REPLY
+        if is_reply:
             self.reply = frame
 
     def answer(self) -> Frame:

@@ -437,8 +437,8 @@ class Session:
         if len(ticks) == 0:
             return np.empty(0, np.int64)
         last = self._engine.telemetry.account.unwrap(int(ticks.tick[-1]))
-        behind = (ticks.tick[-1] - ticks.tick).astype(np.int64)
-        return np.asarray(last - behind, np.int64)
+        ticks_before_newest = (ticks.tick[-1] - ticks.tick).astype(np.int64)
+        return np.asarray(last - ticks_before_newest, np.int64)
 
     def wait_for(
         self, predicate: Callable[[], bool], timeout_s: float | None = None, step_s: float = 0.02

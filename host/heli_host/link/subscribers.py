@@ -59,21 +59,21 @@ class Subscribers:
         """
         if len(ticks):
             for on_ticks in self.on_ticks:
-                self._call(on_ticks, ticks)
+                self._call_safely(on_ticks, ticks)
         for event in events:
             self.events.append(event)
             for on_event in self.on_event:
-                self._call(on_event, event)
+                self._call_safely(on_event, event)
         for status in statuses:
             for on_status in self.on_status:
-                self._call(on_status, status)
+                self._call_safely(on_status, status)
 
     def take_error(self) -> HeliError | None:
         """Return and clear the error of the first callback that failed; None if there is none."""
         error, self.error = self.error, None
         return error
 
-    def _call(self, callback: Callable[[_T], None], value: _T) -> None:
+    def _call_safely(self, callback: Callable[[_T], None], value: _T) -> None:
         """Call a subscriber; one that raises is removed, and its error becomes an event of the link."""
         try:
             callback(value)

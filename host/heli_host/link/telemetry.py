@@ -124,7 +124,7 @@ class TelemetryDecoder:
             shape = payload[self._layout.shape]
             plan = self._plans.get(shape)
             if plan is None:
-                plan = self._remember(shape)
+                plan = self._plan_of_new_shape(shape)
             if plan.size == len(payload):
                 plans.append(plan)
                 valid_payloads.append(payload)
@@ -142,28 +142,31 @@ class TelemetryDecoder:
             return Ticks(words[0] + np.arange(len(raw), dtype=np.uint32), raw)
         return _unpack(words, plans, self._layout)
 
-    def _remember(self, shape: bytes) -> _Plan:
+    def _plan_of_new_shape(self, shape: bytes) -> _Plan:
         """Compute the positions in a batch of a new shape, and keep them."""
         if len(self._plans) >= _PLANS_KEPT:
             self._plans.clear()
-        plan = self._plans[shape] = _make_plan(shape, self._layout)
+        plan = self._plans[shape] = _unpacking_plan(shape, self._layout)
         return plan
 
 
-def _make_plan(shape: bytes, layout: _Layout) -> _Plan:
+def _unpacking_plan(shape: bytes, layout: _Layout) -> _Plan:
     """Compute the positions of the numbers in a batch from its count and widths, `shape`."""
+    # Two channels share a byte: each has a code of four bits for the width of its differences.
     codes = [nibble for byte in shape[1:] for nibble in (byte & 15, byte >> 4)][: layout.channels]
     if len(codes) < layout.channels or shape[0] == 0 or max(codes) >= len(_WIDTH_BITS):
+        # No payload has this size, so that each batch with these widths counts as malformed.
         empty = np.empty((0, layout.channels))
         return _Plan(-1, empty.astype(np.intp), empty.astype(np.uint32), empty.astype(np.int32))
     count = shape[0]
     width_bits = _WIDTH_BITS[codes]  # (channels,)
-    # (channels,), behind each channel's deltas
+    # First byte behind the differences of each channel, (channels,); they begin at a whole byte.
     end_byte = layout.deltas_start + np.cumsum((width_bits * (count - 1) + 7) >> 3)
-    bit_position = (
-        width_bits * np.arange(count - 1)[:, None]
-    )  # (n - 1, channels), of each delta in its channel
+    # Position of each difference within those of its channel, (n - 1, channels).
+    bit_position = width_bits * np.arange(count - 1)[:, None]
     first_byte = np.concatenate(([layout.deltas_start], end_byte[:-1]))
+    # A number is cut out of the 32 bits at its byte: a shift to the left discards the bits behind it, a shift
+    # to the right those before it, and extends the sign. The first row is that of the absolute numbers.
     right = np.vstack((layout.shift, np.broadcast_to(32 - width_bits, bit_position.shape)))
     left = np.vstack((layout.shift, 32 - width_bits - (bit_position & 7)))
     index = np.vstack((layout.offset, first_byte + (bit_position >> 3)))
@@ -191,20 +194,20 @@ def _unpack(words: npt.NDArray[np.uint32], plans: Sequence[_Plan], layout: _Layo
     """
     size = np.array([plan.size for plan in plans])  # (f,)
     count = np.array([len(plan.index) for plan in plans])  # (f,)
-    start = np.cumsum(size) - size  # (f,), first byte of each batch
-    row = np.cumsum(count) - count  # (f,), first row of each batch
+    first_byte = np.cumsum(size) - size  # (f,), first byte of each batch
+    first_row = np.cumsum(count) - count  # (f,), first row of each batch
     index = np.concatenate([plan.index for plan in plans])  # (n, channels)
-    index += np.repeat(start, count)[:, None]
+    index += np.repeat(first_byte, count)[:, None]
     raw = _extract(
         words,
         index,
         np.concatenate([plan.left for plan in plans]),
         np.concatenate([plan.right for plan in plans]),
     )
-    raw[row] &= layout.bits
+    raw[first_row] &= layout.bits
     # Each base is an absolute number, so the sum of the previous batches is subtracted from it first.
-    raw[row[1:]] -= np.add.reduceat(raw, row, axis=0, dtype=np.int32)[:-1]
+    raw[first_row[1:]] -= np.add.reduceat(raw, first_row, axis=0, dtype=np.int32)[:-1]
     raw.cumsum(axis=0, dtype=np.int32, out=raw)
-    first = words.take(start) - row.astype(np.uint32)
-    tick = np.repeat(first, count) + np.arange(len(raw), dtype=np.uint32)
+    first_tick = words.take(first_byte) - first_row.astype(np.uint32)
+    tick = np.repeat(first_tick, count) + np.arange(len(raw), dtype=np.uint32)
     return Ticks(tick, raw)

@@ -207,8 +207,8 @@ class SerialTransport:
         pause_s = min(self._last_read_s + self.min_read_interval_s, deadline_s) - time.monotonic()
         if pause_s > 0.0:
             time.sleep(pause_s)
-        with self._lost_when_it_fails():
-            while not (data := self._drain()):
+        with self._errors_as_lost_link():
+            while not (data := self._read_arrived()):
                 remaining_s = deadline_s - time.monotonic()
                 if remaining_s <= 0.0:
                     break
@@ -232,7 +232,7 @@ class SerialTransport:
         LinkLost
             If the port is gone, or accepted no byte for a second.
         """
-        with self._lost_when_it_fails():
+        with self._errors_as_lost_link():
             self._serial.write(data)
 
     def now_s(self) -> float:
@@ -263,7 +263,7 @@ class SerialTransport:
         """
         return SerialTransport(self._stable_url, self._baud, min_read_interval_s=self.min_read_interval_s)
 
-    def _drain(self) -> bytes:
+    def _read_arrived(self) -> bytes:
         """Return all bytes that have arrived, without waiting."""
         # One call returns at most 4096 bytes of a terminal, even if more have arrived.
         first: bytes = self._serial.read(_READ_SIZE)
@@ -275,7 +275,7 @@ class SerialTransport:
         return b"".join(pieces)
 
     @contextlib.contextmanager
-    def _lost_when_it_fails(self) -> Iterator[None]:
+    def _errors_as_lost_link(self) -> Iterator[None]:
         """Translate errors of the port in this ``with`` block to LinkLost."""
         try:
             yield
@@ -528,12 +528,12 @@ def _port_error(url: str, error: Exception) -> PortError:
         )
     # A computer's own serial ports, such as /dev/ttyS0, have no USB number; no Due is behind them.
     ports = ", ".join(port.device for port in available_ports() if port.vendor_id is not None)
-    exist = (
+    remedy = (
         f"choose an existing port: {ports}"
         if ports
         else "plug the board in, because no USB port exists, or simulate it: --sil, in Python sil://"
     )
-    return PortError(f"cannot open port {url}", exist)
+    return PortError(f"cannot open port {url}", remedy)
 
 
 def _keep_dtr_on_close(fd: int) -> None:

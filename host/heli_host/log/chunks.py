@@ -67,8 +67,8 @@ def unpacked(chunk: Chunk, has_crcs: bool, path: Path) -> bytes:
     else:
         raise ValueError("an unknown compression")
     # In MCAP, 0 means that the chunk has no CRC; heli-host always writes one.
-    carries = chunk.uncompressed_crc or has_crcs
-    if len(body) != chunk.uncompressed_size or (carries and zlib.crc32(body) != chunk.uncompressed_crc):
+    has_crc = chunk.uncompressed_crc or has_crcs
+    if len(body) != chunk.uncompressed_size or (has_crc and zlib.crc32(body) != chunk.uncompressed_crc):
         raise ValueError("the chunk's CRC does not fit")
     return body
 
@@ -86,7 +86,7 @@ def records_of(body: bytes, tick: TickRecord) -> Iterator[NDArray[Any] | tuple[i
     view = memoryview(body)
     position = 0
     while position < len(body):
-        run = _tick_run(body, position, tick)
+        run = _ticks_in_a_row(body, position, tick)
         if run is not None:
             yield run["payload"]
             position += run.nbytes
@@ -99,7 +99,7 @@ def records_of(body: bytes, tick: TickRecord) -> Iterator[NDArray[Any] | tuple[i
         position = start + length
 
 
-def _tick_run(body: bytes, position: int, tick: TickRecord) -> NDArray[Any] | None:
+def _ticks_in_a_row(body: bytes, position: int, tick: TickRecord) -> NDArray[Any] | None:
     """Map the ticks that follow each other from `position` on; None if there is none."""
     record = tick.layout
     if record is None:
@@ -108,11 +108,11 @@ def _tick_run(body: bytes, position: int, tick: TickRecord) -> NDArray[Any] | No
     if max_count == 0:
         return None
     rows = np.frombuffer(body, record, count=max_count, offset=position)
-    ours = (
+    is_tick = (
         (rows["opcode"] == int(Opcode.MESSAGE))
         & (rows["length"] == record.itemsize - RECORD_HEADER.size)
         & (rows["channel"] == tick.channel)
         & (rows["cdr"] == int.from_bytes(CDR_LITTLE_ENDIAN, "little"))
     )
-    count = max_count if ours.all() else int(np.argmin(ours))
+    count = max_count if is_tick.all() else int(np.argmin(is_tick))
     return rows[:count] if count else None

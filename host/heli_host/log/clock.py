@@ -36,8 +36,10 @@ class TickClock:
         """
         has_previous = self._last_tick is not None
         before = self._last_tick if self._last_tick is not None else int(tick[0])
+        # A tick has 32 bits: differences modulo 2^32, read as signed, are right over an overflow too.
         step = np.diff(tick, prepend=np.uint32(before)).view(np.int32).astype(np.int64)
         first_counted = 0 if has_previous else 1
+        # A step that is not positive is a restart of the board; it counts as one tick.
         is_restart = step[first_counted:] <= 0
         step[first_counted:][is_restart] = 1
         lost = int(step.sum()) - (step.size - first_counted)

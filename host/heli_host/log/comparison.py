@@ -83,7 +83,7 @@ def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
                     entry["flight"] if index == 0 else "",
                     axis,
                     *(
-                        _cell(metrics[name], form)
+                        _number_text(metrics[name], form)
                         for name, form in (
                             ("step_deg", "+.3g"),
                             ("rise_s", ".2f"),
@@ -92,11 +92,13 @@ def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
                             ("rms_deg", ".3g"),
                         )
                     ),
-                    _cell(entry["effort_V"], ".2f") if index == 0 else "",
+                    _number_text(entry["effort_V"], ".2f") if index == 0 else "",
                 ]
             )
         if not axes_with_setpoints:
-            rows.append([entry["flight"], "no setpoints", *(["–"] * 5), _cell(entry["effort_V"], ".2f")])
+            rows.append(
+                [entry["flight"], "no setpoints", *(["–"] * 5), _number_text(entry["effort_V"], ".2f")]
+            )
     return rows
 
 
@@ -105,7 +107,7 @@ def comparison_lines(numbers: Sequence[Mapping[str, Any]]) -> list[str]:
     return table_lines([HEADS, *comparison_rows(numbers)], _WORDS)
 
 
-def _cell(value: float, form: str) -> str:
+def _number_text(value: float, form: str) -> str:
     return "–" if math.isnan(value) else f"{value:{form}}"
 
 

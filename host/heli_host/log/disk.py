@@ -126,7 +126,7 @@ class DirectFile:
         self.nearly_full: LogWriteError | None = None
         self._path = path
         self._last_record = last_record
-        self._file = _create(path, overwrite)
+        self._file = _create_file(path, overwrite)
         self._bytes_written = 0
 
     @property
@@ -154,21 +154,21 @@ class DirectFile:
             while view:
                 view = view[self._file.write(view) or 0 :]
         except OSError as error:
-            raise self._fail(error) from error
+            raise self._note_failure(error) from error
         self._bytes_written += len(data)
         if self.nearly_full is not None:
             return
         free = free_bytes(self._path.parent)
         if free is not None and free < RESERVED_BYTES:
             self.nearly_full = LogWriteError(
-                f"the disk of the log {self._path} is almost full, {_megabytes(free)} are left",
+                f"the disk of the log {self._path} is almost full, {_megabytes_text(free)} are left",
                 "free some disk space",
             )
         max_bytes = max_file_bytes()
         if max_bytes is not None and max_bytes - self._bytes_written < RESERVED_BYTES:
             self.nearly_full = LogWriteError(
                 f"the log {self._path} has almost the size that a file may have here, "
-                f"{_megabytes(max_bytes)}",
+                f"{_megabytes_text(max_bytes)}",
                 "raise the limit (ulimit -f), or fly for a shorter time",
             )
 
@@ -185,7 +185,7 @@ class DirectFile:
         except OSError as error:
             # Devices and pipes have nothing to keep.
             if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EROFS):
-                raise self._fail(error) from error
+                raise self._note_failure(error) from error
 
     def take_stalls_s(self) -> list[float]:
         """Return an empty list, because only the caller waits for the disk."""
@@ -199,7 +199,7 @@ class DirectFile:
         with contextlib.suppress(OSError):
             self._file.close()
 
-    def _fail(self, error: OSError) -> LogWriteError:
+    def _note_failure(self, error: OSError) -> LogWriteError:
         """Note that the log cannot be written, cut it to its last complete record, and return the error."""
         remedy = "the log is readable up to here"
         if error.errno in _FULL:
@@ -217,11 +217,11 @@ class DirectFile:
         if self._last_record is None:
             return
         data = self._last_record(reason)
-        written = 0
+        written_bytes = 0
         with contextlib.suppress(OSError):
             self._file.seek(self._bytes_written)
-            written = self._file.write(data) or 0
-        if written < len(data):
+            written_bytes = self._file.write(data) or 0
+        if written_bytes < len(data):
             self._file.truncate(self._bytes_written)
 
 
@@ -266,7 +266,7 @@ class BackgroundFile:
         self._stalls_s: list[float] = []
         self._closing = False
         self._failure: LogWriteError | None = None
-        self._thread = threading.Thread(target=self._run, name="heli-host log", daemon=True)
+        self._thread = threading.Thread(target=self._write_until_closed, name="heli-host log", daemon=True)
         self._thread.start()
 
     @property
@@ -349,12 +349,12 @@ class BackgroundFile:
         if self.failed is not None:
             raise self.failed
 
-    def _run(self) -> None:
+    def _write_until_closed(self) -> None:
         """Write queued records until the file is closed or fails; any error of this thread is reported."""
         try:
             sync_folder(self._path.parent)
             synced_s = self._now_s()
-            while (data := self._next()) is not None:
+            while (data := self._wait_for_records()) is not None:
                 before_s = self._now_s()
                 self._file.append(data)
                 if self._now_s() - synced_s >= _SYNC_S:
@@ -380,7 +380,7 @@ class BackgroundFile:
                 self._queued_bytes = 0
                 self._changed.notify_all()
 
-    def _next(self) -> bytes | None:
+    def _wait_for_records(self) -> bytes | None:
         """Wait for queued records and return them; None after the file was closed."""
         with self._changed:
             while not self._queue:
@@ -431,19 +431,19 @@ def check_free_space(path: Path, duration_s: float) -> None:
     LogWriteError
         If less is free than its ticks can need.
     """
-    needed = RESERVED_BYTES + max(_MIN_FLIGHT_S, duration_s) * MAX_BYTES_PER_S
-    free = free_bytes(path.parent)
-    if free is not None and free < needed:
+    needed_bytes = RESERVED_BYTES + max(_MIN_FLIGHT_S, duration_s) * MAX_BYTES_PER_S
+    free_bytes_left = free_bytes(path.parent)
+    if free_bytes_left is not None and free_bytes_left < needed_bytes:
         raise LogWriteError(
-            f"the disk of the log {path} has {_megabytes(free)} left, but the flight can need "
-            f"{_megabytes(needed)}",
+            f"the disk of the log {path} has {_megabytes_text(free_bytes_left)} left, but the flight can "
+            f"need {_megabytes_text(needed_bytes)}",
             "free disk space, or choose another disk with --log",
         )
     max_bytes = max_file_bytes()
-    if max_bytes is not None and max_bytes < needed:
+    if max_bytes is not None and max_bytes < needed_bytes:
         raise LogWriteError(
-            f"this system allows files of {_megabytes(max_bytes)}, but the log {path} can need "
-            f"{_megabytes(needed)}",
+            f"this system allows files of {_megabytes_text(max_bytes)}, but the log {path} can need "
+            f"{_megabytes_text(needed_bytes)}",
             "raise the limit (ulimit -f), or fly for a shorter time",
         )
 
@@ -498,7 +498,7 @@ def sync_folder(folder: Path) -> None:
             os.close(opened)
 
 
-def _create(path: Path, overwrite: bool) -> io.FileIO:
+def _create_file(path: Path, overwrite: bool) -> io.FileIO:
     """Create the log file and its folder; an existing log is an error unless `overwrite` is set."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -521,5 +521,5 @@ def _is_device(path: Path) -> bool:
         return False
 
 
-def _megabytes(count: float) -> str:
+def _megabytes_text(count: float) -> str:
     return f"{count / 1e6:.1f} MB"

@@ -125,24 +125,24 @@ def _subtitle(summary: FlightSummary) -> str:
 
     If the flight was aborted, the reason comes first.
     """
-    lost = f"{summary.ticks_lost:,} lost" if summary.ticks_lost else "none lost"
+    lost_text = f"{summary.ticks_lost:,} lost" if summary.ticks_lost else "none lost"
     link = summary.link
-    parts = [
-        f"{summary.duration_s:.1f} s, {summary.ticks_logged:,} ticks logged, {lost}",
-        f"link: {_count(link, 'frames_ok', 'frame')}, {link.get('frames_bad', 0)} bad, "
-        f"{_count(link, 'retries', 'retry')}, {_count(link, 'reconnects', 'reconnect')}",
+    phrases = [
+        f"{summary.duration_s:.1f} s, {summary.ticks_logged:,} ticks logged, {lost_text}",
+        f"link: {_count_text(link, 'frames_ok', 'frame')}, {link.get('frames_bad', 0)} bad, "
+        f"{_count_text(link, 'retries', 'retry')}, {_count_text(link, 'reconnects', 'reconnect')}",
     ]
     if summary.board:
-        parts.append(summary.board)
-    numbers = "   ·   ".join([*parts, *summary.notes])
+        phrases.append(summary.board)
+    numbers = "   ·   ".join([*phrases, *summary.notes])
     abort_reason = [] if summary.completed or ":" not in summary.outcome else [summary.outcome]
     return "\n".join(line for text in (*abort_reason, numbers) for line in textwrap.wrap(text, 150))
 
 
-def _count(link: Mapping[str, int], name: str, noun: str) -> str:
+def _count_text(link: Mapping[str, int], name: str, noun: str) -> str:
     number = link.get(name, 0)
-    many = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
-    return f"{number:,} {noun if number == 1 else many}"
+    plural = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    return f"{number:,} {noun if number == 1 else plural}"
 
 
 def _draw_axis(
@@ -167,14 +167,14 @@ def _draw_axis(
     # Wide enough that a count of the encoder does not look like a motion.
     panel.update_datalim([(0.0, middle_deg - _MIN_SPAN_DEG), (0.0, middle_deg + _MIN_SPAN_DEG)])
     panel.set_ylabel(f"{axis} [°]")
-    rms, worst = summary.rms_error_deg.get(axis), summary.max_error_deg.get(axis)
-    error = (
-        f"error {rms:.2f}° rms, {worst:.2f}° at most"
-        if rms is not None and worst is not None
+    rms, largest_error = summary.rms_error_deg.get(axis), summary.max_error_deg.get(axis)
+    error_text = (
+        f"error {rms:.2f}° rms, {largest_error:.2f}° at most"
+        if rms is not None and largest_error is not None
         else "no closed loop to judge"
     )
-    panel.set_title(f"{axis}: {error}", fontsize=10, loc="left")
-    _finish(panel)
+    panel.set_title(f"{axis}: {error_text}", fontsize=10, loc="left")
+    _finish_panel(panel)
 
 
 def _draw_voltages(panel: Axes, flight: Flight, t_s: NDArray[np.float64]) -> None:
@@ -183,7 +183,7 @@ def _draw_voltages(panel: Axes, flight: Flight, t_s: NDArray[np.float64]) -> Non
     panel.plot(*_envelope(t_s, flight.back_V), color=_BACK, lw=1.0, label="back", alpha=0.8, zorder=3)
     panel.set_ylabel("voltage [V]")
     panel.set_title("motor voltages that acted", fontsize=10, loc="left")
-    _finish(panel)
+    _finish_panel(panel)
 
 
 def _draw_signals(panel: Axes, flight: Flight, t_s: NDArray[np.float64], signals: Sequence[str]) -> None:
@@ -192,10 +192,10 @@ def _draw_signals(panel: Axes, flight: Flight, t_s: NDArray[np.float64], signals
         panel.plot(*_envelope(t_s, flight.extra[name]), color=colour, lw=1.0, label=name, zorder=3)
     panel.set_ylabel("signals")
     panel.set_title("signals of the control law", fontsize=10, loc="left")
-    _finish(panel)
+    _finish_panel(panel)
 
 
-def _finish(panel: Axes) -> None:
+def _finish_panel(panel: Axes) -> None:
     """Give a panel its grid, margins and legend."""
     panel.grid(True, color="#bbbbbb", lw=0.5, alpha=0.6)
     panel.margins(y=0.12)
@@ -228,24 +228,26 @@ def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArra
     ]
     for left_s, right_s, name in stretches:
         colour = _STATE_COLOURS.get(name, "#dddddd")
-        _block(band, (left_s, right_s, 0.0), name.replace("_", " "), colour, flight.duration_s)
+        _draw_block(band, (left_s, right_s, 0.0), name.replace("_", " "), colour, flight.duration_s)
         for panel in panels:
             panel.axvspan(left_s, right_s, color=colour, alpha=0.28, lw=0, zorder=0)
     phases = [event for event in flight.events if event.name == PHASE_EVENT]
-    starts_s = [_moment_s(event, flight) for event in phases]
+    starts_s = [_time_in_figure_s(event, flight) for event in phases]
     # The last phase, usually a landing, ends when the motors are off.
-    off_s = [
+    motors_off_s = [
         left_s
         for left_s, _, name in stretches
         if name in ("idle", "fault") and left_s > max(starts_s, default=0)
     ]
-    ends_s = [*starts_s[1:], min(off_s, default=flight.duration_s)]
+    ends_s = [*starts_s[1:], min(motors_off_s, default=flight.duration_s)]
     for event, start_s, end_s in zip(phases, starts_s, ends_s, strict=False):
         colour = "#f2f2f2" if event.text in (TAKE_OFF, LANDING) else "#c9d9ea"
-        _block(band, (start_s, end_s, 1.0), event.text, colour, flight.duration_s)
+        _draw_block(band, (start_s, end_s, 1.0), event.text, colour, flight.duration_s)
 
 
-def _block(band: Axes, extent: tuple[float, float, float], text: str, colour: str, total_s: float) -> None:
+def _draw_block(
+    band: Axes, extent: tuple[float, float, float], text: str, colour: str, total_s: float
+) -> None:
     """Draw a coloured block with a text if it fits; `extent` has its start, its end and its lower edge."""
     left_s, right_s, floor = extent
     band.fill_between([left_s, right_s], floor + 0.06, floor + 0.94, color=colour, lw=0)
@@ -264,19 +266,19 @@ def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
     serious_events = [event for event in flight.events if event.name in _SERIOUS_EVENTS]
     for event in phases:
         for panel in panels:
-            panel.axvline(_moment_s(event, flight), color="#666666", lw=0.8, ls=":", zorder=2)
+            panel.axvline(_time_in_figure_s(event, flight), color="#666666", lw=0.8, ls=":", zorder=2)
     for row in flight.gaps[:_MAX_GAPS]:
         for panel in panels:
             left_s, right_s = (float(flight.t_s[time_row] - flight.t_s[0]) for time_row in (row, row + 1))
             panel.axvspan(left_s, right_s, color=_GAP_COLOUR, alpha=0.5, lw=0, zorder=1)
     for event in serious_events[:_MAX_EVENTS]:
         for panel in panels:
-            panel.axvline(_moment_s(event, flight), color="#c0202a", lw=1.0, zorder=2)
-    for event in _spread(serious_events, flight):
-        _label(panels[-1], _moment_s(event, flight), event.name.replace("_", " "), "#c0202a")
+            panel.axvline(_time_in_figure_s(event, flight), color="#c0202a", lw=1.0, zorder=2)
+    for event in _events_with_room(serious_events, flight):
+        _draw_label(panels[-1], _time_in_figure_s(event, flight), event.name.replace("_", " "), "#c0202a")
 
 
-def _label(panel: Axes, at_s: float, text: str, colour: str) -> None:
+def _draw_label(panel: Axes, at_s: float, text: str, colour: str) -> None:
     """Write a label at the lower end of a panel, at a time [s]."""
     panel.annotate(
         text,
@@ -290,7 +292,7 @@ def _label(panel: Axes, at_s: float, text: str, colour: str) -> None:
     )
 
 
-def _spread(events: Sequence[FlightEvent], flight: Flight) -> list[FlightEvent]:
+def _events_with_room(events: Sequence[FlightEvent], flight: Flight) -> list[FlightEvent]:
     """Keep events whose labels do not fall onto each other."""
     spread: list[FlightEvent] = []
     for event in events:
@@ -299,7 +301,7 @@ def _spread(events: Sequence[FlightEvent], flight: Flight) -> list[FlightEvent]:
     return spread
 
 
-def _moment_s(event: FlightEvent, flight: Flight) -> float:
+def _time_in_figure_s(event: FlightEvent, flight: Flight) -> float:
     return min(max(event.t_s - float(flight.t_s[0]), 0.0), flight.duration_s)
 
 
@@ -316,14 +318,14 @@ def _envelope(t_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[An
 
     No peak is lost.
     """
-    bucket = len(values) // _BUCKETS
-    if bucket < 3:
+    rows_per_bucket = len(values) // _BUCKETS
+    if rows_per_bucket < 3:
         return t_s, values
-    count = len(values) // bucket
-    table = values[: count * bucket].reshape(count, bucket)
-    rows = np.arange(count) * bucket
-    pairs = np.sort(
-        np.column_stack((rows + table.argmin(axis=1), rows + table.argmax(axis=1))), axis=1
+    bucket_count = len(values) // rows_per_bucket
+    buckets = values[: bucket_count * rows_per_bucket].reshape(bucket_count, rows_per_bucket)
+    first_rows = np.arange(bucket_count) * rows_per_bucket
+    extreme_rows = np.sort(
+        np.column_stack((first_rows + buckets.argmin(axis=1), first_rows + buckets.argmax(axis=1))), axis=1
     ).ravel()
-    keep = np.unique(np.append(pairs, len(values) - 1))
+    keep = np.unique(np.append(extreme_rows, len(values) - 1))
     return t_s[keep], values[keep]

@@ -41,18 +41,18 @@ def read_flight(path: str | Path, *, allow_gaps: bool = False) -> Flight:
         return flight
     if name.endswith((".csv", ".csv.gz")):
         return read_csv(path, allow_gaps=allow_gaps)
-    raise FlightDataError(*_not_a_flight(path))
+    raise FlightDataError(*_cause_and_remedy(path))
 
 
-def _not_a_flight(path: Path) -> tuple[str, str]:
+def _cause_and_remedy(path: Path) -> tuple[str, str]:
     """What is wrong with a path that has no ending of a flight, and what to do."""
     if path.is_dir():
         flights = sorted(entry.name for entry in path.iterdir() if entry.name.endswith(_ENDINGS))
         example = f", such as {path / flights[0]}" if flights else ""
         return f"{path} is a folder, not a flight", f"give a file{example}"
     if not path.exists():
-        written = [f"{path}{ending}" for ending in _ENDINGS if Path(f"{path}{ending}").exists()]
+        existing_paths = [f"{path}{ending}" for ending in _ENDINGS if Path(f"{path}{ending}").exists()]
         return f"cannot read {path}: there is no such file", (
-            f"did you mean {written[0]}?" if written else "check the path"
+            f"did you mean {existing_paths[0]}?" if existing_paths else "check the path"
         )
     return f"{path} is not a flight", f"give a file that ends in {', '.join(_ENDINGS[:-1])} or {_ENDINGS[-1]}"

@@ -80,7 +80,7 @@ def read_index(data: memoryview) -> Index | None:
         return None
     records: dict[type, list[Any]] = {kind: [] for kind in _KINDS.values()}
     try:
-        for opcode, body in _records(data[start:footer_start]):
+        for opcode, body in _index_records(data[start:footer_start]):
             kind = _KINDS.get(Opcode(opcode))
             if kind is not None:
                 records[kind].append(parse(kind, body))
@@ -123,7 +123,7 @@ def parse(kind: Any, body: memoryview) -> Any:
     return record
 
 
-def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+def _index_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     """Yield opcode and content of each record of the index, in the order of the file."""
     position = 0
     while position < len(data):

@@ -30,10 +30,10 @@ def metadata_crc(name: str, values: Mapping[str, str]) -> str:
     values : Mapping of str to str
         Content of the record; its CRC, if present, is left out.
     """
-    crc = _add(0, name)
+    crc = _crc_after_text(0, name)
     for key in sorted(values):
         if key != RECORD_CRC:
-            crc = _add(_add(crc, key), values[key])
+            crc = _crc_after_text(_crc_after_text(crc, key), values[key])
     return f"{crc:08x}"
 
 
@@ -48,7 +48,7 @@ def head_values(head: bytes) -> dict[str, str]:
     return {"crc32": f"{zlib.crc32(head):08x}", "bytes": str(len(head))}
 
 
-def _add(crc: int, text: str) -> int:
+def _crc_after_text(crc: int, text: str) -> int:
     """Return a CRC after the length and the bytes of a text."""
     encoded = text.encode("utf-8", errors="surrogatepass")
     return zlib.crc32(encoded, zlib.crc32(struct.pack("<I", len(encoded)), crc))

@@ -113,7 +113,7 @@ class Log:
                 f"{self.path} holds no ticks",
                 "record again: the board sent nothing, or the host stopped immediately",
             )
-        columns = self._columns()
+        columns = self._columns_by_name()
         session = self.metadata.get("session", {})
         meta = {**session, **{f"result.{k}": v for k, v in self.metadata.get("result", {}).items()}}
         if self.notes:
@@ -137,7 +137,7 @@ class Log:
             meta=meta,
         )
 
-    def _columns(self) -> dict[str, NDArray[Any]]:
+    def _columns_by_name(self) -> dict[str, NDArray[Any]]:
         """Return each field except the times, in its unit, by its column name in tables; the counts of an
         encoder are included under the name of the field.
         """
@@ -147,14 +147,14 @@ class Log:
         for field_name in self.ticks.dtype.names or ():
             spec = _BY_FIELD.get(field_name)
             if spec is not None:
-                columns[named.get(spec.column, spec.column)] = self._column(spec, count_rad)
+                columns[named.get(spec.column, spec.column)] = self._channel_in_unit(spec, count_rad)
                 if spec.axis is not None:
                     columns[spec.field] = self.ticks[field_name]
             elif field_name not in ("t_s", "tick", *_ANGLES):
                 columns[field_name] = np.ascontiguousarray(self.ticks[field_name])
         return columns
 
-    def _column(self, spec: ChannelSpec, count_rad: NDArray[np.float64]) -> NDArray[Any]:
+    def _channel_in_unit(self, spec: ChannelSpec, count_rad: NDArray[np.float64]) -> NDArray[Any]:
         """Return a channel in its unit, shape (n,); an angle from its counts.
 
         Parameters

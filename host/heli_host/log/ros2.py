@@ -103,9 +103,9 @@ def export_ros2(flight: Flight, path: str | Path) -> None:
             tick = channel(TICK_TOPIC, "heli_host/msg/Tick", _tick_schema(flight, columns))
             event = channel(EVENT_TOPIC, "rcl_interfaces/msg/Log", _EVENT_SCHEMA)
             parameter = channel(PARAMETER_TOPIC, "heli_host/msg/Parameter", _PARAMETER_SCHEMA)
-            first_ns = _ns(flight.t_s[0]) if len(flight) else 0
+            first_ns = _to_ns(flight.t_s[0]) if len(flight) else 0
             for name, value in flight.parameters.items():
-                body = _string(name)
+                body = _encode_string(name)
                 data = _CDR + body + bytes(-len(body) % 8) + struct.pack("<d", value)
                 writer.add_message(parameter, first_ns, data, first_ns)
             for time_ns, is_event, data in _messages_in_order(flight, columns):
@@ -172,27 +172,27 @@ def _messages_in_order(flight: Flight, columns: dict[str, NDArray[Any]]) -> Iter
     events_written = 0
     for row, time_s in enumerate(flight.t_s.tolist()):
         while events_written < len(events) and events[events_written].t_s <= time_s:
-            yield _ns(events[events_written].t_s), True, _event(events[events_written])
+            yield _to_ns(events[events_written].t_s), True, _encode_event(events[events_written])
             events_written += 1
-        yield _ns(time_s), False, _CDR + data[row * size : (row + 1) * size]
+        yield _to_ns(time_s), False, _CDR + data[row * size : (row + 1) * size]
     for event in events[events_written:]:
-        yield _ns(event.t_s), True, _event(event)
+        yield _to_ns(event.t_s), True, _encode_event(event)
 
 
-def _event(event: FlightEvent) -> bytes:
+def _encode_event(event: FlightEvent) -> bytes:
     """Encode an event as a ``rcl_interfaces/msg/Log`` message in CDR."""
-    seconds, nanoseconds = divmod(_ns(event.t_s), 1_000_000_000)
+    seconds, nanoseconds = divmod(_to_ns(event.t_s), 1_000_000_000)
     body = struct.pack("<iIB", seconds, nanoseconds, _ERROR if event.name == "fault" else _INFO)
     for text in (event.name, event.text, "", ""):
-        body += bytes(-len(body) % 4) + _string(text)
+        body += bytes(-len(body) % 4) + _encode_string(text)
     return _CDR + body + bytes(-len(body) % 4) + struct.pack("<I", 0)
 
 
-def _string(text: str) -> bytes:
+def _encode_string(text: str) -> bytes:
     """Encode a string in CDR: its length, then its bytes with a zero at the end."""
     encoded = text.encode() + b"\x00"
     return struct.pack("<I", len(encoded)) + encoded
 
 
-def _ns(t_s: float) -> int:
+def _to_ns(t_s: float) -> int:
     return max(0, round(t_s * 1e9))

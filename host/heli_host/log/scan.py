@@ -126,64 +126,64 @@ class Scan:
         position = len(_MAGIC)
         while position < len(self.data) and not self.closed:
             try:
-                position = self._step(position)
-            except _OutOfStep:
+                position = self._read_record(position)
+            except _NotARecord:
                 next_position = _next_record(self.data, position, self._index)
                 if next_position is None:
-                    self._note_break(position)
+                    self._note_early_end(position)
                     break
                 self._lost.append((position, next_position))
                 position = next_position
         if not self.closed and position == len(self.data):
-            self._note_break(position)
-        self._check_head()
-        self._judge_metadata()
+            self._note_early_end(position)
+        self._check_description()
+        self._merge_intact_metadata()
         self._note_damage()
 
-    def _step(self, position: int) -> int:
+    def _read_record(self, position: int) -> int:
         """Read the record at ``position``; return the position of the next record."""
         if len(self.data) - position < RECORD_HEADER.size:
-            raise _OutOfStep
+            raise _NotARecord
         opcode, length = RECORD_HEADER.unpack_from(self.data, position)
         start: int = position + RECORD_HEADER.size
         if length > len(self.data) - start:
-            raise _OutOfStep
+            raise _NotARecord
         body = self.data[start : start + length]
         if opcode == Opcode.CHUNK:
-            chunk = _whole(Chunk, body)
+            chunk = _parse_all_bytes(Chunk, body)
             try:
                 self._read_chunk(chunk)
             except _DAMAGE:
                 self._damaged_chunks += 1
         elif opcode == Opcode.METADATA:
-            self._add_metadata(_whole(Metadata, body), position)
+            self._add_metadata(_parse_all_bytes(Metadata, body), position)
         elif opcode == Opcode.MESSAGE_INDEX:
-            if length < _MESSAGE_INDEX.size or _entries_bytes(body) != length - _MESSAGE_INDEX.size:
-                raise _OutOfStep
+            if length < _MESSAGE_INDEX.size or _stated_entries_bytes(body) != length - _MESSAGE_INDEX.size:
+                raise _NotARecord
         elif opcode == Opcode.DATA_END:
-            self._end(_whole(DataEnd, body), position)
+            self._end_data_section(_parse_all_bytes(DataEnd, body), position)
         elif opcode in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL) and self._in_head:
-            self._visit_head(opcode, body)
+            self._read_description(opcode, body)
         elif opcode == Opcode.ATTACHMENT or opcode >= _PRIVATE_OPCODES:
             self.notes.append(f"the record at byte {position} is of a kind unknown to heli-host")
         else:
-            raise _OutOfStep
+            raise _NotARecord
         self._in_head = self._in_head and opcode in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL)
         return start + int(length)
 
-    def _visit_head(self, opcode: int, body: memoryview) -> None:
+    def _read_description(self, opcode: int, body: memoryview) -> None:
         """Process a header, schema or channel. The index has all channels, so those of the data are then
         ignored.
         """
         if opcode == Opcode.HEADER:
-            _whole(Header, body)
+            _parse_all_bytes(Header, body)
         elif self._index is not None and self._index.channels:
             return
         elif opcode == Opcode.SCHEMA:
-            schema = _whole(Schema, body)
+            schema = _parse_all_bytes(Schema, body)
             self._schemas[schema.id] = schema
         else:
-            self._add_channel(_whole(Channel, body))
+            self._add_channel(_parse_all_bytes(Channel, body))
 
     def _add_channel(self, channel: Channel) -> None:
         """Note a channel of the log; that of the ticks determines the layout of their records."""
@@ -209,17 +209,17 @@ class Scan:
         """Process a metadata record; the record `HEAD` shows whether the bytes before it are intact."""
         self._records.append(record)
         self._has_crcs = self._has_crcs or RECORD_CRC in record.metadata
-        if record.name == HEAD and _vouched(record):
+        if record.name == HEAD and _matches_its_crc(record):
             head = head_values(bytes(self.data[:position]))
             self._head_is_intact = head.items() <= record.metadata.items()
 
-    def _check_head(self) -> None:
+    def _check_description(self) -> None:
         """Raise a LogError if the beginning is damaged and the meaning of the numbers is uncertain."""
         if self._head_is_intact or (self._records and not self._has_crcs):
             return
         self.notes.append("the first bytes, which say how the numbers are to be read, are damaged")
         has_index_copy = self._index is not None and self._index.channels
-        is_standard_layout = self.layout == TICK_LAYOUT and sorted(self._topics()) == [
+        is_standard_layout = self.layout == TICK_LAYOUT and sorted(self._channel_topics()) == [
             EVENT_TOPIC,
             LINK_TOPIC,
             TICK_TOPIC,
@@ -227,13 +227,13 @@ class Scan:
         if self.layout is not None and not has_index_copy and not is_standard_layout:
             raise LogError(f"{self.path} is damaged in the description of its columns", "copy it again")
 
-    def _topics(self) -> list[str]:
+    def _channel_topics(self) -> list[str]:
         return [channel.topic for channel in self._channels.values()]
 
-    def _end(self, record: DataEnd, position: int) -> None:
+    def _end_data_section(self, record: DataEnd, position: int) -> None:
         """Process the end of the data section: compare its CRC, and note an index that is missing."""
         if self._index is not None and position != self._index.data_end:
-            raise _OutOfStep
+            raise _NotARecord
         self.closed = True
         # A CRC of 0 means that the writer did not compute it, unless the log states that it has CRCs.
         has_crc = record.data_section_crc != 0 or self._has_crcs
@@ -244,7 +244,7 @@ class Scan:
             data_text = "; all data before it is whole" if is_intact else ""
             self.notes.append(f"the index at its end is damaged or missing{data_text}")
 
-    def _note_break(self, position: int) -> None:
+    def _note_early_end(self, position: int) -> None:
         """Note that the log ends at `position`, because it was cut short or because its end is damaged."""
         bytes_left = len(self.data) - position
         if self.data[-len(_MAGIC) :] == _MAGIC and bytes_left:
@@ -255,7 +255,7 @@ class Scan:
                 f"{sum(map(len, self.ticks))} ticks were readable"
             )
 
-    def _judge_metadata(self) -> None:
+    def _merge_intact_metadata(self) -> None:
         """Merge the records that fit their CRC; those of a log without any are taken as they are."""
         if not self._has_crcs:
             self.notes.append(
@@ -263,7 +263,7 @@ class Scan:
             )
         damaged: list[str] = []
         for record in self._records:
-            if self._has_crcs and not _vouched(record):
+            if self._has_crcs and not _matches_its_crc(record):
                 damaged.append(record.name)
             elif record.name != HEAD:
                 values = {key: value for key, value in record.metadata.items() if key != RECORD_CRC}
@@ -280,10 +280,10 @@ class Scan:
             self.notes.append(f"{self._damaged_chunks} chunks are damaged and were left out")
         for start, stop in self._lost:
             self.notes.append(f"bytes {start} to {stop} are damaged and were left out")
-        written = self._index.message_counts.get(self._tick.channel) if self._index else None
-        read = sum(map(len, self.ticks))
-        if written is not None and written != read:
-            self.notes.append(f"{written} ticks were written, {read} are readable")
+        written_count = self._index.message_counts.get(self._tick.channel) if self._index else None
+        read_count = sum(map(len, self.ticks))
+        if written_count is not None and written_count != read_count:
+            self.notes.append(f"{written_count} ticks were written, {read_count} are readable")
 
     def _read_chunk(self, chunk: Chunk) -> None:
         """Add ticks and messages of a chunk. A damaged chunk adds nothing, because its content is checked
@@ -307,12 +307,12 @@ class Scan:
             if opcode == Opcode.MESSAGE:
                 messages.append(record)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._visit_head(opcode, record)
+                self._read_description(opcode, record)
         for message in messages:
-            self._add_json(message)
+            self._add_json_message(message)
         self.ticks += ticks
 
-    def _add_json(self, record: memoryview) -> None:
+    def _add_json_message(self, record: memoryview) -> None:
         """Add the JSON message of an event or of the link counters; messages of other topics are ignored."""
         channel_id, *_ = _MESSAGE_HEADER.unpack_from(record)
         topic = self._channels[channel_id].topic if channel_id in self._channels else ""
@@ -329,28 +329,28 @@ class Scan:
             self.events.append(message)
 
 
-class _OutOfStep(Exception):
+class _NotARecord(Exception):
     """The bytes at an expected record are not a record."""
 
 
-def _whole(kind: Any, body: memoryview) -> Any:
+def _parse_all_bytes(kind: Any, body: memoryview) -> Any:
     """Parse a record that must use all its bytes."""
     try:
         return parse(kind, body)
     except PARSE_ERRORS as error:
-        raise _OutOfStep from error
+        raise _NotARecord from error
 
 
 def _is_time(value: object) -> bool:
     return isinstance(value, int | float) and abs(value) < _MAX_TIME_S
 
 
-def _entries_bytes(body: memoryview) -> int:
+def _stated_entries_bytes(body: memoryview) -> int:
     entries_bytes = int(_MESSAGE_INDEX.unpack_from(body)[1])
     return -1 if entries_bytes % _INDEX_ENTRY_BYTES else entries_bytes
 
 
-def _vouched(record: Metadata) -> bool:
+def _matches_its_crc(record: Metadata) -> bool:
     return record.metadata.get(RECORD_CRC) == metadata_crc(record.name, record.metadata)
 
 

@@ -114,11 +114,11 @@ class MessageLayout:
         prefix : str
             ``STATE``, ``FAULT`` or ``FLAGS``.
         """
-        mark = prefix + "_"
+        constant_prefix = prefix + "_"
         return {
-            value: name.removeprefix(mark).lower()
+            value: name.removeprefix(constant_prefix).lower()
             for name, value in self.constants.items()
-            if name.startswith(mark)
+            if name.startswith(constant_prefix)
         }
 
 
@@ -198,7 +198,7 @@ class _Field:
     constants: str = ""
 
 
-def _fields() -> Iterator[_Field]:
+def _tick_fields() -> Iterator[_Field]:
     """Yield the fields of a tick: the times, each channel, and after each encoder's counts the angle.
 
     The first field of an enumeration, such as the state, also declares the names of its values.
@@ -230,7 +230,7 @@ def _type_in_log(spec: ChannelSpec) -> str:
 
 def _tick_schema() -> str:
     """Return the ROS 2 message definition of a tick, with the widest fields first: so none needs padding."""
-    fields = sorted(_fields(), key=lambda field: -np.dtype(field.code).itemsize)
+    fields = sorted(_tick_fields(), key=lambda field: -np.dtype(field.code).itemsize)
     return (
         "# One control tick: angles read at its start, voltages that act from it until the next tick.\n"
         + "".join(

@@ -131,14 +131,14 @@ def summarise(log: Log) -> FlightSummary:
     session = log.metadata.get("session", {})
     result = log.metadata.get("result", {})
     plans = tuple(log.metadata.get("plan", {}))
-    closed = _closed_axes(session.get("axes", ""))
+    closed_axes = _closed_axes(session.get("axes", ""))
     rms_deg: dict[str, float | None] = dict.fromkeys(AXES)
     max_deg: dict[str, float | None] = dict.fromkeys(AXES)
     if len(log.ticks):
         flight = log.flight()
         for axis, errors_deg in zip(AXES, tracking_errors_deg(flight).T, strict=True):
             led_deg = errors_deg[~np.isnan(errors_deg)]
-            if len(led_deg) and axis in closed:
+            if len(led_deg) and axis in closed_axes:
                 rms_deg[axis] = round(rms(led_deg), 4)
                 max_deg[axis] = round(float(np.max(np.abs(led_deg))), 4)
     outcome = result.get("outcome") or (
@@ -153,7 +153,7 @@ def summarise(log: Log) -> FlightSummary:
         ticks_lost=log.ticks_lost,
         rms_error_deg=rms_deg,
         max_error_deg=max_deg,
-        link=_link(log),
+        link=_last_link_counters(log),
         plans=plans,
         rig=session.get("rig", ""),
         board=session.get("board", ""),
@@ -190,7 +190,7 @@ def _closed_axes(text: str) -> tuple[str, ...]:
     return named or AXES
 
 
-def _link(log: Log) -> dict[str, int]:
+def _last_link_counters(log: Log) -> dict[str, int]:
     """Return the link counters of a log, the last of the flight or those at its end."""
     counted = {"frames_ok": 0, "frames_bad": 0, "retries": 0, "reconnects": 0}
     last = log.link[-1] if log.link else {}

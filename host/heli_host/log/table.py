@@ -97,7 +97,7 @@ def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
     _check_names(lines.names, path)
     numbers, names = _read_numbers(lines, path)
     columns = dict(zip(names, numbers.T, strict=True))
-    flight = _build(columns, (*lines.notes, *_read_notes(notes_path(path))))
+    flight = _flight_of_columns(columns, (*lines.notes, *_read_notes(notes_path(path))))
     check(flight, str(path), allow_gaps=allow_gaps, where=lines.where)
     return flight
 
@@ -131,7 +131,7 @@ def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -
     path = Path(path)
     columns = flight.columns()
     row_format = ",".join(_FORMATS.get(name, _NUMBER_FORMAT) for name in columns) + "\n"
-    notes = _notes(flight)
+    notes = _note_lines(flight)
     inside = [f"# {line}" for line in notes] if notes_inside else []
     table = np.column_stack([column.astype(np.float64) for column in columns.values()])
     try:
@@ -142,19 +142,19 @@ def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -
                     _write_rows(packed, inside, list(columns), row_format, table)
             else:
                 _write_rows(file, inside, list(columns), row_format, table)
-        beside = notes_path(path)
+        notes_file = notes_path(path)
         if notes and not notes_inside:
-            beside.write_text("".join(line + "\n" for line in notes), encoding="utf-8", newline="\n")
+            notes_file.write_text("".join(line + "\n" for line in notes), encoding="utf-8", newline="\n")
         else:
             # The notes of an older table would describe another flight.
-            beside.unlink(missing_ok=True)
+            notes_file.unlink(missing_ok=True)
     except OSError as error:
         raise LogWriteError(
             f"cannot write {path}: {error.strerror or error}", "choose another folder"
         ) from error
 
 
-def _notes(flight: Flight) -> list[str]:
+def _note_lines(flight: Flight) -> list[str]:
     notes = [f"{name}: {_one_line(value)}" for name, value in flight.meta.items()]
     notes += [f"parameter.{name}: {value!r}" for name, value in flight.parameters.items()]
     notes += [f"state.{number}: {name}" for number, name in flight.state_names.items()]
@@ -300,7 +300,7 @@ def _read_numbers(lines: _Lines, path: Path) -> tuple[NDArray[np.float64], tuple
     while True:
         names = tuple(lines.names[column] for column in keep)
         try:
-            return _load(lines.body, len(lines.names), keep), names
+            return _parse_columns(lines.body, len(lines.names), keep), names
         except ValueError as error:
             row, column, text = _find_bad_cell(lines, keep)
             if row < 0:
@@ -319,7 +319,7 @@ def _read_numbers(lines: _Lines, path: Path) -> tuple[NDArray[np.float64], tuple
             ) from error
 
 
-def _load(body: bytes, width: int, keep: list[int]) -> NDArray[np.float64]:
+def _parse_columns(body: bytes, width: int, keep: list[int]) -> NDArray[np.float64]:
     """Parse the columns `keep` of a table of `width` columns, shape (n, len(keep))."""
     usecols = None if len(keep) == width else keep
     table = np.loadtxt(
@@ -347,7 +347,7 @@ def _find_bad_cell(lines: _Lines, keep: list[int]) -> tuple[int, int, str]:
     return -1, -1, ""
 
 
-def _build(columns: dict[str, NDArray[np.float64]], notes: tuple[str, ...]) -> Flight:
+def _flight_of_columns(columns: dict[str, NDArray[np.float64]], notes: tuple[str, ...]) -> Flight:
     """Build a flight from columns and notes, which contain parameters, names of states, events and plan."""
     meta: dict[str, str] = {}
     other_notes: list[str] = []

@@ -120,7 +120,7 @@ class LogWriter:
         kind = BackgroundFile if background else DirectFile
         self._file: LogFile = kind(self.path, last_record=last_record, overwrite=overwrite)
         try:
-            self._write(self._bytes.head())
+            self._append_records(self._bytes.head())
             for name, values in metadata.items():
                 self.write_metadata(name, values)
         except LogWriteError:
@@ -247,7 +247,7 @@ class LogWriter:
         """
         with self._lock:
             self.flush()
-            self._write(self._bytes.metadata(name, values, self._counters.bytes_written))
+            self._append_records(self._bytes.metadata(name, values, self._counters.bytes_written))
 
     def flush(self) -> None:
         """Hand everything taken in so far to the system.
@@ -258,13 +258,13 @@ class LogWriter:
             If the disk is full or gone; what was written before stays readable.
         """
         with self._lock:
-            self._tell_stalls()
+            self._write_stall_events()
             self._assign_times()
             pending, self._pending, self._pending_ticks = self._pending, [], 0
             if not self._file.has_room:
-                self._drop(pending)
+                self._drop_pending_ticks(pending)
             elif pending and not self._closed:
-                self._write(self._bytes.chunk(pending, self._counters.bytes_written))
+                self._append_records(self._bytes.chunk(pending, self._counters.bytes_written))
 
     def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
         """Write what is left, the last metadata and the summary that lets viewers jump; a second call does
@@ -289,12 +289,12 @@ class LogWriter:
                 self.flush()
                 for name, values in (metadata or {}).items():
                     self.write_metadata(name, values)
-                self._write(self._bytes.tail(self._counters.bytes_written, self._data_crc))
+                self._append_records(self._bytes.tail(self._counters.bytes_written, self._data_crc))
             finally:
                 self._closed = True
                 self._file.close()
 
-    def _tell_stalls(self) -> None:
+    def _write_stall_events(self) -> None:
         """Write an event for each pause of the disk, and for ticks that had to be dropped in it."""
         for stall_s in self._file.take_stalls_s():
             self.write_event(
@@ -305,7 +305,7 @@ class LogWriter:
             self._dropping = 0
             self.write_event(self._last_tick, TICKS_DROPPED, text, LEVEL_ERROR)
 
-    def _drop(self, pending: list[TickBatch | JsonMessage]) -> None:
+    def _drop_pending_ticks(self, pending: list[TickBatch | JsonMessage]) -> None:
         """Discard pending ticks and count them, because the disk is blocked; keep the newest messages."""
         dropped_ticks = sum(int(part.tick.size) for part in pending if isinstance(part, TickBatch))
         self._dropping += dropped_ticks
@@ -328,7 +328,7 @@ class LogWriter:
         self._last_tick = int(tick[-1])
         self._pending.append(TickBatch(time_us, tick, raw))
 
-    def _write(self, data: bytes) -> None:
+    def _append_records(self, data: bytes) -> None:
         """Append whole records to the file, and count their bytes."""
         self._file.append(data)
         self._counters.bytes_written += len(data)

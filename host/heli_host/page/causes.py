@@ -35,7 +35,7 @@ def is_without_setpoints(text: str) -> bool:
     text : str
         Text of an event, such as ``"state hold, because of stale_hold"``.
     """
-    return any(_trigger(name) in _WITHOUT_SETPOINTS for name in _CAUSE.findall(text))
+    return any(_trigger_named(name) in _WITHOUT_SETPOINTS for name in _CAUSE.findall(text))
 
 
 def cause(text: str, absence: str = "") -> str:
@@ -49,7 +49,7 @@ def cause(text: str, absence: str = "") -> str:
         Why the pilot's page sends no setpoints; empty if it does. It replaces "no setpoint arrived".
     """
     names = _CAUSE.findall(text)
-    return _words(names[0], absence) if names else ""
+    return _trigger_in_words(names[0], absence) if names else ""
 
 
 def in_words(text: str, absence: str = "") -> str:
@@ -67,17 +67,17 @@ def in_words(text: str, absence: str = "") -> str:
     >>> in_words("state hold, because of stale_hold", "the pilot's page was closed")
     "state hold: the pilot's page was closed"
     """
-    with_cause = _CAUSE.sub(lambda match: f": {_words(match[1], absence)}", text)
+    with_cause = _CAUSE.sub(lambda match: f": {_trigger_in_words(match[1], absence)}", text)
     return _STATE.sub(lambda match: match[0].replace("_", " "), with_cause)
 
 
-def _trigger(name: str) -> Trigger | None:
+def _trigger_named(name: str) -> Trigger | None:
     return Trigger.__members__.get(name.upper())
 
 
-def _words(name: str, absence: str) -> str:
+def _trigger_in_words(name: str, absence: str) -> str:
     """Return a trigger in words; one that means "no setpoint arrived" becomes `absence`."""
-    trigger = _trigger(name)
+    trigger = _trigger_named(name)
     if trigger is None:
         return name.replace("_", " ")
     return absence if absence and trigger in _WITHOUT_SETPOINTS else CAUSE_WORDS[trigger]

@@ -69,9 +69,9 @@ class PageClient:
         self._number = 0
         self._is_closed = False
         self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._read, name="heli-host joined", daemon=True)
+        self._thread = threading.Thread(target=self._read_until_closed, name="heli-host joined", daemon=True)
         self._thread.start()
-        if not self._wait(lambda: "hello" in self._news and "control" in self._news, _OPEN_S):
+        if not self._wait_until(lambda: "hello" in self._news and "control" in self._news, _OPEN_S):
             self.close()
             raise LinkError("the dashboard refused the connection", "give the whole address that it printed")
 
@@ -150,8 +150,8 @@ class PageClient:
         """
         if self.ask("ask").get("granted"):
             return True
-        mine = self._news["hello"]["you"]
-        self._wait(lambda: self.flies or self._news["control"]["asking"] != mine, timeout_s)
+        own_key = self._news["hello"]["you"]
+        self._wait_until(lambda: self.flies or self._news["control"]["asking"] != own_key, timeout_s)
         return self.flies
 
     def setpoint(self, *, elevation_deg: float | None = None, travel_deg: float | None = None) -> None:
@@ -243,7 +243,7 @@ class PageClient:
             self._socket.send(_as_json({**arguments, "do": name, "id": number}))
         except WebSocketException as error:
             raise LinkError("the dashboard has ended", "start it again") from error
-        if not self._wait(lambda: number in self._answers, timeout_s):
+        if not self._wait_until(lambda: number in self._answers, timeout_s):
             raise LinkError(
                 f"the dashboard did not answer {name} within {timeout_s:g} s",
                 "wait until its current action ends, then try again",
@@ -266,7 +266,7 @@ class PageClient:
         LinkError
             The board was in none of these states in time.
         """
-        if not self._wait(lambda: self._news["status"]["state"] in states, timeout_s):
+        if not self._wait_until(lambda: self._news["status"]["state"] in states, timeout_s):
             names = " or ".join(str(state) for state in states)
             raise LinkError(
                 f"the board is {self.state}, not {names}, after {timeout_s:g} s",
@@ -283,7 +283,7 @@ class PageClient:
         if threading.current_thread() is not self._thread:
             self._thread.join(_OPEN_S)
 
-    def _wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+    def _wait_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until `condition` is true; return False if that takes too long, or if the page is gone."""
         end_s = time.monotonic() + timeout_s
         with self._changed:
@@ -295,14 +295,14 @@ class PageClient:
                 self._changed.wait(min(left_s, _LOOK_S))
         return True
 
-    def _read(self) -> None:
+    def _read_until_closed(self) -> None:
         """Read messages of the server until it closes, in a thread of its own."""
         with contextlib.suppress(WebSocketException, OSError):
             for message in self._socket:
                 if isinstance(message, bytes):
                     self._take_rows(message)
                 else:
-                    self._take_words(json.loads(message))
+                    self._store_message(json.loads(message))
                 with self._changed:
                     self._changed.notify_all()
         with self._changed:
@@ -317,15 +317,15 @@ class PageClient:
         self._buffer.append(rows.tick, np.ascontiguousarray(rows.raw))
         self._socket.send(rows.number.to_bytes(4, "little"))
 
-    def _take_words(self, words: Mapping[str, Any]) -> None:
+    def _store_message(self, message: Mapping[str, Any]) -> None:
         """Store what a JSON message of the server contains: an answer, status, control or values."""
         with self._changed:
-            if "answer" in words and words["answer"] is not None:
-                self._answers[int(words["answer"])] = words
+            if "answer" in message and message["answer"] is not None:
+                self._answers[int(message["answer"])] = message
             for name in ("hello", "status", "control"):
-                if name in words:
-                    self._news[name] = words[name]
-            values = words.get("values", words.get("hello", {}).get("values"))
+                if name in message:
+                    self._news[name] = message[name]
+            values = message.get("values", message.get("hello", {}).get("values"))
             if values is not None:
                 self._values = values
 
@@ -333,15 +333,13 @@ class PageClient:
 def _as_json(request: Mapping[str, Any]) -> str:
     """Return a request as JSON; a PageError reports one that JSON cannot hold or that is too long."""
     try:
-        words = json.dumps(request)
+        text = json.dumps(request)
     except (TypeError, ValueError, RecursionError) as error:
         raise PageError(f"JSON cannot hold the request: {error}", "give numbers, texts and lists") from None
     # The server does not parse a longer request, so that it cannot answer with the number of the request.
-    if len(words) > LONGEST_REQUEST:
-        raise PageError(
-            f"a request of {len(words)} characters is too long", f"send at most {LONGEST_REQUEST}"
-        )
-    return words
+    if len(text) > LONGEST_REQUEST:
+        raise PageError(f"a request of {len(text)} characters is too long", f"send at most {LONGEST_REQUEST}")
+    return text
 
 
 def join(address: str) -> PageClient:

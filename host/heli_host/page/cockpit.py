@@ -106,7 +106,7 @@ class Cockpit:
         self._pilot = PilotWatch(self._recording)
         self._law = LawChoice(heli, laws)
         self._flight = FlightRequests(heli, plans, self._law, self._recording, self._pilot)
-        self._parameters = ParameterEdits(heli, self._recording, self._tell_parameters)
+        self._parameters = ParameterEdits(heli, self._recording, self._send_parameters)
         self._signals: dict[str, str] = {}
         self._last_sample_s = -math.inf
         flight, parameters = self._flight, self._parameters
@@ -124,13 +124,13 @@ class Cockpit:
             "save": Action(parameters.save, CommandQueue.QUICK, tuner),
             "law": Action(self._choose_law, CommandQueue.QUICK, pilot),
             "set_law": Action(self._set_law, CommandQueue.QUICK, tuner),
-            "record": Action(self._record, CommandQueue.QUICK, pilot),
+            "record": Action(self._set_recording, CommandQueue.QUICK, pilot),
             "mark": Action(self._recording.mark, CommandQueue.QUICK, observer),
             "signal": Action(self._recording.signal, CommandQueue.QUICK, observer),
         }
         self._twin = twin
         if twin is not None:
-            twin.listen(self._hear_twin)
+            twin.listen(self._note_twin_news)
         heli.session.subscribe_ticks(self._take_ticks)
         heli.session.subscribe_events(self._take_event)
 
@@ -266,7 +266,7 @@ class Cockpit:
         self._recording.announce("parameter", f"{self._law.chosen} {name}: {before:g} -> {after:g}")
         return {"value": after}
 
-    def _record(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+    def _set_recording(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         """Run the request ``record``: begin or end a recording."""
         if arguments.get("on"):
             if self._recording.recorder is None:
@@ -288,7 +288,7 @@ class Cockpit:
             "ghost_rad": [round(angle, 4) for angle in ghost] if ghost is not None else None,
         }
 
-    def _hear_twin(self, news: TwinNews) -> None:
+    def _note_twin_news(self, news: TwinNews) -> None:
         self._recording.write(EVENT, news.text)
         self._feed.add(news.tick, EVENT, news.text)
 
@@ -306,7 +306,7 @@ class Cockpit:
             self._signals = {f"signal_{number}": name for number, name in enumerate(event.names, 1)}
             self._feed.tell({"channels": channel_rows(self._parameters.values, self._signals)})
 
-    def _tell_parameters(self) -> None:
+    def _send_parameters(self) -> None:
         """Send the parameters to all clients, with what depends on them: limits and units of channels."""
         values = self._parameters.values
         self._feed.tell(

@@ -34,7 +34,7 @@ def page_file(path: str, headers: Mapping[str, str]) -> Response:
         Headers of the request.
     """
     # Only listed names are served, so that no text of a client becomes a path in the file system.
-    stored = _stored().get(path or "index.html")
+    stored = _files_by_path().get(path or "index.html")
     if stored is None:
         return PlainTextResponse("there is no such file\n", 404)
     kind, body = _TYPES[PurePosixPath(path or "index.html").suffix], stored.read_bytes()
@@ -46,7 +46,7 @@ def page_file(path: str, headers: Mapping[str, str]) -> Response:
 
 
 @cache
-def _stored() -> dict[str, Traversable]:
+def _files_by_path() -> dict[str, Traversable]:
     """All files that are served, by their paths as a browser asks for them."""
     served: dict[str, Traversable] = {}
     folders = [("", files(__package__) / "static")]

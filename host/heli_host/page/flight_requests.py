@@ -79,7 +79,7 @@ class FlightRequests:
             ``elevation_deg``, optional.
         """
         elevation_deg = number(arguments, "elevation_deg") if "elevation_deg" in arguments else 0.0
-        with self._busy("taking off"):
+        with self._shown_as_busy("taking off"):
             self._heli.take_off(elevation_deg)
             self._law.engage()
         return {}
@@ -117,7 +117,7 @@ class FlightRequests:
             raise LinkError("the recording ended before the plan started", "start it again")
         self._flight = flight
         try:
-            with self._busy(f"flying {', '.join(names)}"):
+            with self._shown_as_busy(f"flying {', '.join(names)}"):
                 outcome = flight.fly(recorder)
         finally:
             self._flight = None
@@ -164,7 +164,7 @@ class FlightRequests:
             raise SetpointError("a plan flies now, and controls the setpoints", "end it with Land")
 
     @contextlib.contextmanager
-    def _busy(self, doing: str) -> Iterator[None]:
+    def _shown_as_busy(self, doing: str) -> Iterator[None]:
         """Show clients which request is in progress while the block runs."""
         self.doing = doing
         try:

@@ -71,7 +71,7 @@ class PlanFlight:
             self._route,
             self._plans[0].axes,
             recorder,
-            self._take,
+            self._store_progress,
             tolerance,
             on_taken_off=self._on_taken_off,
         )
@@ -81,6 +81,6 @@ class PlanFlight:
             self.outcome = pilot.outcome
         return self.outcome
 
-    def _take(self, progress: Progress) -> None:
+    def _store_progress(self, progress: Progress) -> None:
         left_s = None if progress.left_s is None else round(max(progress.left_s, 0.0), 1)
         self.progress = {"phase": progress.phase, "t_s": round(progress.t_s, 1), "left_s": left_s}

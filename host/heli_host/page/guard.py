@@ -62,7 +62,7 @@ class Guard:
             return PlainTextResponse(f"this page is served as {self.host} only\n", 421)
         origin = connection.headers.get("origin")
         # Programs send no Origin header; browsers send it whenever a page of another origin asks.
-        if origin is not None and not self._is_of(connection, origin, host):
+        if origin is not None and not self._is_same_origin(connection, origin, host):
             return PlainTextResponse("a page of another origin may not ask this\n", 403)
         return None
 
@@ -71,7 +71,7 @@ class Guard:
         received = connection.query_params.get("token", "")
         return secrets.compare_digest(received.encode(), self.token.encode())
 
-    def _is_of(self, connection: HTTPConnection, origin: str, host: str) -> bool:
+    def _is_same_origin(self, connection: HTTPConnection, origin: str, host: str) -> bool:
         """Whether the page at `origin` comes from this server, which the client called `host`."""
         try:
             return urlsplit(origin).netloc.lower() == host.lower()

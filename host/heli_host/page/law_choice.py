@@ -73,7 +73,7 @@ class LawChoice:
             return None
         return {
             "chosen": self.chosen,
-            "flies": self._flies,
+            "flies": self._is_law_flying,
             "taken_over": self._taken_over,
             "values": dict(self._values.get(self.chosen, {})),
         }
@@ -102,7 +102,7 @@ class LawChoice:
             raise ParameterError(f"unknown control law {name:.40}", f"choose from: {choices}")
         state = self._heli.state
         if not name:
-            if self._flies:
+            if self._is_law_flying:
                 self._heli.session.command(LawFlyMessage(0, 0))
         elif state is State.IDLE:
             self._heli.load_law(self._laws[name])
@@ -159,7 +159,7 @@ class LawChoice:
         """
         self._taken_over = ""
         if self.chosen:
-            self._engage(self.chosen)
+            self._start_law(self.chosen)
 
     def take_event(self, event: LinkEvent) -> None:
         """Record why the board's own law took over, if the event says so.
@@ -174,7 +174,7 @@ class LawChoice:
             self._taken_over = f"{takeover[0].replace('_', ' ')} ({takeover[1]:.3g})"
 
     @property
-    def _flies(self) -> bool:
+    def _is_law_flying(self) -> bool:
         newest = self._heli.session.latest
         return newest is not None and bool(int(newest[1][Channel.FLAGS]) & Flags.LAW)
 
@@ -188,10 +188,10 @@ class LawChoice:
             raise SetpointError(
                 f"the board has no control law {name}, and accepts one only on the table", "land first"
             )
-        if not self._flies:
-            self._engage(name)
+        if not self._is_law_flying:
+            self._start_law(name)
 
-    def _engage(self, name: str) -> None:
+    def _start_law(self, name: str) -> None:
         """Start a law on the board, with the parameters that clients have changed."""
         law = self._laws[name]
         declared = dict(law.parameters)

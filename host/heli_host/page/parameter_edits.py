@@ -67,7 +67,7 @@ class ParameterEdits:
         self._heli.params.set(name, number(arguments, "value"))
         self._undo = [*self._undo, (name, before)][-_MAX_UNDO:]
         self._recording.announce("parameter", f"{name}: {before:g} -> {self._heli.params[name]:g}")
-        self._changed()
+        self._note_change()
         return {"value": self._heli.params[name]}
 
     def undo_last(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -84,7 +84,7 @@ class ParameterEdits:
         self._heli.params.set(name, before)
         self._undo.pop()
         self._recording.announce("parameter", f"{name}: back to {before:g}")
-        self._changed()
+        self._note_change()
         return {"name": name, "value": before}
 
     def save(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -97,7 +97,7 @@ class ParameterEdits:
         """
         return {"generation": self._heli.params.save()}
 
-    def _changed(self) -> None:
+    def _note_change(self) -> None:
         with contextlib.suppress(HeliError):
             self.values = dict(self._heli.params)
         self._on_change()

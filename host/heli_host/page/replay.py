@@ -72,8 +72,8 @@ class Replay:
         self._lock = threading.Lock()
         pilot = Role.PILOT
         self.actions: Mapping[str, Action] = {
-            "play": Action(self._play, CommandQueue.QUICK, pilot),
-            "seek": Action(self._seek, CommandQueue.QUICK, pilot),
+            "play": Action(self._set_playing, CommandQueue.QUICK, pilot),
+            "seek": Action(self._continue_at, CommandQueue.QUICK, pilot),
         }
 
     def describe(self) -> dict[str, Any]:
@@ -83,7 +83,7 @@ class Replay:
             "mode": "replay",
             "kind": "replay",
             "rig_name": session.get("rig", ""),
-            "board": f"{self._log.path.name}: {session.get('board', 'a board')}{_started(session)}",
+            "board": f"{self._log.path.name}: {session.get('board', 'a board')}{_start_text(session)}",
             "rig": self._rig,
             "tick_s": TICK_S,
             "channels": channel_rows(self._log.parameters, self._log.law_signals),
@@ -192,16 +192,16 @@ class Replay:
         if self._position >= len(self._tick):
             self._playing = False
 
-    def _play(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+    def _set_playing(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         """Run the request ``play``: start, pause or change the speed; at the end, start again."""
         if "speed" in arguments:
             self._speed = min(max(number(arguments, "speed"), 0.1), _MAX_SPEED)
         self._playing = bool(arguments.get("on", True))
         if self._playing and self._position >= len(self._tick):
-            self._seek({"t_s": float(self._tick[0]) * TICK_S})
+            self._continue_at({"t_s": float(self._tick[0]) * TICK_S})
         return {}
 
-    def _seek(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+    def _continue_at(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         """Run the request ``seek``: continue at another time of the log, with some seconds before it."""
         first_s, last_s = float(self._tick[0]) * TICK_S, float(self._tick[-1]) * TICK_S
         # A client may ask for any finite time; one far outside the log would not fit into a tick.
@@ -214,7 +214,7 @@ class Replay:
         return {}
 
 
-def _started(session: Mapping[str, Any]) -> str:
+def _start_text(session: Mapping[str, Any]) -> str:
     """Return when the log begins, such as ", 2026-01-31 12:00 UTC"; empty for a log without a valid time."""
     try:
         start = datetime.fromisoformat(str(session.get("start", "")))

@@ -77,10 +77,10 @@ def read_request(words: str) -> PageRequest:
         value = message.get(name)
         if value is not None and not _is_short(value):
             raise BadRequest(f"{name} of the request is invalid", "send a text or an integer", actions)
-        _check(name, value, actions)
+        _check_depth_and_text(name, value, actions)
         actions[name] = value
     for name, value in message.items():
-        _check(name, value, actions)
+        _check_depth_and_text(name, value, actions)
     return PageRequest(message["do"], message)
 
 
@@ -90,11 +90,11 @@ def _is_short(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _check(name: str, value: Any, actions: Mapping[str, Any]) -> None:
+def _check_depth_and_text(name: str, value: Any, actions: Mapping[str, Any]) -> None:
     """Raise BadRequest if a value contains, at any depth, text or numbers that logs and JSON cannot store."""
     try:
         name.encode()
-        for element in _elements(value):
+        for element in _elements_of_json(value):
             if isinstance(element, str):
                 element.encode()
             elif isinstance(element, int | float):
@@ -106,7 +106,7 @@ def _check(name: str, value: Any, actions: Mapping[str, Any]) -> None:
         raise BadRequest(error.cause, error.remedy, actions) from None
 
 
-def _elements(value: Any) -> Iterator[Any]:
+def _elements_of_json(value: Any) -> Iterator[Any]:
     """Yield all keys, texts and numbers in a JSON value, at any depth.
 
     Without recursion, because a message may be a thousand levels deep.

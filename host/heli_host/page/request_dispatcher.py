@@ -70,23 +70,23 @@ class RequestDispatcher:
             request = read_request(words)
         except BadRequest as error:
             self._notes.warn(f"a request of {client.name} is refused: {error}")
-            self._broadcast.tell(client, _refused(error.message, error.cause, error.remedy))
+            self._broadcast.tell(client, _refusal(error.message, error.cause, error.remedy))
             return
         name, message = request.name, request.message
         if name == "stop":
             trouble = self._stop.stop()
             answer = {"answer": message.get("id"), "do": name}
-            self._broadcast.tell(client, _refused(message, trouble, "") if trouble else answer)
+            self._broadcast.tell(client, _refusal(message, trouble, "") if trouble else answer)
         elif name in ("ask", "grant", "keep", "share"):
             self._change_lease(client, name, message)
         elif name in self._source.actions:
             # Not awaited: the next words of this client may be more urgent.
-            task = asyncio.create_task(self._act(client, name, self._source.actions[name], message))
+            task = asyncio.create_task(self._run_action(client, name, self._source.actions[name], message))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
         else:
             cause = f"unknown request {name[:40]!r}"
-            self._broadcast.tell(client, _refused(message, cause, "see docs/reference/dashboard-protocol.md"))
+            self._broadcast.tell(client, _refusal(message, cause, "see docs/reference/dashboard-protocol.md"))
 
     def _change_lease(self, client: Outbox, name: str, message: Mapping[str, Any]) -> None:
         """Ask for control of the board, grant, refuse or share it; only the pilot decides."""
@@ -96,7 +96,7 @@ class RequestDispatcher:
             granted = self._lease.ask(client.key, now_s)
         elif client.key != self._lease.pilot:
             self._broadcast.tell(
-                client, _refused(message, "only the pilot can answer this", "ask for control")
+                client, _refusal(message, "only the pilot can answer this", "ask for control")
             )
             return
         elif name == "share":
@@ -106,13 +106,15 @@ class RequestDispatcher:
         self._broadcast.tell(client, {"answer": message.get("id"), "do": name, "granted": granted})
         self._broadcast.tell_all(lease_news(self._lease))
 
-    async def _act(self, client: Outbox, name: str, action: Action, message: Mapping[str, Any]) -> None:
+    async def _run_action(
+        self, client: Outbox, name: str, action: Action, message: Mapping[str, Any]
+    ) -> None:
         """Run an action of the source if the client may request it, and send the result or the error."""
         source, epoch = self._source, self._source.stop_epoch()
-        if not self._allowed(client, action):
+        if not self._is_allowed(client, action):
             pilot = self._lease.name(self._lease.pilot) or "no page"
             self._broadcast.tell(
-                client, _refused(message, f"{pilot} is the pilot, and you watch", "ask for control")
+                client, _refusal(message, f"{pilot} is the pilot, and you watch", "ask for control")
             )
             return
 
@@ -126,16 +128,16 @@ class RequestDispatcher:
             answer = await loop.run_in_executor(self._queues[action.queue], run)
             text = self._broadcast.as_json({"answer": message.get("id"), "do": name, **answer})
         except HeliError as error:
-            self._broadcast.tell(client, _refused(message, error.cause, error.remedy))
+            self._broadcast.tell(client, _refusal(message, error.cause, error.remedy))
         except OSError as error:
-            self._broadcast.tell(client, _refused(message, error.strerror or str(error), file_remedy(error)))
+            self._broadcast.tell(client, _refusal(message, error.strerror or str(error), file_remedy(error)))
         except Exception as error:  # noqa: BLE001 - the client must get an answer, and asyncio would print a trace
             self._notes.warn(f"{name} of {client.name} failed: {type(error).__name__}: {error}")
-            self._broadcast.tell(client, _refused(message, f"{name} failed: {type(error).__name__}", _REPORT))
+            self._broadcast.tell(client, _refusal(message, f"{name} failed: {type(error).__name__}", _REPORT))
         else:
             client.tell(text)
 
-    def _allowed(self, client: Outbox, action: Action) -> bool:
+    def _is_allowed(self, client: Outbox, action: Action) -> bool:
         if action.role is Role.OBSERVER or client.key == self._lease.pilot:
             return True
         return action.role is Role.TUNER and self._lease.shared
@@ -162,5 +164,5 @@ def lease_news(lease: ControlLease) -> dict[str, Any]:
     }
 
 
-def _refused(message: Mapping[str, Any], cause: str, remedy: str) -> dict[str, Any]:
+def _refusal(message: Mapping[str, Any], cause: str, remedy: str) -> dict[str, Any]:
     return {"answer": message.get("id"), "do": message.get("do"), "error": cause, "remedy": remedy}

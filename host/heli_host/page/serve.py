@@ -40,12 +40,12 @@ class Address:
     @property
     def page(self) -> str:
         """URL for a browser, with the token."""
-        return f"http://{self._name}:{self.port}/?token={self.token}"
+        return f"http://{self._host_name}:{self.port}/?token={self.token}"
 
     @property
     def program(self) -> str:
         """URL for `heli_host.join`, with the token."""
-        return f"page://{self._name}:{self.port}/?token={self.token}"
+        return f"page://{self._host_name}:{self.port}/?token={self.token}"
 
     @property
     def is_local(self) -> bool:
@@ -53,7 +53,7 @@ class Address:
         return self.host in LOCAL_HOSTS
 
     @property
-    def _name(self) -> str:
+    def _host_name(self) -> str:
         name = self.host if self.host not in ("0.0.0.0", "::") else socket.gethostname()
         return f"[{name}]" if ":" in name else name
 
@@ -81,7 +81,7 @@ def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str =
         The port is in use, or the address does not belong to this machine.
     """
     guard = Guard(token or new_token(), host)
-    listening = _listen(host, port)
+    listening = _open_socket(host, port)
     config = uvicorn.Config(
         Service(source, guard).application(),
         log_level="warning",
@@ -115,7 +115,7 @@ def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str =
         listening.close()
 
 
-def _listen(host: str, port: int) -> socket.socket:
+def _open_socket(host: str, port: int) -> socket.socket:
     """Open the socket on which the page is served; a PortError names the fix if the port is taken."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)

@@ -84,14 +84,14 @@ class Service:
                 Route("/stop", self._stop.serve_post, methods=["POST"]),
                 Route("/{path:path}", self._serve_file, methods=["GET"]),
             ],
-            lifespan=self._lifespan,
+            lifespan=self._while_server_runs,
         )
 
     @contextlib.asynccontextmanager
-    async def _lifespan(self, _: Starlette) -> Any:
+    async def _while_server_runs(self, _: Starlette) -> Any:
         """Watch the source while the web server runs."""
         self._broadcast.loop = asyncio.get_running_loop()
-        task = asyncio.create_task(self._watch())
+        task = asyncio.create_task(self._send_status_when_changed())
         try:
             yield
         finally:
@@ -109,10 +109,10 @@ class Service:
         """Serve a client until one of its tasks ends, because it disconnected or failed."""
         if not await self._guard.admit(socket):
             return
-        client = self._enter(socket)
+        client = self._register_client(socket)
         tasks: set[asyncio.Task[None]] = set()
         try:
-            self._broadcast.tell(client, self._hello(client))
+            self._broadcast.tell(client, self._first_message(client))
             self._broadcast.add(client)
             self._broadcast.tell_all(lease_news(self.lease))
             tasks = {asyncio.create_task(part) for part in self._client_tasks(client)}
@@ -132,7 +132,7 @@ class Service:
 
     def _client_tasks(self, client: Outbox) -> Iterator[Coroutine[Any, Any, None]]:
         """Yield the tasks that serve a client: receive, send messages, send telemetry."""
-        yield self._listen_to(client)
+        yield self._process_messages(client)
         yield client.send_words()
         if client.wants_rows:
             yield client.send_rows(self._source)
@@ -148,7 +148,7 @@ class Service:
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await client.socket.close(_FAILED)
 
-    def _enter(self, socket: WebSocket) -> Outbox:
+    def _register_client(self, socket: WebSocket) -> Outbox:
         """Register a client with its own key, and return its queue of messages. Programs do not fly."""
         query = socket.query_params
         is_program = query.get("role") == "program"
@@ -164,16 +164,16 @@ class Service:
         client.wants_rows = query.get("rows") != "0"
         return client
 
-    def _hello(self, client: Outbox) -> dict[str, Any]:
+    def _first_message(self, client: Outbox) -> dict[str, Any]:
         """Return the first message to a client: the board, its status and the pilot."""
         described = self._source.describe()
         return {
             "hello": {"you": client.key, **described},
-            "status": _stamped(self._source.status()),
+            "status": _with_time(self._source.status()),
             **lease_news(self.lease),
         }
 
-    async def _listen_to(self, client: Outbox) -> None:
+    async def _process_messages(self, client: Outbox) -> None:
         """Process the messages of a client until it disconnects."""
         while True:
             message = await client.socket.receive()
@@ -197,16 +197,16 @@ class Service:
             client.may_send.set()
         self.lease.beat(client.key, time.monotonic())
 
-    async def _watch(self) -> None:
+    async def _send_status_when_changed(self) -> None:
         """Send the status when it has changed, and every `PRESENCE_S` even if it has not."""
         while True:
             await asyncio.sleep(STATUS_S)
             try:
-                self._look()
+                self._send_if_changed()
             except Exception as error:  # noqa: BLE001 - without this task every page would show an old status
                 self._notes.warn(f"the status cannot be read: {type(error).__name__}: {error}")
 
-    def _look(self) -> None:
+    def _send_if_changed(self) -> None:
         """Send status and control to all clients if they have changed; the status also from time to time."""
         now_s = time.monotonic()
         lease = lease_news(self.lease)
@@ -217,9 +217,9 @@ class Service:
         differs = {**status, "link": None} != {**self._status, "link": None}
         if differs or now_s - self._status_s >= PRESENCE_S:
             self._status, self._status_s = status, now_s
-            self._broadcast.tell_all({"status": _stamped(status)})
+            self._broadcast.tell_all({"status": _with_time(status)})
 
 
-def _stamped(status: Mapping[str, Any]) -> dict[str, Any]:
+def _with_time(status: Mapping[str, Any]) -> dict[str, Any]:
     """Add the time: a client that was suspended finds old statuses in its socket, and must not show them."""
     return {**status, "sent_s": round(time.monotonic(), 3)}

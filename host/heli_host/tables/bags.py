@@ -17,7 +17,7 @@ from heli_host.tables.table import Column, Table
 
 _MAX_VALUES: Final = 64
 """Longest array of a message whose elements become columns; scans and images have more."""
-_DEEPEST: Final = 6
+_MAX_DEPTH: Final = 6
 
 
 def read_bag(path: Path) -> Table:
@@ -53,7 +53,7 @@ def read_bag(path: Path) -> Table:
                 for count, (connection, recorded_ns, payload) in enumerate(reader.messages(), 1):
                     message = reader.deserialize(payload, connection.msgtype)
                     t_s = _stamp_s(message) or recorded_ns * 1e-9
-                    for name, value in _numbers(connection.topic.strip("/"), message, 0):
+                    for name, value in _numbers_in_message(connection.topic.strip("/"), message, 0):
                         times, values = series_by_name.setdefault(name, (array("d"), array("d")))
                         times.append(t_s)
                         values.append(value)
@@ -74,7 +74,7 @@ def read_bag(path: Path) -> Table:
                 f"{path}: not a bag that rosbags reads ({type(error).__name__}: {error})",
                 "give a bag or an MCAP file; record the flight again if this one is damaged",
             ) from error
-        return _table(path, series_by_name)
+        return _table_of_series(path, series_by_name)
 
 
 def _is_log(path: Path) -> bool:
@@ -85,7 +85,9 @@ def _is_log(path: Path) -> bool:
         return LOG_WRITER.encode() in file.read(64)
 
 
-def _table(path: Path, series_by_name: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Table:
+def _table_of_series(
+    path: Path, series_by_name: Mapping[str, tuple[Sequence[float], Sequence[float]]]
+) -> Table:
     """Return a table of signals, each with its own times [s] since the first of all."""
     columns = {}
     first_s = min((times[0] for times, _ in series_by_name.values()), default=0.0)
@@ -104,7 +106,7 @@ def _stamp_s(message: Any) -> float:
     return float(seconds) + 1e-9 * float(getattr(stamp, "nanosec", getattr(stamp, "nsecs", 0)))
 
 
-def _numbers(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
+def _numbers_in_message(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
     """Yield all numbers of a ROS message with their names, such as ``pose.position.x``; `depth` is the number
     of messages around it.
     """
@@ -113,8 +115,8 @@ def _numbers(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
     elif isinstance(value, (list, tuple, np.ndarray)):
         labels = range(len(value)) if len(value) <= _MAX_VALUES else ()
         for index in labels:
-            yield from _numbers(f"{name}[{index}]", value[index], depth + 1)
-    elif depth < _DEEPEST and hasattr(value, "__dataclass_fields__"):
+            yield from _numbers_in_message(f"{name}[{index}]", value[index], depth + 1)
+    elif depth < _MAX_DEPTH and hasattr(value, "__dataclass_fields__"):
         names = getattr(value, "name", None)
         for key in value.__dataclass_fields__:
             field = getattr(value, key)
@@ -123,6 +125,6 @@ def _numbers(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
             # Messages such as joint states contain the names of their elements.
             if isinstance(names, list) and key != "name" and len(field) == len(names):
                 for label, element in zip(names, field, strict=True):
-                    yield from _numbers(f"{name}.{label}.{key}", element, depth + 1)
+                    yield from _numbers_in_message(f"{name}.{label}.{key}", element, depth + 1)
             else:
-                yield from _numbers(f"{name}.{key}", field, depth + 1)
+                yield from _numbers_in_message(f"{name}.{key}", field, depth + 1)

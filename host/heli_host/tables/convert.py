@@ -48,9 +48,13 @@ def flights_of(table: Table, profile: Profile) -> list[Flight]:
     """
     table = table.aligned()
     t_s = times_of(table, profile)
-    angles = {axis: _angle(table, entry, t_s, axis == TRAVEL) for axis, entry in profile.angles.items()}
-    setpoints = {axis: _angle(table, entry, t_s, axis == TRAVEL) for axis, entry in profile.setpoints.items()}
-    voltages = {name: _voltage(table, voltage, t_s) for name, voltage in profile.voltages.items()}
+    angles = {
+        axis: _angle_rad_of(table, entry, t_s, axis == TRAVEL) for axis, entry in profile.angles.items()
+    }
+    setpoints = {
+        axis: _angle_rad_of(table, entry, t_s, axis == TRAVEL) for axis, entry in profile.setpoints.items()
+    }
+    voltages = {name: _voltage_V_of(table, voltage, t_s) for name, voltage in profile.voltages.items()}
     if "sum" in voltages:
         total, difference = voltages["sum"], voltages["difference"]
         voltages = {"front": 0.5 * (total + difference), "back": 0.5 * (total - difference)}
@@ -67,7 +71,7 @@ def flights_of(table: Table, profile: Profile) -> list[Flight]:
     is_complete = np.isfinite(t_s)
     for values in (*series.values(), *voltage_columns.values()):
         is_complete &= np.isfinite(values)
-    # A repeated time is a repeated row. A time that falls begins another flight, see `_stretches`.
+    # A repeated time is a repeated row. A time that falls begins another flight, see `_usable_stretches`.
     is_complete[is_complete] &= (
         np.concatenate(([True], np.diff(t_s[is_complete]) != 0.0)) if is_complete.any() else True
     )
@@ -91,7 +95,7 @@ def flights_of(table: Table, profile: Profile) -> list[Flight]:
         notes["notes of the file"] = " / ".join(table.notes.split("\n"))
     flights = []
     jumps = _find_jumps(t_s, series)
-    for start, stop in _stretches(t_s, part, [*jumps], table.source):
+    for start, stop in _usable_stretches(t_s, part, [*jumps], table.source):
         even_s, even_series, even_voltages = _evenly_sampled(
             t_s[start:stop],
             {name: values[start:stop] for name, values in series.items()},
@@ -150,7 +154,7 @@ def times_of(table: Table, profile: Profile) -> Floats:
     """
     if not profile.time:
         return np.arange(len(table)) / profile.rate_Hz
-    values = _column(table, profile.time)
+    values = _values_of_column(table, profile.time)
     first = values[np.isfinite(values)][:1]
     is_epoch = first.size and abs(float(first[0])) * TIME_UNITS[profile.time_unit] > 1e5
     # A printed table would lose the microseconds of seconds since 1970.
@@ -158,7 +162,7 @@ def times_of(table: Table, profile: Profile) -> Floats:
     return result
 
 
-def _column(table: Table, name: str) -> Floats:
+def _values_of_column(table: Table, name: str) -> Floats:
     """Return the values of a column; an error suggests a name that is similar."""
     if name not in table.columns:
         close = difflib.get_close_matches(name, table.columns, n=1)
@@ -170,7 +174,7 @@ def _column(table: Table, name: str) -> Floats:
     return table.columns[name].values
 
 
-def _angle(table: Table, angle: Angle, t_s: Floats, travels: bool) -> Floats:
+def _angle_rad_of(table: Table, angle: Angle, t_s: Floats, turns_freely: bool) -> Floats:
     """Return an angle [rad], shape (n,), from its column: apply delay, unit, sign and offset, and unwrap it.
 
     Parameters
@@ -180,7 +184,7 @@ def _angle(table: Table, angle: Angle, t_s: Floats, travels: bool) -> Floats:
     travels : bool
         Whether the axis may turn by whole turns; the angle of other axes is kept near 0.
     """
-    delay_free = _without_delay(_column(table, angle.column), t_s, angle.delay_s)
+    delay_free = _without_delay(_values_of_column(table, angle.column), t_s, angle.delay_s)
     is_known = np.isfinite(delay_free)
     angle_rad: Floats = np.full(delay_free.shape, np.nan)
     values = delay_free[is_known]
@@ -190,17 +194,17 @@ def _angle(table: Table, angle: Angle, t_s: Floats, travels: bool) -> Floats:
         values = np.unwrap(values, period=WORD)
         values = values - WORD * np.round(values[0] / WORD)
     # No arm turns by half a turn between two rows, so such a jump means that the angle was wrapped.
-    rad = np.unwrap(angle.sign * angle.rad * values)
-    angle_rad[is_known] = rad + np.radians(angle.offset_deg)
-    if not travels and rad.size:
+    unwrapped_rad = np.unwrap(angle.sign * angle.rad * values)
+    angle_rad[is_known] = unwrapped_rad + np.radians(angle.offset_deg)
+    if not turns_freely and unwrapped_rad.size:
         # Elevation and pitch cannot turn all the way round, so whole turns come from the start of a counter.
         angle_rad[is_known] -= 2.0 * np.pi * np.round(np.median(angle_rad[is_known]) / (2.0 * np.pi))
     return angle_rad
 
 
-def _voltage(table: Table, voltage: Voltage, t_s: Floats) -> Floats:
+def _voltage_V_of(table: Table, voltage: Voltage, t_s: Floats) -> Floats:
     """Return a voltage [V], shape (n,), from its column: apply delay, unit, sign and offset."""
-    delay_free = _without_delay(_column(table, voltage.column), t_s, voltage.delay_s)
+    delay_free = _without_delay(_values_of_column(table, voltage.column), t_s, voltage.delay_s)
     result: Floats = voltage.sign * voltage.volts * delay_free + voltage.offset_V
     return result
 
@@ -247,23 +251,25 @@ def _evenly_sampled(
     )
 
 
-def _stretches(t_s: Floats, part: Part, jumps: list[int], source: str) -> list[tuple[int, int]]:
+def _usable_stretches(t_s: Floats, part: Part, jumps: list[int], source: str) -> list[tuple[int, int]]:
     """Divide the rows at gaps, falling times and `jumps`, without the times that the profile excludes.
 
     Returns the first row of each stretch, and the row after its last.
     """
-    is_complete = np.ones(t_s.size, bool)
+    is_included = np.ones(t_s.size, bool)
     for start_s, stop_s in part.leave_out_s:
-        is_complete &= (t_s < start_s) | (t_s >= stop_s)
+        is_included &= (t_s < start_s) | (t_s >= stop_s)
     steps_s = np.diff(t_s)
     breaks = np.flatnonzero((steps_s > MAX_MISSING * np.median(steps_s)) | (steps_s < 0.0)) + 1
     breaks = np.union1d(breaks, jumps)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], is_complete.astype(int), [0]))))
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], is_included.astype(int), [0]))))
     stretches = [
-        (int(a), int(b))
+        (int(first), int(after_last))
         for start, stop in zip(edges[::2], edges[1::2], strict=True)
-        for a, b in itertools.pairwise([start, *breaks[(breaks > start) & (breaks < stop)], stop])
-        if b - a >= MIN_ROWS
+        for first, after_last in itertools.pairwise(
+            [start, *breaks[(breaks > start) & (breaks < stop)], stop]
+        )
+        if after_last - first >= MIN_ROWS
     ]
     if not stretches:
         raise FlightDataError(

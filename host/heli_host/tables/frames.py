@@ -27,7 +27,7 @@ _MIN_SHARE = 0.5
 
 def read_parquet(path: Path) -> Table:
     """Read a Parquet file at `path`; a FlightDataError if it is something else, or unpacks to too much."""
-    return _read(path, _parquet, "Parquet")
+    return _read_translating_errors(path, _parquet_frame, "Parquet")
 
 
 def read_excel(path: Path) -> Table:
@@ -35,10 +35,10 @@ def read_excel(path: Path) -> Table:
 
     A FlightDataError states that there is none, or that it unpacks to too much.
     """
-    return _read(path, _excel, "Excel")
+    return _read_translating_errors(path, _longest_sheet, "Excel")
 
 
-def _parquet(path: Path) -> pandas.DataFrame:
+def _parquet_frame(path: Path) -> pandas.DataFrame:
     """Read a Parquet file after its size in memory was checked."""
     import pyarrow.parquet
 
@@ -54,7 +54,7 @@ def _parquet(path: Path) -> pandas.DataFrame:
     for index, name in enumerate(table.column_names):
         column = table.column(index)
         if pyarrow.types.is_dictionary(column.type):
-            longest = max(map(_longest, column.chunks), default=0)
+            longest = max(map(_longest_value_bytes, column.chunks), default=0)
             if longest * len(column) > MAX_BYTES:
                 raise too_large(path, f"{MAX_BYTES >> 20} MiB in column '{name}'")
             table = table.set_column(index, name, column.cast(column.type.value_type))
@@ -62,7 +62,7 @@ def _parquet(path: Path) -> pandas.DataFrame:
     return frame
 
 
-def _longest(chunk: pyarrow.DictionaryArray) -> int:
+def _longest_value_bytes(chunk: pyarrow.DictionaryArray) -> int:
     """Bytes of the longest value that a row may name."""
     import pyarrow.compute
 
@@ -85,13 +85,13 @@ def _is_text(kind: pyarrow.DataType) -> bool:
     return text
 
 
-def _excel(path: Path) -> pandas.DataFrame:
+def _longest_sheet(path: Path) -> pandas.DataFrame:
     """Read the longest sheet of a workbook after its number of cells was checked."""
     import openpyxl
     import pandas
 
     check_workbook(path)
-    best: list[tuple[object, ...]] = []
+    longest: list[tuple[object, ...]] = []
     cells = 0
     with contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
         for sheet in book.worksheets:
@@ -105,19 +105,19 @@ def _excel(path: Path) -> pandas.DataFrame:
                 if any(cell is not None for cell in row):
                     rows.append(row)
             # The flight is the longest table; other sheets hold notes and charts.
-            if len(rows) > len(best):
-                best = rows
-    if not best:
+            if len(rows) > len(longest):
+                longest = rows
+    if not longest:
         return pandas.DataFrame()
-    width = max(map(len, best))
+    width = max(map(len, longest))
     check_columns(path, width)
-    check_numbers(path, width * len(best))
-    names, start = _head(best, width)
-    body = (row + (None,) * (width - len(row)) for row in best[start:])
+    check_numbers(path, width * len(longest))
+    names, start = _names_and_first_row(longest, width)
+    body = (row + (None,) * (width - len(row)) for row in longest[start:])
     return pandas.DataFrame(body, columns=pandas.Index(names)).infer_objects()
 
 
-def _head(rows: Sequence[tuple[object, ...]], width: int) -> tuple[list[str], int]:
+def _names_and_first_row(rows: Sequence[tuple[object, ...]], width: int) -> tuple[list[str], int]:
     """Return the names of a sheet's columns, and the first row below them; titles above are skipped.
 
     The names are in the first row that is as wide as the table, or in the row above it, if that row contains
@@ -130,8 +130,8 @@ def _head(rows: Sequence[tuple[object, ...]], width: int) -> tuple[list[str], in
     for index in (first, first - 1):
         name_count = sum(isinstance(cell, str) and not _is_number(cell) for cell in rows[index])
         if index >= 0 and name_count == cells_per_row[index] >= max(2, usual_width - 2):
-            return _names(rows[index], width), index + 1
-    return _names((), width), first
+            return _unique_names(rows[index], width), index + 1
+    return _unique_names((), width), first
 
 
 def _is_number(cell: str) -> bool:
@@ -142,7 +142,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _names(header_row: tuple[object, ...], width: int) -> list[str]:
+def _unique_names(header_row: tuple[object, ...], width: int) -> list[str]:
     """Return the names of a sheet's columns; a repeated name gets an apostrophe."""
     names: list[str] = []
     for index in range(width):
@@ -154,7 +154,7 @@ def _names(header_row: tuple[object, ...], width: int) -> list[str]:
     return names
 
 
-def _read(path: Path, reader: Callable[[Path], pandas.DataFrame], kind: str) -> Table:
+def _read_translating_errors(path: Path, reader: Callable[[Path], pandas.DataFrame], kind: str) -> Table:
     """Read a file by `reader`, and translate all errors to FlightDataErrors with a remedy."""
     if not path.is_file():
         raise FlightDataError(f"cannot read {path}: there is no such file", "check the path")
@@ -170,10 +170,10 @@ def _read(path: Path, reader: Callable[[Path], pandas.DataFrame], kind: str) -> 
             ) from error
         except Exception as error:  # the reader raises whatever a damaged file makes it trip over
             raise FlightDataError(f"{path}: not a {kind} file, or damaged", "save it again") from error
-        return _table(path, frame)
+        return _numeric_table(path, frame)
 
 
-def _table(path: Path, frame: pandas.DataFrame) -> Table:
+def _numeric_table(path: Path, frame: pandas.DataFrame) -> Table:
     """Convert a data frame to a table of numbers; dates become seconds since the first row, and columns of
     text are left out.
     """

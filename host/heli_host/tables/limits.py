@@ -61,11 +61,11 @@ def within_memory(path: Path) -> Iterator[None]:
     import resource
 
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    most = pages * resource.getpagesize() + MAX_MEMORY_BYTES
-    if before[0] != resource.RLIM_INFINITY:
-        most = min(most, before[0])
-    resource.setrlimit(resource.RLIMIT_AS, (most, before[1]))
+    limit_before = resource.getrlimit(resource.RLIMIT_AS)
+    limit_bytes = pages * resource.getpagesize() + MAX_MEMORY_BYTES
+    if limit_before[0] != resource.RLIM_INFINITY:
+        limit_bytes = min(limit_bytes, limit_before[0])
+    resource.setrlimit(resource.RLIMIT_AS, (limit_bytes, limit_before[1]))
     try:
         yield
     except MemoryError as error:
@@ -74,7 +74,7 @@ def within_memory(path: Path) -> Iterator[None]:
             _REMEDY,
         ) from error
     finally:
-        resource.setrlimit(resource.RLIMIT_AS, before)
+        resource.setrlimit(resource.RLIMIT_AS, limit_before)
 
 
 def unpacked_bytes(codec: str, data: bytes | memoryview, max_bytes: int) -> int:

@@ -34,10 +34,10 @@ def read_mat(path: Path) -> Table:
         If the file is not a MATLAB file, contains no signals, or is too large when unpacked.
     """
     with within_memory(path):
-        return _read(path)
+        return _read_signals(path)
 
 
-def _read(path: Path) -> Table:
+def _read_signals(path: Path) -> Table:
     """Read all signals of a MATLAB file, also those in structures and time series."""
     import matio
 
@@ -56,7 +56,7 @@ def _read(path: Path) -> Table:
     numbers = 0
     for name, value in content.items():
         if not name.startswith("__"):
-            for signal_name, column in _signals(name, value, 0):
+            for signal_name, column in _signals_in(name, value, 0):
                 # MATLAB stores small whole numbers in a byte; here each takes eight.
                 numbers += column.values.size
                 check_numbers(path, numbers)
@@ -67,11 +67,11 @@ def _read(path: Path) -> Table:
         )
     clocked = [column for column in columns.values() if column.t_s is not None]
     if clocked and len(clocked) < len(columns):
-        columns = _with_clock(columns, clocked[0])
+        columns = _with_shared_times(columns, clocked[0])
     return Table(str(path), columns)
 
 
-def _with_clock(columns: Mapping[str, Column], timed: Column) -> dict[str, Column]:
+def _with_shared_times(columns: Mapping[str, Column], timed: Column) -> dict[str, Column]:
     """Give each signal without times the times of `timed`, if it has as many rows; omit the other ones."""
     return {
         name: column if column.t_s is not None else Column(column.values, column.unit, timed.t_s)
@@ -87,40 +87,40 @@ def _free_name(name: str, used_names: Mapping[str, Column]) -> str:
     return name
 
 
-def _signals(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column]]:
+def _signals_in(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column]]:
     """Yield each signal in a variable with its full name, such as ``logsout.pitch[2]``."""
     if depth > _DEEPEST:
         return
-    value = _unpacked(value)
+    value = _unwrapped(value)
     if _is_frame(value):
-        yield from _frame(name, value)
+        yield from _columns_of_frame(name, value)
         return
-    fields = _fields(value)
+    fields = _fields_of(value)
     if fields is not None:
-        yield from _structure(name, fields, depth)
+        yield from _signals_of_structure(name, fields, depth)
     elif isinstance(value, np.ndarray) and value.dtype == object:
         for index, element in enumerate(value.ravel()[:_MAX_SIGNALS]):
-            yield from _signals(f"{name}[{index + 1}]", element, depth + 1)
+            yield from _signals_in(f"{name}[{index + 1}]", element, depth + 1)
     elif isinstance(value, (list, tuple)):
         for index, element in enumerate(value[:_MAX_SIGNALS]):
-            yield from _signals(f"{name}[{index + 1}]", element, depth + 1)
+            yield from _signals_in(f"{name}[{index + 1}]", element, depth + 1)
     else:
-        for index, signal, count in _matrix(value):
+        for index, signal, count in _columns_of_array(value):
             yield (f"{name}[{index + 1}]" if count > 1 else name), Column(signal)
 
 
-def _structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tuple[str, Column]]:
+def _signals_of_structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tuple[str, Column]]:
     """Yield the signals of a structure with their names, and with times if the structure has them."""
     t_s = _times_of(fields)
     if t_s is None:
         for key, field_value in fields.items():
-            yield from _signals(f"{name}.{key}", field_value, depth + 1)
+            yield from _signals_in(f"{name}.{key}", field_value, depth + 1)
         return
     for key in _DATA:
         if key in fields:
             data = [
                 (label, signal)
-                for label, signal in _values(name, _unpacked(fields[key]), t_s.size)
+                for label, signal in _signals_with_times(name, _unwrapped(fields[key]), t_s.size)
                 if signal.size == t_s.size
             ]
             for label, signal in data:
@@ -129,37 +129,39 @@ def _structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tup
                 return
     for key, field_value in fields.items():
         if key not in _TIMES:
-            for _, signal, _count in _matrix(_unpacked(field_value)):
+            for _, signal, _count in _columns_of_array(_unwrapped(field_value)):
                 if signal.size == t_s.size:
                     yield f"{name}.{key}", Column(signal, "", t_s)
 
 
-def _values(name: str, value: Any, rows: int) -> Iterator[tuple[str, Floats]]:
+def _signals_with_times(name: str, value: Any, rows: int) -> Iterator[tuple[str, Floats]]:
     """Yield the signals in the data field of a structure with time: an array, or labelled structures."""
     if isinstance(value, np.ndarray) and value.dtype == object:
         for index, element in enumerate(value.ravel()[:_MAX_SIGNALS]):
-            yield from _values(f"{name}[{index + 1}]" if value.size > 1 else name, _unpacked(element), rows)
+            yield from _signals_with_times(
+                f"{name}[{index + 1}]" if value.size > 1 else name, _unwrapped(element), rows
+            )
         return
     if isinstance(value, (list, tuple)):
         for index, element in enumerate(value[:_MAX_SIGNALS]):
-            yield from _values(f"{name}[{index + 1}]", _unpacked(element), rows)
+            yield from _signals_with_times(f"{name}[{index + 1}]", _unwrapped(element), rows)
         return
     if isinstance(value, np.ndarray) and value.dtype.names and value.size > 1:
         for index, record in enumerate(value.ravel()[:_MAX_SIGNALS]):
             record_fields = {key: record[key] for key in value.dtype.names}
-            yield from _values(f"{name}[{index + 1}]", record_fields, rows)
+            yield from _signals_with_times(f"{name}[{index + 1}]", record_fields, rows)
         return
-    fields = _fields(value)
+    fields = _fields_of(value)
     if fields is not None:
-        label = _word(fields.get("label")) or _word(fields.get("blockName")).rpartition("/")[2] or name
+        label = _text_of(fields.get("label")) or _text_of(fields.get("blockName")).rpartition("/")[2] or name
         inner = next((fields[key] for key in ("values", "Data", "Data_") if key in fields), None)
-        yield from _values(label, _unpacked(inner), rows)
+        yield from _signals_with_times(label, _unwrapped(inner), rows)
         return
-    for index, signal, count in _matrix(value, rows):
+    for index, signal, count in _columns_of_array(value, rows):
         yield (f"{name}[{index + 1}]" if count > 1 else name), signal
 
 
-def _matrix(value: Any, rows: int | None = None) -> list[tuple[int, Floats, int]]:
+def _columns_of_array(value: Any, rows: int | None = None) -> list[tuple[int, Floats, int]]:
     """Return the signals of an array of numbers: index, values, and number of signals.
 
     Signals may be columns or rows. If the number of rows is known, it decides; otherwise the longer side is
@@ -194,19 +196,19 @@ def _times_of(fields: Mapping[str, Any]) -> Floats | None:
     """
     for key in _TIMES:
         if key in fields:
-            signals = _matrix(_unpacked(fields[key]))
+            signals = _columns_of_array(_unwrapped(fields[key]))
             if len(signals) == 1 and np.all(np.diff(signals[0][1]) > 0.0):
                 return signals[0][1]
-    time_info = _fields(_unpacked(fields.get("TimeInfo", fields.get("TimeInfo_"))))
+    time_info = _fields_of(_unwrapped(fields.get("TimeInfo", fields.get("TimeInfo_"))))
     if time_info is None:
         return None
-    unit_s = TIME_UNITS.get(unit_of(_word(time_info.get("Units"))), 1.0)
+    unit_s = TIME_UNITS.get(unit_of(_text_of(time_info.get("Units"))), 1.0)
     listed_times = _times_of(time_info)
     if listed_times is not None:
         return listed_times * unit_s
     try:
         start, step, count = (
-            float(np.ravel(_unpacked(time_info[key]))[0]) for key in ("Start", "Increment", "Length")
+            float(np.ravel(_unwrapped(time_info[key]))[0]) for key in ("Start", "Increment", "Length")
         )
     except (KeyError, IndexError, TypeError, ValueError):
         return None
@@ -215,7 +217,7 @@ def _times_of(fields: Mapping[str, Any]) -> Floats | None:
     return even_times if is_usable else None
 
 
-def _unpacked(value: Any) -> Any:
+def _unwrapped(value: Any) -> Any:
     """Return the element within arrays of one element, in which MATLAB wraps most values."""
     for _ in range(_DEEPEST):
         if isinstance(value, np.ndarray) and value.dtype == object and value.size == 1:
@@ -227,7 +229,7 @@ def _unpacked(value: Any) -> Any:
     return value
 
 
-def _fields(value: Any) -> Mapping[str, Any] | None:
+def _fields_of(value: Any) -> Mapping[str, Any] | None:
     """Return the fields of a structure or object; None for another value."""
     if isinstance(value, Mapping):
         return value
@@ -241,19 +243,19 @@ def _is_frame(value: Any) -> bool:
     return hasattr(value, "iloc") and hasattr(value, "columns")
 
 
-def _frame(name: str, frame: Any) -> Iterator[tuple[str, Column]]:
+def _columns_of_frame(name: str, frame: Any) -> Iterator[tuple[str, Column]]:
     """Yield the columns of a MATLAB table or timetable."""
     seconds = getattr(frame.index, "total_seconds", None)
     t_s = np.asarray(seconds(), np.float64) if seconds is not None else None
     for key in frame.columns:
-        signals = _matrix(np.asarray(frame[key]))
+        signals = _columns_of_array(np.asarray(frame[key]))
         if len(signals) == 1:
             yield f"{name}.{key}", Column(signals[0][1], "", t_s)
 
 
-def _word(value: Any) -> str:
+def _text_of(value: Any) -> str:
     """Return a text without the arrays around it; empty for another value."""
-    value = _unpacked(value)
+    value = _unwrapped(value)
     if isinstance(value, np.ndarray):
         value = "".join(map(str, value.ravel())) if value.dtype.kind in "US" else ""
     return value.strip() if isinstance(value, str) else ""

@@ -368,22 +368,39 @@ def profile_text(profile: Profile) -> str:
     for axis in AXES:
         lines += ["", f"[{axis}]", *_angle_lines(profile.angles[axis])]
     lines += ["", "[voltages]", f'act = "{profile.act}"']
+    # If all voltages have the same scale, it is written once, for all.
     scales = [_scale_lines(voltage) for voltage in profile.voltages.values()]
-    shared = scales[0] if all(scale == scales[0] for scale in scales) else []
-    lines += shared
-    lines += [f"clip_V = {list(profile.clip_V)}"] if profile.clip_V else []
+    shared_scale = scales[0] if all(scale == scales[0] for scale in scales) else []
+    lines += shared_scale
+    if profile.clip_V:
+        lines.append(f"clip_V = {list(profile.clip_V)}")
     for name, voltage in profile.voltages.items():
-        lines += ["", f"[{name}]", f"column = {toml_string(voltage.column)}", f"sign = {voltage.sign:g}"]
-        lines += [] if shared else _scale_lines(voltage)
-        lines += [f"offset_V = {voltage.offset_V!r}"] if voltage.offset_V else []
-        lines += [f"delay_s = {voltage.delay_s!r}"] if voltage.delay_s else []
+        lines += ["", f"[{name}]", *_voltage_lines(voltage, [] if shared_scale else _scale_lines(voltage))]
     for axis, angle in profile.setpoints.items():
         lines += ["", f"[{axis}_setpoint]", *_angle_lines(angle)]
     for file, part in profile.parts.items():
-        lines += ["", "[[flight]]", f"file = {toml_string(file)}"]
-        lines += [f"leave_out_s = {[list(span) for span in part.leave_out_s]}"] if part.leave_out_s else []
-        lines += [f"group = {toml_string(part.group)}"] if part.group else []
+        lines += ["", "[[flight]]", f"file = {toml_string(file)}", *_part_lines(part)]
     return "\n".join(lines) + "\n"
+
+
+def _voltage_lines(voltage: Voltage, scale_lines: list[str]) -> list[str]:
+    """Return the entries of a voltage as TOML, with the lines of its scale."""
+    lines = [f"column = {toml_string(voltage.column)}", f"sign = {voltage.sign:g}", *scale_lines]
+    if voltage.offset_V:
+        lines.append(f"offset_V = {voltage.offset_V!r}")
+    if voltage.delay_s:
+        lines.append(f"delay_s = {voltage.delay_s!r}")
+    return lines
+
+
+def _part_lines(part: Part) -> list[str]:
+    """Return the entries of a part of a file as TOML, without those that have their default."""
+    lines = []
+    if part.leave_out_s:
+        lines.append(f"leave_out_s = {[list(span) for span in part.leave_out_s]}")
+    if part.group:
+        lines.append(f"group = {toml_string(part.group)}")
+    return lines
 
 
 def _scale_lines(voltage: Voltage) -> list[str]:

@@ -128,7 +128,7 @@ def check_bag(path: Path) -> None:
     size = path.stat().st_size
     max_bytes = max(MAX_BYTES, MAX_RATIO * size)
     total, seen_offsets = 0, set()
-    for offset, codec, data in _chunks(path, size):
+    for offset, codec, data in _chunks_of_bag(path, size):
         if data is None:
             # A malicious index may list a chunk many times, so that it would be unpacked each time.
             if offset in seen_offsets:
@@ -143,7 +143,7 @@ def check_bag(path: Path) -> None:
             raise too_large(path, f"{max_bytes >> 20} MiB")
 
 
-def _chunks(path: Path, size: int) -> Iterator[tuple[int, str, bytes | None]]:
+def _chunks_of_bag(path: Path, size: int) -> Iterator[tuple[int, str, bytes | None]]:
     """Yield position, compression and packed bytes of each chunk, and the position in each index entry.
 
     An index entry has None instead of bytes.

@@ -71,7 +71,7 @@ class Table:
             longest_columns = {
                 name: column for name, column in self.columns.items() if column.values.size == length
             }
-            used_count = _used_rows([column.values for column in longest_columns.values()])
+            used_count = _rows_before_trailing_zeros([column.values for column in longest_columns.values()])
             if used_count < length:
                 longest_columns = {
                     name: Column(column.values[:used_count], column.unit)
@@ -97,7 +97,7 @@ class Table:
         return Table(self.source, columns, self.notes, self.named)
 
 
-def _used_rows(columns: list[Floats]) -> int:
+def _rows_before_trailing_zeros(columns: list[Floats]) -> int:
     """How many rows there are before those at the end in which every column, time too, is 0."""
     length = columns[0].size if columns else 0
     last = 0

@@ -57,7 +57,7 @@ def read_text(path: Path) -> Table:
     """
     import pandas
 
-    lines = _lines(path)
+    lines = _read_lines(path)
     notes = "\n".join(line.strip().lstrip("#%/ ") for line in lines if line.strip().startswith(_COMMENTS))
     body = [line for line in lines if line.strip() and not line.strip().startswith(_COMMENTS)]
     if not body:
@@ -78,9 +78,9 @@ def read_text(path: Path) -> Table:
             f"{path}: the file has no row of numbers",
             "give a table with one row per sample, separated by , ; or tabs",
         )
-    width = len(_cells(rows[0], dialect))
+    width = len(_split_cells(rows[0], dialect))
     check_columns(path, width)
-    names, units = _names(header, dialect, width)
+    names, units = _names_and_units(header, dialect, width)
     try:
         frame = pandas.read_csv(
             io.StringIO("\n".join(rows)),
@@ -113,27 +113,27 @@ def read_text(path: Path) -> Table:
 
 def find_dialect(lines: list[str]) -> Dialect | None:
     """Find the dialect in which most cells of `lines` are numbers; None if lines have less than two cells."""
-    best, best_rank = None, (0.0, 0)
+    best_dialect, best_rank = None, (0.0, 0)
     for separator, decimal in itertools.product(_SEPARATORS, ".,"):
         if separator == decimal:
             continue
         dialect = Dialect(separator, decimal)
-        cells = [_cells(line, dialect) for line in lines]
+        cells = [_split_cells(line, dialect) for line in lines]
         width = statistics.mode(map(len, cells))
         if width < 2:
             continue
-        shares = [
+        number_shares = [
             sum(_is_number(cell, dialect) for cell in row) / width for row in cells if len(row) == width
         ]
-        number_share = sum(shares) / len(cells)
+        number_share = sum(number_shares) / len(cells)
         if (number_share, width) > best_rank:
-            best, best_rank = dialect, (number_share, width)
-    return best
+            best_dialect, best_rank = dialect, (number_share, width)
+    return best_dialect
 
 
-def _lines(path: Path) -> list[str]:
+def _read_lines(path: Path) -> list[str]:
     """Return the lines of a file; a FlightDataError if one is too long."""
-    lines = _text(path).splitlines()
+    lines = _decode_file(path).splitlines()
     if max(map(len, lines), default=0) > _MAX_LINE_CHARACTERS:
         raise FlightDataError(
             f"{path}: a line has more than {_MAX_LINE_CHARACTERS} characters", "give one row per line"
@@ -141,7 +141,7 @@ def _lines(path: Path) -> list[str]:
     return lines
 
 
-def _text(path: Path) -> str:
+def _decode_file(path: Path) -> str:
     """Return the text of a file, unpacked if its name ends in .gz, by the encoding that its bytes suggest."""
     try:
         content = read_file(path, MAX_BYTES)
@@ -167,7 +167,7 @@ def _text(path: Path) -> str:
         return content.decode("gb18030" if paired else "latin-1", errors="replace")
 
 
-def _cells(line: str, dialect: Dialect) -> list[str]:
+def _split_cells(line: str, dialect: Dialect) -> list[str]:
     """Split a line into cells."""
     if dialect.separator == " ":
         return line.split()
@@ -182,8 +182,8 @@ def _first_row(lines: list[str], dialect: Dialect, sampled_lines: list[str]) -> 
     It is as wide as most rows, and at least half of its cells are numbers. No row of names may follow,
     because headers of LabVIEW contain numbers, too.
     """
-    width = statistics.mode(len(_cells(line, dialect)) for line in sampled_lines)
-    cells = [_cells(line, dialect) for line in lines]
+    width = statistics.mode(len(_split_cells(line, dialect)) for line in sampled_lines)
+    cells = [_split_cells(line, dialect) for line in lines]
     numbers = [sum(_is_number(cell, dialect) for cell in row) for row in cells]
     name_rows = [
         index
@@ -207,17 +207,17 @@ def _is_number(cell: str, dialect: Dialect) -> bool:
     return bool(_NUMBER.match(text)) or text.lower() in _EMPTY - {""}
 
 
-def _names(header: list[str], dialect: Dialect, width: int) -> tuple[list[str], list[str]]:
+def _names_and_units(header: list[str], dialect: Dialect, width: int) -> tuple[list[str], list[str]]:
     """Return names and units of the columns; a repeated name gets an apostrophe.
 
     Units come from a separate row, if the header has one.
     """
-    rows = [_cells(line, dialect) for line in header]
+    rows = [_split_cells(line, dialect) for line in header]
     # The header of LabVIEW has one more name, for a column of comments that the rows lack.
     rows = [row[:width] for row in rows if len(row) in {width, width + 1}]
     units = [""] * width
-    if len(rows) > 1 and sum(bool(_stated(cell)) for cell in rows[-1]) >= max(1, width // 2):
-        units = [_stated(cell) for cell in rows[-1]]
+    if len(rows) > 1 and sum(bool(_unit_in_cell(cell)) for cell in rows[-1]) >= max(1, width // 2):
+        units = [_unit_in_cell(cell) for cell in rows[-1]]
         rows = rows[:-1]
     column_names = [cell.strip() for cell in rows[-1]] if rows else [f"column {i + 1}" for i in range(width)]
     names: list[str] = []
@@ -229,5 +229,5 @@ def _names(header: list[str], dialect: Dialect, width: int) -> tuple[list[str], 
     return names, units
 
 
-def _stated(cell: str) -> str:
+def _unit_in_cell(cell: str) -> str:
     return unit_of(cell.strip().strip("[]()"))

@@ -65,14 +65,14 @@ def split_unit(name: str) -> tuple[str, str]:
     for pattern in (_BRACKETS, _SLASH):
         match = pattern.match(name)
         # In y[1] and u(1) the number is an index. After a space it is the unit 1, of a share.
-        index = match is not None and match.group(2) == "1" and name[len(match.group(1))] in "[({<"
-        if match and unit_of(match.group(2)) and not index:
+        is_index = match is not None and match.group(2) == "1" and name[len(match.group(1))] in "[({<"
+        if match and unit_of(match.group(2)) and not is_index:
             return match.group(1).strip(), unit_of(match.group(2))
     match = _TAIL.match(name)
     # V_s is a sum of voltages and pitch_v is a speed, so that "s" and "v" are units in some names only.
-    single = match is not None and (
+    is_one_letter_unit = match is not None and (
         (match.group(2) == "s" and match.group(1).lower() in _BEFORE_S) or match.group(2) == "V"
     )
-    if match and (single or match.group(2).lower() in _BARE_TAILS):
+    if match and (is_one_letter_unit or match.group(2).lower() in _BARE_TAILS):
         return match.group(1), unit_of(match.group(2))
     return name, ""

@@ -140,30 +140,33 @@ class Case:
 
 def clean_cases() -> list[Case]:
     """Return all clean cases, in an order in which the first are a fair sample of all."""
-    cases = list(_in_order())
+    cases = list(_cases_by_kind())
     return [cases[i] for i in np.random.default_rng(0).permutation(len(cases))]
 
 
-def _in_order() -> Iterator[Case]:
+_SIZE_WORD = {1: "small", 2: "large"}
+
+
+def _cases_by_kind() -> Iterator[Case]:
     """Yield the cases by kind. Each later kind has its own range of seeds, which keeps earlier cases."""
     seed = 1000
     for size in (2, 1):
-        word = ("", "small", "large")[size]
         for name, (maker, small, large) in LISTED.items():
             seed += 1
-            value = (large if size == 2 else small) * _factor(seed)
-            yield Case(f"{name}-{word}", ((name, value),), (), seed, (maker,))
+            value = (large if size == 2 else small) * _size_factor(seed)
+            yield Case(f"{name}-{_SIZE_WORD[size]}", ((name, value),), (), seed, (maker,))
         for number in range(_NOTHING // 2):
             seed += 1
             yield Case(f"nothing-{number + (2 - size) * _NOTHING // 2}", (), (), seed, ())
         for name, (maker, off_size) in OFF_LIST.items():
             seed += 1
             value = off_size * _OFF_FACTOR[size]
-            yield Case(f"off-{name}-{word}", (), ((name, value),), seed, (maker,))
+            yield Case(f"off-{name}-{_SIZE_WORD[size]}", (), ((name, value),), seed, (maker,))
         for names in _SEVERAL:
             seed += 1
             effects = tuple((name, float(np.mean(LISTED[name][1:]))) for name in names)
             yield Case("+".join(names) + f"-{size}", effects, (), seed, tuple(LISTED[n][0] for n in names))
+    # Kinds that were added later: effects in another form, then further unlisted and listed effects.
     seed = 1500
     for name, (effect, maker, value) in OTHER_FORMS.items():
         seed += 1
@@ -172,15 +175,15 @@ def _in_order() -> Iterator[Case]:
         for name, (maker, off_size) in MORE_OFF_LIST.items():
             seed += 1
             value = off_size * _OFF_FACTOR[size]
-            yield Case(f"off-{name}-{('', 'small', 'large')[size]}", (), ((name, value),), seed, (maker,))
+            yield Case(f"off-{name}-{_SIZE_WORD[size]}", (), ((name, value),), seed, (maker,))
     seed = 1600
     for size in (2, 1):
         for name, (maker, small, large) in MORE_LISTED.items():
             seed += 1
-            value = (large if size == 2 else small) * _factor(seed)
-            yield Case(f"{name}-{('', 'small', 'large')[size]}", ((name, value),), (), seed, (maker,))
+            value = (large if size == 2 else small) * _size_factor(seed)
+            yield Case(f"{name}-{_SIZE_WORD[size]}", ((name, value),), (), seed, (maker,))
 
 
-def _factor(seed: int) -> float:
+def _size_factor(seed: int) -> float:
     """Draw a factor by which the size of an effect differs from the small or large one in its list."""
     return float(np.random.default_rng([seed, 0]).uniform(0.8, 1.3))

@@ -97,58 +97,62 @@ _SEVERAL = (
 
 def disturbed_cases() -> list[DisturbedCase]:
     """Return all cases, in an order in which the first are a fair sample of all."""
-    cases = list(_in_order())
+    cases = list(_cases_by_kind())
     return [cases[i] for i in np.random.default_rng(2).permutation(len(cases))]
 
 
-def _in_order() -> Iterator[DisturbedCase]:
+def _cases_by_kind() -> Iterator[DisturbedCase]:
     """Yield the cases by kind; each has a fixed seed."""
     seed = 3000
     for number in range(_NOTHING):
         seed += 1
-        yield _case(f"w-nothing-{number}", seed, (), ())
+        yield _draw_case(f"w-nothing-{number}", seed, (), ())
     for number in range(4):
         seed += 1
-        yield _case(f"w-lag-{number}", seed, (LAG,), ())
+        yield _draw_case(f"w-lag-{number}", seed, (LAG,), ())
     for name in SIZES:
         if name not in (LAG, SPEED_LAG) and not name.startswith(NEVER_DRAWN):
             seed += 1
-            yield _case(f"w-lag+{name}", seed, (LAG, name), ())
+            yield _draw_case(f"w-lag+{name}", seed, (LAG, name), ())
     for name in _ALONE:
         seed += 1
-        yield _case(f"w-{name}", seed, (name,), ())
+        yield _draw_case(f"w-{name}", seed, (name,), ())
     for names in _SEVERAL:
         seed += 1
-        yield _case("w-" + "+".join(names).replace(LAG, "lag"), seed, names, ())
-    for law in DISTURBED:
-        for beside in ((LAG,), ()):
+        yield _draw_case("w-" + "+".join(names).replace(LAG, "lag"), seed, names, ())
+    for equation in DISTURBED:
+        for listed in ((LAG,), ()):
             seed += 1
-            yield _case("w-" + "lag+" * len(beside) + f"off-{law}", seed, beside, (law,))
+            yield _draw_case("w-" + "lag+" * len(listed) + f"off-{equation}", seed, listed, (equation,))
 
 
-def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]) -> DisturbedCase:
+def _draw_case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]) -> DisturbedCase:
     """Draw rig, flight and disturbances of a case, and the sizes that suit them."""
     rng = np.random.default_rng([seed, 6])
     strength = int(rng.integers(3))
     gusts_Nm, correlation_time_s = STRENGTHS_Nm[strength], CORRELATION_TIMES_s[int(rng.integers(3))]
     drifts, on_quanser = rng.random() < _DRIFTING, rng.random() < _ON_QUANSER
-    drift = [float(share * gust) for share, gust in zip(rng.uniform(0.5, 1.0, 3), gusts_Nm, strict=True)]
+    drift_std_Nm = [
+        float(share * gust) for share, gust in zip(rng.uniform(0.5, 1.0, 3), gusts_Nm, strict=True)
+    ]
     disturbances = DisturbanceModel(
         gusts_Nm,
         correlation_time_s,
-        (drift[0], drift[1], drift[2]) if drifts else (0.0, 0.0, 0.0),
+        (drift_std_Nm[0], drift_std_Nm[1], drift_std_Nm[2]) if drifts else (0.0, 0.0, 0.0),
         float(rng.uniform(20.0, 40.0)),
     )
-    gentle = bool(rng.random() < _GENTLE)
+    weak = bool(rng.random() < _GENTLE)
     rate_Hz = RATES_Hz[int(rng.integers(3))]
     controller = CONTROLLERS[int(rng.integers(3))]
     if any(effect.startswith(PAPER_RIG_ONLY) for effect in effects):
         on_quanser = False
     if any(cause.startswith(STRONGLY_EXCITED_ONLY) for cause in (*effects, *equations)):
-        gentle = False
-    larger = STRENGTH_FACTORS[strength] * (WEAK_EXCITATION_FACTOR if gentle else 1.0)
-    sized = [(name, _size(name, SIZES[name], larger, rng)) for name in effects]
-    sized_unlisted = [(law, _size(law, DISTURBED[law][1], larger, rng)) for law in equations]
+        weak = False
+    size_factor = STRENGTH_FACTORS[strength] * (WEAK_EXCITATION_FACTOR if weak else 1.0)
+    sized = [(name, _draw_size(name, SIZES[name], size_factor, rng)) for name in effects]
+    sized_unlisted = [
+        (equation, _draw_size(equation, DISTURBED[equation][1], size_factor, rng)) for equation in equations
+    ]
     return DisturbedCase(
         name,
         tuple(sized),
@@ -157,13 +161,13 @@ def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]
         tuple(MAKERS[cause] for cause in (*effects, *equations)),
         QUANSER_RIG if on_quanser else PAPER_RIG,
         rate_Hz,
-        gentle,
+        weak,
         controller,
         disturbances,
     )
 
 
-def _size(name: str, typical: float, larger: float, rng: np.random.Generator) -> float:
+def _draw_size(name: str, typical: float, larger: float, rng: np.random.Generator) -> float:
     # A lag depends on the rotors, not on the disturbances.
     if name in (LAG, SPEED_LAG, "input_delay"):
         larger = 1.0

@@ -91,7 +91,7 @@ class DisturbedCase(Case):
         tuple of Flight and TrueTrajectory
             The log, and the true states.
         """
-        return _flown(self, flight, duration_s)
+        return _fly_and_record_truth(self, flight, duration_s)
 
     def route(self, flight: int, duration_s: float) -> Route:
         """Draw the route of a flight; the validation flight has another one.
@@ -141,7 +141,9 @@ class DisturbedCase(Case):
 
 
 @lru_cache(maxsize=2)
-def _flown(case: DisturbedCase, flight: int, duration_s: float) -> tuple[Flight, TrueTrajectory]:
+def _fly_and_record_truth(
+    case: DisturbedCase, flight: int, duration_s: float
+) -> tuple[Flight, TrueTrajectory]:
     """Fly a case and record its true trajectory; the last two flights are kept in memory."""
     recorder = TrajectoryRecorder()
     log = tracked(

@@ -136,12 +136,12 @@ def published_cases(seed: int, count: int) -> Iterator[PublishedCase]:
     for number in range(count):
         if number % len(KINDS) == 0:
             kinds = order.permutation(KINDS)
-        yield _case(f"case-{number + 1:03d}", Draw(seed, number, str(kinds[number % len(KINDS)])))
+        yield _draw_case(f"case-{number + 1:03d}", Draw(seed, number, str(kinds[number % len(KINDS)])))
 
 
 def redrawn(case: PublishedCase) -> PublishedCase:
     """Return another case of the same name and kind: other conditions, rig and causes."""
-    return _case(case.name, replace(case.draw, redraws=case.draw.redraws + 1))
+    return _draw_case(case.name, replace(case.draw, redraws=case.draw.redraws + 1))
 
 
 def base_rates() -> dict[str, float]:
@@ -157,26 +157,26 @@ def base_rates() -> dict[str, float]:
         share = (_ON_QUANSER if on_quanser else 1.0 - _ON_QUANSER) * (
             _WEAKLY_EXCITED if weak else 1.0 - _WEAKLY_EXCITED
         )
-        names = _possible(LISTED_CAUSES, on_quanser, weak)
+        names = _possible_causes(LISTED_CAUSES, on_quanser, weak)
         for name in names:
             rates[name] += share * listed / len(names)
     return rates
 
 
-def _case(name: str, draw: Draw) -> PublishedCase:
+def _draw_case(name: str, draw: Draw) -> PublishedCase:
     """Draw conditions, causes and sizes of a case."""
     conditions, kind = draw.rng(1), draw.kind
     on_quanser = bool(conditions.random() < _ON_QUANSER)
     weak = bool(conditions.random() < _WEAKLY_EXCITED)
-    disturbances, factor = _disturbances(conditions)
+    disturbances, factor = _draw_disturbances(conditions)
     training = conditions.choice(_TRAINING_s, int(conditions.choice([1, 2, 3], p=[0.6, 0.25, 0.15])))
     validation = conditions.choice(_VALIDATION_s, int(conditions.choice([1, 2], p=[0.7, 0.3])))
     rate_Hz, controller = int(conditions.choice(RATES_Hz)), str(conditions.choice(CONTROLLERS))
     truth = draw.rng(2)
-    effects = _drawn(truth, _LISTED_COUNT[kind], on_quanser, weak)
+    effects = _draw_listed_causes(truth, _LISTED_COUNT[kind], on_quanser, weak)
     unlisted: tuple[str, ...] = ()
     if kind.startswith("unlisted"):
-        unlisted = (str(truth.choice(_possible(tuple(DISTURBED), on_quanser, weak))),)
+        unlisted = (str(truth.choice(_possible_causes(tuple(DISTURBED), on_quanser, weak))),)
     factor *= WEAK_EXCITATION_FACTOR if weak else 1.0
 
     def size(cause: str, typical: float) -> float:
@@ -200,7 +200,7 @@ def _case(name: str, draw: Draw) -> PublishedCase:
     )
 
 
-def _disturbances(rng: np.random.Generator) -> tuple[DisturbanceModel, float]:
+def _draw_disturbances(rng: np.random.Generator) -> tuple[DisturbanceModel, float]:
     """Draw disturbances, and the factor of the sizes that suit them."""
     kind = str(rng.choice(_DISTURBANCES))
     strength = {"none": 0, "weak": 0, "strong": 2}.get(kind, 1)
@@ -211,20 +211,26 @@ def _disturbances(rng: np.random.Generator) -> tuple[DisturbanceModel, float]:
     shares, drift_s = rng.uniform(0.5, 1.0, 3), float(rng.uniform(20.0, 40.0))
     if kind == "none":
         gusts_Nm = (0.0, 0.0, 0.0)
-    e, p, t = (float(gust_Nm) for gust_Nm in shares * gusts_Nm * (kind == "drifting"))
-    return DisturbanceModel(gusts_Nm, correlation_time_s, (e, p, t), drift_s), STRENGTH_FACTORS[strength]
+    elevation_Nm, pitch_Nm, travel_Nm = (
+        float(gust_Nm) for gust_Nm in shares * gusts_Nm * (kind == "drifting")
+    )
+    return DisturbanceModel(
+        gusts_Nm, correlation_time_s, (elevation_Nm, pitch_Nm, travel_Nm), drift_s
+    ), STRENGTH_FACTORS[strength]
 
 
 @cache
-def _possible(names: tuple[str, ...], on_quanser: bool, weak: bool) -> tuple[str, ...]:
+def _possible_causes(names: tuple[str, ...], on_quanser: bool, weak: bool) -> tuple[str, ...]:
     """Return the causes that may be hidden on this rig, with this excitation."""
     excluded = (PAPER_RIG_ONLY if on_quanser else ()) + (STRONGLY_EXCITED_ONLY if weak else ())
     return tuple(name for name in names if not (excluded and name.startswith(excluded)))
 
 
-def _drawn(rng: np.random.Generator, count: int, on_quanser: bool, weak: bool) -> tuple[str, ...]:
+def _draw_listed_causes(
+    rng: np.random.Generator, count: int, on_quanser: bool, weak: bool
+) -> tuple[str, ...]:
     """Draw listed causes that are possible together on this rig."""
-    names = _possible(LISTED_CAUSES, on_quanser, weak)
+    names = _possible_causes(LISTED_CAUSES, on_quanser, weak)
     for _ in range(_MAX_CONFLICTS):
         drawn = tuple(str(name) for name in rng.choice(names, count, replace=False))
         if all(sum(name in group for name in drawn) <= 1 for group in (_LATE, _FADING)):

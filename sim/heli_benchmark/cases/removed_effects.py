@@ -40,8 +40,8 @@ def removed_effect_cases() -> list[DisturbedCase]:
     """Return one case of each effect."""
     cases = []
     for number, name in enumerate(REMOVED):
-        beside = ((LAG, _LAG_s),) if number % 2 and name != LAG else ()
-        effects = (*beside, (name, SIZES[name] * (1.0 if name == LAG else _LARGER)))
+        lag_effect = ((LAG, _LAG_s),) if number % 2 and name != LAG else ()
+        effects = (*lag_effect, (name, SIZES[name] * (1.0 if name == LAG else _LARGER)))
         cases.append(
             DisturbedCase(
                 f"taken-off-{name}",

@@ -20,19 +20,19 @@ _RATES_Hz = (100, 250)
 def equation_cases() -> list[DisturbedCase]:
     """Return all cases, in an order in which the first are a fair sample of all."""
     cases = []
-    for number, (size, law) in enumerate((size, law) for size in _SIZES for law in EQUATIONS):
+    for number, (size, equation) in enumerate((size, equation) for size in _SIZES for equation in EQUATIONS):
         rng = np.random.default_rng([5000 + number, 6])
         strength = int(rng.integers(3))
         disturbances = DisturbanceModel(STRENGTHS_Nm[strength], CORRELATION_TIMES_s[int(rng.integers(3))])
-        lag = bool(number % 2)
-        makers: tuple[Maker, ...] = (MakeUnlisted(law),)
+        has_lag = bool(number % 2)
+        makers: tuple[Maker, ...] = (MakeUnlisted(equation),)
         cases.append(
             DisturbedCase(
-                f"law-{law}-{size}",
-                (("rotor_lag", _LAG_s),) if lag else (),
-                ((law, EQUATIONS[law].size * _SIZES[size] * _LARGER[strength]),),
+                f"law-{equation}-{size}",
+                (("rotor_lag", _LAG_s),) if has_lag else (),
+                ((equation, EQUATIONS[equation].size * _SIZES[size] * _LARGER[strength]),),
                 5000 + number,
-                (LISTED["rotor_lag"][0], *makers) if lag else makers,
+                (LISTED["rotor_lag"][0], *makers) if has_lag else makers,
                 "makki2024",
                 int(rng.choice(_RATES_Hz)),
                 False,

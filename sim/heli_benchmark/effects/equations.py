@@ -161,7 +161,7 @@ class Unlisted(HiddenEffect):
         self.truth = {"size": size, **self.numbers}
         self._late = 0.0
 
-    def _value(self, at: Moment) -> float:
+    def _value_at(self, at: Moment) -> float:
         """Return the value of the equation at a moment: a torque in N m, or a share of thrust."""
         inputs = EquationInputs(at.angles_rad, at.rates_rad_s, at.thrust_N)
         if self.equation.remembers is not None:
@@ -173,13 +173,13 @@ class Unlisted(HiddenEffect):
     def torque(self, at: Moment) -> None:
         kind, _, target = self.equation.channel.partition(".")
         if kind == "torque":
-            at.torque_Nm[("elevation", "pitch", "travel").index(target)] += self._value(at)
+            at.torque_Nm[("elevation", "pitch", "travel").index(target)] += self._value_at(at)
 
     def thrust(self, at: Moment) -> None:
         kind, _, target = self.equation.channel.partition(".")
         if kind == "thrust":
             shares = {"both": (1.0, 1.0), "front": (1.0, 0.0), "back": (0.0, 1.0)}[target]
-            at.thrust_N = at.thrust_N * (1.0 + self._value(at) * np.array(shares))
+            at.thrust_N = at.thrust_N * (1.0 + self._value_at(at) * np.array(shares))
 
 
 @dataclass(frozen=True)

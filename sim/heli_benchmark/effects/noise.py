@@ -69,7 +69,7 @@ def _bursts(rng: np.random.Generator) -> list[HiddenEffect]:
     return [_Torques(strength[:, None] * _gusts_Nm(_CORRELATION_TIME_s, rng))]
 
 
-def _kicks(rng: np.random.Generator) -> list[HiddenEffect]:
+def _gusts_and_kicks(rng: np.random.Generator) -> list[HiddenEffect]:
     """Weak gusts, and a torque pulse of 50 ms about a random axis every 3 s on average."""
     torque_Nm = _BACKGROUND * _gusts_Nm(_CORRELATION_TIME_s, rng)
     for at_s in np.cumsum(rng.exponential(3.0, 200)):
@@ -85,7 +85,7 @@ def _thrust_torques(rng: np.random.Generator) -> list[HiddenEffect]:
     return [_ThrustTorques(_gusts_Nm(_CORRELATION_TIME_s, rng))]
 
 
-def _two_scales(rng: np.random.Generator) -> list[HiddenEffect]:
+def _gusts_of_two_time_scales(rng: np.random.Generator) -> list[HiddenEffect]:
     """Gusts with correlation times of 0.1 s and 2.5 s."""
     return [_Torques(0.8 * (_gusts_Nm(0.1, rng) + _gusts_Nm(2.5, rng)))]
 
@@ -99,9 +99,9 @@ def _wandering_supply(rng: np.random.Generator) -> list[HiddenEffect]:
 
 NOISE: Final[dict[str, Callable[[np.random.Generator], list[HiddenEffect]]]] = {
     "bursts": _bursts,
-    "kicks": _kicks,
+    "kicks": _gusts_and_kicks,
     "thrust": _thrust_torques,
-    "two-scales": _two_scales,
+    "two-scales": _gusts_of_two_time_scales,
     "supply": _wandering_supply,
 }
 """Hidden effects of a flight with each kind of noise."""

@@ -168,7 +168,7 @@ class MujocoPlant:
 
     def native_step(self) -> _native.PlantStep:
         """Return `millisecond` as a step that the world calls."""
-        return _native.CallbackStep(self._step, 6, 1)
+        return _native.CallbackStep(self._call_millisecond, 6, 1)
 
     def millisecond(
         self, state: Sequence[float], volts_V: Sequence[float]
@@ -248,7 +248,7 @@ class MujocoPlant:
             encoder_rad = effect.measured(encoder_rad)
         return encoder_rad
 
-    def _step(
+    def _call_millisecond(
         self, state: list[float], volts_V: list[float], locked: list[float], parameters: list[float]
     ) -> tuple[list[float], list[float]]:
         """Call `millisecond` with the arguments of a native plant; locks and parameters do not apply."""

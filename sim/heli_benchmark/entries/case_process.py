@@ -56,7 +56,7 @@ def run_case(
     dict
         Content of the file. If the process ends without an answer, it has a failure.
     """
-    where = "-" if resources is None else str(resources.resolve())
+    resources_text = "-" if resources is None else str(resources.resolve())
     command = [
         sys.executable,
         "-m",
@@ -64,7 +64,7 @@ def run_case(
         method.text,
         case,
         str(file.resolve()),
-        where,
+        resources_text,
     ]
     command += [str(limits.cpu_s), str(limits.memory_MB)]
     # Threads that wait for each other cost CPU time, and sums in another order change the last digits.

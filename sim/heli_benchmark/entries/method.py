@@ -59,8 +59,10 @@ class MethodAddress:
 
 def builtin_methods() -> list[str]:
     """Return the names of the methods of this package: files with a function `diagnose`."""
-    mark = f"\ndef {_FUNCTION}("
-    return sorted(path.stem for path in _METHODS.glob("*.py") if mark in path.read_text(encoding="utf-8"))
+    definition = f"\ndef {_FUNCTION}("
+    return sorted(
+        path.stem for path in _METHODS.glob("*.py") if definition in path.read_text(encoding="utf-8")
+    )
 
 
 def find_method(text: str) -> MethodAddress:
@@ -97,7 +99,7 @@ def load_function(method: MethodAddress) -> Callable[..., Any]:
     method : MethodAddress
         Where it is.
     """
-    function = getattr(_module(method), method.function, None)
+    function = getattr(_import_module(method), method.function, None)
     if not callable(function):
         raise BenchmarkError(f"{method.file} has no function '{method.function}'", "give another name")
     return function  # type: ignore[no-any-return]
@@ -111,10 +113,10 @@ def load_train(method: MethodAddress) -> Callable[[Path], None] | None:
     method : MethodAddress
         Where it is.
     """
-    return getattr(_module(method), _TRAIN, None)
+    return getattr(_import_module(method), _TRAIN, None)
 
 
-def _module(method: MethodAddress) -> ModuleType:
+def _import_module(method: MethodAddress) -> ModuleType:
     """Import the module of a method; a user's file may import its neighbours."""
     if method.builtin:
         return importlib.import_module(f"heli_benchmark.methods.{method.file.stem}")

@@ -108,8 +108,8 @@ def read_run(folder: Path, split: Split) -> dict[str, dict[str, Any]]:
     BenchmarkError
         If the folder belongs to another split, or lacks a case.
     """
-    mark = folder / RUN_FILE
-    if mark.exists() and read_json(mark, "run again").get("split_digest") != split_digest(split):
+    run_file = folder / RUN_FILE
+    if run_file.exists() and read_json(run_file, "run again").get("split_digest") != split_digest(split):
         raise BenchmarkError(f"{folder} has answers to another split", f"run the method on {split.folder}")
     results = {}
     for case in split.cases:
@@ -137,13 +137,13 @@ def _check_folder(split: Split, method: MethodAddress, text: str, folder: Path, 
         "method_digest": method.digest,
         "limits": asdict(limits),
     }
-    mark = folder / RUN_FILE
-    if mark.exists():
-        earlier = read_json(mark, "choose another folder")
+    run_file = folder / RUN_FILE
+    if run_file.exists():
+        earlier = read_json(run_file, "choose another folder")
         changed = [name for name, value in content.items() if earlier.get(name) != value]
         if changed:
             raise BenchmarkError(
                 f"{folder} has results with another {changed[0].replace('_', ' ')}",
                 "choose another folder, or delete it",
             )
-    write_json(mark, content)
+    write_json(run_file, content)

@@ -34,7 +34,7 @@ def scores_content(split: Split, runs: Mapping[str, Sequence[CaseScore]]) -> dic
         ``splits``: the digest of the split. ``case_scores``: fields of each `CaseScore` by method. All keys
         of `summarise_runs`.
     """
-    return _content([split_digest(split)], runs)
+    return _scores_file_content([split_digest(split)], runs)
 
 
 def pooled_scores(files: Sequence[Path]) -> dict[str, Any]:
@@ -65,23 +65,23 @@ def pooled_scores(files: Sequence[Path]) -> dict[str, Any]:
                     f"{origin[digest]} and {path} have scores of the same split", "give each split once"
                 )
             origin[digest] = path
-        runs = _case_scores(content["case_scores"], path)
+        runs = _scores_by_method(content["case_scores"], path)
         if pooled and set(runs) != set(pooled):
             name = sorted(set(runs) ^ set(pooled))[0]
             lacking = path if name in pooled else files[0]
             raise BenchmarkError(f"{lacking} has no method '{name}'", "score the same methods on each split")
         for name, scores in runs.items():
             pooled.setdefault(name, []).extend(scores)
-    return _content(list(origin), pooled)
+    return _scores_file_content(list(origin), pooled)
 
 
-def _content(digests: list[str], runs: Mapping[str, Sequence[CaseScore]]) -> dict[str, Any]:
+def _scores_file_content(digests: list[str], runs: Mapping[str, Sequence[CaseScore]]) -> dict[str, Any]:
     """Return the content of a file of scores, with the digests of all splits in it."""
     cases = {name: [asdict(case) for case in scores] for name, scores in runs.items()}
     return {"splits": digests, **summarise_runs(runs), "case_scores": cases}
 
 
-def _case_scores(content: Mapping[str, Any], path: Path) -> dict[str, list[CaseScore]]:
+def _scores_by_method(content: Mapping[str, Any], path: Path) -> dict[str, list[CaseScore]]:
     """Read the scores by method; `path` is the file that messages name."""
     try:
         runs = {name: [_case_score(fields) for fields in scores] for name, scores in content.items()}

@@ -121,21 +121,23 @@ def _model_errors(case: BenchmarkCase, rig: Rig, causes: Mapping[str, Mapping[st
     """Return the RMS prediction errors of the model with a rig and causes, as `true_errors` does."""
     model = MultibodyModel(tuple(catalogue()[name].make(values) for name, values in causes.items()))
     predictor = _OpenLoopPredictor(model, rig)
-    return _rms([predictor.errors(flight) for flight in case.validation])
+    return _rms_by_axis([predictor.errors(flight) for flight in case.validation])
 
 
 def _errors_of_predicted_flights(case: BenchmarkCase, predicted: Mapping[str, AxisSeries]) -> Floats | None:
     """RMS errors of flights that an answer predicts; NaN if a flight is missing or does not last as long."""
     errors = []
     for number, flight in enumerate(case.validation):
-        t_s, _, ends = _prediction_rows(flight)
+        t_s, _, end_steps = _prediction_rows(flight)
         series = predicted.get(flight_name(number))
-        measured = _interpolated(t_s[ends], flight.t_s, flight.angles_rad)
-        errors.append(np.full(measured.shape, np.nan) if series is None else series.at(t_s[ends]) - measured)
-    return _rms(errors)
+        measured = _interpolated(t_s[end_steps], flight.t_s, flight.angles_rad)
+        errors.append(
+            np.full(measured.shape, np.nan) if series is None else series.at(t_s[end_steps]) - measured
+        )
+    return _rms_by_axis(errors)
 
 
-def _rms(errors: Sequence[Floats]) -> Floats | None:
+def _rms_by_axis(errors: Sequence[Floats]) -> Floats | None:
     """Root mean square of the errors of all flights by axis, or None if the flights are too short."""
     pooled = np.concatenate(errors)
     return np.sqrt(np.mean(pooled**2, axis=0)) if len(pooled) else None
@@ -148,19 +150,19 @@ def _prediction_rows(flight: Flight) -> tuple[Floats, Integers, Integers]:
     """
     t_s = np.arange(flight.t_s[0], flight.t_s[-1] - 2.0 * _STEP_s, _STEP_s)
     horizon = round(HORIZON_s / _STEP_s)
-    edge = round(_WINDOW_s / _STEP_s)
-    last = len(t_s) - horizon - edge if _window_rows(flight) <= len(flight) else 0
-    starts = np.arange(edge, last, round(_START_INTERVAL_s / _STEP_s))
-    return t_s, starts, starts + horizon
+    edge_steps = round(_WINDOW_s / _STEP_s)
+    last_start = len(t_s) - horizon - edge_steps if _window_rows(flight) <= len(flight) else 0
+    start_steps = np.arange(edge_steps, last_start, round(_START_INTERVAL_s / _STEP_s))
+    return t_s, start_steps, start_steps + horizon
 
 
-def _sample_s(flight: Flight) -> float:
+def _mean_step_s(flight: Flight) -> float:
     return float(flight.t_s[-1] - flight.t_s[0]) / (len(flight) - 1)
 
 
 def _window_rows(flight: Flight) -> int:
     """Length of the filter of the rates, an odd number of rows."""
-    return 2 * round(_WINDOW_s / 2.0 / _sample_s(flight)) + 1
+    return 2 * round(_WINDOW_s / 2.0 / _mean_step_s(flight)) + 1
 
 
 class _OpenLoopPredictor:
@@ -181,10 +183,10 @@ class _OpenLoopPredictor:
 
     def errors(self, flight: Flight) -> Floats:
         """Return predicted minus measured angles at the end of each prediction, rad, shape (k, 3)."""
-        t_s, starts, ends = _prediction_rows(flight)
-        if not len(starts):
+        t_s, start_steps, end_steps = _prediction_rows(flight)
+        if not len(start_steps):
             return np.empty((0, 3))
-        window, sample_s = _window_rows(flight), _sample_s(flight)
+        window, sample_s = _window_rows(flight), _mean_step_s(flight)
         smooth_angles, rate = (
             savgol_filter(flight.angles_rad, window, 3, deriv=deriv, delta=sample_s, axis=0)
             for deriv in (0, 1)
@@ -193,11 +195,11 @@ class _OpenLoopPredictor:
             _interpolated(t_s, flight.t_s, signal) for signal in (smooth_angles, rate, flight.angles_rad)
         )
         volts = self._mean_volts(flight, t_s)
-        states = self._all_states(measured, rates, volts, t_s)[starts].T
-        for k in range(ends[0] - starts[0]):
-            states = np.asarray(self._step(states, volts[starts + k].T, t_s[starts + k][None]))
-        predicted = np.asarray(self._encoders(states, volts[ends].T, t_s[ends][None])).T
-        return np.asarray(predicted - angles[ends])
+        states = self._all_states(measured, rates, volts, t_s)[start_steps].T
+        for k in range(end_steps[0] - start_steps[0]):
+            states = np.asarray(self._step(states, volts[start_steps + k].T, t_s[start_steps + k][None]))
+        predicted = np.asarray(self._encoders(states, volts[end_steps].T, t_s[end_steps][None])).T
+        return np.asarray(predicted - angles[end_steps])
 
     def _mean_volts(self, flight: Flight, t_s: Floats) -> Floats:
         """Return the means of the voltages over each step, late by the delay."""

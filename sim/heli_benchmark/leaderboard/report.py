@@ -38,11 +38,13 @@ def comparison_table(summary: Mapping[str, Any]) -> str:
     """
     heads = ["method", *(title for _, title, _ in _COLUMNS), "CPU s per case", "peak MB", "failed"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    for name in _ranked(summary):
-        of = summary["methods"][name]
-        cells = [_cell(of[key], form) for key, _, form in _COLUMNS]
-        cost = ["-" if of[key] is None else f"{of[key]:.3g}" for key in ("cpu_s", "peak_MB")]
-        lines.append(f"| {name} | " + " | ".join([*cells, *cost, str(of["failed"])]) + " |")
+    for name in _methods_by_skill(summary):
+        method_scores = summary["methods"][name]
+        cells = [_score_cell(method_scores[key], form) for key, _, form in _COLUMNS]
+        cost = [
+            "-" if method_scores[key] is None else f"{method_scores[key]:.3g}" for key in ("cpu_s", "peak_MB")
+        ]
+        lines.append(f"| {name} | " + " | ".join([*cells, *cost, str(method_scores["failed"])]) + " |")
     return "\n".join(lines)
 
 
@@ -58,7 +60,7 @@ def pair_lines(summary: Mapping[str, Any]) -> list[str]:
     for pair in summary["pairs"]:
         parts = []
         for key, word, form in (("skill", "skill", "{:+.2f}"), ("all_named", "every cause named", "{:+.0%}")):
-            parts.append(f"{word} {_cell(pair[key], form)}")
+            parts.append(f"{word} {_score_cell(pair[key], form)}")
         lines.append(f"{pair['first']} minus {pair['second']}: {', '.join(parts)}")
     return lines
 
@@ -73,8 +75,8 @@ def report_text(summary: Mapping[str, Any]) -> str:
     """
     pairs = "\n".join(f"- {line}" for line in pair_lines(summary))
     splits = len(summary["splits"])
-    of = "one split" if splits == 1 else f"{splits} splits"
-    return f"{comparison_table(summary)}\n\n{pairs}\n\nCases: {summary['cases']}, of {of}.\n"
+    splits_text = "one split" if splits == 1 else f"{splits} splits"
+    return f"{comparison_table(summary)}\n\n{pairs}\n\nCases: {summary['cases']}, of {splits_text}.\n"
 
 
 def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
@@ -92,20 +94,20 @@ def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    names = _ranked(summary)[::-1]
+    names = _methods_by_skill(summary)[::-1]
     figure, axes = plt.subplots(1, len(_PANELS), figsize=(9.0, 0.8 + 0.36 * len(names)), sharey=True)
     for axis, (key, title) in zip(axes, _PANELS, strict=True):
-        for place, name in enumerate(names):
-            of = summary["methods"][name][key]
-            if of["value"] is None:
+        for row, name in enumerate(names):
+            score = summary["methods"][name][key]
+            if score["value"] is None:
                 continue
             colour = "tab:blue" if name == "ours" else "0.35"
-            axis.plot([of["low"], of["high"]], [place, place], color=colour, linewidth=2.0)
-            if of["value"] < _LEAST:
-                axis.plot(_LEAST, place, "<", color=colour)
-                axis.text(_LEAST + 0.1, place, f"{of['value']:.1f}", color=colour, va="center", fontsize=9)
+            axis.plot([score["low"], score["high"]], [row, row], color=colour, linewidth=2.0)
+            if score["value"] < _LEAST:
+                axis.plot(_LEAST, row, "<", color=colour)
+                axis.text(_LEAST + 0.1, row, f"{score['value']:.1f}", color=colour, va="center", fontsize=9)
             else:
-                axis.plot(of["value"], place, "o", color=colour)
+                axis.plot(score["value"], row, "o", color=colour)
         axis.set_title(title, fontsize=10)
         axis.grid(axis="x", color="0.9")
         axis.set_axisbelow(True)
@@ -119,11 +121,11 @@ def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
     plt.close(figure)
 
 
-def _ranked(summary: Mapping[str, Any]) -> list[str]:
+def _methods_by_skill(summary: Mapping[str, Any]) -> list[str]:
     return sorted(summary["methods"], key=lambda name: -summary["methods"][name]["skill"]["value"])
 
 
-def _cell(of: Mapping[str, Any], form: str) -> str:
+def _score_cell(of: Mapping[str, Any], form: str) -> str:
     """Return a score with its interval; a dash if there is none."""
     if of["value"] is None:
         return "-"

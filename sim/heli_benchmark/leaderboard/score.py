@@ -130,7 +130,7 @@ def score_runs(split: Split, folders: Sequence[Path]) -> list[list[CaseScore]]:
     runs = [read_run(folder, split) for folder in folders]
     scores: list[list[CaseScore]] = [[] for _ in folders]
     for case_folder in split.cases:
-        reference = _reference(split, case_folder)
+        reference = _case_with_truth(split, case_folder)
         for folder, run, scored in zip(folders, runs, scores, strict=True):
             name = case_folder.name
             scored.append(_score_result(reference, run[name], f"{folder / name}.json"))
@@ -164,7 +164,7 @@ class _CaseReference:
     torques_Nm: Mapping[str, AxisSeries]
 
 
-def _reference(split: Split, case_folder: Path) -> _CaseReference:
+def _case_with_truth(split: Split, case_folder: Path) -> _CaseReference:
     """Read a case with its truth, and let the true model predict."""
     content = split.truth(case_folder.name)
     case, truth = read_case(case_folder), scored_truth(content)
@@ -288,8 +288,10 @@ def score_answer(
     cpu_s, peak_MB = cost
     return CaseScore(
         case,
-        log_loss=_loss(calibration),
-        base_loss=_loss(tuple((causes.base_rates[name], name in truth.causes) for name in scored)),
+        log_loss=_negative_log_likelihood(calibration),
+        base_loss=_negative_log_likelihood(
+            tuple((causes.base_rates[name], name in truth.causes) for name in scored)
+        ),
         first_right=not failure and (most_probable in truth.causes or most_probable in truth.invisible),
         all_named=visible <= named if visible else None,
         false_names=len(named - truth.causes - truth.invisible),
@@ -318,7 +320,7 @@ def listed_names(answer: Answer) -> list[str]:
     return [name for name in named if name not in (NOTHING, UNLISTED)]
 
 
-def _loss(pairs: tuple[tuple[float, bool], ...]) -> float:
+def _negative_log_likelihood(pairs: tuple[tuple[float, bool], ...]) -> float:
     """Return the negative log-likelihood of pairs of a probability and whether its name is true, nats."""
     return sum(-math.log(max(p if is_true else 1.0 - p, MIN_PROBABILITY)) for p, is_true in pairs)
 

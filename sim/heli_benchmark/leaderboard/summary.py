@@ -62,31 +62,31 @@ def summarise_runs(runs: Mapping[str, Sequence[CaseScore]], seed: int = 0) -> di
     weights = counts.astype(np.float64)
     return {
         "cases": cases,
-        "methods": {name: _summary(scores, weights) for name, scores in runs.items()},
+        "methods": {name: _scores_of_method(scores, weights) for name, scores in runs.items()},
         "pairs": [
-            {"first": first, "second": second, **_difference(runs[first], runs[second], weights)}
+            {"first": first, "second": second, **_difference_of_methods(runs[first], runs[second], weights)}
             for first, second in combinations(runs, 2)
         ],
     }
 
 
-def _summary(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
+def _scores_of_method(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
     """Return all scores of one method; `weights` has the resamples, shape (resamples, cases)."""
-    loss, base = _losses(scores)
+    loss, base = _log_losses(scores)
     cost = {
-        "cpu_s": _mean([case.cpu_s for case in scores]),
+        "cpu_s": _mean_of_known([case.cpu_s for case in scores]),
         "peak_MB": max((case.peak_MB for case in scores if case.peak_MB is not None), default=None),
     }
     sums_by_name = _case_sums(scores)
-    ratios = {name: _ratio(sums, weights) for name, sums in sums_by_name.items()}
+    ratios = {name: _ratio_of_sums(sums, weights) for name, sums in sums_by_name.items()}
     for name in _SHARES:
-        ratios[name] |= _binomial(sums_by_name[name])
+        ratios[name] |= _clopper_pearson_interval(sums_by_name[name])
     # The ratio of the prediction errors was averaged as a logarithm.
     for end in ("value", "low", "high"):
         log_ratio = ratios["prediction_error"][end]
         ratios["prediction_error"][end] = None if log_ratio is None else float(np.exp(log_ratio))
     return {
-        "skill": _interval(
+        "skill": _score_with_interval(
             _skill(loss, base, np.ones((1, len(loss)))), _skill(loss, base, weights), len(loss)
         ),
         **ratios,
@@ -104,7 +104,7 @@ def _skill(loss: Floats, base: Floats, weights: Floats) -> Floats:
     return np.asarray(1.0 - weights @ loss / (weights @ base))
 
 
-def _losses(scores: Sequence[CaseScore]) -> tuple[Floats, Floats]:
+def _log_losses(scores: Sequence[CaseScore]) -> tuple[Floats, Floats]:
     """Return the logarithmic loss of the method, and that of the base rates, in each case."""
     return np.array([case.log_loss for case in scores]), np.array([case.base_loss for case in scores])
 
@@ -140,7 +140,7 @@ def _case_sums(scores: Sequence[CaseScore]) -> dict[str, CaseSums]:
     }
 
 
-def _ratio(sums: CaseSums, weights: Floats) -> dict[str, Any]:
+def _ratio_of_sums(sums: CaseSums, weights: Floats) -> dict[str, Any]:
     """Return the ratio of two sums over the cases, with its bootstrap interval."""
     count = int(sums.denominators.sum())
     if not count:
@@ -148,10 +148,10 @@ def _ratio(sums: CaseSums, weights: Floats) -> dict[str, Any]:
     totals = weights @ sums.denominators
     # A resample may contain none of the cases that count.
     resampled = (weights @ sums.numerators)[totals > 0.0] / totals[totals > 0.0]
-    return _interval(np.array([sums.numerators.sum() / sums.denominators.sum()]), resampled, count)
+    return _score_with_interval(np.array([sums.numerators.sum() / sums.denominators.sum()]), resampled, count)
 
 
-def _binomial(share: CaseSums) -> dict[str, float]:
+def _clopper_pearson_interval(share: CaseSums) -> dict[str, float]:
     """Return the 95 % interval of Clopper and Pearson of a share of cases."""
     from scipy.stats import binomtest
 
@@ -169,41 +169,43 @@ def _calibration(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]
     """
     bins = len(_BINS) - 1
     excess, counts = np.zeros((len(scores), bins)), np.zeros((len(scores), bins))
-    for i, case in enumerate(scores):
-        for probability, true in case.calibration:
+    for case_index, case in enumerate(scores):
+        for probability, is_true in case.calibration:
             bin_index = int(np.searchsorted(_BINS, probability, side="right")) - 1
-            excess[i, bin_index] += probability - true
-            counts[i, bin_index] += 1.0
+            excess[case_index, bin_index] += probability - is_true
+            counts[case_index, bin_index] += 1.0
     excess, counts = excess[:, 1:], counts[:, 1:]
     if not counts.sum():
         return {"value": None, "low": None, "high": None, "cases": 0}
     value = np.abs(excess.sum(axis=0)).sum() / counts.sum()
     totals = (weights @ counts).sum(axis=1)
     resampled = np.abs(weights @ excess).sum(axis=1)[totals > 0.0] / totals[totals > 0.0]
-    return _interval(np.array([value]), resampled, int(counts.sum()))
+    return _score_with_interval(np.array([value]), resampled, int(counts.sum()))
 
 
-def _difference(first: Sequence[CaseScore], second: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
+def _difference_of_methods(
+    first: Sequence[CaseScore], second: Sequence[CaseScore], weights: Floats
+) -> dict[str, Any]:
     """Compare two methods on the same resampled cases."""
-    (loss_a, base), (loss_b, _) = _losses(first), _losses(second)
+    (loss_a, base), (loss_b, _) = _log_losses(first), _log_losses(second)
     unweighted = np.ones((1, len(base)))
-    skill = _interval(
+    skill = _score_with_interval(
         _skill(loss_a, base, unweighted) - _skill(loss_b, base, unweighted),
         _skill(loss_a, base, weights) - _skill(loss_b, base, weights),
         len(base),
     )
     named_a, named_b = _case_sums(first)["all_named"], _case_sums(second)["all_named"]
     all_named = CaseSums(named_a.numerators - named_b.numerators, named_a.denominators)
-    return {"skill": skill, "all_named": _ratio(all_named, weights)}
+    return {"skill": skill, "all_named": _ratio_of_sums(all_named, weights)}
 
 
-def _interval(value: Floats, resampled: Floats, cases: int) -> dict[str, Any]:
+def _score_with_interval(value: Floats, resampled: Floats, cases: int) -> dict[str, Any]:
     """Return a score, `value` of shape (1,), with the 95 % interval of its `resampled` values."""
     low, high = np.percentile(resampled, _INTERVAL_PERCENTILES)
     return {"value": float(value[0]), "low": float(low), "high": float(high), "cases": cases}
 
 
-def _mean(values: Sequence[float | None]) -> float | None:
+def _mean_of_known(values: Sequence[float | None]) -> float | None:
     """Return the mean of the `values` that are known; None if none is."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None

@@ -40,7 +40,7 @@ def train(resources: Path) -> None:
         hidden += names
     inputs, models = np.concatenate(features), {}
     for name in split.causes.names:
-        labels = np.array([name in of for of in hidden])
+        labels = np.array([name in hidden_causes for hidden_causes in hidden])
         if labels.sum() >= _FEWEST:
             boosting = HistGradientBoostingClassifier(max_iter=60, early_stopping=False, random_state=0)
             models[name] = boosting.fit(inputs, labels)

@@ -54,7 +54,7 @@ def torques_of_terms(
         return torques
 
     text = "; ".join(f"{term.axis} torque: {size:.3g} {term.shape}" for term, size in unlisted)
-    return {"equation": text, "equation_torques": _along(case, torque_Nm)}
+    return {"equation": text, "equation_torques": _torques_along_flights(case, torque_Nm)}
 
 
 def torques_of_accelerations(
@@ -84,10 +84,12 @@ def torques_of_accelerations(
             accelerations[:, axis] = scales.residual_std[axis] * np.asarray(equation(features)).ravel()
         return np.asarray(np.linalg.solve(model.by_torques(motion), accelerations[:, :, None])[:, :, 0])
 
-    return {"equation_torques": _along(case, torque_Nm)} if equations else {}
+    return {"equation_torques": _torques_along_flights(case, torque_Nm)} if equations else {}
 
 
-def _along(case: BenchmarkCase, torque_Nm: Callable[[SmoothedFlight], Floats]) -> dict[str, Any]:
+def _torques_along_flights(
+    case: BenchmarkCase, torque_Nm: Callable[[SmoothedFlight], Floats]
+) -> dict[str, Any]:
     """Return the torques along each validation flight as the content of an answer file."""
     series = {}
     for number, flight in enumerate(case.validation):

@@ -36,12 +36,12 @@ class TermEvidence:
         self._nuisance = nuisance
         # The rig parameters are projected out, within their priors.
         self._to_nuisance = np.linalg.solve(nuisance.T @ nuisance + np.eye(nuisance.shape[1]), nuisance.T)
-        self._bases = [self._basis(term.columns) for term in regression.terms]
+        self._bases = [self._orthonormal_basis(term.columns) for term in regression.terms]
         self._columns_by_cause: dict[str, list[Floats]] = {}
         for term in regression.terms:
             self._columns_by_cause.setdefault(term.cause, []).append(term.columns)
 
-    def _basis(self, columns: Floats) -> Floats:
+    def _orthonormal_basis(self, columns: Floats) -> Floats:
         """Return an orthonormal basis of the part of `columns` that rig parameters cannot imitate."""
         residual = columns - self._nuisance @ (self._to_nuisance @ columns)
         vectors, singular_values, _ = np.linalg.svd(residual, full_matrices=False)

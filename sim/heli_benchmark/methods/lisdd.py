@@ -54,15 +54,15 @@ def _clean_residual(regression: ResidualRegression, regimes: np.ndarray) -> Floa
 
     The clean regimes are the half with the least residual energy. Fit and choice are repeated three times.
     """
-    clean = np.ones(len(regimes), bool)
+    is_clean = np.ones(len(regimes), bool)
     prior = np.eye(regression.nuisance.shape[1])
     for _ in range(3):
-        design = np.vstack([regression.nuisance[clean], prior])
-        target = np.concatenate([regression.target[clean], np.zeros(len(prior))])
+        design = np.vstack([regression.nuisance[is_clean], prior])
+        target = np.concatenate([regression.target[is_clean], np.zeros(len(prior))])
         residual = regression.target - regression.nuisance @ np.linalg.lstsq(design, target)[0]
         energies = [float(np.mean(residual[regimes == regime] ** 2)) for regime in range(_REGIMES)]
-        clean = np.isin(regimes, np.argsort(energies)[: _REGIMES // 2])
-    return np.asarray(residual / residual[clean].std())
+        is_clean = np.isin(regimes, np.argsort(energies)[: _REGIMES // 2])
+    return np.asarray(residual / residual[is_clean].std())
 
 
 def _held_out_error(term: Term, residual: Floats, fit: np.ndarray, held_out: np.ndarray) -> float:
@@ -74,11 +74,11 @@ def _held_out_error(term: Term, residual: Floats, fit: np.ndarray, held_out: np.
 def _p_value(term: Term, residual: Floats, test: np.ndarray) -> float:
     """Return the p-value of an F-test: does the term explain a part of the residual on the rows `test`?"""
     columns, before = term.columns[test], residual[test]
-    used = columns.shape[1]
-    degrees_of_freedom = len(before) - used
+    coefficient_count = columns.shape[1]
+    degrees_of_freedom = len(before) - coefficient_count
     if degrees_of_freedom <= 0:
         return 1.0
     after = before - columns @ np.linalg.lstsq(columns, before)[0]
-    explained_variance = (before @ before - after @ after) / used
+    explained_variance = (before @ before - after @ after) / coefficient_count
     ratio = explained_variance / (after @ after / degrees_of_freedom)
-    return float(f.sf(ratio, used, degrees_of_freedom))
+    return float(f.sf(ratio, coefficient_count, degrees_of_freedom))

@@ -97,7 +97,7 @@ class AccelerationModel:
 
     def acceleration(self, flight: SmoothedFlight) -> Floats:
         """Return the accelerations of the three axes along a `flight`, rad/s2, shape (n, 3)."""
-        return self._evaluated(flight, ("acceleration",), self._accelerations)[:, :, 0]
+        return self._evaluate_along(flight, ("acceleration",), self._accelerations)[:, :, 0]
 
     def jacobian(
         self, flight: SmoothedFlight, names: Sequence[str], changed_values: Mapping[str, float] | None = None
@@ -120,7 +120,7 @@ class AccelerationModel:
         """
         parameters = ca.vertcat(*(self._p[self.names.index(name)] for name in names))
         derivatives = ca.jacobian(self._accelerations, parameters)
-        return self._evaluated(flight, tuple(names), derivatives, changed_values)
+        return self._evaluate_along(flight, tuple(names), derivatives, changed_values)
 
     def by_torques(self, flight: SmoothedFlight) -> Floats:
         """Return the derivatives along a `flight` by torques about the three axes, shape (n, 3, 3)."""
@@ -128,9 +128,9 @@ class AccelerationModel:
 
     def by_volts(self, flight: SmoothedFlight) -> Floats:
         """Return the derivatives along a `flight` by the two voltages, shape (n, 3, 2)."""
-        return self._evaluated(flight, ("volts",), ca.jacobian(self._accelerations, self._u))
+        return self._evaluate_along(flight, ("volts",), ca.jacobian(self._accelerations, self._u))
 
-    def _evaluated(
+    def _evaluate_along(
         self,
         flight: SmoothedFlight,
         key: tuple[str, ...],

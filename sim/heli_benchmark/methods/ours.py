@@ -41,8 +41,8 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     parameters = _rig_parameters(diagnosis, causes, case.rig)
     for cause in causes:
         confidence, effect = float(cause["confidence"]), cause["effect"]
-        parts = of_parts(effect, cause["parameters"])
-        for name in parts:
+        estimates_by_cause = of_parts(effect, cause["parameters"])
+        for name in estimates_by_cause:
             if name in case.causes.listed:
                 named[name] = max(named.get(name, 0.0), confidence)
             else:
@@ -52,7 +52,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
                 # The doubt is also about what no effect explains: no alternative is more probable than the
                 # cause.
                 named.setdefault(other, min(confidence, 1.0 - confidence))
-        for name, estimate in (item for part in parts.values() for item in part.items()):
+        for name, estimate in (item for part in estimates_by_cause.values() for item in part.items()):
             if name in case.causes.parameter_names and estimate["std"] and math.isfinite(estimate["std"]):
                 parameters[name] = Estimate(float(estimate["value"]), float(estimate["std"]))
     if verdict == "explained" and len(named) == 1:

@@ -24,13 +24,15 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     inputs = np.hstack([regression.features, regression.features[:, :6] ** 2])
     detected = False
     for residual in regression.residuals.T:
-        plain = AutoReg(residual, _ORDER).fit()
+        without_inputs = AutoReg(residual, _ORDER).fit()
         with_inputs = AutoReg(residual, _ORDER, exog=inputs).fit()
-        ratio = 2.0 * (with_inputs.llf - plain.llf)
-        depends = chi2.sf(ratio, inputs.shape[1]) < _SIGNIFICANCE / 3.0
-        white = acorr_ljungbox(with_inputs.resid, [10])["lb_pvalue"].iloc[0] >= _SIGNIFICANCE / 3.0
+        ratio = 2.0 * (with_inputs.llf - without_inputs.llf)
+        is_dependent = chi2.sf(ratio, inputs.shape[1]) < _SIGNIFICANCE / 3.0
+        is_white = acorr_ljungbox(with_inputs.resid, [10])["lb_pvalue"].iloc[0] >= _SIGNIFICANCE / 3.0
         # Without whiteness the ratio has another distribution, so that it must be far beyond its limit.
-        detected |= bool(depends and (white or ratio > 3.0 * chi2.isf(_SIGNIFICANCE / 3.0, inputs.shape[1])))
+        detected |= bool(
+            is_dependent and (is_white or ratio > 3.0 * chi2.isf(_SIGNIFICANCE / 3.0, inputs.shape[1]))
+        )
     rig = regression.parameters([])
     if not detected:
         return answer_with(case.causes, {NOTHING: 0.8}, rig)

@@ -52,7 +52,7 @@ def hide(flight: Flight, effect: KnownEffect, at_s: float, count_rad: Floats) ->
     return HIDERS[effect.id](flight, effect.size, at_s, count_rad)
 
 
-def _delay(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flight:
+def _voltage_delay(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flight:
     """Log each voltage `size` seconds before it acts."""
     rows = round(size / flight.step_s)
     rows_left = slice(None, len(flight) - rows)
@@ -63,46 +63,46 @@ def _delay(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Fli
     )
 
 
-def _asymmetry(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flight:
+def _thrust_asymmetry(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flight:
     return replace(flight, front_V=flight.front_V / (1.0 + size), back_V=flight.back_V / (1.0 - size))
 
 
-def _step(flight: Flight, size: float, at_s: float, _count_rad: Floats) -> Flight:
+def _thrust_step(flight: Flight, size: float, at_s: float, _count_rad: Floats) -> Flight:
     voltage_share = np.where(flight.t_s < at_s, 1.0, 1.0 - size)
     return replace(flight, front_V=flight.front_V / voltage_share)
 
 
-def _fade(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flight:
+def _fading_supply(flight: Flight, size: float, _at_s: float, _count_rad: Floats) -> Flight:
     voltage_share = 1.0 - size * flight.t_s
     return replace(flight, front_V=flight.front_V / voltage_share, back_V=flight.back_V / voltage_share)
 
 
-def _play(flight: Flight, size: float, _at_s: float, count_rad: Floats) -> Flight:
+def _encoder_play(flight: Flight, size: float, _at_s: float, count_rad: Floats) -> Flight:
     """Let the encoder of pitch follow the axis with a play of `size` rad."""
     encoder_rad, half_play_rad = np.empty(len(flight)), 0.5 * size
     shown_rad = float(flight.pitch_rad[0])
     for row, axis_rad in enumerate(flight.pitch_rad):
         shown_rad = min(max(shown_rad, axis_rad - half_play_rad), axis_rad + half_play_rad)
         encoder_rad[row] = shown_rad
-    return replace(flight, pitch_rad=_quantised(encoder_rad, count_rad[1]))
+    return replace(flight, pitch_rad=_rounded_to_counts(encoder_rad, count_rad[1]))
 
 
-def _eccentricity(flight: Flight, size: float, _at_s: float, count_rad: Floats) -> Flight:
+def _encoder_eccentricity(flight: Flight, size: float, _at_s: float, count_rad: Floats) -> Flight:
     shown_rad = flight.travel_rad + size * np.sin(flight.travel_rad)
-    return replace(flight, travel_rad=_quantised(shown_rad, count_rad[2]))
+    return replace(flight, travel_rad=_rounded_to_counts(shown_rad, count_rad[2]))
 
 
-def _quantised(angle_rad: Floats, count_rad: float) -> Floats:
+def _rounded_to_counts(angle_rad: Floats, count_rad: float) -> Floats:
     return np.asarray(np.round(angle_rad / count_rad) * count_rad)
 
 
 HIDERS: Final[Mapping[str, Callable[[Flight, float, float, Floats], Flight]]] = {
-    "input_delay": _delay,
-    "thrust_asymmetry": _asymmetry,
-    "thrust_step.front": _step,
-    "thrust_fade": _fade,
-    "backlash.pitch": _play,
-    "encoder_eccentricity.travel": _eccentricity,
+    "input_delay": _voltage_delay,
+    "thrust_asymmetry": _thrust_asymmetry,
+    "thrust_step.front": _thrust_step,
+    "thrust_fade": _fading_supply,
+    "backlash.pitch": _encoder_play,
+    "encoder_eccentricity.travel": _encoder_eccentricity,
 }
 HIDDEN_EFFECTS: Final[tuple[KnownEffect, ...]] = (
     KnownEffect("input_delay", 0.03),

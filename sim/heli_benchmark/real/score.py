@@ -102,8 +102,8 @@ def score(
     if cause is not None:
         confidence = cause["confidence"]
         if cause["effect"] in names:
-            size, std = _size(cause, t_s)
-            truth = _truth(effect, cause["effect"], result, volts_V, t_s, rig) + _reference_size(
+            size, std = _size_and_error(cause, t_s)
+            truth = _true_size(effect, cause["effect"], result, volts_V, t_s, rig) + _reference_size(
                 reference, names, t_s
             )
     undetectable = bool({*names} & {*result["undetectable"]})
@@ -145,10 +145,12 @@ def _indistinguishable_names(cause: Mapping[str, Any]) -> tuple[str, ...]:
 
 def _reference_size(reference: Mapping[str, Any], names: tuple[str, ...], t_s: Floats) -> float:
     """Return the size of the same cause in the unchanged flights; 0 if they do not have it."""
-    return next((_size(cause, t_s)[0] for cause in reference["causes"] if cause["effect"] in names), 0.0)
+    return next(
+        (_size_and_error(cause, t_s)[0] for cause in reference["causes"] if cause["effect"] in names), 0.0
+    )
 
 
-def _size(cause: Mapping[str, Any], t_s: Floats) -> tuple[float, float]:
+def _size_and_error(cause: Mapping[str, Any], t_s: Floats) -> tuple[float, float]:
     """Return the size and the standard error of a cause, in the unit of `KnownEffect.size`.
 
     The size of a fade is the share that is lost in the middle of the flight, because its two parameters, rate
@@ -176,7 +178,7 @@ def _size(cause: Mapping[str, Any], t_s: Floats) -> tuple[float, float]:
     return value_and_std(suffix)
 
 
-def _truth(
+def _true_size(
     effect: KnownEffect, name: str, result: Mapping[str, Any], volts_V: Floats, t_s: Floats, rig: Rig
 ) -> float:
     """Return the true size of the hidden effect in the unit of the cause `name`.

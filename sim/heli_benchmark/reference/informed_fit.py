@@ -62,7 +62,7 @@ def fit_informed(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[True
         True effects. `random_torque` is omitted, because an open-loop simulation cannot predict it.
     """
     records = prepare(flights[0], rig, "a"), prepare(flights[1], rig, "b")
-    nothing = _fit(rig, records, (), {}, None)
+    nothing = _fit_effects(rig, records, (), {}, None)
     kinds = catalogue()
     effects, fixed_values = [], dict[str, float]()
     for effect in hidden:
@@ -73,20 +73,24 @@ def fit_informed(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[True
             effects.append(kind.make(effect.start))
             # A free frequency would diverge before its torque, which starts small, has grown.
             fixed_values |= {name: value for name, value in effect.start.items() if name.endswith("_Hz")}
-    informed = _best(rig, records, effects, fixed_values, nothing) if effects or fixed_values else nothing
-    train, held_out = _errors(informed, records[1])
+    informed = (
+        _best_of_several_starts(rig, records, effects, fixed_values, nothing)
+        if effects or fixed_values
+        else nothing
+    )
+    train, held_out = _normalised_errors(informed, records[1])
     names = {name for effect in effects for name in effect.priors}
     return InformedFit(
         train,
         held_out,
-        *_errors(nothing, records[1]),
-        {effect.id: _significance(informed, kinds[effect.id].size) for effect in hidden},
+        *_normalised_errors(nothing, records[1]),
+        {effect.id: _size_in_standard_errors(informed, kinds[effect.id].size) for effect in hidden},
         {name: value for name, value in informed.values.items() if name in names},
         {name: value for name, value in informed.std.items() if name in names},
     )
 
 
-def _best(
+def _best_of_several_starts(
     rig: Rig,
     records: tuple[Record, Record],
     effects: list[Effect],
@@ -98,7 +102,7 @@ def _best(
     best: Fit | None = None
     for share in _START_SHARES:
         start = {**nothing.values, **{name: share * value for name, value in sizes.items()}}
-        fit = _fit(rig, records, tuple(effects), fixed_values, start)
+        fit = _fit_effects(rig, records, tuple(effects), fixed_values, start)
         if best is None or check(fit).normalised < check(best).normalised:
             best = fit
         if check(best).normalised < _GOOD_FIT:
@@ -107,7 +111,7 @@ def _best(
     return best
 
 
-def _fit(
+def _fit_effects(
     rig: Rig,
     records: tuple[Record, Record],
     effects: tuple[Effect, ...],
@@ -127,12 +131,12 @@ def _fit(
     return solve(problem, start=start)
 
 
-def _errors(fit: Fit, held_out: Record) -> tuple[float, float]:
+def _normalised_errors(fit: Fit, held_out: Record) -> tuple[float, float]:
     """Return the normalised errors of a fit on its own flight and on the held-out flight."""
     return check(fit).normalised, check(validate(fit, [held_out])).normalised
 
 
-def _significance(fit: Fit, sizes: Sequence[str]) -> float | None:
+def _size_in_standard_errors(fit: Fit, sizes: Sequence[str]) -> float | None:
     """Return the size of an effect in standard errors (Mahalanobis distance of all its sizes from 0)."""
     indices = [i for i, name in enumerate(fit.problem.names) if name in sizes]
     if not indices:

@@ -100,7 +100,7 @@ def translated(id_: str, of: ParameterValues, motors_on_s: float) -> TrueEffect:
     return TrueEffect(id_, start, {f"{prefix}_{what}": value for what, value in scalars.items()}, amplitudes)
 
 
-def _ground(of: ParameterValues) -> dict[str, float]:
+def _ground_effect_parameters(of: ParameterValues) -> dict[str, float]:
     # The table of the generator is at the end of the arm at -25 degrees. That of the catalogue is 0.25 m
     # below the axis, and the rotors are L_theta below the arm.
     lower_m = 0.64 * math.sin(math.radians(25.0)) - 0.25 + 0.03
@@ -116,7 +116,7 @@ _SAME: Mapping[str, Callable[[ParameterValues], dict[str, float]]] = {
     "thrust_fade": lambda of: {"per_s": of["size"] / 60.0},
     "thrust_step": lambda of: {"share": of["size"]},
     "supply_sag": lambda of: {"per_V": of["size"] / 2.0},
-    "ground_effect": _ground,
+    "ground_effect": _ground_effect_parameters,
     "coulomb_friction": lambda of: {"Nm": of["size"]},
     **dict.fromkeys(
         ("pitch_drag_quadratic", "travel_drag_quadratic"),

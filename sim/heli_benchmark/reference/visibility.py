@@ -85,9 +85,9 @@ def visibility(case: DisturbedCase, duration_s: float = TRAIN_S) -> dict[str, fl
     causes = []
     for i in range(len(names)):
         effects = case.hidden(0)
-        without = ReplayedRig(rig, [*effects[:i], *effects[i + 1 :]])
-        forces_without = without.forces(trajectory) if acts_by_itself(effects[i]) else forces
-        difference = acceleration - without.accelerations(trajectory, forces_without)
+        rig_without_cause = ReplayedRig(rig, [*effects[:i], *effects[i + 1 :]])
+        forces_without = rig_without_cause.forces(trajectory) if acts_by_itself(effects[i]) else forces
+        difference = acceleration - rig_without_cause.accelerations(trajectory, forces_without)
         encoder_error_rad = forces.encoder_rad - forces_without.encoder_rad
         causes.append(CauseContribution(linearised.torque(difference, FINE), encoder_error_rad))
     others = imitators(rig, trajectory, forces, linearised)
@@ -186,13 +186,13 @@ class LinearisedRig:
             gain = np.linalg.solve(innovation_covariance, output @ covariance).T
             error = error - gain @ innovation
             covariance = covariance - gain @ output @ covariance
-            transition, input_matrix = self._step(k, gusts[1], drift[1])
+            transition, input_matrix = self._discrete_step(k, gusts[1], drift[1])
             error = transition @ error + input_matrix @ torques[k]
             covariance = transition @ covariance @ transition.T + process_covariance
             covariance = 0.5 * (covariance + covariance.T)
         return whitened.reshape(-1, len(contributions))
 
-    def _step(self, k: int, gust_decay: float, drift_decay: float) -> tuple[Floats, Floats]:
+    def _discrete_step(self, k: int, gust_decay: float, drift_decay: float) -> tuple[Floats, Floats]:
         """Return the transition matrix of a step, (12, 12), and the input matrix of a torque, (12, 3)."""
         h = GRID_S
         a = np.zeros((6, 6))

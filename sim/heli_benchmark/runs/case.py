@@ -100,9 +100,11 @@ def run(case: Case, folder: Path, *, keep: bool = False, refits: int = REFITS) -
         The judgement.
     """
     prepared = prepare(case, folder, keep=keep)
-    code = _digest("", _DIAGNOSIS_FILES)
+    code = _digest_of_files("", _DIAGNOSIS_FILES)
     case_folder = folder / case.name / "diagnosis.json"
-    answer = _cached(case_folder, code, keep, lambda: timed_diagnosis(prepared.rig, prepared.flights, refits))
+    answer = _cached_result(
+        case_folder, code, keep, lambda: timed_diagnosis(prepared.rig, prepared.flights, refits)
+    )
     return judge(
         case,
         hidden_in(case, _motors_on_s(prepared.flights[0], prepared.rig)),
@@ -111,7 +113,7 @@ def run(case: Case, folder: Path, *, keep: bool = False, refits: int = REFITS) -
         answer["seconds"],
         answer["failure"],
         cpu_seconds=answer["cpu_seconds"],
-        disturbances=_conditions(case) if isinstance(case, DisturbedCase) else {},
+        disturbances=_conditions_text(case) if isinstance(case, DisturbedCase) else {},
     )
 
 
@@ -131,7 +133,7 @@ def run_named_case(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[st
 
 def code_of_rows() -> str:
     """Return the digest of all files that a row depends on: flights, diagnosis and scoring."""
-    return _digest("", (*sorted(_BENCHMARK.rglob("*.py")), *_DIAGNOSIS_FILES))
+    return _digest_of_files("", (*sorted(_BENCHMARK.rglob("*.py")), *_DIAGNOSIS_FILES))
 
 
 def prepare(case: Case, folder: Path, *, keep: bool = False) -> PreparedCase:
@@ -146,7 +148,9 @@ def prepare(case: Case, folder: Path, *, keep: bool = False) -> PreparedCase:
     """
     case_folder = folder / case.name
     case_folder.mkdir(parents=True, exist_ok=True)
-    made_by = _digest(repr(case), _DISTURBED_FILES if isinstance(case, DisturbedCase) else _FLIGHT_CODE_FILES)
+    made_by = _digest_of_files(
+        repr(case), _DISTURBED_FILES if isinstance(case, DisturbedCase) else _FLIGHT_CODE_FILES
+    )
     digest_file = case_folder / "made_by.txt"
     is_current = digest_file.exists() and digest_file.read_text() == made_by
     if not is_current and not (keep and any(case_folder.iterdir())):
@@ -158,13 +162,13 @@ def prepare(case: Case, folder: Path, *, keep: bool = False) -> PreparedCase:
     flights = read_flight(paths[0]), read_flight(paths[1])
     rig = load_rig(case.rig_name if isinstance(case, DisturbedCase) else _PAPER)
     if isinstance(case, DisturbedCase):
-        code = _digest(made_by, _VISIBILITY_FILES)
-        visible = _cached(case_folder / "visibility.json", code, keep, lambda: dict(visibility(case)))
+        code = _digest_of_files(made_by, _VISIBILITY_FILES)
+        visible = _cached_result(case_folder / "visibility.json", code, keep, lambda: dict(visibility(case)))
         return PreparedCase(flights, rig, visible)
     # The truth does not depend on the laboratory: an edit there does not require 127 new fits.
     hidden = hidden_in(case, _motors_on_s(flights[0], rig))
-    code = _digest(made_by, _REFERENCE_FILES)
-    informed = _cached(
+    code = _digest_of_files(made_by, _REFERENCE_FILES)
+    informed = _cached_result(
         case_folder / "informed.json", code, keep, lambda: asdict(fit_informed(rig, flights, hidden))
     )
     return PreparedCase(flights, rig, InformedFit(**informed))
@@ -184,7 +188,7 @@ def cause_visibility(case: Case, folder: Path, keep: bool) -> dict[str, float | 
     return reference.significance if isinstance(reference, InformedFit) else dict(reference)
 
 
-def _conditions(case: DisturbedCase) -> dict[str, Any]:
+def _conditions_text(case: DisturbedCase) -> dict[str, Any]:
     """Return rig, rate, controller and disturbances of a case, for tables of results."""
     disturbances = case.disturbances
     return {
@@ -206,7 +210,9 @@ def _motors_on_s(flight: Flight, rig: Rig) -> float:
     return float(flight.t_s[is_on][0] - flight.t_s[0])
 
 
-def _cached(path: Path, made_by: str, keep: bool, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+def _cached_result(
+    path: Path, made_by: str, keep: bool, compute: Callable[[], dict[str, Any]]
+) -> dict[str, Any]:
     """Return the result in the file `path`; if it is missing or outdated, `compute` and write it.
 
     A result is outdated if code of another digest than `made_by` wrote it, unless `keep` is set.
@@ -223,7 +229,7 @@ def _cached(path: Path, made_by: str, keep: bool, compute: Callable[[], dict[str
     return result
 
 
-def _digest(text: str, files: Iterable[Path]) -> str:
+def _digest_of_files(text: str, files: Iterable[Path]) -> str:
     """Return the SHA-256 of a text followed by the content of files."""
     digest = hashlib.sha256(text.encode())
     for path in files:

@@ -43,7 +43,7 @@ class TrueEquationEffect(Effect):
     def __hash__(self) -> int:
         return hash((self.name, tuple(self.values.items())))
 
-    def _inputs(self, at: Operands) -> EquationInputs:
+    def _input_symbols(self, at: Operands) -> EquationInputs:
         """Return the arguments of the equation as symbols."""
         q = [at.state[f"{axis}_rad"] for axis in _AXES]
         w = [at.state[f"{axis}_rate_rad_s"] for axis in _AXES]
@@ -51,7 +51,7 @@ class TrueEquationEffect(Effect):
         return EquationInputs(q, w, [at.thrust_N[0], at.thrust_N[1]], late)
 
     def _value(self, at: Operands) -> ca.SX:
-        value: ca.SX = self.own(at, "size") * self.equation.value(ca, self._inputs(at), self.numbers)
+        value: ca.SX = self.own(at, "size") * self.equation.value(ca, self._input_symbols(at), self.numbers)
         return value
 
     def torque_Nm(self, at: Operands) -> ca.SX:
@@ -71,7 +71,7 @@ class TrueEquationEffect(Effect):
         if not self.states:
             return ca.SX.zeros(0)
         assert self.equation.remembers is not None
-        inputs = self._inputs(at)
+        inputs = self._input_symbols(at)
         return ca.SX((self.equation.remembers(inputs) - inputs.late) / self.numbers["lag_s"])
 
 

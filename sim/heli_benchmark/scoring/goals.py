@@ -29,7 +29,7 @@ def goals(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
         without a requirement or without cases). ``borderline`` has the counts of cases that only a very
         good test would detect.
     """
-    clean, disturbed = _split(rows)
+    clean, disturbed = _clean_and_disturbed(rows)
     with_causes = [row for row in disturbed if row.kind in ("one", "several")]
     unlisted = [row for row in disturbed if row.kind == "off_list"]
     false_confidences = [name.confidence for row in disturbed for name in row.answers if not name.is_hidden]
@@ -37,15 +37,21 @@ def goals(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     false_names = [bool(row.false_names) for row in disturbed]
     bins = [holds(confidence_bin) for confidence_bin in reliability(rows) if confidence_bin["causes"]]
     return {
-        "clean: named first, or listed as too small": _at_least(_right(clean, "one", "several"), 0.97),
+        "clean: named first, or listed as too small": _at_least(
+            _is_right_by_case(clean, "one", "several"), 0.97
+        ),
         "clean: false alarms on nothing hidden": _at_most(alarms, 0.0),
-        "disturbed: every cause named": _at_least(_right(with_causes), 0.95, _borderline(with_causes)),
+        "disturbed: every cause named": _at_least(
+            _is_right_by_case(with_causes), 0.95, _is_right_by_borderline_case(with_causes)
+        ),
         "disturbed: false names with confidence 0.7 or more": _at_most(
             [confidence >= CONFIDENT for confidence in false_confidences], 0.0
         ),
         "disturbed: cases with any false name": _at_most(false_names, 0.03),
-        "disturbed: nothing hidden is explained": _at_least(_right(disturbed, "nothing"), 0.95),
-        "disturbed: unlisted is unexplained": _at_least(_right(unlisted), 0.95, _borderline(unlisted)),
+        "disturbed: nothing hidden is explained": _at_least(_is_right_by_case(disturbed, "nothing"), 0.95),
+        "disturbed: unlisted is unexplained": _at_least(
+            _is_right_by_case(unlisted), 0.95, _is_right_by_borderline_case(unlisted)
+        ),
         "numbers within 2 standard errors": _at_least(_estimates_right(rows), 0.93),
         "confidence: bins within their binomial bounds": _at_least(bins, 1.0),
     }
@@ -64,7 +70,7 @@ def further_counts(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     dict
         As `goals` returns it.
     """
-    clean, disturbed = _split(rows)
+    clean, disturbed = _clean_and_disturbed(rows)
     visible_clean = [row for row in clean if row.kind in ("one", "several") and row.counts]
     visible_disturbed = [row for row in disturbed if row.kind in ("one", "several") and row.counts]
     is_named = [
@@ -80,7 +86,7 @@ def further_counts(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     ]
     cause_found = [row.verdict == "cause_found" for row in visible_disturbed]
     return {
-        "clean: unlisted called unexplained": _at_least(_right(clean, "off_list")),
+        "clean: unlisted called unexplained": _at_least(_is_right_by_case(clean, "off_list")),
         "clean: listed as too small": _at_least([row.listed_as_too_small for row in visible_clean]),
         "clean: every visible cause named": _at_least([not row.missed for row in visible_clean]),
         "clean: nothing named that is not there": _at_least([not row.false_names for row in visible_clean]),
@@ -109,18 +115,18 @@ def table(goals: dict[str, dict[str, Any]]) -> list[str]:
     lines = []
     for name, goal in goals.items():
         share = f"{goal['share']:.1%}" if goal["of"] else "-"
-        wanted, mark = "", ""
+        wanted_text, mark_text = "", ""
         if goal["wanted"] is not None:
-            wanted = f"{'<=' if goal['at_most'] else '>='} {goal['wanted']:.0%}"
-            mark = {True: "reached", False: "MISSED", None: "nothing counted"}[goal["reached"]]
+            wanted_text = f"{'<=' if goal['at_most'] else '>='} {goal['wanted']:.0%}"
+            mark_text = {True: "reached", False: "MISSED", None: "nothing counted"}[goal["reached"]]
         cases = goal.get("borderline")
         borderline = f"; borderline {cases['count']} of {cases['of']}" if cases and cases["of"] else ""
         counts = f"{goal['count']:4d} of {goal['of']:4d}  {share:>6s}"
-        lines.append(f"  {name:61s} {counts}  {wanted:8s} {mark}{borderline}".rstrip())
+        lines.append(f"  {name:61s} {counts}  {wanted_text:8s} {mark_text}{borderline}".rstrip())
     return lines
 
 
-def _split(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
+def _clean_and_disturbed(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
     """Split rows into clean and disturbed cases."""
     rows_by_disturbance: tuple[list[Row], list[Row]] = ([], [])
     for row in rows:
@@ -128,12 +134,12 @@ def _split(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
     return rows_by_disturbance
 
 
-def _right(rows: Iterable[Row], *kinds: str) -> list[bool]:
+def _is_right_by_case(rows: Iterable[Row], *kinds: str) -> list[bool]:
     """Return for each case that counts whether its answer is right; only cases of `kinds`, if given."""
     return [row.right for row in rows if row.counts and (not kinds or row.kind in kinds)]
 
 
-def _borderline(rows: Iterable[Row]) -> list[bool]:
+def _is_right_by_borderline_case(rows: Iterable[Row]) -> list[bool]:
     """Return for each borderline case whether its answer is right."""
     return [row.right for row in rows if row.is_borderline]
 
@@ -149,7 +155,7 @@ def _at_least(
     """Return the goal that at least the share `wanted` of the `flags` is true; without `wanted`, a count."""
     share = sum(flags) / max(len(flags), 1)
     reached = None if wanted is None or not flags else share >= wanted
-    goal = _goal(flags, share, wanted, False, reached)
+    goal = _share_goal(flags, share, wanted, False, reached)
     if borderline_cases:
         goal["borderline"] = {"count": sum(borderline_cases), "of": len(borderline_cases)}
     return goal
@@ -158,10 +164,10 @@ def _at_least(
 def _at_most(flags: Sequence[bool], wanted: float) -> dict[str, Any]:
     """Return the goal that at most the share `wanted` of the `flags` is true."""
     share = sum(flags) / max(len(flags), 1)
-    return _goal(flags, share, wanted, True, share <= wanted)
+    return _share_goal(flags, share, wanted, True, share <= wanted)
 
 
-def _goal(
+def _share_goal(
     flags: Sequence[bool], share: float, wanted: float | None, at_most: bool, reached: bool | None
 ) -> dict[str, Any]:
     """Return one goal as `goals` describes it; `at_most` says on which side of `wanted` the share must be."""

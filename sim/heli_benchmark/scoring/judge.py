@@ -153,13 +153,13 @@ class Row:
     def named_correctly(self) -> tuple[str, ...]:
         """Hidden effects that the diagnosis named, alone or as one of two that it does not distinguish."""
         return tuple(
-            name for name in self.hidden if any(self._means(i, name) for i in range(len(self.named)))
+            name for name in self.hidden if any(self._stands_for(i, name) for i in range(len(self.named)))
         )
 
     @property
     def first_right(self) -> bool:
         """Whether the first named cause, or the one effect that it is ambiguous with, is hidden."""
-        return bool(self.named) and any(self._means(0, name) for name in self.hidden)
+        return bool(self.named) and any(self._stands_for(0, name) for name in self.hidden)
 
     @property
     def listed_as_too_small(self) -> bool:
@@ -191,7 +191,7 @@ class Row:
     def answers(self) -> tuple[NamedCause, ...]:
         """All named causes; in a disturbed case, without those that describe the disturbances."""
         return tuple(
-            NamedCause(name, any(self._means(i, effect) for effect in self.hidden), confidence)
+            NamedCause(name, any(self._stands_for(i, effect) for effect in self.hidden), confidence)
             for i, (name, confidence) in enumerate(zip(self.named, self.confidence, strict=True))
             if not (self.disturbances and name.startswith(RANDOM_TORQUE))
         )
@@ -221,7 +221,7 @@ class Row:
         """Present names of hidden effects that the catalogue did not list when the case was drawn."""
         return {LISTED_SINCE[name] for name in self.hidden if name in LISTED_SINCE}
 
-    def _means(self, i: int, hidden: str) -> bool:
+    def _stands_for(self, i: int, hidden: str) -> bool:
         """Whether the `i`-th named cause stands for the effect `hidden`.
 
         It does if it is that effect, if it combines that effect with others that are all hidden, or if the
@@ -287,7 +287,10 @@ def judge(
                 parameters[name] = (estimates[name]["value"], estimates[name]["std"], truth)
         for pair, truth in effect.amplitudes.items():
             if all(name in estimates for name in pair):
-                parameters[f"{pair[0]}, {pair[1]}"] = (*_amplitude([estimates[name] for name in pair]), truth)
+                parameters[f"{pair[0]}, {pair[1]}"] = (
+                    *_amplitude_and_error([estimates[name] for name in pair]),
+                    truth,
+                )
     # The numbers are null if nothing was excited.
     normalised = result["residual"].get("normalised") or {}
     errors = {
@@ -326,7 +329,7 @@ def _or_infinite(value: float | None) -> float:
     return math.inf if value is None else value
 
 
-def _amplitude(pair: Sequence[Mapping[str, float]]) -> tuple[float, float]:
+def _amplitude_and_error(pair: Sequence[Mapping[str, float]]) -> tuple[float, float]:
     """Return the amplitude of a sine and a cosine estimate, and its standard error to first order."""
     values, stds = (np.array([estimate[key] for estimate in pair], float) for key in ("value", "std"))
     amplitude = float(np.hypot(*values))

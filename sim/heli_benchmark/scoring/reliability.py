@@ -29,7 +29,7 @@ def reliability(rows: Sequence[Row]) -> list[dict[str, float]]:
     -------
     list of dict
         For each bin its bounds, number of ``causes``, ``mean_confidence``, number and share that is
-        ``right``, and the ``least`` and ``most`` that a binomial distribution of that mean allows.
+        ``hidden_count``, and the ``least`` and ``most`` that a binomial distribution of that mean allows.
     """
     causes = [cause for row in rows for cause in row.answers]
     curve = []
@@ -38,18 +38,18 @@ def reliability(rows: Sequence[Row]) -> list[dict[str, float]]:
         in_bin = [
             cause for cause in causes if low <= cause.confidence < high or cause.confidence == high == 1.0
         ]
-        count, right = len(in_bin), sum(cause.is_hidden for cause in in_bin)
-        mean = sum(cause.confidence for cause in in_bin) / count if count else 0.5 * (low + high)
+        cause_count, hidden_count = len(in_bin), sum(cause.is_hidden for cause in in_bin)
+        mean = sum(cause.confidence for cause in in_bin) / cause_count if cause_count else 0.5 * (low + high)
         curve.append(
             {
                 "from": low,
                 "to": high,
-                "causes": count,
+                "causes": cause_count,
                 "mean_confidence": mean,
-                "right": right,
-                "share_right": right / count if count else mean,
-                "least": _quantile(_OUTSIDE_PROBABILITY / 2.0, count, mean),
-                "most": _quantile(1.0 - _OUTSIDE_PROBABILITY / 2.0, count, mean),
+                "right": hidden_count,
+                "share_right": hidden_count / cause_count if cause_count else mean,
+                "least": _quantile(_OUTSIDE_PROBABILITY / 2.0, cause_count, mean),
+                "most": _quantile(1.0 - _OUTSIDE_PROBABILITY / 2.0, cause_count, mean),
             }
         )
     return curve

@@ -26,17 +26,21 @@ def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
     table: dict[str, Counter[str]] = {}
     for row in rows:
         counts = table.setdefault(" + ".join(row.hidden) or "nothing", Counter())
-        answer = "failed" if row.failure else row.answer
-        if not row.failure and row.right and row.kind in ("one", "several"):
-            answer = "right, ambiguous" if row.verdict == "ambiguous" else "right"
-            if row.verdict == "unexplained":
-                answer = "right, but unexplained"
-        elif not row.failure and row.right:
-            answer = "right"
-        elif not row.counts:
-            answer = f"{answer} ({_not_counted(row)})"
-        counts[answer] += 1
+        counts[_answer_label(row)] += 1
     return {hidden: dict(counts) for hidden, counts in sorted(table.items())}
+
+
+def _answer_label(row: Row) -> str:
+    """Return what the confusion table calls an answer: right, if so with its doubt, or the first name."""
+    if row.right and not row.failure:
+        has_causes = row.kind in ("one", "several")
+        if has_causes and row.verdict == "unexplained":
+            return "right, but unexplained"
+        if has_causes and row.verdict == "ambiguous":
+            return "right, ambiguous"
+        return "right"
+    answer = "failed" if row.failure else row.answer
+    return answer if row.counts else f"{answer} ({_reason_not_counted(row)})"
 
 
 def text(rows: Sequence[Row]) -> str:
@@ -60,7 +64,7 @@ def text(rows: Sequence[Row]) -> str:
         lines.append(f"  {hidden:44s} {answers}")
     lines += ["", "misses"]
     for row in rows:
-        line = _miss(row)
+        line = _miss_text(row)
         if line:
             lines.append(f"  {row.case} (seed {row.seed}): {line}")
     lines += ["", "confidence   causes   mean   right   within binomial bounds"]
@@ -75,15 +79,15 @@ def text(rows: Sequence[Row]) -> str:
             f"{bin_['right']:5.0f}   {answers}"
         )
     lines += ["", "further results", *table(further_counts(rows))]
-    lines += ["", f"goals, {len(rows)} cases, {_minutes(rows)}", *table(goals(rows))]
+    lines += ["", f"goals, {len(rows)} cases, {_cpu_minutes_text(rows)}", *table(goals(rows))]
     return "\n".join(lines)
 
 
-def _minutes(rows: Sequence[Row]) -> str:
+def _cpu_minutes_text(rows: Sequence[Row]) -> str:
     return f"{sum(row.cpu_seconds for row in rows) / 60.0:.0f} minutes of CPU in the diagnosis"
 
 
-def _not_counted(row: Row) -> str:
+def _reason_not_counted(row: Row) -> str:
     """Return why a case does not count."""
     return (
         f"borderline, below {MIN_VISIBILITY_STD:g} standard deviations"
@@ -92,13 +96,13 @@ def _not_counted(row: Row) -> str:
     )
 
 
-def _miss(row: Row) -> str:
+def _miss_text(row: Row) -> str:
     """Describe the answer to a case, and what is wrong with it."""
     if row.failure:
         return f"failed: {row.failure}"
     result = f"{row.verdict}: {', '.join(row.named) or 'no cause'}"
     if not row.right:
-        note = "" if row.counts else f" ({_not_counted(row)})"
+        note = "" if row.counts else f" ({_reason_not_counted(row)})"
         return f"{result}{note}"
     parts = []
     if row.kind in ("one", "several"):

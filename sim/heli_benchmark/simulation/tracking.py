@@ -188,9 +188,9 @@ def _elevation_controller_gains(controller: str, bandwidth_rad_s: float) -> Floa
     """Return the gains of elevation's error, its rate and its integral, in 1/s2, 1/s and 1/s3."""
     if controller == "state_feedback":
         # A chain of integrators that ends with the integral of the error.
-        a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+        state_matrix = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
         state_weights = np.diag([bandwidth_rad_s**4, 0.5 * bandwidth_rad_s**2, 0.1 * bandwidth_rad_s**6])
-        return _lqr_gains(a, np.array([[0.0], [1.0], [0.0]]), state_weights)
+        return _lqr_gains(state_matrix, np.array([[0.0], [1.0], [0.0]]), state_weights)
     return np.array([bandwidth_rad_s**2, 1.8 * bandwidth_rad_s, 0.3 * bandwidth_rad_s**3])
 
 
@@ -203,10 +203,15 @@ def _pitch_travel_controller_gains(
     """
     if controller == "state_feedback":
         # States: pitch and its rate, travel rate, travel, and the integral of travel.
-        a = np.zeros((5, 5))
-        a[0, 1], a[2, 3], a[3, 0], a[4, 2] = 1.0, 1.0, travel_rad_s2_per_rad, 1.0
+        state_matrix = np.zeros((5, 5))
+        state_matrix[0, 1], state_matrix[2, 3], state_matrix[3, 0], state_matrix[4, 2] = (
+            1.0,
+            1.0,
+            travel_rad_s2_per_rad,
+            1.0,
+        )
         state_weights = np.diag([pitch_rad_s**4, 0.3 * pitch_rad_s**2, 40.0 * travel_rad_s**4, 40.0, 0.5])
-        k = _lqr_gains(a, np.array([[0.0], [1.0], [0.0], [0.0], [0.0]]), state_weights)
+        k = _lqr_gains(state_matrix, np.array([[0.0], [1.0], [0.0], [0.0], [0.0]]), state_weights)
         return np.array([k[0], k[1], *(k[2:] / k[0])])
     travel = np.array([travel_rad_s**2, 1.8 * travel_rad_s, 0.1 * travel_rad_s**3]) / travel_rad_s2_per_rad
     return np.array([pitch_rad_s**2, 1.8 * pitch_rad_s, *travel])

@@ -80,13 +80,13 @@ def croissant_content(folder: Path, name: str, release: str, description: str) -
                 "encodingFormat": "application/json",
                 "sha256": file_digest(folder / CAUSES_FILE),
             },
-            *(_flights(kind) for kind in ("training", "validation")),
+            *(_flight_file_set(kind) for kind in ("training", "validation")),
         ],
-        "recordSet": [_rows(kind) for kind in ("training", "validation")],
+        "recordSet": [_record_set_of_rows(kind) for kind in ("training", "validation")],
     }
 
 
-def _flights(kind: str) -> dict[str, Any]:
+def _flight_file_set(kind: str) -> dict[str, Any]:
     """Return the description of all flight files of a kind, training or validation."""
     return {
         "@type": "cr:FileSet",
@@ -98,7 +98,7 @@ def _flights(kind: str) -> dict[str, Any]:
     }
 
 
-def _rows(kind: str) -> dict[str, Any]:
+def _record_set_of_rows(kind: str) -> dict[str, Any]:
     """Return the description of the columns in the flight files of a kind."""
     source = {"fileSet": {"@id": f"{kind}-flights"}}
     columns = {

@@ -80,35 +80,37 @@ def make_split(
         raise BenchmarkError(f"{truth_folder} is inside {folder}", "give another folder with --truth")
     origin = {"seed": draw} if seal is None else {"secret_sha256": seal.digest}
     content = {"schema": SCHEMA, "split": split, **origin, "count": count, "causes": causes_content()}
-    mark = folder / CAUSES_FILE
-    if mark.exists() and not _continues(read_json(mark, "choose another folder"), content):
+    causes_file = folder / CAUSES_FILE
+    if causes_file.exists() and not _has_all_earlier_cases(
+        read_json(causes_file, "choose another folder"), content
+    ):
         raise BenchmarkError(
             f"{folder} contains another split, or the split of another release",
             "choose another folder, or delete it",
         )
     for place in (folder / "cases", truth_folder):
         place.mkdir(parents=True, exist_ok=True)
-    write_json(mark, content)
+    write_json(causes_file, content)
     cases = list(published_cases(draw.seed if isinstance(draw, Seal) else draw, count))
     waiting = [case for case in cases if not (folder / "cases" / case.name).exists()]
     write = partial(_fly_and_write, folder=folder, truth_folder=truth_folder, seal=seal)
-    for done, name in enumerate(_each(write, waiting, workers), count - len(waiting) + 1):
+    for done_count, name in enumerate(_results_in_order(write, waiting, workers), count - len(waiting) + 1):
         if say is not None:
-            say(name, done)
+            say(name, done_count)
     write_card(folder, content)
     if seal is not None:
         # Last: a split without commitments is not complete, and no method runs on it.
         write_commitments(folder, truth_folder, [case.name for case in cases])
 
 
-def _continues(earlier: Mapping[str, Any], content: Mapping[str, Any]) -> bool:
+def _has_all_earlier_cases(earlier: Mapping[str, Any], content: Mapping[str, Any]) -> bool:
     """Whether the split with `content` has all cases of the earlier one."""
     if "seed" not in content:
         return earlier == content
     return {**earlier, "count": content["count"]} == content and earlier["count"] <= content["count"]
 
 
-def _each(
+def _results_in_order(
     work: Callable[[PublishedCase], str], cases: Sequence[PublishedCase], workers: int
 ) -> Iterator[str]:
     """Yield the result of `work` on each case, in order."""

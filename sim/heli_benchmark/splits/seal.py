@@ -33,7 +33,7 @@ class Seal:
     @property
     def seed(self) -> int:
         """Seed of the cases, 256 bits."""
-        return int(self._derived("cases"), 16)
+        return int(self._derived_key("cases"), 16)
 
     @property
     def digest(self) -> str:
@@ -50,9 +50,9 @@ class Seal:
         case : str
             Name of the case.
         """
-        return self._derived(f"salt of {case}")
+        return self._derived_key(f"salt of {case}")
 
-    def _derived(self, purpose: str) -> str:
+    def _derived_key(self, purpose: str) -> str:
         return hmac.new(bytes.fromhex(self.secret), purpose.encode(), hashlib.sha256).hexdigest()
 
 

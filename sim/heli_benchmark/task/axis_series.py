@@ -83,11 +83,11 @@ def read_series(content: object, unit: str, where: str) -> dict[str, AxisSeries]
             )
         if not isinstance(columns, Mapping) or set(columns) != set(keys):
             raise BenchmarkError(f"{where}: {name} has other keys", f"give {', '.join(keys)}")
-        series[str(name)] = _series([columns[key] for key in keys], f"{where}: {name}")
+        series[str(name)] = _checked_series([columns[key] for key in keys], f"{where}: {name}")
     return series
 
 
-def _series(lists: list[Any], where: str) -> AxisSeries:
+def _checked_series(lists: list[Any], where: str) -> AxisSeries:
     """Check and convert the lists of times, elevation, pitch and travel; `where` names them in messages."""
     remedy = f"give four lists of {_MIN_ROWS} to {_MAX_ROWS} finite numbers, with rising times"
     try:

@@ -199,6 +199,7 @@ class _Pulser:
             change_counts, std_counts = response_counts(pulse, self._count_rad)
             if abs(change_counts) > max(_MOVED_counts, _MOVED_STDS * std_counts):
                 turn = int(np.sign(change_counts))
+                # First motion: its voltage is where the dead zone ends.
                 if not series.rotor:
                     series.rotor = self._confirm_rotor(volts_V)
                     series.turn, series.begins_V = turn, volts_V
@@ -208,6 +209,7 @@ class _Pulser:
                         "check its plug, its driver and the propeller's seat",
                     )
                 series.pulses.append(pulse)
+                # Reversed, or wired to push down: the caller repeats the series with the other sign.
                 if turn != lift_turn(series.rotor):
                     break
                 peak_deg = float(np.degrees(abs(change_counts) * self._count_rad))

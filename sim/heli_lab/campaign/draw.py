@@ -80,7 +80,7 @@ def draw_rig(
         check_distribution(pattern, distribution)
         names = [name for name in rig if fnmatch.fnmatchcase(name, pattern)]
         for name in names:
-            values[name] = _draw(rig[name].value, distribution, random)
+            values[name] = _draw_from_distribution(rig[name].value, distribution, random)
         if names:
             continue
         if pattern not in effects_with_sizes or "range" not in distribution:
@@ -89,7 +89,7 @@ def draw_rig(
                 "correct the name; an effect needs a range",
             )
         # Rounded by the text of the effect; the table must state the rounded size.
-        size = f"{_draw(0.0, distribution, random):.6g}"
+        size = f"{_draw_from_distribution(0.0, distribution, random):.6g}"
         effects_with_sizes[effects_with_sizes.index(pattern)] = f"{pattern}={size}"
         sizes[pattern] = float(size)
     return RigDraw(rig.replace(**values), tuple(effects_with_sizes), {**values, **sizes})
@@ -139,7 +139,9 @@ def check_distribution(name: str, distribution: object) -> None:
         )
 
 
-def _draw(value: float, distribution: Mapping[str, Any], random: np.random.Generator) -> float:
+def _draw_from_distribution(
+    value: float, distribution: Mapping[str, Any], random: np.random.Generator
+) -> float:
     """Draw a number from a `distribution` about the nominal `value`."""
     if "share" in distribution:
         share = distribution["share"]

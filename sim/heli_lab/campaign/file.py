@@ -43,12 +43,12 @@ def load_campaign(path: Path) -> Campaign:
     except ValueError as error:
         raise CampaignError(f"{path} is not TOML: {error}", "correct that line") from None
     try:
-        return _campaign(path, table)
+        return _campaign_of_table(path, table)
     except CampaignError as error:
         raise CampaignError(f"{path}: {error.cause}", error.remedy) from None
 
 
-def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
+def _campaign_of_table(path: Path, table: Mapping[str, Any]) -> Campaign:
     """Convert the `table` of the file at `path` to a campaign; a CampaignError names a wrong entry."""
     _refuse_unknown_names(table, _TOP, "the file")
     if "work" not in table:
@@ -68,22 +68,24 @@ def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
         raise CampaignError("cases is not a table", "write [cases], and a list for each setting")
     if work in WORKS:
         _refuse_unknown_names(lists, tuple(DEFAULTS), "[cases]")
-    values = {name: _values(name, given, path.parent) for name, given in lists.items()}
+    values = {name: _setting_values(name, given, path.parent) for name, given in lists.items()}
     count = math.prod(map(len, values.values()))
     if count > MAX_CASES:
         raise CampaignError(
             f"these lists make {count} cases, more than {MAX_CASES}", "shorten one of the lists"
         )
     fixed = dict(DEFAULTS) if work in WORKS else {}
-    draw = _draw(table.get("draw", {}))
+    draw = _check_draw(table.get("draw", {}))
     if draw:
         fixed["draw"] = draw
     modules = str(path.parent.resolve()) if work not in WORKS else ""
-    cases = _cases(WORKS.get(work, work), values, fixed)
-    return Campaign(title, cases, _limits(table.get("limits", {})), worst, modules)
+    cases = _case_per_combination(WORKS.get(work, work), values, fixed)
+    return Campaign(title, cases, _limits_of_table(table.get("limits", {})), worst, modules)
 
 
-def _cases(work: str, values: Mapping[str, Sequence[Any]], fixed: Mapping[str, Any]) -> tuple[Case, ...]:
+def _case_per_combination(
+    work: str, values: Mapping[str, Sequence[Any]], fixed: Mapping[str, Any]
+) -> tuple[Case, ...]:
     """Make one case per combination of settings.
 
     The name of a case consists of the settings that have several values.
@@ -101,7 +103,9 @@ def _cases(work: str, values: Mapping[str, Sequence[Any]], fixed: Mapping[str, A
     cases = []
     for combination in itertools.product(*values.values()):
         settings = dict(zip(values, combination, strict=True))
-        words = [f"seed {settings[name]}" if name == "seed" else _spelled(settings[name]) for name in varied]
+        words = [
+            f"seed {settings[name]}" if name == "seed" else _setting_text(settings[name]) for name in varied
+        ]
         cases.append(Case(" ".join(words) or "the case", work, {**fixed, **settings}))
     return tuple(cases)
 
@@ -115,7 +119,7 @@ def _refuse_unknown_names(table: Mapping[str, Any], names: Sequence[str], where:
         )
 
 
-def _values(name: str, given: Any, folder: Path) -> list[Any]:
+def _setting_values(name: str, given: Any, folder: Path) -> list[Any]:
     """List the values of a setting, which are given as a list, as a single value, or as a range with both
     ends, ``{ from = 1, to = 50 }``.
     """
@@ -163,7 +167,7 @@ def _with_absolute_paths(name: str, value: Any, folder: Path) -> Any:
     return str(path.resolve()) if value and path.is_file() else value
 
 
-def _draw(given: Any) -> Any:
+def _check_draw(given: Any) -> Any:
     """Check the entry ``draw`` of a file, ``tolerances`` or distributions by name, and return it."""
     if given in (TOLERANCES, {}):
         return given
@@ -174,7 +178,7 @@ def _draw(given: Any) -> Any:
     return given
 
 
-def _limits(given: Any) -> Limits:
+def _limits_of_table(given: Any) -> Limits:
     """Convert the table ``[limits]`` of a file; missing limits get their defaults."""
     if not isinstance(given, dict):
         raise CampaignError("limits is not a table", "write [limits]")
@@ -186,7 +190,7 @@ def _limits(given: Any) -> Limits:
     return Limits(cpu_s, float(given.get("wait_s", 10.0 * cpu_s)))
 
 
-def _spelled(value: Any) -> str:
+def _setting_text(value: Any) -> str:
     """Format a setting for the name of a case."""
     if isinstance(value, list):
         return "+".join(map(str, value)) or "nothing"

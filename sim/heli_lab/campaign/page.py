@@ -37,16 +37,16 @@ def write_summary(campaign: Campaign, summary: Summary, folder: Path) -> Path:
     return write_page(
         folder,
         _TEMPLATE,
-        number=_number,
+        number=_number_text,
         title=campaign.title,
         summary=summary,
         cases=len(campaign.cases),
         works=campaign.works,
         worst_by=campaign.worst.removeprefix("-"),
-        varied=_varied(campaign),
+        varied=_varied_settings(campaign),
         picture=picture,
         table=TABLE,
-        groups=_groups(summary, drawn),
+        groups=_medians_by_value(summary, drawn),
         shown=[column.name for column in drawn[:_MAX_MEDIANS]],
     )
 
@@ -68,7 +68,7 @@ def figure_of_distributions(columns: Sequence[Column], worst: str) -> Figure:
     return figure
 
 
-def _varied(campaign: Campaign) -> list[str]:
+def _varied_settings(campaign: Campaign) -> list[str]:
     """List the settings that differ between cases."""
     first = campaign.cases[0].settings
     return [name for name in first if any(case.settings.get(name) != first[name] for case in campaign.cases)]
@@ -93,7 +93,7 @@ class _Group:
     medians: list[float]
 
 
-def _groups(summary: Summary, drawn: Sequence[Column]) -> dict[str, list[_Group]]:
+def _medians_by_value(summary: Summary, drawn: Sequence[Column]) -> dict[str, list[_Group]]:
     """Compute the medians of the first `drawn` columns for each value of each setting, by setting."""
     names = [column.name for column in drawn[:_MAX_MEDIANS]]
     return {
@@ -111,7 +111,7 @@ def _median(rows: Sequence[Row], name: str) -> float:
     return float(np.median(values)) if values else math.nan
 
 
-def _number(value: Any) -> str:
+def _number_text(value: Any) -> str:
     """Format a cell for the page; a missing or infinite number becomes a dash."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return "–" if value is None else str(value)

@@ -92,7 +92,7 @@ def run_campaign(
         stored.
     """
     report = on_progress or (lambda _: None)
-    digest = _digest(campaign) if code is None else code
+    digest = _code_digest_of(campaign) if code is None else code
     cases = {case.key(digest): case for case in campaign.cases}
     with store.locked():
         rows = _stored_rows(store, cases, again)
@@ -106,12 +106,12 @@ def run_campaign(
         unwritten: list[dict[str, Cell]] = []
         written_s = time.monotonic()
         try:
-            for result, note in _results(jobs, scheduler, processes):
+            for result, note in _run_jobs(jobs, scheduler, processes):
                 if result is None:
                     report(CampaignProgress(len(rows), failed, len(cases), note=note))
                     continue
                 store.write(result)
-                rows[result.key] = _row(cases[result.key], result)
+                rows[result.key] = _table_row(cases[result.key], result)
                 unwritten.append(rows[result.key])
                 failed += bool(result.failure)
                 if time.monotonic() - written_s > _FLUSH_s:
@@ -143,7 +143,7 @@ def _jobs(
     }
 
 
-def _digest(campaign: Campaign) -> str:
+def _code_digest_of(campaign: Campaign) -> str:
     """Compute the digest of the code that runs the cases; a CampaignError reports a missing module."""
     try:
         return code_digest(campaign.works, campaign.modules)
@@ -154,7 +154,7 @@ def _digest(campaign: Campaign) -> str:
         ) from None
 
 
-def _row(case: Case, result: JobResult) -> dict[str, Cell]:
+def _table_row(case: Case, result: JobResult) -> dict[str, Cell]:
     """Return the row of a case in the table; for a failed case, with the drawn values too."""
     row = row_of(case, result)
     if result.failure:
@@ -178,13 +178,13 @@ def _stored_rows(
     if again is not None:
         store.remove(key for key, result in stored.items() if again(result))
         stored = {key: result for key, result in stored.items() if not again(result)}
-    rows: dict[str, dict[str, Any]] = {key: _row(cases[key], result) for key, result in stored.items()}
+    rows: dict[str, dict[str, Any]] = {key: _table_row(cases[key], result) for key, result in stored.items()}
     keys_in_table = {row["key"] for row in store.rows()}
     store.append([row for key, row in rows.items() if key not in keys_in_table])
     return rows
 
 
-def _results(
+def _run_jobs(
     jobs: dict[str, Job], scheduler: str | None, processes: int
 ) -> Iterator[tuple[JobResult | None, str]]:
     """Run the jobs, and yield each result as it arrives, or None with a note on a worker."""
@@ -240,19 +240,19 @@ def _run_on_workers(
 
     tasks = {submit(job): job for job in jobs.values()}
     lost_workers: Counter[str] = Counter()
-    ended = 0
+    ended_count = 0
     completed = as_completed(tasks)
     for future in completed:
         job = tasks.pop(future)
         if future.cancelled():
             raise CampaignError(
-                f"the scheduler has stopped: {ended} of {len(jobs)} cases have ended in this run and "
+                f"the scheduler has stopped: {ended_count} of {len(jobs)} cases have ended in this run and "
                 "are saved",
                 "run the same command again to continue with the others",
             )
-        result = _result_of(future, job, lost_workers)
+        result = _result_of_task(future, job, lost_workers)
         if isinstance(result, JobResult):
-            ended += 1
+            ended_count += 1
             yield result, ""
             continue
         if result is not None:
@@ -267,7 +267,9 @@ def _run_on_workers(
         completed.add(task)
 
 
-def _result_of(future: Future[Any], job: Job, lost_workers: Counter[str]) -> JobResult | CodeMismatch | None:
+def _result_of_task(
+    future: Future[Any], job: Job, lost_workers: Counter[str]
+) -> JobResult | CodeMismatch | None:
     """Return the result of a task; None if its worker was lost and another worker should run the job.
 
     Parameters

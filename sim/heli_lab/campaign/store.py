@@ -57,11 +57,11 @@ class Store:
         try:
             for subfolder in (self.cases, self._parts):
                 subfolder.mkdir(parents=True, exist_ok=True)
-            mark = folder / "store.txt"
-            if not mark.exists():
-                with _appears_complete(mark) as file:
+            token_file = folder / "store.txt"
+            if not token_file.exists():
+                with _appears_complete(token_file) as file:
                     file.write_text(secrets.token_hex(16))
-            self.token = mark.read_text()
+            self.token = token_file.read_text()
         except OSError as error:
             raise CampaignError(
                 f"results cannot be saved in {folder}: {error.strerror}", "give another --output"
@@ -149,7 +149,7 @@ def _check_packages() -> None:
 
 def row_of(case: Case, result: JobResult) -> dict[str, Cell]:
     """Return the row of a case: its name, its settings, the values from its work, and its CPU time."""
-    settings = {name: _cell(value) for name, value in case.settings.items()}
+    settings = {name: _cell_of_setting(value) for name, value in case.settings.items()}
     fields = {name: getattr(result, name) for name in RESULT_COLUMNS}
     return {"case": case.name, **settings, **result.row, **fields}
 
@@ -170,7 +170,7 @@ def read_result(folder: Path, key: str) -> JobResult | None:
         return None
 
 
-def _cell(value: Any) -> Cell:
+def _cell_of_setting(value: Any) -> Cell:
     """Format a setting as one cell: a list as its items, a table as JSON."""
     if value is None or isinstance(value, str | int | float | bool):
         return value
@@ -195,10 +195,10 @@ def _write_parquet(path: Path, rows: Sequence[Mapping[str, Cell]]) -> None:
     import pyarrow.parquet as pq
 
     with _appears_complete(path) as file:
-        pq.write_table(_table(rows), file)
+        pq.write_table(_arrow_table(rows), file)
 
 
-def _table(rows: Sequence[Mapping[str, Cell]]) -> pa.Table:
+def _arrow_table(rows: Sequence[Mapping[str, Cell]]) -> pa.Table:
     """Convert `rows` to a table with all their columns; a column of mixed types holds texts."""
     import pyarrow as pa
 

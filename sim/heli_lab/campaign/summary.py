@@ -99,7 +99,7 @@ def summarise(campaign: Campaign, rows: Sequence[Row]) -> Summary:
             continue
         values = [row[name] for row in complete if row.get(name) is not None]
         if all(isinstance(value, bool | int | float) for value in values):
-            columns.append(_column(name, values))
+            columns.append(_distribution_of_column(name, values))
         else:
             words[name] = dict(Counter(str(value) or "nothing" for value in values).most_common())
     outcomes = Counter(_without_numbers(str(row[OUTCOME])) for row in complete if row.get(OUTCOME))
@@ -107,14 +107,14 @@ def summarise(campaign: Campaign, rows: Sequence[Row]) -> Summary:
         cases=len(rows),
         columns=tuple(columns),
         words=words,
-        groups=_groups(complete, sorted(settings)),
-        worst=_worst(complete, campaign.worst),
+        groups=_group_by_setting(complete, sorted(settings)),
+        worst=_worst_rows(complete, campaign.worst),
         failed=tuple(row for row in rows if row.get("failure")),
         outcomes=dict(outcomes.most_common()),
     )
 
 
-def _groups(rows: Sequence[Row], settings: Sequence[str]) -> dict[str, dict[str, tuple[Row, ...]]]:
+def _group_by_setting(rows: Sequence[Row], settings: Sequence[str]) -> dict[str, dict[str, tuple[Row, ...]]]:
     """Group rows by setting and value, for each of the `settings` that has several values, but not too
     many.
     """
@@ -124,11 +124,11 @@ def _groups(rows: Sequence[Row], settings: Sequence[str]) -> dict[str, dict[str,
         for row in rows:
             by_value.setdefault(str(row.get(name, "")) or "nothing", []).append(row)
         if 1 < len(by_value) <= _MAX_GROUPS and len(by_value) < len(rows):
-            groups[name] = {value: tuple(members) for value, members in by_value.items()}
+            groups[name] = {value: tuple(rows_of_value) for value, rows_of_value in by_value.items()}
     return groups
 
 
-def _worst(rows: Sequence[Row], worst: str) -> tuple[Row, ...]:
+def _worst_rows(rows: Sequence[Row], worst: str) -> tuple[Row, ...]:
     """Return the worst rows by the column `worst`, as in `Campaign`; the worst first."""
     column = worst.removeprefix("-")
     sign = -1.0 if worst.startswith("-") else 1.0
@@ -145,7 +145,7 @@ def _without_numbers(outcome: str) -> str:
     return f"{first_word} ({fault})" if fault else first_word
 
 
-def _column(name: str, values: Sequence[float]) -> Column:
+def _distribution_of_column(name: str, values: Sequence[float]) -> Column:
     """Compute the distribution of the finite `values` of a column."""
     array = np.array([float(value) for value in values if math.isfinite(value)])
     if not len(array):

@@ -86,7 +86,7 @@ class _IdleProcesses:
     @contextmanager
     def borrowed(self, limits: Limits, modules: str) -> Iterator[WorkerProcess]:
         """Lend a process with these `modules` and as many threads as in `limits`, until the block ends."""
-        process = self._take(limits, modules) or WorkerProcess(limits, modules)
+        process = self._take_idle(limits, modules) or WorkerProcess(limits, modules)
         process.limits = limits
         try:
             yield process
@@ -94,7 +94,7 @@ class _IdleProcesses:
             with self.lock:
                 self.idle.append(process)
 
-    def _take(self, limits: Limits, modules: str) -> WorkerProcess | None:
+    def _take_idle(self, limits: Limits, modules: str) -> WorkerProcess | None:
         """Remove a suitable process from the list, and return it; None if there is none."""
         with self.lock:
             for process in self.idle:

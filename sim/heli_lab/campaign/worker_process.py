@@ -99,36 +99,36 @@ class WorkerProcess:
         started_s = time.monotonic()
         result = None
         for _ in range(1 + _RETRIES_AFTER_KILL):
-            result = self._attempt(case, key)
+            result = self._run_once(case, key)
             if result is not None:
                 break
         if result is None:
             result = JobResult(case.name, key, failure="its process was killed from outside, again and again")
         return replace(result, seconds=time.monotonic() - started_s)
 
-    def _attempt(self, case: Case, key: str) -> JobResult | None:
+    def _run_once(self, case: Case, key: str) -> JobResult | None:
         """Run the case once; None if the process was killed from outside."""
         if self._process is None or self._process.poll() is not None:
             self.close()
-            self._start()
+            self._start_process()
         assert self._process and self._jobs
         job = {"work": case.work, "settings": case.settings, "cpu_s": self.limits.cpu_s}
         try:
             self._jobs.write(json.dumps(job).encode() + b"\n")
             self._jobs.flush()
         except OSError:
-            return self._ended(case, key)
+            return self._result_of_ended_process(case, key)
         try:
             line = self._replies.get(timeout=self.limits.wait_s)
         except queue.Empty:
             self.close()
             return JobResult(case.name, key, failure=f"no answer within {self.limits.wait_s:g} s")
         if not line.endswith(b"\n"):
-            return self._ended(case, key)
+            return self._result_of_ended_process(case, key)
         reply = json.loads(line)
         return JobResult(case.name, key, reply["row"], reply["detail"], reply["failure"], reply["cpu_s"])
 
-    def _ended(self, case: Case, key: str) -> JobResult | None:
+    def _result_of_ended_process(self, case: Case, key: str) -> JobResult | None:
         """Return a result with the reason why the process has ended; None if it was killed from outside."""
         assert self._process
         code = self._process.wait()
@@ -143,7 +143,7 @@ class WorkerProcess:
             return None
         return JobResult(case.name, key, failure=f"its process crashed: {name or f'exit status {code}'}")
 
-    def _start(self) -> None:
+    def _start_process(self) -> None:
         """Start the process, and a thread that reads its replies."""
         threads = {name: text.format(threads=self.limits.threads) for name, text in _ONE_THREAD.items()}
         paths = [*sys.path, self.modules]
@@ -196,17 +196,17 @@ def serve_jobs(jobs: IO[bytes], replies: IO[bytes]) -> None:
         job = json.loads(waiting.get())
         before_s = time.process_time()
         allow_cpu(before_s + job["cpu_s"])
-        reply = _reply(job["work"], job["settings"])
-        replies.write(_line({**reply, "cpu_s": time.process_time() - before_s}) + b"\n")
+        reply = _run_and_describe(job["work"], job["settings"])
+        replies.write(_json_line({**reply, "cpu_s": time.process_time() - before_s}) + b"\n")
         replies.flush()
 
 
-def _reply(work: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+def _run_and_describe(work: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Run a case, and return its row and detail, or the reason of its failure with the traceback."""
     from heli_host.errors import HeliError
 
     try:
-        row, detail = _row_and_detail(work, _function(work)(settings))
+        row, detail = _row_and_detail(work, _import_function(work)(settings))
     except HeliError as error:
         return {"row": {}, "detail": None, "failure": str(error)}
     except Exception as error:  # noqa: BLE001 - an error of a case is a failure of this case only
@@ -215,7 +215,7 @@ def _reply(work: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     return {"row": row, "detail": detail, "failure": ""}
 
 
-def _function(work: str) -> Callable[[Mapping[str, Any]], Any]:
+def _import_function(work: str) -> Callable[[Mapping[str, Any]], Any]:
     """Import the function `work`, given as ``package.module:function``."""
     from heli_lab.errors import CampaignError
 
@@ -223,8 +223,8 @@ def _function(work: str) -> Callable[[Mapping[str, Any]], Any]:
     function = getattr(importlib.import_module(module), name, None)
     if not callable(function):
         raise CampaignError(f"module {module} has no function {name}", "correct work = in the campaign file")
-    checked: Callable[[Mapping[str, Any]], Any] = function
-    return checked
+    imported: Callable[[Mapping[str, Any]], Any] = function
+    return imported
 
 
 def _row_and_detail(work: str, returned: Any) -> tuple[dict[str, Any], Any]:
@@ -249,16 +249,16 @@ def _row_and_detail(work: str, returned: Any) -> tuple[dict[str, Any], Any]:
     )
 
 
-def _line(message: Mapping[str, Any]) -> bytes:
+def _json_line(message: Mapping[str, Any]) -> bytes:
     """Return a reply as JSON; a result that JSON cannot hold becomes a failure of its case."""
     try:
-        return json.dumps(message, default=_plain).encode()
+        return json.dumps(message, default=_without_numpy_types).encode()
     except (TypeError, ValueError) as error:
         failed: dict[str, Any] = {"row": {}, "detail": None, "failure": f"its result is no JSON: {error}"}
         return json.dumps({**failed, "cpu_s": message["cpu_s"]}).encode()
 
 
-def _plain(value: Any) -> Any:
+def _without_numpy_types(value: Any) -> Any:
     """Convert numbers and arrays of numpy to those of Python."""
     if hasattr(value, "tolist"):
         return value.tolist()

@@ -61,7 +61,7 @@ def fly(settings: Settings) -> Result:
     """Fly a plan on a rig that may differ from its rig file, and report how well the plan was tracked;
     `settings` are those of the case.
     """
-    simulated = _fly(settings, settings["plan"])
+    simulated = _fly_drawn_rig(settings, settings["plan"])
     flight, summary = simulated.flight, simulated.summary
     row = {
         "outcome": summary.outcome,
@@ -80,12 +80,14 @@ def identify(settings: Settings) -> Result:
     """
     from heli_lab.identify.run import identify as identify_rig
 
-    training = _fly(settings, settings["plan"])
-    validation = _fly(settings, settings["validate"], _VALIDATION_SEED)
+    training = _fly_drawn_rig(settings, settings["plan"])
+    validation = _fly_drawn_rig(settings, settings["validate"], _VALIDATION_SEED)
     nominal, true = training.nominal, training.drawn.rig
     identification = identify_rig(
         # The fit estimates the sizes of the effects of the case.
-        _model(settings, nominal, effects_with(nominal, settings["effects"], settings["effect_files"])),
+        _chosen_model(
+            settings, nominal, effects_with(nominal, settings["effects"], settings["effect_files"])
+        ),
         nominal,
         [training.flight],
         validation=[validation.flight],
@@ -101,7 +103,7 @@ def identify(settings: Settings) -> Result:
     }
     sizes = [abs(error) for error in errors_in_std.values()]
     row = {
-        "outcome": _outcome(training, validation),
+        "outcome": _first_failed_outcome(training, validation),
         "normalised": identification.training[0].normalised,
         "held_out_normalised": identification.validation[0].normalised,
         "within_2_std": float(np.mean([size < 2.0 for size in sizes])) if sizes else None,
@@ -119,14 +121,14 @@ def diagnose(settings: Settings) -> Result:
     from heli_lab.diagnose import diagnose as diagnose_flights
     from heli_lab.diagnose import to_json
 
-    training = _fly(settings, settings["plan"])
-    validation = _fly(settings, settings["validate"], _VALIDATION_SEED)
+    training = _fly_drawn_rig(settings, settings["plan"])
+    validation = _fly_drawn_rig(settings, settings["validate"], _VALIDATION_SEED)
     nominal = training.nominal
     hidden = {effect.name for effect in parse_effects(settings["effects"], settings["effect_files"])}
     in_rig_file = effects_of(nominal, settings["effect_files"])
     known = tuple(effect for effect in in_rig_file if effect.name not in hidden)
     diagnosis = diagnose_flights(
-        _model(settings, nominal, known),
+        _chosen_model(settings, nominal, known),
         nominal,
         [training.flight],
         [validation.flight],
@@ -140,7 +142,7 @@ def diagnose(settings: Settings) -> Result:
     confident = {cause["effect"] for cause in report["causes"] if cause["confidence"] >= 0.9}
     normalised = report["residual"]["normalised"]
     row = {
-        "outcome": _outcome(training, validation),
+        "outcome": _first_failed_outcome(training, validation),
         "verdict": report["verdict"],
         "causes": ", ".join(sorted(diagnosed)),
         "found": hidden <= diagnosed,
@@ -162,10 +164,10 @@ def gains(settings: Settings) -> Result:
 
     from heli_lab.tune.flights import try_gains
 
-    nominal, drawn = _draw(settings)
-    model = _model(settings, nominal, parse_effects(drawn.effects, settings["effect_files"]))
+    nominal, drawn = _nominal_and_drawn_rig(settings)
+    model = _chosen_model(settings, nominal, parse_effects(drawn.effects, settings["effect_files"]))
     plant = Plant(model, drawn.rig, settings["seed"])
-    trial = try_gains(plant, _parameters(settings), "campaign", settings["seed"])
+    trial = try_gains(plant, _board_parameters(settings), "campaign", settings["seed"])
     metrics = {
         name: None if isinstance(value, float) and not np.isfinite(value) else value
         for name, value in asdict(trial.metrics).items()
@@ -179,11 +181,11 @@ def gains(settings: Settings) -> Result:
 
 def drawn_row(settings: Settings) -> dict[str, Cell]:
     """Return the drawn values of a case with these `settings` as columns of the table, without running it."""
-    _, drawn = _draw(settings)
+    _, drawn = _nominal_and_drawn_rig(settings)
     return drawn.row
 
 
-def _draw(settings: Settings) -> tuple[Rig, RigDraw]:
+def _nominal_and_drawn_rig(settings: Settings) -> tuple[Rig, RigDraw]:
     """Return the rig of the rig file, and the rig with the drawn parameters of a case."""
     nominal = load_rig(settings["rig"])
     return nominal, draw_rig(nominal, settings["effects"], settings["draw"], settings["seed"])
@@ -211,12 +213,12 @@ class _SimulatedFlight:
     summary: FlightSummary
 
 
-def _outcome(*flights: _SimulatedFlight) -> str:
+def _first_failed_outcome(*flights: _SimulatedFlight) -> str:
     """Return the outcome of the first flight that was not completed; otherwise ``completed``."""
     return next((flight.summary.outcome for flight in flights if not flight.summary.completed), "completed")
 
 
-def _fly(settings: Settings, plan: str, seed_offset: int = 0) -> _SimulatedFlight:
+def _fly_drawn_rig(settings: Settings, plan: str, seed_offset: int = 0) -> _SimulatedFlight:
     """Fly a plan on the simulated rig of a case.
 
     Parameters
@@ -227,21 +229,21 @@ def _fly(settings: Settings, plan: str, seed_offset: int = 0) -> _SimulatedFligh
         Added to the seed of encoders, line and disturbances, but not to that of the drawn parameters: a case
         flies several times on the same rig.
     """
-    nominal, drawn = _draw(settings)
-    model = _model(settings, nominal, effects_with(nominal, drawn.effects, settings["effect_files"]))
+    nominal, drawn = _nominal_and_drawn_rig(settings)
+    model = _chosen_model(settings, nominal, effects_with(nominal, drawn.effects, settings["effect_files"]))
     seed = settings["seed"] + seed_offset
     with connected(world_of(Plant(model, drawn.rig, seed), seed)) as heli:
-        if parameters := _parameters(settings):
+        if parameters := _board_parameters(settings):
             heli.params.restore(parameters)
         return _SimulatedFlight(nominal, drawn, *fly_and_read(heli, plan))
 
 
-def _parameters(settings: Settings) -> dict[str, float]:
+def _board_parameters(settings: Settings) -> dict[str, float]:
     """Read the board's parameters of a case, by name; empty if its settings name no file."""
     return read_parameter_set(Path(settings["params"])).values if settings["params"] else {}
 
 
-def _model(settings: Settings, rig: Rig, effects: tuple[Effect, ...]) -> Model:
+def _chosen_model(settings: Settings, rig: Rig, effects: tuple[Effect, ...]) -> Model:
     """Return the model that the settings name, or otherwise that of the `rig`, with these `effects`."""
     return model_named(settings["model"] or rig.model or MultibodyModel.name, effects)
 

@@ -99,7 +99,7 @@ class Marking:
             with returned_files(folder) as files:
                 try:
                     submission = read_submission(folder, self.limits, self.options.rig)
-                    mark = self._mark(submission, files)
+                    mark = self._mark_submission(submission, files)
                 except HeliError as error:
                     mark = replace(mark, reason=str(error))
                 write_result(files / MARK, mark.as_dict())
@@ -108,13 +108,13 @@ class Marking:
             mark = replace(mark, points=0.0, reason=mark.reason or str(error))
         return MarkedSubmission(folder, mark, submission)
 
-    def _mark(self, submission: Submission, output_folder: Path) -> Mark:
+    def _mark_submission(self, submission: Submission, output_folder: Path) -> Mark:
         """Fly a submission once per seed, and write log and figure of the first flight."""
         plan = submission.plan or self.plan
         scores = []
         for seed in self.seeds:
             folder = output_folder if seed == self.seeds[0] else None
-            scores.append(self._fly(submission, plan, seed, folder))
+            scores.append(self._fly_submission(submission, plan, seed, folder))
         references = [self._reference_score(plan, seed) for seed in self.seeds]
         return mark_of(submission.name, scores, references)
 
@@ -122,10 +122,12 @@ class Marking:
         """Return the score of the board's own law along the same plan; each plan and seed is flown once."""
         key = plan.text, seed
         if key not in self._references:
-            self._references[key] = self._fly(Submission("reference"), plan, seed, None)
+            self._references[key] = self._fly_submission(Submission("reference"), plan, seed, None)
         return self._references[key]
 
-    def _fly(self, submission: Submission, plan: Plan, seed: int, output_folder: Path | None) -> FlightScore:
+    def _fly_submission(
+        self, submission: Submission, plan: Plan, seed: int, output_folder: Path | None
+    ) -> FlightScore:
         """Fly a submission in simulation, and write log and figure if `output_folder` is given."""
         with tempfile.TemporaryDirectory() as temporary_folder:
             options = replace(

@@ -89,8 +89,8 @@ def cells_of(text: str, name: str) -> list[NotebookCell]:
     task = ""
     for head, body in zip(heads_and_bodies[::2], heads_and_bodies[1::2], strict=True):
         is_code = "[markdown]" not in head
-        tags = _tags(head, name)
-        text_of_cell = body.strip("\n") if is_code else _markdown(body)
+        tags = _cell_tags(head, name)
+        text_of_cell = body.strip("\n") if is_code else _markdown_text(body)
         if not is_code and (task_match := _TASK.search(text_of_cell)):
             task = task_match[1]
         if "check" in tags or "**Check.**" in text_of_cell:
@@ -135,7 +135,7 @@ def student_cells(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
         Cells of a notebook.
     """
     return [
-        replace(cell, text=_stub(cell)) if "solution" in cell.tags else cell
+        replace(cell, text=_with_stub(cell)) if "solution" in cell.tags else cell
         for cell in _without_rubric(cells)
     ]
 
@@ -186,7 +186,7 @@ def notebook_json(cells: Sequence[NotebookCell], points: dict[str, int]) -> str:
     for position, cell in enumerate(cells):
         metadata: dict[str, Any] = {"tags": list(cell.tags)} if cell.tags else {}
         if {"solution", "check"} & set(cell.tags):
-            metadata["nbgrader"] = _grading(
+            metadata["nbgrader"] = _grading_metadata(
                 cell, position, points[cell.task], points_position[cell.task] == position
             )
         cell_objects.append(
@@ -252,7 +252,7 @@ def write_editions(sources: Sequence[Path], output: Path) -> list[Path]:
     return list(text_by_path)
 
 
-def _tags(head: str, name: str) -> tuple[str, ...]:
+def _cell_tags(head: str, name: str) -> tuple[str, ...]:
     """Return the tags in the first line of a cell, after ``# %%``."""
     tag_list = _TAG_LIST.search(head)
     if tag_list is None:
@@ -269,7 +269,7 @@ def _tags(head: str, name: str) -> tuple[str, ...]:
     return tuple(tags)
 
 
-def _markdown(body: str) -> str:
+def _markdown_text(body: str) -> str:
     """Return the text of a Markdown cell without comment signs; links to pages become names of files."""
     lines = [line.removeprefix("#").removeprefix(" ") for line in body.strip("\n").split("\n")]
     # An edition is not in the folder of its source, so that relative links would be broken.
@@ -296,7 +296,7 @@ def _split_comments(code: str) -> tuple[list[str], str]:
     return lines[:comment_count], "\n".join(lines[comment_count:])
 
 
-def _stub(cell: NotebookCell) -> str:
+def _with_stub(cell: NotebookCell) -> str:
     """Replace the solution in a cell by a stub; the leading comments of code stay."""
     if not cell.is_code:
         return TEXT_STUB
@@ -304,7 +304,7 @@ def _stub(cell: NotebookCell) -> str:
     return "\n".join([*comments, CODE_STUB])
 
 
-def _grading(cell: NotebookCell, position: int, points: int, has_points: bool) -> dict[str, Any]:
+def _grading_metadata(cell: NotebookCell, position: int, points: int, has_points: bool) -> dict[str, Any]:
     """Return the nbgrader metadata of a cell.
 
     Parameters

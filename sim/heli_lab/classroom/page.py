@@ -32,7 +32,7 @@ def write_grades(grades: Sequence[LawGrade], content: Mapping[str, Any], folder:
     drawing = Drawing()
     figures = [
         {"address": drawing.add(figure_of_flights(flights), folder / f"flights-{number}.png"), "names": names}
-        for number, (flights, names) in enumerate(_figures(grades), 1)
+        for number, (flights, names) in enumerate(_flights_per_figure(grades), 1)
     ]
     return write_page(
         folder,
@@ -46,7 +46,7 @@ def write_grades(grades: Sequence[LawGrade], content: Mapping[str, Any], folder:
     )
 
 
-def _figures(grades: Sequence[LawGrade]) -> list[tuple[dict[str, Flight], str]]:
+def _flights_per_figure(grades: Sequence[LawGrade]) -> list[tuple[dict[str, Flight], str]]:
     """Divide the flights into figures, each of which contains the flight of the first grade.
 
     Returns

@@ -98,7 +98,7 @@ def read_submission(folder: Path, limits: FileLimits, rig: str | None = None) ->
     if folder.is_symlink():
         raise BadLaw(f"{folder.name} is a link", "submit the folder itself")
     scripts, tables = _scripts_and_tables(folder)
-    law = _law_among(scripts)
+    law = _law_of_submission(scripts)
     plans: list[Plan] = []
     gains: list[dict[str, float]] = []
     for path in tables:
@@ -110,7 +110,7 @@ def read_submission(folder: Path, limits: FileLimits, rig: str | None = None) ->
         except ValueError as error:
             raise PlanError(f"{path.name} is not TOML: {error}", "correct that line") from error
         if TABLE in content:
-            gains.append(_gains(content, path))
+            gains.append(_gains_of_file(content, path))
         else:
             plan = Plan.of_tables(content, text, path.name)
             _check_plan(plan)
@@ -147,7 +147,7 @@ def _scripts_and_tables(folder: Path) -> tuple[list[Path], list[Path]]:
     return scripts, tables
 
 
-def _law_among(scripts: list[Path]) -> Path | None:
+def _law_of_submission(scripts: list[Path]) -> Path | None:
     """Return the control law of a submission: ``law.py``, or its only Python file; None without one."""
     law_file = next((path for path in scripts if path.name == LAW_FILE), None)
     if law_file is None and len(scripts) > 1:
@@ -164,7 +164,7 @@ def _check_plan(plan: Plan) -> None:
     plan.check()
 
 
-def _gains(content: Mapping[str, Any], path: Path) -> dict[str, float]:
+def _gains_of_file(content: Mapping[str, Any], path: Path) -> dict[str, float]:
     """Return the gains of a parameter file; the rig keeps its own values of all other parameters.
 
     A ParameterError is raised if another parameter differs from its default.

@@ -126,10 +126,10 @@ def diagnose(
         report = say or (lambda _step, _share: None)
         available = catalogue() if kinds is None else dict(kinds)
         names = _labels_and_numbers(labels or ())
-        train, skipped = _prepared(flights, names, rig, start_s, stop_s)
+        train, skipped = _prepare_flights(flights, names, rig, start_s, stop_s)
         if not train:
             raise skipped[0]
-        held_out, skipped_held_out = _prepared(validation, names, rig, None, None)
+        held_out, skipped_held_out = _prepare_flights(validation, names, rig, None, None)
         _refuse_duplicates(train, held_out)
         for record in held_out:
             calibration_s(record, calibrate_s)  # raises if the calibration would leave nothing to evaluate
@@ -154,7 +154,7 @@ def diagnose(
         proposal = None
         if assessment.verdict.label == "unexplained" and comparison.fits < refits:
             report("searching for an equation of what is missing", 0.92)
-            proposal = _propose(
+            proposal = _propose_equation(
                 comparison, result, assessment, evaluation, tried, calibrate_s, refits, report
             )
         next_flight = propose_experiment(comparison, result, assessment, available, undetectable)
@@ -206,7 +206,7 @@ def _search_and_assess(
     return result, assessment
 
 
-def _propose(
+def _propose_equation(
     comparison: ModelComparison,
     result: Search,
     assessment: Assessment,
@@ -243,7 +243,7 @@ def _is_candidate(kind: EffectSpec, model: Model, known: set[str], every: Mappin
     return not kind.baseline or (not kind.override and model.name != "multibody")
 
 
-def _prepared(
+def _prepare_flights(
     flights: Iterable[Flight | Record],
     labels: Iterator[str],
     rig: Rig,

@@ -41,9 +41,9 @@ _MAX_CORRELATION: Final = 0.9
 """Largest correlation of neighbouring residuals in the noise model. If it is larger, an equation term is
 missing."""
 _FEEDBACK: Final = 2.0
-"""Error of a scale because the control law responds to disturbances, see `_noise`, in units of the ratio
-r there. On 24 rigs in strong disturbances, the scales were up to 3 r too small. Smaller: false warnings.
-Larger: an encoder with half the counts is not noticed."""
+"""Error of a scale because the control law responds to disturbances, see `_noise_of_axes`, in units of the
+ratio r there. On 24 rigs in strong disturbances, the scales were up to 3 r too small. Smaller: false
+warnings. Larger: an encoder with half the counts is not noticed."""
 _FIRST_DAMPING: Final = 1.0
 """Damping of the first step of a search: no scale then changes by more than its prior allows."""
 _MAX_STEPS: Final = 60
@@ -132,21 +132,21 @@ class _ScaleProblem:
 
     def first(self) -> _Iterate:
         """Return the iterate at the start."""
-        return self._evaluate(self._start[self._free])
+        return self._evaluate_at(self._start[self._free])
 
     def covariance(self, iterate: _Iterate) -> Floats:
         """Return the covariance of the free unknowns, shape (f, f)."""
-        return np.asarray(np.linalg.inv(self._information(iterate, 0.0)), np.float64)
+        return np.asarray(np.linalg.inv(self._normal_matrix(iterate, 0.0)), np.float64)
 
     def step(self, iterate: _Iterate, damping: float) -> DampedStep[_Iterate]:
         """Solve for a step, as in `LeastSquares.step`; the damping is in units of the priors' precision."""
-        matrix = self._information(iterate, damping)
+        matrix = self._normal_matrix(iterate, damping)
         # Negative gradient of half the cost.
         descent = -iterate.jacobian.T @ iterate.errors + self._precision * (self._mean - iterate.free)
         move = np.linalg.solve(matrix, descent)
         std = np.sqrt(np.diag(np.linalg.inv(matrix)))
         predicted_reduction = float(move @ (2.0 * descent - matrix @ move))
-        return DampedStep(move, std, predicted_reduction, lambda: self._evaluate(iterate.free + move))
+        return DampedStep(move, std, predicted_reduction, lambda: self._evaluate_at(iterate.free + move))
 
     def with_states_refined(self, iterate: _Iterate) -> None:
         """Return None, because this problem has no further unknowns."""
@@ -155,11 +155,11 @@ class _ScaleProblem:
         """Return False, because the number of steps is the only limit."""
         return False
 
-    def _information(self, iterate: _Iterate, damping: float) -> Floats:
+    def _normal_matrix(self, iterate: _Iterate, damping: float) -> Floats:
         """Normal matrix of a damped step, shape (f, f), priors included."""
         return iterate.jacobian.T @ iterate.jacobian + np.diag((1.0 + damping) * self._precision)
 
-    def _evaluate(self, free: Floats) -> _Iterate:
+    def _evaluate_at(self, free: Floats) -> _Iterate:
         """Compute residuals, derivatives and cost for the free unknowns, shape (f,)."""
         residuals, jacobians = self._weak_form.residuals(self.unknowns(free))
         errors = np.concatenate([values / std for values, std in zip(residuals, self._noise, strict=True)])
@@ -210,12 +210,12 @@ def scales_of(flight: Flight, rig: Rig, model: Model) -> tuple[ScaleEstimate, ..
     weak_form = FlightInWeakForm(flight, rig, model)
     if weak_form.seconds < MIN_s:
         return ()
-    noise, all_free = _noise(weak_form)
-    all_one = _fit(weak_form, noise, (), weak_form.mean)
-    return tuple(_estimate(weak_form, noise, axis, all_free, all_one) for axis in range(3))
+    noise, all_free = _noise_of_axes(weak_form)
+    all_one = _fit_scales(weak_form, noise, (), weak_form.mean)
+    return tuple(_estimate_scale_of_axis(weak_form, noise, axis, all_free, all_one) for axis in range(3))
 
 
-def _estimate(
+def _estimate_scale_of_axis(
     weak_form: FlightInWeakForm, noise: Floats, axis: int, all_free: _Fit, all_one: _Fit
 ) -> ScaleEstimate:
     """Estimate the scale of one axis, with the other two scales fixed at 1.
@@ -232,14 +232,14 @@ def _estimate(
     """
     start = all_free.unknowns.copy()
     start[[other for other in range(3) if other != axis]] = 0.0
-    fits = [_fit(weak_form, noise, (axis,), initial) for initial in (start, all_one.unknowns)]
+    fits = [_fit_scales(weak_form, noise, (axis,), initial) for initial in (start, all_one.unknowns)]
     best = min(fits, key=lambda fit: fit.cost)
     scale = float(np.exp(best.unknowns[axis]))
     standard_error = scale * float(np.sqrt(best.covariance[0, 0]))
     return ScaleEstimate(AXES[axis], scale, standard_error, nats=0.5 * (all_one.cost - best.cost))
 
 
-def _noise(weak_form: FlightInWeakForm) -> tuple[Floats, _Fit]:
+def _noise_of_axes(weak_form: FlightInWeakForm) -> tuple[Floats, _Fit]:
     """Estimate the noise of each axis from the residuals of a fit in which all scales are free.
 
     A wrong scale does then not count as noise. The standard deviations follow from the residuals by three
@@ -267,7 +267,7 @@ def _noise(weak_form: FlightInWeakForm) -> tuple[Floats, _Fit]:
     """
     noise, unknowns = np.full(3, _FIRST_rad_s2), weak_form.mean
     for _ in range(_NOISE_ROUNDS):
-        fit = _fit(weak_form, noise, (0, 1, 2), unknowns)
+        fit = _fit_scales(weak_form, noise, (0, 1, 2), unknowns)
         unknowns = fit.unknowns
         for axis, residual in enumerate(fit.residuals):
             variance = float(np.mean(residual**2))
@@ -282,7 +282,7 @@ def _noise(weak_form: FlightInWeakForm) -> tuple[Floats, _Fit]:
     return noise, fit
 
 
-def _fit(weak_form: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats) -> _Fit:
+def _fit_scales(weak_form: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats) -> _Fit:
     """Fit the scales of the given `axes` together with all other unknowns, from the values `start` on."""
     problem = _ScaleProblem(weak_form, noise, axes, start)
     best = minimise(problem, problem.first(), damping=_FIRST_DAMPING, max_steps=_MAX_STEPS).iterate

@@ -59,11 +59,11 @@ class FlightInWeakForm:
     """
 
     def __init__(self, flight: Flight, rig: Rig, model: Model) -> None:
-        static = _static_part(model)
+        static = _without_random_and_lagged_effects(model)
         self._parameters = static.parameter_values(rig)
         std_by_parameter = _prior_stds(static, rig)
         self._places = [static.parameter_names.index(name) for name in std_by_parameter]
-        self._functions = _functions(static, tuple(std_by_parameter))
+        self._functions = _compile_functions(static, tuple(std_by_parameter))
         rest_deg = flight.parameters.get("elevation_rest_deg", rig["elevation_min"].value)
         self._pivot: Floats = np.array([np.radians(rest_deg), 0.0, 0.0])
         self.mean: Floats = np.concatenate(([0.0] * 3, [_LAG_s], [0.0] * 2, self._parameters[self._places]))
@@ -99,7 +99,7 @@ class FlightInWeakForm:
         residuals: list[list[Floats]] = [[], [], []]
         jacobians: list[list[Floats]] = [[], [], []]
         for part, test, measured in zip(self._parts, self._tests, self._measured, strict=True):
-            accelerations, derivatives = self._accelerations(part, unknowns)
+            accelerations, derivatives = self._true_accelerations(part, unknowns)
             for axis in range(3):
                 predicted = test.mean(axis, accelerations[:, axis])
                 residuals[axis].append(measured[axis] - scales[axis] * predicted)
@@ -112,7 +112,7 @@ class FlightInWeakForm:
             [np.concatenate(of_parts) for of_parts in jacobians],
         )
 
-    def _accelerations(self, part: Part, unknowns: Floats) -> tuple[Floats, Floats]:
+    def _true_accelerations(self, part: Part, unknowns: Floats) -> tuple[Floats, Floats]:
         """Compute the true accelerations by the equations of motion at every row of a part.
 
         Returns
@@ -146,7 +146,7 @@ class FlightInWeakForm:
         return value[:, rows, 0], derivatives
 
 
-def _static_part(model: Model) -> Model:
+def _without_random_and_lagged_effects(model: Model) -> Model:
     """Return a model without its random effects and without effects that have states."""
     effects = tuple(effect for effect in model.effects if not effect.states and not effect.noise_inputs)
     return type(model)(effects)
@@ -178,12 +178,12 @@ def _zero_stds_rad(rig: Rig) -> Floats:
     return np.maximum(np.radians(0.5 * np.array(tolerances_deg)), 1e-6)
 
 
-def _functions(model: Model, free: tuple[str, ...]) -> ModelFunctions:
+def _compile_functions(model: Model, free: tuple[str, ...]) -> ModelFunctions:
     """Compile the functions of a model, with derivatives by the parameters `free`."""
-    return _plain_functions(type(model), free) if model.is_plain else model_functions(model, free)
+    return _functions_without_effects(type(model), free) if model.is_plain else model_functions(model, free)
 
 
 @cache
-def _plain_functions(kind: type[Model], free: tuple[str, ...]) -> ModelFunctions:
+def _functions_without_effects(kind: type[Model], free: tuple[str, ...]) -> ModelFunctions:
     """Compile the functions of a model without effects, and keep them for the next flight."""
     return model_functions(kind(), free)

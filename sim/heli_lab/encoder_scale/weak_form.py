@@ -141,11 +141,11 @@ def gap_free_parts(flight: Flight, rows: Booleans, min_V: float) -> list[Part]:
         volts = np.maximum(flight.voltages_V[chosen], min_V).reshape(count, every, 2).mean(axis=1)
         grid_s = every * step_s
         t_s = flight.t_s[chosen][::every]
-        parts.append(Part(t_s, angles, _rates(angles, grid_s), volts, grid_s))
+        parts.append(Part(t_s, angles, _smoothed_rates(angles, grid_s), volts, grid_s))
     return parts
 
 
-def _rates(values: Floats, step_s: float) -> Floats:
+def _smoothed_rates(values: Floats, step_s: float) -> Floats:
     """Differentiate the columns of `values`, shape (n, k), after smoothing them by a Gaussian."""
     # Three standard deviations on either side.
     reach = max(1, round(3.0 * _SMOOTH_s / step_s))
@@ -197,17 +197,17 @@ class TestFunctions:
             For each axis, one mean per test function.
         """
         return [
-            _apply(second, starts, angles_rad[:, axis])
+            _weighted_sums(second, starts, angles_rad[:, axis])
             for axis, (_, second, starts) in enumerate(self._of_axes)
         ]
 
     def mean(self, axis: int, values: Floats) -> Floats:
         """Average `values`, shape (n,) or (n, k), weighted by each test function of an `axis`, 0 to 2."""
         weights, _, starts = self._of_axes[axis]
-        return _apply(weights, starts, values)
+        return _weighted_sums(weights, starts, values)
 
 
-def _apply(weights: Floats, starts: Integers, values: Floats) -> Floats:
+def _weighted_sums(weights: Floats, starts: Integers, values: Floats) -> Floats:
     """Sum up `values`, shape (n,) or (n, k), multiplied by the `weights` from each of the `starts` on."""
     windows = np.lib.stride_tricks.sliding_window_view(values, len(weights), axis=0)[starts]
     return np.asarray(windows @ weights)

@@ -59,11 +59,11 @@ def solve_arrowhead(matrix: Floats, right: Floats, per_flight: Integers) -> Floa
         Solution, in the shape of the right-hand side.
     """
     columns = right[:, None] if right.ndim == 1 else right
-    shared, gain, complement, blocks = _eliminated(matrix, per_flight)
+    shared, gain, complement, blocks = _eliminate_per_flight(matrix, per_flight)
     solution = np.empty(columns.shape)
-    of_flights = columns[per_flight]
-    without_shared = np.linalg.solve(blocks, of_flights) if per_flight.size else of_flights
-    reduced = columns[shared] - np.einsum("nks,nkr->sr", gain, of_flights)
+    flight_columns = columns[per_flight]
+    without_shared = np.linalg.solve(blocks, flight_columns) if per_flight.size else flight_columns
+    reduced = columns[shared] - np.einsum("nks,nkr->sr", gain, flight_columns)
     solution[shared] = np.linalg.solve(complement, reduced)
     solution[per_flight] = without_shared - gain @ solution[shared]
     return solution[:, 0] if right.ndim == 1 else solution
@@ -79,22 +79,22 @@ def invert_arrowhead(matrix: Floats, per_flight: Integers) -> Floats:
     per_flight : ndarray (flights, k)
         Unknowns of single flights, from `per_flight_columns`.
     """
-    shared, gain, complement, blocks = _eliminated(matrix, per_flight)
+    shared, gain, complement, blocks = _eliminate_per_flight(matrix, per_flight)
     inverse = np.empty(matrix.shape)
-    of_shared = np.linalg.inv(complement)
-    inverse[np.ix_(shared, shared)] = of_shared
+    shared_inverse = np.linalg.inv(complement)
+    inverse[np.ix_(shared, shared)] = shared_inverse
     if per_flight.size:
         # Block inversion, with the unknowns of all flights in one list.
-        of_flights, gains = per_flight.ravel(), gain.reshape(per_flight.size, len(shared))
-        product = gains @ of_shared
-        inverse[np.ix_(of_flights, shared)] = -product
-        inverse[np.ix_(shared, of_flights)] = -product.T
-        inverse[np.ix_(of_flights, of_flights)] = product @ gains.T
+        flight_unknowns, stacked_gain = per_flight.ravel(), gain.reshape(per_flight.size, len(shared))
+        product = stacked_gain @ shared_inverse
+        inverse[np.ix_(flight_unknowns, shared)] = -product
+        inverse[np.ix_(shared, flight_unknowns)] = -product.T
+        inverse[np.ix_(flight_unknowns, flight_unknowns)] = product @ stacked_gain.T
         inverse[per_flight[:, :, None], per_flight[:, None, :]] += np.linalg.inv(blocks)
     return 0.5 * (inverse + inverse.T)
 
 
-def _eliminated(matrix: Floats, per_flight: Integers) -> tuple[Integers, Floats, Floats, Floats]:
+def _eliminate_per_flight(matrix: Floats, per_flight: Integers) -> tuple[Integers, Floats, Floats, Floats]:
     """Eliminate the unknowns of single flights.
 
     Returns

@@ -48,6 +48,7 @@ def bounded_solve(
         decoupled = np.where(free[:, None] & free, matrix, np.diag(np.where(free, 0.0, 1.0)))
         return np.where(free, solve_arrowhead(decoupled, reduced_right, per_flight), x)
 
+    # First estimate: minimise, clip to the bounds, and fix what was clipped, until nothing is clipped.
     x, free = np.zeros(len(right)), np.ones(len(right), bool)
     while free.any():
         target = minimum(x, free)
@@ -55,6 +56,7 @@ def bounded_solve(
         if np.array_equal(x, target):
             break
         free &= x == target
+    # Then release fixed unknowns one by one, as long as the quadratic decreases towards the inside.
     curvature = np.diag(matrix)
     # Each release reduces the quadratic, so that few are needed; the limit ends a cycle of rounding errors.
     for _ in range(3 * len(right)):

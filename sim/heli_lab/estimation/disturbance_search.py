@@ -79,9 +79,9 @@ class _Likelihood:
     ) -> None:
         self._value, self._start = value, start
         outputs, gains = len(start.fast_std), len(start.gains)
-        of_output = (std_range, _CORRELATION_TIME_RANGE_s, std_range, _QUANTISATION_RANGE)
-        of_gain = (_GAIN_STD_RANGE, _GAIN_CORRELATION_TIME_RANGE_s)
-        self.low, self.high = np.log([*of_output * outputs, *of_gain * gains]).T
+        output_ranges = (std_range, _CORRELATION_TIME_RANGE_s, std_range, _QUANTISATION_RANGE)
+        gain_ranges = (_GAIN_STD_RANGE, _GAIN_CORRELATION_TIME_RANGE_s)
+        self.low, self.high = np.log([*output_ranges * outputs, *gain_ranges * gains]).T
         by_output, by_gain = np.split(np.arange(len(self.low)), [4 * outputs])
         self.groups = [
             _IndependentDisturbances(by_output.reshape(-1, 4), np.eye(outputs, dtype=bool)),
@@ -118,7 +118,9 @@ class _Likelihood:
         steps = np.where(point > self.high - _DIFFERENCE, -_DIFFERENCE, _DIFFERENCE)
         # Parameters that are differentiated together: one of each disturbance of a group.
         differences = [(group, parameters) for group in self.groups for parameters in group.parameters.T]
-        shifted = self.at(*(_shifted(point, parameters, steps[parameters]) for _, parameters in differences))
+        shifted = self.at(
+            *(_point_with_step(point, parameters, steps[parameters]) for _, parameters in differences)
+        )
         gradient = np.zeros(len(point))
         for (group, parameters), shifted_values in zip(differences, shifted, strict=True):
             change = group.likelihoods(shifted_values) - group.likelihoods(values)
@@ -143,10 +145,11 @@ class _Likelihood:
         points = [point, inside]
         for group in self.groups:
             columns = group.parameters.T
-            points += [_shifted(inside, column, h) for column in columns]
-            points += [_shifted(inside, column, -h) for column in columns]
+            points += [_point_with_step(inside, column, h) for column in columns]
+            points += [_point_with_step(inside, column, -h) for column in columns]
             points += [
-                _shifted(_shifted(inside, first, h), second, h) for first, second in combinations(columns, 2)
+                _point_with_step(_point_with_step(inside, first, h), second, h)
+                for first, second in combinations(columns, 2)
             ]
         values, inside_values, *shifted_values = self.at(*points)
         # Consumed below in the order of `points`.
@@ -179,7 +182,7 @@ class _Likelihood:
             for parameters in group.parameters:
                 free = parameters[gradient[parameters] != 0.0]
                 if len(free):
-                    move[free] = _newton(gradient[free], curvature[np.ix_(free, free)])
+                    move[free] = _newton_step(gradient[free], curvature[np.ix_(free, free)])
         return move
 
 
@@ -243,14 +246,14 @@ def maximise(
     return start.with_logarithms(point, curvature)
 
 
-def _shifted(point: Floats, columns: Integers, step: float | Floats) -> Floats:
+def _point_with_step(point: Floats, columns: Integers, step: float | Floats) -> Floats:
     """Return the `point`, shape (f,), with a `step` added to the elements `columns`."""
     result = point.copy()
     result[columns] += step
     return result
 
 
-def _newton(gradient: Floats, curvature: Floats) -> Floats:
+def _newton_step(gradient: Floats, curvature: Floats) -> Floats:
     """Compute the Newton step of one disturbance, shape (n,): uphill along every eigenvector of the
     curvature, and of limited length.
     """

@@ -288,11 +288,11 @@ class _GaussNewton:
                 after = self.with_next_parameters(iterate)
                 if after is None:
                     # A step may fail under wrong disturbances, and succeed under better ones.
-                    other = self.with_next_disturbances(iterate, _CONVERGED_NATS)
-                    gained_nats = other.log_posterior - iterate.log_posterior
+                    with_better_disturbances = self.with_next_disturbances(iterate, _CONVERGED_NATS)
+                    gained_nats = with_better_disturbances.log_posterior - iterate.log_posterior
                     if not self.retries_failed_steps or gained_nats < _MIN_ITERATION_GAIN_NATS:
-                        return other, False
-                    iterate = other
+                        return with_better_disturbances, False
+                    iterate = with_better_disturbances
                     continue
                 iterate = after
             # As long as the parameters change much, rough disturbances are enough.

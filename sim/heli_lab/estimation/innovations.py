@@ -43,7 +43,7 @@ class Innovations:
         """Compute the Fisher information of the parameters, shape (f, f)."""
         information = np.zeros((self.size, self.size))
         for flight, columns in zip(self.flights, self.columns, strict=True):
-            _, sensitivity = _split(flight)
+            _, sensitivity = _innovations_and_reductions(flight)
             information[np.ix_(columns, columns)] += sensitivity.T @ sensitivity
         return information
 
@@ -51,7 +51,7 @@ class Innovations:
         """Compute the score, the derivatives of the log-likelihood by the parameters, shape (f,)."""
         score = np.zeros(self.size)
         for flight, columns in zip(self.flights, self.columns, strict=True):
-            innovations, sensitivity = _split(flight)
+            innovations, sensitivity = _innovations_and_reductions(flight)
             score[columns] += sensitivity.T @ innovations
         return score
 
@@ -64,7 +64,7 @@ class Innovations:
         outputs = len(self.log_variances)
         squares = np.zeros(outputs)
         for flight in self.flights:
-            innovations, _ = _split(flight)
+            innovations, _ = _innovations_and_reductions(flight)
             # One row per block, so that the sum is that of each output.
             squares = squares + np.square(innovations.reshape(-1, outputs)).sum(axis=0)
         return -0.5 * (squares + self.log_variances)
@@ -75,12 +75,12 @@ class Innovations:
         """
         moved = []
         for flight, columns in zip(self.flights, self.columns, strict=True):
-            innovations, sensitivity = _split(flight)
+            innovations, sensitivity = _innovations_and_reductions(flight)
             moved.append(innovations - sensitivity @ move[columns])
         return moved
 
 
-def _split(flight: Floats) -> tuple[Floats, Floats]:
+def _innovations_and_reductions(flight: Floats) -> tuple[Floats, Floats]:
     """Return the innovations of a flight, shape (b,), and their reduction per unit of each parameter, shape
     (b, k).
     """

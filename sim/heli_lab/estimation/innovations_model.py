@@ -87,9 +87,9 @@ class InnovationsModel:
         ]
 
         def filter_window(window: tuple[LinearisedFlight, Blocks]) -> tuple[Floats, Floats]:
-            """Filter one window, and return what `_filter` returns."""
+            """Filter one window, and return what `_filter_signals` returns."""
             linearised, blocks = window
-            return self._filter(linearised, blocks, disturbances, blocks.drive, blocks.measured)
+            return self._filter_signals(linearised, blocks, disturbances, blocks.drive, blocks.measured)
 
         # Consumed below in the order of `windows`.
         filtered = iter(parallel_map(filter_window, windows))
@@ -100,7 +100,8 @@ class InnovationsModel:
                 innovations, window_log_variances = next(filtered)
                 window_innovations.append(innovations)
                 log_variances += (
-                    window_log_variances - 2.0 * _repeated_nats(linearised, blocks, [disturbances])[0]
+                    window_log_variances
+                    - 2.0 * _repetition_correction_nats(linearised, blocks, [disturbances])[0]
                 )
             flights.append(np.concatenate(window_innovations))
         return Innovations(tuple(flights), self.columns, self.size, log_variances)
@@ -127,7 +128,7 @@ class InnovationsModel:
             windows = []
             for blocks, drive in zip(linearised.blocks, linearised.over_blocks(rates), strict=True):
                 measured = None if outputs is None else outputs[blocks.rows]
-                windows.append(self._filter(linearised, blocks, disturbances, -drive, measured)[0])
+                windows.append(self._filter_signals(linearised, blocks, disturbances, -drive, measured)[0])
             yield np.concatenate(windows)
 
     def disturbance_regressors(
@@ -156,10 +157,10 @@ class InnovationsModel:
                 drive = np.zeros((len(blocks.rows), blocks.transition.shape[1], added.shape[1]))
                 for step, response in enumerate(blocks.part_input):
                     drive -= response[:, :, output, None] * added[blocks.rows + step][:, None, :]
-                windows.append(self._filter(linearised, blocks, disturbances, drive)[0])
+                windows.append(self._filter_signals(linearised, blocks, disturbances, drive)[0])
             yield np.concatenate(windows)
 
-    def _filter(
+    def _filter_signals(
         self,
         linearised: LinearisedFlight,
         blocks: Blocks,
@@ -261,7 +262,7 @@ class InnovationsModel:
                 self.model.initial_std**2,
                 *window_errors,
             )
-            return nats + _repeated_nats(linearised, blocks, models)
+            return nats + _repetition_correction_nats(linearised, blocks, models)
 
         total = np.zeros((len(disturbance_models), self._outputs))
         for job, nats in zip(jobs, parallel_map(window_nats, jobs), strict=True):
@@ -269,7 +270,7 @@ class InnovationsModel:
         return total
 
 
-def _repeated_nats(
+def _repetition_correction_nats(
     linearised: LinearisedFlight, blocks: Blocks, models: Sequence[DisturbanceModel]
 ) -> Floats:
     """Correct a window's log-likelihood for measurements that repeat one error.

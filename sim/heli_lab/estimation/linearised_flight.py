@@ -246,7 +246,7 @@ class LinearisedFlight:
                 high = min(low + chunk_steps, step_count)
                 steps = slice(window.start + low, window.start + high)
                 chunks.append((blocks, slice(low // n, high // n), steps))
-        parallel_map(lambda chunk: self._fill(*chunk), chunks)
+        parallel_map(lambda chunk: self._fill_blocks(*chunk), chunks)
         return windows
 
     def _empty_blocks(self, rows: Integers) -> Blocks:
@@ -262,7 +262,7 @@ class LinearisedFlight:
             measured=np.empty((b, m, columns)),
         )
 
-    def _fill(self, blocks: Blocks, into: slice, rows: slice) -> None:
+    def _fill_blocks(self, blocks: Blocks, into: slice, rows: slice) -> None:
         """Linearise the model in the steps `rows`, and fill the elements `into` of `blocks` with them."""
         n, steps = self.block, self.derivatives(rows)
         Phi, Gamma = steps.Phi, steps.Gamma

@@ -131,8 +131,8 @@ class ReferenceTrajectory:
         """
         return replace(
             self,
-            predicted=_without_rates(predicted, self.at_rest),
-            filtered=_without_rates(filtered, self.at_rest),
+            predicted=_with_zero_rates_at_rest(predicted, self.at_rest),
+            filtered=_with_zero_rates_at_rest(filtered, self.at_rest),
         )
 
 
@@ -164,14 +164,14 @@ def kinematic_filter(record: Recording, kinematics: KinematicModel) -> Reference
         if stop_step - first_step > 1:
             windows.append(slice(first_step, stop_step))
     at_rest = _at_rest(record, rows)
-    directions, direction_variance, pause_s = _directions(record, rows)
+    directions, direction_variance, pause_s = _directions_in_play(record, rows)
     return ReferenceTrajectory(
         record=record,
         every=every,
         measured=measured,
         variance=variance,
-        predicted=_without_rates(predicted, at_rest),
-        filtered=_without_rates(filtered, at_rest),
+        predicted=_with_zero_rates_at_rest(predicted, at_rest),
+        filtered=_with_zero_rates_at_rest(filtered, at_rest),
         windows=tuple(windows),
         at_rest=at_rest,
         directions=directions,
@@ -192,18 +192,18 @@ def _centred_means(record: Recording, rows: Integers, half: int) -> tuple[Floats
     """
     sums = np.vstack((np.zeros(record.outputs.shape[1]), np.cumsum(record.outputs, axis=0)))
     low, high = np.maximum(rows - half, 0), np.minimum(rows + half + 1, len(record.t_s))
-    width = np.minimum(rows - low, high - 1 - rows)
-    low, high = rows - width, rows + width + 1
+    half_width = np.minimum(rows - low, high - 1 - rows)
+    low, high = rows - half_width, rows + half_width + 1
     count = (high - low)[:, None].astype(float)
     return (sums[high] - sums[low]) / count, count
 
 
-def _changed(record: Recording) -> Booleans:
+def _count_changes(record: Recording) -> Booleans:
     """Find where the count of each output changes from a row to the next, shape (n - 1, m)."""
     return np.abs(np.diff(record.outputs, axis=0)) > 0.5 * record.resolution
 
 
-def _directions(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Floats]:
+def _directions_in_play(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Floats]:
     """Estimate the position of each output within its play, from the directions in which its count moved.
 
     The position is 1 or -1, the direction of the last move, while the count changes. If an axis reverses, its
@@ -228,7 +228,7 @@ def _directions(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Flo
     pause_s : ndarray (n, m)
         Time for which the count stays the same [s].
     """
-    changed = _changed(record)
+    changed = _count_changes(record)
     directions = np.zeros((len(nodes), changed.shape[1]))
     pause_s = np.zeros_like(directions)
     for axis in range(changed.shape[1]):
@@ -255,7 +255,7 @@ def _directions(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Flo
 
 def _at_rest(record: Recording, nodes: Integers) -> Booleans:
     """Find whether each output is at rest in the rows `nodes` of a flight, shape (n, m)."""
-    changed = _changed(record)
+    changed = _count_changes(record)
     at_rest = np.zeros((len(nodes), changed.shape[1]), bool)
     for axis in range(changed.shape[1]):
         # Edges of the runs of rows with the same count.
@@ -268,7 +268,7 @@ def _at_rest(record: Recording, nodes: Integers) -> Booleans:
     return at_rest
 
 
-def _without_rates(states: Floats, at_rest: Booleans) -> Floats:
+def _with_zero_rates_at_rest(states: Floats, at_rest: Booleans) -> Floats:
     """Set the rate of each output at rest to 0 in `states`, positions and rates, shape (n, 2 m)."""
     outputs = at_rest.shape[1]
     rates: Floats = np.where(at_rest, 0.0, states[:, outputs:])
@@ -292,23 +292,23 @@ def _filter_kinematics(
     predicted, filtered : ndarray (n, 2 m)
         Positions and rates before and after each measurement.
     """
-    count, size = measured.shape
-    identity, zero = np.eye(size), np.zeros((size, size))
+    step_count, output_count = measured.shape
+    identity, zero = np.eye(output_count), np.zeros((output_count, output_count))
     # State: positions, then rates. Both integrate an acceleration that is constant within a step.
     transition = np.block([[identity, step_s * identity], [zero, identity]])
     acceleration_input = np.vstack((0.5 * step_s**2 * identity, step_s * identity))
     measurement = np.hstack((identity, zero))
     relative = measured - measured[0]
     before, after = _kalman.track(
-        np.broadcast_to(transition, (count, *transition.shape)).copy(),
-        np.broadcast_to(acceleration_input, (1, count, *acceleration_input.shape)).copy(),
-        np.broadcast_to(measurement, (count, *measurement.shape)).copy(),
+        np.broadcast_to(transition, (step_count, *transition.shape)).copy(),
+        np.broadcast_to(acceleration_input, (1, step_count, *acceleration_input.shape)).copy(),
+        np.broadcast_to(measurement, (step_count, *measurement.shape)).copy(),
         np.ascontiguousarray(variance),
-        np.full(size, np.exp(-step_s / kinematics.correlation_time_s)),
-        np.full(size, kinematics.acceleration_std**2),
-        np.repeat([kinematics.position_std**2, kinematics.rate_std**2], size),
-        np.zeros((count, 2 * size, 1)),
+        np.full(output_count, np.exp(-step_s / kinematics.correlation_time_s)),
+        np.full(output_count, kinematics.acceleration_std**2),
+        np.repeat([kinematics.position_std**2, kinematics.rate_std**2], output_count),
+        np.zeros((step_count, 2 * output_count, 1)),
         relative[:, :, None].copy(),
     )
-    start = np.hstack((measured[0], np.zeros(size)))
-    return before[:, : 2 * size] + start, after[:, : 2 * size] + start
+    start = np.hstack((measured[0], np.zeros(output_count)))
+    return before[:, : 2 * output_count] + start, after[:, : 2 * output_count] + start

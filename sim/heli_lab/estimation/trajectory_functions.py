@@ -86,7 +86,7 @@ class _ExpressionList:
         An operation has four parts: its code in `_expression_vm.OPERATIONS`, the indices of its two operands,
         and the value of a constant. For an input, the operands are the numbers of the input and of its
         element."""
-        zero = self._add(_CONST)
+        zero = self._add_operation(_CONST)
         self.outputs = [[zero] * function.numel_out(i) for i in range(function.n_out())]
         in_register: dict[int, int] = {}
         """Operation whose value is in each of CasADi's work registers."""
@@ -100,9 +100,11 @@ class _ExpressionList:
                 row, column = element % rows, element // rows
                 self.outputs[number][row * columns + column] = in_register[operands[0]]
             elif code == ca.OP_INPUT:
-                in_register[target[0]] = self._add(_INPUT, operands[0], operands[1])
+                in_register[target[0]] = self._add_operation(_INPUT, operands[0], operands[1])
             elif code == ca.OP_CONST:
-                in_register[target[0]] = self._add(_CONST, constant=function.instruction_constant(k))
+                in_register[target[0]] = self._add_operation(
+                    _CONST, constant=function.instruction_constant(k)
+                )
             else:
                 if code not in _BY_CASADI:
                     raise IdentifyError(
@@ -111,9 +113,9 @@ class _ExpressionList:
                     )
                 # The second operand of a unary operation is ignored.
                 first, second = in_register[operands[0]], in_register[operands[-1]]
-                in_register[target[0]] = self._add(_BY_CASADI[code], first, second)
+                in_register[target[0]] = self._add_operation(_BY_CASADI[code], first, second)
 
-    def _add(self, operation: int, first: int = 0, second: int = 0, constant: float = 0.0) -> int:
+    def _add_operation(self, operation: int, first: int = 0, second: int = 0, constant: float = 0.0) -> int:
         """Append an operation unless the list has the same one; return its index in the list."""
         # Derivatives repeat subexpressions many times; `ca.cse` takes 9 ms per model to find them.
         # A constant is compared as text: -0 differs from 0, and nan equals nan.
@@ -128,7 +130,7 @@ class _ExpressionList:
         return operations, first_operands, second_operands, constants, self._input_sizes
 
 
-def _table(values: Floats) -> Floats:
+def _as_row_table(values: Floats) -> Floats:
     """Return `values`, shape (n,) or (n, k), as a contiguous array of shape (n, k)."""
     table: Floats = np.ascontiguousarray(values, float)
     return table[:, None] if table.ndim == 1 else table
@@ -155,7 +157,7 @@ class AlongTrajectory:
 
     def __call__(self, trajectory: Trajectory) -> list[Floats]:
         """Evaluate the function: one array per output, shape (n, rows, columns)."""
-        inputs = [_table(array) for array in (trajectory.state, trajectory.inputs, trajectory.t_s)]
+        inputs = [_as_row_table(array) for array in (trajectory.state, trajectory.inputs, trajectory.t_s)]
         values = self._program.evaluate(inputs, np.ascontiguousarray(trajectory.parameters, float))
         return [
             table.reshape(len(table), rows, columns)
@@ -201,7 +203,7 @@ class EffectStates:
             States z in each step.
         """
         states: Floats = self._integrator.run(
-            [_table(array) for array in (trajectory.state, trajectory.inputs)],
+            [_as_row_table(array) for array in (trajectory.state, trajectory.inputs)],
             np.ascontiguousarray(trajectory.t_s, float),
             np.ascontiguousarray(trajectory.parameters, float),
             trajectory.step_s,

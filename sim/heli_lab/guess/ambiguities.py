@@ -56,17 +56,17 @@ def assignment_ambiguities(ranked: list[ColumnAssignment]) -> tuple[list[Ambigui
     best = ranked[0]
     others = [assignment for assignment in ranked if not assignment.same_as(best)]
     margin = best.log_likelihood - (others[0].log_likelihood if others else 0.0)
-    close = [
+    nearly_as_likely = [
         other for other in others if best.log_likelihood - other.log_likelihood < thresholds.DECISIVE_NATS
     ]
     by_physics = max(ranked, key=lambda assignment: assignment.physics_log_likelihood)
     ambiguities = []
-    if close:
+    if nearly_as_likely:
         ambiguities.append(
             Ambiguity(
                 "the columns",
-                _describe(best),
-                _differences(best, close),
+                _assignment_text(best),
+                _differences_text(best, nearly_as_likely),
                 f"they explain the flight within {margin:.1f} nats of each other",
             )
         )
@@ -77,26 +77,26 @@ def assignment_ambiguities(ranked: list[ColumnAssignment]) -> tuple[list[Ambigui
         ambiguities.append(
             Ambiguity(
                 "the columns",
-                f"{_describe(best)}, as their names say",
-                _describe(by_physics),
+                f"{_assignment_text(best)}, as their names say",
+                _assignment_text(by_physics),
                 "which fits the motion; names and physics disagree",
             )
         )
-    return ambiguities, [f"columns: {_describe(best)}; {margin:.0f} nats ahead of every alternative"]
+    return ambiguities, [f"columns: {_assignment_text(best)}; {margin:.0f} nats ahead of every alternative"]
 
 
-def _differences(best: ColumnAssignment, others: list[ColumnAssignment]) -> str:
+def _differences_text(best: ColumnAssignment, others: list[ColumnAssignment]) -> str:
     """Describe the columns of other assignments that differ from the best one, by role."""
-    chosen = _roles(best)
+    chosen = _column_by_role(best)
     differing: dict[str, list[str]] = {}
     for other in others:
-        for role, column in _roles(other).items():
+        for role, column in _column_by_role(other).items():
             if column != chosen.get(role) and column not in differing.setdefault(role, []):
                 differing[role].append(column)
     return ", or ".join(f"{role} is {' or '.join(columns)}" for role, columns in differing.items() if columns)
 
 
-def _roles(assignment: ColumnAssignment) -> dict[str, str]:
+def _column_by_role(assignment: ColumnAssignment) -> dict[str, str]:
     """Return the column of each role: the angles, and the voltages or their sum and difference."""
     kind = ("sum", "difference") if assignment.summed else ("front", "back")
     return dict(zip((*AXES, *kind), assignment.columns, strict=True))
@@ -139,9 +139,9 @@ def voltage_ambiguities(
     ]
 
 
-def _describe(assignment: ColumnAssignment) -> str:
+def _assignment_text(assignment: ColumnAssignment) -> str:
     """Name the column of each role, for a message."""
-    return ", ".join(f"{role} is {column}" for role, column in _roles(assignment).items())
+    return ", ".join(f"{role} is {column}" for role, column in _column_by_role(assignment).items())
 
 
 def unit_ambiguities(
@@ -180,24 +180,24 @@ def _equally_likely_units(
     for scale in possible:
         if scale.units != best.units:
             others.setdefault(scale.units, scale)
-    close = [
+    nearly_as_likely = [
         scale
         for scale in others.values()
         if best.log_likelihood - scale.log_likelihood < thresholds.DECISIVE_NATS
     ]
-    if not close:
+    if not nearly_as_likely:
         return []
     return [
         Ambiguity(
             "the units",
-            _describe_units(best),
+            _units_text(best),
             ", or ".join(
-                f"{_describe_units(scale)}{_clipping(scale, motion, reference)}"
-                for scale in close[:_MAX_ALTERNATIVES]
+                f"{_units_text(scale)}{_clipping_text(scale, motion, reference)}"
+                for scale in nearly_as_likely[:_MAX_ALTERNATIVES]
             ),
             f"for rig {rig.name} they differ by only "
-            f"{best.log_likelihood - close[0].log_likelihood:.1f} nats; state the unit in the header or "
-            "the profile",
+            f"{best.log_likelihood - nearly_as_likely[0].log_likelihood:.1f} nats; state the unit in the "
+            "header or the profile",
         )
     ]
 
@@ -207,7 +207,7 @@ def _implausible_scales(best: Scale, rig: Rig) -> list[Ambiguity]:
     return [
         Ambiguity(
             f"the scale of {quantity}",
-            _describe_units(best),
+            _units_text(best),
             f"a much {'larger' if deviation_std < 0 else 'smaller'} unit",
             f"even the best unit is {abs(deviation_std):.1f} standard deviations from rig "
             f"{rig.name}; give your rig with --rig",
@@ -253,7 +253,7 @@ def _supply_ambiguities(
         ambiguities.append(
             Ambiguity(
                 "the voltages' unit",
-                f"{best.voltage}{_full_scale(best)}, a share of {reference.supply_V:g} V",
+                f"{best.voltage}{_full_scale_text(best)}, a share of {reference.supply_V:g} V",
                 f"a share of another supply{_volts_of_another_gain(possible)}",
                 "the file does not state it; measure the supply and set supply_V",
             )
@@ -261,7 +261,7 @@ def _supply_ambiguities(
     return ambiguities
 
 
-def _full_scale(scale: Scale) -> str:
+def _full_scale_text(scale: Scale) -> str:
     """Words for the value of full supply, if the voltages are in ``pwm``; otherwise empty."""
     return f" of {scale.full_scale:g}" if scale.voltage == "pwm" else ""
 
@@ -275,21 +275,21 @@ def _volts_of_another_gain(possible: list[Scale]) -> str:
     return ", or V" if lead_nats < 2.0 * thresholds.DECISIVE_NATS else ""
 
 
-def _clipping(scale: Scale, motion: MeasuredMotion, reference: Reference) -> str:
+def _clipping_text(scale: Scale, motion: MeasuredMotion, reference: Reference) -> str:
     """Words for the limit of the voltages, if some commands exceed the supply in the units of a `scale`;
     otherwise empty.
     """
     return f", clipped to {reference.supply_V:g} V" if scale.voltage_scale in motion.limited else ""
 
 
-def _describe_units(scale: Scale) -> str:
+def _units_text(scale: Scale) -> str:
     """Describe the units of a `scale`, for a message; angles in the same unit are named together."""
     if len(set(scale.angles.values())) == 1:
         angle_units = scale.angles[AXES[0]]
     else:
         angle_units = ", ".join(f"{axis} in {unit}" for axis, unit in scale.angles.items())
     halves = ", sum and difference by halves" if scale.factor != 1.0 else ""
-    return f"angles in {angle_units}, voltages in {scale.voltage}{_full_scale(scale)}{halves}"
+    return f"angles in {angle_units}, voltages in {scale.voltage}{_full_scale_text(scale)}{halves}"
 
 
 def sign_ambiguities(
@@ -326,13 +326,19 @@ def sign_ambiguities(
     is_changed = signs.motors_swapped or signs.pitch < 0.0 or signs.travel < 0.0
     named_roles = {names.role_of(column) for column in assignment.voltages}
     names_state_motors = named_roles >= ({"difference"} if assignment.summed else {"front", "back"})
-    motors = "the difference is back less front" if assignment.summed else "the motors' names are exchanged"
+    motors_text = (
+        "the difference is back less front" if assignment.summed else "the motors' names are exchanged"
+    )
     # The motion alone does not distinguish a rig from its mirror image; names without changes do.
     if is_changed or not names_state_motors:
-        unmirrored = _changes(signs.motors_swapped, signs.pitch < 0.0, signs.travel < 0.0, motors)
-        image = _changes(not signs.motors_swapped, signs.pitch > 0.0, signs.travel > 0.0, motors)
+        unmirrored = _sign_changes_text(
+            signs.motors_swapped, signs.pitch < 0.0, signs.travel < 0.0, motors_text
+        )
+        mirror_image = _sign_changes_text(
+            not signs.motors_swapped, signs.pitch > 0.0, signs.travel > 0.0, motors_text
+        )
         for_choice_nats = -torque_nats if mirrored else torque_nats
-        torque = (
+        torque_text = (
             f"; the constant travel torque of rig {rig.name} is {abs(for_choice_nats):.1f} nats "
             f"{'for' if for_choice_nats >= 0.0 else 'against'} the choice"
             if torque_nats
@@ -341,16 +347,18 @@ def sign_ambiguities(
         ambiguities.append(
             Ambiguity(
                 "which rotor is the front one",
-                image if mirrored else unmirrored,
-                unmirrored if mirrored else image,
-                f"the two are mirror images and move alike{torque}; lift the front rotor by hand: if pitch "
-                f"does not rise, set mirrored = {str(not mirrored).lower()}",
+                mirror_image if mirrored else unmirrored,
+                unmirrored if mirrored else mirror_image,
+                f"the two are mirror images and move alike{torque_text}; lift the front rotor by hand: if "
+                f"pitch does not rise, set mirrored = {str(not mirrored).lower()}",
             )
         )
     return ambiguities
 
 
-def _changes(motors_swapped: bool, pitch_inverted: bool, travel_inverted: bool, motors_text: str) -> str:
+def _sign_changes_text(
+    motors_swapped: bool, pitch_inverted: bool, travel_inverted: bool, motors_text: str
+) -> str:
     """Describe changes of sign in words; `motors_text` describes that of the motors."""
     changes = []
     if motors_swapped:

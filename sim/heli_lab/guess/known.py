@@ -61,14 +61,14 @@ class KnownEntries:
 
     def with_units(self, table: Table) -> Table:
         """Return a table whose columns state the known units."""
-        units = {column: self._unit(role) for column, role in self.columns.items()}
+        units = {column: self._known_unit(role) for column, role in self.columns.items()}
         columns = {
             name: Column(column.values, units.get(name) or column.unit, column.t_s)
             for name, column in table.columns.items()
         }
         return Table(table.source, columns, table.notes, table.named) if units else table
 
-    def _unit(self, role: str) -> str:
+    def _known_unit(self, role: str) -> str:
         """Known unit of a `role`; both voltages may share one entry. Empty if it is unknown."""
         unit = str(self.entries[role].get("unit", ""))
         if not unit and role in VOLTAGE_ROLES:

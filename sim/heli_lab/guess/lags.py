@@ -29,14 +29,18 @@ def lag_ambiguities(regressions: dict[str, RegressionFit]) -> tuple[list[Ambigui
     evidence : str
         A sentence with all delays.
     """
-    found = (_travel_delay(regressions), _elevation_delay(regressions), _voltage_delay(regressions["pitch"]))
+    possible = (
+        _travel_delay(regressions),
+        _elevation_delay(regressions),
+        _voltage_delay(regressions["pitch"]),
+    )
     lag_s = {axis: regressions[axis].lag_s for axis in AXES}
     sentence = (
         f"pitch follows the voltages after {lag_s['pitch']:.2f} s, elevation after "
         f"{lag_s['elevation']:.2f} s (rotor lag, transport and logging delay; a flight cannot separate "
         f"them); travel follows pitch after {lag_s['travel']:.2f} s"
     )
-    return [ambiguity for ambiguity in found if ambiguity], sentence
+    return [ambiguity for ambiguity in possible if ambiguity], sentence
 
 
 def _travel_delay(regressions: dict[str, RegressionFit]) -> Ambiguity | None:

@@ -44,9 +44,11 @@ def merge_tables(tables: Sequence[Table]) -> Table:
         t_s = times_s[number]
         has_times = t_s is not None
         if t_s is None:
-            partner = _partner(number, aligned, times_s)
+            partner = _merge_partner(number, aligned, times_s)
             t_s = times_s[partner]
-            notes.append(f"{_name(tables[number])} was merged row by row with {_name(tables[partner])}")
+            notes.append(
+                f"{_file_name(tables[number])} was merged row by row with {_file_name(tables[partner])}"
+            )
         for name, column in table.columns.items():
             if not has_times or name != clocks[number].column:
                 # The position, not the file's name, so that the profile also fits the next flight.
@@ -62,7 +64,7 @@ def _times_s(table: Table, clock: Clock) -> Floats | None:
     return times
 
 
-def _partner(number: int, tables: Sequence[Table], times_s: Sequence[Floats | None]) -> int:
+def _merge_partner(number: int, tables: Sequence[Table], times_s: Sequence[Floats | None]) -> int:
     """Find the file with which a file without times is merged row by row; both are positions in `tables`.
 
     Parameters
@@ -80,14 +82,14 @@ def _partner(number: int, tables: Sequence[Table], times_s: Sequence[Floats | No
         is_usable = times_s[other] is not None or no_file_has_times
         if other != number and is_usable and len(table) == rows:
             return other
-    sizes = ", ".join(f"{_name(table)} with {len(table)}" for table in tables)
+    sizes = ", ".join(f"{_file_name(table)} with {len(table)}" for table in tables)
     raise FlightDataError(
-        f"{_name(tables[number])}: it has no times, and no other file with times has its {rows} rows "
+        f"{_file_name(tables[number])}: it has no times, and no other file with times has its {rows} rows "
         f"({sizes})",
         "log the times with each file of one flight, or cut the files to equal lengths",
     )
 
 
-def _name(table: Table) -> str:
+def _file_name(table: Table) -> str:
     """Name of the file of a table."""
     return Path(table.source).name

@@ -77,17 +77,17 @@ _CHINESE: Final = tuple(
 def words_of(name: str) -> list[str]:
     """Split a column's `name`, without its unit, into lower-case words."""
     bare = _CAMEL.sub("_", split_unit(name)[0])
-    plain = "".join(
+    without_accents = "".join(
         char
         for char in unicodedata.normalize("NFKD", bare.lower().replace("ø", "o"))
         if not unicodedata.combining(char)
     )
-    words = [word for word in _SPLIT.split(plain) if word]
+    words = [word for word in _SPLIT.split(without_accents) if word]
     # Chinese writes no spaces between words.
-    words += [word for word in _CHINESE if word in plain]
+    words += [word for word in _CHINESE if word in without_accents]
     # In v_f, v s and u_d the letter of the voltage belongs to the next word.
-    joined = [a + b for a, b in itertools.pairwise(words) if a in {"v", "u", "m"} and len(b) == 1]
-    return words + joined
+    joined_pairs = [a + b for a, b in itertools.pairwise(words) if a in {"v", "u", "m"} and len(b) == 1]
+    return words + joined_pairs
 
 
 def _is_distinctive(word: str) -> bool:

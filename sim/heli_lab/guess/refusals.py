@@ -30,9 +30,9 @@ def too_few_columns(source: str, columns: Sequence[str], dropped: Mapping[str, s
     detail = f"; left out: {left_out}" if left_out else ""
     if {"elevation", "pitch", "travel"} <= roles and not roles.intersection(names.VOLTAGE_ROLES):
         return FlightDataError(f"{source}: no column is a motor voltage{detail}", _FIX)
-    shown = ", ".join(columns) or "none"
+    columns_text = ", ".join(columns) or "none"
     return FlightDataError(
-        f"{source}: fewer than five columns can be an angle or a voltage: {shown}{detail}", _FIX
+        f"{source}: fewer than five columns can be an angle or a voltage: {columns_text}{detail}", _FIX
     )
 
 

@@ -126,8 +126,8 @@ def propose(
     ambiguities += zero_ambiguities + timing_ambiguities
     profile = known.applied(
         Profile(
-            _angles(assignment, scale, signs, reference, offset_deg),
-            _voltages(assignment, scale, signs, reference),
+            _angle_entries(assignment, scale, signs, reference, offset_deg),
+            _voltage_entries(assignment, scale, signs, reference),
             "" if rate_Hz else clock.column,
             clock.unit,
             rate_Hz or 0.0,
@@ -366,7 +366,7 @@ def _hover_sentence(motion: MeasuredMotion, scale: Scale, reference: Reference) 
     return f"hover: the voltages add up to {hover_V:.2f} V, and to {reference.hover_V:.2f} V in the rig file"
 
 
-def _angles(
+def _angle_entries(
     assignment: ColumnAssignment, scale: Scale, signs: SignChanges, reference: Reference, offset_deg: float
 ) -> dict[str, Angle]:
     """Make the entries of the profile for the angles, by axis; `offset_deg` is added to the elevation."""
@@ -382,7 +382,7 @@ def _angles(
     }
 
 
-def _voltages(
+def _voltage_entries(
     assignment: ColumnAssignment, scale: Scale, signs: SignChanges, reference: Reference
 ) -> dict[str, Voltage]:
     """Make the entries of the profile for the voltages: sum and difference, or front and back."""

@@ -87,8 +87,10 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     suspects = _sign_suspects(regressions)
     if suspects:
         suspects = _confirmed_by_simulation(suspects, flight, rig)
-    up = 1.0 if regressions["elevation"].gain >= 0.0 else -1.0
-    wrong_zero = _zeroed_at_rest(rest_elevation(signals, "elevation_rad", math.degrees(up)), reference)
+    elevation_sign = 1.0 if regressions["elevation"].gain >= 0.0 else -1.0
+    wrong_zero = _zeroed_at_rest(
+        rest_elevation(signals, "elevation_rad", math.degrees(elevation_sign)), reference
+    )
     return (*suspects, wrong_zero) if wrong_zero is not None else tuple(suspects)
 
 
@@ -147,13 +149,13 @@ def _angles_in_degrees(regressions: dict[str, RegressionFit], reference: Referen
 
 def _sign_suspects(regressions: dict[str, RegressionFit]) -> list[WrongSign]:
     """Name the fewest changes of sign after which all axes follow their causes."""
-    against = {
+    contradicts_cause = {
         axis: regressions[axis].gain < 0.0
         and regressions[axis].log_likelihood_ratio > thresholds.DECISIVE_NATS
         for axis in AXES
     }
     suspects = []
-    if against["elevation"]:
+    if contradicts_cause["elevation"]:
         suspects.append(
             WrongSign(
                 "elevation falls when the voltages rise: it has the opposite sign",
@@ -161,7 +163,7 @@ def _sign_suspects(regressions: dict[str, RegressionFit]) -> list[WrongSign]:
                 ("elevation",),
             )
         )
-    if against["pitch"] and against["travel"]:
+    if contradicts_cause["pitch"] and contradicts_cause["travel"]:
         suspects.append(
             WrongSign(
                 "pitch falls when the front voltage rises, and travel goes against pitch: pitch has the "
@@ -170,7 +172,7 @@ def _sign_suspects(regressions: dict[str, RegressionFit]) -> list[WrongSign]:
                 ("pitch",),
             )
         )
-    elif against["pitch"]:
+    elif contradicts_cause["pitch"]:
         suspects.append(
             WrongSign(
                 "pitch falls when the front voltage rises: the motors are exchanged",
@@ -178,7 +180,7 @@ def _sign_suspects(regressions: dict[str, RegressionFit]) -> list[WrongSign]:
                 ("pitch", "travel"),
             )
         )
-    elif against["travel"]:
+    elif contradicts_cause["travel"]:
         suspects.append(
             WrongSign(
                 "travel goes against pitch: travel has the opposite sign",

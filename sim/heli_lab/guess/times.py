@@ -77,7 +77,7 @@ def clock_of(table: Table) -> Clock:
             continue
         typical_step = float(np.median(steps))
         even_share = float(np.mean(np.abs(steps / typical_step - 1.0) < _MAX_UNEVENNESS))
-        clock = _clock(name, column.unit, typical_step)
+        clock = _interpret_as_times(name, column.unit, typical_step)
         score = 2.0 * names.is_time(name) + even_share + bool(clock.unit) + clock.sure
         scored_clocks.append((score, clock))
     if not scored_clocks:
@@ -85,7 +85,7 @@ def clock_of(table: Table) -> Clock:
     return max(scored_clocks, key=lambda scored: scored[0])[1]
 
 
-def _clock(name: str, stated: str, step: float) -> Clock:
+def _interpret_as_times(name: str, header_unit: str, step: float) -> Clock:
     """Interpret a column that rises from row to row as times.
 
     Parameters
@@ -97,28 +97,30 @@ def _clock(name: str, stated: str, step: float) -> Clock:
     step : float
         Median difference between two rows, in the unit of the column.
     """
-    possible = [unit for unit, s in TIME_UNITS.items() if _MIN_STEP_S <= step * s <= _MAX_STEP_S]
-    stated_unit = stated or split_unit(name)[1]
+    possible_units = [unit for unit, s in TIME_UNITS.items() if _MIN_STEP_S <= step * s <= _MAX_STEP_S]
+    stated_unit = header_unit or split_unit(name)[1]
     if not stated_unit and set(names.words_of(name)) & {"millis"}:
         stated_unit = "ms"
     if not stated_unit and set(names.words_of(name)) & {"micros"}:
         stated_unit = "us"
-    if stated_unit in TIME_UNITS and (stated_unit in possible or not possible):
+    if stated_unit in TIME_UNITS and (stated_unit in possible_units or not possible_units):
         return Clock(
             name,
-            stated_unit if possible else "",
-            bool(possible),
+            stated_unit if possible_units else "",
+            bool(possible_units),
             f"steps of {step:g} {stated_unit} are implausible for a log",
         )
     if stated_unit in TIME_UNITS:
-        return Clock(name, possible[0], False, f"in {stated_unit}, as its name says, with steps of {step:g}")
+        return Clock(
+            name, possible_units[0], False, f"in {stated_unit}, as its name says, with steps of {step:g}"
+        )
     may_count_rows = abs(step - 1.0) < 1e-6
-    if may_count_rows and not (names.is_time(name) and possible):
-        return Clock(name, possible[0] if possible else "ms", False, "it may count rows")
-    if not possible:
+    if may_count_rows and not (names.is_time(name) and possible_units):
+        return Clock(name, possible_units[0] if possible_units else "ms", False, "it may count rows")
+    if not possible_units:
         return Clock(name, "", False, f"steps of {step:g} fit no unit of time")
     # A log has steps of 0.2 to 150 ms. At most two units fit, and the larger one is meant.
-    return Clock(name, possible[0], not may_count_rows, "it may count rows" if may_count_rows else "")
+    return Clock(name, possible_units[0], not may_count_rows, "it may count rows" if may_count_rows else "")
 
 
 def times_in_s(table: Table, clock: Clock) -> Floats:
@@ -148,7 +150,7 @@ def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
     breaks = set(known[1:][np.diff(t_s[known]) < 0.0].tolist())
     for name, column in table.columns.items():
         if names.role_of(name) not in names.VOLTAGE_ROLES:
-            breaks |= _jumps(column.values, t_s)
+            breaks |= _jump_rows(column.values, t_s)
     edges = [0, *sorted(breaks), len(t_s)]
     if len(edges) == 2:
         return table, t_s
@@ -157,7 +159,7 @@ def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
     return Table(table.source, columns, table.notes, table.named), t_s[start:stop]
 
 
-def _jumps(values: Floats, t_s: Floats) -> set[int]:
+def _jump_rows(values: Floats, t_s: Floats) -> set[int]:
     """Find the rows at which an encoder's angle jumps, as when a program joins two flights in one log.
 
     Returns
@@ -175,8 +177,8 @@ def _jumps(values: Floats, t_s: Floats) -> set[int]:
     # A setpoint stands still except for its jumps.
     if moving.size < _MIN_MOVING_SHARE * changes.size:
         return set()
-    largest_usual = float(np.quantile(moving, 0.99))
-    is_jump = changes > _JUMP_STEPS * largest_usual * elapsed_rows
+    typical_maximum = float(np.quantile(moving, 0.99))
+    is_jump = changes > _JUMP_STEPS * typical_maximum * elapsed_rows
     is_jump &= changes > _JUMP_SHARE * np.ptp(values[known])
     jumps = [int(row) for row in np.flatnonzero(is_jump)]
     if len(jumps) > _MAX_JUMPS:
@@ -184,6 +186,6 @@ def _jumps(values: Floats, t_s: Floats) -> set[int]:
     for row in jumps:
         # The angle moves smoothly before and after its jump.
         neighbours = np.delete(changes[max(row - 5, 0) : row + 6], min(row, 5))
-        if float(neighbours.max(initial=0.0)) > 3.0 * largest_usual:
+        if float(neighbours.max(initial=0.0)) > 3.0 * typical_maximum:
             return set()
     return {int(known[row + 1]) for row in jumps}

@@ -91,7 +91,7 @@ class Domain:
 
     def draw(self, random: np.random.Generator) -> EpisodeRig:
         """Draw the rig and the effects of the next episode with the generator `random`."""
-        rig = self._draw_rig(random)
+        rig = self._draw_flyable_rig(random)
         texts = tuple(
             f"{name}={float(random.uniform(low, high))!r}"
             for name, (low, high) in self.effects.items()
@@ -99,7 +99,7 @@ class Domain:
         )
         return EpisodeRig(rig, effects_with(rig, texts), texts)
 
-    def _draw_rig(self, random: np.random.Generator) -> Rig:
+    def _draw_flyable_rig(self, random: np.random.Generator) -> Rig:
         """Draw one of the rigs and its parameters; draw again if the parameters do not form a valid rig."""
         rig = load_rig(self.rigs[int(random.integers(len(self.rigs)))])
         if not self.tolerances:

@@ -55,11 +55,11 @@ def mean_return(env: gymnasium.Env[Any, Any], policy: Callable[[Observation], Ac
     total = 0.0
     for seed in seeds:
         observation, _ = env.reset(seed=seed)
-        ended = False
-        while not ended:
+        has_ended = False
+        while not has_ended:
             observation, reward, terminated, truncated, _ = env.step(policy(observation))
             total += float(reward)
-            ended = terminated or truncated
+            has_ended = terminated or truncated
     return total / len(seeds)
 
 
@@ -100,15 +100,15 @@ def cross_entropy(
     for generation in range(generations):
         drawn = mean + deviation * random.standard_normal((population, 6))
         seeds = range(1000 * generation, 1000 * generation + episodes)
-        returns = [mean_return(env, _policy(weights), seeds) for weights in drawn]
+        returns = [mean_return(env, _policy_of_gains(weights), seeds) for weights in drawn]
         elite = drawn[np.argsort(returns)[-elite_count:]]
         mean = elite.mean(axis=0)
         # The noise of Szita and Lorincz: a tenth of the initial deviation at first, 0 at the end.
         deviation = elite.std(axis=0) + 0.2 * (1.0 - (generation + 1) / generations)
-    return _policy(mean)
+    return _policy_of_gains(mean)
 
 
-def _policy(weights: Floats) -> LinearPolicy:
+def _policy_of_gains(weights: Floats) -> LinearPolicy:
     """Build a policy from six gains.
 
     Elevation and its rate act on the sum of the voltages; pitch, travel and their rates act on the

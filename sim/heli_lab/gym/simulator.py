@@ -125,11 +125,11 @@ class PlantAlone(Simulator):
             self._state[:6] = state
             self._advance(hover_V, _SETTLING_TICKS)
         self._state[:6] = state
-        return self._result(self._state[:3])
+        return self._measured_result(self._state[:3])
 
     @override
     def step(self, volts_V: Floats, ticks: int) -> StepResult:
-        return self._result(self._advance(np.asarray(volts_V, np.float64), ticks))
+        return self._measured_result(self._advance(np.asarray(volts_V, np.float64), ticks))
 
     @override
     def close(self) -> None:
@@ -168,7 +168,7 @@ class PlantAlone(Simulator):
             self._run[key] = ca.Function("ticks", [x, u, p], [after, measured])
         return self._run[key]
 
-    def _result(self, measured_rad: Floats) -> StepResult:
+    def _measured_result(self, measured_rad: Floats) -> StepResult:
         """Quantise the measured angles, and find out whether the flight has ended."""
         angles_rad = np.round(measured_rad / self._count_rad) * self._count_rad
         elevation_min, elevation_max, pitch_max, travel_max = self._limits_rad
@@ -196,7 +196,7 @@ class BoardInLockstep(Simulator):
     @override
     def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
         self._disconnect()
-        self._heli = heli = heli_host.connect(self._address(drawn, seed), history_s=1.0)
+        self._heli = heli = heli_host.connect(self._board_address(drawn, seed), history_s=1.0)
         heli.take_off()
         heli.params["telemetry_batch_ticks"] = _BATCH_TICKS
         heli.session.read_interval_s = 0.001
@@ -207,24 +207,24 @@ class BoardInLockstep(Simulator):
         self._carry_arm(state)
         heli.stream()
         heli.voltages(*volts_V)
-        return self._result()
+        return self._measured_result()
 
     @override
     def step(self, volts_V: Floats, ticks: int) -> StepResult:
-        heli = self._connected()
+        heli = self._connected_board()
         try:
             heli.voltages(*self._clip_to_limits(volts_V), valid_s=ticks * 2e-3)
             heli.wait(ticks * 1e-3)
         except HeliError as error:
             return StepResult(self._angles_rad(), False, error.cause)
-        return self._result()
+        return self._measured_result()
 
     @override
     def close(self) -> None:
         self._disconnect()
         self._folder.cleanup()
 
-    def _address(self, drawn: EpisodeRig, seed: int) -> str:
+    def _board_address(self, drawn: EpisodeRig, seed: int) -> str:
         """Return the address of a simulated board with the episode's rig, which is written to a file."""
         path = Path(self._folder.name) / "rig.toml"
         write_rig(drawn.rig, path)
@@ -237,7 +237,7 @@ class BoardInLockstep(Simulator):
         """Move the arm to `state`, angles [rad] and rates [rad/s], and hold it until the board's rate filters
         have settled.
         """
-        heli = self._connected()
+        heli = self._connected_board()
         transport = heli.session.transport
         if not isinstance(transport, InProcessTransport):
             raise LearningError("the board runs in another process", "remove the option board")
@@ -250,7 +250,7 @@ class BoardInLockstep(Simulator):
             world.state = np.array([*angles_rad, *state[3:], *world.state[6:]])
             heli.wait(_CARRY_S / _CARRY_STEPS)
 
-    def _connected(self) -> heli_host.Heli:
+    def _connected_board(self) -> heli_host.Heli:
         """Return the connected board; a LearningError reports that no episode has begun."""
         if self._heli is None:
             raise LearningError("no episode has begun", "call reset() first")
@@ -258,18 +258,18 @@ class BoardInLockstep(Simulator):
 
     def _clip_to_limits(self, volts_V: Floats) -> tuple[float, float]:
         """Limit front and back voltage to the range that the board accepts."""
-        params = self._connected().params
+        params = self._connected_board().params
         front_V, back_V = np.clip(volts_V, params["motor_min_V"], params["motor_max_V"]).tolist()
         return front_V, back_V
 
     def _angles_rad(self) -> Floats:
         """Return the newest measured angles, shape (3,)."""
-        newest = self._connected().latest
+        newest = self._connected_board().latest
         return np.array([newest.elevation_rad, newest.pitch_rad, newest.travel_rad])
 
-    def _result(self) -> StepResult:
+    def _measured_result(self) -> StepResult:
         """Return the newest measured angles, and whether the board still accepts voltages."""
-        newest = self._connected().latest
+        newest = self._connected_board().latest
         flying = newest.state is State.STREAMED
         reason = "" if flying else f"the board is in {newest.state}, fault {newest.fault}"
         return StepResult(self._angles_rad(), flying, reason)

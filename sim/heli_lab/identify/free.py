@@ -64,7 +64,7 @@ def free_parameters(
     parameters = []
     for name in dict.fromkeys(free):
         if name not in known:
-            raise _unknown(model, name)
+            raise _unknown_parameter_error(model, name)
         if name not in all_priors and (name not in rig or rig[name].tolerance == 0):
             raise IdentifyError(
                 f"parameter '{name}' has no prior", "give it a tolerance in the rig file, or fix it"
@@ -86,7 +86,7 @@ def parameter_values(model: Model, rig: Rig, values: Mapping[str, float]) -> Flo
     result = model.parameter_values(rig)
     for name, value in values.items():
         if name not in model.parameter_names:
-            raise _unknown(model, name)
+            raise _unknown_parameter_error(model, name)
         result[model.parameter_names.index(name)] = value
     return result
 
@@ -108,7 +108,7 @@ def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: S
     """
     for name in fixed:
         if name not in model.parameter_names:
-            raise _unknown(model, name)
+            raise _unknown_parameter_error(model, name)
         if name in (free or ()):
             raise IdentifyError(f"'{name}' is in both --free and --fix", "leave one of them out")
     names = [
@@ -155,7 +155,7 @@ def flight_constants(model: Model, rig: Rig, about: Mapping[str, float] | None =
     return priors
 
 
-def _unknown(model: Model, name: str) -> IdentifyError:
+def _unknown_parameter_error(model: Model, name: str) -> IdentifyError:
     """Describe the error that a model has no parameter `name`; suggest a similar name."""
     known = model.parameter_names
     close = difflib.get_close_matches(name, known, n=1)

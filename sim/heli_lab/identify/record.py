@@ -149,7 +149,7 @@ def prepare(
     refuse_duty_cycles(flight, label, rig)
     reasons, stop_notes = _reasons_to_cut(flight, rig, step_s, start_s, stop_s)
     min_rows = max(2, round(thresholds.MIN_SEGMENT_S / step_s))
-    segments, cuts = _divide(reasons, flight, min_rows)
+    segments, cuts = _segments_and_cuts(reasons, flight, min_rows)
     refuse_jumps(flight, label, segments)
     if not segments:
         t_s = flight.t_s
@@ -230,7 +230,7 @@ def _reasons_to_cut(
     near_table = _near_table(flight, rig, step_s)
     near_table |= _last_descent(flight, near_table, step_s)
     reasons.append((near_table, "table, take-off or landing"))
-    at_stops, notes = _stops(flight.angles_rad, rig, step_s)
+    at_stops, notes = _contacts_with_stops(flight.angles_rad, rig, step_s)
     return [*reasons, *at_stops], notes
 
 
@@ -322,7 +322,9 @@ def _last_descent(flight: Flight, near_table: Booleans, step_s: float) -> Boolea
     return descent
 
 
-def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> tuple[list[tuple[Booleans, str]], list[str]]:
+def _contacts_with_stops(
+    angles_rad: Floats, rig: Rig, step_s: float
+) -> tuple[list[tuple[Booleans, str]], list[str]]:
     """Find the contacts with the mechanical stops.
 
     Returns
@@ -335,25 +337,25 @@ def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> tuple[list[tuple[Bool
     """
     reasons: list[tuple[Booleans, str]] = []
     notes = []
-    around = round(thresholds.LAG_S / step_s)
+    lag_rows = round(thresholds.LAG_S / step_s)
     names = ("elevation_max", "pitch_max", "travel_max")
     for index, (axis, name) in enumerate(zip(AXES, names, strict=True)):
-        stop, degrees = rig[name], np.rad2deg(angles_rad[:, index])
+        stop, angle_deg = rig[name], np.rad2deg(angles_rad[:, index])
         # Pitch and travel have a stop on either side.
-        deflection_deg = degrees if axis == "elevation" else np.abs(degrees)
+        deflection_deg = angle_deg if axis == "elevation" else np.abs(angle_deg)
         unsure_deg = min(stop.tolerance, thresholds.MAX_UNSURE_DEG)
         at_stop = deflection_deg > stop.value - unsure_deg - thresholds.STOP_MARGIN_DEG
         largest_deg = deflection_deg.max()
         if largest_deg > stop.value + stop.tolerance + thresholds.BEYOND_STOP_DEG:
-            note = f"{axis} reaches {largest_deg:.0f} degrees, beyond the rig's {name} of {stop.value:g}"
+            note = f"{axis} reaches {largest_deg:.0f} angle_deg, beyond the rig's {name} of {stop.value:g}"
             notes.append(f"{note}: taken to be free there")
         elif at_stop.any():
-            near_stop = np.convolve(at_stop, np.ones(2 * around + 1), mode="same") > 0.5
+            near_stop = np.convolve(at_stop, np.ones(2 * lag_rows + 1), mode="same") > 0.5
             reasons.append((near_stop, f"stop of the {axis}"))
     return reasons, notes
 
 
-def _divide(
+def _segments_and_cuts(
     reasons: list[tuple[Booleans, str]], flight: Flight, min_rows: int
 ) -> tuple[tuple[tuple[int, int], ...], tuple[Cut, ...]]:
     """Divide a flight into segments of free flight and cuts.

@@ -30,7 +30,7 @@ def compile_program(law: LawFunction) -> LawProgram:
         The board cannot run this law.
     """
     function = law.function.expand() if not law.function.is_a("SXFunction") else law.function
-    program, outputs = _values_of(law, function)
+    program, outputs = _translate_to_values(law, function)
     program, outputs = with_sums(program, outputs)
     _copy_read_states(law, program, outputs)
     program, outputs = _without_unused_values(program, outputs)
@@ -47,7 +47,7 @@ def compile_program(law: LawFunction) -> LawProgram:
     )
 
 
-def _values_of(law: LawFunction, function: ca.Function) -> tuple[Program, list[int]]:
+def _translate_to_values(law: LawFunction, function: ca.Function) -> tuple[Program, list[int]]:
     """Translate CasADi's instructions into values.
 
     Returns
@@ -98,13 +98,13 @@ def _copy_read_states(law: LawFunction, program: Program, outputs: list[int]) ->
 
 def _without_unused_values(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
     """Remove the values that no operation and no output reads; return the program and its `outputs`."""
-    needed = set(outputs)
+    read_values = set(outputs)
     for index in range(len(program.values) - 1, -1, -1):
-        if index in needed:
-            needed.update(program.values[index].operands)
+        if index in read_values:
+            read_values.update(program.values[index].operands)
     smaller = Program(program.name)
     new_index: dict[int, int] = {}
-    for index in sorted(needed):
+    for index in sorted(read_values):
         smaller.copy_value(program, index, new_index)
     return smaller, [new_index[output] for output in outputs]
 
@@ -153,11 +153,13 @@ def _assign_cells(
                 f"({len(law.states)} states, {len(program.constants)} constants)",
                 "give it fewer states, or smaller matrices",
             )
-        instructions.append(_instruction(value, cell[index], [cell[operand] for operand in value.operands]))
+        instructions.append(
+            _write_instruction(value, cell[index], [cell[operand] for operand in value.operands])
+        )
     return instructions, [cell[output] for output in outputs]
 
 
-def _instruction(value: Value, target: int, operands: list[int]) -> Instruction:
+def _write_instruction(value: Value, target: int, operands: list[int]) -> Instruction:
     """Write the instruction that computes a `value` from the cells `operands` into the cell `target`."""
     if value.kind != SUM:
         first, second = (*operands, 0)[:2]

@@ -23,8 +23,8 @@ def c_source(law: Law) -> str:
         f"/* {law.name}: a control law, called {law.rate_Hz:g} times a second.",
         "   int law(const float** arg, float** res, long long* iw, float* w, int mem);",
         f"   arg[0], inputs: {', '.join(LAW_INPUTS)}",
-        f"   arg[1], states, first values: {_listed(law.states)}",
-        f"   arg[2], parameters: {_listed(law.parameters)}",
+        f"   arg[1], states, first values: {_names_and_values(law.states)}",
+        f"   arg[2], parameters: {_names_and_values(law.parameters)}",
         f"   res[0]: front_V, back_V, three setpoints in rad{''.join(f', {name}' for name in law.signals)}",
         "   res[1]: new states */",
     ]
@@ -36,6 +36,6 @@ def c_source(law: Law) -> str:
     return "\n".join(lines) + "\n" + body
 
 
-def _listed(values: dict[str, float]) -> str:
+def _names_and_values(values: dict[str, float]) -> str:
     """Write named values into one line of a comment."""
     return ", ".join(f"{name} = {value:g}" for name, value in values.items()) or "none"

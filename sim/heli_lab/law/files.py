@@ -86,7 +86,7 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s, rig: str | None = None) 
             "look for a loop without an end; heli-host law allows longer with --load-timeout",
         ) from None
     if not pickled:
-        raise _ended(path, status)
+        raise _error_of_ended_process(path, status)
     answer: dict[str, Any] = pickle.loads(pickled)
     law = answer["law"]
     if not isinstance(law, Law):
@@ -133,7 +133,7 @@ def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawP
     if not answer:
         if status < 0 and signal.Signals(-status).name in ("SIGXCPU", "SIGKILL"):
             raise endless
-        raise _ended(path, status)
+        raise _error_of_ended_process(path, status)
     try:
         reply = json.loads(answer)
         if "program" in reply:
@@ -212,13 +212,13 @@ def _run_in_process(
     except (queue.Empty, subprocess.TimeoutExpired):
         raise TimeoutError from None
     finally:
-        _end(process)
+        _kill_process_group(process)
 
 
-def _ended(path: Path, status: int) -> BadLaw:
+def _error_of_ended_process(path: Path, status: int) -> BadLaw:
     """Describe the error that the file at `path` ended its process with an exit `status`."""
-    how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
-    return BadLaw(f"{path.name} ended Python ({how})", "correct the file; python FILE shows details")
+    reason = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
+    return BadLaw(f"{path.name} ended Python ({reason})", "correct the file; python FILE shows details")
 
 
 def _read_answer(pipe: IO[bytes], answers: queue.SimpleQueue[bytes], max_bytes: int) -> None:
@@ -228,7 +228,7 @@ def _read_answer(pipe: IO[bytes], answers: queue.SimpleQueue[bytes], max_bytes: 
         answers.put(pipe.read(max_bytes))
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _kill_process_group(process: subprocess.Popen[bytes]) -> None:
     """End a process, and all processes that it has started."""
     with suppress(ProcessLookupError, PermissionError):
         if hasattr(os, "killpg"):

@@ -170,29 +170,40 @@ def control_law(
         law_name = name or function.__name__
         inputs = ca.SX.sym("inputs", len(LAW_INPUTS))
         states, parameters = ca.SX.sym("states", len(initial)), ca.SX.sym("parameters", len(values))
-        now, state = _named(inputs, LAW_INPUTS), _named(states, initial)
-        command = _called(function, law_name, now, state, _named(parameters, values))
+        now, state = _namespace_of_symbols(inputs, LAW_INPUTS), _namespace_of_symbols(states, initial)
+        command = _call_with_symbols(
+            function, law_name, now, state, _namespace_of_symbols(parameters, values)
+        )
         unknown = sorted(set(command.states) - set(initial))
         if unknown:
             raise BadLaw(
                 f"the law {law_name} has no state {unknown[0]}", "name it in states=, with its first value"
             )
-        outputs = [command.front_V, command.back_V, *_setpoints(command, now), *command.signals.values()]
+        outputs = [
+            command.front_V,
+            command.back_V,
+            *_setpoints_for_log(command, now),
+            *command.signals.values(),
+        ]
         new_states = [command.states.get(key, getattr(state, key)) for key in initial]
         graph = casadi_function(
-            inputs, states, parameters, _scalars(outputs, law_name), _scalars(new_states, law_name)
+            inputs,
+            states,
+            parameters,
+            _scalar_symbols(outputs, law_name),
+            _scalar_symbols(new_states, law_name),
         )
         return Law(law_name, rate_Hz, graph, initial, values, tuple(command.signals))
 
     return make
 
 
-def _named(symbols: ca.SX, names: Iterable[str]) -> SimpleNamespace:
+def _namespace_of_symbols(symbols: ca.SX, names: Iterable[str]) -> SimpleNamespace:
     """Return an object that has the elements of a column of `symbols` as attributes with these `names`."""
     return SimpleNamespace(**{name: symbols[index] for index, name in enumerate(names)})
 
 
-def _called(
+def _call_with_symbols(
     function: Callable[..., Command],
     law_name: str,
     now: SimpleNamespace,
@@ -216,16 +227,16 @@ def _called(
     except BadLaw:
         raise
     except Exception as error:
-        raise _explained(error, law_name) from error
+        raise _explain_error(error, law_name) from error
     if not isinstance(command, Command):
         raise BadLaw(
-            f"the law {law_name} returns {_kind(command)}",
+            f"the law {law_name} returns {_type_text(command)}",
             "return Command(front_V, back_V, ...): two voltages",
         )
     return command
 
 
-def _setpoints(command: Command, now: SimpleNamespace) -> list[Any]:
+def _setpoints_for_log(command: Command, now: SimpleNamespace) -> list[Any]:
     """Choose the setpoints of elevation, pitch and travel for the log.
 
     A setpoint that the law does not give is the board's, and for pitch the measured angle.
@@ -247,52 +258,59 @@ def _takes_three_arguments(function: Callable[..., Any]) -> bool:
     return True
 
 
-def _scalars(values: Sequence[Any], name: str) -> list[ca.SX]:
+def _scalar_symbols(values: Sequence[Any], name: str) -> list[ca.SX]:
     """Convert outputs of the law `name` to scalar symbols; a BadLaw reports an output of another type or
     size.
     """
     scalars = []
-    for place, value in enumerate(values):
+    for output_number, value in enumerate(values):
         try:
             scalar = ca.SX(value)
         # CasADi says of some types that they are not implemented, which is a RuntimeError.
         except (TypeError, RuntimeError) as error:
             raise BadLaw(
-                f"output {place} of the law {name} has the type {type(value).__name__}",
+                f"output {output_number} of the law {name} has the type {type(value).__name__}",
                 "give a number, or an expression of now, state and parameter",
             ) from error
         if scalar.numel() != 1:
             raise BadLaw(
-                f"output {place} of the law {name} has {scalar.numel()} numbers", "give one number per output"
+                f"output {output_number} of the law {name} has {scalar.numel()} numbers",
+                "give one number per output",
             )
         scalars.append(scalar)
     return scalars
 
 
-def _explained(error: Exception, name: str) -> BadLaw:
+def _explain_error(error: Exception, name: str) -> BadLaw:
     """Explain an `error` in the function of the law `name`: which line, and what to write instead."""
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "casadi" not in frame.filename]
-    last = frames[-1] if frames else None
-    where = f"line {last.lineno} of the law {name}" if last is not None else f"the law {name}"
-    source = linecache.getline(last.filename, last.lineno or 0).strip() if last is not None else ""
+    last_frame = frames[-1] if frames else None
+    line_text = f"line {last_frame.lineno} of the law {name}" if last_frame is not None else f"the law {name}"
+    source_line = (
+        linecache.getline(last_frame.filename, last_frame.lineno or 0).strip()
+        if last_frame is not None
+        else ""
+    )
     if _TRUTH in str(error):
         return BadLaw(
-            f"{where} uses a symbol as a condition ({source})",
+            f"{line_text} uses a symbol as a condition ({source_line})",
             "write if_else(condition, a, b), fmin, fmax or saturated(x, least, most) of heli_lab.law",
         )
     if isinstance(error, AttributeError) and isinstance(error.obj, SimpleNamespace):
         names = ", ".join(vars(error.obj)) or "none, because the law declares none"
-        return BadLaw(f"{where} reads {error.name}, which does not exist ({source})", f"names are: {names}")
-    text = str(error).split("\n")[0]
-    if isinstance(error, TypeError | RuntimeError) and "math." in source:
         return BadLaw(
-            f"{where} calls a function of math ({source})",
+            f"{line_text} reads {error.name}, which does not exist ({source_line})", f"names are: {names}"
+        )
+    text = str(error).split("\n")[0]
+    if isinstance(error, TypeError | RuntimeError) and "math." in source_line:
+        return BadLaw(
+            f"{line_text} calls a function of math ({source_line})",
             "use sin, cos, sqrt, ... of heli_lab.law: they take symbols",
         )
-    return BadLaw(f"{where} failed: {type(error).__name__}: {text}", f"correct this line: {source}")
+    return BadLaw(f"{line_text} failed: {type(error).__name__}: {text}", f"correct this line: {source_line}")
 
 
-def _kind(value: object) -> str:
+def _type_text(value: object) -> str:
     """Describe in a few words what a function returned instead of a Command."""
     if isinstance(value, tuple | list):
         return f"{len(value)} values"

@@ -74,10 +74,10 @@ def fence_process(limits: FileLimits) -> None:
         limit_process(kind, limit, limit)
     if sys.platform == "linux":
         _filter_system_calls()
-    sys.addaudithook(_refuse)
+    sys.addaudithook(_refuse_audit_event)
 
 
-def _refuse(event: str, arguments: tuple[Any, ...]) -> None:
+def _refuse_audit_event(event: str, arguments: tuple[Any, ...]) -> None:
     """Raise a PermissionError for an audit event that writes a file, opens a socket or starts a process."""
     if event == "open":
         flags = arguments[2] if len(arguments) > 2 else 0
@@ -148,7 +148,7 @@ def _filter_system_calls() -> None:
     machine = platform.machine()
     if machine not in _ARCHITECTURES:
         return
-    program = b"".join(struct.pack("<HBBI", *line) for line in _filter(machine))
+    program = b"".join(struct.pack("<HBBI", *line) for line in _system_call_filter(machine))
     buffer = ctypes.create_string_buffer(program)
     header = _FilterProgram(len(program) // 8, ctypes.addressof(buffer))
     libc = ctypes.CDLL(None, use_errno=True)
@@ -159,7 +159,7 @@ def _filter_system_calls() -> None:
         raise OSError(ctypes.get_errno(), "the kernel refuses a filter of system calls")
 
 
-def _filter(machine: str) -> list[tuple[int, int, int, int]]:
+def _system_call_filter(machine: str) -> list[tuple[int, int, int, int]]:
     """Write the filter for a processor: a list of instructions of the kernel's packet filter (BPF).
 
     Returns
@@ -167,7 +167,7 @@ def _filter(machine: str) -> list[tuple[int, int, int, int]]:
     list of (int, int, int, int)
         For each instruction: code, jump if true, jump if false, operand.
     """
-    column = list(_ARCHITECTURES).index(machine)
+    processor_column = list(_ARCHITECTURES).index(machine)
     lines = [
         (_LOAD, 0, 0, _ARCHITECTURE_AT),
         (_EQUAL, 1, 0, _ARCHITECTURES[machine]),
@@ -179,8 +179,8 @@ def _filter(machine: str) -> list[tuple[int, int, int, int]]:
 
     def on_call(call: tuple[int, int], *instructions: tuple[int, int, int, int]) -> None:
         """Add the `instructions` that the filter runs for a system call, if this processor has it."""
-        if call[column] >= 0:
-            lines.append((_EQUAL, 0, len(instructions), call[column]))
+        if call[processor_column] >= 0:
+            lines.append((_EQUAL, 0, len(instructions), call[processor_column]))
             lines.extend(instructions)
 
     def refuse_bits(call: tuple[int, int], argument: int, bits: int, *, wanted: bool) -> None:

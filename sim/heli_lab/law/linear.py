@@ -88,8 +88,10 @@ def _linear_regulator(law: Law) -> control.StateSpace:
     )  # fmt: skip
     A, B, C, D = (np.asarray(ca.DM(matrix)) for matrix in jacobian(np.zeros(len(LAW_INPUTS)), initial_states))
     columns = [LAW_INPUTS.index(name) for name in (*angles, *rates)]
-    mix = np.array([[1.0, 1.0], [1.0, -1.0]])
-    return control.ss(A, B[:, columns], mix @ C[:2], mix @ D[:2][:, columns], law.dt_s)
+    to_sum_and_difference = np.array([[1.0, 1.0], [1.0, -1.0]])
+    return control.ss(
+        A, B[:, columns], to_sum_and_difference @ C[:2], to_sum_and_difference @ D[:2][:, columns], law.dt_s
+    )
 
 
 def _margins(loop: control.StateSpace, channel: int) -> tuple[float, float]:
@@ -102,18 +104,18 @@ def _margins(loop: control.StateSpace, channel: int) -> tuple[float, float]:
     phase_deg : float
         Phase margin [deg]; infinite if the gain never crosses 1.
     """
-    other = 1 - channel
+    other_channel = 1 - channel
     A, B, C, D = (np.asarray(matrix) for matrix in (loop.A, loop.B, loop.C, loop.D))
-    other_closed_A = A + B[:, [other]] @ C[[other]] / (1.0 - D[other, other])
+    other_closed_A = A + B[:, [other_channel]] @ C[[other_channel]] / (1.0 - D[other_channel, other_channel])
     single_loop = control.ss(other_closed_A, B[:, [channel]], -C[[channel]], -D[channel, channel], loop.dt)
     response = np.asarray(control.frequency_response(single_loop, BODE_FREQUENCY_rad_s, squeeze=True).complex)
     # Phase relative to -180 degrees.
     phase_deg = np.degrees(np.angle(-response))
-    crosses_180_deg = (
+    crosses_180_below_1 = (
         (np.diff(np.sign(response.imag)) != 0) & (response.real[:-1] < 0.0) & (np.abs(response[:-1]) < 1.0)
     )
-    gains = 1.0 / np.abs(response[:-1][crosses_180_deg])
-    gain = float(gains.min()) if crosses_180_deg.any() else float("inf")
+    gains = 1.0 / np.abs(response[:-1][crosses_180_below_1])
+    gain = float(gains.min()) if crosses_180_below_1.any() else float("inf")
     crosses_1 = np.diff(np.sign(np.abs(response) - 1.0)) != 0
     margin_deg = float(np.abs(phase_deg[:-1][crosses_1]).min()) if crosses_1.any() else float("inf")
     return gain, margin_deg

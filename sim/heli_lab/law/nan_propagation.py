@@ -43,12 +43,12 @@ def with_nan_propagation(function: ca.Function) -> ca.Function:
             number, element = target
             outputs[number][element] = register[operands[0]]
         else:
-            register[target[0]] = _operation(code, [register[operand] for operand in operands])
+            register[target[0]] = _operation_with_nan(code, [register[operand] for operand in operands])
     dense = [ca.densify(output) for output in outputs]
     return ca.Function(function.name(), inputs, dense, function.name_in(), function.name_out())
 
 
-def _operation(code: int, operands: list[ca.SX]) -> ca.SX:
+def _operation_with_nan(code: int, operands: list[ca.SX]) -> ca.SX:
     """Apply CasADi's operation `code`, and make the result NaN if a checked operand is NaN."""
     result = ca.SX.unary(code, *operands) if len(operands) == 1 else ca.SX.binary(code, *operands)
     for operand in operands[: _CHECKED_OPERANDS.get(code, 0)]:

@@ -200,14 +200,14 @@ class Program:
         if composed is not None:
             return composed(self, a, b)
         if code in (ca.OP_POW, ca.OP_CONSTPOW):
-            return self._power(a, b)
+            return self._power_by_products(a, b)
         known = ", ".join(sorted(set(_ON_BOARD.values())))
         raise BadLaw(
             f"the law {self.name} uses {_NAMES.get(code, code)}, which the board cannot compute",
             f"use only {known}",
         )
 
-    def _power(self, a: int, b: int) -> int:
+    def _power_by_products(self, a: int, b: int) -> int:
         """Compose a power of the value `a` from products; the exponent `b` must be a whole number or 1/2."""
         constant = self.constant_number(b)
         # The test below refuses nan, and thus an exponent that is not a constant.

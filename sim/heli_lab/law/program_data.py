@@ -72,29 +72,31 @@ def program_of_json(text: str) -> LawProgram:
     """
     try:
         content = json.loads(text)
-        return _program(content)
+        return _check_and_convert(content)
     except (ValueError, TypeError, KeyError, IndexError, RecursionError, OverflowError) as error:
         raise BadLaw("the file's process did not return a program", "remove what replaces it") from error
 
 
-def _program(content: Mapping[str, Any]) -> LawProgram:
+def _check_and_convert(content: Mapping[str, Any]) -> LawProgram:
     """Convert the `content` of a JSON text to a program; invalid content raises one of Python's errors."""
-    constants = tuple(_number("constant", value) for value in _list(content["constants"]))
-    parameters = tuple(_named("parameter", *pair) for pair in _list(content["parameters"]))
-    states = tuple(_named("state", *pair) for pair in _list(content["states"]))
-    signals = tuple(_name(signal) for signal in _list(content["signals"]))
-    outputs = tuple(_cell(cell) for cell in _list(content["outputs"]))
+    constants = tuple(
+        _check_single_precision("constant", value) for value in _check_list(content["constants"])
+    )
+    parameters = tuple(_check_named_value("parameter", *pair) for pair in _check_list(content["parameters"]))
+    states = tuple(_check_named_value("state", *pair) for pair in _check_list(content["states"]))
+    signals = tuple(_printable_name(signal) for signal in _check_list(content["signals"]))
+    outputs = tuple(_check_cell(cell) for cell in _check_list(content["outputs"]))
     if len(outputs) != FIXED_OUTPUTS + len(signals) + len(states):
         raise ValueError("another number of outputs")
     program = LawProgram(
-        _name(content["name"]),
-        _whole(content["divisor"], 256),
+        _printable_name(content["name"]),
+        _check_whole_number(content["divisor"], 256),
         constants,
         parameters,
         states,
         outputs,
         signals,
-        tuple(_instruction(*fields) for fields in _list(content["instructions"])),
+        tuple(_check_instruction(*fields) for fields in _check_list(content["instructions"])),
     )
     # This checks names, and that every cell is written before it is read.
     law_of_program(program)
@@ -156,26 +158,26 @@ def law_of_program(program: LawProgram) -> Law:
     )
 
 
-def _list(value: Any) -> list[Any]:
+def _check_list(value: Any) -> list[Any]:
     """Check that a value is a list, and not too long."""
     if not isinstance(value, list) or len(value) > _MAX_ITEMS:
         raise TypeError("not a list of a program")
     return value
 
 
-def _whole(value: Any, stop: int) -> int:
+def _check_whole_number(value: Any, stop: int) -> int:
     """Check that a value is a whole number from 0 to `stop` - 1."""
     if type(value) is not int or not 0 <= value < stop:
         raise ValueError("not a number of a program")
     return value
 
 
-def _cell(value: Any) -> int:
+def _check_cell(value: Any) -> int:
     """Check that a value is the number of a cell."""
-    return _whole(value, LAW_CELLS)
+    return _check_whole_number(value, LAW_CELLS)
 
 
-def _number(what: str, value: Any) -> float:
+def _check_single_precision(what: str, value: Any) -> float:
     """Check that a value is a number that the board can store; messages call it `what`."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError("not a number")
@@ -183,22 +185,27 @@ def _number(what: str, value: Any) -> float:
     return float(value)
 
 
-def _name(value: Any) -> str:
+def _printable_name(value: Any) -> str:
     """Check that a value is a text, and make it safe to print: short, and without control characters."""
     if not isinstance(value, str):
         raise TypeError("not a name")
     return "".join(letter if letter.isprintable() else "?" for letter in value[:LONGEST_NAME])
 
 
-def _named(kind: str, name: Any, value: Any) -> tuple[str, float]:
+def _check_named_value(kind: str, name: Any, value: Any) -> tuple[str, float]:
     """Check name and value of a parameter or state, its `kind`."""
-    return _name(name), _number(f"{kind} {_name(name)}", value)
+    return _printable_name(name), _check_single_precision(f"{kind} {_printable_name(name)}", value)
 
 
-def _instruction(code: Any, target: Any, first: Any, second: Any, terms: Any) -> Instruction:
+def _check_instruction(code: Any, target: Any, first: Any, second: Any, terms: Any) -> Instruction:
     """Check the entries of an instruction; only a sum of products has terms."""
-    code = _whole(code, len(OPERATIONS))
-    checked_terms = [Term(_cell(a), _cell(b), bool(_whole(negative, 2))) for a, b, negative in _list(terms)]
+    code = _check_whole_number(code, len(OPERATIONS))
+    checked_terms = [
+        Term(_check_cell(a), _check_cell(b), bool(_check_whole_number(negative, 2)))
+        for a, b, negative in _check_list(terms)
+    ]
     if bool(checked_terms) != (code == CODE[SUM]) or len(checked_terms) > LAW_MAX_TERMS:
         raise ValueError("terms of another operation")
-    return Instruction(code, _cell(target), _cell(first), _cell(second), tuple(checked_terms))
+    return Instruction(
+        code, _check_cell(target), _check_cell(first), _check_cell(second), tuple(checked_terms)
+    )

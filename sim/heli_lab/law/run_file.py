@@ -30,10 +30,12 @@ def answer_to(path: Path) -> dict[str, Any]:
     """Run a file; return its law, or the cause and fix of the error."""
     try:
         law = run_law(path)
-        plain = Law(law.name, law.rate_Hz, law.function, dict(law.states), dict(law.parameters), law.signals)
+        picklable_law = Law(
+            law.name, law.rate_Hz, law.function, dict(law.states), dict(law.parameters), law.signals
+        )
     except HeliError as error:
         return {"law": None, "cause": error.cause, "remedy": error.remedy}
-    return {"law": plain, "cause": "", "remedy": ""}
+    return {"law": picklable_law, "cause": "", "remedy": ""}
 
 
 def program_or_error(path: Path) -> dict[str, str]:
@@ -74,7 +76,7 @@ def run_law(path: Path) -> Law:
         raise
     except SyntaxError as error:
         raise BadLaw(
-            f"{path.name} is not valid Python: {error.msg}{_at(error.lineno)}",
+            f"{path.name} is not valid Python: {error.msg}{_line_number_text(error.lineno)}",
             "correct this line" if error.lineno else "give a Python file that ends with LAW = ...",
         ) from error
     # SystemExit too: a file that calls sys.exit would otherwise end this process without a message.
@@ -84,7 +86,8 @@ def run_law(path: Path) -> Law:
             frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)
         ]
         raise BadLaw(
-            f"{path.name} fails: {type(error).__name__}: {text}{_at(lines[-1] if lines else None)}",
+            f"{path.name} fails: {type(error).__name__}: {text}"
+            f"{_line_number_text(lines[-1] if lines else None)}",
             "correct the file; python FILE shows details",
         ) from error
     law = variables.get("LAW")
@@ -92,25 +95,27 @@ def run_law(path: Path) -> Law:
         return law
     variable = next((name for name, value in variables.items() if isinstance(value, Law)), "")
     if law is not None:
-        raise BadLaw(f"the LAW of {path.name} has the type {type(law).__name__}", _remedy(variable))
-    raise BadLaw(f"{path.name} does not define LAW", _remedy(variable))
+        raise BadLaw(
+            f"the LAW of {path.name} has the type {type(law).__name__}", _remedy_for_missing_law(variable)
+        )
+    raise BadLaw(f"{path.name} does not define LAW", _remedy_for_missing_law(variable))
 
 
-def _answers() -> IO[bytes]:
+def _reserved_standard_output() -> IO[bytes]:
     """Reserve standard output for the answer; what the file prints goes to standard error."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     return answers
 
 
-def _remedy(variable: str) -> str:
+def _remedy_for_missing_law(variable: str) -> str:
     """Say how to define LAW, if possible by the `variable` that already holds a law."""
     if variable:
         return f"end it with LAW = {variable}"
     return "end it with LAW = ..., what @control_law or from_gain of heli_lab.law makes"
 
 
-def _at(line: int | None) -> str:
+def _line_number_text(line: int | None) -> str:
     """Words for the number of a line; empty if it is unknown."""
     return "" if line is None else f" (line {line})"
 
@@ -132,7 +137,8 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     path, limits = Path(sys.argv[1]), [float(word) for word in sys.argv[2:]]
     sys.argv = [str(path)]
-    with _answers() as answers:
+    with _reserved_standard_output() as answers:
+        # The limit of time counts from this line on, and not while Python imports this module.
         answers.write(b"begins\n")
         answers.flush()
         if limits:

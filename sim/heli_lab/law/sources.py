@@ -22,7 +22,7 @@ ERRORS = (*(f"{axis}_rad" for axis in AXES), *(f"{axis}_rad_s" for axis in AXES)
 """States of a gain matrix: angles, then rates, each against its setpoint; pitch's setpoint is level."""
 
 
-def _errors(now: Any) -> Any:
+def _tracking_errors(now: Any) -> Any:
     """Return the six `ERRORS` as a column: inputs of a law, `now`, minus their setpoints."""
     errors = []
     for name in ERRORS:
@@ -67,7 +67,7 @@ def from_gain(
     @control_law(rate_Hz=rate_Hz, name=name, parameters={"hover_V": hover_V})
     def law(now: Any, state: Any, parameter: Any) -> Command:
         """Multiply the errors by the gains, and convert the result to motor voltages."""
-        command_V = -ca.mtimes(ca.DM(gains), _errors(now))
+        command_V = -ca.mtimes(ca.DM(gains), _tracking_errors(now))
         return Command(*motor_volts(parameter.hover_V + command_V[0], command_V[1], dead_zone_V))
 
     return law
@@ -115,7 +115,7 @@ def from_state_space(
     def law(now: Any, state: Any, parameter: Any) -> Command:
         """Take one step of the state space: compute voltages and new states."""
         x = column_of([getattr(state, key) for key in names])
-        errors = _errors(now)
+        errors = _tracking_errors(now)
         command_V = ca.mtimes(C, x) + ca.mtimes(D, errors)
         next_x = ca.mtimes(A, x) + ca.mtimes(B, errors)
         front_V, back_V = motor_volts(parameter.hover_V + command_V[0], command_V[1], dead_zone_V)

@@ -57,26 +57,28 @@ def with_sums(program: Program, outputs: list[int]) -> tuple[Program, list[int]]
     """
     readers = Counter(operand for value in program.values for operand in value.operands)
     readers.update(outputs)
-    needed = set(outputs)
+    read_values = set(outputs)
     sums: dict[int, list[_Product]] = {}
     for index in range(len(program.values) - 1, -1, -1):
-        if index not in needed:
+        if index not in read_values:
             continue
         value = program.values[index]
         if value.kind in _LINEAR:
-            sums[index] = _merged(program, _products_of(program, readers, index, 1.0, is_root=True))
+            sums[index] = _merge_equal_products(
+                program, _expand_to_products(program, readers, index, 1.0, is_root=True)
+            )
             for product in sums[index]:
-                needed.add(product.first)
+                read_values.add(product.first)
                 if product.second is not None:
-                    needed.add(product.second)
+                    read_values.add(product.second)
         else:
-            needed.update(value.operands)
+            read_values.update(value.operands)
     result = Program(program.name)
     new_index: dict[int, int] = {}
-    for index in sorted(needed):
+    for index in sorted(read_values):
         if index in sums:
             products = [_reindexed(product, new_index) for product in sums[index]]
-            new_index[index] = _put(result, products)
+            new_index[index] = _append_cheapest_sum(result, products)
         else:
             result.copy_value(program, index, new_index)
     return result, [new_index[output] for output in outputs]
@@ -88,7 +90,7 @@ def _reindexed(product: _Product, new_index: dict[int, int]) -> _Product:
     return _Product(product.factor, new_index[product.first], second)
 
 
-def _products_of(
+def _expand_to_products(
     program: Program, readers: Counter[int], index: int, factor: float, is_root: bool = False
 ) -> list[_Product]:
     """Expand a value of the program, times a factor, into products.
@@ -110,24 +112,24 @@ def _products_of(
     if value.kind not in _LINEAR or (readers[index] > 1 and not is_root):
         return [_Product(factor, index)]
     if value.kind == "negate":
-        return _products_of(program, readers, value.operands[0], -factor)
+        return _expand_to_products(program, readers, value.operands[0], -factor)
     first, second = value.operands
     if value.kind != "multiply":
         second_factor = factor if value.kind == "add" else -factor
         return [
-            *_products_of(program, readers, first, factor),
-            *_products_of(program, readers, second, second_factor),
+            *_expand_to_products(program, readers, first, factor),
+            *_expand_to_products(program, readers, second, second_factor),
         ]
     for constant, other in ((first, second), (second, first)):
         number = program.constant_number(constant)
         if number is not None:
-            return _products_of(program, readers, other, factor * number)
+            return _expand_to_products(program, readers, other, factor * number)
     if abs(factor) == 1.0:
         return [_Product(factor, first, second)]
     return [_Product(factor, index)]
 
 
-def _merged(program: Program, products: list[_Product]) -> list[_Product]:
+def _merge_equal_products(program: Program, products: list[_Product]) -> list[_Product]:
     """Combine products of the same values into one, and all constant terms into one."""
     factors: dict[tuple[int, int | None], float] = {}
     offset, constant = 0.0, -1
@@ -143,32 +145,32 @@ def _merged(program: Program, products: list[_Product]) -> list[_Product]:
     return [*merged, _Product(offset / number, constant)] if number else merged
 
 
-def _cost(name: str) -> int:
+def _cost_on_board(name: str) -> int:
     """Cost of an operation on the board, in the unit of the declaration."""
     return OPERATIONS[CODE[name]].cost
 
 
-def _put(program: Program, products: list[_Product]) -> int:
+def _append_cheapest_sum(program: Program, products: list[_Product]) -> int:
     """Append the sum of some products to a program; return the index of the result.
 
     The sum becomes one operation, or single additions and multiplications if they cost less.
     """
     if not products:
         return program.constant(0.0)
-    products = [_simplified(program, product) for product in products]
+    products = [_with_two_operands(program, product) for product in products]
     multiplications = sum(product.second is not None or abs(product.factor) != 1.0 for product in products)
-    separate_cost = multiplications * _cost("multiply") + (len(products) - 1) * _cost("add")
+    separate_cost = multiplications * _cost_on_board("multiply") + (len(products) - 1) * _cost_on_board("add")
     if all(product.factor == -1.0 for product in products):
-        separate_cost += _cost("negate")
-    if len(products) == 1 or separate_cost <= _cost(SUM) + LAW_TERM_COST * len(products):
-        return _put_separately(program, products)
+        separate_cost += _cost_on_board("negate")
+    if len(products) == 1 or separate_cost <= _cost_on_board(SUM) + LAW_TERM_COST * len(products):
+        return _append_single_operations(program, products)
     while len(products) > LAW_MAX_TERMS:
-        first_terms = _Product(1.0, _put_sum(program, products[:LAW_MAX_TERMS]))
+        first_terms = _Product(1.0, _append_sum(program, products[:LAW_MAX_TERMS]))
         products = [first_terms, *products[LAW_MAX_TERMS:]]
-    return _put_sum(program, products)
+    return _append_sum(program, products)
 
 
-def _simplified(program: Program, product: _Product) -> _Product:
+def _with_two_operands(program: Program, product: _Product) -> _Product:
     """Simplify a product so that a sum of products can hold it, which has two operands and a sign per term.
 
     A constant with a factor becomes another constant. The product of two values with a factor becomes one
@@ -182,7 +184,7 @@ def _simplified(program: Program, product: _Product) -> _Product:
     return product
 
 
-def _put_sum(program: Program, products: list[_Product]) -> int:
+def _append_sum(program: Program, products: list[_Product]) -> int:
     """Append one sum of products to a program; return its index."""
     operands: list[int] = []
     subtracted_bits = 0
@@ -193,7 +195,7 @@ def _put_sum(program: Program, products: list[_Product]) -> int:
     return program.put(Value(SUM, subtracted_bits, tuple(operands)))
 
 
-def _put_separately(program: Program, products: list[_Product]) -> int:
+def _append_single_operations(program: Program, products: list[_Product]) -> int:
     """Append a multiplication per product and additions between them; return the index of the result."""
     total: int | None = None
     # Added products first, so that the others can be subtracted from them.

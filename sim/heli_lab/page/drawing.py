@@ -108,10 +108,10 @@ class Drawing:
 
     def finish(self) -> None:
         """Render the remaining figures, and wait for the second process."""
-        self._draw()
+        self._draw_waiting_figures()
         self.close()
         # If the second process ended early, its figure is in the queue again.
-        self._draw()
+        self._draw_waiting_figures()
 
     def close(self) -> None:
         """End the second process after its current figure."""
@@ -121,7 +121,7 @@ class Drawing:
         if self._thread.is_alive():
             self._thread.join()
 
-    def _draw(self) -> None:
+    def _draw_waiting_figures(self) -> None:
         """Draw waiting figures in this process until none is left."""
         while self._waiting:
             try:
@@ -130,7 +130,7 @@ class Drawing:
                 return
             picture.store(png_of(picture.figure))
 
-    def _next(self) -> Picture | None:
+    def _take_next_figure(self) -> Picture | None:
         """Wait for the next figure of the queue, and take it; None if the queue is closed and empty."""
         with self._more:
             self._more.wait_for(lambda: self._waiting or self._is_closed)
@@ -152,10 +152,10 @@ class Drawing:
         assert process.stdout is not None
         # Closing the pipe of a process that has ended raises an OSError if the pipe still holds data.
         with suppress(OSError), process:
-            while (picture := self._next()) is not None:
+            while (picture := self._take_next_figure()) is not None:
                 try:
-                    _write(process.stdin, pickle.dumps(picture.figure))
-                    png = _read(process.stdout)
+                    _write_message(process.stdin, pickle.dumps(picture.figure))
+                    png = _read_message(process.stdout)
                     if png:
                         picture.store(png)
                 except OSError:
@@ -175,13 +175,13 @@ def png_of(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def _write(pipe: IO[bytes], content: bytes) -> None:
+def _write_message(pipe: IO[bytes], content: bytes) -> None:
     """Write one message: its length, then its content."""
     pipe.write(_LENGTH.pack(len(content)) + content)
     pipe.flush()
 
 
-def _read(pipe: IO[bytes]) -> bytes:
+def _read_message(pipe: IO[bytes]) -> bytes:
     """Read one message; return b"" if the other end is closed."""
     head = pipe.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
@@ -201,8 +201,8 @@ def serve_drawings(figures: IO[bytes], pictures: IO[bytes]) -> None:
     backend_agg.FigureCanvasAgg(empty)
     empty.subplots().set_title("$t$")
     png_of(empty)
-    while content := _read(figures):
-        _write(pictures, png_of(pickle.loads(content)))
+    while content := _read_message(figures):
+        _write_message(pictures, png_of(pickle.loads(content)))
 
 
 if __name__ == "__main__":

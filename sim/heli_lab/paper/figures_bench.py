@@ -82,7 +82,7 @@ def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
     figure = Figure(figsize=(_PANEL_SIZE[0], 2.0 * _PANEL_SIZE[1]), layout="constrained")
     panels = figure.subplots(2, 1)
     for panel, test, record in zip(panels, tests, records, strict=True):
-        run = _whole_run(table, record, rig)
+        run = _simulate_whole_test(table, record, rig)
         column = AXES.index(axis)
         measured_deg, predicted_deg = np.rad2deg(run.measured_rad), np.rad2deg(run.predicted_rad)
         panel.plot(run.t_s, measured_deg[:, column], color=MEASURED_COLOUR, label="measured")
@@ -130,7 +130,7 @@ def sensitivity_figure(rig: Rig) -> Figure:
     return figure
 
 
-def _whole_run(table: Table, record: Record, rig: Rig) -> Trace:
+def _simulate_whole_test(table: Table, record: Record, rig: Rig) -> Trace:
     """Simulate a whole test open loop with the coefficients identified for its table."""
     fit = table.fit
     labels = [fitted.label for fitted in fit.problem.records]

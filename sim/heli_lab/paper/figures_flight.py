@@ -105,17 +105,17 @@ def closed_loop_flight(label: str, flight: Flight, desired_deg: Floats, outcome:
 
 def hover_figure(flights: Sequence[PaperFlight]) -> Figure:
     """Draw Fig. 21: pitch, elevation and travel over time at hover."""
-    figure, panels = _panels(3, "Pitch, elevation and travel while hovering (after Fig. 21)")
+    figure, panels = _figure_with_panels(3, "Pitch, elevation and travel while hovering (after Fig. 21)")
     for panel, axis in zip(panels, (1, 0, 2), strict=True):
-        _response(panel, flights, axis, desired=axis != 1)
+        _draw_angle(panel, flights, axis, desired=axis != 1)
     return figure
 
 
 def response_figure(flights: Sequence[PaperFlight], path: str, number: int) -> Figure:
     """Draw Fig. 22 or 24, its `number`: travel and elevation along a `path`, which the title names."""
-    figure, panels = _panels(2, f"Response during flight along the {path} (after Fig. {number})")
+    figure, panels = _figure_with_panels(2, f"Response during flight along the {path} (after Fig. {number})")
     for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
-        _response(panel, flights, axis, desired=True)
+        _draw_angle(panel, flights, axis, desired=True)
         panel.set_title(f"({letter}) {AXES[axis]} angle", fontsize=9)
     return figure
 
@@ -124,7 +124,7 @@ def performance_figure(flights: Sequence[PaperFlight], path: str, number: int) -
     """Draw Fig. 23 or 25, its `number`: tracking errors of travel and elevation along a `path`, which the
     title names.
     """
-    figure, panels = _panels(
+    figure, panels = _figure_with_panels(
         2, f"Tracking performance along the {path} (after Fig. {number})", "; take-off left out"
     )
     for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
@@ -147,7 +147,7 @@ def take_off_end_s(flight: PaperFlight) -> float:
     return float(flight.flight.t_s[rows[0]]) + _SETTLE_S if rows.size else 0.0
 
 
-def _panels(count: int, title: str, note: str = "") -> tuple[Figure, list[Axes]]:
+def _figure_with_panels(count: int, title: str, note: str = "") -> tuple[Figure, list[Axes]]:
     """Make a figure of `count` panels with a shared time axis; return the figure and its panels, the top one
     first.
     """
@@ -160,7 +160,7 @@ def _panels(count: int, title: str, note: str = "") -> tuple[Figure, list[Axes]]
     return figure, panels
 
 
-def _response(panel: Axes, flights: Sequence[PaperFlight], axis: int, *, desired: bool) -> None:
+def _draw_angle(panel: Axes, flights: Sequence[PaperFlight], axis: int, *, desired: bool) -> None:
     """Draw one angle of all flights over time; with `desired`, also the planned angle."""
     if desired:
         first = flights[0]

@@ -31,7 +31,7 @@ def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[s
         f"  {'':19} {'printed':>8} {'rig file':>22} {'bench tests':>27}",
     ]
     for row in by_rig.rows:
-        estimate = _interval(row.estimate, row.half)
+        estimate = _estimate_text(row.estimate, row.half)
         printed = "-" if row.printed is None else f"{row.printed:g}"
         rig_file = f"{row.value:.4g} within {row.tolerance:g}" if row.tolerance else f"{row.value:.4f}"
         lines.append(
@@ -48,7 +48,7 @@ def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[s
         for term in table.rows:
             tolerance = "" if term.tolerance is None else f" within {term.tolerance:.3g}"
             printed = "-" if term.printed is None else f"{term.printed:.5g}{tolerance}"
-            estimate = _interval(term.estimate, term.half)
+            estimate = _estimate_text(term.estimate, term.half)
             numbers = f"{printed:>22} {term.analytic:>10.4g} {estimate:>27}"
             lines.append(f"  {term.name:22} {numbers} {term.unit:14} {term.note}".rstrip())
         lines.append(
@@ -115,7 +115,7 @@ def tables_json(plant: Plant, line: Line, by_rig: RigTable, tables: Sequence[Tab
     }
 
 
-def _interval(value: float | None, half: float | None) -> str:
+def _estimate_text(value: float | None, half: float | None) -> str:
     """Format an estimate with half its interval, to two significant digits of the latter; a dash if there is
     no estimate.
     """

@@ -61,7 +61,7 @@ class RigPopulation:
         std : float
             Its standard deviation.
         """
-        estimates = _estimates(self.diagnoses, name)
+        estimates = _estimates_of_parameter(self.diagnoses, name)
         if not estimates:
             return prior.value, prior.std
         k = len(estimates)
@@ -87,13 +87,13 @@ class RigPopulation:
         """
         source = f"pooled from {', '.join(diagnosis.label for diagnosis in self.diagnoses)}"
         numbers = dict(base.numbers)
-        for quantity, old in base.numbers.items():
-            if quantity not in self.parameters or old.tolerance == 0.0:
+        for quantity, base_number in base.numbers.items():
+            if quantity not in self.parameters or base_number.tolerance == 0.0:
                 continue
-            prior = ParameterEstimate(old.value, 0.5 * old.tolerance, old.unit)
+            prior = ParameterEstimate(base_number.value, 0.5 * base_number.tolerance, base_number.unit)
             value, std = self.predict_parameter(quantity, prior, PRIOR_SPREAD * prior.std)
-            text = f"{source}; before: {old.value:g} +- {old.tolerance:g}"
-            numbers[quantity] = replace(old, value=value, tolerance=2.0 * std, source=text)
+            text = f"{source}; before: {base_number.value:g} +- {base_number.tolerance:g}"
+            numbers[quantity] = replace(base_number, value=value, tolerance=2.0 * std, source=text)
         effects: dict[str, Mapping[str, Number]] = dict(base.effects)
         kinds = catalogue()
         for id_, cause_share in self.causes.items():
@@ -134,23 +134,23 @@ def pool(diagnoses: Sequence[RigDiagnosis]) -> RigPopulation:
     _check_diagnoses(diagnoses)
     parameters = {}
     for name in dict.fromkeys(name for diagnosis in diagnoses for name in diagnosis.parameters):
-        estimates = _estimates(diagnoses, name)
+        estimates = _estimates_of_parameter(diagnoses, name)
         values, stds = [each.value for each in estimates], [each.std for each in estimates]
         parameters[name] = der_simonian_laird(values, stds)
     causes = {}
     for id_ in dict.fromkeys(id_ for diagnosis in diagnoses for id_ in diagnosis.causes):
-        present = [diagnosis.causes.get(id_, 0.0) >= MIN_CAUSE_CONFIDENCE for diagnosis in diagnoses]
-        detectable = sum(
+        has_cause = [diagnosis.causes.get(id_, 0.0) >= MIN_CAUSE_CONFIDENCE for diagnosis in diagnoses]
+        detectable_count = sum(
             is_present or id_ not in diagnosis.undetectable
-            for is_present, diagnosis in zip(present, diagnoses, strict=True)
+            for is_present, diagnosis in zip(has_cause, diagnoses, strict=True)
         )
-        if detectable:
-            causes[id_] = share(sum(present), detectable)
+        if detectable_count:
+            causes[id_] = share(sum(has_cause), detectable_count)
     ordered = dict(sorted(causes.items(), key=lambda item: -item[1].share))
     return RigPopulation(tuple(diagnoses), parameters, ordered)
 
 
-def _estimates(diagnoses: Sequence[RigDiagnosis], name: str) -> list[ParameterEstimate]:
+def _estimates_of_parameter(diagnoses: Sequence[RigDiagnosis], name: str) -> list[ParameterEstimate]:
     """List the estimates of the parameter `name`, one for each rig whose flights are informative about it."""
     return [diagnosis.parameters[name] for diagnosis in diagnoses if name in diagnosis.parameters]
 

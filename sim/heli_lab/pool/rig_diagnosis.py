@@ -75,7 +75,7 @@ def read_rig_diagnosis(path: Path) -> RigDiagnosis:
     """
     remedy = "give files of heli-host diagnose --json"
     try:
-        return _rig_diagnosis(path, json.loads(path.read_text(encoding="utf-8")))
+        return _rig_diagnosis_of_json(path, json.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise PoolError(f"{path}: {error.strerror}", remedy) from None
     except (json.JSONDecodeError, UnicodeDecodeError):
@@ -87,7 +87,7 @@ def read_rig_diagnosis(path: Path) -> RigDiagnosis:
         ) from None
 
 
-def _rig_diagnosis(path: Path, content: Mapping[str, Any]) -> RigDiagnosis:
+def _rig_diagnosis_of_json(path: Path, content: Mapping[str, Any]) -> RigDiagnosis:
     """Convert the `content` of the file at `path`; invalid content raises one of Python's errors."""
     parameters, priors, rig = {}, {}, content["rig"]
     for name, entry in rig["numbers"].items():

@@ -197,7 +197,7 @@ def _design_elevation(
 
     def cost(gains: Floats) -> float:
         """Cost of the elevation loop's gains kp, ki and kd, shape (3,)."""
-        pid = _pid(gains, _FILTERS_Hz[0])
+        pid = _controller_of_gains(gains, _FILTERS_Hz[0])
         closed = np.array([loops.elevation_closed(plant, pid) for plant in plants])
         pole_1_s = slowest_pole_1_s(closed)
         if pole_1_s > -MIN_DECAY_1_s:
@@ -207,13 +207,13 @@ def _design_elevation(
         return log_cost(squares_deg2, nominal_count) + bound_penalty(peak, sensitivity)
 
     # With unit gains, the loop is the response of elevation to the collective.
-    unit = CascadeGains(_UNIT_GAIN, _NO_GAIN, _NO_GAIN)
-    plant_responses = np.array([loops.open_loops(plant, unit)["elevation"] for plant in plants])
+    unit_gains = CascadeGains(_UNIT_GAIN, _NO_GAIN, _NO_GAIN)
+    plant_responses = np.array([loops.open_loops(plant, unit_gains)["elevation"] for plant in plants])
     # At this frequency, the loop gain of a double integrator is 1 by the derivative action, 0.5 by the
     # proportional and 0.1 by the integral action.
     crossover = initial_crossover_rad_s(plants)
     start = np.array([0.5 * crossover**2, 0.1 * crossover**3, crossover]) / gain
-    pid = _pid(minimise_positive(cost, start), _FILTERS_Hz[0])
+    pid = _controller_of_gains(minimise_positive(cost, start), _FILTERS_Hz[0])
     return pid, {
         "hover_V": nominal.hover_V,
         "hover_slope": float(np.radians(slope_V_rad)),
@@ -279,14 +279,18 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
     travel_step = TravelStep(plants, pitch_hold, path, arrival_row, constant_loads_deg_s2(rig, spread))
     differential_max_V = largest_differential_V(rig, nominal.hover_V)
     # With unit gains, the loops are the responses of pitch and travel to the differential.
-    unit = CascadeGains(_NO_GAIN, _UNIT_GAIN, _UNIT_GAIN)
-    plant_responses = [loops.open_loops(plant, unit) for plant in plants]
+    unit_gains = CascadeGains(_NO_GAIN, _UNIT_GAIN, _UNIT_GAIN)
+    plant_responses = [loops.open_loops(plant, unit_gains) for plant in plants]
     to_pitch = np.array([response["pitch"] for response in plant_responses])
     to_travel = np.array([response["differential"] - response["pitch"] for response in plant_responses])
 
     def pids(gains: Floats) -> tuple[Pid, Pid, float]:
         """Split the seven gains into both controllers and the feed-forward of the travel acceleration."""
-        return _pid(gains[0:3], _FILTERS_Hz[1]), _pid(gains[3:6], _FILTERS_Hz[2]), float(gains[6])
+        return (
+            _controller_of_gains(gains[0:3], _FILTERS_Hz[1]),
+            _controller_of_gains(gains[3:6], _FILTERS_Hz[2]),
+            float(gains[6]),
+        )
 
     def cost(gains: Floats) -> float:
         """Cost of the gains of pitch and travel and of the feed-forward, shape (7,)."""
@@ -337,6 +341,6 @@ def _initial_tilt_gains(nominal: LinearPlant, inner_rad_s: float) -> Floats:
     return np.array([*pitch, *travel, 1.0 / nominal.travel_gain])
 
 
-def _pid(gains: Floats, filter_Hz: float) -> Pid:
+def _controller_of_gains(gains: Floats, filter_Hz: float) -> Pid:
     """Make a controller from its gains kp, ki and kd, shape (3,), and the cut-off of its rate filter."""
     return Pid(float(gains[0]), float(gains[1]), float(gains[2]), filter_Hz)

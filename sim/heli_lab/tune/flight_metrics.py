@@ -78,10 +78,10 @@ def flight_metrics(
     """
     t_s, angles_deg = flight.t_s, np.rad2deg(flight.angles_rad)
     elevation, pitch, travel = angles_deg.T
-    in_take_off = _between(t_s, phases.take_off_s, phases.step_s)
-    in_step = _between(t_s, phases.step_s, phases.back_s)
-    in_step_back = _between(t_s, phases.back_s, phases.sine_s)
-    in_sines = _between(t_s, phases.sine_s, phases.end_s)
+    in_take_off = _rows_between(t_s, phases.take_off_s, phases.step_s)
+    in_step = _rows_between(t_s, phases.step_s, phases.back_s)
+    in_step_back = _rows_between(t_s, phases.back_s, phases.sine_s)
+    in_sines = _rows_between(t_s, phases.sine_s, phases.end_s)
     error_deg = angles_deg[in_sines] - path_deg(t_s[in_sines])
     elevation_count_deg, _, travel_count_deg = np.rad2deg(count_rad(flight)).tolist()
     steps = [
@@ -104,7 +104,7 @@ def flight_metrics(
     )
 
 
-def _between(t_s: Floats, start_s: float, stop_s: float) -> Booleans:
+def _rows_between(t_s: Floats, start_s: float, stop_s: float) -> Booleans:
     """Select the rows whose times `t_s`, shape (n,), are from `start_s` to before `stop_s`."""
     return (t_s >= start_s) & (t_s < stop_s)
 

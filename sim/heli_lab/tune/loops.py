@@ -115,8 +115,8 @@ def elevation_closed(plant: LinearPlant, pid: Pid) -> Floats:
 
     The states are the plant's three, two of the rate filter, and the integral of minus the elevation.
     """
-    closed = _with_filters(plant.elevation_A, (0,), (pid,))
-    output = _output(closed.shape[0], 0, 3, pid)
+    closed = _with_rate_filters(plant.elevation_A, (0,), (pid,))
+    output = _controller_output_row(closed.shape[0], 0, 3, pid)
     output[5] = pid.ki
     closed[5, 0] = -1.0
     closed[:3] += np.outer(plant.elevation_B, output)
@@ -129,8 +129,8 @@ def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float =
     The states are the plant's five, two of each rate filter with pitch first, and the integrals of the pitch
     and the travel error. `pitch_hold` is that of `CascadeGains`.
     """
-    closed = _with_filters(plant.tilt_A, (0, 1), (pitch, travel))
-    closed[PITCH_INTEGRAL], closed[TRAVEL_INTEGRAL, 1] = _pitch_error(travel), -1.0
+    closed = _with_rate_filters(plant.tilt_A, (0, 1), (pitch, travel))
+    closed[PITCH_INTEGRAL], closed[TRAVEL_INTEGRAL, 1] = _pitch_error_row(travel), -1.0
     closed[:5] += np.outer(plant.tilt_B, tilt_output(pitch, travel, pitch_hold))
     return closed
 
@@ -139,9 +139,9 @@ def tilt_output(pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
     """Return the output matrix, one row of shape (11,), from the states of `tilt_closed` to the differential
     [V per unit], for setpoints of zero. `pitch_hold` is that of `CascadeGains`.
     """
-    row = (pitch.kp + pitch_hold) * _pitch_error(travel)
+    row = (pitch.kp + pitch_hold) * _pitch_error_row(travel)
     row[0] += pitch_hold
-    row += _output(TILT_STATES, 0, PITCH_FILTER, Pid(0.0, 0.0, pitch.kd, pitch.filter_Hz))
+    row += _controller_output_row(TILT_STATES, 0, PITCH_FILTER, Pid(0.0, 0.0, pitch.kd, pitch.filter_Hz))
     row[PITCH_INTEGRAL] += pitch.ki
     return row
 
@@ -163,9 +163,9 @@ def open_loops(
     lag_s = max(plant.lag_s + plant.delay_s, NO_LAG_s)
     lag_correction = (1.0 + s * lag_s) / (1.0 + s * max(lag_s - plant.delay_s, NO_LAG_s))
     delay = lag_correction * np.exp(-s * (SAMPLING_s + plant.delay_s))
-    to_elevation = delay * _response(plant.elevation_A, plant.elevation_B, 0, frequency_rad_s)
-    to_pitch = delay * _response(plant.tilt_A, plant.tilt_B, 0, frequency_rad_s)
-    to_travel = delay * _response(plant.tilt_A, plant.tilt_B, 1, frequency_rad_s)
+    to_elevation = delay * _frequency_response(plant.elevation_A, plant.elevation_B, 0, frequency_rad_s)
+    to_pitch = delay * _frequency_response(plant.tilt_A, plant.tilt_B, 0, frequency_rad_s)
+    to_travel = delay * _frequency_response(plant.tilt_A, plant.tilt_B, 1, frequency_rad_s)
     elevation, pitch, travel = (
         pid.response(frequency_rad_s) for pid in (law.elevation, law.pitch, law.travel)
     )
@@ -191,8 +191,8 @@ def peak_sensitivity(loop: ComplexArray) -> float:
 def margins(plant: LinearPlant, law: CascadeGains) -> dict[str, Margin]:
     """Compute the stability margins of every loop; the `law` must stabilise the plant."""
     grid = open_loops(plant, law, MARGIN_FREQUENCY_rad_s)
-    phase_crossings = _crossings(plant, law, grid, _sine)
-    gain_crossings = _crossings(plant, law, grid, _log_gain)
+    phase_crossings = _sign_changes(plant, law, grid, _sine_of_phase)
+    gain_crossings = _sign_changes(plant, law, grid, _log_magnitude)
     result = {}
     for name, loop in grid.items():
         _, real_responses = phase_crossings[name]
@@ -214,17 +214,17 @@ def margins(plant: LinearPlant, law: CascadeGains) -> dict[str, Margin]:
     return result
 
 
-def _sine(loop: ComplexArray) -> Floats:
+def _sine_of_phase(loop: ComplexArray) -> Floats:
     """Return the sine of the phase; it changes sign where the loop gain is real."""
     return np.asarray(loop.imag / np.abs(loop))
 
 
-def _log_gain(loop: ComplexArray) -> Floats:
+def _log_magnitude(loop: ComplexArray) -> Floats:
     """Return the logarithm of the magnitude; it changes sign at a crossover."""
     return np.asarray(np.log(np.abs(loop)))
 
 
-def _crossings(
+def _sign_changes(
     plant: LinearPlant,
     law: CascadeGains,
     grid: dict[str, ComplexArray],
@@ -240,7 +240,7 @@ def _crossings(
     grid : dict of ndarray (n,)
         Loop gains at `MARGIN_FREQUENCY_rad_s`, by name of the loop.
     value : callable
-        The function: `_sine` for phase crossings, `_log_gain` for gain crossings.
+        The function: `_sine_of_phase` for phase crossings, `_log_magnitude` for gain crossings.
 
     Returns
     -------
@@ -276,7 +276,7 @@ def is_stable(plant: LinearPlant, law: CascadeGains) -> bool:
     return all(float(np.linalg.eigvals(closed).real.max()) < 0.0 for closed in (elevation, tilt))
 
 
-def _with_filters(A: Floats, measured: tuple[int, ...], pids: tuple[Pid, ...]) -> Floats:
+def _with_rate_filters(A: Floats, measured: tuple[int, ...], pids: tuple[Pid, ...]) -> Floats:
     """Extend a state matrix by the two states of each rate filter, and by zeros for the integral of each
     loop.
 
@@ -300,7 +300,7 @@ def _with_filters(A: Floats, measured: tuple[int, ...], pids: tuple[Pid, ...]) -
     return closed
 
 
-def _output(size: int, angle: int, first: int, pid: Pid) -> Floats:
+def _controller_output_row(size: int, angle: int, first: int, pid: Pid) -> Floats:
     """Return the row from the states to the proportional and derivative output of a controller.
 
     Parameters
@@ -317,15 +317,15 @@ def _output(size: int, angle: int, first: int, pid: Pid) -> Floats:
     return row
 
 
-def _pitch_error(travel: Pid) -> Floats:
+def _pitch_error_row(travel: Pid) -> Floats:
     """Return the row from the states to the pitch error; the travel loop gives the pitch setpoint."""
-    row = _output(TILT_STATES, 1, TRAVEL_FILTER, travel)
+    row = _controller_output_row(TILT_STATES, 1, TRAVEL_FILTER, travel)
     row[TRAVEL_INTEGRAL] = travel.ki
     row[0] -= 1.0
     return row
 
 
-def _response(A: Floats, B: Floats, output: int, frequency_rad_s: Floats) -> ComplexArray:
+def _frequency_response(A: Floats, B: Floats, output: int, frequency_rad_s: Floats) -> ComplexArray:
     """Compute the frequency response from the input to the state number `output`, shape (n,)."""
     resolvent = 1j * frequency_rad_s[:, None, None] * np.eye(len(B)) - A
     column = np.broadcast_to(B[:, None], (len(frequency_rad_s), len(B), 1))

@@ -182,7 +182,7 @@ def linear_plant(
     """
     loop_effects = loop_effects if loop_effects is not None else LoopEffects()
     rig = rig.replace(thrust_gain=thrust * rig["thrust_gain"].value, M_w=counterweight * rig["M_w"].value)
-    equations = _equations(model, max(lag_s + loop_effects.delay_s, NO_LAG_s), loop_effects.linear)
+    equations = _model_with_lag(model, max(lag_s + loop_effects.delay_s, NO_LAG_s), loop_effects.linear)
     hover = trim(equations, rig)
     linear = derivatives(equations, rig, hover.state, hover.volts_V)
     # Transform the two thrusts, and the two voltages, to their sum and their difference.
@@ -212,7 +212,7 @@ def linear_plant(
 
 
 @functools.lru_cache(maxsize=32)
-def _equations(model: type[Model], lag_s: float, linear: tuple[Effect, ...]) -> Model:
+def _model_with_lag(model: type[Model], lag_s: float, linear: tuple[Effect, ...]) -> Model:
     """Return a model with the `linear` effects and a rotor lag of `lag_s` [s].
 
     The lag is that of the rotor speed if the effects contain one, otherwise that of the thrust.

@@ -62,7 +62,7 @@ class Calibration:
 def calibration_text(calibration: Calibration, rig: str) -> str:
     """Return the text of a twin file (TOML); `rig` is the name or the path of the rig."""
     disturbance_lines = "".join(
-        f"{key} = {_listed(getattr(calibration.disturbances, key.removesuffix('_Nm')))}\n"
+        f"{key} = {_toml_list(getattr(calibration.disturbances, key.removesuffix('_Nm')))}\n"
         for key in _DISTURBANCES
     )
     numbers = ("level_nats", "per_hour", "scale_nats", "excesses", "shape", "healthy_s")
@@ -84,13 +84,13 @@ def _uncertainty_text(uncertainty: ParameterUncertainty) -> str:
     if not uncertainty.names and not uncertainty.supply_std:
         return ""
     names = ", ".join(map(toml_string, uncertainty.names))
-    rows = "".join(f"  {_listed(row, 9)},\n" for row in uncertainty.covariance)
+    rows = "".join(f"  {_toml_list(row, 9)},\n" for row in uncertainty.covariance)
     return (
         "\n[parameters]\n"
         f"names = [{names}]\n"
         f"supply_std = {uncertainty.supply_std:.6g}\n"
-        f"low_V = {_listed(uncertainty.low_V)}\n"
-        f"high_V = {_listed(uncertainty.high_V)}\n"
+        f"low_V = {_toml_list(uncertainty.low_V)}\n"
+        f"high_V = {_toml_list(uncertainty.high_V)}\n"
         f"covariance = [\n{rows}]\n"
     )
 
@@ -204,6 +204,6 @@ def _is_positive(value: Any) -> bool:
     return _is_number(value) and value > 0
 
 
-def _listed(values: Floats, digits: int = 6) -> str:
+def _toml_list(values: Floats, digits: int = 6) -> str:
     """Return values, (n,), as a list of TOML with this number of significant digits."""
     return "[" + ", ".join(f"{value:.{digits}g}" for value in values) + "]"

@@ -121,22 +121,9 @@ class KalmanFilter:
         self._errors = slice(self._zeros.stop, self._zeros.stop + error_count)
         order = self._order = self._errors.stop
         self.mean: Floats = np.concatenate((state, np.zeros(order - nx)))
-        zero_rounding_rad = _ROUNDING_STD_COUNTS * count_rad[: len(ZEROS)]
-        initial_std = np.concatenate(
-            (
-                [_ANGLE_STD_rad] * 3,
-                [_RATE_STD_rad_s] * 3,
-                [_EFFECT_STATE_STD] * (nx - 6),
-                disturbances.fast_std,
-                disturbances.slow_std,
-                [TORQUE_STD_Nm[f"torque_{axis}"] for axis in AXES],
-                np.hypot(zero_rounding_rad, 0.5 * twin.zero_tolerance_rad),
-                np.ones(error_count),
-            )
-        )
         # Square root of the covariance, P = R R'. It cannot give a negative variance; P itself, updated in
         # place, does by rounding if a flight contradicts the model.
-        self._root: Floats = np.diag(initial_std)
+        self._root: Floats = np.diag(self._initial_std(error_count))
         # Autocorrelation of each part of z over a step, (order,), and roots of the process noise, (6, order).
         autocorrelation = disturbances.autocorrelation(step_s)
         self._autocorrelation: Floats = np.ones(order)
@@ -181,6 +168,22 @@ class KalmanFilter:
     def zero_rad(self) -> Floats:
         """Estimated errors of the encoder zeros [rad], (2,)."""
         return self.mean[self._zeros]
+
+    def _initial_std(self, error_count: int) -> Floats:
+        """Return the standard deviation of each part of z before the first measurement, (order,)."""
+        zero_rounding_rad = _ROUNDING_STD_COUNTS * self._count_rad[: len(ZEROS)]
+        return np.concatenate(
+            (
+                [_ANGLE_STD_rad] * 3,
+                [_RATE_STD_rad_s] * 3,
+                [_EFFECT_STATE_STD] * (self._nx - 6),
+                self.disturbances.fast_std,
+                self.disturbances.slow_std,
+                [TORQUE_STD_Nm[f"torque_{axis}"] for axis in AXES],
+                np.hypot(zero_rounding_rad, 0.5 * self.twin.zero_tolerance_rad),
+                np.ones(error_count),
+            )
+        )
 
     def predict(self, t_s: float, volts_V: Floats) -> None:
         """Predict over a step that begins at `t_s`, with the mean acting voltages `volts_V`, (2,)."""

@@ -91,6 +91,7 @@ def at_least_rounding(
     torques = [names.index(f"torque_{axis}") for axis in AXES]
     by_torque = derivatives(model_without_effects, rig, hover.state, hover.volts_V).P[3:6, torques]
     rounding_rad = count_rad / 12.0**0.5
+    # A constant torque moves an axis at rest by acceleration * t^2 / 2.
     min_Nm = 2.0 * rounding_rad / (np.abs(np.diagonal(by_torque)) * DETECTABLE_WITHIN_s**2)
     # A shorter gust moves an axis less: by the square root of the number of impulses that add up.
     averaging_factor = np.minimum(

@@ -183,11 +183,11 @@ def _monitor_samples(
             f"{label} has no row between {start_s:g} and {stop_s:g} s",
             "give --from and --to within the flight",
         )
-    part = samples.select(is_inside)
+    chosen_samples = samples.select(is_inside)
     model = TwinModel(twin_rig.model, twin_rig.rig, twin_rig.calibration.uncertainty)
     twin = Twin(model, twin_rig.calibration, count_rad, sample_s, false_alarm_interval_h, zero_s=zero_s)
     twin.records_evidence = True
-    events = twin.update(part) + twin.finish()
+    events = twin.update(chosen_samples) + twin.finish()
     free_s = len(twin.evidence_history) * twin.block_s
     unjudged_s = twin.unjudged_blocks * twin.block_s
     return TwinReport(

@@ -170,8 +170,8 @@ class Stepper:
         start = -self._first % step_rows
         while start + step_rows <= len(pending):
             # The mean is symmetric about the beginning of the step.
-            width = min(half_step, start)
-            angles_rad = pending.angles_rad[start - width : start + width + 1]
+            half_width = min(half_step, start)
+            angles_rad = pending.angles_rad[start - half_width : start + half_width + 1]
             angles_rad = angles_rad[~np.isnan(angles_rad[:, 0])]
             rows = slice(start, start + step_rows)
             yield Step(
@@ -186,6 +186,6 @@ class Stepper:
             self._after_gap = False
             start += step_rows
         # The mean about the beginning of the next step needs half a step before it.
-        used = max(0, start - half_step)
-        self._first += used
-        self._pending = pending.select(slice(used, None))
+        used_rows = max(0, start - half_step)
+        self._first += used_rows
+        self._pending = pending.select(slice(used_rows, None))

@@ -175,7 +175,7 @@ class Twin(_FilteredFlight):
         self._is_diagnosed, self._is_early = False, False
         # Whether the filter has restarted after an alarm.
         self._is_changed = False
-        self._check = ModelCheck()
+        self._model_check = ModelCheck()
 
     @property
     def ghost_rad(self) -> Floats | None:
@@ -274,7 +274,7 @@ class Twin(_FilteredFlight):
         self._persistent.clear()
         self._first_step, self._block_count = index, 0
         self._alarm_block, self._is_diagnosed, self._is_changed = None, False, changed
-        self._check, self._glitches = ModelCheck(), GlitchWatch(self._count_rad)
+        self._model_check, self._glitches = ModelCheck(), GlitchWatch(self._count_rad)
         return self._kalman
 
     def _end_block(self, kalman: KalmanFilter, block_end: BlockEnd) -> Iterator[TwinEvent]:
@@ -318,7 +318,7 @@ class Twin(_FilteredFlight):
         if self.evidence_nats > self.threshold_nats and not self.contradicts and not may_be_glitch:
             self._alarm_block, self._is_early = block, is_early
             if not is_early:
-                yield self._ranked("alarm", t_s)
+                yield self._event_with_ranking("alarm", t_s)
 
     def _process_measurement(self, kalman: KalmanFilter, block_end: BlockEnd) -> _FilterPair | None:
         """Update the filter with a measurement, and the evidence with its innovation.
@@ -332,7 +332,7 @@ class Twin(_FilteredFlight):
             if not self.judges:
                 self.unjudged_blocks += 1
             elif self._block_count * self.block_s > FILTER_SETTLING_s:
-                self._check.add(innovation.value)
+                self._model_check.add(innovation.value)
             self._update_evidence(innovation)
         self._angles.remember(self._block_count, kalman.state[:3])
         return before
@@ -355,7 +355,7 @@ class Twin(_FilteredFlight):
         """Report once, at the end of `CALIBRATION_s`, if the innovations are larger than the model states."""
         is_due = block == math.floor(CALIBRATION_s / self.block_s)
         can_raise_alarms = self.threshold_nats != math.inf
-        if is_due and can_raise_alarms and (reason := self._check.contradiction()):
+        if is_due and can_raise_alarms and (reason := self._model_check.contradiction()):
             yield self._contradict(t_s, reason)
 
     def _contradict(self, t_s: float, reason: str) -> TwinEvent:
@@ -389,11 +389,11 @@ class Twin(_FilteredFlight):
                     t_s, f"the flight contradicts the rig by {self.evidence_nats:.0f} nats"
                 )
                 return
-            yield self._ranked("alarm", t_s)
+            yield self._event_with_ranking("alarm", t_s)
         self._is_diagnosed = True
-        yield self._ranked("diagnosed", t_s)
+        yield self._event_with_ranking("diagnosed", t_s)
 
-    def _ranked(self, kind: str, t_s: float) -> TwinEvent:
+    def _event_with_ranking(self, kind: str, t_s: float) -> TwinEvent:
         """Return an event with the present ranking of the changes."""
         ranking = tuple(self._ratio.ranking())
         onset_s, alarm_s = map(self._block_end_s, (ranking[0].onset_block, self._alarm_block or 0))

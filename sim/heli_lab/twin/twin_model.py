@@ -85,8 +85,8 @@ class TwinModel:
         self.delay_s = self._delay_of(extended_model)
         dead_zone_V = extended_model.dead_zone_V(self.parameters)
         self.min_thrust_V = -np.inf if dead_zone_V is None else dead_zone_V
-        self.measure = self._measurement(extended_model)
-        self.resets = self._resets(extended_model)
+        self.measure = self._measurement_function(extended_model)
+        self.resets = self._reset_function(extended_model)
         self.directions: Floats = uncertainty.directions(free)
         self._describe_changes()
         self.zero_tolerance_rad: Floats = np.deg2rad([rig[name].tolerance for name in ZEROS])
@@ -94,7 +94,7 @@ class TwinModel:
     def _describe_changes(self) -> None:
         """Set the attributes that state what each change does: weights, priors, frictions and scales."""
         change_parameters = [name for change in self.changes for name in change.parameters]
-        self.weights: Floats = self._weights(change_parameters)
+        self.weights: Floats = self._change_weights(change_parameters)
         self.prior_sizes: Floats = np.array([size for change in self.changes for size in change.sizes])
         self.prior_changes: Floats = self.weights * self.prior_sizes
         self.frictions = [
@@ -114,13 +114,13 @@ class TwinModel:
             return 0.0
         return float(self.parameters[self.functions.names.index(model.delay)])
 
-    def _resets(self, model: Model) -> AlongTrajectory | None:
+    def _reset_function(self, model: Model) -> AlongTrajectory | None:
         """Return the function that sets states at the end of a step; None if no effect sets states."""
         if all(type(effect).reset_map is Effect.reset_map for effect in self.model.effects):
             return None
         return model_along(model, lambda x, u, p, t: [model.reset_map(x, u, p, t)])
 
-    def _weights(self, change_parameters: Sequence[str]) -> Floats:
+    def _change_weights(self, change_parameters: Sequence[str]) -> Floats:
         """Return the amount of each free parameter and, in the last row, of the supply, per unit of each
         parameter of the changes, (free + 1, columns).
 
@@ -135,7 +135,7 @@ class TwinModel:
                     weights[row, column] = 1.0
         return weights
 
-    def _measurement(self, model: Model) -> AlongTrajectory:
+    def _measurement_function(self, model: Model) -> AlongTrajectory:
         """Return the measured angles, (3,), with their derivatives by states and by free parameters."""
 
         # State x, voltages u, parameters p and time t, as symbols.

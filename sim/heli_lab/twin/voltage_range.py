@@ -43,13 +43,13 @@ class VoltageRange:
             return ""
         is_first = self._last_unknown_step is None
         self._last_unknown_step = index + self._unknown_steps
-        return self._reason(volts_V, int(np.argmax(outside_V))) if is_first else ""
+        return self._unknown_voltage_text(volts_V, int(np.argmax(outside_V))) if is_first else ""
 
     def is_known(self, index: int) -> bool:
         """Whether the measurement at the step `index` carries evidence."""
         return self._last_unknown_step is None or index > self._last_unknown_step
 
-    def _reason(self, volts_V: Floats, rotor: int) -> str:
+    def _unknown_voltage_text(self, volts_V: Floats, rotor: int) -> str:
         """State the voltage of a `rotor`, and the range of the nominal flights."""
         low_V, high_V = self._uncertainty.low_V[rotor], self._uncertainty.high_V[rotor]
         reverses = volts_V[rotor] < 0.0 <= low_V

@@ -263,9 +263,12 @@ def _say_result(result: BenchCalibration, base: Rig, before: dict[str, float]) -
             )
         say(f"{motor.output} output: {motor.rotor} rotor, {wiring}, {onset}; {thrust_text}")
     for row in _before_and_after(result, base, before):
-        mark = "" if row["before"] == row["after"] else "  changed"
+        change_mark = "" if row["before"] == row["after"] else "  changed"
         before_text, after_text = f"{row['before']:.6g}", f"{row['after']:.6g}"
-        say(f"{row['of']:<5}  {row['name']:<28} {before_text:>10} -> {after_text:>10} {row['unit']}{mark}")
+        say(
+            f"{row['of']:<5}  {row['name']:<28} {before_text:>10} -> {after_text:>10} "
+            f"{row['unit']}{change_mark}"
+        )
     say(*(f"note: {note}" for note in result.notes))
 
 

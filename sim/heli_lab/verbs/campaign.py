@@ -99,7 +99,7 @@ def campaign(
                 study,
                 store,
                 scheduler=scheduler,
-                processes=workers or _cores(),
+                processes=workers or _usable_core_count(),
                 again=(lambda answer: bool(answer.failure)) if retry else None,
                 on_progress=show,
             )
@@ -110,7 +110,7 @@ def campaign(
             ) from None
     summary = summarise(study, rows)
     page = write_summary(study, summary, folder)
-    _print(summary, len(study.cases))
+    _print_summary(summary, len(study.cases))
     write_result(json, _json_object(summary, len(study.cases)))
     say_files([page, folder / TABLE])
     if summary.failed:
@@ -128,7 +128,7 @@ def _parameter_files(campaign: Campaign) -> list[Path]:
     return [Path(name) for name in sorted(names) if Path(name).is_file()]
 
 
-def _cores() -> int:
+def _usable_core_count() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -148,7 +148,7 @@ def _json_object(summary: Summary, cases: int) -> dict[str, Any]:
     }
 
 
-def _print(summary: Summary, cases: int) -> None:
+def _print_summary(summary: Summary, cases: int) -> None:
     """Print how the cases ended, and median and 5 to 95 % range of each numeric column."""
     say(f"{summary.cases} of {cases} cases have ended, {len(summary.failed)} of them without a result")
     if summary.outcomes:

@@ -142,7 +142,7 @@ def _fly_on_rig(
 
     marks = {marked.folder: marked.mark for marked in all_marked}
     flyable = [marked for marked in all_marked if marked.may_fly]
-    for marked, outcome in fly_on_rig(flyable, options, plan, _confirm):
+    for marked, outcome in fly_on_rig(flyable, options, plan, _ask_yes_or_no):
         say(f"{marked.mark.name}: rig: {outcome}")
         marks[marked.folder] = replace(marked.mark, rig=outcome)
         write_result(marked.folder / MARKED / MARK, marks[marked.folder].as_dict())
@@ -150,7 +150,7 @@ def _fly_on_rig(
     return list(marks.values())
 
 
-def _confirm(question: str) -> bool | None:
+def _ask_yes_or_no(question: str) -> bool | None:
     """Ask a yes-or-no question; None at the end of standard input."""
     try:
         return typer.confirm(question, err=True)

@@ -142,11 +142,11 @@ def diagnose(
                 output_files.append(write_effect_file(result, effect_folder))
         write_result(json, to_json(result))
         output_files.append(json)
-    _print(result)
+    _print_diagnosis(result)
     say_files(output_files)
 
 
-def _print(result: Diagnosis | InsufficientExcitation) -> None:
+def _print_diagnosis(result: Diagnosis | InsufficientExcitation) -> None:
     """Print the verdict, the causes and the error reduction."""
     from heli_lab.diagnose.report import lines, summary
 

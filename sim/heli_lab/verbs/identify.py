@@ -106,12 +106,12 @@ def identify(
             bar.show("drawing", 0.9)
             page = write_identification_report(identification, report, drawing)
         write_result(json, identification.json())
-    _print(identification)
+    _print_estimates(identification)
     say(verdict(identification))
     say_files((save_rig, page, json))
 
 
-def _print(identification: Identification) -> None:
+def _print_estimates(identification: Identification) -> None:
     """Print estimates and priors in a table, each with its standard error."""
     from heli_host.text_table import table_lines
 

@@ -84,14 +84,14 @@ def import_(
     if not guess and profile is not None:
         write_result(json, {"flights": _write_flights(sources, read_profile(profile))})
         return
-    guesses = _guesses([source.table for source in sources], known_rig, rate, profile)
+    guesses = _guess_profiles([source.table for source in sources], known_rig, rate, profile)
     # All files are from one program, and have the same profile.
     best = guesses[0]
     ambiguities = sorted(best.ambiguities, key=lambda ambiguity: ambiguity.danger)
     profile_path, profile_lines = _write_profile(best, ambiguities, output)
     output_files = [profile_path]
     for source, file_guess in zip(sources, guesses, strict=True):
-        output_files.append(_draw(file_guess, source.table, output / f"{source.target.name}.png"))
+        output_files.append(_draw_evidence(file_guess, source.table, output / f"{source.target.name}.png"))
         say(f"{source.path.name}: {'sure' if file_guess.sure else 'unsure'}")
     _say_reasons(best, ambiguities, profile_path, profile_lines)
     say_files(output_files)
@@ -153,7 +153,7 @@ def _read_sources(files: Sequence[Path], output: Path, *, one_flight: bool) -> l
     return sources
 
 
-def _guesses(
+def _guess_profiles(
     tables: Sequence[Table], rig: Rig | None, rate_Hz: float | None, profile: Path | None
 ) -> Sequence[Guess]:
     """Guess the profile of each table with a progress bar; the entries of a given `profile` stay."""
@@ -204,7 +204,7 @@ def _say_reasons(
             say(f"  {profile_path}:{line}: {ambiguity.entry}")
 
 
-def _draw(guess: Guess, table: Table, path: Path) -> Path:
+def _draw_evidence(guess: Guess, table: Table, path: Path) -> Path:
     """Draw the longest flight of a table with its guessed profile; return the figure's path."""
     from heli_host.tables import flights_of
 

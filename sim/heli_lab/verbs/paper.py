@@ -59,14 +59,14 @@ def tables(
 
     check_result_places(json)
     data_on_stdout(json)
-    plant = _plant(rig, model)
+    plant = _flyable_plant(rig, model)
     with WorkBar() as bar:
         bar.show("bench tests", 0.0)
-        records = _records(plant, seed)
+        records = _run_bench_tests(plant, seed)
         line = read_thrust(plant, seed).line()
         tables_ = []
         for place, number in enumerate(records):
-            on_progress = _progress_part(bar.show, f"fitting Table {number}", 0.1 + 0.1 * place, 0.1)
+            on_progress = _stage_reporter(bar.show, f"fitting Table {number}", 0.1 + 0.1 * place, 0.1)
             tables_.append(fit_table(number, plant.rig, records[number], on_progress))
         by_rig = fit_rig(plant.rig, records, line, lambda done: bar.show("fitting Table 2", 0.4 + 0.6 * done))
     say(*table_lines(line, by_rig, tables_))
@@ -117,7 +117,7 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonOption = 
 
     check_result_places(json)
     data_on_stdout(json)
-    plant = _plant(rig, _MODEL)
+    plant = _flyable_plant(rig, _MODEL)
     with WorkBar() as bar:
         sine_flight = fly_plan("sine", plant, "sine", None, seed, lambda done: bar.show("flying", 0.5 * done))
         bar.show("predicting", 0.5)
@@ -172,7 +172,7 @@ def figures(
     from heli_lab.paper.tables import fit_table
 
     check_result_places(folder / "fig15.png")
-    plant = _plant(rig, model)
+    plant = _flyable_plant(rig, model)
     figure_names = []
 
     def write(name: str, figure: Figure) -> None:
@@ -182,13 +182,13 @@ def figures(
     with WorkBar() as bar:
         bar.show("bench tests", 0.0)
         write("fig15.png", bench.thrust_figure(read_thrust(plant, seed)))
-        records = _records(plant, seed)
+        records = _run_bench_tests(plant, seed)
         for place, number in enumerate(records):
             bar.show(f"fitting Table {number}", 0.05 + 0.1 * place)
             table = fit_table(number, plant.rig, records[number])
             write(f"fig{number + 13}.png", bench.bench_figure(table, records[number], plant.rig))
         write("fig19.png", bench.sensitivity_figure(plant.rig))
-        flights = _flights(
+        flights = _fly_plans(
             _with_heavier_rotor(plant), seed, lambda stage, done: bar.show(stage, 0.35 + 0.6 * done)
         )
         write("fig21.png", flight.hover_figure(flights["hover"]))
@@ -201,7 +201,7 @@ def figures(
             say(f"{name}, {plan_flight.label}: {plan_flight.outcome}{_errors_text(plan_flight)}")
 
 
-def _plant(rig: str, model: str) -> Plant:
+def _flyable_plant(rig: str, model: str) -> Plant:
     """Return a rig with a model; an IdentifyError is raised if its hover voltage differs from the paper's."""
     from heli_sim.model.named import model_named
     from heli_sim.plant import Plant
@@ -222,7 +222,7 @@ def _with_heavier_rotor(plant: Plant) -> Plant:
     return Plant(plant.model, plant.rig.replace(**{_HEAVIER_ROTOR: mass.value + mass.tolerance}))
 
 
-def _records(plant: Plant, seed: int) -> dict[int, list[Record]]:
+def _run_bench_tests(plant: Plant, seed: int) -> dict[int, list[Record]]:
     """Run all bench tests; return their records by the number of the table that they identify."""
     from heli_lab.paper.bench_tests import record_of
     from heli_lab.paper.experiments import run_bench_test
@@ -234,7 +234,7 @@ def _records(plant: Plant, seed: int) -> dict[int, list[Record]]:
     }
 
 
-def _flights(
+def _fly_plans(
     plant: Plant, seed: int, on_progress: Callable[[str, float], None]
 ) -> dict[str, list[PaperFlight]]:
     """Fly each plan with the default gains and with Table 6; return the two flights by plan."""
@@ -246,12 +246,12 @@ def _flights(
         for set_number, (label, gains) in enumerate(gain_sets):
             share = 1.0 / (len(PLANS) * len(gain_sets))
             earlier_share = share * (len(gain_sets) * plan_number + set_number)
-            on_flight_progress = _progress_part(on_progress, f"flying {name}", earlier_share, share)
+            on_flight_progress = _stage_reporter(on_progress, f"flying {name}", earlier_share, share)
             flights.setdefault(name, []).append(fly_plan(name, plant, label, gains, seed, on_flight_progress))
     return flights
 
 
-def _progress_part(
+def _stage_reporter(
     on_progress: Callable[[str, float], None], stage: str, earlier_share: float, share: float
 ) -> Callable[[float], None]:
     """Return a function that takes the progress of one stage, from 0 to 1, and reports that of all stages.

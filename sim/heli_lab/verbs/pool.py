@@ -54,7 +54,7 @@ def pool(
     check_result_places(save_rig, json)
     data_on_stdout(json)
     population = pool_diagnoses([read_rig_diagnosis(path) for path in diagnoses])
-    say(*_lines(population))
+    say(*_population_lines(population))
     if save_rig is not None:
         type_rig = load_rig(rig or population.diagnoses[0].rig)
         comment = f"Pooled by heli-host pool from {len(population.diagnoses)} rigs."
@@ -76,7 +76,7 @@ def pool(
     say_files((save_rig, json))
 
 
-def _lines(population: RigPopulation) -> list[str]:
+def _population_lines(population: RigPopulation) -> list[str]:
     """Return the share of rigs with each cause, and the parameters' means and standard deviations, as
     text.
     """

@@ -106,7 +106,7 @@ def tune(
         if loop_effects.lag_s is None:
             model_with_lag = model_named(name, (*all_effects, RotorLag(TRIAL_LAG_s)))
             test_models.append(_TestModel(_lag_label(TRIAL_LAG_s), model_with_lag))
-        trials = _fly(test_models, base_rig, parameters, seed, bar)
+        trials = _fly_test(test_models, base_rig, parameters, seed, bar)
     say(*_rig_lines(base_rig, name, design, loop_effects), *_margin_lines(design), *_flight_lines(trials))
     if save_params is not None:
         design_text = ", ".join(
@@ -144,7 +144,7 @@ class _TestModel:
     model: Model
 
 
-def _fly(
+def _fly_test(
     test_models: Sequence[_TestModel], rig: Rig, parameters: Mapping[str, float], seed: int, bar: WorkBar
 ) -> list[Trial]:
     """Simulate a test flight with the board's parameters for each model, and return the results."""
@@ -229,15 +229,15 @@ def _flight_lines(trials: Sequence[Trial]) -> list[str]:
             lines.append(f"  {trial.label}: {metrics.outcome}")
             continue
         lines.append(
-            f"  {trial.label}: take-off {_settling(metrics.take_off_s)}; travel step: overshoot "
-            f"{metrics.overshoot_percent:.0f} %, {_settling(metrics.settling_time_s)}; "
+            f"  {trial.label}: take-off {_settling_text(metrics.take_off_s)}; travel step: overshoot "
+            f"{metrics.overshoot_percent:.0f} %, {_settling_text(metrics.settling_time_s)}; "
             f"sines: RMS error {metrics.travel_rms_deg:.2f} deg in travel, "
             f"{metrics.elevation_rms_deg:.2f} deg in elevation"
         )
     return lines
 
 
-def _settling(time_s: float) -> str:
+def _settling_text(time_s: float) -> str:
     return f"settling time {time_s:.1f} s" if math.isfinite(time_s) else "not settled"
 
 

@@ -54,17 +54,19 @@ def bench_tests_from(table: Mapping[str, Any]) -> tuple[Thrust | None, Balance |
     if unknown:
         raise RigError(f"unknown bench test [{unknown[0]}]", "give [thrust], [balance] or [[swing]]")
     _refuse_blanks(table)
-    thrust = _thrust_from(_table(table, "thrust")) if "thrust" in table else None
+    thrust = _read_thrust_test(_subtable(table, "thrust")) if "thrust" in table else None
     balance = None
     if "balance" in table:
         balance = Balance(
-            **_numbers("[balance]", _table(table, "balance"), ("elevation_deg",), ("tolerance_deg",))
+            **_numbers_by_name(
+                "[balance]", _subtable(table, "balance"), ("elevation_deg",), ("tolerance_deg",)
+            )
         )
-        _positive("[balance]", tolerance_deg=balance.tolerance_deg)
-    listed = table.get("swing", [])
-    if not isinstance(listed, list) or not all(isinstance(swing, dict) for swing in listed):
+        _check_positive("[balance]", tolerance_deg=balance.tolerance_deg)
+    swing_tables = table.get("swing", [])
+    if not isinstance(swing_tables, list) or not all(isinstance(swing, dict) for swing in swing_tables):
         raise RigError("swing must be a list of tables", "write [[swing]] above each")
-    return thrust, balance, [_swing_from(swing) for swing in listed]
+    return thrust, balance, [_read_swing_test(swing) for swing in swing_tables]
 
 
 def _refuse_blanks(table: Mapping[str, Any]) -> None:
@@ -80,19 +82,21 @@ def _refuse_blanks(table: Mapping[str, Any]) -> None:
                     )
 
 
-def _thrust_from(table: Mapping[str, Any]) -> Thrust:
+def _read_thrust_test(table: Mapping[str, Any]) -> Thrust:
     """Read the thrust test: voltages [V] and readings of a scale [g] for one or both rotors."""
     allowed = {"volts_V", "front_g", "back_g", "scale_g"}
     if set(table) - allowed or "volts_V" not in table or not {"front_g", "back_g"} & set(table):
         raise RigError(
             "[thrust] needs volts_V, and front_g or back_g or both", f"give only {', '.join(sorted(allowed))}"
         )
-    volts = _list("volts_V", table["volts_V"])
-    sides = [_list(name, table[name]) for name in ("front_g", "back_g") if name in table]
+    volts = _list_of_readings("volts_V", table["volts_V"])
+    sides = [_list_of_readings(name, table[name]) for name in ("front_g", "back_g") if name in table]
     if any(len(side) != len(volts) for side in sides):
         raise RigError("[thrust] needs one reading per voltage", "give lists of the same length")
-    scale_g = float(_numbers("[thrust]", {"scale_g": table.get("scale_g", 1.0)}, ("scale_g",), ())["scale_g"])
-    _positive("[thrust]", scale_g=scale_g)
+    scale_g = float(
+        _numbers_by_name("[thrust]", {"scale_g": table.get("scale_g", 1.0)}, ("scale_g",), ())["scale_g"]
+    )
+    _check_positive("[thrust]", scale_g=scale_g)
     # If only one rotor was on the scale, both are assumed equal.
     grams = np.array([sides[0], sides[-1]]).T
     curve = ThrustCurve(np.repeat(np.array(volts)[:, None], 2, axis=1), grams * SCALE_N)
@@ -101,7 +105,7 @@ def _thrust_from(table: Mapping[str, Any]) -> Thrust:
     return Thrust(curve, scale_g * SCALE_N)
 
 
-def _swing_from(table: Mapping[str, Any]) -> Swing:
+def _read_swing_test(table: Mapping[str, Any]) -> Swing:
     """Read a swing test: the time of some swings [s], and the amplitudes before and after them [deg]."""
     axis = table.get("axis")
     if axis not in ("elevation", "pitch"):
@@ -112,9 +116,9 @@ def _swing_from(table: Mapping[str, Any]) -> Swing:
     needed = ("swings", "seconds", "from_deg", "to_deg")
     optional = ("tolerance_s", "tolerance_deg", "elevation_deg")
     number_table = {name: value for name, value in table.items() if name != "axis"}
-    numbers = _numbers("[[swing]]", number_table, needed, optional)
+    numbers = _numbers_by_name("[[swing]]", number_table, needed, optional)
     swing = Swing(axis, swings=round(numbers.pop("swings")), **numbers)
-    _positive(
+    _check_positive(
         "[[swing]]",
         swings=swing.swings,
         seconds=swing.seconds,
@@ -130,7 +134,7 @@ def _swing_from(table: Mapping[str, Any]) -> Swing:
     return swing
 
 
-def _table(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+def _subtable(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     """Return a table within a `table`; a RigError if the entry is something else."""
     entry = table[name]
     if not isinstance(entry, dict):
@@ -138,14 +142,14 @@ def _table(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     return entry
 
 
-def _list(name: str, value: object) -> list[float]:
+def _list_of_readings(name: str, value: object) -> list[float]:
     """Return a list of readings; a RigError if `value` is something else."""
     if not isinstance(value, list) or not value or not all(_is_number(number) for number in value):
         raise RigError(f"[thrust] {name} is not a list of numbers", "write it as [2, 4, 6]")
     return [float(number) for number in value]
 
 
-def _numbers(
+def _numbers_by_name(
     table_name: str, table: Mapping[str, Any], needed: Sequence[str], optional: Sequence[str]
 ) -> dict[str, float]:
     """Return the numbers of a table by name; a RigError names a missing, unknown or invalid key."""
@@ -164,7 +168,7 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
-def _positive(table_name: str, **values: float) -> None:
+def _check_positive(table_name: str, **values: float) -> None:
     """Raise a RigError for the first of the `values` that is not positive."""
     for name, value in values.items():
         if not value > 0.0:

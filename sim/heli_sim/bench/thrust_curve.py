@@ -46,23 +46,24 @@ class ThrustCurve:
         readings, or from the step of the scale if that is larger. A RigError when there are fewer than three
         readings.
         """
-        above = self.thrust_N > 0.0
-        volts, thrust = self.volts_V[above], self.thrust_N[above]
-        if volts.size < 3:
+        is_above_zero = self.thrust_N > 0.0
+        volts_V, thrust_N = self.volts_V[is_above_zero], self.thrust_N[is_above_zero]
+        if volts_V.size < 3:
             raise RigError(
-                f"{volts.size} readings of thrust above zero are too few for a line",
+                f"{volts_V.size} readings of thrust above zero are too few for a line",
                 "read the scale at three voltages or more above the dead zone",
             )
-        design = np.column_stack((volts, np.ones_like(volts)))
-        (slope, constant), *_ = np.linalg.lstsq(design, thrust, rcond=None)
-        scatter = np.std(thrust - design @ (slope, constant), ddof=2)
-        noise_N = max(float(scatter), SCALE_N / np.sqrt(12.0))
+        design = np.column_stack((volts_V, np.ones_like(volts_V)))
+        (slope_N_per_V, intercept_N), *_ = np.linalg.lstsq(design, thrust_N, rcond=None)
+        scatter_N = np.std(thrust_N - design @ (slope_N_per_V, intercept_N), ddof=2)
+        noise_N = max(float(scatter_N), SCALE_N / np.sqrt(12.0))
         covariance = noise_N**2 * np.linalg.inv(design.T @ design)
-        zero = -constant / slope
-        to_zero = np.array([-zero / slope, -1.0 / slope])
+        dead_zone_V = -intercept_N / slope_N_per_V
+        # Derivatives of the dead zone by slope and intercept, by which their covariance becomes its variance.
+        zero_gradient = np.array([-dead_zone_V / slope_N_per_V, -1.0 / slope_N_per_V])
         return Line(
-            float(slope),
+            float(slope_N_per_V),
             2.0 * float(np.sqrt(covariance[0, 0])),
-            float(zero),
-            2.0 * float(np.sqrt(to_zero @ covariance @ to_zero)),
+            float(dead_zone_V),
+            2.0 * float(np.sqrt(zero_gradient @ covariance @ zero_gradient)),
         )

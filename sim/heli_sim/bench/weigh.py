@@ -175,13 +175,13 @@ def weigh(
     result, tested = rig, []
     determined: list[str] = []
     if thrust is not None:
-        result, of_thrust = _with_thrust(rig, thrust)
+        result, thrust_readings = _with_thrust(rig, thrust)
         determined += ["thrust_gain", "dead_zone"]
-        tested += of_thrust
+        tested += thrust_readings
     if balance is not None or swings:
-        result, names, of_masses = _with_masses(result, balance, swings)
+        result, names, mass_readings = _with_masses(result, balance, swings)
         determined += names
-        tested += of_masses
+        tested += mass_readings
     return Weighed(result, tuple(determined), tuple(tested))
 
 
@@ -191,8 +191,10 @@ def _with_thrust(rig: Rig, thrust: Thrust) -> tuple[Rig, list[Tested]]:
     volts = thrust.curve.volts_V
     source = f"bench: line through thrust on a scale at {np.unique(volts).size} voltages"
     numbers = {
-        "thrust_gain": _number(rig, "thrust_gain", line.gain_N_per_V, line.gain_half, source),
-        "dead_zone": _number(rig, "dead_zone", max(line.dead_zone_V, 0.0), line.dead_zone_half, source),
+        "thrust_gain": _measured_number(rig, "thrust_gain", line.gain_N_per_V, line.gain_half, source),
+        "dead_zone": _measured_number(
+            rig, "dead_zone", max(line.dead_zone_V, 0.0), line.dead_zone_half, source
+        ),
     }
     after = replace(rig, numbers={**rig.numbers, **numbers})
     tolerance_N = max(2.0 * thrust.scale_N / np.sqrt(12.0), 0.02 * float(thrust.curve.thrust_N.max()))
@@ -208,13 +210,13 @@ def _with_thrust(rig: Rig, thrust: Thrust) -> tuple[Rig, list[Tested]]:
                 for numbers in (rig, after)
             ),
         )
-        for volts_V, reads in zip(volts, thrust.curve.thrust_N, strict=True)
-        for side, volt, measured in zip(sides, map(float, volts_V), reads, strict=True)
+        for volts_V, readings_N in zip(volts, thrust.curve.thrust_N, strict=True)
+        for side, volt, measured in zip(sides, map(float, volts_V), readings_N, strict=True)
     ]
     return after, tested
 
 
-def _number(rig: Rig, name: str, value: float, tolerance: float, source: str) -> Number:
+def _measured_number(rig: Rig, name: str, value: float, tolerance: float, source: str) -> Number:
     return Number(float(value), rig[name].unit, float(tolerance), source)
 
 
@@ -229,7 +231,9 @@ class _BenchModel:
         self.names = model.parameter_names
         self.values: Floats = model.parameter_values(rig)
 
-    def _linearised(self, p: Floats, axis: int, angles_rad: Floats) -> tuple[float, float, float]:
+    def _acceleration_and_derivative(
+        self, p: Floats, axis: int, angles_rad: Floats
+    ) -> tuple[float, float, float]:
         """Return the acceleration of an axis at rest, and its derivatives by angle and rate.
 
         The other axes are locked.
@@ -244,7 +248,7 @@ class _BenchModel:
         """Return the angle of equilibrium that is nearest to the reading, by Newton's method."""
         angles = np.array([np.deg2rad(near_deg), 0.0, 0.0])
         for _ in range(_MAX_ITERATIONS):
-            value, slope, _ = self._linearised(p, 0, angles)
+            value, slope, _ = self._acceleration_and_derivative(p, 0, angles)
             if slope >= 0.0:
                 raise RigError(
                     f"the arm of this rig does not balance near {near_deg:g} degrees: it falls there",
@@ -260,7 +264,7 @@ class _BenchModel:
         axis = AXES.index(swing.axis)
         rest_deg = self.balance_deg(p, -20.0) if axis == 0 else 0.0
         angles_rad = np.deg2rad([rest_deg if axis == 0 else swing.elevation_deg, 0.0, 0.0])
-        _, by_angle, by_rate = self._linearised(p, axis, angles_rad)
+        _, by_angle, by_rate = self._acceleration_and_derivative(p, axis, angles_rad)
         # Damped oscillation x'' = by_angle x + by_rate x': the square of its angular frequency.
         frequency2 = -by_angle - 0.25 * by_rate**2
         if frequency2 <= 0.0:
@@ -281,21 +285,25 @@ def _with_masses(
     """
     from scipy.optimize import least_squares
 
-    axes = _BenchModel(rig)
-    free = [name for name in axes.names if rig[name].tolerance > 0.0 and not name.startswith("offset")]
-    free = [name for name in free if name not in ("thrust_gain", "dead_zone")]
-    indices = [axes.names.index(name) for name in free]
-    mean = np.array([rig[name].value for name in free])
-    tolerance = np.array([rig[name].tolerance for name in free])
-    readings = _readings(balance, swings)
+    bench_model = _BenchModel(rig)
+    # Free are all numbers with a tolerance, but not the encoders' zeros, and not the thrust, which has its
+    # own test.
+    free_names = [
+        name for name in bench_model.names if rig[name].tolerance > 0.0 and not name.startswith("offset")
+    ]
+    free_names = [name for name in free_names if name not in ("thrust_gain", "dead_zone")]
+    indices = [bench_model.names.index(name) for name in free_names]
+    mean = np.array([rig[name].value for name in free_names])
+    tolerance = np.array([rig[name].tolerance for name in free_names])
+    readings = _table_of_readings(balance, swings)
 
     def predict(values: Floats) -> Floats:
         """Return the predicted readings for the free parameters, in the order of `readings`."""
-        p = axes.values.copy()
+        p = bench_model.values.copy()
         p[indices] = values
-        predicted = [] if balance is None else [axes.balance_deg(p, balance.elevation_deg)]
+        predicted = [] if balance is None else [bench_model.balance_deg(p, balance.elevation_deg)]
         for swing in swings:
-            predicted += axes.swing(p, swing)
+            predicted += bench_model.swing(p, swing)
         return np.array(predicted)
 
     measured = np.array([reading[2] for reading in readings])
@@ -304,12 +312,12 @@ def _with_masses(
     def residuals(scaled: Floats) -> Floats:
         return np.concatenate(((predict(mean + scaled * tolerance) - measured) / reading_tolerances, scaled))
 
-    low = np.array([-np.inf if rig.may_be_negative(name) else 1e-6 * rig[name].value for name in free])
-    start = np.zeros(len(free))
-    fitted = least_squares(residuals, start, bounds=((low - mean) / tolerance, np.full(len(free), np.inf)))
+    low = np.array([-np.inf if rig.may_be_negative(name) else 1e-6 * rig[name].value for name in free_names])
+    start = np.zeros(len(free_names))
+    fit = least_squares(residuals, start, bounds=((low - mean) / tolerance, np.full(len(free_names), np.inf)))
     # Readings and parameters are all scaled by 95 % tolerances, so that no factor 2 appears.
-    posterior_share = np.sqrt(np.diag(np.linalg.inv(fitted.jac.T @ fitted.jac)))
-    values = mean + fitted.x * tolerance
+    posterior_share = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
+    values = mean + fit.x * tolerance
     test_names = " and ".join(
         [
             *(["the angle of balance"] if balance else []),
@@ -318,29 +326,33 @@ def _with_masses(
     )
     names = [
         name
-        for name, share, shift in zip(free, posterior_share, fitted.x, strict=True)
+        for name, share, shift in zip(free_names, posterior_share, fit.x, strict=True)
         if share < _MAX_SHARE_LEARNED or abs(shift) > 1.0
     ]
     numbers = dict(rig.numbers)
     # All parameters change, some only a little, because the tests were fitted to all of them together.
-    for name, value, share, prior_tolerance in zip(free, values, posterior_share, tolerance, strict=True):
+    for name, value, share, prior_tolerance in zip(
+        free_names, values, posterior_share, tolerance, strict=True
+    ):
         source = f"bench: {test_names}, with {rig[name].source}"
-        numbers[name] = _number(rig, name, float(value), float(share * prior_tolerance), source)
+        numbers[name] = _measured_number(rig, name, float(value), float(share * prior_tolerance), source)
     after = replace(rig, numbers=numbers)
-    final = np.array([after[name].value for name in free])
+    final = np.array([after[name].value for name in free_names])
     return (
         after,
         names,
         [
-            Tested(what, unit, reading, width, float(before), float(now))
-            for (what, unit, reading, width), before, now in zip(
+            Tested(reading_name, unit, reading, width, float(before_value), float(after_value))
+            for (reading_name, unit, reading, width), before_value, after_value in zip(
                 readings, predict(mean), predict(final), strict=True
             )
         ],
     )
 
 
-def _readings(balance: Balance | None, swings: Sequence[Swing]) -> list[tuple[str, str, float, float]]:
+def _table_of_readings(
+    balance: Balance | None, swings: Sequence[Swing]
+) -> list[tuple[str, str, float, float]]:
     """Return name, unit, value and tolerance of each reading."""
     readings = (
         []

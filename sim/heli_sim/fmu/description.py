@@ -74,27 +74,27 @@ def variables(plant: Plant) -> list[Variable]:
     """List the variables of a plant that an importer sees: time, voltages, measured angles, states, rates,
     parameters.
     """
-    return list(_variables(plant))
+    return list(_variables_in_order(plant))
 
 
-def _variables(plant: Plant) -> Iterator[Variable]:
+def _variables_in_order(plant: Plant) -> Iterator[Variable]:
     """Yield the variables of an FMU in the order of its reference: time, inputs, outputs, distances to the
     stops, states, their rates, and parameters.
     """
     yield Variable("time", 0, "s", "simulated time", "independent", "continuous")
-    for place, quantity in enumerate(plant.model.inputs):
+    for index, quantity in enumerate(plant.model.inputs):
         yield Variable(
-            quantity.name, _INPUTS + place, quantity.unit, quantity.meaning, "input", "continuous", "", 0.0
+            quantity.name, _INPUTS + index, quantity.unit, quantity.meaning, "input", "continuous", "", 0.0
         )
-    for place, axis in enumerate(_AXES):
+    for index, axis in enumerate(_AXES):
         yield Variable(
-            f"{axis}_rad", _OUTPUTS + place, "rad", f"{axis} as an ideal encoder measures it", "output",
+            f"{axis}_rad", _OUTPUTS + index, "rad", f"{axis} as an ideal encoder measures it", "output",
             "continuous", "calculated",
         )  # fmt: skip
-    for place in range(6):
-        axis, side = _AXES[place % 3], ("lower", "upper")[place // 3]
+    for index in range(6):
+        axis, side = _AXES[index % 3], ("lower", "upper")[index // 3]
         yield Variable(
-            f"gap.{axis}_{side}_rad", _INDICATORS + place, "rad", f"way to the {side} stop of {axis}",
+            f"gap.{axis}_{side}_rad", _INDICATORS + index, "rad", f"way to the {side} stop of {axis}",
             "local", "continuous", "calculated",
         )  # fmt: skip
     start = plant.rest_state()
@@ -105,27 +105,28 @@ def _variables(plant: Plant) -> Iterator[Variable]:
             "chance", _CHANCE, "1", "state of the random generator, a whole number from 1", "parameter",
             "fixed", "exact", chance,
         )  # fmt: skip
-    for place, state in enumerate(plant.model.states):
+    for index, state in enumerate(plant.model.states):
         yield Variable(
-            f"state.{state.name}", _STATES + place, state.unit, state.meaning, "local", "continuous", "exact",
-            float(start[place]),
+            f"state.{state.name}", _STATES + index, state.unit, state.meaning, "local", "continuous", "exact",
+            float(start[index]),
         )  # fmt: skip
-    for place, state in enumerate(plant.model.states):
+    for index, state in enumerate(plant.model.states):
         unit = "rad/s2" if state.unit == "rad/s" else "1" if state.unit == "1" else f"{state.unit}/s"
         yield Variable(
-            f"der(state.{state.name})", _RATES + place, unit, f"rate of state.{state.name}",
-            "local", "continuous", "calculated", None, _STATES + place,
+            f"der(state.{state.name})", _RATES + index, unit, f"rate of state.{state.name}",
+            "local", "continuous", "calculated", None, _STATES + index,
         )  # fmt: skip
     known = {quantity.name: quantity for quantity in RIG_QUANTITIES}
-    named = [*plant.model.parameters, *(known[name] for name in LIMITS)]
+    parameters = [*plant.model.parameters, *(known[name] for name in LIMITS)]
     seen: set[str] = set()
-    for place, quantity in enumerate(named):
-        fixed = quantity.name == plant.model.delay
+    for index, quantity in enumerate(parameters):
+        is_constant = quantity.name == plant.model.delay
         name = f"rig.{quantity.name}" if quantity.name not in seen else f"rig.stop.{quantity.name}"
         seen.add(quantity.name)
         yield Variable(
-            name, _PARAMETERS + place, quantity.unit, quantity.meaning, "local" if fixed else "parameter",
-            "constant" if fixed else "tunable", "exact", float(plant.parameters[place]),
+            name, _PARAMETERS + index, quantity.unit, quantity.meaning,
+            "local" if is_constant else "parameter", "constant" if is_constant else "tunable", "exact",
+            float(plant.parameters[index]),
         )  # fmt: skip
 
 
@@ -139,7 +140,7 @@ def describe(plant: Plant, identifier: str, token: str) -> bytes:
     token : str
         The instantiation token.
     """
-    listed = variables(plant)
+    all_variables = variables(plant)
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="3.0",
@@ -149,22 +150,30 @@ def describe(plant: Plant, identifier: str, token: str) -> bytes:
         generationTool="heli_sim",
         variableNamingConvention="structured",
     )
-    able = {"modelIdentifier": identifier, "canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
-    ElementTree.SubElement(root, "ModelExchange", able)
+    capabilities = {
+        "modelIdentifier": identifier,
+        "canGetAndSetFMUState": "true",
+        "canSerializeFMUState": "true",
+    }
+    ElementTree.SubElement(root, "ModelExchange", capabilities)
     ElementTree.SubElement(
         root,
         "CoSimulation",
-        {**able, "canHandleVariableCommunicationStepSize": "true", "fixedInternalStepSize": repr(STEP_s)},
+        {
+            **capabilities,
+            "canHandleVariableCommunicationStepSize": "true",
+            "fixedInternalStepSize": repr(STEP_s),
+        },
     )
-    _add_units(root, listed)
+    _add_units(root, all_variables)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="60.0", stepSize=repr(STEP_s))
     model_variables = ElementTree.SubElement(root, "ModelVariables")
-    for variable in listed:
-        ElementTree.SubElement(model_variables, "Float64", _attributes(variable))
+    for variable in all_variables:
+        ElementTree.SubElement(model_variables, "Float64", _attributes_of_variable(variable))
     structure = ElementTree.SubElement(root, "ModelStructure")
-    outputs = [variable.reference for variable in listed if variable.causality == "output"]
-    rates = [variable.reference for variable in listed if variable.derivative_of]
-    indicators = [variable.reference for variable in listed if variable.name.startswith("gap.")]
+    outputs = [variable.reference for variable in all_variables if variable.causality == "output"]
+    rates = [variable.reference for variable in all_variables if variable.derivative_of]
+    indicators = [variable.reference for variable in all_variables if variable.name.startswith("gap.")]
     for kind, references in (
         ("Output", outputs),
         ("ContinuousStateDerivative", rates),
@@ -177,7 +186,7 @@ def describe(plant: Plant, identifier: str, token: str) -> bytes:
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
-def _attributes(variable: Variable) -> dict[str, str]:
+def _attributes_of_variable(variable: Variable) -> dict[str, str]:
     """Return the attributes of a variable in modelDescription.xml."""
     attributes = {
         "name": variable.name,

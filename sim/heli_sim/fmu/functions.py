@@ -46,20 +46,22 @@ def generate(plant: Plant, token: str) -> Generated:
     after, _, next_generator_state = end_of_step(model, x, u, p, t, generator_state, ca.SX.zeros(3))
     functions = [
         plant.function,
-        _function("model_rates", [x, u, p, t], [model.dynamics(x, u, p_model, t)]),
-        _function("model_measured", [x, u, p, t], [model.measurement(x, u, p_model, t)]),
-        _function("model_end_of_step", [x, u, p, t, generator_state], [after, next_generator_state]),
+        _dense_function("model_rates", [x, u, p, t], [model.dynamics(x, u, p_model, t)]),
+        _dense_function("model_measured", [x, u, p, t], [model.measurement(x, u, p_model, t)]),
+        _dense_function("model_end_of_step", [x, u, p, t, generator_state], [after, next_generator_state]),
     ]
     if delay_ticks:
         past_V = ca.SX.sym("past_V", 2 * delay_ticks)
         functions.append(
-            _function("model_late_volts", [u, past_V], [delayed_volts_V(u, past_V, plant.extras.delay_s)])
+            _dense_function(
+                "model_late_volts", [u, past_V], [delayed_volts_V(u, past_V, plant.extras.delay_s)]
+            )
         )
     generator = ca.CodeGenerator("model", {"with_header": False})
     for function in functions:
         generator.add(function)
     has_millisecond_events = (
-        bool(delay_ticks) or extras.random or any(_resets(effect) for effect in model.effects)
+        bool(delay_ticks) or extras.random or any(_has_reset(effect) for effect in model.effects)
     )
     numbers = {
         "STATES": len(model.states),
@@ -89,7 +91,7 @@ def generate(plant: Plant, token: str) -> Generated:
     return Generated(
         {
             "model.c": generator.dump(),
-            "model.h": _header(functions),
+            "model.h": _c_header(functions),
             "model_numbers.h": "\n".join([*lines, "#endif", ""]),
             "model_start.c": start_values,
         },
@@ -97,7 +99,7 @@ def generate(plant: Plant, token: str) -> Generated:
     )
 
 
-def _header(functions: list[ca.Function]) -> str:
+def _c_header(functions: list[ca.Function]) -> str:
     """Return the C header with the prototypes of the generated functions."""
     prototypes = [
         f"int {function.name()}(const double** arg, double** res, long long int* iw, double* w, int mem);"
@@ -106,11 +108,11 @@ def _header(functions: list[ca.Function]) -> str:
     return "\n".join(["#ifndef MODEL_H", "#define MODEL_H", *prototypes, "#endif", ""])
 
 
-def _function(name: str, inputs: list[ca.SX], results: list[ca.SX]) -> ca.Function:
+def _dense_function(name: str, inputs: list[ca.SX], results: list[ca.SX]) -> ca.Function:
     return ca.Function(name, inputs, ca.cse([ca.densify(result) for result in results]))
 
 
-def _resets(effect: Effect) -> bool:
+def _has_reset(effect: Effect) -> bool:
     """Whether an effect resets a state at the end of a step."""
     return type(effect).reset_map is not Effect.reset_map
 

@@ -49,7 +49,7 @@ def write_fmu(plant: Plant, path: str | Path) -> str:
         The compiler fails, or the file cannot be written.
     """
     identifier = re.sub(r"\W", "_", f"heli_{plant.rig.name}", flags=re.ASCII)
-    token = _token(plant)
+    token = _instantiation_token(plant)
     files = {"modelDescription.xml": describe(plant, identifier, token)}
     sources = {name: text.encode() for name, text in generate(plant, token).files.items()}
     sources |= {path.name: path.read_bytes() for path in sorted(_SOURCES.glob("*.[ch]"))}
@@ -58,7 +58,7 @@ def write_fmu(plant: Plant, path: str | Path) -> str:
     files["sources/buildDescription.xml"] = _build_description(identifier, compiled)
     machine = _MACHINES.get(platform.machine().lower(), platform.machine().lower())
     system, suffix = _SYSTEMS.get(sys.platform, ("linux", ".so"))
-    binary = _compile(sources, compiled)
+    binary = _compile_library(sources, compiled)
     if binary is not None:
         files[f"binaries/{machine}-{system}/{identifier}{suffix}"] = binary
     try:
@@ -72,7 +72,7 @@ def write_fmu(plant: Plant, path: str | Path) -> str:
     return f"{machine}-{system}" if binary is not None else ""
 
 
-def _token(plant: Plant) -> str:
+def _instantiation_token(plant: Plant) -> str:
     """Identify this FMU: a digest of its variables and equations."""
     text = "\n".join(
         [*(repr(variable) for variable in variables(plant)), *generate(plant, "").files.values()]
@@ -91,7 +91,7 @@ def _build_description(identifier: str, compiled: list[str]) -> bytes:
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
-def _compile(sources: dict[str, bytes], compiled: list[str]) -> bytes | None:
+def _compile_library(sources: dict[str, bytes], compiled: list[str]) -> bytes | None:
     """Compile the C sources of an FMU, and return the shared library; None without a compiler."""
     cc = compiler()
     if cc is None:
@@ -101,8 +101,8 @@ def _compile(sources: dict[str, bytes], compiled: list[str]) -> bytes | None:
             (Path(folder) / name).write_bytes(data)
         # As the plant's own step is compiled, so that both give the same numbers.
         command = [cc, "-std=c99", *FLAGS, *_HIDDEN, "-o", "model.bin", *compiled, *LIBRARIES]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            reason = (done.stderr.strip().splitlines() or ["no message"])[0]
+        process = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if process.returncode != 0:
+            reason = (process.stderr.strip().splitlines() or ["no message"])[0]
             raise PlantError(f"{cc} cannot compile the FMU: {reason}", "set CC to a working C compiler")
         return (Path(folder) / "model.bin").read_bytes()

@@ -192,7 +192,7 @@ class Model(ABC):
         `x`, `u`, `p`, `time_s` and `locked` are those of `operands`; `u` are the voltages that act, after any
         delay. A locked axis does not accelerate.
         """
-        at, effect_rates = self._driven(x, u, p, time_s, locked)
+        at, effect_rates = self._torque_operands_and_state_rates(x, u, p, time_s, locked)
         parameter, thrust = at.parameter, at.thrust_N
         constant = ca.vertcat(*(parameter[f"torque_{axis}"] for axis in AXES))
         torque = friction_torque_Nm(x[3:6], parameter) + constant
@@ -206,9 +206,9 @@ class Model(ABC):
 
         `x`, `u`, `p` and `time_s` are those of `operands`.
         """
-        return self._driven(x, u, p, time_s, None)[0]
+        return self._torque_operands_and_state_rates(x, u, p, time_s, None)[0]
 
-    def _driven(
+    def _torque_operands_and_state_rates(
         self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None, locked: ca.SX | None
     ) -> tuple[Operands, list[ca.SX]]:
         """Return the operands of the torques, and the rates of the states that the effects add.
@@ -240,6 +240,7 @@ class Model(ABC):
             return acceleration
         torque = ca.SX.sym("torque", 3)
         mobility = ca.jacobian(self.acceleration(at, thrust, torque), torque)
+        # A locked axis has a mobility of 0; its lock, 1, keeps the reciprocal finite.
         inertia = 1 / (ca.diag(mobility) + at.locked)
         friction = [effect.friction_Nm(at, acceleration, inertia) for effect in frictional]
         return acceleration + mobility @ sum(friction, ca.SX.zeros(3))

@@ -86,21 +86,21 @@ def equations(model: Model) -> list[Equation]:
     """
     at = _symbolic_operands(model)
     F = ca.vertcat(ca.SX.sym("F_{f}"), ca.SX.sym("F_{b}"))
-    result = _thrust(at)
+    result = _thrust_equation(at)
     rates = ca.vertcat(*(at.state[f"{axis}_rate_rad_s"] for axis in AXES))
     torque = friction_torque_Nm(rates, at.parameter) + ca.vertcat(
         *(at.parameter[f"torque_{axis}"] for axis in AXES)
     )
     writer = _Writer()
     if isinstance(model, MultibodyModel):
-        result += _multibody(model, at, F, torque, rates, writer)
+        result += _multibody_equations(model, at, F, torque, rates, writer)
     else:
-        result += _accelerations(model.acceleration(at, F, torque), writer)
+        result += _acceleration_equations(model.acceleration(at, F, torque), writer)
     acceleration_without_friction = ca.vertcat(*(ca.SX.sym(rf"\ddot{{{angle}}}_{{0}}") for angle in _ANGLES))
     inertia = ca.vertcat(*(ca.SX.sym(f"J_{{{angle}}}") for angle in _ANGLES))
     for effect in model.effects:
         added = effect.torque_Nm(at) + effect.friction_Nm(at, acceleration_without_friction, inertia)
-        result += _effect(effect.name, added, effect.thrust_N(at, F), F, writer)
+        result += _effect_terms(effect.name, added, effect.thrust_N(at, F), F, writer)
         if effect.states:
             left_sides = [rf"\dot{{{symbol(state.name)}}}" for state in effect.states]
             result += writer.equations_of(left_sides, effect.state_rates(replace(at, thrust_N=F)))
@@ -119,7 +119,7 @@ def _symbolic_operands(model: Model) -> Operands:
     )
 
 
-def _thrust(at: Operands) -> list[Equation]:
+def _thrust_equation(at: Operands) -> list[Equation]:
     """Return the thrust of rotor i above its dead zone."""
     p = at.parameter
     volts = ca.SX.sym("V_{i}")
@@ -127,7 +127,7 @@ def _thrust(at: Operands) -> list[Equation]:
     return _Writer().equations_of(["F_{i}"], straight)
 
 
-def _multibody(
+def _multibody_equations(
     model: MultibodyModel, at: Operands, F: ca.SX, torque: ca.SX, rates: ca.SX, writer: _Writer
 ) -> list[Equation]:
     """Return the equations of the multibody model: Lagrange's equation, then the inertias, the potential
@@ -148,7 +148,7 @@ def _multibody(
     return [rule, *writer.equations_of(left_sides, right_sides)]
 
 
-def _accelerations(acceleration: ca.SX, writer: _Writer) -> list[Equation]:
+def _acceleration_equations(acceleration: ca.SX, writer: _Writer) -> list[Equation]:
     """Write torque over inertia as inertia times acceleration; leave anything else unchanged."""
     parts = [acceleration[row] for row in range(3)]
     if not all(part.is_op(ca.OP_DIV) for part in parts):
@@ -161,7 +161,7 @@ def _accelerations(acceleration: ca.SX, writer: _Writer) -> list[Equation]:
     ]
 
 
-def _effect(name: str, torque: ca.SX, thrust: ca.SX, F: ca.SX, writer: _Writer) -> list[Equation]:
+def _effect_terms(name: str, torque: ca.SX, thrust: ca.SX, F: ca.SX, writer: _Writer) -> list[Equation]:
     """Return the torques that an effect adds, and the thrusts that it changes, as equations."""
     superscript = symbol(name)
     result = []
@@ -199,39 +199,39 @@ class _Writer:
     def __init__(self) -> None:
         self._names: dict[int, str] = {}
         # The hash of a deleted expression may be reused, so all expressions are kept.
-        self._cached: list[ca.SX] = []
+        self._kept_alive: list[ca.SX] = []
         self._repeated: set[int] = set()
 
     def equations_of(self, left_sides: Sequence[str], right_sides: ca.SX) -> list[Equation]:
         """Return one equation per element of `right_sides`, each after those of its named subexpressions."""
         parts = [ca.SX(right_sides[row]) for row in range(right_sides.numel())]
-        self._cached += parts
+        self._kept_alive += parts
         self._repeated |= _repeated_parts(parts)
         result: list[Equation] = []
         for left, part in zip(left_sides, parts, strict=True):
             self._name_parts(part, result)
-            result.append(Equation(left, self._text(part)[0]))
+            result.append(Equation(left, self._latex_and_binding(part)[0]))
         return result
 
     def _name_parts(self, expression: ca.SX, result: list[Equation]) -> None:
         """Name the repeated subexpressions of an expression, and append their equations to `result`."""
-        for child in _operands(expression):
+        for child in _operands_of(expression):
             key = child.element_hash()
             if key in self._names:
                 continue
             self._name_parts(child, result)
             if key in self._repeated:
-                right = self._text(child)[0]
+                right_side = self._latex_and_binding(child)[0]
                 self._names[key] = self._new_name(child)
-                result.append(Equation(self._names[key], right))
+                result.append(Equation(self._names[key], right_side))
 
     def _new_name(self, expression: ca.SX) -> str:
         """Return the next free name: zeta_1, zeta_2 for angles, otherwise a_1, a_2."""
         letter = r"\zeta" if expression.op() == ca.OP_ATAN else "a"
-        taken = sum(name.startswith(letter) for name in self._names.values())
-        return f"{letter}_{{{taken + 1}}}"
+        used_count = sum(name.startswith(letter) for name in self._names.values())
+        return f"{letter}_{{{used_count + 1}}}"
 
-    def _text(self, expression: ca.SX) -> _BoundText:
+    def _latex_and_binding(self, expression: ca.SX) -> _BoundText:
         """Return an expression in LaTeX, and its binding strength."""
         if expression.element_hash() in self._names:
             return self._names[expression.element_hash()], _ATOM
@@ -250,12 +250,15 @@ class _Writer:
 
     def operand_text(self, expression: ca.SX, min_binding: int) -> str:
         """Return an operand in LaTeX, in parentheses if it binds less strongly than required."""
-        text, binding = self._text(expression)
+        text, binding = self._latex_and_binding(expression)
         return text if binding >= min_binding else rf"\left({text}\right)"
 
     def sum(self, expression: ca.SX) -> _BoundText:
         """Return a sum or difference in LaTeX."""
-        first, (second, binding) = self._text(expression.dep(0))[0], self._text(expression.dep(1))
+        first, (second, binding) = (
+            self._operand(expression, 0),
+            self._latex_and_binding(expression.dep(1)),
+        )
         negated = expression.op() == ca.OP_SUB
         if binding == _SIGNED or (not negated and second.startswith("-")):
             negated, second = not negated, second[1:]
@@ -266,8 +269,8 @@ class _Writer:
     def product(self, expression: ca.SX) -> _BoundText:
         """Return a product in LaTeX: numbers first, then symbols, sums in parentheses, and functions."""
         negative, factors = False, []
-        for factor in self._factors(expression):
-            text, binding = self._text(factor)
+        for factor in self._factors_of_product(expression):
+            text, binding = self._latex_and_binding(factor)
             if binding == _SIGNED:
                 negative, text, binding = not negative, text[1:], _PRODUCT
             if factor.is_constant():
@@ -281,7 +284,7 @@ class _Writer:
         joined = r"\,".join(text for _, text in sorted(factors, key=lambda pair: pair[0]))
         return (f"-{joined}", _SIGNED) if negative else (joined, _PRODUCT)
 
-    def _factors(self, expression: ca.SX) -> list[ca.SX]:
+    def _factors_of_product(self, expression: ca.SX) -> list[ca.SX]:
         """Return the factors of a product of products, in their order."""
         if (
             expression.element_hash() in self._names
@@ -290,55 +293,65 @@ class _Writer:
             or expression.is_symbolic()
         ):
             return [expression]
-        return [*self._factors(expression.dep(0)), *self._factors(expression.dep(1))]
+        return [*self._factors_of_product(expression.dep(0)), *self._factors_of_product(expression.dep(1))]
 
     def fraction(self, expression: ca.SX) -> _BoundText:
-        return rf"\frac{{{self._text(expression.dep(0))[0]}}}{{{self._text(expression.dep(1))[0]}}}", _ATOM
+        return (
+            rf"\frac{{{self._operand(expression, 0)}}}{{{self._operand(expression, 1)}}}",
+            _ATOM,
+        )
 
     def negated(self, expression: ca.SX) -> _BoundText:
         return f"-{self.operand_text(expression.dep(0), _PRODUCT)}", _SIGNED
 
     def doubled(self, expression: ca.SX) -> _BoundText:
         """Return twice an expression; a minus sign comes before the 2."""
-        text, binding = self._text(expression.dep(0))
+        text, binding = self._latex_and_binding(expression.dep(0))
         if binding == _SIGNED:
             return rf"-2\,{text[1:]}", _SIGNED
         return rf"2\,{self.operand_text(expression.dep(0), _PRODUCT)}", _PRODUCT
 
     def inverse(self, expression: ca.SX) -> _BoundText:
-        return rf"\frac{{1}}{{{self._text(expression.dep(0))[0]}}}", _ATOM
+        return rf"\frac{{1}}{{{self._operand(expression, 0)}}}", _ATOM
 
     def square(self, expression: ca.SX) -> _BoundText:
         """Return a square; that of a function is written as sin^2(x)."""
         inner = expression.dep(0)
         if inner.op() in _FUNCTIONS and inner.element_hash() not in self._names:
-            return f"{_FUNCTIONS[inner.op()]}^{{2}}{self._argument(inner)}", _POWER
+            return f"{_FUNCTIONS[inner.op()]}^{{2}}{self._argument_latex(inner)}", _POWER
         return f"{self.operand_text(inner, _ATOM)}^{{2}}", _POWER
 
     def power(self, expression: ca.SX) -> _BoundText:
-        return f"{self.operand_text(expression.dep(0), _ATOM)}^{{{self._text(expression.dep(1))[0]}}}", _POWER
+        return (
+            f"{self.operand_text(expression.dep(0), _ATOM)}^{{{self._operand(expression, 1)}}}",
+            _POWER,
+        )
 
     def square_root(self, expression: ca.SX) -> _BoundText:
-        return rf"\sqrt{{{self._text(expression.dep(0))[0]}}}", _ATOM
+        return rf"\sqrt{{{self._operand(expression, 0)}}}", _ATOM
 
     def absolute(self, expression: ca.SX) -> _BoundText:
-        return rf"\left|{self._text(expression.dep(0))[0]}\right|", _ATOM
+        return rf"\left|{self._operand(expression, 0)}\right|", _ATOM
 
     def function(self, expression: ca.SX) -> _BoundText:
-        return f"{_FUNCTIONS[expression.op()]}{self._argument(expression)}", _POWER
+        return f"{_FUNCTIONS[expression.op()]}{self._argument_latex(expression)}", _POWER
 
     def extremum(self, expression: ca.SX) -> _BoundText:
         """Return a maximum or minimum of two operands."""
         name = r"\max" if expression.op() == ca.OP_FMAX else r"\min"
         return (
-            rf"{name}\left({self._text(expression.dep(0))[0]}, {self._text(expression.dep(1))[0]}\right)",
+            rf"{name}\left({self._operand(expression, 0)}, {self._operand(expression, 1)}\right)",
             _ATOM,
         )
 
-    def _argument(self, expression: ca.SX) -> str:
+    def _operand(self, expression: ca.SX, number: int) -> str:
+        """Return an operand of the last operation in LaTeX, without parentheses around it."""
+        return self._latex_and_binding(expression.dep(number))[0]
+
+    def _argument_latex(self, expression: ca.SX) -> str:
         """Return the argument of a function in LaTeX, without parentheses if it is a symbol."""
         inner = expression.dep(0)
-        text, binding = self._text(inner)
+        text, binding = self._latex_and_binding(inner)
         return f" {text}" if binding == _ATOM and inner.is_symbolic() else rf"\left({text}\right)"
 
 
@@ -358,7 +371,7 @@ _OPERATIONS: Final[Mapping[int, Callable[[_Writer, ca.SX], _BoundText]]] = {
 }
 
 
-def _operands(expression: ca.SX) -> Iterable[ca.SX]:
+def _operands_of(expression: ca.SX) -> Iterable[ca.SX]:
     """Return the operands of the last operation in an expression."""
     return (
         ()
@@ -370,8 +383,8 @@ def _operands(expression: ca.SX) -> Iterable[ca.SX]:
 def _repeated_parts(roots: Iterable[ca.SX]) -> set[int]:
     """Return the hashes of subexpressions that occur more than once and are large enough for a name."""
     occurrences: dict[int, int] = {}
-    absolute: dict[int, int] = {}
-    signs: set[int] = set()  # an expression with only a sign or a factor 2 in front needs no name
+    operation_counts: dict[int, int] = {}
+    signed: set[int] = set()  # an expression with only a sign or a factor 2 in front needs no name
 
     def visit(expression: ca.SX) -> int:
         """Count the operations of an expression, and how often each of its parts occurs."""
@@ -382,17 +395,17 @@ def _repeated_parts(roots: Iterable[ca.SX]) -> set[int]:
             and not expression.is_symbolic()
             and expression.op() in (ca.OP_NEG, ca.OP_TWICE)
         ):
-            signs.add(key)
-        if key not in absolute:
-            absolute[key] = (
+            signed.add(key)
+        if key not in operation_counts:
+            operation_counts[key] = (
                 0
                 if expression.is_constant() or expression.is_symbolic()
-                else 1 + sum(map(visit, _operands(expression)))
+                else 1 + sum(map(visit, _operands_of(expression)))
             )
-        return absolute[key]
+        return operation_counts[key]
 
-    for square_root in roots:
-        visit(square_root)
+    for root in roots:
+        visit(root)
     return {
-        key for key, count in occurrences.items() if count > 1 and absolute[key] >= _MIN_OPERATIONS
-    } - signs
+        key for key, count in occurrences.items() if count > 1 and operation_counts[key] >= _MIN_OPERATIONS
+    } - signed

@@ -102,25 +102,27 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
     """
     count = len(model.states)
     # Unknown are pitch, the states of effects, and both voltages. Travel and the three rates are zero.
-    unknown = [1, *range(6, count)]
+    unknown_states = [1, *range(6, count)]
     state = np.zeros(count)
     state[0] = elevation_rad
     # Start at any voltage above the dead zone, because the thrust is nearly linear there.
     volts_V = np.full(2, rig["dead_zone"].value + 1.0)
     if count > 6:
         # Lagged thrusts start at their steady values: with zero thrust, pitch would have no effect.
-        at = derivatives(model, rig, state, volts_V)
-        state[6:] -= np.linalg.lstsq(at.A[6:, 6:], at.rates[6:], rcond=None)[0]
+        linear = derivatives(model, rig, state, volts_V)
+        state[6:] -= np.linalg.lstsq(linear.A[6:, 6:], linear.rates[6:], rcond=None)[0]
     for _ in range(_ITERATIONS):
-        at = derivatives(model, rig, state, volts_V)
-        residual = at.rates[3:]
+        linear = derivatives(model, rig, state, volts_V)
+        residual = linear.rates[3:]
         if np.abs(residual).max() < _RESIDUAL:
             if state[1] ** 2 < (np.pi / 2) ** 2 and (volts_V > rig["dead_zone"].value).all():
                 return Trim(state, volts_V)
             break
         # Least squares leaves a state that has no influence, such as an encoder's play, unchanged.
-        step = np.linalg.lstsq(np.hstack((at.A[3:, unknown], at.B[3:])), -residual, rcond=None)[0]
-        state[unknown] += step[:-2]
+        step = np.linalg.lstsq(
+            np.hstack((linear.A[3:, unknown_states], linear.B[3:])), -residual, rcond=None
+        )[0]
+        state[unknown_states] += step[:-2]
         volts_V = volts_V + step[-2:]
     raise PlantError(
         f"rig '{rig.name}' cannot hover at {np.degrees(elevation_rad):g} degrees with model '{model.name}'",

@@ -60,8 +60,8 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
 
     def joint(name: str, axis: str, low_deg: float, high_deg: float) -> str:
         low, high = np.deg2rad([low_deg, high_deg])
-        ends = f' limited="true" range="{low:.9g} {high:.9g}"' if stops else ""
-        return f'<joint name="{name}" axis="{axis}" damping="{v[f"friction_{name}"]:.9g}"{ends}/>'
+        limits_xml = f' limited="true" range="{low:.9g} {high:.9g}"' if stops else ""
+        return f'<joint name="{name}" axis="{axis}" damping="{v[f"friction_{name}"]:.9g}"{limits_xml}/>'
 
     def rotor(side: str) -> str:
         """Return the actuator of a rotor: above the dead zone, thrust increases linearly with the voltage."""
@@ -84,28 +84,28 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
             f'biasprm="{value:.9g} 0 0"/>'
         )
 
-    still = '<inertial pos="0 0 0" mass="1e-9" ' + _POINT + "/>"
-    missing = "".join(f"\n  - {line}" for line in left_out(rig)).replace("--", "- -")
+    massless_inertia = '<inertial pos="0 0 0" mass="1e-9" ' + _POINT + "/>"
+    missing_lines = "".join(f"\n  - {line}" for line in left_out(rig)).replace("--", "- -")
     return f"""<?xml version="1.0" encoding="utf-8"?>
-<!-- {_comment(rig.description)}
-Written by heli-host rig export. Controls: front and back motor, V. The model leaves out:{missing}
+<!-- {_comment_lines(rig.description)}
+Written by heli-host rig export. Controls: front and back motor, V. The model leaves out:{missing_lines}
 -->
 <mujoco model="{escape(rig.name, {'"': "&quot;"})}">
   <compiler angle="radian" balanceinertia="false"/>
   <option timestep="{step_s:.9g}" integrator="RK4" gravity="0 0 {-v["g"]:.9g}"/>
   <worldbody>
     <body name="post" pos="0 0 1">
-      {still}
+      {massless_inertia}
       {joint("travel", "0 0 1", -v["travel_max"], v["travel_max"])}
       <body name="arm">
-        {still}
+        {massless_inertia}
         {joint("elevation", "0 -1 0", v["elevation_min"], v["elevation_max"])}
         <geom type="capsule" fromto="{-v["L_b"]:.9g} 0 {arm_z:.9g} {v["L_a"]:.9g} 0 {arm_z:.9g}"
           size="0.01" mass="0" contype="0" conaffinity="0"/>
         {mass("long_arm", v["M_l"], v["L_x"], 0.0, arm_z)}
         {mass("counterweight", v["M_w"], -v["L_b"], 0.0, arm_z)}
         <body name="body" pos="{v["L_a"]:.9g} 0 {arm_z:.9g}">
-          {still}
+          {massless_inertia}
           {joint("pitch", "-1 0 0", -v["pitch_max"], v["pitch_max"])}
           <geom type="capsule" fromto="0 {-v["L_h"]:.9g} {body_z:.9g} 0 {v["L_h"]:.9g} {body_z:.9g}"
             size="0.01" mass="0" contype="0" conaffinity="0"/>
@@ -128,7 +128,7 @@ Written by heli-host rig export. Controls: front and back motor, V. The model le
 """
 
 
-def _comment(text: str) -> str:
+def _comment_lines(text: str) -> str:
     # XML forbids two hyphens in a comment.
     return text.replace("--", "- -")
 

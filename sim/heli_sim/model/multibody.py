@@ -97,6 +97,7 @@ class MultibodyModel(Model):
             z:  travel' y sin + elevation' L_a - pitch' y
         """
         p = at.parameter
+        # Cosine and sine of the elevation.
         c, s = ca.cos(q[0]), ca.sin(q[0])
         long, short = self._long_arm(at), self._short_arm(at, q[1])
         L_a, L_theta = p["L_a"], p["L_theta"]
@@ -146,6 +147,7 @@ class MultibodyModel(Model):
     def _short_arm(self, at: Operands, pitch: ca.SX) -> _ShortArm:
         """Return the sums of the short arm at a `pitch`: mass, first [kg m] and second moments [kg m2]."""
         p = at.parameter
+        # Cosine and sine of the pitch, by which the masses are turned below.
         c, s = ca.cos(pitch), ca.sin(pitch)
         # At pitch 0, every mass is L_phi below the axis, and the rotors are L_h to either side.
         mass = p["M_f"] + p["M_b"] + p["M_h"]
@@ -181,7 +183,9 @@ def _mechanics(kind: type[MultibodyModel]) -> ca.Function:
     torque_Nm, locked = ca.SX.sym("torque", 3), ca.SX.sym("locked", 3)
     constants = ca.SX.sym("known", len(model.rig_parameters))
     parameters = {name: constants[i] for i, name in enumerate(model.rig_parameters)}
+    # The inertia, the forces and the energy need neither states nor voltages; they get the angles apart.
     at = Operands({}, ca.SX.zeros(2), parameters, ca.SX(0), locked)
+    # Lagrange: M q'' = Q - (M' q' - 1/2 d(q' M q')/dq) - dU/dq.
     inertia = model._inertia_kg_m2(at, q)
     momentum = inertia @ rates
     coriolis = ca.jtimes(momentum, q, rates) - 0.5 * ca.gradient(ca.dot(rates, momentum), q)

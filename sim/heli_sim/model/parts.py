@@ -62,14 +62,14 @@ def rotor_climb_m_s(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) 
     and L_theta in `parameter` [m]. It follows from virtual work: thrust times climb is the power that the
     thrust gives to the axes.
     """
-    c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
-    c_pitch, s_pitch = ca.cos(state["pitch_rad"]), ca.sin(state["pitch_rad"])
-    travel = state["travel_rate_rad_s"]
+    cos_elevation, sin_elevation = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
+    cos_pitch, sin_pitch = ca.cos(state["pitch_rad"]), ca.sin(state["pitch_rad"])
+    travel_rad_s = state["travel_rate_rad_s"]
     mean_m_s = (
-        parameter["L_a"] * c_pitch * state["elevation_rate_rad_s"]
-        + (parameter["L_a"] * c + parameter["L_theta"] * s) * s_pitch * travel
+        parameter["L_a"] * cos_pitch * state["elevation_rate_rad_s"]
+        + (parameter["L_a"] * cos_elevation + parameter["L_theta"] * sin_elevation) * sin_pitch * travel_rad_s
     )
-    difference_m_s = parameter["L_h"] * (state["pitch_rate_rad_s"] - s * travel)
+    difference_m_s = parameter["L_h"] * (state["pitch_rate_rad_s"] - sin_elevation * travel_rad_s)
     return ca.vertcat(mean_m_s + difference_m_s, mean_m_s - difference_m_s)
 
 
@@ -78,6 +78,7 @@ def rotor_height_m(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -
 
     It depends on the angles in `state`, and on L_a, L_h and L_theta in `parameter` [m].
     """
+    # Cosine and sine of the elevation.
     c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
     mean_m = parameter["L_a"] * s - parameter["L_theta"] * c
     difference_m = parameter["L_h"] * ca.sin(state["pitch_rad"]) * c

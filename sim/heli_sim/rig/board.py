@@ -39,11 +39,11 @@ def parameters_of(rig: Rig) -> dict[str, float]:
         The board cannot be set to one of them.
     """
     supply_V = rig["supply"].value
-    exact = encoder_parameters(rig) | {
+    exact_values = encoder_parameters(rig) | {
         "elevation_rest_deg": rig["elevation_min"].value,
         "supply_V": supply_V,
     }
-    for name, value in exact.items():
+    for name, value in exact_values.items():
         spec = _SPECS[name]
         if not spec.min <= value <= spec.max:
             raise RigError(
@@ -51,9 +51,14 @@ def parameters_of(rig: Rig) -> dict[str, float]:
                 f"and the board takes {spec.min:g} to {spec.max:g}",
                 "correct the rig's file",
             )
-    most = {f"{name}_deg": rig[name].value - inside for name, inside in _INSIDE_STOP_deg.items()}
-    most |= {"motor_max_V": supply_V, "pitch_setpoint_max_deg": rig["pitch_max"].value - _SETPOINT_INSIDE_deg}
-    return exact | {name: min(max(value, _SPECS[name].min), _SPECS[name].max) for name, value in most.items()}
+    upper_limits = {f"{name}_deg": rig[name].value - inside for name, inside in _INSIDE_STOP_deg.items()}
+    upper_limits |= {
+        "motor_max_V": supply_V,
+        "pitch_setpoint_max_deg": rig["pitch_max"].value - _SETPOINT_INSIDE_deg,
+    }
+    return exact_values | {
+        name: min(max(value, _SPECS[name].min), _SPECS[name].max) for name, value in upper_limits.items()
+    }
 
 
 def encoder_parameters(rig: Rig) -> dict[str, float]:
@@ -72,10 +77,10 @@ def in_simulation(rig: Rig) -> dict[str, float]:
         The board cannot be set to one of them.
     """
     stated = parameters_of(rig)
-    wanted = {
+    in_simulation_values = {
         name: min(value, _SPECS[name].default) if name in _UPPER else value for name, value in stated.items()
     }
-    return {name: value for name, value in wanted.items() if value != _SPECS[name].default}
+    return {name: value for name, value in in_simulation_values.items() if value != _SPECS[name].default}
 
 
 def board_settings(rig: Rig, board: Mapping[str, float] | None = None) -> dict[str, float]:
@@ -94,14 +99,16 @@ def board_settings(rig: Rig, board: Mapping[str, float] | None = None) -> dict[s
     RigError
         The board cannot be set to one of them.
     """
-    stated = parameters_of(rig) | {"dead_zone_V": rig["dead_zone"].value}
-    now = {name: spec.default for name, spec in _SPECS.items()} | dict(board or {})
+    settings = parameters_of(rig) | {"dead_zone_V": rig["dead_zone"].value}
+    board_values = {name: spec.default for name, spec in _SPECS.items()} | dict(board or {})
     for (name, count), is_known in zip(encoder_parameters(rig).items(), direction_is_known(rig), strict=True):
         if not is_known:
-            del stated[name]
+            del settings[name]
             if board is not None:
-                stated[name] = math.copysign(count, now[name])
-    return {name: min(value, now[name]) if name in _UPPER else value for name, value in stated.items()}
+                settings[name] = math.copysign(count, board_values[name])
+    return {
+        name: min(value, board_values[name]) if name in _UPPER else value for name, value in settings.items()
+    }
 
 
 def rig_of_board(board: Mapping[str, float], like: Rig, name: str) -> Rig:

@@ -41,21 +41,21 @@ class Difference:
         if self.left is None or self.right is None:
             return math.inf
         difference = self.right.value - self.left.value
-        together = math.hypot(self.left.tolerance, self.right.tolerance)
-        return difference / together if together > 0.0 else math.copysign(math.inf, difference)
+        joint_tolerance = math.hypot(self.left.tolerance, self.right.tolerance)
+        return difference / joint_tolerance if joint_tolerance > 0.0 else math.copysign(math.inf, difference)
 
 
 def compare_rigs(left: Rig, right: Rig) -> list[Difference]:
     """Compare all parameters of two rigs. The largest difference in tolerances comes first; equal ones are in
     the order of the rigs.
     """
-    sides = dict(_numbers(left)), dict(_numbers(right))
+    sides = dict(_all_numbers(left)), dict(_all_numbers(right))
     names = dict.fromkeys([*sides[0], *sides[1]])
     compared = [Difference(name, sides[0].get(name), sides[1].get(name)) for name in names]
     return sorted(compared, key=lambda difference: -abs(difference.tolerances))
 
 
-def _numbers(rig: Rig) -> Iterator[tuple[str, Number]]:
+def _all_numbers(rig: Rig) -> Iterator[tuple[str, Number]]:
     """Yield all numbers of a rig with their names, including those of its effects."""
     yield from rig.items()
     for effect, numbers in rig.effects.items():

@@ -74,21 +74,21 @@ def described(name: str, description: str, like: Rig, given: Mapping[str, Number
     """
     numbers = {}
     given = counts_by_encoder(name, given)
-    for quantity, known in like.items():
+    for quantity, like_number in like.items():
         if quantity in given:
             numbers[quantity] = given[quantity]
             continue
         if quantity in ENCODER_DIRECTIONS:
             # Wiring is no property that rigs of one type share.
-            numbers[quantity] = Number(0.0, known.unit, 0.0, UNSTATED[quantity].source)
+            numbers[quantity] = Number(0.0, like_number.unit, 0.0, UNSTATED[quantity].source)
             continue
-        differs_between_rigs = bool(known.tolerance) and quantity not in _ALIKE
-        wide = (
-            max(known.tolerance, UNSTATED_SHARE * abs(known.value))
+        differs_between_rigs = bool(like_number.tolerance) and quantity not in _ALIKE
+        tolerance = (
+            max(like_number.tolerance, UNSTATED_SHARE * abs(like_number.value))
             if differs_between_rigs
-            else known.tolerance
+            else like_number.tolerance
         )
-        numbers[quantity] = replace(known, tolerance=wide, source=f"not stated: as {like.name}")
+        numbers[quantity] = replace(like_number, tolerance=tolerance, source=f"not stated: as {like.name}")
     return Rig(name, description, numbers)
 
 
@@ -110,14 +110,14 @@ def number_from(name: str, text: str, source: str = "stated by its builder") -> 
     RigError
         When there is no such number, or the text is none with a unit of it.
     """
-    quantity = _quantity(name)
+    quantity = _quantity_named(name)
     match = _WRITTEN.match(text)
     if match is None:
         raise RigError(
             f"{name}: '{text.strip()}' is not a number", f"write it as 0.5 +- 0.01 {quantity.unit}"
         )
     tolerance = match["tolerance"]
-    return _number(quantity, match["value"], tolerance, match["unit"], match["source"] or source)
+    return _number_in_file_unit(quantity, match["value"], tolerance, match["unit"], match["source"] or source)
 
 
 def numbers_from_table(text: str, where: str) -> dict[str, Number]:
@@ -149,11 +149,11 @@ def numbers_from_table(text: str, where: str) -> dict[str, Number]:
         cells = {head: (row.get(head) or "").strip() for head in COLUMNS}
         if not any(cells.values()):
             continue
-        quantity = _quantity(cells["name"])
+        quantity = _quantity_named(cells["name"])
         if quantity.name in numbers:
             raise RigError(f"{where} has {quantity.name} twice", "leave one out")
         source = cells["source"] or "stated by its builder"
-        numbers[quantity.name] = _number(
+        numbers[quantity.name] = _number_in_file_unit(
             quantity, cells["value"], cells["tolerance"] or None, cells["unit"], source
         )
     return numbers
@@ -170,7 +170,7 @@ def numbers_from_words(words: Iterable[str]) -> dict[str, Number]:
     return numbers
 
 
-def _quantity(name: str) -> Quantity:
+def _quantity_named(name: str) -> Quantity:
     """Return a quantity of rigs by its name."""
     for quantity in (*RIG_QUANTITIES, COMMON_COUNTS):
         if quantity.name == name:
@@ -180,7 +180,9 @@ def _quantity(name: str) -> Quantity:
     )
 
 
-def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, source: str) -> Number:
+def _number_in_file_unit(
+    quantity: Quantity, value: str, tolerance: str | None, unit: str, source: str
+) -> Number:
     """Return a stated number in the unit of rig files; without a tolerance it gets that of a ruler or a
     kitchen scale.
     """

@@ -24,11 +24,16 @@ def inertias_kg_m2(values: Mapping[str, float]) -> dict[str, float]:
         Masses (kg) and lengths (m) by their names in a rig file.
     """
     v = values
-    rotors, short = v["M_f"] + v["M_b"], v["M_f"] + v["M_b"] + v["M_h"]
-    across = rotors * v["L_h"] ** 2
-    along = short * v["L_a"] ** 2 + v["M_l"] * v["L_x"] ** 2 + v["M_w"] * v["L_b"] ** 2
-    below = short * (v["L_theta"] + v["L_phi"]) ** 2 + (v["M_l"] + v["M_w"]) * v["L_theta"] ** 2
-    return {"J_theta": along + below, "J_phi": across + short * v["L_phi"] ** 2, "J_psi": along + across}
+    rotors_kg, short_arm_kg = v["M_f"] + v["M_b"], v["M_f"] + v["M_b"] + v["M_h"]
+    # Squared distances from the axes: across the long arm, along it, and below the axes.
+    across_kg_m2 = rotors_kg * v["L_h"] ** 2
+    along_kg_m2 = short_arm_kg * v["L_a"] ** 2 + v["M_l"] * v["L_x"] ** 2 + v["M_w"] * v["L_b"] ** 2
+    below_kg_m2 = short_arm_kg * (v["L_theta"] + v["L_phi"]) ** 2 + (v["M_l"] + v["M_w"]) * v["L_theta"] ** 2
+    return {
+        "J_theta": along_kg_m2 + below_kg_m2,
+        "J_phi": across_kg_m2 + short_arm_kg * v["L_phi"] ** 2,
+        "J_psi": along_kg_m2 + across_kg_m2,
+    }
 
 
 def inertia_range_kg_m2(

@@ -110,7 +110,7 @@ class Rig(Mapping[str, Number]):
         for name, unstated in UNSTATED.items():
             unit = next(quantity.unit for quantity in RIG_QUANTITIES if quantity.name == name)
             numbers.setdefault(name, Number(unstated.value, unit, unstated.tolerance, unstated.source))
-        _check(self.name, numbers)
+        _check_numbers(self.name, numbers)
         object.__setattr__(self, "numbers", MappingProxyType(numbers))
 
     def __reduce__(self) -> tuple[type[Rig], tuple[Any, ...]]:
@@ -235,20 +235,26 @@ def _rig_from_table(path: Path, table: Mapping[str, Any]) -> Rig:
         if not isinstance(value, str):
             raise RigError(f'rig file {path} lacks {key} = "..."', "add it at the top")
         texts[key] = value
-    apart = {*_TEXTS, "effects", "model"}
-    numbers = {name: _number(path, name, entry) for name, entry in table.items() if name not in apart}
-    stated = {q.name: numbers.pop(q.name) for q in STATED_INERTIAS if q.name in numbers}
+    keys_of_no_number = {*_TEXTS, "effects", "model"}
+    numbers = {
+        name: _number_of_table(path, name, entry)
+        for name, entry in table.items()
+        if name not in keys_of_no_number
+    }
+    stated_inertias = {q.name: numbers.pop(q.name) for q in STATED_INERTIAS if q.name in numbers}
     model = table.get("model", "")
     if not isinstance(model, str):
         raise RigError(
             f"rig file {path}: model must be a text, not {model!r}", "give a model's name in quotes"
         )
-    rig = Rig(texts["name"], texts["description"], numbers, _effects(path, table.get("effects", {})), model)
-    _check_inertias(rig, stated)
+    rig = Rig(
+        texts["name"], texts["description"], numbers, _effects_of_table(path, table.get("effects", {})), model
+    )
+    _check_inertias(rig, stated_inertias)
     return rig
 
 
-def _effects(path: Path, table: object) -> dict[str, dict[str, Number]]:
+def _effects_of_table(path: Path, table: object) -> dict[str, dict[str, Number]]:
     """Read the effects of a rig file: numbers by effect and name."""
     if not isinstance(table, dict):
         raise RigError(
@@ -261,12 +267,15 @@ def _effects(path: Path, table: object) -> dict[str, dict[str, Number]]:
                 f'write [effects."{name}".NUMBER] for each number of it',
             )
     return {
-        name: {what: _number(path, f"effects.{name}.{what}", entry) for what, entry in numbers.items()}
+        name: {
+            short_name: _number_of_table(path, f"effects.{name}.{short_name}", entry)
+            for short_name, entry in numbers.items()
+        }
         for name, numbers in table.items()
     }
 
 
-def _number(path: Path, name: str, entry: object) -> Number:
+def _number_of_table(path: Path, name: str, entry: object) -> Number:
     """Read a number of a rig file: value, unit, tolerance and source."""
     where = f"rig file {path}: {name}"
     if not isinstance(entry, dict):
@@ -318,33 +327,38 @@ def _check_inertias(rig: Rig, stated: Mapping[str, Number]) -> None:
             )
 
 
-def _check(rig: str, numbers: Mapping[str, Number]) -> None:
+def _check_numbers(rig: str, numbers: Mapping[str, Number]) -> None:
     """Refuse a rig whose numbers are incomplete, in other units, out of range or contradictory."""
-    wanted = {quantity.name: quantity for quantity in RIG_QUANTITIES}
+    quantities = {quantity.name: quantity for quantity in RIG_QUANTITIES}
     for name in numbers:
-        if name not in wanted:
+        if name not in quantities:
             raise _unknown(rig, name)
-    missing = [name for name in wanted if name not in numbers]
+    missing = [name for name in quantities if name not in numbers]
     if missing:
         raise RigError(f"rig '{rig}' lacks {', '.join(missing)}", f"add each with {', '.join(_FIELDS)}")
     for name, number in numbers.items():
-        where = f"rig '{rig}': {name}"
-        if number.unit != wanted[name].unit:
-            raise RigError(f"{where} is in '{number.unit}'", f"give it in '{wanted[name].unit}'")
+        number_text = f"rig '{rig}': {name}"
+        if number.unit != quantities[name].unit:
+            raise RigError(f"{number_text} is in '{number.unit}'", f"give it in '{quantities[name].unit}'")
         if not math.isfinite(number.value):
-            raise RigError(f"{where} = {number.value} is not finite", "give a finite number")
+            raise RigError(f"{number_text} = {number.value} is not finite", "give a finite number")
         if not (math.isfinite(number.tolerance) and number.tolerance >= 0.0):
             raise RigError(
-                f"{where}: tolerance {number.tolerance} must be finite and not negative", "give 0 or more"
+                f"{number_text}: tolerance {number.tolerance} must be finite and not negative",
+                "give 0 or more",
             )
         if number.value < 0.0 and name not in _MAY_BE_NEGATIVE:
-            raise RigError(f"{where} = {number.value} must not be negative", "give 0 or more")
+            raise RigError(f"{number_text} = {number.value} must not be negative", "give 0 or more")
         if number.value == 0.0 and name not in _MAY_BE_ZERO | _MAY_BE_NEGATIVE:
-            raise RigError(f"{where} must not be 0", "give another number")
+            raise RigError(f"{number_text} must not be 0", "give another number")
         if name in ENCODER_DIRECTIONS and number.value not in (1.0, -1.0, 0.0):
-            raise RigError(f"{where} = {number.value:g} is not a direction", "give 1, -1, or 0 for unknown")
+            raise RigError(
+                f"{number_text} = {number.value:g} is not a direction", "give 1, -1, or 0 for unknown"
+            )
         if name in ENCODER_DIRECTIONS and number.tolerance:
-            raise RigError(f"{where} has the tolerance {number.tolerance:g}", "a direction is exact; give 0")
+            raise RigError(
+                f"{number_text} has the tolerance {number.tolerance:g}", "a direction is exact; give 0"
+            )
     if numbers["elevation_min"].value >= numbers["elevation_max"].value:
         raise RigError(f"rig '{rig}': elevation_min must be below elevation_max", "correct one of them")
     if numbers["driver_dead_band"].value >= 0.5:

@@ -21,14 +21,14 @@ def rig_text(rig: Rig, comment: str = "", digits: int = _DIGITS) -> str:
     if rig.model:
         lines.append(f"model = {toml_string(rig.model)}")
     for name, number in rig.items():
-        lines += _table(name, number, digits)
+        lines += _lines_of_number(name, number, digits)
     for effect, numbers in rig.effects.items():
-        for what, number in numbers.items():
-            lines += _table(f"effects.{toml_string(effect)}.{what}", number, digits)
+        for short_name, number in numbers.items():
+            lines += _lines_of_number(f"effects.{toml_string(effect)}.{short_name}", number, digits)
     return "\n".join(lines) + "\n"
 
 
-def _table(name: str, number: Number, digits: int) -> list[str]:
+def _lines_of_number(name: str, number: Number, digits: int) -> list[str]:
     """Return the lines of a number in a rig file."""
     return [
         "",

@@ -85,28 +85,30 @@ class FaultConsole:
         faults = self._world.rig_faults
         match words:
             case ["stop"]:
-                faults = replace(faults, stop_switch=(*faults.stop_switch, self._from_now()))
+                faults = replace(faults, stop_switch=(*faults.stop_switch, self._interval_from_now()))
                 text = "the stop switch is pressed"
             case ["release"]:
                 faults = replace(faults, stop_switch=self._until_now(faults.stop_switch))
                 text = "the stop switch is released"
             case ["pull", axis] if axis in AXES:
-                faults = replace(faults, encoders_out=(*faults.encoders_out, (axis, self._from_now())))
+                faults = replace(
+                    faults, encoders_out=(*faults.encoders_out, (axis, self._interval_from_now()))
+                )
                 text = f"the {axis} encoder is unplugged"
             case ["plug", axis] if axis in AXES:
-                faults = replace(faults, encoders_out=self._plugged(faults, axis))
+                faults = replace(faults, encoders_out=self._set_plugged(faults, axis))
                 text = f"the {axis} encoder is plugged in: it counts from where it stopped"
             case ["supply", "off"]:
-                faults = replace(faults, supply_out=(*faults.supply_out, self._from_now()))
+                faults = replace(faults, supply_out=(*faults.supply_out, self._interval_from_now()))
                 text = "the motors have no supply"
             case ["supply", "on"]:
                 faults = replace(faults, supply_out=self._until_now(faults.supply_out))
                 text = "the motors have their supply"
             case ["turn", axis, angle] if axis in AXES and _is_angle(angle):
-                self._hand(axis, math.radians(float(angle)))
+                self._hold_axis(axis, math.radians(float(angle)))
                 text = f"a hand turns {axis} to {float(angle):g} degrees, and holds it"
             case ["let", axis] if axis in AXES:
-                self._hand(axis, math.nan)
+                self._hold_axis(axis, math.nan)
                 text = f"the hand lets go of {axis}"
             case ["help"]:
                 text = HELP
@@ -115,14 +117,14 @@ class FaultConsole:
         self._world.rig_faults = faults
         return text
 
-    def _hand(self, axis: str, angle_rad: float) -> None:
+    def _hold_axis(self, axis: str, angle_rad: float) -> None:
         """Hold an axis at an angle, as a person's hand would."""
         native = self._world.native
         hand_rad = list(native.hand_rad)
         hand_rad[AXES.index(axis)] = angle_rad
         native.hand_rad = hand_rad
 
-    def _from_now(self) -> Interval:
+    def _interval_from_now(self) -> Interval:
         return Interval(self._world.time_s)
 
     def _until_now(self, spans: tuple[Interval, ...]) -> tuple[Interval, ...]:
@@ -137,10 +139,10 @@ class FaultConsole:
             if interval.edges()[0] != tick
         )
 
-    def _plugged(self, faults: RigFaults, axis: str) -> tuple[tuple[str, Interval], ...]:
-        mine = tuple(interval for name, interval in faults.encoders_out if name == axis)
+    def _set_plugged(self, faults: RigFaults, axis: str) -> tuple[tuple[str, Interval], ...]:
+        intervals_of_axis = tuple(interval for name, interval in faults.encoders_out if name == axis)
         others = tuple(pair for pair in faults.encoders_out if pair[0] != axis)
-        return (*others, *((axis, interval) for interval in self._until_now(mine)))
+        return (*others, *((axis, interval) for interval in self._until_now(intervals_of_axis)))
 
     def _in_background(self) -> bool:
         """Whether a read would suspend this process, because a shell started it with ``&`` and owns the

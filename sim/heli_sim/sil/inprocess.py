@@ -83,7 +83,7 @@ class InProcessTransport:
         LinkLost
             When the transport is closed, or the cable is unplugged by a planned fault.
         """
-        self._check()
+        self._check_open()
         ticks = max(1, round(1e3 * timeout_s))
         written = bytes(self._written)
         self._written.clear()
@@ -99,7 +99,7 @@ class InProcessTransport:
         """Pass `data` to the serial line, which begins to carry it at the next `read`. Raises LinkLost when
         the transport is closed, or while the plan of faults has the cable unplugged.
         """
-        self._check()
+        self._check_open()
         self._written += data
 
     def now_s(self) -> float:
@@ -120,7 +120,7 @@ class InProcessTransport:
         """
         return InProcessTransport(self.world, self.url, self.label, self.note, self.recipe)
 
-    def _check(self) -> None:
+    def _check_open(self) -> None:
         """Raise LinkLost if the port is closed or the simulated cable is unplugged."""
         if self._closed:
             raise LinkLost("the simulated port is closed", "open it again")

@@ -38,10 +38,10 @@ class Interval:
     duration_s: float = math.inf
 
     def __post_init__(self) -> None:
-        if not self._possible():
+        if not self._is_possible():
             raise self._refused("write start or start:length in seconds, at least 0.001 long")
 
-    def _possible(self) -> bool:
+    def _is_possible(self) -> bool:
         """Whether the interval begins in the permitted time and lasts at least one tick."""
         if not (0.0 <= self.start_s <= LATEST_S and self.duration_s > 0.0):
             return False
@@ -67,7 +67,7 @@ class Span(Interval):
     """An interval of simulated time that ends: `duration_s` is finite, otherwise an OptionError is raised."""
 
     def __post_init__(self) -> None:
-        if not (self.duration_s <= LATEST_S and self._possible()):
+        if not (self.duration_s <= LATEST_S and self._is_possible()):
             raise self._refused("write start:length in seconds, at least 0.001 long")
 
 

@@ -127,8 +127,10 @@ def parse_url(url: str) -> SilOptions:
             f"'{url}' has no key=value after the question mark", "write sil://?rig=NAME&seed=1"
         ) from None
     keys = [key for key, _ in pairs]
-    if twice := [key for key in dict(pairs) if keys.count(key) > 1]:
-        raise OptionError(f"'{url}' has {', '.join(twice)} more than once", "separate values with commas")
+    if repeated_keys := [key for key in dict(pairs) if keys.count(key) > 1]:
+        raise OptionError(
+            f"'{url}' has {', '.join(repeated_keys)} more than once", "separate values with commas"
+        )
     return parse_options(dict(pairs))
 
 
@@ -142,45 +144,45 @@ def parse_options(values: dict[str, str]) -> SilOptions:
     speed = values.get("speed", "max")
     return SilOptions(
         rig=values.get("rig", "makki2024"),
-        seed=int(_number("seed", values.get("seed", "1"), whole=True)),
-        speed=None if speed == "max" else _number("speed", speed),
-        slice_ms=int(_number("slice_ms", values.get("slice_ms", "20"), whole=True)),
+        seed=int(_number_of_option("seed", values.get("seed", "1"), whole=True)),
+        speed=None if speed == "max" else _number_of_option("speed", speed),
+        slice_ms=int(_number_of_option("slice_ms", values.get("slice_ms", "20"), whole=True)),
         flash_file=values.get("flash", ""),
         board=values.get("board", NATIVE),
         elf=values.get("elf", ""),
         reset_on_open=(
-            _flag("reset_on_open", values["reset_on_open"]) if "reset_on_open" in values else None
+            _flag_of_option("reset_on_open", values["reset_on_open"]) if "reset_on_open" in values else None
         ),
-        process=_flag("process", values.get("process", "0")),
+        process=_flag_of_option("process", values.get("process", "0")),
         model=values.get("model", ""),
         effects=tuple(filter(None, values.get("effect", "").split(";"))),
         effect_files=tuple(filter(None, values.get("effects", "").split(";"))),
         faults=FaultPlan(
-            flip=_number("flip", values.get("flip", "0")),
-            drop=_number("drop", values.get("drop", "0")),
-            double=_number("double", values.get("double", "0")),
-            stalls=_spans("stall", values.get("stall", "")),
-            unplugs=_spans("unplug", values.get("unplug", "")),
+            flip=_number_of_option("flip", values.get("flip", "0")),
+            drop=_number_of_option("drop", values.get("drop", "0")),
+            double=_number_of_option("double", values.get("double", "0")),
+            stalls=_intervals_of_option("stall", values.get("stall", "")),
+            unplugs=_intervals_of_option("unplug", values.get("unplug", "")),
         ),
         rig_faults=RigFaults(
-            encoders_out=parse_encoders_out("encoder_out", _listed(values, "encoder_out")),
-            stop_switch=parse_times("stop_switch", _listed(values, "stop_switch")),
-            supply_out=parse_times("supply_out", _listed(values, "supply_out")),
-            encoder_scales=_scales("encoder_scale", _listed(values, "encoder_scale")),
-            motor_signs=_motor_signs("motor_sign", _listed(values, "motor_sign")),
-            motors_swapped=_flag("motors_swapped", values.get("motors_swapped", "0")),
+            encoders_out=parse_encoders_out("encoder_out", _texts_of_option(values, "encoder_out")),
+            stop_switch=parse_times("stop_switch", _texts_of_option(values, "stop_switch")),
+            supply_out=parse_times("supply_out", _texts_of_option(values, "supply_out")),
+            encoder_scales=_encoder_scales("encoder_scale", _texts_of_option(values, "encoder_scale")),
+            motor_signs=_motor_signs("motor_sign", _texts_of_option(values, "motor_sign")),
+            motors_swapped=_flag_of_option("motors_swapped", values.get("motors_swapped", "0")),
         ),
     )
 
 
-def _scales(key: str, texts: Sequence[str]) -> tuple[float, float, float]:
+def _encoder_scales(key: str, texts: Sequence[str]) -> tuple[float, float, float]:
     """Read the scales of the encoders, 1 for those that are not named."""
     scales = dict.fromkeys(AXES, 1.0)
     for text in texts:
         axis, _, scale = text.partition(":")
         if axis not in scales:
             raise OptionError(f"unknown encoder '{axis}'", f"choose {', '.join(AXES)}")
-        scales[axis] = _number(key, scale)
+        scales[axis] = _number_of_option(key, scale)
     return scales["elevation"], scales["pitch"], scales["travel"]
 
 
@@ -191,15 +193,15 @@ def _motor_signs(key: str, texts: Sequence[str]) -> tuple[int, int]:
         motor, _, sign = text.partition(":")
         if motor not in signs:
             raise OptionError(f"unknown motor '{motor}'", "choose front or back")
-        signs[motor] = int(_number(key, sign, whole=True))
+        signs[motor] = int(_number_of_option(key, sign, whole=True))
     return signs["front"], signs["back"]
 
 
-def _listed(values: dict[str, str], key: str) -> list[str]:
+def _texts_of_option(values: dict[str, str], key: str) -> list[str]:
     return list(filter(None, values.get(key, "").split(",")))
 
 
-def _number(key: str, text: str, *, whole: bool = False) -> float:
+def _number_of_option(key: str, text: str, *, whole: bool = False) -> float:
     """Return the number of an option; an OptionError if the text is something else."""
     try:
         return int(text) if whole else float(text)
@@ -208,18 +210,18 @@ def _number(key: str, text: str, *, whole: bool = False) -> float:
         raise OptionError(f"{key}={text} is not a number", f"give a {kind}") from None
 
 
-def _flag(key: str, text: str) -> bool:
+def _flag_of_option(key: str, text: str) -> bool:
     if text not in ("0", "1"):
         raise OptionError(f"{key}={text} is invalid", "give 0 or 1")
     return text == "1"
 
 
-def _spans(key: str, text: str) -> tuple[Span, ...]:
+def _intervals_of_option(key: str, text: str) -> tuple[Span, ...]:
     """Read intervals such as ``5:1,20:3``: start and duration in s."""
     spans = []
     for part in filter(None, text.split(",")):
         start, _, duration = part.partition(":")
-        spans.append(Span(_number(key, start), _number(key, duration)))
+        spans.append(Span(_number_of_option(key, start), _number_of_option(key, duration)))
     return tuple(spans)
 
 
@@ -235,8 +237,8 @@ def parse_times(key: str, texts: Sequence[str]) -> tuple[Interval, ...]:
 
     Returns
     -------
-    tuple of During
-        The stretches.
+    tuple of Interval
+        Interval of each text; without a length, it has no end.
 
     Raises
     ------
@@ -246,7 +248,10 @@ def parse_times(key: str, texts: Sequence[str]) -> tuple[Interval, ...]:
     intervals = []
     for text in texts:
         start, _, duration = text.partition(":")
-        start_s, duration_s = _number(key, start), _number(key, duration) if duration else math.inf
+        start_s, duration_s = (
+            _number_of_option(key, start),
+            _number_of_option(key, duration) if duration else math.inf,
+        )
         try:
             intervals.append(Interval(start_s, duration_s))
         except OptionError as error:

@@ -36,7 +36,7 @@ class PortLink:
         self._refuse_a_file()
         self._lock_path = path.with_name(f".{path.name}.lock")
         self._lock = self._take_lock()
-        _, self._terminal_before = self._recorded()
+        _, self._terminal_before = self._process_and_terminal_in_lock()
 
     def point_to(self, terminal: str) -> None:
         """Make the link; it replaces a link that a killed server left.
@@ -61,7 +61,7 @@ class PortLink:
             # Unlike a rename, this replaces nothing that another program made in the meantime.
             self.path.symlink_to(terminal)
         except OSError as error:
-            raise self._not_made(error) from None
+            raise self._error_of_link(error) from None
         self._terminal = terminal
 
     def remove(self) -> None:
@@ -88,15 +88,15 @@ class PortLink:
             try:
                 lock = os.open(self._lock_path, os.O_RDWR | os.O_CREAT, 0o644)
             except OSError as error:
-                raise self._not_made(error) from None
+                raise self._error_of_link(error) from None
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 self._lock = lock
-                process, _ = self._recorded()
+                process, _ = self._process_and_terminal_in_lock()
                 os.close(lock)
                 if not isinstance(error, BlockingIOError):
-                    raise self._not_made(error) from None
+                    raise self._error_of_link(error) from None
                 raise EndpointError(
                     f"{self.path} is the port of another simulated board{process and f', process {process}'}",
                     "end that program with Ctrl-C, or choose another path for this port",
@@ -107,7 +107,7 @@ class PortLink:
                     return lock
             os.close(lock)
 
-    def _recorded(self) -> tuple[str, str]:
+    def _process_and_terminal_in_lock(self) -> tuple[str, str]:
         """Process and terminal of the server that wrote the lock's file; empty in a new file."""
         words = os.pread(self._lock, 200, 0).decode(errors="replace").split()
         return (words[0], words[1]) if len(words) == 2 else ("", "")
@@ -130,7 +130,7 @@ class PortLink:
             "remove that link, or choose another path for the port",
         )
 
-    def _not_made(self, error: OSError) -> EndpointError:
+    def _error_of_link(self, error: OSError) -> EndpointError:
         return EndpointError(
             f"cannot make the port {self.path}: {error.strerror}", "choose a folder that you can write"
         )

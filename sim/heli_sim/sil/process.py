@@ -68,7 +68,7 @@ class SilProcess:
         self._process = subprocess.Popen(
             [
                 *(sys.executable, "-m", "heli_sim.sil.server", "--watch-stdin"),
-                *_port(path, rfc2217),
+                *_port_option(path, rfc2217),
                 *("--options", urlencode({**values, **(options or {})})),
             ],
             stdin=subprocess.PIPE,
@@ -115,19 +115,19 @@ class SilProcess:
         alarm = threading.Timer(timeout_s, self._process.kill)
         alarm.start()
         try:
-            line = _stream(self._process.stdout).readline()
+            line = _output_stream(self._process.stdout).readline()
         finally:
             alarm.cancel()
         if line:
             return str(json.loads(line)["url"])
         self._process.wait()
-        reasons = _stream(self._process.stderr).read().strip().splitlines()
+        reasons = _output_stream(self._process.stderr).read().strip().splitlines()
         if not reasons:
             raise EndpointError(f"the simulated board did not start within {timeout_s:g} s", "try again")
         raise EndpointError(f"the simulated board did not start: {reasons[-1]}")
 
 
-def _port(path: Path, rfc2217: str | None) -> tuple[str, str]:
+def _port_option(path: Path, rfc2217: str | None) -> tuple[str, str]:
     """Return option and value of the port that a board in its own process serves."""
     if rfc2217 is not None:
         return "--rfc2217", rfc2217
@@ -138,7 +138,7 @@ def _port(path: Path, rfc2217: str | None) -> tuple[str, str]:
     return "--pty", str(path)
 
 
-def _stream(stream: IO[str] | None) -> IO[str]:
+def _output_stream(stream: IO[str] | None) -> IO[str]:
     assert stream is not None  # all three are pipes
     return stream
 

@@ -71,7 +71,7 @@ class PtyEndpoint(Endpoint):
         except OSError:
             # Linux answers EIO as long as no process has the other side open.
             if self._is_open:
-                self._hang_up()
+                self._discard_after_close()
             return b""
         if not self._is_open:
             self._is_open = True
@@ -90,7 +90,7 @@ class PtyEndpoint(Endpoint):
         except BlockingIOError:
             pass
         except OSError:
-            self._hang_up()
+            self._discard_after_close()
 
     @override
     def take_lines(self) -> list[LineChange]:
@@ -145,7 +145,7 @@ class PtyEndpoint(Endpoint):
         if self._link is not None:
             self._link.release()
 
-    def _hang_up(self) -> None:
+    def _discard_after_close(self) -> None:
         """Discard unsent bytes after the host closed the port, and lower DTR unless the host forbade it."""
         self._is_open, self._unsent = False, b""
         if termios.tcgetattr(self._board_side)[_CFLAG] & termios.HUPCL:

@@ -107,13 +107,13 @@ class Rfc2217Endpoint(TcpEndpoint):
         super().send(data)
 
     @override
-    def _rise(self) -> None:
+    def _note_dtr_rise(self) -> None:
         self._lines = Lines(self._changes)
         # The type stubs require a complete serial port; the code uses only the attributes of Lines.
         self._manager = rfc2217.PortManager(cast(Any, self._lines), cast(Any, self))
 
     @override
-    def _fall(self) -> None:
+    def _note_dtr_fall(self) -> None:
         if self._lines is not None:
             self._lines.dtr = False
         self._lines = self._manager = None

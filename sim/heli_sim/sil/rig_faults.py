@@ -74,9 +74,9 @@ class RigFaults:
 
         Sign 0 means "unknown": the host then does not compare the sign in the board with the rig.
         """
-        wrong = (self.motors_swapped or sign < 0 for sign in self.motor_signs)
+        wires_are_wrong = (self.motors_swapped or sign < 0 for sign in self.motor_signs)
         names = ("motor_front_sign", "motor_back_sign")
-        return {name: 0.0 for name, is_wrong in zip(names, wrong, strict=True) if is_wrong}
+        return {name: 0.0 for name, is_wrong in zip(names, wires_are_wrong, strict=True) if is_wrong}
 
     def next_edge(self, tick: int) -> int:
         """Return the first tick after a given one at which a fault begins or ends.

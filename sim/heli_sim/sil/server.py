@@ -181,9 +181,9 @@ def run_server(
     console = FaultConsole(world, words_fd, answer) if words_fd is not None else None
     endpoint: Endpoint
     if rfc2217 is not None:
-        endpoint = Rfc2217Endpoint(*_address(rfc2217))
+        endpoint = Rfc2217Endpoint(*_host_and_port(rfc2217))
     elif tcp is not None:
-        endpoint = TcpEndpoint(*_address(tcp))
+        endpoint = TcpEndpoint(*_host_and_port(tcp))
     else:
         endpoint = _pseudo_terminal(pty)
     try:
@@ -244,7 +244,7 @@ def is_local(url: str) -> bool:
         return False
 
 
-def _address(text: str) -> tuple[str, int]:
+def _host_and_port(text: str) -> tuple[str, int]:
     """Split ``HOST:PORT``; without a host, the address is that of this machine."""
     host, _, port = text.rpartition(":")
     if not port.isdigit():
@@ -252,7 +252,7 @@ def _address(text: str) -> tuple[str, int]:
     return host or "127.0.0.1", int(port)
 
 
-def _say(**values: Any) -> None:
+def _print_json_line(**values: Any) -> None:
     """Print `values` as one line of JSON for the process that started this one."""
     # That process may have ended.
     with contextlib.suppress(BrokenPipeError):
@@ -286,14 +286,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             tcp=parsed.tcp,
             rfc2217=parsed.rfc2217,
             stop_fd=end_of_input() if parsed.watch_stdin else None,
-            on_ready=lambda url: _say(url=url),
+            on_ready=lambda url: _print_json_line(url=url),
         )
     except KeyboardInterrupt:
         return 0
     except SimError as error:
         sys.stderr.write(f"{error}\n")
         return 1
-    _say(counters=counters)
+    _print_json_line(counters=counters)
     return 0
 
 

@@ -87,7 +87,7 @@ class TcpEndpoint(Endpoint):
         if received:
             self._last_received_s = self._now_s()
         else:
-            self._hang_up()
+            self._disconnect_host()
         return received
 
     @override
@@ -102,7 +102,7 @@ class TcpEndpoint(Endpoint):
         except BlockingIOError:
             pass
         except OSError:
-            self._hang_up()
+            self._disconnect_host()
 
     @override
     def take_lines(self) -> list[LineChange]:
@@ -116,7 +116,7 @@ class TcpEndpoint(Endpoint):
 
     @override
     def unplug(self) -> None:
-        self._hang_up()
+        self._disconnect_host()
         if self._waiting is not None:
             self._waiting.close()
             self._waiting = None
@@ -147,26 +147,26 @@ class TcpEndpoint(Endpoint):
     def _serve_waiting_host(self) -> None:
         """Connect the waiting host if the board is free; otherwise send it the name of the connected host."""
         if self._waiting is None:
-            self._accept()
+            self._accept_waiting_host()
         if self._waiting is None:
             return
         now_s = self._now_s()
         if self._peer is not None and now_s - self._last_received_s >= SILENT_S:
-            self._hang_up()
+            self._disconnect_host()
         if self._peer is None:
             self._peer, self._waiting = self._waiting, None
-            self._connected_name = _name(self._peer)
+            self._connected_name = _address_text(self._peer)
             self._last_received_s = now_s
-            self._rise()
+            self._note_dtr_rise()
         elif now_s - self._waiting_since_s >= PATIENCE_S and not self._is_informed:
             self._is_informed = True
             # Frames end with a zero, so this line does not become part of the board's first frame.
             with contextlib.suppress(OSError):
                 self._waiting.send(f"\r\nthis board is held by {self._connected_name}\r\n\0".encode())
         else:
-            self._drop_gone()
+            self._drop_closed_waiting_host()
 
-    def _accept(self) -> None:
+    def _accept_waiting_host(self) -> None:
         """Accept a waiting client."""
         if self._listener is None:
             return
@@ -177,37 +177,37 @@ class TcpEndpoint(Endpoint):
             peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
             self._waiting, self._waiting_since_s, self._is_informed = peer, self._now_s(), False
 
-    def _drop_gone(self) -> None:
+    def _drop_closed_waiting_host(self) -> None:
         """Remove a waiting host that has closed its connection, because another one may wait behind it."""
         if self._waiting is None:
             return
         try:
-            gone = self._waiting.recv(1, socket.MSG_PEEK) == b""
+            has_closed = self._waiting.recv(1, socket.MSG_PEEK) == b""
         except BlockingIOError:
             return
         except OSError:
-            gone = True
-        if gone:
+            has_closed = True
+        if has_closed:
             self._waiting.close()
             self._waiting = None
 
-    def _hang_up(self) -> None:
+    def _disconnect_host(self) -> None:
         """Disconnect the host, and discard bytes that were not sent."""
         peer, self._peer, self._unsent = self._peer, None, b""
         if peer is not None:
             peer.close()
-            self._fall()
+            self._note_dtr_fall()
 
-    def _rise(self) -> None:
+    def _note_dtr_rise(self) -> None:
         """Record that DTR rises, because a host has connected."""
         self._changes.append(LineChange(True))
 
-    def _fall(self) -> None:
+    def _note_dtr_fall(self) -> None:
         """Record that DTR falls, because the host has disconnected."""
         self._changes.append(LineChange(False))
 
 
-def _name(peer: socket.socket) -> str:
+def _address_text(peer: socket.socket) -> str:
     """Return address and port of a connected host."""
     try:
         host, port = peer.getpeername()[:2]

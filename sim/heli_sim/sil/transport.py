@@ -108,7 +108,7 @@ def open_transport(url: str) -> InProcessTransport | ProcessTransport:
         values = dict(parse_qsl(urlsplit(url).query))
         values |= {"board": choice.name, "elf": choice.elf, "process": "0"}
         rig = load_rig(options.rig)
-        note = _joined(no_due, set_from_rig_text(rig.name, set_from_rig(options, rig)))
+        note = _joined_texts(no_due, set_from_rig_text(rig.name, set_from_rig(options, rig)))
         return ProcessTransport(
             SilProcess(options=values),
             choice.text,
@@ -118,10 +118,10 @@ def open_transport(url: str) -> InProcessTransport | ProcessTransport:
             recipe_of(url, options, rig, choice),
         )
     world = SilWorld(replace(options, board=choice.name, elf=choice.elf))
-    note = _joined(no_due, set_from_rig_text(world.rig.name, world.set_from_rig))
+    note = _joined_texts(no_due, set_from_rig_text(world.rig.name, world.set_from_rig))
     recipe = recipe_of(url, options, world.rig, choice)
     return InProcessTransport(world, url, choice.text, note, recipe)
 
 
-def _joined(*texts: str) -> str:
+def _joined_texts(*texts: str) -> str:
     return "; ".join(filter(None, texts))

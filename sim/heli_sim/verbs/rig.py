@@ -76,26 +76,26 @@ def show(
 
     from heli_sim.rig import RIG_QUANTITIES, load_rig
 
-    shown = load_rig(rig)
+    loaded = load_rig(rig)
     meanings = {quantity.name: quantity.meaning for quantity in RIG_QUANTITIES}
-    all_numbers = dict(shown.items()) | {
+    all_numbers = dict(loaded.items()) | {
         f"{effect}.{name}": number
-        for effect, numbers in shown.effects.items()
+        for effect, numbers in loaded.effects.items()
         for name, number in numbers.items()
     }
     numbers_shown = {name: asdict(number) for name, number in all_numbers.items() if pattern in name}
-    content = {"name": shown.name, "description": shown.description, "numbers": numbers_shown}
+    content = {"name": loaded.name, "description": loaded.description, "numbers": numbers_shown}
     if write_result(json, content):
         return
     table = Table(box=None, pad_edge=False)
     for heading in ("name", "value", "tolerance", "unit"):
         table.add_column(heading, no_wrap=True)
     table.add_column("meaning; source", overflow="fold")
-    for name, number in shown.items():
+    for name, number in loaded.items():
         if pattern in name:
             text = f"{meanings[name]}; {number.source}"
             table.add_row(name, f"{number.value:g}", half_width(number), number.unit, plain(text))
-    for effect, numbers in shown.effects.items():
+    for effect, numbers in loaded.effects.items():
         for name, number in numbers.items():
             if pattern in f"{effect}.{name}":
                 table.add_row(
@@ -110,7 +110,7 @@ def show(
             f"no rig parameter's name contains '{pattern}'; heli-host rig show RIG lists all"
         )
     console = _console()
-    console.print(f"{plain(shown.name)}: {plain(shown.description)}")
+    console.print(f"{plain(loaded.name)}: {plain(loaded.description)}")
     console.print(table)
 
 
@@ -289,10 +289,10 @@ def diff(
 
     first, second = load_rig(left), load_rig(right)
     compared = compare_rigs(first, second)
-    shown = [_compared(difference) for difference in compared if show_all or not difference.same]
+    shown_rows = [_comparison_row(difference) for difference in compared if show_all or not difference.same]
     # A rig that was drawn or measured often keeps the name of the rig that it began from.
     names = (first.name, second.name) if first.name != second.name else (str(left), str(right))
-    if write_result(json, {"left": names[0], "right": names[1], "numbers": shown}):
+    if write_result(json, {"left": names[0], "right": names[1], "numbers": shown_rows}):
         return
     table = Table(box=None, pad_edge=False)
     for heading in ("name", *map(plain, names), "unit", "tolerances"):
@@ -310,8 +310,8 @@ def diff(
     if table.row_count:
         _console().print(table)
     differing = sum(not difference.same for difference in compared)
-    beyond = sum(abs(difference.tolerances) > 1.0 for difference in compared)
-    say(f"{differing} of {len(compared)} numbers differ, {beyond} beyond their tolerances")
+    beyond_count = sum(abs(difference.tolerances) > 1.0 for difference in compared)
+    say(f"{differing} of {len(compared)} numbers differ, {beyond_count} beyond their tolerances")
 
 
 @app.command("new")
@@ -460,15 +460,23 @@ def weigh_rig(
     if write_result(json, {"rig": weighed.rig.name, "numbers": numbers, "tests": tested}):
         return
     for name in weighed.found:
-        was, now = before[name], weighed.rig[name]
-        moved = abs(now.value - was.value) / was.tolerance if was.tolerance else 0.0
-        mark = f", {moved:.1f} tolerances off: a wrong reading, or a wrong rig file" if moved > OFF else ""
-        after = f"{now.value:.4g} (tolerance {now.tolerance:.2g}) {now.unit}"
-        say(f"{name}: {with_tolerance(was)} -> {after}{mark}")
+        number_before, number_after = before[name], weighed.rig[name]
+        change_in_tolerances = (
+            abs(number_after.value - number_before.value) / number_before.tolerance
+            if number_before.tolerance
+            else 0.0
+        )
+        remark = (
+            f", {change_in_tolerances:.1f} tolerances off: a wrong reading, or a wrong rig file"
+            if change_in_tolerances > OFF
+            else ""
+        )
+        after_text = f"{number_after.value:.4g} (tolerance {number_after.tolerance:.2g}) {number_after.unit}"
+        say(f"{name}: {with_tolerance(number_before)} -> {after_text}{remark}")
     for test in weighed.tested:
-        mark = f", {test.off:.1f} tolerances off: a wrong reading, or no such rig" if test.off > OFF else ""
+        remark = f", {test.off:.1f} tolerances off: a wrong reading, or no such rig" if test.off > OFF else ""
         unit = "" if test.unit == "1" else f" {test.unit}"
-        say(f"{test.what}: read {test.read:.4g}{unit}, the rig gives {test.after:.4g}{mark}")
+        say(f"{test.what}: read {test.read:.4g}{unit}, the rig gives {test.after:.4g}{remark}")
     say_files([save_rig])
 
 
@@ -576,7 +584,7 @@ def read_text(path: Path) -> str:
         raise RigError(f"{path} is not text in UTF-8", "save it as UTF-8") from None
 
 
-def _compared(difference: Difference) -> dict[str, Any]:
+def _comparison_row(difference: Difference) -> dict[str, Any]:
     return {**asdict(difference), "tolerances": difference.tolerances}
 
 

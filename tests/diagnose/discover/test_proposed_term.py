@@ -100,8 +100,8 @@ def test_rig_has_the_equation_on_request_and_flies_with_its_effect_file(
         "with": ("--effect-file", path, "--effect", "proposed_term"),
         "in_rig": ("--rig", "with_term.toml", "--effect-file", path),
     }.items():
-        ended = terminal("fly", "up.toml", "--sil", *options, "--speed", "max", "--log", f"{name}.mcap")
-        assert ended.code == 0, ended.err
+        result = terminal("fly", "up.toml", "--sil", *options, "--speed", "max", "--log", f"{name}.mcap")
+        assert result.code == 0, result.err
         logs[name] = Path(f"{name}.mcap").read_bytes()
     # The extended rig has other parameters too, so all three flights differ.
     assert len({*logs.values()}) == 3
@@ -244,10 +244,10 @@ def test_command_writes_equation_and_effect_file(
     for flight, path in zip(flights(unlisted=True), paths, strict=True):
         write_csv(flight, path)
     files = ("--report", "why", "--json", "why.json", "--save-rig", "with_term.toml", "--with-term")
-    ended = terminal("diagnose", paths[0], "--validate", paths[1], "--rig", "makki2024", *files)
-    assert ended.code == 0, ended.err
-    assert "proposed equation: torque.pitch = 0.0" in ended.out
-    assert "why/proposed.py" in ended.out
+    result = terminal("diagnose", paths[0], "--validate", paths[1], "--rig", "makki2024", *files)
+    assert result.code == 0, result.err
+    assert "proposed equation: torque.pitch = 0.0" in result.out
+    assert "why/proposed.py" in result.out
     assert {"equation.png", "regions.png", "proposed.py"} <= {path.name for path in Path("why").iterdir()}
     assert "proposed_term" in Path("with_term.toml").read_text()
     page = Path("why/index.html").read_text(encoding="utf-8")

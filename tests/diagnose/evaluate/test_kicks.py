@@ -11,7 +11,7 @@ from heli_lab.estimation.disturbances import DisturbanceModel
 from heli_lab.estimation.innovations_model import FlightErrors
 from heli_sim.model import MultibodyModel
 
-from tests.estimation.made import RIG, windy
+from tests.estimation.made import RIG, flight_with_disturbances
 
 pytestmark = [pytest.mark.diagnosis, pytest.mark.slow]
 
@@ -21,7 +21,7 @@ KICKS_Nms = {5.0: 30e-3, 11.0: -40e-3, 17.5: 25e-3, 24.0: -25e-3}
 @pytest.fixture(scope="module")
 def model() -> tuple[InnovationsModel, DisturbanceModel]:
     """A flight in gusts about all axes, with its estimate."""
-    estimate = ModelComparison(MultibodyModel(), RIG, [windy()], []).refit([]).estimate
+    estimate = ModelComparison(MultibodyModel(), RIG, [flight_with_disturbances()], []).refit([]).estimate
     return estimate.filtered(), estimate.disturbances
 
 

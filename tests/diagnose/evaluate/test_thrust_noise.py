@@ -21,7 +21,7 @@ from heli_sim.model.effects import parse_effects
 from heli_sim.rig import Quantity
 from typing_extensions import override
 
-from tests.estimation.made import RIG, TRUE_RIG, GUST_Nm, windy
+from tests.estimation.made import RIG, TRUE_RIG, GUST_Nm, flight_with_disturbances
 from tests.identify import made
 from tests.identify.made import flown, thinned
 from tests.running.kept import FLOWN, KEPT
@@ -84,7 +84,7 @@ def test_a_wandering_supply_is_estimated_with_its_size_and_time() -> None:
 def test_no_thrust_noise_without_need_or_evidence() -> None:
     assert _justified(wandering(), "explained") is None
     assert _justified(wandering(), "unexplained", gain_nats=1000.0) is None
-    gusts_alone = ModelComparison(MultibodyModel(), RIG, [windy()], [])
+    gusts_alone = ModelComparison(MultibodyModel(), RIG, [flight_with_disturbances()], [])
     assert _justified(gusts_alone, "unexplained") is None
 
 

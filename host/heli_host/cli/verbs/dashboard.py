@@ -105,7 +105,7 @@ def dashboard(
             raise typer.BadParameter(
                 f"--replay {replay} shows a log and flies nothing; leave plans and laws out"
             )
-        _replay(replay, rig, host, http_port)
+        _serve_log(replay, rig, host, http_port)
         return
     check_target(port, sil)
     files = [name for name in (*(plans or ()), *(flown or ())) if name not in plan_names()]
@@ -116,7 +116,7 @@ def dashboard(
     address = simulated.sil_address(
         rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effect_file
     )
-    _fly(
+    _serve_board(
         port,
         address if sil else None,
         rig,
@@ -130,7 +130,7 @@ def dashboard(
     )
 
 
-def _fly(
+def _serve_board(
     port: str | None,
     address: str | None,
     rig: str | None,
@@ -152,7 +152,7 @@ def _fly(
     from heli_host.page.cockpit import Cockpit
     from heli_host.page.serve import serving
 
-    outline = _outline(rig, simulated_board=address is not None)
+    outline = _outline_of_rig(rig, simulated_board=address is not None)
     with open_board(port, address) as heli, foxglove_feed(heli, foxglove) as feed:
         transport = heli.session.transport
         if note := transport_note(transport):
@@ -184,16 +184,16 @@ def _fly(
         cockpit = Cockpit(heli, new_recorder, plans, text, outline, watch, laws, rig_name=name)
         try:
             with serving(cockpit, host, http_port) as served:
-                _say(served)
-                ended = threading.Event()
+                _say_addresses(served)
+                has_ended = threading.Event()
                 if first_plans:
                     threading.Thread(
-                        target=_fly_plans, args=(cockpit, first_plans, ended), name="plans", daemon=True
+                        target=_fly_plans, args=(cockpit, first_plans, has_ended), name="plans", daemon=True
                     ).start()
                 try:
-                    _wait(heli)
+                    _wait_for_interrupt(heli)
                 finally:
-                    ended.set()
+                    has_ended.set()
         finally:
             if watch is not None:
                 watch.close()
@@ -213,7 +213,7 @@ def _fly_plans(cockpit: Cockpit, names: Sequence[str], ended: threading.Event) -
             say(f"flown: {', '.join(names)}: {result['outcome']}")
 
 
-def _wait(heli: Heli) -> None:
+def _wait_for_interrupt(heli: Heli) -> None:
     """Wait for Ctrl-C, then land; a second one stops the motors, which closing the board does."""
     try:
         while True:
@@ -225,7 +225,7 @@ def _wait(heli: Heli) -> None:
             say("landed")
 
 
-def _replay(log: Path, rig: str | None, host: str, http_port: int) -> None:
+def _serve_log(log: Path, rig: str | None, host: str, http_port: int) -> None:
     """Serve the page of a log until Ctrl-C, drawn with the `rig` given or else with that of the log."""
     from heli_host.log.reader import read_log
     from heli_host.page.replay import Replay
@@ -236,12 +236,12 @@ def _replay(log: Path, rig: str | None, host: str, http_port: int) -> None:
     with contextlib.ExitStack() as stack:
         replay = Replay(read, _outline_of_log(name))
         stack.callback(replay.close)
-        _say(stack.enter_context(serving(replay, host, http_port)))
+        _say_addresses(stack.enter_context(serving(replay, host, http_port)))
         with contextlib.suppress(KeyboardInterrupt):
             replay.run()
 
 
-def _outline(rig: str | None, *, simulated_board: bool) -> dict[str, float]:
+def _outline_of_rig(rig: str | None, *, simulated_board: bool) -> dict[str, float]:
     """Return lengths and masses of the rig for the page; empty if the rig is unknown."""
     from heli_host.page.rigs import outline
 
@@ -261,7 +261,7 @@ def _outline_of_log(rig: str | None) -> dict[str, float]:
     return {}
 
 
-def _say(served: Address) -> None:
+def _say_addresses(served: Address) -> None:
     """Print the addresses of the page, and a warning if other computers can reach it."""
     import sys
 

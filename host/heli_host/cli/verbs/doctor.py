@@ -40,18 +40,18 @@ def doctor(json: JsonOption = None) -> None:
 
     if json is not None:
         findings = list(examine())
-        bad = sum(finding.verdict is Verdict.BAD for finding in findings)
-        shown = [
+        bad_count = sum(finding.verdict is Verdict.BAD for finding in findings)
+        shown_findings = [
             {"verdict": finding.verdict.value, "what": finding.what, "remedy": finding.remedy}
             for finding in findings
         ]
-        write_result(json, {"ready": not bad, "findings": shown})
-        raise typer.Exit(1 if bad else 0)
-    marks = {Verdict.GOOD: "[green]✓[/]", Verdict.NOTE: "[yellow]–[/]", Verdict.BAD: "[red]✗[/]"}
+        write_result(json, {"ready": not bad_count, "findings": shown_findings})
+        raise typer.Exit(1 if bad_count else 0)
+    mark_of_verdict = {Verdict.GOOD: "[green]✓[/]", Verdict.NOTE: "[yellow]–[/]", Verdict.BAD: "[red]✗[/]"}
     console = Console(highlight=False, soft_wrap=True)
     bad_count = 0
     for finding in examine():
-        console.print(f"{marks[finding.verdict]} {escape(printable(finding.what))}")
+        console.print(f"{mark_of_verdict[finding.verdict]} {escape(printable(finding.what))}")
         if finding.remedy:
             console.print(f"    {escape(printable(finding.remedy))}")
         bad_count += finding.verdict is Verdict.BAD
@@ -153,7 +153,7 @@ def check_permissions(ports: list[PortInfo]) -> Iterator[Finding]:
     for port in ports:
         if not port.device.startswith("/") or os.access(port.device, os.R_OK | os.W_OK):
             continue
-        group = _group_of(port.device)
+        group = _group_for_ports(port.device)
         yield Finding(
             Verdict.BAD if is_due(port) else Verdict.NOTE,
             f"you have no permission to open {port.device}",
@@ -161,7 +161,7 @@ def check_permissions(ports: list[PortInfo]) -> Iterator[Finding]:
         )
 
 
-def _group_of(device: str) -> str:
+def _group_for_ports(device: str) -> str:
     """Group that may open a port: dialout on Debian, uucp on Arch."""
     try:
         return Path(device).group()

@@ -62,7 +62,7 @@ def export(
     from heli_host.log.flight_file import read_flight
     from heli_host.log.table import notes_path, write_csv
 
-    write, suffix = _format(csv, mat, parquet)
+    write, suffix = _writer_and_ending(csv, mat, parquet)
     ending = output.suffix if output is not None else ""
     if ending and any(other.endswith(ending) for other in _SUFFIXES if other != suffix):
         raise typer.BadParameter(
@@ -70,11 +70,11 @@ def export(
         )
     flight = read_flight(log, allow_gaps=True)
     if blind:
-        flight = _blind(flight, log)
+        flight = _without_revealing_facts(flight, log)
     if output is not None and str(output) == "-":
-        _to_stdout(flight, write, suffix)
+        _write_to_stdout(flight, write, suffix)
         return
-    target = output if output is not None else log.with_name(_stem(log) + suffix)
+    target = output if output is not None else log.with_name(_name_without_ending(log) + suffix)
     if target.exists() and target.samefile(log):
         raise typer.BadParameter(f"{target} is the log itself; name another file with --output")
     check_place(target)
@@ -85,7 +85,7 @@ def export(
         say(f"parameters, plan and events -> {notes_path(target)}")
 
 
-def _format(csv: bool, mat: bool, parquet: bool) -> tuple[Callable[[Flight, Path], None], str]:
+def _writer_and_ending(csv: bool, mat: bool, parquet: bool) -> tuple[Callable[[Flight, Path], None], str]:
     """Return the function that writes the requested format, and the ending of its files."""
     from heli_host.log.export import export_mat, export_parquet
     from heli_host.log.ros2 import export_ros2
@@ -96,7 +96,7 @@ def _format(csv: bool, mat: bool, parquet: bool) -> tuple[Callable[[Flight, Path
     return writers[chosen], _SUFFIXES[chosen]
 
 
-def _blind(flight: Flight, log: Path) -> Flight:
+def _without_revealing_facts(flight: Flight, log: Path) -> Flight:
     """Return a flight without the facts that reveal its rig and effects; those go into the log's truth file.
 
     The flight of a log that was recorded blind is sealed already, and its truth file exists.
@@ -112,7 +112,7 @@ def _blind(flight: Flight, log: Path) -> Flight:
     return blind(flight, truth.digest)
 
 
-def _to_stdout(flight: Flight, write: Callable[[Flight, Path], None], suffix: str) -> None:
+def _write_to_stdout(flight: Flight, write: Callable[[Flight, Path], None], suffix: str) -> None:
     """Write the bytes of a table to standard output, for another program to read."""
     import sys
     import tempfile
@@ -130,7 +130,7 @@ def _to_stdout(flight: Flight, write: Callable[[Flight, Path], None], suffix: st
         sys.stdout.buffer.flush()
 
 
-def _stem(path: Path) -> str:
+def _name_without_ending(path: Path) -> str:
     return path.name.removesuffix(".gz").rpartition(".")[0]
 
 

@@ -66,12 +66,12 @@ def flash(
             f"{port} is not a serial port of this computer; give one, such as /dev/ttyACM0"
         )
     if uploader.doubtful:
-        say(f"note: {_doubt(uploader)}")
+        say(f"note: {_uploader_warning(uploader)}")
     manager = check_modem_manager(due_is_present=True)
     if manager.verdict is Verdict.BAD:
         say(f"note: {manager.what}; {manager.remedy}")
 
-    kept = _keep_parameters(port, discard_parameters)
+    saved_parameters = _keep_parameters(port, discard_parameters)
     if not yes:
         if not sys.stdin.isatty():
             raise typer.BadParameter(
@@ -84,12 +84,15 @@ def flash(
     say(f"writing and verifying with bossac {uploader.version}")
     write_image(uploader, port, file)
     restart_chip(port)
-    say(f"flashed: {_greet(port, uploader)}")
-    if kept is not None:
-        say(f"its parameters are the defaults; yours: heli-host params restore {kept} --save --port {port}")
+    say(f"flashed: {_description_of_board(port, uploader)}")
+    if saved_parameters is not None:
+        say(
+            f"its parameters are the defaults; yours: heli-host params restore {saved_parameters} --save "
+            f"--port {port}"
+        )
 
 
-def _doubt(uploader: Bossac) -> str:
+def _uploader_warning(uploader: Bossac) -> str:
     """Return a warning about an uploader that does not suit all Dues."""
     from heli_host.flash.bossac import GET_BOSSAC
 
@@ -161,7 +164,7 @@ def _write_parameters(values: dict[str, float], origin: str) -> Path | None:
     return file
 
 
-def _greet(port: str, uploader: Bossac) -> str:
+def _description_of_board(port: str, uploader: Bossac) -> str:
     """Return a description of the board that now answers."""
     import heli_host
     from heli_host.cli.board import board_text
@@ -175,7 +178,7 @@ def _greet(port: str, uploader: Bossac) -> str:
             "press RESET on the board, then heli-host watch; if it stays silent, see docs/how-to/flashing.md"
         )
         if uploader.doubtful:
-            remedy = f"{_doubt(uploader)}; {remedy}"
+            remedy = f"{_uploader_warning(uploader)}; {remedy}"
         raise FlashError(
             f"the flash was written and verified, but the board does not answer ({error.cause})", remedy
         ) from error

@@ -61,7 +61,7 @@ def fly(
 
 def _refuse_with_again(again: Path, options: FlightOptions, plans: Sequence[str]) -> None:
     """Refuse options that a log gives: a typer.BadParameter that names the first."""
-    given = {
+    given_options = {
         **{f"PLAN {plan}": True for plan in plans},
         "--port": options.port is not None and options.port != os.environ.get("HELI_PORT"),
         "--sil": options.sil,
@@ -78,7 +78,7 @@ def _refuse_with_again(again: Path, options: FlightOptions, plans: Sequence[str]
         "--clear-fault": options.clear_fault,
         "--twin": options.twin,
     }
-    for name, value in given.items():
+    for name, value in given_options.items():
         if value:
             raise typer.BadParameter(f"--again {again} takes this from the log: {name}; leave it out")
 

@@ -40,16 +40,16 @@ def info(
     Example: `heli-host info flights/2026-01-31_12-00-00/flight.mcap --events`
     """
     if json is not None:
-        content = _content(flight_file)
+        content = _log_content(flight_file)
         if truth is not None:
-            content["truth"] = _checked(flight_file, truth)
+            content["truth"] = _verified_truth(flight_file, truth)
         if write_result(json, content):
             return
     if truth is not None:
-        for name, value in _checked(flight_file, truth).items():
+        for name, value in _verified_truth(flight_file, truth).items():
             # A rig's file has a hundred lines; the truth file holds them.
-            shown = ", ".join(map(str, value)) if isinstance(value, list | dict) else value
-            say(f"truth, {name}: {shown}")
+            value_text = ", ".join(map(str, value)) if isinstance(value, list | dict) else value
+            say(f"truth, {name}: {value_text}")
     if flight_file.name.lower().endswith(".mcap"):
         from heli_host.log.reader import read_log
 
@@ -76,7 +76,7 @@ def info(
             say(line.replace("\t", "    "))
 
 
-def _checked(path: Path, truth_file: Path) -> dict[str, Any]:
+def _verified_truth(path: Path, truth_file: Path) -> dict[str, Any]:
     """What flew by a truth file whose seal is that of the flight; else a LogError."""
     from heli_host.log.blind import SEALED, Truth
     from heli_host.log.flight_file import read_flight
@@ -86,7 +86,7 @@ def _checked(path: Path, truth_file: Path) -> dict[str, Any]:
     return {SEALED: truth.digest, **truth.flown}
 
 
-def _content(path: Path) -> dict[str, Any]:
+def _log_content(path: Path) -> dict[str, Any]:
     """Return the content of a log without its rows."""
     from heli_host.log.flight_file import read_flight
     from heli_host.log.reader import read_log

@@ -53,13 +53,13 @@ def motors(
         check_voltages(front_V, back_V, heli.params)
         heli.arm()
         try:
-            _drive(heli, front_V, back_V, duration_s)
+            _apply_voltages(heli, front_V, back_V, duration_s)
         finally:
             heli.stop()
         say(f"front {front_V:g} V, back {back_V:g} V for {duration_s:g} s; drivers off again")
 
 
-def _drive(heli: Heli, front_V: float, back_V: float, duration_s: float) -> None:
+def _apply_voltages(heli: Heli, front_V: float, back_V: float, duration_s: float) -> None:
     """Apply constant motor voltages for a time, by a command every `REFRESH_S`, because the board switches
     the motors off without one.
     """

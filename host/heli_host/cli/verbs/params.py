@@ -49,7 +49,7 @@ def list_parameters(
     """
     from heli_host.controllers import controller_names
 
-    with _board(port, sil) as heli:
+    with _open_board(port, sil) as heli:
         values = heli.params.dump()
         specs = {name: heli.params.spec(name) for name in values if pattern in name}
         names = controller_names(heli.session)
@@ -86,7 +86,9 @@ def _print_table(specs: Mapping[str, ParamSpec], values: Mapping[str, float]) ->
     for heading in ("name", "", "value", "unit", "range"):
         table.add_column(heading, no_wrap=True)
     for name, spec in specs.items():
-        table.add_row(name, _mark(spec, values[name]), f"{values[name]:g}", spec.unit, _limits(spec))
+        table.add_row(
+            name, _mark_if_changed(spec, values[name]), f"{values[name]:g}", spec.unit, _limits_text(spec)
+        )
     Console(highlight=False).print(table)
 
 
@@ -101,16 +103,21 @@ def _print_with_meanings(
     console = Console(highlight=False)
     for name, spec in specs.items():
         unit = f" {spec.unit}" if spec.unit else ""
-        console.print(Text(f"{name} = {values[name]:g}{unit}{_mark(spec, values[name])}  ({_limits(spec)})"))
+        console.print(
+            Text(
+                f"{name} = {values[name]:g}{unit}{_mark_if_changed(spec, values[name])}  "
+                f"({_limits_text(spec)})"
+            )
+        )
         meaning = _with_names(spec.meaning, names) if name == "controller" else spec.meaning
         console.print(Padding(Text(meaning), (0, 0, 0, 4)))
 
 
-def _mark(spec: ParamSpec, value: float) -> str:
+def _mark_if_changed(spec: ParamSpec, value: float) -> str:
     return "" if abs(value - spec.default) <= 1e-6 * max(1.0, abs(value)) else "*"
 
 
-def _limits(spec: ParamSpec) -> str:
+def _limits_text(spec: ParamSpec) -> str:
     return f"{spec.min:g} .. {spec.max:g}"
 
 
@@ -125,7 +132,7 @@ def get(name: NameArgument, port: PortOption = None, sil: SilOption = False, jso
     from heli_host.parameters import spec_of
 
     spec = spec_of(name)
-    with _board(port, sil) as heli:
+    with _open_board(port, sil) as heli:
         if not write_result(json, {"name": name, "value": heli.params[name], "unit": spec.unit}):
             say(f"{heli.params[name]:g}")
 
@@ -150,12 +157,12 @@ def set_parameter(
 
     spec = checked(name, value)
     data_on_stdout(json)
-    with _board(port, sil) as heli:
+    with _open_board(port, sil) as heli:
         before = heli.params[name]
         in_force = heli.params.set(name, value)
         unit = f" {spec.unit}" if spec.unit else ""
         saved = heli.params.save() if save else None
-        say(f"{name}: {before:g} -> {in_force:g}{unit}{_saved(saved)}")
+        say(f"{name}: {before:g} -> {in_force:g}{unit}{_saved_text(saved)}")
         write_result(
             json,
             {
@@ -176,7 +183,7 @@ def save_parameters(port: PortOption = None, sil: SilOption = False) -> None:
 
     Example: `heli-host params save --port /dev/ttyACM0`
     """
-    with _board(port, sil) as heli:
+    with _open_board(port, sil) as heli:
         say(f"parameters saved, generation {heli.params.save()}")
 
 
@@ -197,7 +204,7 @@ def dump(
     from heli_host.parameter_file import parameters_text
 
     check_parameters_place(file)
-    with _board(port, sil) as heli:
+    with _open_board(port, sil) as heli:
         values = heli.params.dump()
         comment = board_versions(heli.info)
     file.write_text(parameters_text(values, comment), encoding="utf-8")
@@ -225,14 +232,14 @@ def restore(
     values = parameter_set.values
     data_on_stdout(json)
     say_dropped(parameter_set.dropped)
-    with _board(port, sil) as heli:
+    with _open_board(port, sil) as heli:
         for name in parameter_set.new:
             say(f"not in {file}: {name} stays {heli.params[name]:g}")
         changed = heli.params.restore(values)
         for name, value in changed.items():
             say(f"{name} -> {value:g}")
         saved = heli.params.save() if save else None
-        say(f"{len(changed)} of {len(values)} changed{_saved(saved)}")
+        say(f"{len(changed)} of {len(values)} changed{_saved_text(saved)}")
         result = {
             "changed": dict(changed),
             "dropped": list(parameter_set.dropped),
@@ -242,7 +249,7 @@ def restore(
         write_result(json, result)
 
 
-def _board(port: str | None, sil: bool) -> AbstractContextManager[Heli]:
+def _open_board(port: str | None, sil: bool) -> AbstractContextManager[Heli]:
     from heli_host.cli.board import open_board
 
     return open_board(port, sil_address(speed=MAX_SPEED) if sil else None)
@@ -252,7 +259,7 @@ def _with_names(meaning: str, names: tuple[str, ...]) -> str:
     return f"{meaning}: {', '.join(f'{row} is {name}' for row, name in enumerate(names))}"
 
 
-def _saved(generation: int | None) -> str:
+def _saved_text(generation: int | None) -> str:
     return ", not saved (lost when the board restarts)" if generation is None else ", saved to flash"
 
 

@@ -41,7 +41,7 @@ def plot(
     check_result_places(json, figure=figure)
     data_on_stdout(json)
     if len(logs) > 1 or json is not None:
-        _compare(logs, figure, json)
+        _compare_flights(logs, figure, json)
         return
     from heli_host.log.figure import write_figure
     from heli_host.log.reader import read_log
@@ -54,7 +54,7 @@ def plot(
     say(f"{content.ticks.size} ticks -> {target}")
 
 
-def _compare(logs: Sequence[Path], figure: Path | None, json: Path | None) -> None:
+def _compare_flights(logs: Sequence[Path], figure: Path | None, json: Path | None) -> None:
     """Compare flights: metrics as JSON if requested, otherwise on the terminal; and a figure, unless only
     JSON was requested.
     """

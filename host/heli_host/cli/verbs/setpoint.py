@@ -94,8 +94,8 @@ def setpoint(
             recorder = Recorder(heli, log, rig_name=rig_name(rig, simulated=sil))
             stack.enter_context(recorder)
         try:
-            _start(heli, axes, take_off)
-            _hold(heli, targets_deg, duration_s, recorder)
+            _begin_control(heli, axes, take_off)
+            _hold_setpoints(heli, targets_deg, duration_s, recorder)
         except (KeyboardInterrupt, LogWriteError):
             if heli.motors_may_run:
                 heli.land()
@@ -125,7 +125,7 @@ def setpoint(
         )
 
 
-def _start(heli: Heli, axes: Axes, take_off: bool) -> None:
+def _begin_control(heli: Heli, axes: Axes, take_off: bool) -> None:
     """Bring the board under control of the host's setpoints for `axes`, by a take-off if it is permitted and
     needed.
     """
@@ -142,7 +142,9 @@ def _start(heli: Heli, axes: Axes, take_off: bool) -> None:
         heli.control(axes)
 
 
-def _hold(heli: Heli, targets_deg: Mapping[str, float], duration_s: float, recorder: Recorder | None) -> None:
+def _hold_setpoints(
+    heli: Heli, targets_deg: Mapping[str, float], duration_s: float, recorder: Recorder | None
+) -> None:
     """Hold setpoints [deg] for a time [s of the device], with a status line; a FlightAborted reports that the
     board switched the motors off.
     """

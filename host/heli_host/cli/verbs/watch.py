@@ -43,13 +43,13 @@ def watch(
         if info.boot_fault:
             say(f"before that start: {info.boot_fault}")
         try:
-            _look(heli, duration_s)
+            _show_until(heli, duration_s)
         except KeyboardInterrupt:
             # Watching without --duration ends this way.
             print()
 
 
-def _look(heli: Heli, duration_s: float | None) -> None:
+def _show_until(heli: Heli, duration_s: float | None) -> None:
     """Show the newest sample until `duration_s` has passed on the device; until Ctrl-C if it is None."""
     from heli_host.cli.live_display import LiveDisplay
 
@@ -60,10 +60,10 @@ def _look(heli: Heli, duration_s: float | None) -> None:
             heli.wait(STEP_S if duration_s is None else min(STEP_S, duration_s - passed_s))
             passed_s = heli.latest.t_s - start_s
             if live.due:
-                _show(heli, live, passed_s)
+                _show_sample(heli, live, passed_s)
 
 
-def _show(heli: Heli, live: LiveDisplay, passed_s: float) -> None:
+def _show_sample(heli: Heli, live: LiveDisplay, passed_s: float) -> None:
     """Show a sample: angles, encoder counts, illegal transitions and link. Without a terminal it is one line
     of text.
     """

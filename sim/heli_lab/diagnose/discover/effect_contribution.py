@@ -37,6 +37,7 @@ def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats
     names = model.parameter_names
 
     def change_rad_s2(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> list[ca.SX]:
+        # Difference of the models with and without the effect, at the same states and parameters.
         reduced_x = ca.vertcat(*(x[states.index(state.name)] for state in reduced_model.states))
         reduced_p = ca.vertcat(*(p[names.index(q.name)] for q in reduced_model.parameters))
         reduced_rates = reduced_model.dynamics(reduced_x, u, reduced_p, t)

@@ -199,15 +199,17 @@ class EquationRefits:
             value, std = coefficients[weakest]
             if abs(value) > SIGNIFICANT_STD_ERRORS * std:
                 break
-            shorter = self._without(best, weakest, signals)
+            shorter = self._refit_without_term(best, weakest, signals)
             if shorter.margin <= best.margin:
                 break
             best = self.with_whole_periods(shorter, signals)
         return best
 
-    def _without(self, refitted: RefittedEquation, number: int, signals: TermSignals) -> RefittedEquation:
+    def _refit_without_term(
+        self, refitted: RefittedEquation, number: int, signals: TermSignals
+    ) -> RefittedEquation:
         """Refit an equation without its term `number`, from 0."""
-        shorter = _without_term(refitted, number)
+        shorter = _equation_without_term(refitted, number)
         removed_term, group = refitted.equation.terms[number], refitted.group
         if removed_term in group.terms:
             remaining_terms = tuple(term for term in group.terms if term != removed_term)
@@ -274,7 +276,7 @@ class _EquationStart(NamedTuple):
     held: frozenset[str]
 
 
-def _without_term(refitted: RefittedEquation, number: int) -> _EquationStart:
+def _equation_without_term(refitted: RefittedEquation, number: int) -> _EquationStart:
     """Remove term `number`, from 0, of an equation, and keep the estimates of all other terms.
 
     The names of parameters contain the number of their term, so those of later terms change.
@@ -283,11 +285,11 @@ def _without_term(refitted: RefittedEquation, number: int) -> _EquationStart:
     equation = Equation(tuple(term for i, term in enumerate(longer.terms) if i != number))
     start, held = dict[str, float](), set[str]()
     for i, term in enumerate(equation.terms):
-        old_i = i if i < number else i + 1
-        start[equation.coefficient(i)] = old_values[longer.coefficient(old_i)]
+        i_before = i if i < number else i + 1
+        start[equation.coefficient(i)] = old_values[longer.coefficient(i_before)]
         for j in range(len(term.term.factors)):
             new_names = equation.inner_names(i, j)
-            for inner_name, old_name in longer.inner_names(old_i, j).items():
+            for inner_name, old_name in longer.inner_names(i_before, j).items():
                 start[new_names[inner_name]] = old_values[old_name]
                 if old_name in refitted.held:
                     held.add(new_names[inner_name])

@@ -33,14 +33,14 @@ _SLACKS: Final = (0.3, 0.55, 0.8)
 hangs. Refits find the place between two of them."""
 
 
-def _factor(form: str, quantity: str, lag_filter: str = "", **numbers: float) -> Factor:
+def _make_factor(form: str, quantity: str, lag_filter: str = "", **numbers: float) -> Factor:
     """Return a factor; the keywords are its parameters."""
     return Factor(form, quantity, tuple(numbers.items()), lag_filter)
 
 
 def _sign_factor(quantity: str, lag_filter: str = "", **numbers: float) -> Factor:
     """Return a sign that is smoothed close to zero, over the width of its quantity."""
-    return _factor("sign", quantity, lag_filter, width=SYMBOLS[quantity].near_zero, **numbers)
+    return _make_factor("sign", quantity, lag_filter, width=SYMBOLS[quantity].near_zero, **numbers)
 
 
 _RATES: Final = tuple(f"{axis}_rate" for axis in AXES)
@@ -57,24 +57,25 @@ def groups(spans: Mapping[str, tuple[float, float]]) -> list[TermGroup]:
         Lowest and highest value of each quantity in the flights, SI units, by name; bumps are placed between
         them.
     """
-    singles = list(_single_factor_products(spans))
-    pairs = list(_two_factor_products())
-    triples = list(_three_factor_products())
+    single_factors = list(_single_factor_products(spans))
+    two_factors = list(_two_factor_products())
+    three_factors = list(_three_factor_products())
     result: list[TermGroup] = []
     for axis in AXES:
         channel = f"torque.{axis}"
-        result += [_group(channel, terms) for terms in (*singles, *pairs, *triples)]
+        result += [_term_group(channel, terms) for terms in (*single_factors, *two_factors, *three_factors)]
     for channel in CHANNELS:
         if channel.startswith("thrust") or channel == "voltage.both":
-            result += [_group(channel, terms) for terms in _rotor_products(channel, singles)]
+            result += [_term_group(channel, terms) for terms in _rotor_products(channel, single_factors)]
         if channel.startswith("measurement"):
             result += [
-                _group(channel, terms) for terms in _encoder_products(channel.partition(".")[2], singles)
+                _term_group(channel, terms)
+                for terms in _encoder_products(channel.partition(".")[2], single_factors)
             ]
     return result
 
 
-def _group(channel: str, products: Sequence[tuple[Factor, ...]]) -> TermGroup:
+def _term_group(channel: str, products: Sequence[tuple[Factor, ...]]) -> TermGroup:
     """Return a group of terms on a channel with its complexity: factors, non-linear functions and lags."""
     complexity = sum(1 + (factor.form != "linear") + bool(factor.lag_filter) for factor in products[0])
     return TermGroup(tuple(EquationTerm(channel, Term(factors)) for factors in products), complexity)
@@ -88,48 +89,51 @@ def _single_factor_products(spans: Mapping[str, tuple[float, float]]) -> Iterato
     """Yield the products of a single factor: every function of every quantity of the whole rig."""
     for quantity in _RIG_QUANTITIES:
         power_forms = ["linear", "square", "cube", "abs", "signed_square"]
-        yield from (((_factor(form, quantity),),) for form in power_forms)
+        yield from (((_make_factor(form, quantity),),) for form in power_forms)
         yield ((_sign_factor(quantity),),)
         if quantity in AXES:
             for k in _MULTIPLICITIES[quantity]:
-                yield (_factor("sin", quantity, k=k),), (_factor("cos", quantity, k=k),)
-            yield from (((bump,),) for bump in _bumps(quantity, spans))
+                yield (_make_factor("sin", quantity, k=k),), (_make_factor("cos", quantity, k=k),)
+            yield from (((bump,),) for bump in _gaussian_bumps(quantity, spans))
             furthest = max(abs(bound) for bound in spans[quantity])
             for share in _SLACKS:
-                yield ((_factor("beyond", quantity, slack=round(share * furthest, 3)),),)
+                yield ((_make_factor("beyond", quantity, slack=round(share * furthest, 3)),),)
         for s in _LAGS_s:
-            yield ((_factor("linear", quantity, "lag", s=s),),)
+            yield ((_make_factor("linear", quantity, "lag", s=s),),)
             yield ((_sign_factor(quantity, "washout", s=s),),)
-    yield ((_factor("linear", "time"),),)
+    yield ((_make_factor("linear", "time"),),)
 
 
-def _bumps(quantity: str, spans: Mapping[str, tuple[float, float]]) -> Iterator[Factor]:
+def _gaussian_bumps(quantity: str, spans: Mapping[str, tuple[float, float]]) -> Iterator[Factor]:
     """Yield Gaussian bumps of several widths, evenly spaced over the range of a quantity in the flights."""
     low, high = spans[quantity]
     for share in _BUMP_WIDTHS:
         for i in range(_BUMP_PLACES):
             place = low + (high - low) * i / (_BUMP_PLACES - 1)
-            yield _factor("bump", quantity, place=round(place, 3), width=round(share * (high - low), 3))
+            yield _make_factor("bump", quantity, place=round(place, 3), width=round(share * (high - low), 3))
 
 
-def _product_functions(quantity: str) -> list[tuple[Factor, ...]]:
+def _functions_for_pairs(quantity: str) -> list[tuple[Factor, ...]]:
     """Return the functions of a quantity that products of two consist of, each as the factors of a group.
 
     Sine and cosine of travel are one group.
     """
-    powers: list[tuple[Factor, ...]] = [(_factor("linear", quantity),), (_factor("square", quantity),)]
+    powers: list[tuple[Factor, ...]] = [
+        (_make_factor("linear", quantity),),
+        (_make_factor("square", quantity),),
+    ]
     if quantity == "thrust":
         return powers[:1]
     if quantity == "travel":
-        waves = [(_factor("sin", quantity, k=k), _factor("cos", quantity, k=k)) for k in (1.0, 2.0)]
+        waves = [(_make_factor("sin", quantity, k=k), _make_factor("cos", quantity, k=k)) for k in (1.0, 2.0)]
         return [*powers, *waves]
     if quantity in AXES:
-        return [*powers, (_factor("abs", quantity),), (_sign_factor(quantity),)]
+        return [*powers, (_make_factor("abs", quantity),), (_sign_factor(quantity),)]
     return [
         *powers,
-        (_factor("abs", quantity),),
+        (_make_factor("abs", quantity),),
         (_sign_factor(quantity),),
-        (_factor("signed_square", quantity),),
+        (_make_factor("signed_square", quantity),),
     ]
 
 
@@ -137,7 +141,7 @@ def _two_factor_products() -> Iterator[_GroupProducts]:
     """Yield the products of functions of two different quantities."""
     for quantity, other_quantity in itertools.combinations(_RIG_QUANTITIES, 2):
         for first, second in itertools.product(
-            _product_functions(quantity), _product_functions(other_quantity)
+            _functions_for_pairs(quantity), _functions_for_pairs(other_quantity)
         ):
             yield tuple((a, b) for a in first for b in second)
 
@@ -147,28 +151,34 @@ def _three_factor_products() -> Iterator[_GroupProducts]:
     for quantities in itertools.combinations(_RIG_QUANTITIES, 3):
         if {"thrust", "thrust_difference"} <= set(quantities):
             continue
-        yield (tuple(_factor("linear", quantity) for quantity in quantities),)
+        yield (tuple(_make_factor("linear", quantity) for quantity in quantities),)
     for rate in _RATES:
-        yield ((_factor("square", rate), _factor("linear", "elevation"), _factor("linear", "pitch")),)
+        yield (
+            (
+                _make_factor("square", rate),
+                _make_factor("linear", "elevation"),
+                _make_factor("linear", "pitch"),
+            ),
+        )
 
 
 def _rotor_products(channel: str, singles: Sequence[_GroupProducts]) -> Iterator[_GroupProducts]:
     """Yield terms of a rotor's thrust or voltage proportional to its own, or to the other rotor's."""
     rotor_quantity = "own_thrust" if channel.startswith("thrust") else "own_voltage"
-    own_factor = _factor("linear", rotor_quantity)
+    own_factor = _make_factor("linear", rotor_quantity)
     for products in singles:
         # The terms after this loop are those of thrust that depends on thrust.
         if not any(SYMBOLS[f.quantity].kind == "thrust" for factors in products for f in factors):
             yield tuple((own_factor, *factors) for factors in products)
-    yield ((_factor("square", rotor_quantity),),)
-    yield ((own_factor, _factor("linear", "voltage" if rotor_quantity == "own_voltage" else "thrust")),)
+    yield ((_make_factor("square", rotor_quantity),),)
+    yield ((own_factor, _make_factor("linear", "voltage" if rotor_quantity == "own_voltage" else "thrust")),)
     if rotor_quantity == "own_voltage":
         return
-    yield ((_factor("linear", "other_thrust"),),)
+    yield ((_make_factor("linear", "other_thrust"),),)
     for s in _LAGS_s:
-        yield ((_factor("linear", rotor_quantity, "washout", s=s),),)
+        yield ((_make_factor("linear", rotor_quantity, "washout", s=s),),)
         yield ((_sign_factor(rotor_quantity, "washout", s=s),),)
-        yield ((_factor("linear", "other_thrust", "lag", s=s),),)
+        yield ((_make_factor("linear", "other_thrust", "lag", s=s),),)
 
 
 def _encoder_products(axis: str, singles: Sequence[_GroupProducts]) -> Iterator[_GroupProducts]:

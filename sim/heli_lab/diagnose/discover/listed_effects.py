@@ -104,7 +104,7 @@ class ListedEffects:
         Friction that holds an axis has no derivative, and thus no score. It comes first, at its typical size.
         """
         screening = Screening(replace(self.base.estimate, disturbances=warm_start.estimate.disturbances))
-        dry_friction = {f"coulomb_friction.{axis}" for axis in _axes(equation)}
+        dry_friction = {f"coulomb_friction.{axis}" for axis in _axes_of_equation(equation)}
         for kind in self.eligible_effects:
             if kind.id in dry_friction:
                 yield typical_candidate(kind), kind.typical, None
@@ -150,10 +150,10 @@ class ListedEffects:
         """
         if not self.comparison.held_out:
             return 0.0
-        return self.comparison.held_out_estimate(model).log_likelihood - self._base_held_out
+        return self.comparison.held_out_estimate(model).log_likelihood - self._held_out_nats_of_base
 
     @cached_property
-    def _base_held_out(self) -> float:
+    def _held_out_nats_of_base(self) -> float:
         """Log-likelihood of the base on the held-out flights, nats."""
         return self.comparison.held_out_estimate(self.base).log_likelihood
 
@@ -178,12 +178,12 @@ class ListedEffects:
         """
         equation = warm_start.candidates[-1]
         start = {name: rival.values[name] for name in effect.effect.priors if name in rival.values}
-        both = self.comparison.refit([*self.base.candidates, effect, equation], start, warm_start)
+        with_both_terms = self.comparison.refit([*self.base.candidates, effect, equation], start, warm_start)
 
         def gain_over(model: Hypothesis) -> float:
             """Return the gain of the model with both over another model on all flights, nats."""
-            fitted = both.log_likelihood - model.log_likelihood
-            return fitted + self.held_out(both) - self.held_out(model)
+            fitted = with_both_terms.log_likelihood - model.log_likelihood
+            return fitted + self.held_out(with_both_terms) - self.held_out(model)
 
         equation_gain, effect_gain = gain_over(rival), gain_over(warm_start)
         return equation_gain - penalty > max(MIN_MARGIN, effect_gain - self.complexity_penalty(effect))
@@ -216,7 +216,7 @@ class ListedEffects:
         return final, tuple(removed_ids)
 
 
-def _axes(equation: Equation) -> set[str]:
+def _axes_of_equation(equation: Equation) -> set[str]:
     """Return the axes about which an equation acts directly."""
     axis_of_rotors = {"both": "elevation", "difference": "pitch", "front": "pitch", "back": "pitch"}
     axes_or_rotors = (channel.partition(".")[2] for channel in equation.channels)

@@ -180,7 +180,7 @@ def supported_ranges(discovery: Discovery) -> tuple[SupportedRange, ...]:
     result = []
     for channel in discovery.equation.channels:
         magnitude = np.concatenate(
-            [np.abs(_channel_values(discovery, signals, i, channel)).max(axis=1) for i in flights]
+            [np.abs(_channel_sum_along(discovery, signals, i, channel)).max(axis=1) for i in flights]
         )
         largest = float(np.quantile(magnitude, 0.99))
         is_active = magnitude >= EQUATION_SUPPORT_SHARE * largest
@@ -203,7 +203,7 @@ def _rotor_mean(values: Floats) -> Floats:
     return values if values.ndim == 1 else np.asarray(values.mean(axis=1))
 
 
-def _channel_values(discovery: Discovery, signals: TermSignals, index: int, channel: str) -> Floats:
+def _channel_sum_along(discovery: Discovery, signals: TermSignals, index: int, channel: str) -> Floats:
     """Return the sum of the terms on a channel along a flight, less its mean.
 
     The shape is (n, 1), or (n, 2) if each rotor has its own values.

@@ -75,8 +75,8 @@ class TermSignals:
     def __init__(self, screening: Screening) -> None:
         self.linearised_flights = screening.filtered.linearised_flights
         # By quantity, shape (n,) or (n, 2): in the middle of the steps, and at their ends.
-        self._middle = [_quantities(linear, linear.trajectory) for linear in self.linearised_flights]
-        self._nodes = [_quantities(linear, linear.nodes) for linear in self.linearised_flights]
+        self._middle = [_quantities_along(linear, linear.trajectory) for linear in self.linearised_flights]
+        self._nodes = [_quantities_along(linear, linear.nodes) for linear in self.linearised_flights]
         # By flight, factor and whether at the ends of the steps: shape (n, 1) or (n, 2).
         self._factors: dict[tuple[int, Factor, bool], Floats] = {}
         # By flight and channel: shape (n, states, 1) or (n, 3, 1).
@@ -135,9 +135,11 @@ class TermSignals:
         pole = math.exp(-linear.trajectory.step_s / dict(factor.parameters)["s"])
         lagged = np.empty_like(x)
         for window in linear.windows:
-            inside = x[window]
+            window_values = x[window]
             # The initial condition `zi` is that of a constant input equal to the first value.
-            lagged[window] = lfilter([1.0 - pole], [1.0, -pole], inside, axis=0, zi=pole * inside[:1])[0]
+            lagged[window] = lfilter(
+                [1.0 - pole], [1.0, -pole], window_values, axis=0, zi=pole * window_values[:1]
+            )[0]
         return lagged if factor.lag_filter == "lag" else lagged - x
 
     def signal(self, index: int, term: EquationTerm, value: Floats) -> Floats:
@@ -158,18 +160,18 @@ class TermSignals:
             Change of the rates, or of the measured angles if the term acts on an encoder.
         """
         if term.channel.startswith(("torque", "measurement")):
-            influence = self._influence(index, term.channel)
+            influence = self._influence_of_channel(index, term.channel)
             return influence * value[:, None, :]
         kind = term.channel.partition(".")[0]
         total = np.zeros((len(value), self.linearised_flights[index].states))
         for rotor, sign in enumerate(rotor_signs(term.channel)):
             if sign:
                 rotor_value = value[:, min(rotor, value.shape[1] - 1)]
-                influence = self._influence(index, f"{kind}.{('front', 'back')[rotor]}")
+                influence = self._influence_of_channel(index, f"{kind}.{('front', 'back')[rotor]}")
                 total += sign * influence[:, :, 0] * rotor_value[:, None]
         return total[:, :, None]
 
-    def _influence(self, index: int, channel: str) -> Floats:
+    def _influence_of_channel(self, index: int, channel: str) -> Floats:
         """Return what one unit on a channel changes along a flight.
 
         This is the change of the rates, shape (n, states, 1), or for an encoder the change of the measured
@@ -308,7 +310,7 @@ def term_coefficient_std(term: EquationTerm, rms: float) -> float:
     return _PRIOR_RMS.get(term.channel, _PRIOR_RMS.get(kind, 1.0)) / rms
 
 
-def _quantities(linear: LinearisedFlight, trajectory: Trajectory) -> dict[str, Floats]:
+def _quantities_along(linear: LinearisedFlight, trajectory: Trajectory) -> dict[str, Floats]:
     """Return every quantity along a trajectory by name, shape (n,), or (n, 2) if each rotor has its own."""
     model = linear.model.source
 

@@ -188,8 +188,8 @@ class EquationSearch:
                 or len(finalists) >= 2 * EQUATION_FINALISTS
             ):
                 continue
-            family = _family(scored_group.group)
-            if sum(_family(other.group) == family for other in finalists) < ALTERNATIVES:
+            family = _channel_and_quantities(scored_group.group)
+            if sum(_channel_and_quantities(other.group) == family for other in finalists) < ALTERNATIVES:
                 finalists.append(scored_group)
         return finalists
 
@@ -295,8 +295,8 @@ def discover(
     # An equation that was proposed earlier may be in the rig or among the causes, from its effect file.
     name = free_name({*base.ids, *(effect.name for effect in comparison.model.effects)})
     search = EquationSearch(EquationRefits(comparison, base, name), say or (lambda _step: None))
-    without = comparison.held_out_estimate(base) if comparison.held_out else None
-    confirmed = _select_terms(search, (curve or base).estimate.disturbances, without, refits)
+    held_out_base = comparison.held_out_estimate(base) if comparison.held_out else None
+    confirmed = _select_terms(search, (curve or base).estimate.disturbances, held_out_base, refits)
     if confirmed is None:
         return None
     refitted = confirmed.refitted
@@ -321,11 +321,13 @@ def discover(
         rivals=tuple(sorted(rivals, key=lambda rival: rival.log_likelihood_ratio)),
         tried=max(search.refits.tried.values()),
         superfluous=superfluous,
-        elsewhere=None if without is None else (without, comparison.held_out_estimate(hypothesis)),
+        elsewhere=None
+        if held_out_base is None
+        else (held_out_base, comparison.held_out_estimate(hypothesis)),
     )
 
 
-def _family(group: TermGroup) -> tuple[str, frozenset[str]]:
+def _channel_and_quantities(group: TermGroup) -> tuple[str, frozenset[str]]:
     """Return channel and quantities of a group; groups of one family compete with each other.
 
     All encoders count as one, because a scale error of one of them shifts the filtered states of all.

@@ -69,7 +69,7 @@ class Quantity:
         return _UNIT_AND_SIGN_WIDTH[self.kind][1]
 
 
-def _state(name: str, latex: str, kind: str) -> Quantity:
+def _state_quantity(name: str, latex: str, kind: str) -> Quantity:
     """Return a state of the model as a quantity."""
     return Quantity(lambda at: at.state[name], latex, f'at.state["{name}"]', kind)
 
@@ -77,9 +77,9 @@ def _state(name: str, latex: str, kind: str) -> Quantity:
 _AXES_AND_SYMBOLS: Final = tuple(zip(AXES, (r"\theta", r"\phi", r"\psi"), strict=True))
 
 SYMBOLS: Final[Mapping[str, Quantity]] = {
-    **{axis: _state(f"{axis}_rad", latex, "angle") for axis, latex in _AXES_AND_SYMBOLS},
+    **{axis: _state_quantity(f"{axis}_rad", latex, "angle") for axis, latex in _AXES_AND_SYMBOLS},
     **{
-        f"{axis}_rate": _state(f"{axis}_rate_rad_s", rf"\dot{{{latex}}}", "rate")
+        f"{axis}_rate": _state_quantity(f"{axis}_rate_rad_s", rf"\dot{{{latex}}}", "rate")
         for axis, latex in _AXES_AND_SYMBOLS
     },
     "thrust": Quantity(

@@ -148,7 +148,7 @@ def compose_experiment(reason: str, parts: Iterable[str]) -> ExperimentDesign:
         Keys of the segments; if there is none, the plan excites every axis.
     """
     chosen = [key for key in _SEGMENTS if key in set(parts)] or list(_DEFAULT)
-    return ExperimentDesign(f"{reason} Fly {_purposes(chosen)}.", _plan(chosen))
+    return ExperimentDesign(f"{reason} Fly {_purposes_text(chosen)}.", _plan_toml(chosen))
 
 
 @dataclass(frozen=True)
@@ -200,20 +200,20 @@ def discriminating_experiment(
     for key in dict.fromkeys((*exciting_segments, *_ALWAYS_TRIED)):
         if max(ratios.values(), default=0.0) > _SUFFICIENT_MULTIPLE * MIN_MARGIN:
             break
-        ratio = expected_log_likelihood_ratio(pair.first, pair.second, comparison, _plan([key]))
+        ratio = expected_log_likelihood_ratio(pair.first, pair.second, comparison, _plan_toml([key]))
         if ratio is not None:
             ratios[key] = ratio
     if not ratios:
         return compose_experiment(reason, exciting_segments)
     best = max(ratios, key=lambda key: ratios[key])
-    reverse_ratio = expected_log_likelihood_ratio(pair.second, pair.first, comparison, _plan([best]))
+    reverse_ratio = expected_log_likelihood_ratio(pair.second, pair.first, comparison, _plan_toml([best]))
     expected = f"{ratios[best]:.0f} if it is {pair.names[0]}"
     if reverse_ratio is not None:
         expected += f" and {reverse_ratio:.0f} if it is {pair.names[1]}"
     return ExperimentDesign(
-        f"{reason} Fly {_purposes([best])}. Simulated on this rig, this plan alone gives a log-likelihood "
-        f"ratio of {expected}; it is the best of {len(ratios)} plans tried.",
-        _plan([best]),
+        f"{reason} Fly {_purposes_text([best])}. Simulated on this rig, this plan alone gives a "
+        f"log-likelihood ratio of {expected}; it is the best of {len(ratios)} plans tried.",
+        _plan_toml([best]),
     )
 
 
@@ -251,11 +251,11 @@ def informative_experiment(
     )
 
 
-def _plan(keys: Iterable[str]) -> str:
+def _plan_toml(keys: Iterable[str]) -> str:
     """Return the TOML of a plan of some segments."""
     return _HEAD + _BACK.join(_SEGMENTS[key][1] for key in keys)
 
 
-def _purposes(keys: Iterable[str]) -> str:
+def _purposes_text(keys: Iterable[str]) -> str:
     """State what some segments show, in words."""
     return "; ".join(_SEGMENTS[key][0] for key in keys)

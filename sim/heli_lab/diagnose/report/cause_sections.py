@@ -43,7 +43,7 @@ def cause_section(
         "unclear": f" These flights do not distinguish it from {ambiguous_effects}."
         if ambiguous_effects
         else "",
-        "confirmed": _confirmation(cause),
+        "confirmed": _confirmation_sentence(cause),
         "latex": cause["equation"],
         "equation": save_figure(f"equation-{cause['effect']}", equation_figure),
         "symbols": legend(cause["effect"], cause["equation"], parameter_meanings),
@@ -51,11 +51,11 @@ def cause_section(
             [name, plus_minus(number, number["unit"]), display_unit(number["unit"])[1], meaning]
             for (name, number), meaning in zip(parameters.items(), parameter_meanings, strict=True)
         ],
-        "evidence": _evidence(cause["evidence"]),
+        "evidence": _evidence_sentence(cause["evidence"]),
     }
 
 
-def _evidence(evidence: Mapping[str, Any]) -> str:
+def _evidence_sentence(evidence: Mapping[str, Any]) -> str:
     """Write the evidence for a cause in a sentence."""
     if "standard_errors_from_zero" in evidence:
         return (
@@ -72,7 +72,7 @@ def _evidence(evidence: Mapping[str, Any]) -> str:
     )
 
 
-def _confirmation(cause: Mapping[str, Any]) -> str:
+def _confirmation_sentence(cause: Mapping[str, Any]) -> str:
     """State in a sentence whether a cause is confirmed; empty if that was not tested."""
     if "confirmed" not in cause:
         return ""

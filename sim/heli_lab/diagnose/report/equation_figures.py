@@ -38,38 +38,44 @@ def figure_of_equation(proposed: ProposedTerm) -> Figure:
     time_panel, scatter_panel, quantity_panel = (
         figure.add_subplot(cell) for cell in (grid[0, :], grid[1, 0], grid[1, 1])
     )
-    missing, term = 1e3 * trace.missing_Nm, 1e3 * trace.term_Nm
-    std = 1e3 * trace.std_Nm
-    time_panel.fill_between(trace.t_s, missing - 2 * std, missing + 2 * std, color=_MISSING, alpha=0.25, lw=0)
+    missing_mNm, term_mNm = 1e3 * trace.missing_Nm, 1e3 * trace.term_Nm
+    std_mNm = 1e3 * trace.std_Nm
+    time_panel.fill_between(
+        trace.t_s, missing_mNm - 2 * std_mNm, missing_mNm + 2 * std_mNm, color=_MISSING, alpha=0.25, lw=0
+    )
     time_panel.plot(
         trace.t_s,
-        missing,
+        missing_mNm,
         color=_MISSING,
         lw=0.9,
         label="missing without the equation, with two standard errors",
     )
-    time_panel.plot(trace.t_s, term, color=_TERM, lw=1.3, label="equation")
+    time_panel.plot(trace.t_s, term_mNm, color=_TERM, lw=1.3, label="equation")
     time_panel.set_xlabel(f"time in {trace.label} [s]")
     time_panel.set_ylabel(f"torque about {trace.axis} [mN m]")
     time_panel.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, fontsize=8, frameon=False)
-    thinned_rows = thinned(len(term), _POINTS)
-    scatter_panel.plot(term[thinned_rows], missing[thinned_rows], ".", color=_MISSING, ms=2.5, alpha=0.6)
-    span = np.array([min(term.min(), missing.min()), max(term.max(), missing.max())])
+    thinned_rows = thinned(len(term_mNm), _POINTS)
+    scatter_panel.plot(
+        term_mNm[thinned_rows], missing_mNm[thinned_rows], ".", color=_MISSING, ms=2.5, alpha=0.6
+    )
+    span = np.array([min(term_mNm.min(), missing_mNm.min()), max(term_mNm.max(), missing_mNm.max())])
     scatter_panel.plot(span, span, color=_TERM, lw=1.2)
-    correlation = np.corrcoef(term, missing)[0, 1] if term.std() > 0 else 0.0
+    correlation = np.corrcoef(term_mNm, missing_mNm)[0, 1] if term_mNm.std() > 0 else 0.0
     scatter_panel.set_xlabel(f"equation [mN m]; correlation {correlation:.2f}")
     scatter_panel.set_ylabel("missing without it [mN m]")
     factor, unit = display_unit(trace.unit)
     quantity_panel.plot(
-        factor * trace.value[thinned_rows], missing[thinned_rows], ".", color=_MISSING, ms=2.5, alpha=0.6
+        factor * trace.value[thinned_rows], missing_mNm[thinned_rows], ".", color=_MISSING, ms=2.5, alpha=0.6
     )
-    quantity_panel.plot(factor * trace.value[thinned_rows], term[thinned_rows], ".", color=_TERM, ms=2.0)
+    quantity_panel.plot(factor * trace.value[thinned_rows], term_mNm[thinned_rows], ".", color=_TERM, ms=2.0)
     quantity_panel.set_xlabel(f"{trace.on.replace('_', ' ')} [{unit}]")
     quantity_panel.set_ylabel("torque [mN m]")
     for panel in (time_panel, scatter_panel, quantity_panel):
         panel.grid(alpha=0.25)
-    where = "a flight that no fit used" if proposed.discovery.held_out is not None else "the fitted flight"
-    figure.suptitle(f"${latex(proposed.equation, proposed.numbers)}$   on {where}", fontsize=11)
+    flight_text = (
+        "a flight that no fit used" if proposed.discovery.held_out is not None else "the fitted flight"
+    )
+    figure.suptitle(f"${latex(proposed.equation, proposed.numbers)}$   on {flight_text}", fontsize=11)
     return figure
 
 
@@ -106,14 +112,19 @@ def _regions_row(
     """Draw the plane of one axis for each model, with a colour bar of the missing torque."""
     torques = np.concatenate([np.abs(flight.torque_Nm) for flight in regions.before.flights])
     color_limit_mNm = 1e3 * float(np.quantile(torques, 0.98)) or 1.0
-    (fx, x_unit), (fy, y_unit) = _display_factor_and_unit(regions.x), _display_factor_and_unit(regions.y)
+    (x_factor, x_unit), (y_factor, y_unit) = (
+        _display_factor_and_unit(regions.x),
+        _display_factor_and_unit(regions.y),
+    )
     points = None
     for panel, test, model in zip(panels, (regions.before, regions.after), models, strict=False):
         for flight in test.flights:
-            panel.plot(fx * flight.x, fy * flight.y, color="#d7dbe0", lw=0.4, zorder=1, rasterized=True)
+            panel.plot(
+                x_factor * flight.x, y_factor * flight.y, color="#d7dbe0", lw=0.4, zorder=1, rasterized=True
+            )
             points = panel.scatter(
-                fx * flight.x,
-                fy * flight.y,
+                x_factor * flight.x,
+                y_factor * flight.y,
                 c=1e3 * flight.torque_Nm,
                 s=5,
                 cmap="coolwarm",
@@ -166,8 +177,9 @@ def figure_of_unknown_torque(regions: FailingRegions) -> Figure:
 
 def _outline_failing_cells(panel: Axes, regions: FailingRegions, test: RegionTest) -> None:
     """Draw lines between cells that fail and cells that do not."""
-    (fx, _), (fy, _) = _display_factor_and_unit(regions.x), _display_factor_and_unit(regions.y)
-    x, y, fails = fx * regions.x_edges, fy * regions.y_edges, np.pad(test.fails, 1)
+    (x_factor, _), (y_factor, _) = _display_factor_and_unit(regions.x), _display_factor_and_unit(regions.y)
+    # A frame of cells that do not fail, so that each cell has neighbours.
+    x, y, fails = x_factor * regions.x_edges, y_factor * regions.y_edges, np.pad(test.fails, 1)
     for i in range(len(x)):
         for j in range(len(y)):
             if j + 1 < len(y) and fails[i, j + 1] != fails[i + 1, j + 1]:

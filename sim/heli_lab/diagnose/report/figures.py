@@ -28,6 +28,8 @@ MEASURED: Final = "#30343a"
 """Colours of the baseline, the extended model and the measurement in all figures."""
 MAX_ROUNDS: Final = 4
 """Rounds that are drawn; the table has all."""
+_BARS, _SPLINE_BARS = 7, 3
+"""Candidates of a round that are drawn: effects, then splines."""
 _MAX_POINTS: Final = 5000
 """Points of a drawn line: more are not visible."""
 _EQUATION_POINTS: Final = 12.0
@@ -173,7 +175,8 @@ def _draw_round(round_: Round, number: int, panel: Axes) -> None:
     """Draw scores and refits of the best candidates of a round as horizontal bars."""
     refits = {refit.candidate.id: refit for refit in round_.refits}
     candidates = sorted(
-        (*round_.screened[:7], *round_.splines[:3]), key=lambda scored: scored.log_likelihood_gain
+        (*round_.screened[:_BARS], *round_.splines[:_SPLINE_BARS]),
+        key=lambda scored: scored.log_likelihood_gain,
     )
     names = [readable_id(scored.candidate.id) for scored in candidates]
     rows = np.arange(len(candidates))

@@ -34,7 +34,7 @@ def _effect_causes(result: Diagnosis) -> list[dict[str, Any]]:
     return [
         {
             "effect": cause.effect,
-            "parameters": _parameters(cause.parameters),
+            "parameters": _parameter_entries(cause.parameters),
             "confidence": round(cause.confidence, 3),
             "sentence": cause.sentence,
             "equation": cause.equation,
@@ -45,9 +45,9 @@ def _effect_causes(result: Diagnosis) -> list[dict[str, Any]]:
                 "alternatives": {other.id: other.log_likelihood_ratio for other in cause.alternatives},
             },
             "ambiguous_with": list(cause.ambiguous_with),
-            **_replication(cause, result),
+            **_replication_of_cause(cause, result),
             **_event_times(cause, result),
-            **_family(cause),
+            **_family_and_remark(cause),
         }
         for cause in result.verdict.causes
     ]
@@ -61,7 +61,7 @@ def too_small_effects(result: Diagnosis) -> list[dict[str, Any]]:
     return [
         {
             "effect": effect.cause.effect,
-            "parameters": _parameters(effect.cause.parameters),
+            "parameters": _parameter_entries(effect.cause.parameters),
             "sentence": effect.cause.sentence,
             "change_counts": effect.change_counts,
             "log_likelihood_ratio": effect.cause.train,
@@ -70,7 +70,7 @@ def too_small_effects(result: Diagnosis) -> list[dict[str, Any]]:
     ]
 
 
-def _replication(cause: NamedCause, result: Diagnosis) -> dict[str, Any]:
+def _replication_of_cause(cause: NamedCause, result: Diagnosis) -> dict[str, Any]:
     """Return whether a cause is confirmed, its ratios in both directions, and the reason if it is not."""
     replication = result.replication.causes[cause.effect]
     return {
@@ -82,7 +82,7 @@ def _replication(cause: NamedCause, result: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _family(cause: NamedCause) -> dict[str, dict[str, Any]]:
+def _family_and_remark(cause: NamedCause) -> dict[str, dict[str, Any]]:
     """Return the number of a cause's family, with a remark if its members are not distinguished."""
     family = cause.family
     if family is None:
@@ -123,7 +123,7 @@ def _random_torque_causes(result: Diagnosis) -> list[dict[str, Any]]:
     return [
         {
             "effect": id_,
-            "parameters": _parameters(values),
+            "parameters": _parameter_entries(values),
             "confidence": CONFIDENCE_RANDOM_TORQUE,
             "sentence": result.kinds[id_].describe(
                 {key: number.value for key, number in values.items()},
@@ -147,7 +147,7 @@ def _absent_term_causes(result: Diagnosis) -> list[dict[str, Any]]:
         absent_causes.append(
             {
                 "effect": term.id,
-                "parameters": _parameters({name: CauseParameter(term.share, term.std, "1")}),
+                "parameters": _parameter_entries({name: CauseParameter(term.share, term.std, "1")}),
                 "confidence": round(term.confidence * factor, 3),
                 "sentence": kind.describe({name: term.share}, {name: term.std}),
                 "equation": kind.equation,
@@ -251,6 +251,6 @@ def reductions_json(reductions: Mapping[str, ErrorReduction]) -> dict[str, dict[
     }
 
 
-def _parameters(parameters: Mapping[str, CauseParameter]) -> dict[str, dict[str, float | str]]:
+def _parameter_entries(parameters: Mapping[str, CauseParameter]) -> dict[str, dict[str, float | str]]:
     """Write parameters by name: value, standard error and unit."""
     return {name: asdict(parameter) for name, parameter in parameters.items()}

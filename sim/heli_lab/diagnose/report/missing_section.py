@@ -35,11 +35,11 @@ def missing_section(
     return {
         "address": save_figure(file, figure_of_missing_terms(terms)),
         "meaning": "; ".join(f"missing {term.what} about {term.axis} over {term.on}" for term in terms),
-        "caption": " ".join([*(_caption(term) for term in terms), *_how_drawn(terms)]),
+        "caption": " ".join([*(_caption(term) for term in terms), *_method_sentences(terms)]),
     }
 
 
-def _how_drawn(terms: Sequence[MissingTerm]) -> list[str]:
+def _method_sentences(terms: Sequence[MissingTerm]) -> list[str]:
     """Explain in sentences how the terms of a figure were estimated and drawn."""
     torques = [term for term in terms if term.what == "torque"]
     if not torques:

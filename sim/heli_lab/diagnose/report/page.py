@@ -93,7 +93,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         _PAGE,
         title=title(diagnosis),
         label=diagnosis.label,
-        heading=_heading(numbers),
+        heading=_heading_line(numbers),
         extended=extended,
         sentence=numbers["sentence"],
         next_step=capital(next_step(diagnosis)),
@@ -105,7 +105,9 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         else "the fitted flight",
         prediction=save_figure(
             "prediction",
-            figure_of_prediction(before, after, _drawn_axis(diagnosis, terms), _outside_s(diagnosis)),
+            figure_of_prediction(
+                before, after, _drawn_axis(diagnosis, terms), _extrapolated_windows_s(diagnosis)
+            ),
         ),
         gain={
             "address": save_figure(
@@ -118,20 +120,20 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
             for cause in numbers["causes"]
         ],
         small=[full_sentence(line) for line in small_effect_lines(diagnosis)],
-        unknown=_unknown(numbers["unexplained"]),
+        unknown=_unexplained_section(numbers["unexplained"]),
         curves=save_figure("curves", figures.figure_of_curves(diagnosis.curves))
         if diagnosis.curves
         else None,
         unknown_torque=unknown_torque(diagnosis, save_figure),
-        disturbances=_disturbances(diagnosis, numbers),
-        equation=_equation(diagnosis, save_figure),
-        uninformed=_uninformed(numbers["rig"]["numbers"], meanings),
+        disturbances=_disturbance_section(diagnosis, numbers),
+        equation=_equation_section(diagnosis, save_figure),
+        uninformed=_uninformed_rows(numbers["rig"]["numbers"], meanings),
         regions=regions_section(diagnosis, save_figure),
         torque=save_figure("torque", figures.figure_of_torque(diagnosis)),
         ranking={
             "address": save_figure("ranking", figures.figure_of_ranking(diagnosis.search.rounds)),
-            "rows": _ranking(numbers["ranking"]),
-            "more": _more_rounds(diagnosis),
+            "rows": _ranking_rows(numbers["ranking"]),
+            "more": _omitted_rounds_sentence(diagnosis),
         },
         next_flight=numbers["next_flight"],
         windows=save_figure("windows", figures.figure_of_windows(before, after)),
@@ -139,7 +141,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         size=save_figure("size", figures.figure_of_size(diagnosis)),
         calibration=calibration_tables(numbers["gain"]["calibration"]),
         residual=residual_section(numbers["residual"]),
-        used=_flights(numbers["flights"]),
+        used=_flight_sections(numbers["flights"]),
         took=f"It took {numbers['refits']} refits of the model, {numbers['seconds_taken']:.0f} s here.",
     )
 
@@ -202,12 +204,12 @@ def _drawn_axis(diagnosis: Diagnosis, terms: Sequence[MissingTerm]) -> str:
     return terms[0].axis if terms and not extended else max(AXES, key=visible_share)
 
 
-def _outside_s(diagnosis: Diagnosis) -> tuple[tuple[float, float], ...]:
+def _extrapolated_windows_s(diagnosis: Diagnosis) -> tuple[tuple[float, float], ...]:
     """Return begin and end [s] of the windows in which the first held-out flight is extrapolated."""
     return diagnosis.extrapolations[0].spans_s if diagnosis.extrapolations else ()
 
 
-def _heading(numbers: Mapping[str, Any]) -> str:
+def _heading_line(numbers: Mapping[str, Any]) -> str:
     """Return a line with the rig, the fitted flights and the validation flights."""
     by_role: dict[str, list[str]] = {"train": [], "held_out": []}
     for flight in numbers["flights"]:
@@ -216,7 +218,9 @@ def _heading(numbers: Mapping[str, Any]) -> str:
     return f"Rig {numbers['rig']['name']}. Fitted: {', '.join(by_role['train'])}. Validated on: {validated}."
 
 
-def _uninformed(parameters: Mapping[str, Mapping[str, Any]], meanings: Mapping[str, str]) -> list[list[str]]:
+def _uninformed_rows(
+    parameters: Mapping[str, Mapping[str, Any]], meanings: Mapping[str, str]
+) -> list[list[str]]:
     """Return a table row for each parameter whose estimate is nearly as uncertain as its prior."""
     return [
         [
@@ -231,7 +235,7 @@ def _uninformed(parameters: Mapping[str, Mapping[str, Any]], meanings: Mapping[s
     ]
 
 
-def _equation(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, Any] | None:
+def _equation_section(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, Any] | None:
     """Return the section of the proposed equation with its figure; None without one."""
     if diagnosis.proposal is None:
         return None
@@ -256,7 +260,7 @@ def _equation(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, Any] |
     }
 
 
-def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
+def _unexplained_section(missing: dict[str, Any] | None) -> dict[str, Any] | None:
     """Return the section about the dependence that no effect explains; None without one.
 
     It has sentences, dependences and error reductions.
@@ -272,7 +276,7 @@ def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
     }
 
 
-def _disturbances(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, Any]:
+def _disturbance_section(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, Any]:
     """Return a sentence and a table row for the disturbances about each axis."""
     rows = []
     for axis, values in numbers["disturbances"].items():
@@ -286,7 +290,7 @@ def _disturbances(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, An
     return {"text": f"Disturbances that no model predicts: {disturbances_in_words(diagnosis)}.", "rows": rows}
 
 
-def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
+def _ranking_rows(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
     """Return a table row for each candidate of a round that was refitted or has a notable score."""
 
     def cell(value: float | None) -> str:
@@ -303,13 +307,13 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
     return rows
 
 
-def _more_rounds(diagnosis: Diagnosis) -> str:
+def _omitted_rounds_sentence(diagnosis: Diagnosis) -> str:
     """State how many rounds the figure leaves out; empty if it has all."""
     remaining_rounds = len(diagnosis.search.rounds) - figures.MAX_ROUNDS
     return f" {remaining_rounds} later rounds are in the table." if remaining_rounds > 0 else ""
 
 
-def _flights(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def _flight_sections(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return a section for each flight: its role, and the parts that were used and left out."""
     sections = []
     for flight in flights:

@@ -22,11 +22,7 @@ def regions_section(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, 
     """
     first = diagnosis.failing
     all_regions = [first, *(diagnosis.failing_about(axis) for axis in AXES if axis != first.axis)]
-    models = ["baseline", "model with all named causes"]
-    if diagnosis.proposal is not None:
-        models = [models[1], "with the proposed equation"]
-    elif not diagnosis.assessment.extended.candidates:
-        models = models[:1]
+    models = _compared_models(diagnosis)
     figure = equation_figures.figure_of_failing_regions(all_regions, models)
     return {
         "address": save_figure("regions", figure),
@@ -35,13 +31,22 @@ def regions_section(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, 
     }
 
 
+def _compared_models(diagnosis: Diagnosis) -> list[str]:
+    """Name the models that the regions compare: before and after the last extension of the model."""
+    if diagnosis.proposal is not None:
+        return ["model with all named causes", "with the proposed equation"]
+    if diagnosis.assessment.extended.candidates:
+        return ["baseline", "model with all named causes"]
+    return ["baseline"]
+
+
 def _regions_sentence(regions: FailingRegions, models: Sequence[str]) -> str:
     """State the missing torque about an axis, and how often each model fails."""
     texts = []
     for model, test in zip(models, (regions.before, regions.after), strict=False):
         name = model.replace("with the", "model with the")
         share = f"in {100 * test.share:.0f} % of the time" if test.fails.any() else "in no cell"
-        texts.append(f"the {name} lacks {_mNm(test.rms_Nm)} mN m rms and fails {share}")
+        texts.append(f"the {name} lacks {_torque_text_mNm(test.rms_Nm)} mN m rms and fails {share}")
     return f"About {regions.axis}: " + "; ".join(texts)
 
 
@@ -74,6 +79,6 @@ def unknown_torque(diagnosis: Diagnosis, save_figure: SaveFigure) -> Picture | N
     return save_figure("unknown", equation_figures.figure_of_unknown_torque(diagnosis.failing))
 
 
-def _mNm(torque_Nm: float) -> str:
+def _torque_text_mNm(torque_Nm: float) -> str:
     """Write a torque in mN m: whole numbers from 10 mN m on, two digits below."""
     return f"{1e3 * torque_Nm:.0f}" if torque_Nm >= 0.01 else f"{1e3 * torque_Nm:.2g}"

@@ -144,7 +144,7 @@ def figure_of_prediction(
 
     baseline, extended = trace(before), trace(after)
     axes = sorted(range(3), key=lambda axis: AXES[axis] != first)
-    excerpt = _excerpt(baseline, axes[0])
+    excerpt = _rows_with_largest_error(baseline, axes[0])
     t_s = baseline.t_s[excerpt]
     figure = Figure(figsize=(11, 7.2))
     panels = figure.subplots(4, 1, sharex=True, height_ratios=[2.4, 1.3, 1.0, 1.0])
@@ -218,7 +218,7 @@ def _shade_extrapolations(
             panel.axvspan(begin_s, end_s, color="#f3e3c3", lw=0.0, zorder=-1, label=label)
 
 
-def _excerpt(run: Trace, axis: int) -> slice:
+def _rows_with_largest_error(run: Trace, axis: int) -> slice:
     """Return the rows of consecutive windows in which the error of an axis is largest.
 
     The windows have a total duration of at most `_EXCERPT_s`; if a single window is longer, the first one is

@@ -143,7 +143,7 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
             f"({low:.2f} to {high:.2f})"
         )
     lines += [f"a curve in its place: {curve.what}" for curve in result.curves]
-    lines += _reductions(result.held_out.splines)
+    lines += _error_reduction_text(result.held_out.splines)
     if result.proposal is not None:
         lines += proposal_lines(result.proposal)
     elif result.label == "unexplained":
@@ -204,7 +204,7 @@ def proposal_lines(proposal: Proposal) -> list[str]:
     close = [rival.key for rival in discovery.rivals if rival.log_likelihood_ratio < CONFIDENCE_NATS]
     if close:
         lines.append(f"  nearly as likely on these flights: {'; '.join(close)}")
-    lines += _reductions(proposal.evaluation.reductions)
+    lines += _error_reduction_text(proposal.evaluation.reductions)
     if discovery.superfluous:
         lines.append(f"  not needed any more with it: {', '.join(discovery.superfluous)}")
     return lines
@@ -218,7 +218,7 @@ def equation_evidence(discovery: Discovery) -> str:
     return f"{fitted_text}, {evidence_in_words(discovery.held_out)} on held-out flights"
 
 
-def _reductions(reductions: Mapping[str, ErrorReduction]) -> list[str]:
+def _error_reduction_text(reductions: Mapping[str, ErrorReduction]) -> list[str]:
     """Describe the errors that became smaller: those whose 95 % interval of the ratio is below 1."""
     return [
         f"  with it {axis} has an error of {reduction.after_deg:.3g} deg, ratio {reduction.ratio:.2f}"

@@ -33,6 +33,9 @@ from heli_lab.diagnose.search import QUANTITIES
 from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
 from heli_lab.identify import check
 
+_SCREENED, _SPLINES = 8, 3
+"""Candidates of a round in the ranking: effects, then splines."""
+
 
 def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
     """Write a `result` as a JSON object; docs/reference/json.md describes its keys.
@@ -48,20 +51,20 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
         "causes": causes(result),
         "too_small": too_small_effects(result),
         "rig": rig_numbers(result),
-        "residual": _residual(result),
+        "residual": _residual_json(result),
         "disturbances": disturbances(result.assessment.residual_analysis),
         "thrust_noise": thrust_noise(result.assessment.residual_analysis),
-        "gain": _gain(result),
+        "gain": _error_reduction_json(result),
         "unexplained": unexplained(result),
         "proposed_term": proposal_json(result.proposal) if result.proposal else None,
-        "failing_regions": _failing_regions(result.failing),
+        "failing_regions": _failing_regions_json(result.failing),
         "next_flight": {"why": experiment.why, "plan": experiment.plan} if experiment else None,
         "undetectable": list(result.undetectable),
         "unidentifiable": list(result.unidentifiable),
-        "prior_conflicts": [_prior_conflict(conflict) for conflict in result.prior_conflicts],
+        "prior_conflicts": [_prior_conflict_json(conflict) for conflict in result.prior_conflicts],
         "cautions": cautions(result),
-        "flights": _flights(result),
-        "ranking": _ranking(result),
+        "flights": _flights_json(result),
+        "ranking": _ranking_json(result),
         "refits": result.effort.refits,
         "seconds_taken": result.effort.seconds,
         "complete": result.search.complete,
@@ -141,7 +144,7 @@ def proposal_json(proposal: Proposal) -> dict[str, Any]:
     """Write a proposed equation with its evidence and its gain."""
     term, discovery, equation = proposal.term, proposal.term.discovery, proposal.term.equation
     symbols = {name for equation_term in equation.terms for name in equation_term.term.quantities}
-    first, *further = (_channel(term, channel) for channel in equation.channels)
+    first, *further = (_channel_json(term, channel) for channel in equation.channels)
     return {
         "effect": discovery.effect.name,
         **first,
@@ -180,7 +183,7 @@ def proposal_json(proposal: Proposal) -> dict[str, Any]:
     }
 
 
-def _channel(term: ProposedTerm, channel: str) -> dict[str, str]:
+def _channel_json(term: ProposedTerm, channel: str) -> dict[str, str]:
     """Return the terms of an equation on a channel, with names and with values of its parameters."""
     return {
         "channel": channel,
@@ -190,7 +193,7 @@ def _channel(term: ProposedTerm, channel: str) -> dict[str, str]:
     }
 
 
-def _failing_regions(regions: FailingRegions) -> dict[str, Any]:
+def _failing_regions_json(regions: FailingRegions) -> dict[str, Any]:
     """Return the cells of the plane in which the model fails, before and after the extension."""
 
     def cells_of(test: RegionTest) -> dict[str, Any]:
@@ -219,7 +222,7 @@ def _failing_regions(regions: FailingRegions) -> dict[str, Any]:
     }
 
 
-def _prior_conflict(conflict: PriorConflict) -> dict[str, Any]:
+def _prior_conflict_json(conflict: PriorConflict) -> dict[str, Any]:
     """Return a conflict of an estimate with its prior, and the estimate without the prior."""
     return {
         "parameter": conflict.name,
@@ -232,7 +235,7 @@ def _prior_conflict(conflict: PriorConflict) -> dict[str, Any]:
     }
 
 
-def _residual(result: Diagnosis) -> dict[str, Any]:
+def _residual_json(result: Diagnosis) -> dict[str, Any]:
     """Return normalised errors before and after, by axis and in total, and whether they are white."""
     before, after = result.assessment.before, result.assessment.after
     white, correlation = {}, {}
@@ -257,11 +260,11 @@ def _residual(result: Diagnosis) -> dict[str, Any]:
         },
         "white": white,
         "correlation": correlation,
-        "innovations": _innovations(result.assessment.residual_analysis),
+        "innovations": _innovations_json(result.assessment.residual_analysis),
     }
 
 
-def _innovations(analysis: ResidualAnalysis) -> dict[str, Any]:
+def _innovations_json(analysis: ResidualAnalysis) -> dict[str, Any]:
     """Return the autocorrelation of the innovations, its bound for white noise, and the dependences."""
     return {
         "lags_s": list(analysis.lags_s),
@@ -271,7 +274,7 @@ def _innovations(analysis: ResidualAnalysis) -> dict[str, Any]:
     }
 
 
-def _flights(result: Diagnosis) -> list[dict[str, Any]]:
+def _flights_json(result: Diagnosis) -> list[dict[str, Any]]:
     """Return for each flight the parts that were used, and the reasons why others were not."""
     flights = []
     before = result.assessment.before
@@ -295,12 +298,12 @@ def _flights(result: Diagnosis) -> list[dict[str, Any]]:
     return flights
 
 
-def _ranking(result: Diagnosis) -> list[dict[str, Any]]:
+def _ranking_json(result: Diagnosis) -> list[dict[str, Any]]:
     """Return the best candidates of each round with scores, gains of refits, and penalties."""
     rows = []
     for number, round_ in enumerate(result.search.rounds, 1):
         refits = {refit.candidate.id: refit for refit in round_.refits}
-        for scored in (*round_.screened[:8], *round_.splines[:3]):
+        for scored in (*round_.screened[:_SCREENED], *round_.splines[:_SPLINES]):
             refit = refits.get(scored.candidate.id)
             rows.append(
                 {
@@ -315,7 +318,7 @@ def _ranking(result: Diagnosis) -> list[dict[str, Any]]:
     return rows
 
 
-def _gain(result: Diagnosis) -> dict[str, Any]:
+def _error_reduction_json(result: Diagnosis) -> dict[str, Any]:
     """Return free-run errors before and after at each horizon, calibrated constants and extrapolations."""
     extension = result.held_out.extension
     return {
@@ -327,8 +330,8 @@ def _gain(result: Diagnosis) -> dict[str, Any]:
                 "flight": after.label,
                 "calibrated_s": after.calibrated_s,
                 "evaluated_s": after.evaluated_s,
-                "before": _constants(before),
-                "after": _constants(after),
+                "before": _constants_json(before),
+                "after": _constants_json(after),
             }
             for before, after in zip(extension.before, extension.after, strict=True)
         ],
@@ -355,7 +358,7 @@ def _gain(result: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _constants(run: FreeRun) -> dict[str, dict[str, Any]]:
+def _constants_json(run: FreeRun) -> dict[str, dict[str, Any]]:
     """Return the calibrated zeros and torques by name: value, standard error, prior and unit."""
     units = {quantity.name: quantity.unit for quantity in run.fit.problem.model.parameters}
     return {

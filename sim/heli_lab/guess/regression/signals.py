@@ -112,13 +112,13 @@ def _butterworth(values: Floats, cutoff_Hz: float) -> Floats:
     # The next power of 2 at which the end of the circular convolution does not reach its beginning.
     fft_rows = 1 << (values.size + _SETTLED_ROWS - 1).bit_length()
     spectrum = np.fft.rfft(values - values[0], fft_rows)
-    convolution = np.fft.irfft(spectrum * _response(fft_rows, cutoff_Hz), fft_rows)
+    convolution = np.fft.irfft(spectrum * _butterworth_response(fft_rows, cutoff_Hz), fft_rows)
     low_passed: Floats = convolution[: values.size] + values[0]
     return low_passed
 
 
 @cache
-def _response(fft_rows: int, cutoff_Hz: float) -> NDArray[np.complex128]:
+def _butterworth_response(fft_rows: int, cutoff_Hz: float) -> NDArray[np.complex128]:
     """Frequency response of a digital fourth-order Butterworth filter (bilinear transform), at the
     frequencies of a real FFT of `fft_rows` values; shape (fft_rows / 2 + 1,).
     """

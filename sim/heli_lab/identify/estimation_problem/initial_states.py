@@ -53,10 +53,10 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
     """
     record = problem.records[index]
     states = np.zeros((len(rows), problem.state_count))
-    states[:, :RIGID_STATES] = _parabolas(record, rows, STATE_FIT_S)
+    states[:, :RIGID_STATES] = _angles_and_rates_by_parabola(record, rows, STATE_FIT_S)
     if problem.state_count == RIGID_STATES:
         return states
-    states[:, RIGID_STATES:] = _after_run_in(problem, index, rows, states, theta)
+    states[:, RIGID_STATES:] = _effect_states_after_run_in(problem, index, rows, states, theta)
     measured = {state: axis for effect in problem.model.effects for state, axis in effect.measured_as.items()}
     for column, state in enumerate(problem.model.states):
         if state.name in measured:
@@ -86,7 +86,9 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
         One array per alternative.
     """
     short_fit = states.copy()
-    short_fit[:, :RIGID_STATES] = _parabolas(problem.records[index], problem.first_rows(index), SHORT_FIT_S)
+    short_fit[:, :RIGID_STATES] = _angles_and_rates_by_parabola(
+        problem.records[index], problem.first_rows(index), SHORT_FIT_S
+    )
     ends_of_previous = _ends_of_previous_windows(problem, index, theta, states)
     return [ends_of_previous, short_fit, *_starts_of_effects(problem, index, theta)]
 
@@ -100,6 +102,7 @@ def _ends_of_previous_windows(problem: Problem, index: int, theta: Floats, state
     grid, parameters = problem.grid(index, fine=False, theta=theta), problem.parameters(theta, index)
     _, ends = problem.kernel.predict(grid.inputs, states, parameters)
     first, count = np.array(problem.windows(index)).T
+    # A window that follows a gap or a diverged window keeps its own states.
     adjoins = first[:-1] + count[:-1] == first[1:]
     previous = np.flatnonzero(adjoins & np.isfinite(ends[:-1]).all(axis=1))
     result = states.copy()
@@ -124,7 +127,9 @@ def _starts_of_effects(problem: Problem, index: int, theta: Floats) -> list[Floa
     return starts
 
 
-def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, theta: Floats) -> Floats:
+def _effect_states_after_run_in(
+    problem: Problem, index: int, rows: Integers, states: Floats, theta: Floats
+) -> Floats:
     """Estimate the states of effects at given rows by simulations that end there.
 
     A simulation begins `SETTLED_S` before its row, with effects at rest. It may begin before the segment of
@@ -156,20 +161,22 @@ def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, 
         grid = make_grid(record, windows, 1, delay=delay_of(problem.model, parameters))
         start = states[simulated].copy()
         start[:, RIGID_STATES:] = 0.0
-        in_segment = first_rows >= _segments_of(record, rows[simulated])[:, 0]
-        start[in_segment, :RIGID_STATES] = _parabolas(record, first_rows[in_segment], STATE_FIT_S)
+        in_segment = first_rows >= _segment_of_rows(record, rows[simulated])[:, 0]
+        start[in_segment, :RIGID_STATES] = _angles_and_rates_by_parabola(
+            record, first_rows[in_segment], STATE_FIT_S
+        )
         _, end = problem.kernel.predict(grid.inputs, start, parameters)
         effect_states[simulated] = end[:, RIGID_STATES:]
     return np.where(np.isfinite(effect_states), effect_states, 0.0)
 
 
-def _segments_of(record: Record, rows: Integers) -> Integers:
+def _segment_of_rows(record: Record, rows: Integers) -> Integers:
     """Return first row, and last row plus one, of the free segment that contains each row, shape (w, 2)."""
     segments = np.array(record.segments)
     return segments[np.searchsorted(segments[:, 0], rows, side="right") - 1]
 
 
-def _parabolas(record: Record, rows: Integers, reach_s: float) -> Floats:
+def _angles_and_rates_by_parabola(record: Record, rows: Integers, reach_s: float) -> Floats:
     """Fit a parabola to the angles around each row, and return its value and slope there.
 
     Parameters
@@ -185,7 +192,7 @@ def _parabolas(record: Record, rows: Integers, reach_s: float) -> Floats:
         Three angles [rad] and three rates [rad/s] at each row.
     """
     reach = max(3, round(reach_s / record.step_s))
-    segments = _segments_of(record, rows)
+    segments = _segment_of_rows(record, rows)
     low, high = np.maximum(segments[:, 0], rows - reach), np.minimum(segments[:, 1], rows + reach + 1)
     angles_and_rates = np.empty((len(rows), RIGID_STATES))
     # Rows with as many samples before and after them share one least-squares problem. Only rows near the edge

@@ -107,11 +107,13 @@ class Problem:
         all_free = free_parameters(model, rig, free, priors or {})
         self.records = prepare_all(flights, rig)
         _check_records(self.records)
-        shared = [parameter for parameter in all_free if parameter.quantity not in per_flight]
-        of_flights = [parameter for parameter in all_free if parameter.quantity in per_flight]
+        shared_parameters = [parameter for parameter in all_free if parameter.quantity not in per_flight]
+        per_flight_parameters = [parameter for parameter in all_free if parameter.quantity in per_flight]
         labels = [record.label for record in self.records]
         all_values = parameter_values(model, rig, values or {})
-        self.parameter_vector = ParameterVector(model.parameter_names, all_values, shared, of_flights, labels)
+        self.parameter_vector = ParameterVector(
+            model.parameter_names, all_values, shared_parameters, per_flight_parameters, labels
+        )
         self.grids = WindowGrids(self.records, window_s, step_s)
         self.state_count = len(model.states)
         self.state_std_by_name = _state_stds(model, rig) | dict(state_std or {})
@@ -133,7 +135,7 @@ class Problem:
         self.__dict__.update(state)
         self.kernel = kernel(self.model, self._kernel_free, self.threads)
 
-    def _with(self, grids: WindowGrids) -> Problem:
+    def _with_grids(self, grids: WindowGrids) -> Problem:
         """Return the same problem with other `grids`; both share one kernel."""
         # copy.copy uses the pickled state, and would build the kernel again.
         other = Problem.__new__(Problem)
@@ -159,7 +161,7 @@ class Problem:
         """Return the same problem with windows of about `window_s` [s]; both share flights, parameters and
         kernel.
         """
-        return self._with(self.grids.copy(window_s=window_s))
+        return self._with_grids(self.grids.copy(window_s=window_s))
 
     def with_free(self, free: Sequence[FreeParameter]) -> Problem:
         """Return the same problem with other free parameters, for predictions without derivatives.
@@ -171,7 +173,7 @@ class Problem:
         free : sequence of FreeParameter
             Parameters that all flights share, then those of single flights.
         """
-        other = self._with(self.grids.copy())
+        other = self._with_grids(self.grids.copy())
         other.parameter_vector = self.parameter_vector.with_free(free)
         return other
 
@@ -182,7 +184,7 @@ class Problem:
         The samples stay the same, but are predicted over a shorter time, because each part has its own
         initial state.
         """
-        return self._with(self.grids.copy(parts=parts))
+        return self._with_grids(self.grids.copy(parts=parts))
 
     def parameters(self, theta: Floats, index: int = 0) -> Floats:
         """Return all parameters of the model in flight `index`, shape (p,), for the free parameters `theta`,

@@ -120,10 +120,10 @@ def combinations(names: Sequence[str], information: Floats, prior_std: Floats) -
     whitened = information * np.outer(prior_std, prior_std)
     informations, directions = np.linalg.eigh(0.5 * (whitened + whitened.T))
     result = []
-    for of_flights, direction in zip(np.maximum(informations, 0.0), directions.T, strict=True):
-        if of_flights >= 1.0:
+    for flight_information, direction in zip(np.maximum(informations, 0.0), directions.T, strict=True):
+        if flight_information >= 1.0:
             break
-        std_over_prior = 1.0 / math.sqrt(1.0 + of_flights)
+        std_over_prior = 1.0 / math.sqrt(1.0 + flight_information)
         size = np.abs(direction)
         order = [i for i in np.argsort(-size) if size[i] >= COMBINATION_WEIGHT * size.max()]
         # The first parameter increases; an eigenvector has either sign.

@@ -38,14 +38,14 @@ def kernel(model: Model, free: tuple[str, ...], threads: int | None = None) -> K
     PlantError
         When the compiler fails.
     """
-    functions, library = _built(model, free)
+    functions, library = _functions_and_library(model, free)
     if library is None:
         return InterpretedKernel(functions)
     return CompiledKernel(functions, str(library), default_thread_count() if threads is None else threads)
 
 
 @functools.lru_cache(maxsize=4)
-def _built(model: Model, free: tuple[str, ...]) -> tuple[Functions, Path | None]:
+def _functions_and_library(model: Model, free: tuple[str, ...]) -> tuple[Functions, Path | None]:
     """Return the functions of a kernel, and its compiled library if there is a C compiler.
 
     The results are kept, because flights are predicted one after the other with the same model, and deriving

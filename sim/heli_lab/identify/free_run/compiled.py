@@ -29,7 +29,7 @@ _FUNCTIONS: Final = "/* The functions of the model end here. */"
 """Line of the loop before which these functions are inserted."""
 
 
-def _chain(functions: Functions, function: ca.Function) -> str:
+def _chain_rule_macro(functions: Functions, function: ca.Function) -> str:
     """Write the chain rule for the sensitivities of a function in C, as the body of a macro.
 
     The sensitivities are out = fx s + fp + fu du: the Jacobians fx, fp and fu to state, free parameters and
@@ -42,6 +42,8 @@ def _chain(functions: Functions, function: ca.Function) -> str:
         Returns a value and its Jacobians fx, fp and fu.
     """
     lines = []
+    # In C, fx, fp and fu hold the nonzeros of the Jacobians to state, free parameters and voltages. The
+    # sensitivities of the state are s, those of the voltages du.
     fx = _nonzeros(function.sparsity_out(1))
     for row in range(function.size1_out(0)):
         terms = [f"fx[{k}] * s[{j}][z]" for k, (i, j) in enumerate(fx) if i == row]
@@ -75,9 +77,9 @@ def kernel_source(functions: Functions) -> str:
         "SIZE_FU": nonzeros[2],
         "ANGLES_ARE_STATES": int(functions.angles_are_states),
         "HAS_RESET": int(functions.has_reset),
-        "CHAIN_RATES": _chain(functions, functions.rates_jacobian),
-        "CHAIN_ANGLES": _chain(functions, functions.angles_jacobian),
-        "CHAIN_RESET_MAP": _chain(functions, functions.reset_map_jacobian),
+        "CHAIN_RATES": _chain_rule_macro(functions, functions.rates_jacobian),
+        "CHAIN_ANGLES": _chain_rule_macro(functions, functions.angles_jacobian),
+        "CHAIN_RESET_MAP": _chain_rule_macro(functions, functions.reset_map_jacobian),
     }
     loop = LOOP.read_text(encoding="utf-8")
     before, mark, after = loop.partition(_FUNCTIONS)
@@ -86,7 +88,7 @@ def kernel_source(functions: Functions) -> str:
     return "".join((defines, before, model_functions, mark, after))
 
 
-def _address(array: Floats | Integers | None, row: int = 0) -> ctypes.c_void_p | None:
+def _row_address(array: Floats | Integers | None, row: int = 0) -> ctypes.c_void_p | None:
     """Address of a row of an array, for a call of C; null without an array."""
     return None if array is None else ctypes.c_void_p(array[row:].ctypes.data)
 
@@ -139,12 +141,12 @@ class CompiledKernel(Kernel):
 
     @override
     def predict(self, inputs: Inputs, start: Floats, parameters: Floats) -> tuple[Floats, Floats]:
-        return self._call(inputs, start, parameters)
+        return self._run_in_c(inputs, start, parameters)
 
     @override
     def jacobian(self, inputs: Inputs, start: Floats, parameters: Floats) -> tuple[Floats, Floats]:
         jacobian = np.empty((inputs.rows, 3, self._column_count))
-        angles, _ = self._call(inputs, start, parameters, jacobian=jacobian)
+        angles, _ = self._run_in_c(inputs, start, parameters, jacobian=jacobian)
         return angles, jacobian
 
     @override
@@ -157,10 +159,10 @@ class CompiledKernel(Kernel):
             np.ascontiguousarray(sigma_rad, float),
             np.zeros((len(inputs.steps), 3, size, size)),
         )
-        angles, _ = self._call(inputs, start, parameters, products=products)
+        angles, _ = self._run_in_c(inputs, start, parameters, products=products)
         return angles, products.result
 
-    def _call(
+    def _run_in_c(
         self,
         inputs: Inputs,
         start: Floats,
@@ -193,21 +195,27 @@ class CompiledKernel(Kernel):
         # These dictionaries also keep the arrays alive while C has their addresses.
         of_mean = {by.parameter: np.ascontiguousarray(by.of_mean) for by in inputs.voltage_derivatives}
         of_change = {by.parameter: np.ascontiguousarray(by.of_change) for by in inputs.voltage_derivatives}
-        mean_by, change_by = self._pointers(of_mean), self._pointers(of_change)
+        mean_pointers, change_pointers = self._pointers(of_mean), self._pointers(of_change)
         first, steps = inputs.first, np.ascontiguousarray(inputs.steps, np.int64)
 
         def run_windows(low: int, high: int) -> None:
             """Run the windows `low` to `high` - 1 in C; the arguments are those of heli_windows."""
             self._windows(
                 ctypes.c_longlong(high - low),
-                *(_address(array, low) for array in (first, steps, start_s)),
+                *(_row_address(array, low) for array in (first, steps, start_s)),
                 ctypes.c_double(inputs.step_s),
                 ctypes.c_longlong(inputs.substeps),
-                *(_address(mean), _address(change), mean_by, change_by),
-                *(_address(x0, low), _address(p), _address(angles), _address(jacobian), _address(end, low)),
-                _address(products.measured_rad if products else None),
-                _address(products.sigma_rad if products else None),
-                _address(products.result if products else None, low),
+                *(_row_address(mean), _row_address(change), mean_pointers, change_pointers),
+                *(
+                    _row_address(x0, low),
+                    _row_address(p),
+                    _row_address(angles),
+                    _row_address(jacobian),
+                    _row_address(end, low),
+                ),
+                _row_address(products.measured_rad if products else None),
+                _row_address(products.sigma_rad if products else None),
+                _row_address(products.result if products else None, low),
             )
 
         # Python threads run in parallel here, because the call of C releases Python's global lock.

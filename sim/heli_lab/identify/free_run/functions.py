@@ -97,6 +97,7 @@ class Functions:
         rates = ca.densify(model.dynamics(x, u, p, t))
         angles = ca.densify(model.measurement(x, u, p, t))
         to_free = [p[i] for i in self.free_index]
+        # The number 10 is the depth to which CasADi compares expressions.
         self.angles_are_states = bool(ca.is_equal(angles, x[:3], 10))
 
         def with_derivatives(value: ca.SX) -> list[ca.SX]:

@@ -166,18 +166,22 @@ class _Step:
     def advance(self, states: _States) -> _States:
         """Integrate the states to the end of the step, by Runge-Kutta steps of fourth order."""
         share = 1.0 / self.inputs.substeps
-        h = self.inputs.step_s * share
+        substep_s = self.inputs.step_s * share
         for substep in range(self.inputs.substeps):
-            begin, middle, end = substep * share, (substep + 0.5) * share, (substep + 1) * share
-            k1 = self.evaluate("rates", begin, states)
-            k2 = self.evaluate("rates", middle, states.moved(k1, h / 2))
-            k3 = self.evaluate("rates", middle, states.moved(k2, h / 2))
-            k4 = self.evaluate("rates", end, states.moved(k3, h))
+            start_share, middle_share, end_share = (
+                substep * share,
+                (substep + 0.5) * share,
+                (substep + 1) * share,
+            )
+            k1 = self.evaluate("rates", start_share, states)
+            k2 = self.evaluate("rates", middle_share, states.moved(k1, substep_s / 2))
+            k3 = self.evaluate("rates", middle_share, states.moved(k2, substep_s / 2))
+            k4 = self.evaluate("rates", end_share, states.moved(k3, substep_s))
             rate_sum = _States(
                 k1.value + 2 * k2.value + 2 * k3.value + k4.value,
                 k1.sensitivity + 2 * k2.sensitivity + 2 * k3.sensitivity + k4.sensitivity,
             )
-            states = states.moved(rate_sum, h / 6)
+            states = states.moved(rate_sum, substep_s / 6)
             if self.kernel.functions.has_reset:
-                states = self.evaluate("reset_map", end, states)
+                states = self.evaluate("reset_map", end_share, states)
         return states

@@ -94,11 +94,11 @@ def c_function(function: ca.Function) -> str:
             if number != _SHARED_INPUT:
                 vectors.add(value)
         elif code == ca.OP_CONST:
-            value = f"({_literal(function.instruction_constant(k))})"
+            value = f"({_c_literal(function.instruction_constant(k))})"
         else:
             value = f"v{k}"
             x, y = in_register[operands[0]], in_register[operands[-1]]
-            lines.append(_operation(value, code, x, y, vectors))
+            lines.append(_c_operation(value, code, x, y, vectors))
         in_register[target[0]] = value
     arguments = ", ".join(
         [f"const {'double' if i == _SHARED_INPUT else 'Lanes'}* a{i}" for i in range(function.n_in())]
@@ -108,7 +108,7 @@ def c_function(function: ca.Function) -> str:
     return f"WIDE static void {function.name()}({arguments}) {{\n  {body}\n}}\n"
 
 
-def _operation(result: str, code: int, x: str, y: str, vectors: set[str]) -> str:
+def _c_operation(result: str, code: int, x: str, y: str, vectors: set[str]) -> str:
     """Write one operation as a C statement.
 
     Parameters
@@ -137,7 +137,7 @@ def _operation(result: str, code: int, x: str, y: str, vectors: set[str]) -> str
     return f"Lanes {result}; for (int z = 0; z < LANES; ++z) {result}[z] = {expression.format(x=x, y=y)};"
 
 
-def _literal(value: float) -> str:
+def _c_literal(value: float) -> str:
     """Write a number in C."""
     if math.isnan(value):
         return "NAN"

@@ -72,29 +72,31 @@ def verdict(identification: Identification) -> str:
     numbers = identification.json()
     role = numbers["free_run_of"]
     normalised_error = numbers["normalised_residual"][role]
-    where = "the fitted flights" if role == "train" else "the validation flights"
+    which = "the fitted flights" if role == "train" else "the validation flights"
     window_s = identification.fit.problem.grids.window_s
     errors = ", ".join(f"{axis} {numbers['free_run_rms_deg'][axis]:.3g}" for axis in AXES)
     at_rest = axes_at_rest(identification.validation_traces or identification.training_traces)
     if normalised_error > QUANTISATION_ONLY:
-        first = (
-            f"The model has an error of {normalised_error:.3g} times the encoders' quantisation on {where}: "
+        first_sentence = (
+            f"The model has an error of {normalised_error:.3g} times the encoders' quantisation on {which}: "
             "it lacks something, and its parameters are biased."
         )
     elif len(at_rest) == len(AXES):
-        first = (
-            f"No axis moves on {where}, so the small error, {normalised_error:.3f} when normalised, shows "
+        first_sentence = (
+            f"No axis moves on {which}, so the small error, {normalised_error:.3f} when normalised, shows "
             "nothing."
         )
     else:
-        first = (
-            f"Only the encoders' quantisation remains on {where}: normalised error {normalised_error:.3f}."
+        first_sentence = (
+            f"Only the encoders' quantisation remains on {which}: normalised error {normalised_error:.3f}."
         )
-    not_shown = _not_shown(identification, at_rest)
-    return " ".join([first, *not_shown, f"Free-run error over {window_s:g} s, rms in degrees: {errors}."])
+    not_shown = _sentences_on_axes_at_rest(identification, at_rest)
+    return " ".join(
+        [first_sentence, *not_shown, f"Free-run error over {window_s:g} s, rms in degrees: {errors}."]
+    )
 
 
-def _not_shown(identification: Identification, at_rest: Sequence[str]) -> list[str]:
+def _sentences_on_axes_at_rest(identification: Identification, at_rest: Sequence[str]) -> list[str]:
     """Write up to two sentences on what the flights do not show because the axes `at_rest` do not move."""
     if not at_rest:
         return []
@@ -148,11 +150,11 @@ def _used_flights(identification: Identification) -> list[dict[str, Any]]:
     windows.
     """
     fit = identification.fit
-    used = []
+    sections = []
     flights = zip(fit.problem.records, identification.training, fit.weights, strict=True)
     for record, errors, weights in flights:
         notes = "".join(f" {note}." for note in record.notes)
-        used.append(
+        sections.append(
             {
                 "sentence": f"{record.label}: {errors.seconds_used:.1f} s of free flight in windows of "
                 f"{errors.window_s:.2f} s.{notes}",
@@ -160,4 +162,4 @@ def _used_flights(identification: Identification) -> list[dict[str, Any]]:
                 "outlier_count": sum(1 for weight in weights if weight < 1.0),
             }
         )
-    return used
+    return sections

@@ -79,20 +79,20 @@ class Identification:
         these torques, and their scatter in the tolerance. If encoder zeros were estimated for each flight,
         the rig keeps its old zeros.
         """
-        old = self.fit.problem.rig
+        fitted_rig = self.fit.problem.rig
         labels = ", ".join(record.label for record in self.fit.problem.records)
-        numbers = dict(old.numbers)
+        numbers = dict(fitted_rig.numbers)
         uninformed = set(self.uninformed_parameters)
         for quantity, estimates in self._estimates_by_quantity().items():
-            before = numbers[quantity]
+            prior_number = numbers[quantity]
             values, errors = np.array(estimates).T
             scatter = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
             tolerance = 2.0 * math.hypot(float(np.sqrt(np.mean(errors**2))), scatter)
             origin = "not informed by" if quantity in uninformed else "identified from"
-            source = f"{origin} {labels}; before: {before.value:g} +- {before.tolerance:g}"
-            numbers[quantity] = Number(float(np.mean(values)), before.unit, tolerance, source)
-        description = f"{old.name} as identified from {labels}"
-        return Rig(name, description, numbers, self._effects(), self.fit.problem.model.name)
+            source = f"{origin} {labels}; before: {prior_number.value:g} +- {prior_number.tolerance:g}"
+            numbers[quantity] = Number(float(np.mean(values)), prior_number.unit, tolerance, source)
+        description = f"{fitted_rig.name} as identified from {labels}"
+        return Rig(name, description, numbers, self._effect_numbers(), self.fit.problem.model.name)
 
     def _estimates_by_quantity(self) -> dict[str, list[tuple[float, float]]]:
         """Collect estimate and standard error of each rig parameter: one pair, or one per flight if flights
@@ -107,7 +107,7 @@ class Identification:
                 estimates.setdefault(parameter.quantity, []).append((float(value), std))
         return estimates
 
-    def _effects(self) -> dict[str, dict[str, Number]]:
+    def _effect_numbers(self) -> dict[str, dict[str, Number]]:
         """Return the parameters of the model's effects as a rig file has them: by effect, then by short
         name.
         """
@@ -170,14 +170,14 @@ class Identification:
                 for combination in self.combinations
             ],
             "uninformed_parameters": self.uninformed_parameters,
-            "flights": [self._flight(check, "train") for check in self.training]
-            + [self._flight(check, "validation") for check in self.validation],
+            "flights": [self._flight_json(check, "train") for check in self.training]
+            + [self._flight_json(check, "validation") for check in self.validation],
             "seconds_used": sum(check.seconds_used for check in self.training),
             "seconds_taken": fit.elapsed_s,
             "converged": fit.converged,
         }
 
-    def _flight(self, check: FreeRunErrors, role: str) -> dict[str, Any]:
+    def _flight_json(self, check: FreeRunErrors, role: str) -> dict[str, Any]:
         """Entry of one flight in the JSON."""
         records = {record.label: record for record in self.fit.problem.records}
         entry: dict[str, Any] = {

@@ -74,9 +74,10 @@ def add_state_prior(
     diagonal, effect_rows = np.arange(state_count), np.arange(RIGID_STATES, state_count)
     precision = 1.0 / problem.state_std**2
     normal[:, effect_rows, effect_rows] += precision
-    pull = precision * (reference - states)[:, RIGID_STATES:]
-    normal[:, effect_rows, -1] += pull
-    normal[:, -1, effect_rows] += pull
+    prior_gradient = precision * (reference - states)[:, RIGID_STATES:]
+    # The last row and the last column of the normal equations are the right-hand side.
+    normal[:, effect_rows, -1] += prior_gradient
+    normal[:, -1, effect_rows] += prior_gradient
     normal[:, diagonal, diagonal] *= 1.0 + np.reshape(damping, (-1, 1))
 
 

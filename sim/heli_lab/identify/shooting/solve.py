@@ -81,7 +81,7 @@ def solve(
     """
     cost = ShootingCost(problem, robust)
     shooting = MultipleShooting(cost, budget or Budget(), on_progress)
-    theta, states = _start(cost, start)
+    theta, states = _start_point(cost, start)
     cost.state_prior = cost.initial_state_guess(theta)
     iterate = cost.evaluate(theta, states)
     cost.reweight(iterate)
@@ -94,11 +94,11 @@ def solve(
     if fine and not shooting.is_out_of_budget():
         iterate, fine_converged = _fit_every_sample(shooting, iterate)
         converged = converged and fine_converged
-    return _result(shooting, iterate, converged, scatter)
+    return _collect_fit(shooting, iterate, converged, scatter)
 
 
 @dataclass(frozen=True)
-class _Round:
+class _RoundResult:
     """Result of one search for the minimum, and of the estimate of the weights after it.
 
     Parameters
@@ -116,7 +116,7 @@ class _Round:
     weights_settled: bool
 
 
-def _fit_coarse_grid(shooting: MultipleShooting, iterate: Iterate, warm_start: bool) -> _Round:
+def _fit_coarse_grid(shooting: MultipleShooting, iterate: Iterate, warm_start: bool) -> _RoundResult:
     """Fit on the coarse grid, in rounds until the weights settle; return the last round.
 
     Parameters
@@ -136,7 +136,7 @@ def _fit_coarse_grid(shooting: MultipleShooting, iterate: Iterate, warm_start: b
         work_done = (_COARSE_SHARE * number / round_count, _COARSE_SHARE * (number + 1) / round_count)
         max_steps = _ROUGH_STEPS if is_rough else _COARSE_STEPS
         stage = f"coarse fit, round {number + 1}"
-        last = _round(shooting, iterate, stage, work_done, max_steps, restart=number in _RESTART_ROUNDS)
+        last = _fit_round(shooting, iterate, stage, work_done, max_steps, restart=number in _RESTART_ROUNDS)
         iterate = last.iterate
         shooting.damping = 0.0
         if warm_start or not last.search_converged or (number + 1 >= min_rounds and last.weights_settled):
@@ -154,14 +154,14 @@ def _fit_every_sample(shooting: MultipleShooting, iterate: Iterate) -> tuple[Ite
     cost.reweight(iterate)
     for number in range(round_count):
         work_done = (_COARSE_SHARE + (1.0 - _COARSE_SHARE) * number / round_count, 1.0)
-        last = _round(shooting, iterate, "every sample", work_done, _FINE_STEPS, restart=number < 2)
+        last = _fit_round(shooting, iterate, "every sample", work_done, _FINE_STEPS, restart=number < 2)
         iterate = last.iterate
         if last.weights_settled or not last.search_converged:
             break
     return iterate, last.search_converged
 
 
-def _round(
+def _fit_round(
     shooting: MultipleShooting,
     iterate: Iterate,
     stage: str,
@@ -169,7 +169,7 @@ def _round(
     max_steps: int,
     *,
     restart: bool,
-) -> _Round:
+) -> _RoundResult:
     """Search for the minimum from an `iterate`, then estimate weights and state priors again.
 
     Parameters
@@ -184,10 +184,10 @@ def _round(
     restarted = restart and search_converged and restart_outliers(cost, iterate)
     cost.update_state_prior(iterate)
     change = cost.reweight(iterate)
-    return _Round(iterate, search_converged, change < thresholds.SETTLED_CHANGE and not restarted)
+    return _RoundResult(iterate, search_converged, change < thresholds.SETTLED_CHANGE and not restarted)
 
 
-def _start(cost: ShootingCost, start: Fit | Mapping[str, float] | None) -> tuple[Floats, list[Floats]]:
+def _start_point(cost: ShootingCost, start: Fit | Mapping[str, float] | None) -> tuple[Floats, list[Floats]]:
     """Return start values of the free parameters, shape (f,), and the initial states of each record's
     windows, shape (w, states).
     """
@@ -223,7 +223,7 @@ def _copy_states(start: Fit, problem: Problem, states: list[Floats]) -> None:
                 new[:, new_column] = old[:, old_columns[state.name]]
 
 
-def _result(shooting: MultipleShooting, iterate: Iterate, converged: bool, scatter: bool) -> Fit:
+def _collect_fit(shooting: MultipleShooting, iterate: Iterate, converged: bool, scatter: bool) -> Fit:
     """Compute the covariance of the estimates, and collect the result of the fit.
 
     Parameters

@@ -115,7 +115,7 @@ class _WindowSearch:
         self.states = iterate.states[index][windows].copy()
         self.normal_matrix = evaluation.normal_matrix[windows].copy()
         self.residual = evaluation.residual[self.steps].copy()
-        self.cost = self._cost(self.states, evaluation.squares[windows])
+        self.cost = self._window_costs(self.states, evaluation.squares[windows])
 
     def replace_if_better(self, states: Floats) -> Booleans:
         """Replace the states of those windows for which other `states`, shape (k, states), cost less.
@@ -126,7 +126,7 @@ class _WindowSearch:
             The windows whose states were replaced.
         """
         evaluation = self._problem.evaluate_grid(self.grid, states, self.parameters)
-        cost = self._cost(states, evaluation.squares)
+        cost = self._window_costs(states, evaluation.squares)
         is_better: Booleans = cost < self.cost
         self._replace(is_better, states, evaluation.normal_matrix, cost, evaluation.residual)
         return is_better
@@ -153,12 +153,12 @@ class _WindowSearch:
             if not np.isfinite(self.cost).all() or idle_steps == patience:
                 break
             cost_before = float(self.cost.sum())
-            is_better = self.replace_if_better(self._stepped(damping))
+            is_better = self.replace_if_better(self._states_after_step(damping))
             damping = np.where(is_better, 0.2 * damping, 30.0 * damping)
             reduction = cost_before - float(self.cost.sum())
             idle_steps = 0 if reduction > thresholds.WORTHWHILE_GAIN * cost_before else idle_steps + 1
 
-    def _stepped(self, damping: Floats) -> Floats:
+    def _states_after_step(self, damping: Floats) -> Floats:
         """Return the states after a Levenberg-Marquardt step of each window, shape (k, states).
 
         Parameters
@@ -170,8 +170,8 @@ class _WindowSearch:
         normal = np.einsum("a,waij->wij", 1.0 / self.variance, self.normal_matrix)
         add_state_prior(self._problem, normal, self.states, self.prior_mean, damping)
         # The parameters are fixed: keep the rows and columns of the states and of the right-hand side.
-        kept = [*range(state_count), normal.shape[1] - 1]
-        _, gain = eliminate(normal[:, kept][:, :, kept], state_count, SINGULAR_GUARD)
+        kept_rows = [*range(state_count), normal.shape[1] - 1]
+        _, gain = eliminate(normal[:, kept_rows][:, :, kept_rows], state_count, SINGULAR_GUARD)
         return self.states + gain[:, :, 0]
 
     def write_back(self, cost: ShootingCost, iterate: Iterate, index: int) -> None:
@@ -187,6 +187,6 @@ class _WindowSearch:
         iterate.evaluations[index] = Evaluation(residual, normal_matrix)
         iterate.cost = cost.cost(iterate)
 
-    def _cost(self, states: Floats, squares: Floats) -> Floats:
+    def _window_costs(self, states: Floats, squares: Floats) -> Floats:
         """Cost of each window, shape (k,), from its initial states and its sum of squares per axis."""
         return window_cost(self._problem, squares, states, self.prior_mean, self.variance)

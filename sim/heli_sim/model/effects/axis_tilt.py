@@ -44,15 +44,15 @@ class AxisTilt(Effect):
 
 def _moment_kg_m(p: Mapping[str, ca.SX], q: ca.SX) -> ca.SX:
     """Return the sum of mass times position of the five masses, in the frame of the rig, shape (3, 1)."""
-    c, s = ca.cos(q[0]), ca.sin(q[0])
-    c_pitch, s_pitch = ca.cos(q[1]), ca.sin(q[1])
-    short = p["M_f"] + p["M_b"] + p["M_h"]
+    cos_elevation, sin_elevation = ca.cos(q[0]), ca.sin(q[0])
+    cos_pitch, sin_pitch = ca.cos(q[1]), ca.sin(q[1])
+    short_arm_kg = p["M_f"] + p["M_b"] + p["M_h"]
     # At pitch 0, the masses of the short arm are L_phi below its axis, and the rotors L_h to either side.
-    y_level, z_level = (p["M_b"] - p["M_f"]) * p["L_h"], -p["L_phi"] * short
-    y, z = y_level * c_pitch + z_level * s_pitch, z_level * c_pitch - y_level * s_pitch
-    x = p["M_l"] * p["L_x"] - p["M_w"] * p["L_b"] + short * p["L_a"]
-    z = z - p["L_theta"] * (p["M_l"] + p["M_w"] + short)
-    along, up = x * c - z * s, x * s + z * c
+    y_level, z_level = (p["M_b"] - p["M_f"]) * p["L_h"], -p["L_phi"] * short_arm_kg
+    y, z = y_level * cos_pitch + z_level * sin_pitch, z_level * cos_pitch - y_level * sin_pitch
+    x = p["M_l"] * p["L_x"] - p["M_w"] * p["L_b"] + short_arm_kg * p["L_a"]
+    z = z - p["L_theta"] * (p["M_l"] + p["M_w"] + short_arm_kg)
+    along, up = x * cos_elevation - z * sin_elevation, x * sin_elevation + z * cos_elevation
     return ca.vertcat(along * ca.cos(q[2]) - y * ca.sin(q[2]), along * ca.sin(q[2]) + y * ca.cos(q[2]), up)
 
 

@@ -42,7 +42,7 @@ def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectSpec]:
     EffectError
         If a file cannot be read or contains no effect, or if an effect fails its check or has an id in use.
     """
-    kinds = {kind.id: kind for kind in _built_in()}
+    kinds = {kind.id: kind for kind in _built_in_effects()}
     for path in extra:
         for kind in _effects_in_file(Path(path)):
             if kind.id in kinds:
@@ -52,7 +52,7 @@ def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectSpec]:
 
 
 @functools.cache
-def _built_in() -> tuple[EffectSpec, ...]:
+def _built_in_effects() -> tuple[EffectSpec, ...]:
     """Return the effects of all modules of this folder; those of equal rank keep their order in the file."""
     package = importlib.import_module(__name__.rpartition(".")[0])
     names = sorted(f"{package.__name__}.{info.name}" for info in pkgutil.iter_modules(package.__path__))
@@ -125,7 +125,7 @@ def _check_in_model(path: Path, kind: EffectSpec) -> None:
     try:
         kind.describe(kind.typical)
         for values in (kind.neutral, kind.typical):
-            problem = _not_finite(models[0]((kind.make(values),)))
+            problem = _names_of_non_finite(models[0]((kind.make(values),)))
             if problem:
                 raise EffectError(
                     f"{prefix}: {problem} is not a finite number at {values}", "make it finite there"
@@ -136,7 +136,7 @@ def _check_in_model(path: Path, kind: EffectSpec) -> None:
         raise EffectError(f"{prefix}: {_error_with_line(path, error)}", "correct this line") from None
 
 
-def _not_finite(model: Model) -> str:
+def _names_of_non_finite(model: Model) -> str:
     """Name the values of a model with an effect that are not finite; empty if all are finite."""
     x, u, t = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2), ca.SX.sym("t")
     p = ca.SX.sym("p", len(model.parameters))

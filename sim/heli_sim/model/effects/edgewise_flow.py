@@ -23,8 +23,8 @@ class EdgewiseFlow(Effect):
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         state, p = at.state, at.parameter
-        c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
-        around_m_s = (p["L_a"] * c + p["L_theta"] * s) * state["travel_rate_rad_s"]
+        cos_elevation, sin_elevation = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
+        around_m_s = (p["L_a"] * cos_elevation + p["L_theta"] * sin_elevation) * state["travel_rate_rad_s"]
         up_m_s = p["L_a"] * state["elevation_rate_rad_s"]
         pitch = state["pitch_rad"]
         edgewise_m_s = around_m_s * ca.cos(pitch) - up_m_s * ca.sin(pitch)

@@ -36,14 +36,14 @@ def wheel_torque_Nm(at: Operands, momentum_Nms: ca.SX) -> ca.SX:
         Angular momentum H along n.
     """
     state = at.state
-    c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
-    c_pitch, s_pitch = ca.cos(state["pitch_rad"]), ca.sin(state["pitch_rad"])
-    elevation, pitch = state["elevation_rate_rad_s"], state["pitch_rate_rad_s"]
-    travel = state["travel_rate_rad_s"]
+    cos_elevation, sin_elevation = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
+    cos_pitch, sin_pitch = ca.cos(state["pitch_rad"]), ca.sin(state["pitch_rad"])
+    elevation_rad_s, pitch_rad_s = state["elevation_rate_rad_s"], state["pitch_rate_rad_s"]
+    travel_rad_s = state["travel_rate_rad_s"]
     return momentum_Nms * ca.vertcat(
-        c_pitch * (pitch - s * travel),
-        -c_pitch * elevation - c * s_pitch * travel,
-        s * c_pitch * elevation + c * s_pitch * pitch,
+        cos_pitch * (pitch_rad_s - sin_elevation * travel_rad_s),
+        -cos_pitch * elevation_rad_s - cos_elevation * sin_pitch * travel_rad_s,
+        sin_elevation * cos_pitch * elevation_rad_s + cos_elevation * sin_pitch * pitch_rad_s,
     )
 
 

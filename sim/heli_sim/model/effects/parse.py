@@ -51,7 +51,7 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
         When an effect or a number of it is unknown, in another unit, missing or out of range.
     """
     kinds = catalogue(extra)
-    made = []
+    effects = []
     for name, numbers in rig.effects.items():
         source_name = f"rig '{rig.name}'"
         kind = _find_effect(kinds, name, source_name)
@@ -74,8 +74,8 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
         if missing:
             raise EffectError(f"{source_name}: effect '{name}' lacks {', '.join(missing)}", "add each")
         effect = kind.make({kind.full(short_name): number.value for short_name, number in numbers.items()})
-        made.append(replace(effect, priors={**effect.priors, **_stated_priors(kind, numbers)}))
-    return tuple(made)
+        effects.append(replace(effect, priors={**effect.priors, **_stated_priors(kind, numbers)}))
+    return tuple(effects)
 
 
 def effects_with(rig: Rig, texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:

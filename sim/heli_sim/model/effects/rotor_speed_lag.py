@@ -39,7 +39,7 @@ class RotorSpeedLag(Effect):
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         share = ca.fmin(self.own(at, "s") / MIN_LAG_s, 1.0)
-        return share * self._squared_N(at) + (1 - share) * thrust_N
+        return share * self._thrust_of_speeds_N(at) + (1 - share) * thrust_N
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:
@@ -50,7 +50,7 @@ class RotorSpeedLag(Effect):
     def pushes_below_dead_zone(self) -> bool:
         return True
 
-    def _squared_N(self, at: Operands) -> ca.SX:
+    def _thrust_of_speeds_N(self, at: Operands) -> ca.SX:
         """Return the thrust of both rotors at their present speeds, shape (2, 1)."""
         p, speed_V, begins = at.parameter, self._speed_V(at), self.own(at, "begins")
         forward_V = ca.fmax(speed_V - begins * p["dead_zone"], 0.0)

@@ -318,7 +318,7 @@ class EffectSpec:
         """
         all_values = dict(self.neutral)
         for name, value in (values or {}).items():
-            self._check(name, value)
+            self._check_values(name, value)
             all_values[name] = float(value)
         return self.effect(
             name=self.id,
@@ -339,7 +339,7 @@ class EffectSpec:
         the prior are left out.
         """
         return {
-            name: self._in_range(name, grid(seconds) if callable(grid) else grid)
+            name: self._within_prior(name, grid(seconds) if callable(grid) else grid)
             for name, grid in self.grid.items()
         }
 
@@ -363,7 +363,7 @@ class EffectSpec:
         }
         return self.sentence.format(**texts)
 
-    def _in_range(self, name: str, values: tuple[float, ...]) -> tuple[float, ...]:
+    def _within_prior(self, name: str, values: tuple[float, ...]) -> tuple[float, ...]:
         """Leave out values outside the range of the prior: a grid scales with the length of the flight, and a
         very short flight gives such values.
         """
@@ -372,7 +372,7 @@ class EffectSpec:
             return values
         return tuple(value for value in values if prior.low <= value <= prior.high) or (self.typical[name],)
 
-    def _check(self, name: str, value: float) -> None:
+    def _check_values(self, name: str, value: float) -> None:
         """Raise an EffectError for an unknown parameter or a value out of range."""
         ranges = {q.name: self.priors.get(q.name) for q in self.parameters}
         if name not in ranges:
@@ -397,13 +397,13 @@ def format_estimate(value: float, std: float | None, unit: str) -> str:
     unit : str
         Unit of both; rad become degrees, N m mN m, shares per cent.
     """
-    factor, name = _SPELLED.get(unit, (1.0, f" {unit}"))
+    factor, unit_text = _SPELLED.get(unit, (1.0, f" {unit}"))
     value *= factor
     if std is None or not math.isfinite(std) or std <= 0.0:
-        return f"{value:.3g}{name}"
+        return f"{value:.3g}{unit_text}"
     std *= factor
     # Two digits where they begin with 1 or 2, one digit otherwise.
     digits = -math.floor(np.log10(std)) + (1 if std / 10 ** math.floor(np.log10(std)) < 2.95 else 0)
     if digits <= 0:
-        return f"{round(value, digits):.0f} ± {round(std, digits):.0f}{name}"
-    return f"{value:.{digits}f} ± {std:.{digits}f}{name}"
+        return f"{round(value, digits):.0f} ± {round(std, digits):.0f}{unit_text}"
+    return f"{value:.{digits}f} ± {std:.{digits}f}{unit_text}"

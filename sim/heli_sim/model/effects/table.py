@@ -17,7 +17,7 @@ _HEAD: Final = "| effect | in words | equation | numbers: unit, range, typical |
 
 def table() -> str:
     """Return the table in Markdown, one row per effect."""
-    return "\n".join([_HEAD, *(_row(kind) for kind in catalogue().values())])
+    return "\n".join([_HEAD, *(_row_of_effect(kind) for kind in catalogue().values())])
 
 
 def with_table(text: str) -> str:
@@ -31,24 +31,24 @@ def with_table(text: str) -> str:
     return f"{before}{BEGIN}\n{table()}\n{END}{after}"
 
 
-def _row(kind: EffectSpec) -> str:
+def _row_of_effect(kind: EffectSpec) -> str:
     equation = kind.equation.replace("|", r"\vert ")
-    numbers = "; ".join(_number(parameter) for parameter in kind.numbers)
+    numbers = "; ".join(_parameter_text(parameter) for parameter in kind.numbers)
     return f"| `{kind.id}` | {kind.describe(kind.typical)} | ${equation}$ | {numbers} |"
 
 
-def _number(parameter: Parameter) -> str:
+def _parameter_text(parameter: Parameter) -> str:
     """Describe a parameter of an effect: meaning, unit, range and typical value."""
     low, high = (
         (parameter.prior.low, parameter.prior.high) if parameter.prior is not None else (math.nan, math.nan)
     )
     unit = "" if parameter.unit == "1" else f" {parameter.unit}"
-    bounds = "fixed" if parameter.prior is None else f"{_bound(low, '-')} to {_bound(high, '')}"
+    bounds = "fixed" if parameter.prior is None else f"{_bound_text(low, '-')} to {_bound_text(high, '')}"
     grid = ", grid" if parameter.grid is not None else ""
     return f"`{parameter.name}` {parameter.meaning}:{unit} {bounds}{grid}, {parameter.typical:g}"
 
 
-def _bound(value: float, sign: str) -> str:
+def _bound_text(value: float, sign: str) -> str:
     return f"{value:g}" if math.isfinite(value) else f"{sign}any"
 
 
