@@ -105,7 +105,8 @@ def test_a_clear_log_likelihood_ratio_overrides_the_wald_test() -> None:
     size = kind.size[0]
     hypothesis = cast(Hypothesis, SimpleNamespace(values={size: 0.03}, std={size: 0.05}))
     candidate = typical_candidate(kind)
-    acceptance = Acceptance(cast(ModelComparison, None), KINDS)
+    record = SimpleNamespace(step_s=0.01, count_rad=np.full(3, 0.0015))
+    acceptance = Acceptance(cast(ModelComparison, SimpleNamespace(train=[record])), KINDS)
     assert acceptance.is_significant(Refit(hypothesis, 1300.0, 11.0, 0.0), candidate)
     assert not acceptance.is_significant(Refit(hypothesis, 30.0, 11.0, 0.0), candidate)
 

@@ -19,7 +19,7 @@ from heli_lab.diagnose.evaluate.prediction import predict
 from heli_lab.diagnose.evaluate.prior_conflict import PriorConflict, prior_conflicts, tried_without
 from heli_lab.diagnose.evaluate.regions import FailingRegions, RegionTest, failing_regions
 from heli_lab.diagnose.evaluate.replication import WORSE_HORIZON, Replication, replicate, worse_axis_sentence
-from heli_lab.diagnose.evaluate.reported import CauseParameter, cause_parameters, reported_std
+from heli_lab.diagnose.evaluate.reported import CauseParameter, cause_parameters
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis, correlates
 from heli_lab.diagnose.evaluate.thrust_noise import justified_thrust_noise
 from heli_lab.diagnose.evaluate.verdict import NamedCause, Verdict, unconfirmed_confidence, with_confirmation
@@ -56,7 +56,6 @@ __all__ = [
     "predict",
     "prior_conflicts",
     "replicate",
-    "reported_std",
     "tried_without",
     "unconfirmed_confidence",
     "undetectable_effects",

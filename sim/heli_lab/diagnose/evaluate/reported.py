@@ -9,10 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from heli_sim.model.effects import EffectSpec
 from heli_sim.model.effects.spec import format_estimate
-from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.search import time_std_s
-from heli_lab.diagnose.thresholds import MIN_STD_COUNTS, MIN_STD_SHARE
+from heli_lab.diagnose.search import limited_std
 from heli_lab.identify import Fit
 
 
@@ -45,7 +43,7 @@ def cause_parameters(fit: Fit, kind: EffectSpec, start: Mapping[str, float]) -> 
     start : Mapping[str, float]
         Values of parameters that were not estimated, by full name.
     """
-    std = reported_std(fit, kind)
+    std = limited_std(kind, fit.values, fit.std, fit.problem.records[0])
     return {
         q.name: CauseParameter(fit.values.get(q.name, start[q.name]), std.get(q.name, 0.0), q.unit)
         for q in kind.parameters
@@ -141,36 +139,3 @@ def family_number(
 def _value_of(name: str, fit: Fit) -> float:
     """Return the estimate of a rig parameter, or its value in the rig file if it was not estimated."""
     return float(fit.values.get(name, fit.problem.rig[name].value))
-
-
-def reported_std(fit: Fit, kind: EffectSpec) -> dict[str, float]:
-    """Compute standard errors that are not smaller than the resolution of the flights.
-
-    Three limits apply. A time constant or delay is uncertain by a part of a sample, because voltages are held
-    over a sample. A size is uncertain by a share of itself, because the model averages over its steps. An
-    effect between an axis and its encoder is uncertain by a part of a count.
-
-    Parameters
-    ----------
-    fit : Fit
-        Estimates with standard errors.
-    kind : EffectSpec
-        The effect; it determines which parameters are sizes, and on what they act.
-
-    Returns
-    -------
-    dict
-        Standard error by parameter name.
-    """
-    record = fit.problem.records[0]
-    channel, _, axis = kind.acts_on.partition(".")
-    std_by_name = {}
-    for parameter in fit.problem.free:
-        std, resolution = fit.std[parameter.name], 0.0
-        if parameter.unit == "s":
-            std = time_std_s(std, record.step_s)
-        elif parameter.unit == "rad" and channel == "measurement" and axis in AXES:
-            resolution = MIN_STD_COUNTS * float(record.count_rad[AXES.index(axis)])
-        size_error = MIN_STD_SHARE * fit.values[parameter.name] if parameter.name in kind.size else 0.0
-        std_by_name[parameter.name] = math.hypot(std, resolution, size_error)
-    return std_by_name

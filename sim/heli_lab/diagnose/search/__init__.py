@@ -1,6 +1,6 @@
 """Search for the causes of what a model lacks: candidates, score tests, refits, stepwise selection."""
 
-from heli_lab.diagnose.search.acceptance import Acceptance, min_margin, time_std_s
+from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
 from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate, may_join, typical_candidate
 from heli_lab.diagnose.search.estimate_cache import EstimateCache, fingerprint
 from heli_lab.diagnose.search.folds import split
@@ -8,6 +8,7 @@ from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, 
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidate, spline_candidates
 from heli_lab.diagnose.search.replication import Direction, direction
+from heli_lab.diagnose.search.resolution import limited_std
 from heli_lab.diagnose.search.score_test import ScoreStatistics, score_of
 from heli_lab.diagnose.search.screening import Screening, coefficient_std
 from heli_lab.diagnose.search.splines import (
@@ -45,6 +46,7 @@ __all__ = [
     "direction",
     "fingerprint",
     "knot_span",
+    "limited_std",
     "may_join",
     "min_margin",
     "quantity_values",
@@ -54,6 +56,5 @@ __all__ = [
     "spline_candidates",
     "spline_term",
     "split",
-    "time_std_s",
     "typical_candidate",
 ]

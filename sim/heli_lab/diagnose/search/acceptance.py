@@ -13,6 +13,8 @@ from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.search.candidate import Candidate, ScoredCandidate
 from heli_lab.diagnose.search.hypothesis import Hypothesis, Refit
 from heli_lab.diagnose.search.model_comparison import ModelComparison
+from heli_lab.diagnose.search.resolution import limited_std
+from heli_lab.identify import Record
 
 _NEUTRAL_SHARE: Final = 0.01
 """Share of its typical size below which an effect counts as absent: sizes at their bounds are ten times
@@ -58,11 +60,11 @@ class Acceptance:
             return True
         if refit.margin > thresholds.WALD_OVERRIDE_NATS:
             return not is_neutral(refit.hypothesis, candidate, self.kinds)
-        return is_significant(refit.hypothesis, candidate, self.kinds)
+        return is_significant(refit.hypothesis, candidate, self.kinds, self.comparison.train[0])
 
     def resolves(self, hypothesis: Hypothesis, kind: EffectSpec) -> bool:
         """Whether the flights resolve each size of an effect of a model, `is_resolved`."""
-        return is_resolved(hypothesis, kind, self.comparison.train[0].step_s)
+        return is_resolved(hypothesis, kind, self.comparison.train[0])
 
     def worth_a_refit(self, screened: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
         """Candidates whose score leaves a chance that a refit is accepted, in their order."""
@@ -90,7 +92,9 @@ def min_margin(id_: str, present: Collection[str]) -> float:
     return thresholds.MIN_MARGIN
 
 
-def is_significant(hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectSpec]) -> bool:
+def is_significant(
+    hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectSpec], record: Record
+) -> bool:
     """Whether a size of an effect differs from its neutral value by two standard errors (Wald test).
 
     Parameters
@@ -99,20 +103,18 @@ def is_significant(hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[
         The model with the effect.
     candidate : Candidate
         The effect; one that the catalogue lacks counts as significant. One significant size is enough.
+    record : Record
+        A flight of the fit, whose resolution limits the standard errors.
     """
     kind = kinds.get(candidate.id)
     if kind is None:
         return True
-    values, std, neutral = hypothesis.values, hypothesis.std, kind.neutral
-    sizes = [size for size in kind.size if size in values]
-    return not sizes or any(
-        abs(values[size] - neutral[size]) > thresholds.SIGNIFICANT_STD_ERRORS * std[size] for size in sizes
-    )
+    are_significant = _significant_sizes(hypothesis, kind, record)
+    return not are_significant or any(are_significant)
 
 
-def is_resolved(hypothesis: Hypothesis, kind: EffectSpec, step_s: float) -> bool:
-    """Whether each size of an effect differs from its neutral value by two standard errors, if times are no
-    more certain than `time_std_s` states.
+def is_resolved(hypothesis: Hypothesis, kind: EffectSpec, record: Record) -> bool:
+    """Whether each size of an effect differs from its neutral value by two standard errors.
 
     Parameters
     ----------
@@ -120,34 +122,23 @@ def is_resolved(hypothesis: Hypothesis, kind: EffectSpec, step_s: float) -> bool
         The model with the effect.
     kind : EffectSpec
         The effect's entry in the catalogue.
-    step_s : float
-        Sampling interval of the flights [s].
+    record : Record
+        A flight of the fit, whose resolution limits the standard errors.
     """
-    values, std, neutral = hypothesis.values, hypothesis.std, kind.neutral
-    units = {parameter.name: parameter.unit for parameter in kind.parameters}
-    return all(
-        abs(values[size] - neutral[size])
-        > thresholds.SIGNIFICANT_STD_ERRORS
-        * (time_std_s(std[size], step_s) if units[size] == "s" else std[size])
+    return all(_significant_sizes(hypothesis, kind, record))
+
+
+def _significant_sizes(hypothesis: Hypothesis, kind: EffectSpec, record: Record) -> list[bool]:
+    """Return for each free size of an effect whether it differs from its neutral value by two of its
+    `limited_std`.
+    """
+    values, neutral = hypothesis.values, kind.neutral
+    std = limited_std(kind, values, hypothesis.std, record)
+    return [
+        abs(values[size] - neutral[size]) > thresholds.SIGNIFICANT_STD_ERRORS * std[size]
         for size in kind.size
         if size in values
-    )
-
-
-def time_std_s(std_s: float, step_s: float) -> float:
-    """Return the standard error of a time constant or delay that the flights support [s].
-
-    Voltages are held over a step, so a time is uncertain by a part of it, and by what a controller answers
-    within it.
-
-    Parameters
-    ----------
-    std_s : float
-        Standard error of the fit [s].
-    step_s : float
-        Sampling interval of the flights [s].
-    """
-    return math.hypot(thresholds.TIME_STD_FACTOR * std_s, 0.5 * step_s)
+    ]
 
 
 def is_neutral(hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectSpec]) -> bool:

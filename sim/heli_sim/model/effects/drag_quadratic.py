@@ -40,10 +40,12 @@ def _spec(axis: str, symbol: str, typical_Nms2: float, prior: Prior, source: str
     )
 
 
+# The size has the lower bound 0, because drag opposes motion. With negative sizes, it had been named in two
+# flights that had no such effect, next to dry friction (2026-11).
 _BROADSIDE: Final = "drag of bodies: the square of the speed; (22) of the paper has it for travel alone"
 
 SPECS: Final = (
-    _spec(AXES[0], r"\theta", 0.1, Prior(0.0, 0.5, -0.5, 2.0), _BROADSIDE),
-    _spec(AXES[1], r"\phi", 0.02, Prior(0.0, 0.1, -0.5, 2.0), _BROADSIDE),
-    _spec(AXES[2], r"\psi", 0.07, Prior(0.0, 0.5, -0.5, 2.0), "(22) of the paper, made to oppose motion"),
+    _spec(AXES[0], r"\theta", 0.1, Prior(0.0, 0.5, 0.0, 2.0), _BROADSIDE),
+    _spec(AXES[1], r"\phi", 0.02, Prior(0.0, 0.1, 0.0, 2.0), _BROADSIDE),
+    _spec(AXES[2], r"\psi", 0.07, Prior(0.0, 0.5, 0.0, 2.0), "(22) of the paper, made to oppose motion"),
 )

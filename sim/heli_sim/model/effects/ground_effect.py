@@ -36,7 +36,7 @@ SPEC: Final = EffectSpec(
     acts_on="thrust",
     stage=Stage.GROUND,
     numbers=(
-        Parameter("share", "1", "share a gained at the table", 0.2, Prior(0.0, 0.5, -0.5, 5.0), size=True),
+        Parameter("share", "1", "share a gained at the table", 0.2, Prior(0.0, 0.5, 0.0, 5.0), size=True),
         Parameter(
             "height_m",
             "m",

@@ -45,7 +45,7 @@ SPEC: Final = EffectSpec(
     acts_on="thrust",
     stage=Stage.INFLOW,
     numbers=(
-        Parameter("s_per_m", "s/m", "share c lost for each m/s", 0.1, Prior(0.0, 0.5, -0.5, 2.0), size=True),
+        Parameter("s_per_m", "s/m", "share c lost for each m/s", 0.1, Prior(0.0, 0.5, 0.0, 2.0), size=True),
         Parameter(
             "loaded",
             "1",

@@ -37,7 +37,7 @@ SPEC: Final = EffectSpec(
     acts_on="input",
     stage=Stage.CURVE,
     numbers=(
-        Parameter("per_V", "1/V", "share s lost for each volt", 0.02, Prior(0.0, 0.1, -0.1, 0.2), size=True),
+        Parameter("per_V", "1/V", "share s lost for each volt", 0.02, Prior(0.0, 0.1, 0.0, 0.2), size=True),
         Parameter(
             "line",
             "1",
