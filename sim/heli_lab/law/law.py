@@ -286,8 +286,8 @@ def _explained(error: Exception, name: str) -> BadLaw:
     text = str(error).split("\n")[0]
     if isinstance(error, TypeError | RuntimeError) and "math." in source:
         return BadLaw(
-            f"{where} calls a function of math ({source})",
-            "use sin, cos, sqrt, ... of heli_lab.law: they take symbols",
+            f"{where} calls a function of the module math ({source})",
+            "use sin, cos, sqrt, ... of heli_lab.law: these accept symbols",
         )
     return BadLaw(f"{where} failed: {type(error).__name__}: {text}", f"correct this line: {source}")
 
