@@ -394,7 +394,7 @@ class MessageId(IntEnum):
     PING = 2  # Heartbeat and clock exchange.
     ARM = 3  # Runs the pre-flight checks; enables the drivers at zero voltage when they pass.
     STOP = 4  # Motors off now, from any state; also ends the armed state.
-    CONTROL = 5  # Closes the loops of the mask; axes not closed get their share of the given voltages. Mask 0 is open loop.
+    CONTROL = 5  # Closes the loops of the mask; the other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop).
     STREAM = 6  # Hands the motor voltages to the host's voltage stream.
     LAND = 7  # Controlled descent, then motors off.
     EXCITE = 8  # Starts an excitation on top of whatever drives the motors.
@@ -939,7 +939,7 @@ class StopMessage:
 
 @dataclass(frozen=True, slots=True)
 class ControlMessage:
-    """Closes the loops of the mask; axes not closed get their share of the given voltages. Mask 0 is open loop.
+    """Closes the loops of the mask; the other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop).
 
     Parameters
     ----------

@@ -607,7 +607,7 @@ struct StopMessage {
   }
 };
 
-// Closes the loops of the mask; axes not closed get their share of the given voltages. Mask 0 is open loop.
+// Closes the loops of the mask; the other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop).
 struct ControlMessage {
   static constexpr MessageId kId = MessageId::control;
   static constexpr std::size_t kSize = 10;

@@ -105,8 +105,8 @@ def _not_shown(identification: Identification, at_rest: Sequence[str]) -> list[s
     uninformed = identification.uninformed_parameters
     if uninformed:
         sentences.append(
-            f"The fitted flights do not determine {', '.join(uninformed)}; fly the plan `identify`, which moves "
-            "every axis."
+            f"The fitted flights do not determine {', '.join(uninformed)}; fly the plan `identify`, which "
+            "moves every axis."
         )
     return sentences
 
