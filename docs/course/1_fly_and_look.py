@@ -31,8 +31,8 @@ first = flown.pitch_deg[(t_s > 0.5) & (t_s < 2.0)]
 print(f"pitch between 0.5 and 2 s: {first.mean():+.1f} degrees")
 
 # %% [markdown] tags=["solution"]
-# Positive pitch tilts the thrust, and the tilted thrust accelerates travel positive. The board therefore pitches positive first, and negative
-# before the setpoint is reached, to brake.
+# Positive pitch tilts the thrust, and the tilted thrust accelerates travel in the positive direction. The board therefore
+# pitches positive first, and negative before the setpoint is reached, to brake.
 
 # %% [markdown]
 # **Task 2.** Measure overshoot, settling time to 1 degree, and the rms error of the last four seconds.

@@ -84,11 +84,11 @@ gain = expected_errors(half) / expected["apart"]
 print("half the amplitude costs in error:", np.round(gain, 2))
 
 # %% [markdown] tags=["solution"]
-# Twice the amplitude: the information becomes four times as large, with twice the length only two times. The hover alone determines
+# With twice the amplitude, the information becomes four times as large; with twice the length, only twice as large. The hover alone determines
 # `thrust_gain`, whatever the amplitude.
 
 # %% [markdown]
-# **Task 3.** Where must you stop? The linear theory always asks for more amplitude. Stops, the table and the rotors' dead zone limit it. Look
+# **Task 3.** Where must you stop? In the linear theory, more amplitude is always better. Stops, the table and the rotors' dead zone limit it. Look
 # how far the third flight goes.
 
 # %% tags=["solution"]
@@ -107,7 +107,7 @@ assert reach_deg[0] < rig["elevation_max"].value and reach_deg[1] < rig["pitch_m
 
 # %% [markdown]
 # **Common mistakes.**
-# - You excite one axis and fit all. An axis that does not move is not measured.
+# - You excite one axis and fit all axes. An axis that does not move is not measured.
 # - You optimise the flight for the model that you believe. If a rival model is possible, plan the flight that distinguishes them
 #   (`next_flight` of [Diagnose](../how-to/diagnosing.md)).
 # - You forget the priors. A parameter that you know to 1 % beforehand needs no flight.

@@ -377,11 +377,11 @@ class Channel(IntEnum):
     STATE = 8  # enum state: supervisor state
     FAULT = 9  # enum fault: fault code, 0 while none
     FLAGS = 10  # bits flags: flag bits
-    TRIGGER = 11  # enum trigger: what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot
-    SIGNAL_1 = 12  # : first signal of a law that came over the link, in steps of a setpoint; behind the law's own come the board's setpoints of axes for which it logs others; 0 while none flies
-    SIGNAL_2 = 13  # : its second
-    SIGNAL_3 = 14  # : its third
-    SIGNAL_4 = 15  # : its fourth
+    TRIGGER = 11  # enum trigger: event that led to the present state; after a touchdown, the event that led to the landing; an event message may be lost, this cannot
+    SIGNAL_1 = 12  # : first signal of an uploaded law, in steps of a setpoint; after the law's own signals come the board's setpoints of axes for which the law logs other ones; 0 while no law flies
+    SIGNAL_2 = 13  # : its second signal
+    SIGNAL_3 = 14  # : its third signal
+    SIGNAL_4 = 15  # : its fourth signal
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -390,11 +390,11 @@ class Channel(IntEnum):
 class MessageId(IntEnum):
     """Second byte of a frame."""
 
-    HELLO = 1  # Opens a session. Its layout and welcome's never change, so that any two versions recognise each other.
+    HELLO = 1  # Opens a session. The layouts of hello and welcome never change, so that any two versions recognise each other.
     PING = 2  # Heartbeat and clock exchange.
     ARM = 3  # Runs the pre-flight checks; enables the drivers at zero voltage when they pass.
     STOP = 4  # Motors off now, from any state; also ends the armed state.
-    CONTROL = 5  # Closes the loops of the mask; axes not closed get their share of the given voltages. Mask 0 is open loop.
+    CONTROL = 5  # Closes the loops of the mask; the other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop).
     STREAM = 6  # Hands the motor voltages to the host's voltage stream.
     LAND = 7  # Controlled descent, then motors off.
     EXCITE = 8  # Starts an excitation on top of whatever drives the motors.
@@ -406,17 +406,17 @@ class MessageId(IntEnum):
     ZERO = 14  # Takes the present position as rest (elevation) or zero (pitch, travel); only while idle.
     CLEAR_FAULT = 15  # Leaves the fault state for idle.
     STATUS_READ = 16  # Asks for the counters now; they also come once a second.
-    LAW_BEGIN = 17  # Begins the upload of a law; the law that was loaded is gone. Not while a law flies.
-    LAW_PART = 18  # Twelve words of the law, in order; those behind its last are not looked at. ack.value: words received so far. To bring the same part again changes nothing.
-    LAW_END = 19  # Ends the upload: the board verifies the law. ack.value: instructions that a call takes in the worst case. Again for a law that is ready: the same answer.
-    LAW_FLY = 20  # Flies the law from the next tick on, or has the board's own take over. ack.detail: the state.
-    LAW_SET = 21  # Sets a parameter of the law, in flight too; lasts until the next upload. ack.value: the value in force.
+    LAW_BEGIN = 17  # Begins the upload of a law, and deletes the loaded law. Not allowed while a law flies.
+    LAW_PART = 18  # Twelve words of the law, in order; the board ignores words behind the last one of the law. ack.value: words received so far. Sending the same part again changes nothing.
+    LAW_END = 19  # Ends the upload: the board verifies the law. ack.value: instructions that a call takes in the worst case. If the law is already ready, the answer is the same.
+    LAW_FLY = 20  # Flies the law from the next tick on, or lets the board's own law take over. ack.detail: the state.
+    LAW_SET = 21  # Sets a parameter of the law, also in flight. The value stays until the next upload. ack.value: the value in force.
     LAW_READ = 22  # Asks which law the board has.
     CONTROLLER_READ = 23  # Asks for the name of a compiled controller.
-    PARAMS_ORIGIN_READ = 24  # Asks which parameters the stored set gave at the start, and which not.
+    PARAMS_ORIGIN_READ = 24  # Asks which parameters got their values from the stored set at the start.
     SETPOINT = 32  # Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
     VOLTAGES = 33  # Motor voltages in the streamed state.
-    FOLLOWING = 34  # Setpoints that the host's law follows in the streamed state: logged, and nothing else. In other states it is not looked at.
+    FOLLOWING = 34  # Setpoints that the host's law follows in the streamed state. The board only logs them; in other states, it ignores this message.
     ACK = 128  # Answer to a command.
     WELCOME = 129  # Answer to hello.
     PONG = 130  # Answer to ping.
@@ -622,11 +622,11 @@ CHANNELS: tuple[ChannelSpec, ...] = (
     ChannelSpec("state", "<B", "enum state", 1.0, "state", "state", None, State, "supervisor state"),
     ChannelSpec("fault", "<B", "enum fault", 1.0, "fault", "fault", None, Fault, "fault code, 0 while none"),
     ChannelSpec("flags", "<B", "bits flags", 1.0, "flags", "flags", None, Flags, "flag bits"),
-    ChannelSpec("trigger", "<B", "enum trigger", 1.0, "trigger", "trigger", None, Trigger, "what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot"),
-    ChannelSpec("signal_1", "<i", "", 1e-05, "signal_1", "signal_1", None, None, "first signal of a law that came over the link, in steps of a setpoint; behind the law's own come the board's setpoints of axes for which it logs others; 0 while none flies"),
-    ChannelSpec("signal_2", "<i", "", 1e-05, "signal_2", "signal_2", None, None, "its second"),
-    ChannelSpec("signal_3", "<i", "", 1e-05, "signal_3", "signal_3", None, None, "its third"),
-    ChannelSpec("signal_4", "<i", "", 1e-05, "signal_4", "signal_4", None, None, "its fourth"),
+    ChannelSpec("trigger", "<B", "enum trigger", 1.0, "trigger", "trigger", None, Trigger, "event that led to the present state; after a touchdown, the event that led to the landing; an event message may be lost, this cannot"),
+    ChannelSpec("signal_1", "<i", "", 1e-05, "signal_1", "signal_1", None, None, "first signal of an uploaded law, in steps of a setpoint; after the law's own signals come the board's setpoints of axes for which the law logs other ones; 0 while no law flies"),
+    ChannelSpec("signal_2", "<i", "", 1e-05, "signal_2", "signal_2", None, None, "its second signal"),
+    ChannelSpec("signal_3", "<i", "", 1e-05, "signal_3", "signal_3", None, None, "its third signal"),
+    ChannelSpec("signal_4", "<i", "", 1e-05, "signal_4", "signal_4", None, None, "its fourth signal"),
 )
 
 
@@ -661,15 +661,15 @@ class ChannelValues:
     flags : Flags
         flag bits
     trigger : Trigger
-        what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot
+        event that led to the present state; after a touchdown, the event that led to the landing; an event message may be lost, this cannot
     signal_1 : float
-        first signal of a law that came over the link, in steps of a setpoint; behind the law's own come the board's setpoints of axes for which it logs others; 0 while none flies
+        first signal of an uploaded law, in steps of a setpoint; after the law's own signals come the board's setpoints of axes for which the law logs other ones; 0 while no law flies
     signal_2 : float
-        its second
+        its second signal
     signal_3 : float
-        its third
+        its third signal
     signal_4 : float
-        its fourth
+        its fourth signal
     """
 
     tick: int
@@ -722,15 +722,15 @@ class ChannelArrays:
     flags : ndarray of uint8, shape (n,)
         flag bits
     trigger : ndarray of uint8, shape (n,)
-        what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot
+        event that led to the present state; after a touchdown, the event that led to the landing; an event message may be lost, this cannot
     signal_1 : ndarray of float64, shape (n,)
-        first signal of a law that came over the link, in steps of a setpoint; behind the law's own come the board's setpoints of axes for which it logs others; 0 while none flies
+        first signal of an uploaded law, in steps of a setpoint; after the law's own signals come the board's setpoints of axes for which the law logs other ones; 0 while no law flies
     signal_2 : ndarray of float64, shape (n,)
-        its second
+        its second signal
     signal_3 : ndarray of float64, shape (n,)
-        its third
+        its third signal
     signal_4 : ndarray of float64, shape (n,)
-        its fourth
+        its fourth signal
     """
 
     tick: NDArray[np.int64]
@@ -806,31 +806,31 @@ OPERATIONS: tuple[OperationSpec, ...] = (
     OperationSpec("divide", 4, 2, 78, "a / b"),
     OperationSpec("negate", 5, 1, 17, "-a"),
     OperationSpec("absolute", 6, 1, 17, "|a|"),
-    OperationSpec("minimum", 7, 2, 30, "the lesser; no number where one is none"),
-    OperationSpec("maximum", 8, 2, 30, "the greater; no number where one is none"),
-    OperationSpec("less", 9, 2, 35, "1 where a < b, else 0; no number where one is none, as in all conditions"),
-    OperationSpec("less_equal", 10, 2, 35, "1 where a <= b, else 0"),
-    OperationSpec("equal", 11, 2, 35, "1 where a = b, else 0"),
-    OperationSpec("not_equal", 12, 2, 35, "1 where a is not b, else 0"),
-    OperationSpec("both", 13, 2, 27, "1 where neither is 0, else 0"),
-    OperationSpec("either", 14, 2, 26, "1 where one is not 0, else 0"),
-    OperationSpec("negation", 15, 1, 23, "1 where a is 0, else 0"),
-    OperationSpec("select", 16, 2, 22, "b where a is not 0, else 0; b counts only where it is selected"),
+    OperationSpec("minimum", 7, 2, 30, "the lesser; not a number (NaN) if a or b is NaN"),
+    OperationSpec("maximum", 8, 2, 30, "the greater; NaN if a or b is NaN"),
+    OperationSpec("less", 9, 2, 35, "1 if a < b, otherwise 0; NaN if a or b is NaN, as in all conditions"),
+    OperationSpec("less_equal", 10, 2, 35, "1 if a <= b, otherwise 0"),
+    OperationSpec("equal", 11, 2, 35, "1 if a = b, otherwise 0"),
+    OperationSpec("not_equal", 12, 2, 35, "1 if a is not b, otherwise 0"),
+    OperationSpec("both", 13, 2, 27, "1 if neither is 0, otherwise 0"),
+    OperationSpec("either", 14, 2, 26, "1 if one of them is not 0, otherwise 0"),
+    OperationSpec("negation", 15, 1, 23, "1 if a is 0, otherwise 0"),
+    OperationSpec("select", 16, 2, 22, "b if a is not 0, otherwise 0; b has no effect if it is not selected"),
     OperationSpec("floor", 17, 1, 31, "the greatest whole number that is not above a"),
-    OperationSpec("square_root", 18, 1, 299, "no number below 0"),
-    OperationSpec("sine", 19, 1, 93, "of a in rad; no number beyond 8192 rad"),
-    OperationSpec("cosine", 20, 1, 89, "of a in rad; no number beyond 8192 rad"),
-    OperationSpec("tangent", 21, 1, 228, "of a in rad; no number beyond 8192 rad"),
+    OperationSpec("square_root", 18, 1, 299, "NaN below 0"),
+    OperationSpec("sine", 19, 1, 93, "of a in rad; NaN beyond 8192 rad"),
+    OperationSpec("cosine", 20, 1, 89, "of a in rad; NaN beyond 8192 rad"),
+    OperationSpec("tangent", 21, 1, 228, "of a in rad; NaN beyond 8192 rad"),
     OperationSpec("arctangent", 22, 2, 238, "of a / b, in the quadrant of (b, a), rad"),
     OperationSpec("hyperbolic_tangent", 23, 1, 277, "of a"),
     OperationSpec("exponential", 24, 1, 127, "e to the power of a"),
-    OperationSpec("sum_of_products", 25, 0, 63, "a b + c d - ... of the terms that follow it, rounded once; no number where one of them is not finite"),
+    OperationSpec("sum_of_products", 25, 0, 63, "a b + c d - ... of the terms that follow it, rounded once; NaN if one of them is not finite"),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class HelloMessage:
-    """Opens a session. Its layout and welcome's never change, so that any two versions recognise each other.
+    """Opens a session. The layouts of hello and welcome never change, so that any two versions recognise each other.
 
     Parameters
     ----------
@@ -939,7 +939,7 @@ class StopMessage:
 
 @dataclass(frozen=True, slots=True)
 class ControlMessage:
-    """Closes the loops of the mask; axes not closed get their share of the given voltages. Mask 0 is open loop.
+    """Closes the loops of the mask; the other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop).
 
     Parameters
     ----------
@@ -1281,7 +1281,7 @@ class StatusReadMessage:
 
 @dataclass(frozen=True, slots=True)
 class LawBeginMessage:
-    """Begins the upload of a law; the law that was loaded is gone. Not while a law flies.
+    """Begins the upload of a law, and deletes the loaded law. Not allowed while a law flies.
 
     Parameters
     ----------
@@ -1312,7 +1312,7 @@ class LawBeginMessage:
 
 @dataclass(frozen=True, slots=True)
 class LawPartMessage:
-    """Twelve words of the law, in order; those behind its last are not looked at. ack.value: words received so far. To bring the same part again changes nothing.
+    """Twelve words of the law, in order; the board ignores words behind the last one of the law. ack.value: words received so far. Sending the same part again changes nothing.
 
     Parameters
     ----------
@@ -1376,7 +1376,7 @@ class LawPartMessage:
 
 @dataclass(frozen=True, slots=True)
 class LawEndMessage:
-    """Ends the upload: the board verifies the law. ack.value: instructions that a call takes in the worst case. Again for a law that is ready: the same answer.
+    """Ends the upload: the board verifies the law. ack.value: instructions that a call takes in the worst case. If the law is already ready, the answer is the same.
 
     Parameters
     ----------
@@ -1401,14 +1401,14 @@ class LawEndMessage:
 
 @dataclass(frozen=True, slots=True)
 class LawFlyMessage:
-    """Flies the law from the next tick on, or has the board's own take over. ack.detail: the state.
+    """Flies the law from the next tick on, or lets the board's own law take over. ack.detail: the state.
 
     Parameters
     ----------
     request : int
         request number; a retry repeats it
     on : int
-        1: the law; 0: the board's own
+        1: the law; 0: the board's own law
     """
 
     ID: ClassVar[MessageId] = MessageId.LAW_FLY
@@ -1429,7 +1429,7 @@ class LawFlyMessage:
 
 @dataclass(frozen=True, slots=True)
 class LawSetMessage:
-    """Sets a parameter of the law, in flight too; lasts until the next upload. ack.value: the value in force.
+    """Sets a parameter of the law, also in flight. The value stays until the next upload. ack.value: the value in force.
 
     Parameters
     ----------
@@ -1513,7 +1513,7 @@ class ControllerReadMessage:
 
 @dataclass(frozen=True, slots=True)
 class ParamsOriginReadMessage:
-    """Asks which parameters the stored set gave at the start, and which not.
+    """Asks which parameters got their values from the stored set at the start.
 
     Parameters
     ----------
@@ -1601,7 +1601,7 @@ class VoltagesMessage:
 
 @dataclass(frozen=True, slots=True)
 class FollowingMessage:
-    """Setpoints that the host's law follows in the streamed state: logged, and nothing else. In other states it is not looked at.
+    """Setpoints that the host's law follows in the streamed state. The board only logs them; in other states, it ignores this message.
 
     Parameters
     ----------
@@ -1862,7 +1862,7 @@ class LawMessage:
     hash : int
         as given by law_begin; 0 without a law
     state : int
-        what the board knows of it [enum law_state]
+        state of the law [enum law_state]
     divisor : int
         ticks from one call to the next
     ticks : int
@@ -1899,7 +1899,7 @@ class ControllerMessage:
     request : int
         request number; a retry repeats it
     index : int
-        as asked
+        as requested
     count : int
         controllers that the board was built with
     name_0 : int

@@ -271,7 +271,7 @@ class CommandRefused(LinkError):
             Result.BAD_LENGTH: "flash the firmware of this release",
             Result.BAD_VALUE: "give a finite number within its range",
             Result.NO_SUCH_PARAMETER: "flash the firmware of this release",
-            Result.FLASH_FAILED: "try again; if it stays, the board's flash is worn: use another board",
+            Result.FLASH_FAILED: "try again; if it fails again, the flash is worn: use another board",
             Result.NO_HANDSHAKE: "connect again: the board was restarted",
             Result.HASH_MISMATCH: "flash the firmware of this release",
         }

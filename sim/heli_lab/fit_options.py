@@ -48,12 +48,17 @@ FromOption = Annotated[
         "--from",
         "--from-s",
         metavar="S...",
-        help="Ignore rows before this time: one for all, or one per flight.",
+        help="Ignore rows before this time in s: one for all flights, or one per flight.",
     ),
 ]
 ToOption = Annotated[
     list[float] | None,
-    typer.Option("--to", "--to-s", metavar="S...", help="Ignore rows from this time on, as --from."),
+    typer.Option(
+        "--to",
+        "--to-s",
+        metavar="S...",
+        help="Ignore rows from this time in s on: one value or several, as for --from.",
+    ),
 ]
 GapsOption = Annotated[
     bool, typer.Option("--allow-gaps", help="Skip missing rows instead of refusing the flight.")

@@ -154,7 +154,7 @@ COMPLETE = {
 @pytest.mark.parametrize(
     ("session", "simulation", "lacking"),
     [
-        ({}, {}, "because heli-host fly did not fly it"),
+        ({}, {}, "because another command than heli-host fly"),
         ({"url": "/dev/ttyACM0", "board": "due"}, None, "is a flight of a real board"),
         ({}, None, "lacks rig, effects and seed, because an older heli-host wrote it"),
         ({"sealed": "sha256:0"}, None, "is a blind flight"),

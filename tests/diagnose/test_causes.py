@@ -304,7 +304,7 @@ def test_report_is_self_contained_and_states_the_cause(tmp_path: Path) -> None:
     assert "Rig makki2024. Fitted: fit (" in text.partition('class="verdict')[0]
     assert "<i>F</i><sub>i</sub> thrust of rotor i" in text
     assert "time constant T</td>" in text
-    table = text.partition("Parameters that these flights do not inform")[2].partition("</table>")[0]
+    table = text.partition("Parameters that these flights do not determine")[2].partition("</table>")[0]
     names = diagnosis.replication.prediction.fit.problem.names
     assert {name for name in names if f"<td>{name}</td>" in table} == uninformed(diagnosis)
     assert not any(scheme in page for scheme in ("http:", "https:"))

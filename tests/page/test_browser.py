@@ -315,7 +315,7 @@ def test_two_tabs_one_flies_and_hands_over_when_asked(served: Served, window: Ta
     expect(second.locator("#control")).to_contain_text("You watch; page 1 flies")
     expect(second.locator("#take-off")).to_be_disabled()
     expect(second.locator("#why-fly")).to_have_text(
-        "Take off, Land, Hold here: only the pilot; ask for control."
+        "Take off, Land, Hold here: only the pilot may do this; ask for control."
     )
     expect(first.locator("#why-setpoint")).to_have_text("Sliders: only in flight; take off first.")
     click(second, "text=Ask for control")

@@ -412,11 +412,11 @@ enum class Channel : std::uint8_t {
   state = 8,  // enum state: supervisor state
   fault = 9,  // enum fault: fault code, 0 while none
   flags = 10,  // bits flags: flag bits
-  trigger = 11,  // enum trigger: what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot
-  signal_1 = 12,  // : first signal of a law that came over the link, in steps of a setpoint; behind the law's own come the board's setpoints of axes for which it logs others; 0 while none flies
-  signal_2 = 13,  // : its second
-  signal_3 = 14,  // : its third
-  signal_4 = 15,  // : its fourth
+  trigger = 11,  // enum trigger: event that led to the present state; after a touchdown, the event that led to the landing; an event message may be lost, this cannot
+  signal_1 = 12,  // : first signal of an uploaded law, in steps of a setpoint; after the law's own signals come the board's setpoints of axes for which the law logs other ones; 0 while no law flies
+  signal_2 = 13,  // : its second signal
+  signal_3 = 14,  // : its third signal
+  signal_4 = 15,  // : its fourth signal
 };
 inline constexpr std::size_t kChannelCount = 16;
 inline constexpr std::uint8_t kChannelBytes[kChannelCount] = {4, 4, 4, 4, 4, 4, 2, 2, 1, 1, 1, 1, 4, 4, 4, 4};
@@ -453,9 +453,9 @@ enum class LawInput : std::uint8_t {
   pitch_rad_s = 4,  // rate, filtered at pitch_filter_Hz
   travel_rad_s = 5,  // rate, filtered at travel_filter_Hz
   elevation_setpoint_rad = 6,  // the board's setpoint as logged: shaped, in steps of the channel
-  pitch_setpoint_rad = 7,  // the host's, as logged; of use to a law that leaves travel alone
+  pitch_setpoint_rad = 7,  // the host's setpoint as logged, for a law that does not control travel
   travel_setpoint_rad = 8,  // the board's setpoint as logged: shaped, in steps of the channel
-  elevation_setpoint_rad_s = 9,  // its rate, through the filter that the measured rate has passed: both lag alike
+  elevation_setpoint_rad_s = 9,  // its rate, through the same filter as the measured rate, so that both lag equally
   pitch_setpoint_rad_s = 10,  // its rate, likewise
   travel_setpoint_rad_s = 11,  // its rate, likewise
   elevation_setpoint_rad_s2 = 12,  // its acceleration: the rate through the same filter once more
@@ -473,25 +473,25 @@ enum class Operation : std::uint8_t {
   divide = 4,  // a / b
   negate = 5,  // -a
   absolute = 6,  // |a|
-  minimum = 7,  // the lesser; no number where one is none
-  maximum = 8,  // the greater; no number where one is none
-  less = 9,  // 1 where a < b, else 0; no number where one is none, as in all conditions
-  less_equal = 10,  // 1 where a <= b, else 0
-  equal = 11,  // 1 where a = b, else 0
-  not_equal = 12,  // 1 where a is not b, else 0
-  both = 13,  // 1 where neither is 0, else 0
-  either = 14,  // 1 where one is not 0, else 0
-  negation = 15,  // 1 where a is 0, else 0
-  select = 16,  // b where a is not 0, else 0; b counts only where it is selected
+  minimum = 7,  // the lesser; not a number (NaN) if a or b is NaN
+  maximum = 8,  // the greater; NaN if a or b is NaN
+  less = 9,  // 1 if a < b, otherwise 0; NaN if a or b is NaN, as in all conditions
+  less_equal = 10,  // 1 if a <= b, otherwise 0
+  equal = 11,  // 1 if a = b, otherwise 0
+  not_equal = 12,  // 1 if a is not b, otherwise 0
+  both = 13,  // 1 if neither is 0, otherwise 0
+  either = 14,  // 1 if one of them is not 0, otherwise 0
+  negation = 15,  // 1 if a is 0, otherwise 0
+  select = 16,  // b if a is not 0, otherwise 0; b has no effect if it is not selected
   floor = 17,  // the greatest whole number that is not above a
-  square_root = 18,  // no number below 0
-  sine = 19,  // of a in rad; no number beyond 8192 rad
-  cosine = 20,  // of a in rad; no number beyond 8192 rad
-  tangent = 21,  // of a in rad; no number beyond 8192 rad
+  square_root = 18,  // NaN below 0
+  sine = 19,  // of a in rad; NaN beyond 8192 rad
+  cosine = 20,  // of a in rad; NaN beyond 8192 rad
+  tangent = 21,  // of a in rad; NaN beyond 8192 rad
   arctangent = 22,  // of a / b, in the quadrant of (b, a), rad
   hyperbolic_tangent = 23,  // of a
   exponential = 24,  // e to the power of a
-  sum_of_products = 25,  // a b + c d - ... of the terms that follow it, rounded once; no number where one of them is not finite
+  sum_of_products = 25,  // a b + c d - ... of the terms that follow it, rounded once; NaN if one of them is not finite
 };
 inline constexpr std::size_t kOperationCount = 26;
 inline constexpr std::uint16_t kOperationCost[kOperationCount] = {15, 63, 64, 51, 78, 17, 17, 30, 30, 35, 35, 35, 35, 27, 26, 23, 22, 31, 299, 93, 89, 228, 238, 277, 127, 63};
@@ -538,7 +538,7 @@ enum class MessageId : std::uint8_t {
   event = 134,
 };
 
-// Opens a session. Its layout and welcome's never change, so that any two versions recognise each other.
+// Opens a session. The layouts of hello and welcome never change, so that any two versions recognise each other.
 struct HelloMessage {
   static constexpr MessageId kId = MessageId::hello;
   static constexpr std::size_t kSize = 9;
@@ -607,7 +607,7 @@ struct StopMessage {
   }
 };
 
-// Closes the loops of the mask; axes not closed get their share of the given voltages. Mask 0 is open loop.
+// Closes the loops of the mask; the other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop).
 struct ControlMessage {
   static constexpr MessageId kId = MessageId::control;
   static constexpr std::size_t kSize = 10;
@@ -829,7 +829,7 @@ struct StatusReadMessage {
   }
 };
 
-// Begins the upload of a law; the law that was loaded is gone. Not while a law flies.
+// Begins the upload of a law, and deletes the loaded law. Not allowed while a law flies.
 struct LawBeginMessage {
   static constexpr MessageId kId = MessageId::law_begin;
   static constexpr std::size_t kSize = 7;
@@ -850,7 +850,7 @@ struct LawBeginMessage {
   }
 };
 
-// Twelve words of the law, in order; those behind its last are not looked at. ack.value: words received so far. To bring the same part again changes nothing.
+// Twelve words of the law, in order; the board ignores words behind the last one of the law. ack.value: words received so far. Sending the same part again changes nothing.
 struct LawPartMessage {
   static constexpr MessageId kId = MessageId::law_part;
   static constexpr std::size_t kSize = 51;
@@ -904,7 +904,7 @@ struct LawPartMessage {
   }
 };
 
-// Ends the upload: the board verifies the law. ack.value: instructions that a call takes in the worst case. Again for a law that is ready: the same answer.
+// Ends the upload: the board verifies the law. ack.value: instructions that a call takes in the worst case. If the law is already ready, the answer is the same.
 struct LawEndMessage {
   static constexpr MessageId kId = MessageId::law_end;
   static constexpr std::size_t kSize = 1;
@@ -919,7 +919,7 @@ struct LawEndMessage {
   }
 };
 
-// Flies the law from the next tick on, or has the board's own take over. ack.detail: the state.
+// Flies the law from the next tick on, or lets the board's own law take over. ack.detail: the state.
 struct LawFlyMessage {
   static constexpr MessageId kId = MessageId::law_fly;
   static constexpr std::size_t kSize = 2;
@@ -937,7 +937,7 @@ struct LawFlyMessage {
   }
 };
 
-// Sets a parameter of the law, in flight too; lasts until the next upload. ack.value: the value in force.
+// Sets a parameter of the law, also in flight. The value stays until the next upload. ack.value: the value in force.
 struct LawSetMessage {
   static constexpr MessageId kId = MessageId::law_set;
   static constexpr std::size_t kSize = 6;
@@ -991,7 +991,7 @@ struct ControllerReadMessage {
   }
 };
 
-// Asks which parameters the stored set gave at the start, and which not.
+// Asks which parameters got their values from the stored set at the start.
 struct ParamsOriginReadMessage {
   static constexpr MessageId kId = MessageId::params_origin_read;
   static constexpr std::size_t kSize = 1;
@@ -1051,7 +1051,7 @@ struct VoltagesMessage {
   }
 };
 
-// Setpoints that the host's law follows in the streamed state: logged, and nothing else. In other states it is not looked at.
+// Setpoints that the host's law follows in the streamed state. The board only logs them; in other states, it ignores this message.
 struct FollowingMessage {
   static constexpr MessageId kId = MessageId::following;
   static constexpr std::size_t kSize = 12;

@@ -89,8 +89,8 @@ def read_repeat(log: Log, effect_files: Mapping[str, Path]) -> Repeat:
     for file, digest in stored_effect_files.items():
         if digest not in effect_files:
             raise LogError(
-                f"{log.path} needs the effect file {Path(file).name} with SHA-256 {digest[:12]}, and a log "
-                "holds no code",
+                f"{log.path} was flown with the effect file {Path(file).name} (SHA-256 {digest[:12]}), and a "
+                "log does not contain such files",
                 f"add --effect-file {Path(file).name}",
             )
     options["effects"] = ";".join(
@@ -132,12 +132,14 @@ def _check_repeatable(log: Log, record: Mapping[str, str]) -> None:
         raise LogError(f"{log.path} is a flight of a real board; --again repeats simulations only", _FLY)
     if record.get("flown_by") != VERB_NAME:
         raise LogError(
-            f"{log.path} lacks the commands before the flight, because heli-host fly did not fly it",
-            "repeat it with the command that flew it",
+            f"{log.path} lacks the commands before the flight, because another command than heli-host fly "
+            "wrote it",
+            "repeat the flight with that command",
         )
     if record.get("lands_on_alarm") == "1":
         raise LogError(
-            f"{log.path} lacks the twin whose alarm could land it", "fly it again with --twin and --on-alarm"
+            f"{log.path} lacks the twin whose alarm could land the rig",
+            "fly the plan again with --twin and --on-alarm",
         )
     if record.get("flash"):
         raise LogError(f"{log.path} lacks the flash memory {record['flash']} of its board", _FLY)

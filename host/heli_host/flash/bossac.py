@@ -194,7 +194,8 @@ def _error_from_output(bossac: Bossac, port: str, code: int, output: str) -> Fla
         count = f"{errors[1]} bytes differ" if errors else "it differs"
         return FlashError(
             f"the flash does not hold what was written: {count}",
-            "flash again over a short cable without a hub; if it stays, the flash is worn: use another board",
+            "flash again over a short cable without a hub; if it fails again, the flash is worn: use another "
+            "board",
         )
     if "-h' or" in output or "extra arguments" in output or "Usage:" in output:
         return FlashError(

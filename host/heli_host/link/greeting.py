@@ -21,7 +21,7 @@ def no_welcome(parser: FrameParser, url: str, timeout_s: float) -> LinkError:
     if parser.frames_ok:
         return HandshakeTimeout(
             f"a board on {url} sends data, but did not answer within {timeout_s:g} s",
-            "press the board's reset button; if it stays, flash the firmware of this release",
+            "press the board's reset button; if the error stays, flash the firmware of this release",
         )
     if parser.bytes_received == 0:
         return HandshakeTimeout(

@@ -54,11 +54,11 @@ def unpacked(chunk: Chunk, has_crcs: bool, path: Path) -> bytes:
         If its compression is one that heli-host does not read.
     """
     if chunk.uncompressed_size > LARGEST_CHUNK_BYTES:
-        raise ValueError("the chunk claims more than any writer puts into one")
+        raise ValueError("the stated size of the chunk is larger than any writer makes it")
     if chunk.compression == "zstd":
         # The frame's own word is what would be allocated.
         if zstandard.get_frame_parameters(chunk.data).content_size != chunk.uncompressed_size:
-            raise ValueError("the chunk is not as large as it says")
+            raise ValueError("the chunk does not have its stated size")
         body = zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=chunk.uncompressed_size)
     elif chunk.compression == "":
         body = chunk.data
@@ -69,7 +69,7 @@ def unpacked(chunk: Chunk, has_crcs: bool, path: Path) -> bytes:
     # In MCAP, 0 means that the chunk has no CRC; heli-host always writes one.
     has_crc = chunk.uncompressed_crc or has_crcs
     if len(body) != chunk.uncompressed_size or (has_crc and zlib.crc32(body) != chunk.uncompressed_crc):
-        raise ValueError("the chunk's CRC does not fit")
+        raise ValueError("the chunk's CRC does not match its content")
     return body
 
 

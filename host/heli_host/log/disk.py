@@ -343,8 +343,8 @@ class BackgroundFile:
                 queued_before, last_progress_s = self._queued_bytes, self._now_s()
             elif self._now_s() - last_progress_s > _CLOSE_TIMEOUT_S:
                 self._failure = LogWriteError(
-                    f"the disk of the log {self._path} has taken nothing for {_CLOSE_TIMEOUT_S:g} s",
-                    "see what holds it; the log is readable up to there",
+                    f"the disk of the log {self._path} has accepted no data for {_CLOSE_TIMEOUT_S:g} s",
+                    "find out what blocks the disk; the log is readable up to that moment",
                 )
         if self.failed is not None:
             raise self.failed

@@ -119,7 +119,7 @@ def parse(kind: Any, body: memoryview) -> Any:
     record = kind.read(stream)
     # The library does not notice a string that should be longer than the record; it ends early.
     if stream.count != len(body):
-        raise ValueError("the record is not as long as it says")
+        raise ValueError("the record does not have its stated length")
     return record
 
 

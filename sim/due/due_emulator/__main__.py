@@ -38,12 +38,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("program", metavar="ELF", help="ELF or .bin for the SAM3X8E")
     parser.add_argument("--seconds", type=float, default=1.0, metavar="S", help="board time (default 1)")
     parser.add_argument(
-        "--lenient", action="store_true", help="warn about what the chip does not promise to take, and go on"
+        "--lenient",
+        action="store_true",
+        help="print a warning instead of stopping at an error that a real chip hides",
     )
     parser.add_argument(
         "--ride-faults", action="store_true", help="let the program's own HardFault handler run"
     )
-    parser.add_argument("--baud", type=int, default=250000, help="of the USB side (default 250000)")
+    parser.add_argument("--baud", type=int, default=250000, help="baud rate of the USB side (default 250000)")
     parser.add_argument("--gdb", type=int, metavar="PORT", help="wait for a debugger on this TCP port")
     return parser
 

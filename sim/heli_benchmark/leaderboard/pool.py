@@ -89,7 +89,7 @@ def _scores_by_method(content: Mapping[str, Any], path: Path) -> dict[str, list[
         raise BenchmarkError(f"{path} has invalid scores of a case", _REMEDY) from None
     # Methods are compared case by case.
     if len({tuple(case.case for case in scores) for scores in runs.values()}) != 1 or not all(runs.values()):
-        raise BenchmarkError(f"{path} has no scores of the same cases for each method", _REMEDY)
+        raise BenchmarkError(f"{path} does not score all methods on the same cases", _REMEDY)
     return runs
 
 

@@ -52,9 +52,9 @@ def make(
 
     Each case takes about 10 s of CPU time. After an interruption, the same command continues.
 
-    A split with --seed is open: the folder `truth` has what is hidden. A split with --secret is sealed. Its
-    truths are in the folder of --truth, and the split has the SHA-256 digest of each. `openssl rand -hex 32`
-    writes a secret.
+    A split with --seed is open: its folder `truth` has the hidden causes. A split with --secret is sealed:
+    the hidden causes are in the folder of --truth, and the split has only their SHA-256 digests. To make a
+    secret, use `openssl rand -hex 32`.
 
     Example: `heli-host benchmark make public --seed 34 --count 24`
     """

@@ -206,7 +206,7 @@ class _Pulser:
                 if turn != series.turn:
                     raise CalibrationError(
                         f"the {self._output} output turned pitch both ways",
-                        "check its plug, its driver and the propeller's seat",
+                        "check its plug and its driver, and that the propeller is tight",
                     )
                 series.pulses.append(pulse)
                 # Reversed, or wired to push down: the caller repeats the series with the other sign.

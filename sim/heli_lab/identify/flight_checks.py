@@ -73,7 +73,7 @@ def even_step_s(flight: Flight, label: str) -> float:
         raise IdentifyError(
             f"{label}: the times t_s are uneven: data row {worst + 2} is {stray_steps[worst]:.0f} steps of "
             f"{step_s:.4g} s early or late",
-            "log with an even clock, or resample the flight",
+            "log at a constant rate, or resample the flight",
         )
     return step_s
 

@@ -141,7 +141,7 @@ def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawP
         cause, remedy = str(reply["cause"]), str(reply["remedy"])
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise BadLaw(
-            f"{path.name} did not return a law", "do not replace the answer of its process"
+            f"{path.name} did not return a law", "remove the code that replaces the output of its process"
         ) from error
     if MemoryError.__name__ in cause:
         remedy = f"use less than {limits.memory_MB} MB of memory"

@@ -304,8 +304,8 @@ def _explain_error(error: Exception, name: str) -> BadLaw:
     text = str(error).split("\n")[0]
     if isinstance(error, TypeError | RuntimeError) and "math." in source_line:
         return BadLaw(
-            f"{line_text} calls a function of math ({source_line})",
-            "use sin, cos, sqrt, ... of heli_lab.law: they take symbols",
+            f"{line_text} calls a function of the module math ({source_line})",
+            "use sin, cos, sqrt, ... of heli_lab.law: these accept symbols",
         )
     return BadLaw(f"{line_text} failed: {type(error).__name__}: {text}", f"correct this line: {source_line}")
 

@@ -74,7 +74,9 @@ def program_of_json(text: str) -> LawProgram:
         content = json.loads(text)
         return _check_and_convert(content)
     except (ValueError, TypeError, KeyError, IndexError, RecursionError, OverflowError) as error:
-        raise BadLaw("the file's process did not return a program", "remove what replaces it") from error
+        raise BadLaw(
+            "the file's process did not return a program", "remove the code that replaces it"
+        ) from error
 
 
 def _check_and_convert(content: Mapping[str, Any]) -> LawProgram:

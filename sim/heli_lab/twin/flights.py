@@ -53,7 +53,9 @@ def samples_of(flight: Flight) -> tuple[Samples, float]:
         steps = (t_s - t_s[0]) / sample_s
     number: Integers = np.rint(steps).astype(np.int64)
     if np.any(np.diff(number) < 1) or np.max(np.abs(steps - number)) > _MAX_TIME_ERROR_STEPS:
-        raise TwinError("the rows of the flight are not evenly spaced", "log with an even clock, or resample")
+        raise TwinError(
+            "the rows of the flight are not evenly spaced", "log at a constant rate, or resample the flight"
+        )
     flying, landing = np.ones(len(flight), bool), np.zeros(len(flight), bool)
     if flight.state is not None and flight.state_names:
         off_states = [number for number, name in flight.state_names.items() if name in ON_GROUND]

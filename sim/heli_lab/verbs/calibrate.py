@@ -34,7 +34,7 @@ def calibrate(
         typer.Option(
             "--rig",
             metavar="NAME|FILE",
-            help="Take everything that is not measured from this rig.  [default: makki2024 with --sil]",
+            help="Use this rig for all values that are not measured.  [default: makki2024 with --sil]",
             show_default=False,
         ),
     ] = None,
@@ -95,8 +95,8 @@ def calibrate(
 
     Finds zero and direction of each encoder, rotor and direction of each motor, dead zone and thrust. It
     asks before each pulse. Enter, Ctrl-C and the stop switch end a pulse with the motors off. The rig is
-    written to a new file, and the board is changed only after your yes. With --sil a simulated hand does the
-    work. See docs/how-to/calibrate.md.
+    written to a new file. The board is changed only if you confirm it. With --sil, a simulated operator
+    moves the rig. See docs/how-to/calibrate.md.
 
     Example: `heli-host calibrate --port /dev/ttyACM0 --rig mine.toml`
     """

@@ -43,7 +43,11 @@ def class_(
     duration_s: Annotated[
         float,
         typer.Option(
-            "--duration", metavar="S", min=5.0, max=600.0, help="Fly for this time in s, without --plan."
+            "--duration",
+            metavar="S",
+            min=5.0,
+            max=600.0,
+            help="Fly for this time in s if --plan is not given.",
         ),
     ] = 20.0,
     rig: Annotated[

@@ -48,7 +48,7 @@ def diagnose(
             "--calibrate",
             metavar="SECONDS",
             min=0.0,
-            help="Calibrate each validation flight over this time.  [default: 8, or a third of it]",
+            help="Calibrate over this time of a validation flight, s.  [default: 8, at most a third]",
             show_default=False,
         ),
     ] = None,

@@ -131,7 +131,7 @@ def fly(
     """Fly a control law on the board, along a travel step and sines.
 
     The board takes off and lands with its own control law. If the flight fails, that law takes over. Options
-    and files are those of `heli-host fly`. --duration applies without --plan. The code
+    and files are those of `heli-host fly`. --duration applies only without --plan. The code
     of the file runs with your rights.
 
     Example: `heli-host law fly lqi.py --sil --board due --log lqi.mcap`
@@ -159,7 +159,7 @@ def compare(
         list[Path],
         typer.Argument(
             metavar="A [B...]",
-            help="Compare these laws (.py) or logs (.mcap, .csv), one law with the board's own.",
+            help="Compare .py laws or .mcap, .csv logs. One law is compared with the board's.",
         ),
     ],
     duration_s: DurationOption = 30.0,
@@ -225,9 +225,10 @@ def grade(
 ) -> None:
     """Grade control laws on the same plan, simulated rigs and seeds.
 
-    The board's own control law is the first row. --duration applies without --plan. A file may use processor
-    time and 1 GB of memory, and may not write files, open sockets or start processes. The exit code is 4 if a
-    law was refused, or was taken over. Laws that take the rig are designed for the first one.
+    The board's own control law is the first row. --duration applies only without --plan. Each file has limits
+    of processor time and memory (1 GB), and may not write files, open sockets or start processes. A law that
+    depends on the rig is designed for the first rig. The exit code is 4 if the board refused a law, or had to
+    take over from it.
 
     Example: `heli-host law grade lqi.py lqr.py --seeds 5 --report grades`
     """

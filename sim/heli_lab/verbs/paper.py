@@ -75,7 +75,7 @@ def tables(
 
 @app.command("gains")
 def gains(rig: RigName = DEFAULT_RIG, json: JsonOption = None) -> None:
-    """Check the stability of pitch and travel for each reading of Table 6.
+    """Check the stability of pitch and travel for each interpretation of Table 6.
 
     The plants are the linearised equations (30) and the linearised multibody model. No file is written
     without --json.

@@ -52,7 +52,7 @@ def twin(
         typer.Option(
             "--learn",
             metavar="FILE",
-            help="Set the alarm threshold by the nominal flights, and write this twin file.",
+            help="Set the alarm threshold from the nominal flights, and write this twin file.",
         ),
     ] = None,
     false_alarm_interval_h: Annotated[
@@ -65,10 +65,11 @@ def twin(
         ),
     ] = FALSE_ALARM_INTERVAL_h,
     start_s: Annotated[
-        float | None, typer.Option("--from", "--from-s", metavar="S", help="Ignore rows before this time.")
+        float | None,
+        typer.Option("--from", "--from-s", metavar="S", help="Ignore rows before this time in s."),
     ] = None,
     stop_s: Annotated[
-        float | None, typer.Option("--to", "--to-s", metavar="S", help="Ignore rows from this time on.")
+        float | None, typer.Option("--to", "--to-s", metavar="S", help="Ignore rows from this time in s on.")
     ] = None,
     json: JsonOption = None,
     figure: FigureOption = None,

@@ -244,9 +244,9 @@ def to_board(
 ) -> None:
     """Convert a rig file into parameters for a board.
 
-    These are counts per turn, rest angle, supply, dead zone and limits. An encoder whose direction the rig
-    file does not state keeps the sign that it has in --params, and is left out without --params. Limits are
-    only lowered. An existing file of parameters is replaced.
+    Writes counts per turn, rest angle, supply, dead zone and limits. If the rig file does not state the
+    direction of an encoder, its sign comes from --params. Without --params, this encoder is left out. Limits
+    are only lowered. An existing file of parameters is replaced.
 
     Example: `heli-host rig to-board mine.toml board.toml`
     """

@@ -62,8 +62,9 @@ def doctor(json: JsonOption = None) -> None:
 
 
 def examine() -> Iterator[Finding]:
-    """Look at everything, one finding at a time, in the order in which things depend on each other; what
-    other packages need is theirs to check.
+    """Yield one finding at a time, in an order in which no check depends on a later one.
+
+    Other packages add their own checks by an entry point.
     """
     yield check_python()
     yield check_packages()

@@ -176,7 +176,7 @@ export class Controls {
     this.status = status;
     const off = ["idle", "fault", ""].includes(this.state), flies = this.flies, busy = Boolean(status.doing);
     const can = FLYING.has(this.state) && !status.flight;
-    const watch = flies ? "" : "only the pilot; ask for control", waits = busy ? `the board is busy (${status.doing})` : "";
+    const watch = flies ? "" : "only the pilot may do this; ask for control", waits = busy ? `the board is busy (${status.doing})` : "";
     const start = watch || waits || (this.state === "idle" ? "" : "only while the motors are off");
     const move = watch || (status.flight ? "the plan gives the setpoints" : can ? "" : "only in flight; take off first");
     $("clear-fault").hidden = this.state !== "fault";
@@ -192,7 +192,7 @@ export class Controls {
     $("recording").textContent = status.trouble || (status.recording ? `recording ${status.recording}` : this.recorded ?? "not recording");
     const flight = status.flight;
     $("progress").textContent = flight ? `${flight.phase}, ${flight.t_s} s${flight.left_s == null ? "" : `, ${flight.left_s} s left`}. Press Land to end it` : status.doing;
-    this.why = !this.mayTune ? "only the pilot, unless the pilot lets others change parameters" : "";
+    this.why = !this.mayTune ? "only the pilot may do this, unless the pilot allows it to others" : "";
     explain("why-parameters", [
       ["Undo", block([$("undo")], this.why || (this.hello.undo ? "" : "nothing was changed"))],
       ["Save", block([$("save")], this.why || (this.state === "idle" ? "" : "only while the motors are off"))]]);
@@ -212,7 +212,7 @@ export class Controls {
 
   showLaw(law) {
     if (!law) return;
-    const reason = !this.flies ? "only the pilot; ask for control" : ["idle", "closed_loop"].includes(this.state) ? "" : "only with the motors off, or in closed loop";
+    const reason = !this.flies ? "only the pilot may do this; ask for control" : ["idle", "closed_loop"].includes(this.state) ? "" : "only with the motors off, or in closed loop";
     explain("why-law", [["Control law", reason]]);
     for (const button of this.laws) {
       button.disabled = Boolean(reason);

@@ -109,7 +109,7 @@ def thrust_noise_in_words(noise: Mapping[str, Mapping[str, float]]) -> list[str]
     """State how much supply and thrust vary at random, if that is significant; `noise` is as in the JSON."""
     beginnings = {
         "supply": "the supply varies by",
-        "difference": "the two rotors' thrusts vary against each other by",
+        "difference": "the difference of the two rotors' thrusts varies by",
     }
     return [
         f"{beginnings[name]} {100.0 * values['std']:.1g} % with a correlation time of "
@@ -206,7 +206,7 @@ def proposal_lines(proposal: Proposal) -> list[str]:
         lines.append(f"  nearly as likely on these flights: {'; '.join(close)}")
     lines += _error_reduction_text(proposal.evaluation.reductions)
     if discovery.superfluous:
-        lines.append(f"  not needed any more with it: {', '.join(discovery.superfluous)}")
+        lines.append(f"  causes that are not needed with this equation: {', '.join(discovery.superfluous)}")
     return lines
 
 

@@ -107,7 +107,8 @@ def _sentences_on_axes_at_rest(identification: Identification, at_rest: Sequence
     uninformed = identification.uninformed_parameters
     if uninformed:
         sentences.append(
-            f"The fitted flights do not inform {', '.join(uninformed)}; the plan `identify` moves every axis."
+            f"The fitted flights do not determine {', '.join(uninformed)}; fly the plan `identify`, which "
+            "moves every axis."
         )
     return sentences
 
