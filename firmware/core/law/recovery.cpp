@@ -40,7 +40,7 @@ constexpr float kTiltingShare = 0.4F;
 constexpr Quantity kRiseStep_rad = degrees(0.005F);
 
 // The distance below the limit that a setpoint must keep.
-constexpr float kMargin_deg = 2.0F;
+constexpr float kElevationMargin_deg = 2.0F;
 
 bool at_rest(const ControlInput& in) {
   bool at_rest = magnitude(in.angle_rad[kPitch]) < kLevel_rad;
@@ -59,7 +59,7 @@ bool is_near(const ControlInput& in, std::size_t axis) {
 RecoveryLimits recovery_limits_of(const params::Params& params) {
   RecoveryLimits limits{};
   limits.elevation_min_rad = degrees(params.get(Param::elevation_rest_deg));
-  limits.elevation_max_rad = degrees(params.get(Param::elevation_max_deg) - kMargin_deg);
+  limits.elevation_max_rad = degrees(params.get(Param::elevation_max_deg) - kElevationMargin_deg);
   const float slope = params.get(Param::hover_slope);
   const float tilting_deg =
       slope > 0.0F ? (kTiltingShare - 1.0F) * params.get(Param::hover_V) / slope : -90.0F;

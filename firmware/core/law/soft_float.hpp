@@ -45,13 +45,13 @@ constexpr Bits flushed(Bits a) { return exponent_of(a) == 0U ? a & kSign : a; }
 // Packs a float and rounds it. `mantissa` has its leading bit at the top; its last bit must be set
 // if any lower bit was lost. `exponent` is biased; out of range it gives zero or infinity.
 constexpr Bits rounded(Bits sign, std::int32_t exponent, std::uint32_t mantissa) {
-  const auto biased = static_cast<std::uint32_t>(exponent) - 1U;
-  if (biased >= 254U) {
+  const auto exponent_minus_1 = static_cast<std::uint32_t>(exponent) - 1U;
+  if (exponent_minus_1 >= 254U) {
     return exponent <= 0 ? sign : sign | kInfinity;
   }
   // Half a last bit and no more is rounded to even. A carry goes on into the exponent.
-  const std::uint32_t fraction_mask = (mantissa & 0xffU) + ((mantissa >> 8U) & 1U) + 0x7fU;
-  return sign + ((biased << 23U) + (mantissa >> 8U) + (fraction_mask >> 8U));
+  const std::uint32_t rounding_sum = (mantissa & 0xffU) + ((mantissa >> 8U) & 1U) + 0x7fU;
+  return sign + ((exponent_minus_1 << 23U) + (mantissa >> 8U) + (rounding_sum >> 8U));
 }
 
 // `a` becomes the operand of greater size. Both mantissas get 7 bits more below them: enough to
