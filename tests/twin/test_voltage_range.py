@@ -26,6 +26,20 @@ def test_a_rotor_that_reverses_is_not_judged_for_one_second_and_reported_once() 
     assert voltage_range.is_known(104)
 
 
+def test_a_range_is_extrapolated_by_a_tenth_but_not_across_zero() -> None:
+    voltages = replace(EXACT, low_V=np.array([0.0, -1.0]), high_V=np.array([2.0, 3.0]))
+    known = [(0.0, 0.0), (2.19, 0.0), (0.0, 3.39), (0.0, -1.39)]
+    unknown = [(-0.01, 0.0), (2.21, 0.0), (0.0, 3.41), (0.0, -1.41)]
+    for volts_V in known:
+        assert VoltageRange(voltages, STEP_s).update(0, np.array(volts_V)) == ""
+    for volts_V in unknown:
+        assert VoltageRange(voltages, STEP_s).update(0, np.array(volts_V)) != ""
+
+
+def test_exact_parameters_hold_for_all_voltages() -> None:
+    assert VoltageRange(EXACT, STEP_s).update(0, np.array([-100.0, 100.0])) == ""
+
+
 def test_the_rotor_that_is_farthest_outside_is_named() -> None:
     reason = VoltageRange(KNOWN_VOLTAGES, STEP_s).update(0, np.array([-0.1, 1.0]))
     assert reason.startswith("the back rotor gets 1.0 V; the twin knows 1.7 V to 5.5 V")
