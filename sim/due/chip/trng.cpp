@@ -42,6 +42,7 @@ void Trng::reset() {
   update();
 }
 
+// TRNG_CR.ENABLE: the first value comes 84 cycles later.
 void Trng::enable(bool on) {
   if (on && !enabled_) next_ = system_.now() + kCycles;
   enabled_ = on;
@@ -52,11 +53,12 @@ void Trng::catch_up() {
   if (!enabled_ || system_.now() < next_) return;
   const std::uint64_t values = (system_.now() - next_) / kCycles + 1;
   next_ += values * kCycles;
-  state_ += values * 0x9E3779B97F4A7C15U;
+  state_ += values * 0x9E3779B97F4A7C15U;  // SplitMix64's step: 2^64 / golden ratio
   value_ = mixed(state_);
   ready_ = true;
 }
 
+// Sets the interrupt line, and schedules the next value if an interrupt waits for it.
 void Trng::update() {
   system_.set_irq(id::kTrng, ready_ && !masked_);
   system_.scheduler.set(id_, enabled_ && !masked_ && !ready_ ? next_ : kNever);

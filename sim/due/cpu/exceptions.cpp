@@ -34,11 +34,14 @@ void Exceptions::reset() {
   next_ = 0;
 }
 
+// The part of a priority that decides about preemption: AIRCR.PRIGROUP takes its lower bits away.
 int Exceptions::group(int priority) const {
   if (priority < 0) return priority;
   return priority & ~((2 << prigroup_) - 1) & 0xFF;
 }
 
+// The priority of the running code (ExecutionPriority, B1.5.4): that of the most urgent active
+// exception, raised by BASEPRI, PRIMASK and FAULTMASK.
 int Exceptions::masked(bool with_primask) const {
   int priority = active_priority_;
   if (basepri_ != 0) priority = std::min(priority, group(basepri_));
@@ -47,6 +50,8 @@ int Exceptions::masked(bool with_primask) const {
   return priority;
 }
 
+// The pending and enabled exception with the lowest priority value, and of equals the lowest
+// number; 0 if it would not preempt code that runs at priority `below`.
 std::uint8_t Exceptions::most_urgent(int below) const {
   std::uint64_t candidates = pending_ & enabled_;
   std::uint8_t best = 0;
@@ -78,6 +83,7 @@ bool Exceptions::can_take(std::uint8_t number) const {
   return enabled(number) && group(priority_[number]) < execution_priority();
 }
 
+// Recomputes the priority of the most urgent active exception.
 void Exceptions::find_active_priority() {
   active_priority_ = kThreadPriority;
   for (std::uint64_t left = active_; left != 0; left &= left - 1) {
@@ -113,6 +119,7 @@ void Exceptions::set_active(std::uint8_t number, bool active) {
   refresh();
 }
 
+// A peripheral's request line changes. A rising edge pends the interrupt at once.
 void Exceptions::set_line(std::uint8_t irq, bool high) {
   const std::uint64_t mask = std::uint64_t{1} << irq;
   const bool was = (lines_ & mask) != 0;
@@ -121,6 +128,7 @@ void Exceptions::set_line(std::uint8_t irq, bool high) {
   if (high) pend(static_cast<std::uint8_t>(exc::kIrq0 + irq));
 }
 
+// The processor enters the handler of `number`.
 void Exceptions::activate(std::uint8_t number) {
   pending_ &= ~bit(number);
   active_ |= bit(number);
@@ -128,6 +136,7 @@ void Exceptions::activate(std::uint8_t number) {
   refresh();
 }
 
+// The processor returns from it.
 void Exceptions::deactivate(std::uint8_t number) {
   active_ &= ~bit(number);
   if (number >= exc::kIrq0 && line(static_cast<std::uint8_t>(number - exc::kIrq0))) {
