@@ -20,6 +20,7 @@ constexpr EncoderPins kEncoderPins[kEncoders] = {
     {pin_of('D', 0), pin_of('D', 1)},    // D25, D26: interrupt
 };
 
+// An H bridge with two half bridges: each has a PWM input and an enable input.
 struct MotorPins {
   int right_pwm;
   int left_pwm;

@@ -31,6 +31,8 @@ int Due::attach_encoder(int pin_a, int pin_b) {
   return static_cast<int>(encoders_.size()) - 1;
 }
 
+// Puts an encoder's lines at the levels of its count: A is high in phases 1 and 2, B in 2 and 3. An
+// open collector pulls low, or lets the resistor pull up.
 void Due::drive_lines(const Encoder& encoder) {
   const auto phase = static_cast<unsigned>(encoder.count) & 3U;
   const bool a = phase == 1 || phase == 2;
@@ -46,6 +48,7 @@ void Due::set_encoder(int encoder, std::int32_t count) {
   drive_lines(set);
 }
 
+// Two counts further, both lines differ.
 void Due::glitch_encoder(int encoder) { set_encoder(encoder, this->encoder(encoder) + 2); }
 
 void Due::schedule_step(int encoder, int direction, BoardTime when) {
@@ -57,6 +60,7 @@ void Due::schedule_step(int encoder, int direction, BoardTime when) {
   plan();
 }
 
+// Schedules event() for the next encoder step.
 void Due::plan() {
   const std::uint64_t when =
       steps_.empty() ? kNever : chip.system.clock.cycle_at(steps_.front().when);

@@ -17,6 +17,7 @@ using namespace due_emulator;
 
 namespace {
 
+// Processor, bus and memories; everything else of the chip is absent, and checks are lenient.
 class BareCore {
  public:
   BareCore() : scs_(system_.cpu, system_.exceptions, system_.scheduler, system_.diagnostics) {
@@ -33,6 +34,7 @@ class BareCore {
     system_.cpu.vtor = kFlashBase;
   }
 
+  // Writes flash or SRAM, and forgets all decoded code.
   void write(std::uint32_t address, nb::bytes data) {
     const auto size = static_cast<std::uint32_t>(data.size());
     std::uint8_t* to = place(address, size);
@@ -73,6 +75,7 @@ class BareCore {
   Exceptions& exceptions() { return system_.exceptions; }
 
  private:
+  // The bytes of flash or SRAM at an address.
   std::uint8_t* place(std::uint32_t address, std::uint32_t size) {
     if (address - kFlashBase < kFlashSize && size <= kFlashSize - (address - kFlashBase)) {
       return system_.memory.flash.data() + (address - kFlashBase);
