@@ -159,6 +159,7 @@ class FuzzBoard final : public heli::Board {
   void write_motors(const heli::MotorCommand& command) override { motors = command; }
   bool hardware_stop() override { return stop_input; }
 
+  // The bytes that have arrived, up to `most`.
   std::size_t receive(std::uint8_t* to, std::size_t most) override {
     std::size_t count = 0;
     for (; count < most && read_ < received_.size(); ++count) to[count] = received_[read_++];
@@ -173,6 +174,7 @@ class FuzzBoard final : public heli::Board {
     read_ = 0;
   }
   std::size_t transmit_free() override { return room; }
+  // What the board sends goes to the auditor, byte by byte.
   void transmit(const std::uint8_t* bytes, std::size_t count) override {
     require(count <= room, "no more is sent than there is room for");
     room -= count;

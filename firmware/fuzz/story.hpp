@@ -164,6 +164,7 @@ class Story {
     }
   }
 
+  // A host with the right declaration begins a session.
   void hello(std::uint32_t session) {
     heli::link::HelloMessage message;
     message.link_hash = heli::link::kLinkHash;
@@ -171,6 +172,7 @@ class Story {
     command(message);
   }
 
+  // Sets a parameter by a command.
   void set(heli::link::Param which, float value) {
     heli::link::ParamSetMessage message;
     message.index = static_cast<std::uint8_t>(which);

@@ -147,6 +147,7 @@ MotorOutput DueBoard::motors() const {
   return {front ? motor_duty(*due_, 0) : 0.0, back ? motor_duty(*due_, 1) : 0.0, front || back};
 }
 
+// All bytes under way are lost; see due_board.hpp.
 void DueBoard::reset(heli::link::Reset cause) {
   to_uart_.clear();
   from_uart_.clear();
@@ -172,6 +173,7 @@ void DueBoard::erase() {
   due_->chip.flash.gpnvm = 0;
 }
 
+// The next byte that left the chip before this millisecond.
 bool DueBoard::uart_transmit(std::uint8_t& byte) {
   if (sendable_bytes_ == 0 || from_uart_.empty()) return false;
   --sendable_bytes_;

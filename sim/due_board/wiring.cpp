@@ -37,6 +37,7 @@ const MotorPins& pins_of(int motor) { return kMotorPins.at(static_cast<std::size
 
 }  // namespace
 
+// See wiring.hpp.
 void wire(due_emulator::Due& due) {
   const std::uint64_t now = due.chip.system.now();
   for (const EncoderPins& encoder : kEncoderPins) due.attach_encoder(encoder.a, encoder.b);

@@ -28,6 +28,7 @@ using In = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>
 using Line = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Out = nb::ndarray<nb::numpy, double, nb::ndim<2>>;
 
+// Throws ValueError in Python if an argument is wrong.
 void require(bool holds, const char* what) {
   if (!holds) {
     throw std::invalid_argument(what);
@@ -105,6 +106,7 @@ class TableProgram {
     }
   }
 
+  // One array per output, with a row for each row of the inputs.
   std::vector<Out> evaluate(const std::vector<In>& rows, const Line& shared) const {
     require(!rows.empty(), "no input has rows");
     const std::vector<const double*> inputs = pointers(rows, shared, widths_, 0);
@@ -148,6 +150,7 @@ class CourseIntegrator {
                    const std::vector<std::int32_t>& resets)
       : widths_(widths), integrator_(made(operations, a, b, constants, widths, rates, resets)) {}
 
+  // z at the end of one substep of each row; the arguments are those of Integrator::run().
   Out run(const std::vector<In>& course, const Line& t_s, const Line& shared, double step_s,
           std::size_t substeps, std::size_t seen, const Line& start) const {
     require(!course.empty(), "no input has rows");

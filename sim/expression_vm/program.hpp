@@ -74,6 +74,7 @@ constexpr std::string_view kOperationNames[] = {
         "CONST",
     "INPUT"};
 
+// Number of operands of an operation.
 constexpr int arguments_of(Op op) {
   constexpr int kArguments[] = {
 #define HELI_NAME(name, arguments, value) arguments,

@@ -21,6 +21,7 @@ template <int Dimensions>
 using In = nb::ndarray<const double, nb::ndim<Dimensions>, nb::c_contig, nb::device::cpu>;
 using Out = nb::ndarray<nb::numpy, double>;
 
+// Throws ValueError in Python if an argument is wrong.
 void require(bool holds, const char* what) {
   if (!holds) {
     throw std::invalid_argument(what);

@@ -31,6 +31,7 @@ HELI_WIDE void over_blocks(const Signals& signals, std::size_t block, double* ou
   }
 }
 
+// See kalman.hpp: phi is a step's transition, gamma the effect of its rates.
 HELI_WIDE void block_response(const Signals& signals, std::size_t block, double* transition,
                               double* parts) {
   const std::size_t states = signals.states;

@@ -13,6 +13,7 @@ constexpr std::size_t kLanes = 4;  // models that are filtered together
 // the product stays in range.
 constexpr std::size_t kProduct = 16;
 
+// Four numbers on which the processor computes at once.
 #if defined(__GNUC__)
 using Four = double __attribute__((vector_size(kLanes * sizeof(double))));
 #else

@@ -26,7 +26,7 @@ using heli_sim::MemoryBoard;
 using heli_sim::NativeBoard;
 using heli_sim::SimBoard;
 
-// The content of the flash; Python keeps it between two boards.
+// The content of the flash, for Python.
 nb::bytes flash_bytes(NativeBoard& self) {
   return nb::bytes(self.memory().flash.data(), self.memory().flash.size());
 }
@@ -40,7 +40,7 @@ void set_flash(NativeBoard& self, const nb::bytes& flash) {
   std::memcpy(self.memory().flash.data(), flash.c_str(), flash.size());
 }
 
-// Sets how many illegal transitions each encoder has seen, as a fault would.
+// Sets the number of illegal transitions that each encoder's counter has seen, as bad wiring would.
 void set_illegal(NativeBoard& self, const std::array<std::uint32_t, heli::kAxisCount>& count) {
   std::copy(count.begin(), count.end(), self.memory().encoders.illegal);
 }

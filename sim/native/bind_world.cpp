@@ -70,6 +70,7 @@ class CallbackStep final : public PlantStep {
   std::size_t parameter_count_;
 };
 
+// Python's two vectors as a configuration.
 EncoderConfig encoder_config(const Axes& counts_per_rad, const Axes& offset_count) {
   EncoderConfig config{};
   std::copy(counts_per_rad.begin(), counts_per_rad.end(), config.counts_per_rad);

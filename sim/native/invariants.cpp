@@ -26,6 +26,7 @@ T value_of(const std::atomic<T>& shared) {
 
 namespace heli_sim {
 
+// See invariants.hpp.
 const char* broken_invariant(const heli::FlightCode& code, std::int32_t duty_full) {
   using heli::proofs::holds;
   const heli::Core& core = code.core;

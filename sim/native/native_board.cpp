@@ -37,8 +37,8 @@ void MemoryBoard::read_page(std::size_t page, std::uint8_t* to, std::size_t coun
   std::copy_n(flash.data() + page * kPageBytes, count, to);
 }
 
-// Erases a page and writes its first bytes; saves the flash if it has a file. False: nothing was
-// saved.
+// Erases a page and writes its first bytes; saves the flash if it has a file. False: there
+// is no such page, or the file could not be written.
 bool MemoryBoard::write_page(std::size_t page, const std::uint8_t* from, std::size_t count) {
   if (page >= kPages || count > kPageBytes) return false;
   std::uint8_t* to = flash.data() + page * kPageBytes;
@@ -135,6 +135,7 @@ void NativeBoard::reset(heli::link::Reset cause) {
   reset_ticks_ = kResetTicks;
 }
 
+// No program starts any more, as on a Due with an empty flash.
 void NativeBoard::erase() {
   reset(heli::link::Reset::user);
   memory_.flash.fill(0xFF);

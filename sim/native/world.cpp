@@ -56,6 +56,7 @@ World::World(std::shared_ptr<SimBoard> board, std::shared_ptr<PlantStep> step,
   encoders_.move(angles_rad_.data());
 }
 
+// The rig jumps to another state; encoders follow by counts, as if it had moved there.
 void World::set_state(const std::vector<double>& state) {
   require_size("the state", state.size(), state_.size());
   state_ = state;

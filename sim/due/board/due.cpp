@@ -25,6 +25,7 @@ void Due::load(std::uint32_t address, const std::uint8_t* bytes, std::size_t cou
 
 // -- encoders ---------------------------------------------------------------------------------
 
+// See due.hpp.
 int Due::attach_encoder(int pin_a, int pin_b) {
   encoders_.push_back({pin_a, pin_b, 0});
   drive_lines(encoders_.back());
@@ -51,6 +52,7 @@ void Due::set_encoder(int encoder, std::int32_t count) {
 // Two counts further, both lines differ.
 void Due::glitch_encoder(int encoder) { set_encoder(encoder, this->encoder(encoder) + 2); }
 
+// Queues a step of +1 or -1 for event(); times must not go backwards.
 void Due::schedule_step(int encoder, int direction, BoardTime when) {
   if (index(encoder) >= encoders_.size()) {
     throw std::out_of_range("encoder " + std::to_string(encoder) + " of " +
@@ -82,6 +84,7 @@ void Due::event(std::uint64_t) {
 
 // -- outputs ----------------------------------------------------------------------------------
 
+// See due.hpp.
 double Due::pin_duty(int pin) const {
   const PinSetting& setting = chip.pins.setting(pin);
   const int signal = Pwm::signal_at(pin);

@@ -18,6 +18,7 @@ void CodeWindow::note_decoded(std::uint32_t address) {
   highest_ = std::max(highest_, index);
 }
 
+// See memory.hpp.
 void CodeWindow::forget(std::uint32_t offset, std::uint32_t size) {
   if (slots_.empty() || offset >= size_) return;
   // A 32-bit instruction may begin one halfword earlier.
@@ -34,6 +35,7 @@ void CodeWindow::forget_all() {
   highest_ = 0;
 }
 
+// Flash is erased. The windows are in the order that memory.hpp gives.
 Memory::Memory()
     : flash(kFlashSize, 0xFF),
       ram(kRamSize, 0),

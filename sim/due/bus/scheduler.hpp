@@ -28,6 +28,7 @@ class Scheduler {
     return sources_.size() - 1;
   }
 
+  // The model's event comes at `cycle`, in place of an earlier choice.
   void set(Id id, std::uint64_t cycle) {
     const std::uint64_t before = sources_[id].cycle;
     sources_[id].cycle = cycle;

@@ -116,6 +116,7 @@ Adc::Adc(System& system)
     : Peripheral(system, "ADC", 0x400C0000, 0x4000, id::kAdc, kRegisters),
       id_(system.scheduler.add(this)) {}
 
+// Also ADC_CR.SWRST; the voltages at the inputs stay.
 void Adc::reset() {
   data_ = {};
   mode_ = channels_ = complete_ = overruns_ = interrupts_ = extended_ = last_ = window_ = 0;
@@ -202,6 +203,7 @@ void Adc::event(std::uint64_t) {
   update();
 }
 
+// Reading a data register (LCDR, CDR) or a status register (ISR, OVER) clears its flags.
 std::uint32_t Adc::read(std::uint32_t offset) {
   std::uint32_t value = 0;
   switch (offset) {
@@ -256,6 +258,7 @@ void Adc::write_mode(std::uint32_t value) {
   if ((value & kFreeRun) != 0) start();
 }
 
+// In free run (FREERUN), enabling a channel starts the conversions.
 void Adc::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kCr:

@@ -44,6 +44,7 @@ constexpr int kMaxSteps = 10000;
 
 }  // namespace
 
+// Makes all peripherals with their base addresses, and holds the processor until the power comes.
 Chip::Chip()
     : scs(system.cpu, system.exceptions, system.scheduler, system.diagnostics),
       pins(system.diagnostics),
@@ -88,6 +89,7 @@ void Chip::power_on() {
   reset(ResetType::kGeneral, false);
 }
 
+// A flash command that runs is cut off, and all outputs are released.
 void Chip::power_off() {
   efc0.cut();
   efc1.cut();
@@ -129,6 +131,7 @@ void Chip::boot() {
   system.cpu.hold(false);
 }
 
+// The NRST pin changes. Its release starts the processor three periods of the slow clock later.
 void Chip::set_nrst(bool low) {
   const bool was = rstc.nrst_low();
   rstc.set_nrst(low);
@@ -145,11 +148,12 @@ void Chip::carry_out_resets() {
   system.reset_wanted = false;
 }
 
+// With the check of wait loops, runs in slices of kWatchEvery and looks for such a loop after each.
 void Chip::run_until(BoardTime until) {
   const bool watched = system.diagnostics.strict(Trouble::kWait);
   while (system.board_now() < until && system.cpu.halt() == Halt::kNone) {
-    const BoardTime slice = watched ? std::min(until, system.board_now() + kWatchEvery) : until;
-    system.cpu.run(system.clock.cycle_at(slice));
+    const BoardTime slice_end = watched ? std::min(until, system.board_now() + kWatchEvery) : until;
+    system.cpu.run(system.clock.cycle_at(slice_end));
     carry_out_resets();
     if (watched) check_waits();
   }

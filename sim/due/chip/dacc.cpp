@@ -76,6 +76,7 @@ void Dacc::reset() {
   update();
 }
 
+// See dacc.hpp. Codes 0 to 4095 give one sixth to five sixths of the reference.
 double Dacc::output_V(int channel) const {
   const auto index = static_cast<std::size_t>(channel);
   if (((channels_ >> index) & 1U) == 0) return 0.0;
@@ -109,6 +110,7 @@ void Dacc::event(std::uint64_t) {
   update();
 }
 
+// Reading DACC_ISR clears EOC.
 std::uint32_t Dacc::read(std::uint32_t offset) {
   switch (offset) {
     case kMr:
@@ -130,6 +132,7 @@ std::uint32_t Dacc::read(std::uint32_t offset) {
   }
 }
 
+// A write to DACC_CDR queues one value, or with WORD two.
 void Dacc::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kCr:

@@ -80,6 +80,7 @@ void Flash::latch(std::uint32_t offset, std::uint32_t value, std::uint32_t size)
   plane_at(offset).latch(offset, value);
 }
 
+// EFC0 has the lower plane, EFC1 the upper one.
 FlashController::FlashController(System& system, Flash& flash, int index)
     : Peripheral(system, index == 0 ? "EFC0" : "EFC1", index == 0 ? 0x400E0A00U : 0x400E0C00U,
                  0x200, kAlwaysClocked, kRegisters),
@@ -99,6 +100,7 @@ void FlashController::reset() {
   update_irq();
 }
 
+// EEFC_FMR.FWS: wait states of a read of this plane.
 void FlashController::set_wait_states(std::uint32_t count) {
   system_.flash_wait_states[static_cast<std::size_t>(index_)] = count;
   // Code runs from the lower plane: it decides for the cycle model.
@@ -140,6 +142,7 @@ void FlashController::apply(BoardTime passed) {
   if (erase_ != 0 || writes) system_.cpu.flush_flash_code();
 }
 
+// See eefc.hpp: the command that runs ends here, with the flash half done.
 void FlashController::cut() {
   if (!busy()) return;
   apply(std::min(system_.board_now(), end_) - begin_);
@@ -179,6 +182,7 @@ void FlashController::event(std::uint64_t) {
   update_irq();
 }
 
+// EEFC_FMR, EEFC_FSR and EEFC_FRR.
 std::uint32_t FlashController::read(std::uint32_t offset) {
   switch (offset) {
     case kFmr:
@@ -194,6 +198,7 @@ std::uint32_t FlashController::read(std::uint32_t offset) {
   }
 }
 
+// EEFC_FCR is a command. EEFC_FMR sets the wait states, which must be enough for the master clock.
 void FlashController::write(std::uint32_t offset, std::uint32_t value) {
   if (offset == kFcr) return command(value);
   if (busy()) misuse(offset, "write while the plane is being programmed");

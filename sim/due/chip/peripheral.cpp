@@ -18,6 +18,7 @@ void System::change_mck(std::uint32_t mck_Hz) {
   cpu.interrupt_run();
 }
 
+// Indexes the register table by offset, and adds the peripheral to the chip's list and to the bus.
 Peripheral::Peripheral(System& system, const char* name, std::uint32_t base, std::uint32_t size,
                        int clock_id, const Register* registers, std::size_t count)
     : system_(system),
@@ -39,6 +40,7 @@ const Register* Peripheral::find(std::uint32_t offset) const {
   return &registers_[index_[offset / 4]];
 }
 
+// "TC0 TC_QISR (0x400800d4)"; without a register, the address alone.
 std::string Peripheral::describe(std::uint32_t offset) const {
   const Register* reg = find(offset);
   if (reg == nullptr) return std::string(name_) + " " + hex(base_ + offset);
@@ -95,6 +97,7 @@ std::uint32_t Peripheral::read_register(std::uint32_t address) {
   return check(offset, access::kRead) != nullptr ? read(offset) : 0;
 }
 
+// Registers under write protection (kProtected) also need it to be off.
 void Peripheral::write_register(std::uint32_t address, std::uint32_t value) {
   const std::uint32_t offset = address - base_;
   const Register* reg = check(offset, access::kWrite);

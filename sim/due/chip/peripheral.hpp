@@ -68,7 +68,7 @@ class Peripheral : public Device, public EventSink {
   // Report what a program does wrong, or what the model lacks, with the register's name.
   void misuse(std::uint32_t offset, const std::string& text) const;
   void not_modelled(std::uint32_t offset, const std::string& text) const;
-  // "TC0_QISR (0x400800d4)"
+  // "TC0 TC_QISR (0x400800d4)"
   std::string describe(std::uint32_t offset) const;
 
   System& system_;

@@ -94,6 +94,7 @@ void Pins::tell(int pin, bool level, std::uint64_t now) {
     listener.sink->pin_changed(listener.signal, level, now);
 }
 
+// Finds the level of a pin's wire and tells it to this pin and to the one that is joined with it.
 void Pins::refresh(int pin, std::uint64_t now) {
   const bool value = level(pin);
   tell(pin, value, now);

@@ -101,6 +101,7 @@ constexpr std::uint32_t kFrlhsr = 0xD8;
 
 }  // namespace
 
+// One port of 32 pins; it follows the edges of all of them.
 Pio::Pio(System& system, Pins& pins, int port, const char* name, std::uint32_t base)
     : Peripheral(system, name, base, 0x200, id::kPioA + port, kRegisters),
       pins_(pins),
@@ -108,6 +109,7 @@ Pio::Pio(System& system, Pins& pins, int port, const char* name, std::uint32_t b
   pins.set_port_listener(port, this);
 }
 
+// After reset all pins are inputs of the PIO with pull-ups.
 void Pio::reset() {
   pio_ = ~0U;
   output_ = filter_ = data_ = interrupts_ = status_ = open_drain_ = no_pull_up_ = 0;
@@ -165,6 +167,7 @@ void Pio::update_irq() {
   system_.set_irq(clock_id_, ((status_ | active) & interrupts_) != 0);
 }
 
+// Status registers: one bit per pin. Only reading PIO_ISR has an effect.
 std::uint32_t Pio::read(std::uint32_t offset) {
   switch (offset) {
     case kPsr:
@@ -206,6 +209,8 @@ std::uint32_t Pio::read(std::uint32_t offset) {
   }
 }
 
+// Most registers come in pairs: a 1 in the first sets a pin's bit of the status register, in the
+// second clears it.
 void Pio::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kPer:

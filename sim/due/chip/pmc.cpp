@@ -45,6 +45,7 @@ Pmc::Pmc(System& system)
     : Peripheral(system, "PMC", 0x400E0600, 0x200, kAlwaysClocked, kRegisters),
       id_(system.scheduler.add(this)) {}
 
+// After reset the chip runs from the RC oscillator at 4 MHz, and all peripheral clocks are off.
 void Pmc::reset() {
   main_oscillator_ = kMoscRcEn;
   plla_ = 0x3F00;  // PLLACOUNT
@@ -146,6 +147,7 @@ void Pmc::event(std::uint64_t) {
   plan();
 }
 
+// Status first becomes what it is at this time.
 std::uint32_t Pmc::read(std::uint32_t offset) {
   settle();
   switch (offset) {
@@ -307,6 +309,7 @@ void Pmc::write_peripheral(std::uint32_t offset, std::uint32_t value) {
   }
 }
 
+// Each register with its checks; write protection is checked before, in Peripheral.
 void Pmc::write(std::uint32_t offset, std::uint32_t value) {
   settle();
   switch (offset) {

@@ -1,4 +1,4 @@
-// Registers of the PMC and their bits by the datasheet's names (28.16).
+// Registers of the PMC and their bits by the datasheet's names (section 28).
 #pragma once
 
 #include "chip/peripheral.hpp"

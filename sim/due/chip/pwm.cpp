@@ -116,6 +116,7 @@ int Pwm::signal_at(int pin) {
   return -1;
 }
 
+// Becomes a driver of all PWM pins and a listener of the fault pins.
 Pwm::Pwm(System& system, Pins& pins)
     : Peripheral(system, "PWM", 0x40094000, 0x4000, id::kPwm, kRegisters),
       pins_(pins),

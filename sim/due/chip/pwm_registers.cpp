@@ -150,6 +150,7 @@ std::uint32_t Pwm::read_channel(int channel, std::uint32_t offset) const {
   }
 }
 
+// Registers of the controller, and from kChannels on those of the channels.
 std::uint32_t Pwm::read(std::uint32_t offset) {
   if (offset >= kChannels)
     return read_channel(static_cast<int>((offset - kChannels) / kChannelBytes),
@@ -196,6 +197,7 @@ void Pwm::unlock_update(std::uint32_t value) {
   plan();
 }
 
+// What can change an output first counts its high cycles up to now, and then refreshes the pins.
 void Pwm::write(std::uint32_t offset, std::uint32_t value) {
   if (offset >= kChannels)
     return write_channel(static_cast<int>((offset - kChannels) / kChannelBytes),

@@ -133,6 +133,7 @@ std::uint64_t Pwm::high_cycles(int channel, bool low_side) {
   return channels_[index(channel)].high[low_side];
 }
 
+// See pwm.hpp: the mean over one whole period with the values that act now.
 double Pwm::duty(int channel, bool low_side) const {
   bool value = false;
   if (forced(channel, low_side, value)) return value ? 1.0 : 0.0;

@@ -60,6 +60,7 @@ void Quadrature::input(bool is_a, bool level, std::uint64_t now) {
   if (filter_cycles() == 0) settle(now);
 }
 
+// See quadrature.hpp: lets each waiting edge pass that is older than the filter's time.
 void Quadrature::settle(std::uint64_t now) {
   const std::uint64_t wait = filter_cycles();
   const auto ready = [now, wait](const Input& phase) {

@@ -91,6 +91,7 @@ void Wdt::plan() {
   system_.scheduler.set(id_, system_.clock.cycle_at(system_.board_now() + left));
 }
 
+// The time of the underflow, unless the processor has slept meanwhile.
 void Wdt::event(std::uint64_t) {
   const BoardTime whole = system_.slow_periods((std::uint64_t{value()} + 1) * kWdtDivider);
   if (passed() < whole) return plan();
@@ -108,9 +109,9 @@ void Wdt::fail(std::uint32_t error) {
   restart();
 }
 
+// WDT_MR, or WDT_SR, which reading clears.
 std::uint32_t Wdt::read(std::uint32_t offset) {
   if (offset == kWdtMr) return mode_;
-  // WDT_SR: reading clears it.
   const std::uint32_t value = status_;
   status_ = 0;
   system_.set_irq(id::kWdt, false);
@@ -155,6 +156,7 @@ void Rstc::set_nrst(bool low) {
   nrst_low_ = low;
 }
 
+// RSTC_MR, or RSTC_SR with the last reset's type and the level of NRST.
 std::uint32_t Rstc::read(std::uint32_t offset) {
   if (offset == kRstcMr) return mode_;
   // RSTC_SR: reading clears URSTS.
@@ -165,6 +167,8 @@ std::uint32_t Rstc::read(std::uint32_t offset) {
   return value;
 }
 
+// RSTC_CR resets the processor, with PERRST the peripherals too; RSTC_MR allows user resets by
+// NRST.
 void Rstc::write(std::uint32_t offset, std::uint32_t value) {
   if ((value >> 24) != kSystemKey) return misuse(offset, "write without the key 0xA5");
   if (offset == kRstcMr) {

@@ -75,7 +75,7 @@ class Gpbr final : public Peripheral {
   std::array<std::uint32_t, 8> words_{};
 };
 
-// Chip identifier (section 9): the SAM3X8E.
+// Chip identifier: it names the SAM3X8E.
 class ChipId final : public Peripheral {
  public:
   explicit ChipId(System& system);

@@ -82,6 +82,7 @@ struct System {
   void set_irq(int identifier, bool high) {
     exceptions.set_line(static_cast<std::uint8_t>(identifier), high);
   }
+  // Asks for a reset; the chip carries it out as soon as the running instruction ends.
   void request_reset(ResetType type, bool only_processor = false) {
     reset_wanted = true;
     processor_only = only_processor;

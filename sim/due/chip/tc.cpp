@@ -71,6 +71,7 @@ constexpr std::uint32_t kChannelBytes = 0x40;       // from one channel's regist
 
 }  // namespace
 
+// Block `index` of three; follows and drives the pins that the wiring gives it.
 Tc::Tc(System& system, Pins& pins, int index, const Wiring& wiring)
     : Peripheral(system, kNames[index], 0x40080000U + 0x4000U * static_cast<std::uint32_t>(index),
                  0x4000, id::kTc0 + 3 * index, kRegisters),
@@ -156,6 +157,7 @@ std::uint32_t Tc::from_outside(std::uint32_t offset) const {
   return offset % kChannelBytes >= 0x10 && offset % kChannelBytes <= 0x20 ? ~0U : 0;
 }
 
+// A channel's register, or one of the block from TC_BCR on. First, edges pass the decoder's filter.
 std::uint32_t Tc::read(std::uint32_t offset) {
   if (quadrature_.enabled()) quadrature_.settle(system_.now());
   if (offset < kBcr) return channels_[offset / kChannelBytes].read(offset % kChannelBytes);
@@ -175,6 +177,8 @@ std::uint32_t Tc::read(std::uint32_t offset) {
   }
 }
 
+// TC_BCR triggers all channels at once; TC_BMR sets the decoder; TC_QIER and TC_QIDR its
+// interrupts.
 void Tc::write(std::uint32_t offset, std::uint32_t value) {
   if (quadrature_.enabled()) quadrature_.settle(system_.now());
   if (offset < kBcr) return channels_[offset / kChannelBytes].write(offset % kChannelBytes, value);

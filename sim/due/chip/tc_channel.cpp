@@ -210,6 +210,7 @@ void TcChannel::plan() {
   system_.scheduler.set(id_, when);
 }
 
+// A compare or an overflow for which plan() has scheduled this.
 void TcChannel::event(std::uint64_t) {
   settle();
   update_irq();
@@ -272,6 +273,7 @@ void TcChannel::software_trigger() {
   plan();
 }
 
+// Status and counter first become what they are at this time.
 std::uint32_t TcChannel::read(std::uint32_t offset) {
   settle();
   plan();
@@ -335,6 +337,7 @@ void TcChannel::write_mode(std::uint32_t value) {
   if (triggered) trigger();
 }
 
+// Compares up to now happen with the old values; then the write acts.
 void TcChannel::write(std::uint32_t offset, std::uint32_t value) {
   settle();
   switch (offset) {

@@ -49,6 +49,7 @@ void Trng::enable(bool on) {
   if (!on) ready_ = false;
 }
 
+// The last value that is complete by now; values in between are skipped, as on the chip.
 void Trng::catch_up() {
   if (!enabled_ || system_.now() < next_) return;
   const std::uint64_t values = (system_.now() - next_) / kCycles + 1;
@@ -69,6 +70,7 @@ void Trng::event(std::uint64_t) {
   update();
 }
 
+// TRNG_ODATA (default), TRNG_IMR, or TRNG_ISR, which reading clears.
 std::uint32_t Trng::read(std::uint32_t offset) {
   catch_up();
   std::uint32_t value = value_;
@@ -81,6 +83,7 @@ std::uint32_t Trng::read(std::uint32_t offset) {
   return value;
 }
 
+// TRNG_CR switches the generator with its key; TRNG_IER and TRNG_IDR set the interrupt's mask.
 void Trng::write(std::uint32_t offset, std::uint32_t value) {
   catch_up();
   if (offset == kCr) {

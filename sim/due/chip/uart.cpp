@@ -102,6 +102,7 @@ Uart::Uart(System& system, Pins& pins)
   pins.connect_driver(kTxPin, false, this, 1);
 }
 
+// Transmitter and receiver are off, and all buffers are empty.
 void Uart::reset() {
   mode_ = interrupts_ = divider_ = errors_ = 0;
   rx_enabled_ = tx_enabled_ = rx_ready_ = shifting_ = holding_full_ = false;
@@ -322,6 +323,7 @@ std::uint32_t Uart::from_outside(std::uint32_t offset) const {
   return offset == kRhr || offset == kRpr || offset == kRcr ? ~0U : 0;
 }
 
+// Reading UART_RHR clears RXRDY.
 std::uint32_t Uart::read(std::uint32_t offset) {
   if (offset >= kRpr) return read_pdc(offset);
   switch (offset) {
@@ -342,6 +344,7 @@ std::uint32_t Uart::read(std::uint32_t offset) {
   }
 }
 
+// Each write can change the status, and so the interrupt line.
 void Uart::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kCr:

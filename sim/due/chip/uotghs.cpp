@@ -120,6 +120,7 @@ void Uotghs::reset() {
   interrupts_ = endpoints_ = 0;
 }
 
+// The state of a port with no cable: a device by its ID pin, idle, and detached.
 std::uint32_t Uotghs::read(std::uint32_t offset) {
   switch (offset) {
     case kDevctrl:
@@ -139,6 +140,7 @@ std::uint32_t Uotghs::read(std::uint32_t offset) {
   }
 }
 
+// The registers only keep what is written.
 void Uotghs::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kDevctrl:

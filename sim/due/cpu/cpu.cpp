@@ -14,6 +14,7 @@ const Insn* decode_slot(Cpu& cpu, const Insn* insn) { return cpu.decode(insn); }
 // Handler of the slot behind the end of a memory.
 const Insn* fetch_fails(Cpu& cpu, const Insn*) { return cpu.bad_fetch(); }
 
+// What an empty slot of a code window holds: running it decodes the instruction.
 Insn blank() {
   Insn insn{};
   insn.run = &decode_slot;
@@ -21,6 +22,7 @@ Insn blank() {
   return insn;
 }
 
+// What the slot behind a window's end holds.
 Insn past_end() {
   Insn insn{};
   insn.run = &fetch_fails;
@@ -51,6 +53,8 @@ Cpu::Cpu(Memory& memory, Bus& bus, Scheduler& scheduler, Exceptions& exceptions)
   bus_.diagnostics().pc_source = this;
 }
 
+// Reset (B1.5.5): thread mode on the main stack, flags and faults cleared; decoded code is
+// forgotten.
 void Cpu::reset() {
   std::fill(std::begin(r), std::end(r), 0U);
   r[14] = ~0U;  // LR
@@ -121,6 +125,7 @@ void Cpu::burst() {
   ip_ = ip;
 }
 
+// Alternates between prepare() and burst(). A Fault thrown by an instruction becomes an exception.
 void Cpu::run(std::uint64_t until) {
   leave_ = false;
   while (cycles_ < until && halt_ == Halt::kNone && !leave_) {
@@ -135,6 +140,7 @@ void Cpu::run(std::uint64_t until) {
   }
 }
 
+// As one round of run(), with one instruction in place of a burst.
 void Cpu::step(std::uint64_t until) {
   leave_ = false;
   if (halt_ != Halt::kNone || !prepare(until)) return;
@@ -184,7 +190,7 @@ void Cpu::resume_at(std::uint32_t address, std::uint8_t it) {
       mark->second.original = slot.run;
       slot.run = [](Cpu& cpu, const Insn* i) { return cpu.marked(i); };
     }
-    // ITAdvance() of the manual (A7.3.3): the lower five bits shift left, and 000 ends the block.
+    // ITAdvance() of the manual (A7.3): the lower five bits shift left, and 000 ends the block.
     it = decoder.is_it()    ? decoder.opens_it()
          : (it & 0x7U) == 0 ? std::uint8_t{0}
                             : static_cast<std::uint8_t>((it & 0xE0U) | ((it << 1) & 0x1FU));
@@ -248,8 +254,9 @@ const Insn* Cpu::bad_fetch() {
   throw Fault{exc::kBusFault, cfsr::kIbusErr, 0, false};
 }
 
+// BXWritePC and LoadWritePC. A target without bit 0 would be ARM code: the next fetch faults.
 const Insn* Cpu::branch_exchange(std::uint32_t target) {
-  // EXC_RETURN values, in handler mode.
+  // From 0xF0000000 on it is an EXC_RETURN, in handler mode.
   if (target >= 0xF0000000U && ipsr_ != 0) return return_from_exception(target);
   if ((target & 1U) != 0) return slot(target & ~1U);
   thumb_ = false;
@@ -275,6 +282,7 @@ void Cpu::slow_store(std::uint32_t address, std::uint32_t value, std::uint32_t s
   bus_.write(address, value, size);
 }
 
+// UsageFault UNALIGNED, for accesses that the processor cannot split.
 void Cpu::throw_unaligned(std::uint32_t address) const {
   bus_.diagnostics().report(Trouble::kUnaligned, address,
                             "access to " + hex(address) + ", which this instruction cannot split");
@@ -292,6 +300,7 @@ void Cpu::set_pc(std::uint32_t address) {
   ip_ = slot(address & ~1U);
 }
 
+// For a debugger: r0 to r15.
 void Cpu::set_reg(unsigned index, std::uint32_t value) {
   if (index == 15) return set_pc(value);
   if (index == 13) return set_sp(value);
@@ -315,7 +324,7 @@ void Cpu::set_apsr(std::uint32_t value) {
   q_flag = (value >> 27) & 1U;
 }
 
-// ConditionPassed (A7.3.1): bits 3 to 1 choose the test, bit 0 inverts it.
+// ConditionPassed (A7.3): bits 3 to 1 choose the test, bit 0 inverts it.
 bool Cpu::passes(unsigned condition) const {
   const bool n = (n_src >> 31) != 0;
   const bool z = z_src == 0;

@@ -148,6 +148,7 @@ class Cpu {
   std::uint32_t exclusive_address = 0;
 
   bool passes(unsigned condition) const;
+  // The decoded instruction at an address; flash is the fast way.
   const Insn* slot(std::uint32_t address) {
     const std::uint32_t offset = address - kFlashBase;
     if (offset < kFlashSize && flash_slots_ != nullptr) return flash_slots_ + (offset >> 1);
@@ -157,6 +158,7 @@ class Cpu {
   const Insn* branch_exchange(std::uint32_t target);
   std::uint32_t pc_of(const Insn* insn) const;
 
+  // A load of a T (1, 2 or 4 bytes): aligned SRAM directly, everything else the slow way.
   template <typename T>
   std::uint32_t load(std::uint32_t address) {
     const std::uint32_t offset = address - kRamBase;
@@ -167,6 +169,7 @@ class Cpu {
     }
     return slow_load(address, sizeof(T));
   }
+  // A store likewise; code that was decoded from there is forgotten.
   template <typename T>
   void store(std::uint32_t address, std::uint32_t value) {
     const std::uint32_t offset = address - kRamBase;

@@ -13,6 +13,7 @@ constexpr std::uint32_t kRefill = 2;
 
 }  // namespace
 
+// Decodes the instruction at `address` in the window's bytes.
 Decoder::Decoder(const Cpu& cpu, const CodeWindow& window, std::uint32_t address, std::uint8_t it)
     : cpu_(cpu), window_(window), address_(address), it_(it) {
   const std::uint8_t* bytes = window.bytes() + (address - window.base());
@@ -51,6 +52,7 @@ std::uint8_t Decoder::taken_cycles(std::uint32_t target) const {
   return static_cast<std::uint8_t>(count);
 }
 
+// Notes a register list; see decoder.hpp.
 void Decoder::registers(std::uint32_t list, std::uint32_t more) {
   const auto count = static_cast<std::uint32_t>(__builtin_popcount(list));
   out_.imm = list;
@@ -83,6 +85,7 @@ static Handler conditional_branch(bool is_near) {
   return is_near ? &ops::branch_if<kCondition, true> : &ops::branch_if<kCondition, false>;
 }
 
+// Each condition has its own handler. Conditional branches are not allowed in an IT block.
 void Decoder::branch_to_if(std::uint32_t condition, std::uint32_t target) {
   if (in_it()) return undefined();
   set_target(target);
@@ -151,6 +154,7 @@ Op2 Decoder::immediate_shift(std::uint32_t type, std::uint32_t amount) {
   }
 }
 
+// LDR (literal) and its narrow forms. A word in flash becomes a constant of the instruction.
 void Decoder::literal(std::uint32_t size, bool sign, std::uint32_t address) {
   cycles(2);
   out_.imm = address;

@@ -101,7 +101,7 @@ class Decoder {
   void rm(std::uint32_t value) { out_.rm = static_cast<std::uint8_t>(value); }
   void ra(std::uint32_t value) { out_.ra = static_cast<std::uint8_t>(value); }
   void extra(std::uint32_t value) { out_.extra = static_cast<std::uint8_t>(value); }
-  // What LDM and STM move, bit n for rn; they take a cycle for each, and `more`.
+  // The register list of LDM or STM, bit n for rn: a cycle for each register, and `more` cycles.
   void registers(std::uint32_t list, std::uint32_t more = 1);
   void cycles(std::uint32_t value) { out_.cycles = static_cast<std::uint8_t>(value); }
 
@@ -113,6 +113,7 @@ class Decoder {
   Insn out_{};
 };
 
+// Turns the run-time operand kind into a template argument.
 template <ops::Alu kAlu>
 void Decoder::put_op2(ops::Op2 op2, bool flags) {
   switch (op2) {
@@ -135,6 +136,7 @@ void Decoder::put_op2(ops::Op2 op2, bool flags) {
   }
 }
 
+// Chooses the handler by size, sign and direction. A word that is loaded into PC branches.
 template <ops::Mode kMode>
 void Decoder::put_load_store(std::uint32_t size, bool sign, bool is_load) {
   using u8 = std::uint8_t;

@@ -241,6 +241,7 @@ const Insn* Cpu::supervisor_call(const Insn* insn) {
   return insn + insn->length;
 }
 
+// BKPT.
 const Insn* Cpu::breakpoint_instruction(const Insn*) {
   // No debugger is attached to the core, so the event becomes a HardFault.
   hfsr |= kHfsrDebugEvent;

@@ -15,6 +15,7 @@ constexpr std::uint8_t kPriorityMask = 0xF0;  // 4 bits on this chip
 
 }  // namespace
 
+// Only reset, NMI and HardFault have fixed priorities, below 0.
 void Exceptions::reset() {
   pending_ = 0;
   active_ = 0;
@@ -92,12 +93,14 @@ void Exceptions::find_active_priority() {
   }
 }
 
+// The exception waits for its turn. A new one is also an event for WFE, if SEVONPEND is set.
 void Exceptions::pend(std::uint8_t number) {
   if (sev_on_pend && !pending(number)) event = true;
   pending_ |= bit(number);
   refresh();
 }
 
+// As by NVIC_ICPR or ICSR.
 void Exceptions::unpend(std::uint8_t number) {
   pending_ &= ~bit(number);
   // ICPR cannot clear what a peripheral still asks for.
@@ -119,7 +122,7 @@ void Exceptions::set_active(std::uint8_t number, bool active) {
   refresh();
 }
 
-// A peripheral's request line changes. A rising edge pends the interrupt at once.
+// A peripheral's request line changes. A rising edge pends the interrupt immediately.
 void Exceptions::set_line(std::uint8_t irq, bool high) {
   const std::uint64_t mask = std::uint64_t{1} << irq;
   const bool was = (lines_ & mask) != 0;
@@ -146,6 +149,7 @@ void Exceptions::deactivate(std::uint8_t number) {
   refresh();
 }
 
+// The chip has four bits of priority, the upper ones.
 void Exceptions::set_priority(std::uint8_t number, std::uint8_t value) {
   priority_[number] = value & kPriorityMask;
   find_active_priority();

@@ -14,6 +14,7 @@ namespace due_emulator::ops {
 // (post-indexed), or rn + (rm << extra).
 enum class Mode : std::uint8_t { kOffset, kPre, kPost, kRegister };
 
+// The address of the access; see Mode.
 template <Mode kMode>
 inline std::uint32_t address_of(const Cpu& c, const Insn* i) {
   if constexpr (kMode == Mode::kPost) return c.r[i->rn];
@@ -94,6 +95,7 @@ const Insn* load_double(Cpu& c, const Insn* i) {
   return next(i);
 }
 
+// LDRD relative to PC.
 inline const Insn* load_double_literal(Cpu& c, const Insn* i) {
   const std::uint32_t first = c.load<std::uint32_t>(i->imm);
   c.r[i->ra] = c.load<std::uint32_t>(i->imm + 4);

@@ -27,6 +27,7 @@ class BareCore {
     system_.cpu.vtor = kFlashBase;
   }
 
+  // Registers as after reset; the vector table is at the beginning of the flash.
   void reset() {
     system_.exceptions.reset();
     scs_.reset();

@@ -108,6 +108,7 @@ void poke(Due& due, std::uint32_t address, const nb::bytes& data) {
 using RegisterRow =
     std::tuple<std::string, std::uint32_t, std::string, std::uint32_t, bool, bool, bool>;
 
+// All registers of all peripherals, for a comparison with the chip's SVD file.
 std::vector<RegisterRow> registers(Due& due) {
   std::vector<RegisterRow> rows;
   for (const Peripheral* peripheral : due.chip.system.peripherals) {
@@ -272,6 +273,7 @@ void bind_outside(nb::class_<Due>& due) {
       .def_prop_ro("flash_busy", [](const Due& self) { return self.chip.system.cpu.flash_busy; });
 }
 
+// Registers of the processor, memory, breakpoints and symbols.
 void bind_debugging(nb::class_<Due>& due) {
   due.def_prop_ro("halt", [](const Due& self) { return halt_name(self.chip.system.cpu.halt()); })
       .def("resume", [](Due& self) { self.chip.system.cpu.clear_halt(); })
@@ -348,6 +350,7 @@ void bind_debugging(nb::class_<Due>& due) {
       .def("all_clocks_on", &set_peripheral_clocks, nb::arg("on"));
 }
 
+// Costs of functions (probes) and of exception handlers.
 void bind_measuring(nb::class_<Due>& due) {
   due.def(
          "add_probe",
