@@ -40,7 +40,7 @@ const std::vector<Edge>& Encoders::edges() {
     const std::int64_t to = floor_count(position_count_[axis]);
     if (from == to) continue;
     const bool upwards = to > from;
-    // Negative downwards, as the differences below are.
+    // Negative when the position falls, as the differences of counts below are.
     const double us_per_count =
         static_cast<double>(heli::link::kTick_us) / (position_count_[axis] - previous_count_[axis]);
     const auto axis_index = static_cast<std::uint8_t>(axis);

@@ -196,7 +196,8 @@ void Pwm::update_single(int channel, std::uint64_t now) {
   load_updates(channel);
 }
 
-// The group takes them together, once UPDULOCK is written.
+// The channels of the synchronous group take their new values together, at the end of the period in
+// which UPDULOCK was written.
 void Pwm::update_group(std::uint64_t now) {
   Channel& zero = channels_[0];
   const std::uint64_t begun = now - (now - zero.origin) % period_of(0);
@@ -232,7 +233,7 @@ void Pwm::plan() {
   system_.scheduler.set(id_, when);
 }
 
-// Has the wires of all pins that show a PWM output look at their level again.
+// Finds the level again of each pin that shows a PWM output.
 void Pwm::outputs_changed() {
   for (const PwmPin& pin : kPwmPins) {
     const PinSetting& setting = pins_.setting(pin.pin);

@@ -74,8 +74,8 @@ void Quadrature::settle(std::uint64_t now) {
   }
 }
 
-// An edge has passed the filter: it may be an error (QERR), and it may count. `up` follows from the
-// levels of both phases after the edge.
+// An edge has passed the filter: it may be an error (QERR), and it may count: edges of phase B only
+// with EDGPHA. `up` follows from the levels of both phases after the edge.
 void Quadrature::pass(bool is_a, std::uint64_t time) {
   Input& phase = is_a ? a_ : b_;
   phase.waiting = false;

@@ -315,7 +315,7 @@ std::uint32_t Cpu::xpsr() const {
          (thumb_ ? 1U << 24 : 0U) | ipsr_;
 }
 
-// Takes N, Z, C, V and Q from bits 31 to 27.
+// Takes N, Z, C, V and Q from bits 31 to 27, in the form in which cpu.hpp keeps the flags.
 void Cpu::set_apsr(std::uint32_t value) {
   n_src = value & 0x80000000U;
   z_src = (value & 0x40000000U) != 0 ? 0 : 1;

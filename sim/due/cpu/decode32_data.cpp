@@ -92,7 +92,7 @@ void Decoder::modified_immediate(std::uint32_t hw1, std::uint32_t hw2) {
   const std::uint32_t low = imm12 & 0xFFU;
   Op2 op2 = Op2::kImm;
   if ((imm12 >> 10) == 0) {
-    if (imm12 >= 0x100 && low == 0) return undefined();
+    if (imm12 >= 0x100 && low == 0) return undefined();  // UNPREDICTABLE
     switch (imm12 >> 8) {
       case 0:  // 000000XY
         out_.imm = low;

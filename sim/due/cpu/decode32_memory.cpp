@@ -67,7 +67,8 @@ void Decoder::multiple32(std::uint32_t hw1, std::uint32_t hw2) {
   op == 1 ? put<&ops::store_multiple<false>>() : put<&ops::store_multiple<true>>();
 }
 
-// LDRD and STRD, exclusive loads and stores, TBB and TBH (A5.3.6).
+// LDRD and STRD, exclusive loads and stores, TBB and TBH (A5.3.6). op1, op2 and op3 are the
+// manual's fields: LDRD and STRD if op1 or op2 has bit 1 set, otherwise by op1 and op3.
 void Decoder::double_exclusive(std::uint32_t hw1, std::uint32_t hw2) {
   const std::uint32_t op1 = field(hw1, 7, 2);
   const std::uint32_t op2 = field(hw1, 4, 2);
@@ -75,7 +76,8 @@ void Decoder::double_exclusive(std::uint32_t hw1, std::uint32_t hw2) {
   rn(field(hw1, 0, 4));
   rd(field(hw2, 12, 4));
   if ((op1 & 2U) != 0 || (op2 & 2U) != 0) {
-    // LDRD and STRD; P is bit 8, U bit 7, W bit 5 of the first halfword.
+    // LDRD and STRD, to and from rd and ra; P (pre-index) is bit 8, U (add the offset) bit 7, W
+    // (write back) bit 5 of hw1. PC as base is allowed only for loads, without write-back.
     const std::uint32_t offset = field(hw2, 0, 8) * 4;
     const bool add = field(hw1, 7, 1) != 0;
     const bool pre = field(hw1, 8, 1) != 0;
@@ -101,6 +103,7 @@ void Decoder::double_exclusive(std::uint32_t hw1, std::uint32_t hw2) {
                    : put<&ops::store_double<Mode::kOffset>>();
   }
   cycles(2);
+  // In exclusive stores `ra` takes the result; loads have 15 in its place.
   if (op1 == 0) {  // LDREX, STREX
     out_.imm = field(hw2, 0, 8) * 4;
     if (out_.rn == 15 || bad(out_.rd)) return undefined();
@@ -218,7 +221,7 @@ void Decoder::control(std::uint32_t hw1, std::uint32_t hw2) {
     case 0x38:
     case 0x39:
     case 0x3E:
-    case 0x3F:
+    case 0x3F:  // MSR (0x38, 0x39) and MRS
       return special_register(hw1, hw2);
     case 0x3A:  // hints: WFE, WFI, SEV, NOP
       if (field(hw2, 8, 3) != 0 || field(hw1, 0, 4) != 15) return undefined();
