@@ -59,12 +59,13 @@ class Story {
   // After all this, the board still accepts a new host.
   void host_returns() {
     harness_.board.forget_received();
-    harness_.board.room = 1024;
+    harness_.board.room = 1024;  // the line is free again
+    // Ends a frame that the story left half sent.
     const std::uint8_t delimiter = 0;
     harness_.board.will_receive(&delimiter, 1);
     for (int k = 0; k < 3; ++k) harness_.tick();
     const std::size_t before = harness_.board.auditor.welcomes();
-    hello(99);
+    hello(99);  // a session that the story has not used
     require(harness_.board.auditor.welcomes() == before + 1, "a new host is welcomed");
   }
 

@@ -11,10 +11,12 @@
 #include "kalman.hpp"
 
 namespace heli_lab {
+// Unnamed, because only kalman.cpp includes this: the compiler may inline as within one file.
+namespace {
 
 // Innovations below this count as 0. The effect of a window's beginning decays so far that its
 // squares would be denormal numbers, with which the processor is a hundred times slower.
-inline constexpr double kNegligible = 1e-60;
+constexpr double kNegligible = 1e-60;
 
 // The results of one step that the backward pass of the smoother needs.
 struct StepRecord {
@@ -29,6 +31,7 @@ struct StepRecord {
 // update(1) and so on.
 class Filter {
  public:
+  // Begins before the first measurement: means of 0, and the initial variances without covariances.
   explicit Filter(const LinearSystem& system)
       : system_(system),
         order_(system.states + system.disturbances),
@@ -227,4 +230,5 @@ class Filter {
   std::vector<double> step_memory_;
 };
 
+}  // namespace
 }  // namespace heli_lab

@@ -90,6 +90,7 @@ void backward(const LinearSystem& system, Visit visit) {
         line[j] = sum;
       }
       adjoint = line;
+      // product = matrix F, then matrix = F' product.
       for (std::size_t i = 0; i < order; ++i) {
         for (std::size_t j = 0; j < order; ++j) {
           double sum = 0.0;
@@ -133,6 +134,7 @@ void backward(const LinearSystem& system, Visit visit) {
       for (std::size_t i = 0; i < order; ++i) {
         quadratic += gain[i] * line[i];
       }
+      // The equations above, multiplied out: h has only entries of states.
       const double inverse = 1.0 / now.variance[output];
       for (std::size_t i = 0; i < states; ++i) {
         adjoint[i] -= row[i] * (gain_dot_adjoint + now.innovation[output] * inverse);

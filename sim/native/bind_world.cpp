@@ -78,7 +78,7 @@ EncoderConfig encoder_config(const Axes& counts_per_rad, const Axes& offset_coun
   return config;
 }
 
-// A world of some board; a native one when none is given.
+// World.__init__: builds a world at `place`, with a native board if none is given.
 void make_world(World* place, std::shared_ptr<PlantStep> step, std::vector<double> state,
                 std::vector<double> parameters, double supply_V, double dead_band,
                 const Axes& counts_per_rad, const Axes& offset_count,

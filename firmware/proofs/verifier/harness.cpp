@@ -104,6 +104,7 @@ void step_instruction() {
   }
   const auto terms = any<std::uint32_t>();
   ASSUME(terms <= kMostTerms);
+  // The instruction ends at the end of the array, so that a read behind it is out of bounds.
   const std::uint32_t* const from = words + (kMostTerms - terms);
   const std::uint32_t* const to = words + kMostTerms + 1U;
   const std::uint32_t word = *from;
@@ -126,6 +127,8 @@ void step_instruction() {
   const auto cell = any<std::uint32_t>();
   ASSUME(cell < kLawCells);
   CLAIM(cells.has(cell) == (before.has(cell) || cell == target), "the written cell is noted");
+  // Marks the operands that the verifier should not have let pass: none of the marks may reach the
+  // result. Without terms they are in the instruction, otherwise each term has two.
   if (terms == 0U) {
     mark((word >> 9U) & 0x1ffU, before, cells);
     mark(word & 0x1ffU, before, cells);
