@@ -77,8 +77,8 @@ void UsbBridge::round() {
   run_reset_timer();
 }
 
-// Counts the reset timer down, one per round: from kEraseFrom up the ERASE pin is high, and the flash
-// is empty when it falls; in the last kResetRounds rounds the reset line is low.
+// Counts the reset timer down, one per round: from kEraseFrom up the ERASE pin is high, and the
+// flash is empty when it falls; in the last kResetRounds rounds the reset line is low.
 void UsbBridge::run_reset_timer() {
   const bool erase = reset_timer_ >= kEraseFrom;
   if (erasing_ && !erase) {
