@@ -16,6 +16,7 @@ using heli::law::UploadCheck;
 using heli::link::LawError;
 namespace link = heli::link;
 
+// The fuzzer's bytes, one after the other; zeros when they have run out.
 class Bytes {
  public:
   Bytes(const std::uint8_t* bytes, std::size_t count) : next_(bytes), left_(count) {}
@@ -35,6 +36,7 @@ class Bytes {
   std::size_t left_;
 };
 
+// The words of an upload; two more than a tape takes, so that a tape that is too long occurs.
 struct Upload {
   std::uint32_t words[link::kLawWords + 2U] = {};
   std::uint32_t count = 0;
@@ -43,12 +45,16 @@ struct Upload {
   }
 };
 
-// A cell that was written, as far as `written` goes; now and then any.
+// The number of a cell that the program has written before (`written` counts them); now and then
+// cell 511, which may not exist.
 std::uint32_t cell(Bytes& in, std::uint32_t written) {
   const std::uint32_t drawn = in.byte();
   return drawn == 255U ? 511U : drawn % written;
 }
 
+// Makes an upload of the fuzzer's bytes: head, numbers, outputs, program, as docs/reference
+// describes the tape. Sizes are small, and most operands are cells that were written, so that many
+// tapes are valid. A byte of 255 puts any word into the program instead.
 void make(Bytes& in, Upload& out) {
   const std::uint32_t signals = in.byte() % 6U;
   const std::uint32_t parameters = in.byte() % 4U;
@@ -72,8 +78,10 @@ void make(Bytes& in, Upload& out) {
     const std::uint32_t first = sum ? 0U : cell(in, written);
     const std::uint32_t second = sum ? terms : binary ? cell(in, written) : 0U;
     const std::uint32_t target = written < 500U ? written : first_written;
+    // Instruction: operation in bits 31 to 27, then target and two operands of 9 bits each.
     program.put(operation << 27U | target << 18U | first << 9U | second);
     for (std::uint32_t k = 0; sum && k < terms && !in.empty(); ++k) {
+      // Term of a sum: sign and two factors.
       program.put((in.byte() & 1U) << 31U | cell(in, written) << 9U | cell(in, written));
     }
     written = target + 1U > written ? target + 1U : written;
@@ -82,6 +90,7 @@ void make(Bytes& in, Upload& out) {
   out.put(constants | states << 16U);
   out.put(program.count);
   for (std::uint32_t k = 0; k < constants + parameters + states; ++k) {
+    // Without bit 30 a float is below 2, and so finite.
     out.put(program.words[k % (program.count + 1U)] & 0xbfffffffU);
   }
   const std::uint32_t outputs = Shape::kFirstSignal + signals + states;
@@ -89,6 +98,7 @@ void make(Bytes& in, Upload& out) {
   for (std::uint32_t k = 0; k < program.count; ++k) out.put(program.words[k]);
 }
 
+// The CRC-32 over all words, as the message law_begin carries it.
 std::uint32_t hash_of(const Upload& upload) {
   std::uint32_t crc = 0;
   for (std::uint32_t k = 0; k < upload.count; ++k) {
@@ -99,21 +109,22 @@ std::uint32_t hash_of(const Upload& upload) {
   return crc;
 }
 
+// Uploads all words in messages of 12. Returns the first error, or the result of the verification.
 UploadCheck send(Tape& tape, const Upload& upload) {
   link::LawBeginMessage begin;
   begin.hash = hash_of(upload);
   begin.words = static_cast<std::uint16_t>(upload.count);
-  UploadCheck found = tape.begin(begin);
-  for (std::uint32_t first = 0; found.error == LawError::none && first < upload.count;
+  UploadCheck check = tape.begin(begin);
+  for (std::uint32_t first = 0; check.error == LawError::none && first < upload.count;
        first += 12U) {
     std::uint8_t payload[link::LawPartMessage::kSize] = {};
     link::put_u16(payload + 1, static_cast<std::uint16_t>(first));
     for (std::uint32_t k = 0; k < 12U && first + k < upload.count; ++k) {
       link::put_u32(payload + 3U + 4U * k, upload.words[first + k]);
     }
-    found = tape.receive(link::LawPartMessage::read(payload));
+    check = tape.receive(link::LawPartMessage::read(payload));
   }
-  return found.error == LawError::none ? tape.end() : found;
+  return check.error == LawError::none ? tape.end() : check;
 }
 
 }  // namespace
@@ -122,13 +133,14 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t cou
   Bytes in(bytes, count);
   auto upload = std::make_unique<Upload>();
   make(in, *upload);
-  // On the heap, each in room of its own: beyond it is what the sanitizer sees.
+  // On the heap, so that the sanitizer sees an access beyond either of them.
   auto tape = std::make_unique<Tape>();
   if (send(*tape, *upload).error != LawError::none) {
     if (tape->state() == link::LawState::ready) std::abort();
     return 0;
   }
   if (tape->ticks() > tape->shape().divisor || tape->ticks() > link::kLawMaxTicks) std::abort();
+  // Three calls of the law: each must take as many ticks as the verifier has found.
   for (std::uint32_t call = 0; call < 3U; ++call) {
     for (std::uint32_t k = 0; k < link::kLawInputCount; ++k) {
       tape->set_input(k, heli::law::flushed(upload->words[(call + k) % upload->count]));

@@ -21,14 +21,14 @@ namespace heli_fuzz {
 
 using heli::link::State;
 
-// The fuzzer keeps the input that got here.
+// Ends the run if a claim is false; the fuzzer keeps the input that led here.
 inline void require(bool claim, const char* text) {
   if (claim) return;
   std::fprintf(stderr, "broken: %s\n", text);
   std::abort();
 }
 
-// The fuzzer's bytes; zeros when they have run out.
+// The fuzzer's bytes, one after the other; zeros when they have run out.
 class Input {
  public:
   Input(const std::uint8_t* bytes, std::size_t count) : bytes_(bytes), left_(count) {}
@@ -50,9 +50,10 @@ class Input {
   std::size_t left_;
 };
 
-// Reads what the board sends as a host would, and accepts nothing that a host could not.
+// Reads what the board sends as a host would; a frame that a host could not read breaks a claim.
 class Auditor {
  public:
+  // The next byte on the line; 0 ends a frame.
   void put(std::uint8_t byte) {
     if (byte != 0) {
       std::uint8_t decoded = 0;
@@ -68,6 +69,7 @@ class Auditor {
   std::size_t welcomes() const { return welcomes_; }
 
  private:
+  // Checks a whole frame: CRC, head, sequence number, and the payload's length for its message.
   void judge() {
     using heli::link::MessageId;
     constexpr std::size_t kOverhead = heli::link::kFrameHead + heli::link::kFrameTail;
@@ -107,8 +109,12 @@ class Auditor {
     }
   }
 
+  // A batch of telemetry has the length that its head and width codes give, and later ticks than
+  // the last.
   void telemetry(const std::uint8_t* payload, std::size_t size) {
+    // Width of a channel's differences, by its code of four bits.
     constexpr std::uint32_t kBits[] = {0, 2, 4, 8, 16, 32};
+    // After the head: the codes, two per byte; first values; differences, padded to bytes.
     constexpr std::size_t kWidths = heli::link::TelemetryMessage::kSize;
     constexpr std::size_t kBases = kWidths + (heli::link::kChannelCount + 1) / 2;
     require(size > kBases && size <= heli::link::kMaxTelemetryPayload,
@@ -137,6 +143,7 @@ class Auditor {
   std::size_t welcomes_ = 0;
 };
 
+// A board whose calls check what the flight code may ask of it.
 class FuzzBoard final : public heli::Board {
  public:
   // Values that no real board has: they show what the flight code assumes of one.
@@ -152,6 +159,7 @@ class FuzzBoard final : public heli::Board {
   void write_motors(const heli::MotorCommand& command) override { motors = command; }
   bool hardware_stop() override { return stop_input; }
 
+  // The bytes that have arrived, up to `most`.
   std::size_t receive(std::uint8_t* to, std::size_t most) override {
     std::size_t count = 0;
     for (; count < most && read_ < received_.size(); ++count) to[count] = received_[read_++];
@@ -166,6 +174,7 @@ class FuzzBoard final : public heli::Board {
     read_ = 0;
   }
   std::size_t transmit_free() override { return room; }
+  // What the board sends goes to the auditor, byte by byte.
   void transmit(const std::uint8_t* bytes, std::size_t count) override {
     require(count <= room, "no more is sent than there is room for");
     room -= count;
@@ -188,7 +197,7 @@ class FuzzBoard final : public heli::Board {
   heli::EncoderReading encoders{};
   heli::MotorCommand motors{};
   bool stop_input = false;
-  std::size_t room = 0;
+  std::size_t room = 0;  // bytes that the transmitter takes
   std::array<std::array<std::uint8_t, kPageBytes>, 2> pages;
   Auditor auditor;
 
@@ -204,7 +213,7 @@ class Harness {
 
   Harness() { boot(); }
 
-  // As after a reset: the flash stays, the rest is new.
+  // A reset: the flash stays, everything else begins anew.
   void boot() {
     board.motors = {};
     board.forget_received();
@@ -213,7 +222,7 @@ class Harness {
     code->core.start();
   }
 
-  // One millisecond; the idle loop may be too busy to turn.
+  // One millisecond; without `poll` the idle loop has no time to run.
   void tick(bool poll = true) {
     code->core.tick();
     audit_motors();
@@ -221,6 +230,7 @@ class Harness {
     if (poll) code->core.poll();
   }
 
+  // A valid frame arrives at the board.
   void send(std::uint8_t id, const std::vector<std::uint8_t>& payload) {
     std::vector<std::uint8_t> wire(heli::link::FrameWriter::wire_bytes(payload.size()));
     wire.resize(writer.write(id, payload.data(), payload.size(), wire.data()));
@@ -234,7 +244,7 @@ class Harness {
     send(static_cast<std::uint8_t>(Message::kId), payload);
   }
 
-  // In all cases: without a host the rotors come to rest.
+  // Lets time pass without a host: the motors must be off in the end.
   void require_rest_without_host() {
     for (std::size_t k = 0; k < kLongestDescent_ticks && board.motors.enable; ++k) tick();
     require(!board.motors.enable, "without a host the motors are off in the end");
@@ -247,10 +257,11 @@ class Harness {
   heli::link::FrameWriter writer;
 
  private:
-  static constexpr std::size_t kMaxRoom = 1024;
+  static constexpr std::size_t kMaxRoom = 1024;  // bytes of the transmitter's buffer
   // The largest setpoint_land_s and landing_timeout_s, and half a minute.
   static constexpr std::size_t kLongestDescent_ticks = 120000;
 
+  // The command of the motors must fit the state of the flight code.
   void audit_motors() const {
     const heli::MotorCommand& m = board.motors;
     constexpr std::int16_t kFull = FuzzBoard::kDutyFull;

@@ -1,6 +1,6 @@
 // A fuzzer's input as a story: valid frames with any content, in any order, between any movements
-// of the rig. It is a list of steps, each one byte and its operands. The first byte says how far a
-// host has already come, so that flight is as near to the fuzzer as the handshake.
+// of the rig. The input is a list of steps, each one byte and its operands. The first byte says in
+// which state the story begins, so that the fuzzer reaches flight as easily as the handshake.
 #pragma once
 
 #include <cstdint>
@@ -28,18 +28,19 @@ enum class Step : std::uint8_t {
   count,
 };
 
+// Payload bytes of the commands, by their ids from 1 on.
 inline constexpr std::uint8_t kCommandSizes[] = {0, 9, 9, 1, 1, 10, 1, 1, 26,
                                                  1, 6, 2, 1, 1, 2,  1, 1};
 
 class Story {
  public:
-  // Times of the board until it does something by itself: as short as it takes them, or as
-  // declared.
+  // The parameters after whose times the board acts by itself (hold, landing): set as short as
+  // allowed, or as declared.
   enum class Times : std::uint8_t { short_ones, declared };
 
   Story(Input input, Times times) : input_(input), times_(times) {}
 
-  // Steps until the input or so many milliseconds have run out.
+  // Plays steps until the input ends or `max_ticks` milliseconds have passed.
   void play(std::size_t max_ticks) {
     prologue(input_.byte() % 5U);
     ticks_left_ = max_ticks;
@@ -49,6 +50,7 @@ class Story {
     }
   }
 
+  // No host any more, and nothing stops the motors by hardware: the flight code must.
   void end_in_silence() {
     harness_.board.stop_input = false;
     harness_.require_rest_without_host();
@@ -57,22 +59,26 @@ class Story {
   // After all this, the board still accepts a new host.
   void host_returns() {
     harness_.board.forget_received();
-    harness_.board.room = 1024;
+    harness_.board.room = 1024;  // the line is free again
+    // Ends a frame that the story left half sent.
     const std::uint8_t delimiter = 0;
     harness_.board.will_receive(&delimiter, 1);
     for (int k = 0; k < 3; ++k) harness_.tick();
     const std::size_t before = harness_.board.auditor.welcomes();
-    hello(99);
+    hello(99);  // a session that the story has not used
     require(harness_.board.auditor.welcomes() == before + 1, "a new host is welcomed");
   }
 
  private:
+  // One millisecond, unless the time has run out.
   void tick(bool poll = true) {
     if (ticks_left_ == 0) return;
     --ticks_left_;
     harness_.tick(poll);
   }
 
+  // Brings the board into a state: 0 after boot, 1 with a host, 2 armed, 3 closed loop, 4 open
+  // loop.
   void prologue(unsigned chapters) {
     if (chapters > 0) hello(1);
     if (chapters > 0 && times_ == Times::short_ones) {
@@ -99,6 +105,7 @@ class Story {
     }
   }
 
+  // Plays one step, with operands from the input; see Step.
   void step(Step what) {
     switch (what) {
       case Step::frame: {
@@ -158,6 +165,7 @@ class Story {
     }
   }
 
+  // A host with the right declaration begins a session.
   void hello(std::uint32_t session) {
     heli::link::HelloMessage message;
     message.link_hash = heli::link::kLinkHash;
@@ -165,6 +173,7 @@ class Story {
     command(message);
   }
 
+  // Sets a parameter by a command.
   void set(heli::link::Param which, float value) {
     heli::link::ParamSetMessage message;
     message.index = static_cast<std::uint8_t>(which);
@@ -172,6 +181,7 @@ class Story {
     command(message);
   }
 
+  // Sends a command with the next request number and lets the board execute it.
   template <class Message>
   void command(Message message) {
     message.request = ++request_;
@@ -179,6 +189,7 @@ class Story {
     for (int k = 0; k < 3; ++k) harness_.tick();
   }
 
+  // A number of -128 to 127 units.
   float small(float unit) { return static_cast<float>(input_.byte() - 128) * unit; }
 
   Input input_;

@@ -19,7 +19,7 @@ using due_emulator::kOneMs;
 using due_emulator::kOneUs;
 using due_emulator::Stop;
 
-// One bit of the line between the 16U2 and the chip, and a byte with its start and stop bits.
+// Board time of one bit between the 16U2 and the chip, and of a byte with its start and stop bits.
 constexpr BoardTime kBit = BoardTime{1000000} * kOneUs / heli::link::kBaud;
 constexpr BoardTime kByte = 10 * kBit;
 
@@ -39,6 +39,7 @@ constexpr std::int32_t kMaxStepsPerTick = 150;
 
 }  // namespace
 
+// Makes the board the peer of the chip's UART, in place of the USB bridge.
 DueBoard::DueBoard() : due_(std::make_unique<Due>()), id_(due_->chip.system.scheduler.add(this)) {
   wire(*due_);
   due_->chip.uart.set_peer(this);
@@ -49,13 +50,14 @@ void DueBoard::align(std::uint8_t handler) {
   aligned_ = false;
 }
 
+// Runs the board, but not backwards; throws Stop if the processor is locked up.
 void DueBoard::run_until(BoardTime until) {
   if (until > due_->now()) due_->run_until(until);
   if (due_->chip.system.cpu.halt() == Halt::kLockup) throw Stop("the processor is locked up");
 }
 
-// Whether the handler has begun since the last call. The first time, the millisecond is aligned to
-// it.
+// Whether the tick's handler has begun since the last call. The first time, the millisecond is
+// aligned to its beginning.
 bool DueBoard::ticked() {
   const std::uint64_t entry = due_->chip.system.cpu.stats(handler_).last_entry;
   if (handler_ == 0 || entry == last_entry_) return false;
@@ -91,8 +93,11 @@ void DueBoard::wait_for_command() {
   run_until(due_->now() + kPwmPeriod);
 }
 
+// The first part of a millisecond, up to the motor command; see sim_board.hpp. Also notes how many
+// bytes of the program may leave in this millisecond, and plans those that arrive.
 void DueBoard::tick(const std::int32_t* count) {
   for (int axis = 0; axis < kEncoders; ++axis) {
+    // Without power, the board's encoders follow the rig without edges.
     if (!due_->chip.powered()) due_->set_encoder(axis, count[axis]);
     unreported_steps_[static_cast<std::size_t>(axis)] = count[axis] - due_->encoder(axis);
   }
@@ -110,9 +115,11 @@ void DueBoard::rest(const Edge* edges, std::size_t edge_count) {
   const BoardTime from = due_->now();
   const BoardTime end = tick_at_ + kOneMs;
   const BoardTime until = std::max(from, end - kSettleTime);
+  // Times of edges are in us of a whole millisecond; here they spread over what is left of it.
   const double per_us = static_cast<double>(until - from) / 1000.0;
   std::vector<Edge> steps(edges, edges + edge_count);
   for (std::uint8_t axis = 0; axis < kEncoders; ++axis) {
+    // The rig was moved without edges: catches up, evenly over the millisecond.
     const std::int32_t pending_steps =
         std::clamp(unreported_steps_[axis], -kMaxStepsPerTick, kMaxStepsPerTick);
     for (std::int32_t k = 0; k < std::abs(pending_steps); ++k) {
@@ -129,15 +136,18 @@ void DueBoard::rest(const Edge* edges, std::size_t edge_count) {
   run_until(until);
   if (handler_ == 0) run_until(end);
   tick_at_ = end;
+  // A program that began in this millisecond: its first tick aligned tick_at_ to its beginning.
   if (handler_ != 0 && !aligned_ && ticked()) tick_at_ += kOneMs;
 }
 
+// The duties at the pins; a motor with its bridge off has none.
 MotorOutput DueBoard::motors() const {
   const bool front = motor_enabled(*due_, 0);
   const bool back = motor_enabled(*due_, 1);
   return {front ? motor_duty(*due_, 0) : 0.0, back ? motor_duty(*due_, 1) : 0.0, front || back};
 }
 
+// All bytes under way are lost; see due_board.hpp.
 void DueBoard::reset(heli::link::Reset cause) {
   to_uart_.clear();
   from_uart_.clear();
@@ -153,6 +163,7 @@ void DueBoard::reset(heli::link::Reset cause) {
   plan();
 }
 
+// Empties both flash planes under reset, and makes the chip boot from its ROM.
 void DueBoard::erase() {
   reset(heli::link::Reset::user);
   // The processor must be in reset before its program goes.
@@ -162,6 +173,7 @@ void DueBoard::erase() {
   due_->chip.flash.gpnvm = 0;
 }
 
+// The next byte that left the chip before this millisecond.
 bool DueBoard::uart_transmit(std::uint8_t& byte) {
   if (sendable_bytes_ == 0 || from_uart_.empty()) return false;
   --sendable_bytes_;
@@ -174,7 +186,8 @@ void DueBoard::byte_from_uart(std::uint8_t byte, std::uint32_t, std::uint64_t) {
   from_uart_.push_back(byte);
 }
 
-// The new bytes follow each other without a gap, up to the end of the millisecond.
+// Gives the bytes that came since the last tick their times of arrival: without gaps, and the last
+// one at kLastByte after the next tick.
 void DueBoard::plan_bytes() {
   const auto is_new = [](const Arrival& arrival) { return arrival.when == 0; };
   const auto count =

@@ -74,14 +74,14 @@ class DueBoard final : public SimBoard,
   std::uint8_t handler_ = 0;  // exception number; 0: none
   BoardTime tick_at_ = 0;     // when this millisecond's tick begins
   bool aligned_ = false;
-  std::uint64_t last_entry_ = 0;
+  std::uint64_t last_entry_ = 0;  // cycle of the handler's last entry that ticked() has seen
   std::array<std::int32_t, kEncoders>
       unreported_steps_{};  // difference between the rig's count and the board's
   std::deque<Arrival> to_uart_;
-  BoardTime wire_free_time_ = 0;
+  BoardTime wire_free_time_ = 0;  // when the last byte to the chip has ended
   std::deque<std::uint8_t> from_uart_;
   std::size_t sendable_bytes_ = 0;  // bytes that the program has sent before this millisecond
-  BoardTime reset_end_ = 0;
+  BoardTime reset_end_ = 0;         // when the reset line is released; 0: it is not pulled
 };
 
 }  // namespace heli_sim

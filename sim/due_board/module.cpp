@@ -19,8 +19,10 @@ using heli_sim::DueBoard;
 
 namespace {
 
+// Time in us, axis, direction.
 using EdgeRow = std::tuple<double, int, int>;
 
+// A whole millisecond: both parts, and the motors at its end (front duty, back duty, enable).
 std::tuple<double, double, bool> run(DueBoard& board, const std::array<std::int32_t, 3>& count,
                                      const std::vector<EdgeRow>& edges) {
   std::vector<heli_sim::Edge> list;
@@ -33,6 +35,7 @@ std::tuple<double, double, bool> run(DueBoard& board, const std::array<std::int3
   return {motors.front_duty, motors.back_duty, motors.enable};
 }
 
+// The bytes that the program has sent and that have left by now.
 nb::bytes take_sent(DueBoard& board) {
   std::string sent;
   for (std::uint8_t byte = 0; board.uart_transmit(byte);) sent.push_back(static_cast<char>(byte));
@@ -53,7 +56,7 @@ void raise_stop(const std::exception_ptr& thrown, void* stop) {
 
 NB_MODULE(_due_board, module) {
   module.doc() = "The emulated Due as a board of the simulated world.";
-  // They have the classes that the signatures here name.
+  // These modules have the classes SimBoard and Due, which the signatures below name.
   nb::module_::import_("heli_sim._native");
   const nb::object emulator = nb::module_::import_("due_emulator._due");
   nb::register_exception_translator(raise_stop, nb::object(emulator.attr("Stop")).release().ptr());

@@ -20,6 +20,7 @@ constexpr EncoderPins kEncoderPins[kEncoders] = {
     {pin_of('D', 0), pin_of('D', 1)},    // D25, D26: interrupt
 };
 
+// An H bridge with two half bridges: each has a PWM input and an enable input.
 struct MotorPins {
   int right_pwm;
   int left_pwm;
@@ -36,6 +37,7 @@ const MotorPins& pins_of(int motor) { return kMotorPins.at(static_cast<std::size
 
 }  // namespace
 
+// See wiring.hpp.
 void wire(due_emulator::Due& due) {
   const std::uint64_t now = due.chip.system.now();
   for (const EncoderPins& encoder : kEncoderPins) due.attach_encoder(encoder.a, encoder.b);

@@ -1,4 +1,5 @@
-// Straight-line programs for Python.
+// Straight-line programs for Python. A program comes as parallel lists with one entry per value:
+// its operation, its operands `a` and `b`, and its constant; see program.hpp.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
@@ -27,12 +28,14 @@ using In = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>
 using Line = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Out = nb::ndarray<nb::numpy, double, nb::ndim<2>>;
 
+// Throws ValueError in Python if an argument is wrong.
 void require(bool holds, const char* what) {
   if (!holds) {
     throw std::invalid_argument(what);
   }
 }
 
+// Checks such lists and makes a function of them. `widths` are the lengths of the inputs' rows.
 Function function_of(const std::vector<int>& operations, const std::vector<std::int32_t>& a,
                      const std::vector<std::int32_t>& b, const std::vector<double>& constants,
                      const std::vector<std::size_t>& widths) {
@@ -60,19 +63,22 @@ Function function_of(const std::vector<int>& operations, const std::vector<std::
   return function;
 }
 
+// Checks that the outputs are values of the function.
 void check_wanted(const Function& function, const std::vector<std::int32_t>& wanted) {
   for (const std::int32_t id : wanted) {
     require(id >= 0 && static_cast<std::size_t>(id) < function.values.size(), "no such value");
   }
 }
 
+// A new numpy array; numpy frees it.
 Out table(std::size_t rows, std::size_t columns) {
   auto* data = new double[rows * columns];
   const nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<double*>(p); });
   return Out(data, {rows, columns}, owner);
 }
 
-// Inputs in rows, then the one that all rows share, with the widths that the function asks for.
+// The data of the inputs with rows, then of the input that all rows share. Checks their shapes
+// against `widths`, of which the first `first` are not given here.
 std::vector<const double*> pointers(const std::vector<In>& rows, const Line& shared,
                                     const std::vector<std::size_t>& widths, std::size_t first) {
   require(rows.size() + 1 + first == widths.size(), "another number of inputs");
@@ -87,6 +93,7 @@ std::vector<const double*> pointers(const std::vector<In>& rows, const Line& sha
   return result;
 }
 
+// A function that Python evaluates for all rows of a table at once: program.hpp.
 class TableProgram {
  public:
   TableProgram(const std::vector<int>& operations, const std::vector<std::int32_t>& a,
@@ -99,23 +106,25 @@ class TableProgram {
     }
   }
 
+  // One array per output, with a row for each row of the inputs.
   std::vector<Out> evaluate(const std::vector<In>& rows, const Line& shared) const {
     require(!rows.empty(), "no input has rows");
     const std::vector<const double*> inputs = pointers(rows, shared, widths_, 0);
-    std::vector<Out> found;
+    std::vector<Out> results;
     std::vector<double*> outputs;
     for (const std::size_t size : sizes_) {
-      found.push_back(table(rows[0].shape(0), size));
-      outputs.push_back(found.back().data());
+      results.push_back(table(rows[0].shape(0), size));
+      outputs.push_back(results.back().data());
     }
     {
       const nb::gil_scoped_release release;
       program_.evaluate(inputs, rows[0].shape(0), outputs);
     }
-    return found;
+    return results;
   }
 
  private:
+  // The compiled program, after all checks.
   static Program made(const std::vector<int>& operations, const std::vector<std::int32_t>& a,
                       const std::vector<std::int32_t>& b, const std::vector<double>& constants,
                       const std::vector<std::size_t>& widths,
@@ -132,6 +141,7 @@ class TableProgram {
   Program program_;
 };
 
+// An integrator of differential equations along known inputs: integrator.hpp.
 class CourseIntegrator {
  public:
   CourseIntegrator(const std::vector<int>& operations, const std::vector<std::int32_t>& a,
@@ -140,6 +150,7 @@ class CourseIntegrator {
                    const std::vector<std::int32_t>& resets)
       : widths_(widths), integrator_(made(operations, a, b, constants, widths, rates, resets)) {}
 
+  // z at the end of one substep of each row; the arguments are those of Integrator::run().
   Out run(const std::vector<In>& course, const Line& t_s, const Line& shared, double step_s,
           std::size_t substeps, std::size_t seen, const Line& start) const {
     require(!course.empty(), "no input has rows");
@@ -157,6 +168,7 @@ class CourseIntegrator {
   }
 
  private:
+  // The integrator, after all checks.
   static Integrator made(const std::vector<int>& operations, const std::vector<std::int32_t>& a,
                          const std::vector<std::int32_t>& b, const std::vector<double>& constants,
                          const std::vector<std::size_t>& widths,

@@ -1,4 +1,6 @@
-// Splits a function into what is known beforehand and what must be stepped; see integrator.hpp.
+// Splits a function into values that can be evaluated for all rows beforehand and values that must
+// be evaluated in each substep; see integrator.hpp. All values of one substep are in a table: z,
+// time, then the others that are used.
 #include "integrator.hpp"
 
 #include <algorithm>
@@ -28,6 +30,7 @@ std::vector<bool> by_z_or_time(const Function& function) {
 
 }  // namespace
 
+// Builds both parts. `jumps_`: some reset is not simply its own z.
 Integrator::Integrator(const Function& function, const std::vector<std::int32_t>& rates,
                        const std::vector<std::int32_t>& resets)
     : states_(function.widths[kZ]), place_(function.values.size(), -1) {
@@ -66,6 +69,7 @@ std::int32_t Integrator::place_of(std::int32_t id, const std::vector<bool>& sequ
 Integrator::Stepper Integrator::sequence(const Function& function,
                                          const std::vector<bool>& sequential,
                                          const std::vector<std::int32_t>& wanted) {
+  // Backwards: the values that the wanted ones need.
   std::vector<bool> used(function.values.size(), false);
   for (const std::int32_t id : wanted) {
     used[static_cast<std::size_t>(id)] = true;
@@ -83,6 +87,7 @@ Integrator::Stepper Integrator::sequence(const Function& function,
       used[static_cast<std::size_t>(value.b)] = true;
     }
   }
+  // Forwards: a step for each of them that depends on z or time.
   Stepper stepper;
   for (std::size_t i = 0; i < used.size(); ++i) {
     if (!used[i] || !sequential[i] || function.values[i].op == Op::kInput) {
@@ -112,6 +117,7 @@ void Integrator::follow(const Stepper& stepper, double* table, double* out) {
   }
 }
 
+// See integrator.hpp.
 void Integrator::run(const std::vector<const double*>& course, const double* t_s, std::size_t rows,
                      double step_s, std::size_t substeps, std::size_t seen, const double* start,
                      double* out) const {
@@ -136,6 +142,7 @@ void Integrator::run(const std::vector<const double*>& course, const double* t_s
     follow(rates_, table.data(), to.data());
   };
   for (std::size_t row = 0; row < rows; ++row) {
+    // The values of this row that were evaluated beforehand.
     for (std::size_t k = 0; k < width; ++k) {
       table[static_cast<std::size_t>(place_[static_cast<std::size_t>(known_[k])])] =
           known[row * width + k];
@@ -145,6 +152,7 @@ void Integrator::run(const std::vector<const double*>& course, const double* t_s
       const double from_middle = static_cast<double>(sub) - 0.5 * static_cast<double>(substeps);
       const double now_s = t_s[row] + h * from_middle;
       table[states_] = now_s;
+      // Runge-Kutta of fourth order; all stages take the substep's first time.
       rate(nullptr, 0.0, k1);
       rate(&k1, 0.5 * h, k2);
       rate(&k2, 0.5 * h, k3);

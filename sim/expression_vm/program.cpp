@@ -36,6 +36,7 @@ void each(F f, double* to, const double* a, bool a_uniform, const double* b, boo
 
 }  // namespace
 
+// One operation on numbers.
 double apply(Op op, double x, double y) {
   switch (op) {
 #define HELI_CASE(name, arguments, value) \
@@ -49,6 +50,7 @@ double apply(Op op, double x, double y) {
   }
 }
 
+// See program.hpp. The last input is the one that all rows share.
 std::vector<bool> varying(const Function& function) {
   std::vector<bool> result(function.values.size(), false);
   for (std::size_t i = 0; i < result.size(); ++i) {
@@ -169,6 +171,8 @@ void Program::evaluate(const std::vector<const double*>& inputs, std::size_t row
   run(inputs, rows, scalars.data(), outputs);
 }
 
+// Evaluates the steps for kLanes rows at a time: loads the inputs into registers, runs the steps,
+// stores the outputs.
 HELI_WIDE
 void Program::run(const std::vector<const double*>& inputs, std::size_t rows, const double* scalars,
                   const std::vector<double*>& outputs) const {

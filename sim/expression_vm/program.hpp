@@ -74,6 +74,7 @@ constexpr std::string_view kOperationNames[] = {
         "CONST",
     "INPUT"};
 
+// Number of operands of an operation.
 constexpr int arguments_of(Op op) {
   constexpr int kArguments[] = {
 #define HELI_NAME(name, arguments, value) arguments,
@@ -122,6 +123,7 @@ class Program {
     Operand a;
     Operand b;
   };
+  // An element of an input that goes into a register.
   struct Loaded {
     std::int32_t to = 0;
     std::int32_t input = 0;
@@ -132,7 +134,7 @@ class Program {
            const std::vector<double*>& outputs) const;
 
   std::vector<std::size_t> widths_;
-  std::vector<Value> scalars_;  // uniform values, by their own numbers
+  std::vector<Value> scalars_;  // uniform values; operands are places in this list
   std::vector<Loaded> loads_;
   std::vector<Step> steps_;
   std::vector<std::vector<Operand>> wanted_;

@@ -21,12 +21,15 @@ template <int Dimensions>
 using In = nb::ndarray<const double, nb::ndim<Dimensions>, nb::c_contig, nb::device::cpu>;
 using Out = nb::ndarray<nb::numpy, double>;
 
+// Throws ValueError in Python if an argument is wrong.
 void require(bool holds, const char* what) {
   if (!holds) {
     throw std::invalid_argument(what);
   }
 }
 
+// Checks the shapes of all arrays against each other and points a LinearSystem at them. The arrays
+// must outlive it.
 LinearSystem system_of(const In<3>& transition, const In<4>& part_input, const In<3>& measurement,
                        const In<2>& measurement_variance, const In<1>& memory,
                        const In<1>& disturbance_variance, const In<1>& initial_variance,
@@ -71,6 +74,7 @@ LinearSystem system_of(const In<3>& transition, const In<4>& part_input, const I
   return system;
 }
 
+// A new numpy array of zeros with two or three dimensions; numpy frees it.
 Out array(std::size_t a, std::size_t b, std::size_t c, std::size_t dimensions) {
   auto* data = new double[a * b * (dimensions == 3 ? c : 1)]();
   const nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<double*>(p); });
@@ -80,6 +84,7 @@ Out array(std::size_t a, std::size_t b, std::size_t c, std::size_t dimensions) {
   return Out(data, {a, b}, owner);
 }
 
+// The same for Signals; `block` is the number of steps per block.
 heli_lab::Signals signals_of(const In<3>& transition, const In<3>& input, const In<3>& rates,
                              std::size_t block) {
   heli_lab::Signals signals;
@@ -99,7 +104,7 @@ heli_lab::Signals signals_of(const In<3>& transition, const In<3>& input, const 
   return signals;
 }
 
-// A function that finds two numbers of each state and disturbance at each step.
+// Defines a function for Python that returns two arrays, [steps][states + disturbances].
 template <void (*kFind)(const LinearSystem&, double*, double*)>
 void def_of_states(nb::module_& module, const char* name) {
   module.def(
@@ -186,6 +191,8 @@ NB_MODULE(_kalman, module) {
         return std::make_pair(over, parts);
       },
       "transition"_a, "input"_a, "rates"_a, "block"_a);
+  // Memory and variance of the disturbances differ per model; the system gets those of the first,
+  // which are not used.
   module.def(
       "log_likelihoods",
       [](const In<3>& transition, const In<4>& part_input, const In<3>& measurement,

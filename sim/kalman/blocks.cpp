@@ -8,6 +8,7 @@
 
 namespace heli_lab {
 
+// Steps each block from a deviation of zero: sum = phi sum + gamma rates.
 HELI_WIDE void over_blocks(const Signals& signals, std::size_t block, double* out) {
   const std::size_t states = signals.states;
   const std::size_t columns = signals.columns;
@@ -30,6 +31,7 @@ HELI_WIDE void over_blocks(const Signals& signals, std::size_t block, double* ou
   }
 }
 
+// See kalman.hpp: phi is a step's transition, gamma the effect of its rates.
 HELI_WIDE void block_response(const Signals& signals, std::size_t block, double* transition,
                               double* parts) {
   const std::size_t states = signals.states;
@@ -37,6 +39,7 @@ HELI_WIDE void block_response(const Signals& signals, std::size_t block, double*
   const std::size_t blocks = signals.steps / block;
   const std::size_t size = states * columns;
   std::vector<double> now(states * std::max(states, columns));
+  // table = phi table, for a table of `width` columns.
   const auto advance = [&](const double* phi, double* table, std::size_t width) {
     std::copy(table, table + states * width, now.begin());
     std::fill(table, table + states * width, 0.0);
@@ -68,6 +71,8 @@ HELI_WIDE void block_response(const Signals& signals, std::size_t block, double*
   }
 }
 
+// With A the Jacobian and h the step, the transition is (I - h A / 2)^-1 (I + h A / 2) and the
+// input matrix is h (I - h A / 2)^-1.
 HELI_WIDE void midpoint(const double* jacobian, std::size_t steps, std::size_t states,
                         double step_s, double* transition, double* input) {
   // `input` first holds the inverse of I - h A / 2, by elimination of `left`.
@@ -80,7 +85,7 @@ HELI_WIDE void midpoint(const double* jacobian, std::size_t steps, std::size_t s
       left[i] = one - 0.5 * step_s * a[i];
       inverse[i] = one;
     }
-    // Gauss and Jordan, the largest pivot of each column.
+    // Gauss-Jordan elimination with partial pivoting: `left` becomes I, and `inverse` its inverse.
     for (std::size_t column = 0; column < states; ++column) {
       std::size_t pivot = column;
       for (std::size_t i = column + 1; i < states; ++i) {

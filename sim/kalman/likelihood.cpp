@@ -8,11 +8,12 @@
 namespace heli_lab {
 namespace {
 
-constexpr std::size_t kLanes = 4;
+constexpr std::size_t kLanes = 4;  // models that are filtered together
 // Steps whose variances are multiplied before a logarithm is taken: of variances above 1e-18 rad2
 // the product stays in range.
 constexpr std::size_t kProduct = 16;
 
+// Four numbers on which the processor computes at once.
 #if defined(__GNUC__)
 using Four = double __attribute__((vector_size(kLanes * sizeof(double))));
 #else
@@ -39,6 +40,7 @@ struct Lanes {
   HELI_INLINE double& operator[](std::size_t i) { return reinterpret_cast<double*>(&four)[i]; }
 };
 
+// The same number for all four models.
 HELI_INLINE Lanes all(double value) { return {Four{value, value, value, value}}; }
 
 #define HELI_LANES(op)                                                                         \
@@ -57,9 +59,10 @@ constexpr std::size_t kMaxOutputs = 3;
 constexpr std::size_t kMaxGains = 2;
 constexpr std::size_t kMaxDisturbances = 2 * (kMaxOutputs + kMaxGains);
 
+// The disturbance models of four lanes, and the scales of their measurement variances.
 struct FourModels {
-  Lanes memory[kMaxDisturbances];  // of a part
-  Lanes step_memory[kMaxDisturbances];
+  Lanes memory[kMaxDisturbances];       // of a part
+  Lanes step_memory[kMaxDisturbances];  // of a step
   Lanes disturbance_variance[kMaxDisturbances];
   Lanes scale[kMaxOutputs];
 };
@@ -67,7 +70,7 @@ struct FourModels {
 // Sums over the columns that are kept in registers together.
 constexpr std::size_t kTogether = 4;
 
-// out[k] = sum of weights[j] table[j][k], of the first `count` rows.
+// out[k] = sum of weights[j] table[j][k], of the first `count` rows; with `add`, added to out[k].
 template <std::size_t kOrder, typename Weight>
 HELI_INLINE void combine(const Weight* weights, std::size_t count, const Lanes* table, Lanes* out,
                          bool add) {
@@ -99,8 +102,9 @@ HELI_INLINE void combine(const Weight* weights, std::size_t count, const Lanes* 
   }
 }
 
-// The filter of kalman.cpp for one column and four models of the disturbances at once; a fast and a
-// slow one for each output and gain. The innovations are not kept.
+// The filter of filter.hpp for one column and four models of the disturbances at once; a fast and a
+// slow one for each output and gain. The innovations are not kept: writes the log-likelihood of
+// each output, with the logarithms of a few variances taken together.
 template <std::size_t kOutputs, std::size_t kStates, std::size_t kGains>
 HELI_INLINE void follow(const LinearSystem& system, const FourModels& models, Lanes* values) {
   constexpr std::size_t kDisturbances = 2 * (kOutputs + kGains);
@@ -113,6 +117,7 @@ HELI_INLINE void follow(const LinearSystem& system, const FourModels& models, La
   Lanes gain[kOrder];
   Lanes input[kStates * kDisturbances];
   Lanes products[kOutputs];
+  // Initial mean and covariance.
   std::fill(mean, mean + kOrder, all(0.0));
   std::fill(covariance, covariance + kOrder * kOrder, all(0.0));
   for (std::size_t i = 0; i < kStates; ++i) {
@@ -126,6 +131,7 @@ HELI_INLINE void follow(const LinearSystem& system, const FourModels& models, La
     products[output] = all(1.0);
   }
   for (std::size_t step = 0; step < system.steps; ++step) {
+    // Measurement update, one output after the other.
     for (std::size_t output = 0; output < kOutputs; ++output) {
       const double error = system.measurement_variance[step * kOutputs + output];
       if (!(error > 0.0)) {
@@ -173,20 +179,22 @@ HELI_INLINE void follow(const LinearSystem& system, const FourModels& models, La
     if (step + 1 == system.steps) {
       break;
     }
+    // Effect of each disturbance on the states, over the parts of the step.
     std::fill(input, input + kStates * kDisturbances, all(0.0));
     for (std::size_t first = 0; first < kDisturbances; first += kind) {
       for (std::size_t k = 0; k < kind; ++k) {
-        Lanes left = all(1.0);
+        Lanes remaining = all(1.0);  // of the disturbance, at the part's beginning
         for (std::size_t part = 0; part < system.parts; ++part) {
           const double* from =
               system.part_input + (part * system.steps + step) * kStates * kind + k;
           for (std::size_t i = 0; i < kStates; ++i) {
-            input[i * kDisturbances + first + k] += left * from[i * kind];
+            input[i * kDisturbances + first + k] += remaining * from[i * kind];
           }
-          left *= models.memory[first + k];
+          remaining *= models.memory[first + k];
         }
       }
     }
+    // Time update: the mean, and F times the covariance.
     const double* phi = system.transition + step * kStates * kStates;
     for (std::size_t i = 0; i < kStates; ++i) {
       Lanes sum = all(system.drive[(step * kStates + i) * system.columns]);
@@ -201,6 +209,7 @@ HELI_INLINE void follow(const LinearSystem& system, const FourModels& models, La
       combine<kOrder>(input + i * kDisturbances, kDisturbances, covariance + kStates * kOrder,
                       product + i * kOrder, true);
     }
+    // Then the covariance: F P F' plus the disturbances' new noise.
     std::copy(next, next + kStates, mean);
     for (std::size_t i = 0; i < kDisturbances; ++i) {
       mean[kStates + i] *= models.step_memory[i];
@@ -235,11 +244,12 @@ HELI_INLINE void follow(const LinearSystem& system, const FourModels& models, La
   }
 }
 
-// What is compiled for its size: three outputs, and up to `kMaxExtra` states after positions and
-// rates.
+// follow() is compiled for these sizes: three outputs, their positions and rates as states, and up
+// to `kMaxExtra` more states.
 constexpr std::size_t kFollowed = 2 * kMaxOutputs;
 constexpr std::size_t kMaxExtra = 6;
 
+// Chooses follow() by the number of states.
 template <std::size_t kGains>
 HELI_INLINE void follow_states(const LinearSystem& system, const FourModels& models,
                                Lanes* values) {
@@ -261,6 +271,7 @@ HELI_INLINE void follow_states(const LinearSystem& system, const FourModels& mod
   }
 }
 
+// Chooses follow() by the number of disturbances: with or without those of the gains.
 HELI_WIDE void follow_any(const LinearSystem& system, const FourModels& models, Lanes* values) {
   if (system.disturbances == kMaxDisturbances) {
     follow_states<kMaxGains>(system, models, values);
@@ -269,13 +280,14 @@ HELI_WIDE void follow_any(const LinearSystem& system, const FourModels& models, 
   }
 }
 
+// Whether follow_any() has code for the system's sizes.
 bool is_compiled(const LinearSystem& system) {
   return system.outputs == kMaxOutputs &&
          (system.disturbances == 2 * kMaxOutputs || system.disturbances == kMaxDisturbances) &&
          system.states >= kFollowed && system.states <= kFollowed + kMaxExtra;
 }
 
-// One model by the filter that takes any sizes.
+// The log-likelihood of one model, by the filter for any sizes.
 void follow_one(LinearSystem system, const double* memory, const double* disturbance_variance,
                 const double* scale, double* values) {
   std::vector<double> variance(system.steps * system.outputs);
@@ -299,6 +311,7 @@ void follow_one(LinearSystem system, const double* memory, const double* disturb
 
 }  // namespace
 
+// Four models at a time if the sizes allow it, otherwise one after the other.
 void log_likelihoods(const LinearSystem& system, std::size_t models, const double* memory,
                      const double* disturbance_variance, const double* scale, double* values) {
   const std::size_t disturbances = system.disturbances;
@@ -312,6 +325,7 @@ void log_likelihoods(const LinearSystem& system, std::size_t models, const doubl
   FourModels four;
   for (std::size_t first = 0; first < models; first += kLanes) {
     for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      // Lanes behind the last model repeat it.
       const std::size_t from = std::min(first + lane, models - 1);
       for (std::size_t i = 0; i < disturbances; ++i) {
         four.memory[i][lane] = memory[from * disturbances + i];
@@ -323,11 +337,11 @@ void log_likelihoods(const LinearSystem& system, std::size_t models, const doubl
         four.scale[output][lane] = scale[from * system.outputs + output];
       }
     }
-    Lanes found[kMaxOutputs];
-    follow_any(system, four, found);
+    Lanes likelihoods[kMaxOutputs];
+    follow_any(system, four, likelihoods);
     for (std::size_t lane = 0; lane < std::min(kLanes, models - first); ++lane) {
       for (std::size_t output = 0; output < system.outputs; ++output) {
-        values[(first + lane) * system.outputs + output] = found[output][lane];
+        values[(first + lane) * system.outputs + output] = likelihoods[output][lane];
       }
     }
   }

@@ -26,10 +26,12 @@ using heli_sim::MemoryBoard;
 using heli_sim::NativeBoard;
 using heli_sim::SimBoard;
 
+// The content of the flash, for Python.
 nb::bytes flash_bytes(NativeBoard& self) {
   return nb::bytes(self.memory().flash.data(), self.memory().flash.size());
 }
 
+// Replaces the content of the flash; `flash` must have its length.
 void set_flash(NativeBoard& self, const nb::bytes& flash) {
   if (flash.size() != MemoryBoard::kFlashBytes) {
     throw std::invalid_argument("the flash holds " + std::to_string(MemoryBoard::kFlashBytes) +
@@ -38,6 +40,7 @@ void set_flash(NativeBoard& self, const nb::bytes& flash) {
   std::memcpy(self.memory().flash.data(), flash.c_str(), flash.size());
 }
 
+// Sets the number of illegal transitions that each encoder's counter has seen, as bad wiring would.
 void set_illegal(NativeBoard& self, const std::array<std::uint32_t, heli::kAxisCount>& count) {
   std::copy(count.begin(), count.end(), self.memory().encoders.illegal);
 }
@@ -45,6 +48,7 @@ void set_illegal(NativeBoard& self, const std::array<std::uint32_t, heli::kAxisC
 // Hash, major and minor version of the link, and version of the firmware.
 using Identity = std::tuple<std::uint32_t, int, int, std::string>;
 
+// The firmware's version becomes text: "major.minor.patch".
 Identity identity(std::uint32_t hash, int major, int minor, int firmware_major, int firmware_minor,
                   int firmware_patch) {
   return {hash, major, minor,
@@ -52,6 +56,7 @@ Identity identity(std::uint32_t hash, int major, int minor, int firmware_major, 
               std::to_string(firmware_patch)};
 }
 
+// Asks a board for its versions; None if it does not answer within `max_ms` of its time.
 std::optional<Identity> greet(SimBoard& board, std::uint32_t max_ms) {
   const auto welcome = heli_sim::greet(board, max_ms);
   if (!welcome) return std::nullopt;

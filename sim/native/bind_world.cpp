@@ -45,6 +45,7 @@ class CallbackStep final : public PlantStep {
     callable_.reset();
   }
 
+  // Called without the GIL, by World::advance(); takes it for the call.
   void step(const double* state, const double* volts_V, const double* locked,
             const double* parameters, double* next_state, double* angles_rad) override {
     nb::gil_scoped_acquire gil;
@@ -69,6 +70,7 @@ class CallbackStep final : public PlantStep {
   std::size_t parameter_count_;
 };
 
+// Python's two vectors as a configuration.
 EncoderConfig encoder_config(const Axes& counts_per_rad, const Axes& offset_count) {
   EncoderConfig config{};
   std::copy(counts_per_rad.begin(), counts_per_rad.end(), config.counts_per_rad);
@@ -76,7 +78,7 @@ EncoderConfig encoder_config(const Axes& counts_per_rad, const Axes& offset_coun
   return config;
 }
 
-// A world of some board; a native one when none is given.
+// World.__init__: builds a world at `place`, with a native board if none is given.
 void make_world(World* place, std::shared_ptr<PlantStep> step, std::vector<double> state,
                 std::vector<double> parameters, double supply_V, double dead_band,
                 const Axes& counts_per_rad, const Axes& offset_count,
@@ -86,6 +88,8 @@ void make_world(World* place, std::shared_ptr<PlantStep> step, std::vector<doubl
                     {supply_V, dead_band}, encoder_config(counts_per_rad, offset_count));
 }
 
+// Hands the bytes `rx` of the host to the serial line and lets up to `ticks` milliseconds pass.
+// Returns how many passed, and the bytes that reached the host.
 nb::tuple advance(World& world, std::uint64_t ticks, const nb::bytes& rx, bool until_output,
                   std::uint64_t least) {
   world.line().host_write(reinterpret_cast<const std::uint8_t*>(rx.c_str()), rx.size());
@@ -98,6 +102,7 @@ nb::tuple advance(World& world, std::uint64_t ticks, const nb::bytes& rx, bool u
   return nb::make_tuple(passed, nb::bytes(to_host.data(), to_host.size()));
 }
 
+// The serial line's counters since the world was made, by name.
 nb::dict line_counters(World& world) {
   const heli_sim::LineCounters& counters = world.line().counters();
   nb::dict result;

@@ -15,7 +15,7 @@ class ByteRing {
   bool empty() const { return size_ == 0; }
   void clear() { size_ = 0; }
 
-  // False, and the byte is lost, when the ring is full.
+  // Returns false, and the byte is lost, if the ring is full.
   bool push(std::uint8_t byte) {
     if (size_ == kSize) return false;
     bytes_[(first_ + size_) % kSize] = byte;
@@ -23,7 +23,7 @@ class ByteRing {
     return true;
   }
 
-  // Only when not empty.
+  // The oldest byte; the ring must not be empty.
   std::uint8_t pop() {
     const std::uint8_t byte = bytes_[first_];
     first_ = (first_ + 1) % kSize;

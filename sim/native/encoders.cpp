@@ -8,12 +8,15 @@ namespace heli_sim {
 
 namespace {
 
+// The count at a position in counts.
 std::int64_t floor_count(double position) {
   return static_cast<std::int64_t>(std::floor(position));
 }
 
 }  // namespace
 
+// See encoders.hpp. While an encoder is unplugged its position stays, and the motion is added to
+// what is lost.
 void Encoders::move(const double* angle_rad) {
   for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
     double position = angle_rad[axis] * config_.counts_per_rad[axis] + config_.offset_count[axis] -
@@ -29,6 +32,7 @@ void Encoders::move(const double* angle_rad) {
   has_position_ = true;
 }
 
+// See encoders.hpp. An edge is at the time at which the position passes a whole number.
 const std::vector<Edge>& Encoders::edges() {
   edges_.clear();
   for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
@@ -36,6 +40,7 @@ const std::vector<Edge>& Encoders::edges() {
     const std::int64_t to = floor_count(position_count_[axis]);
     if (from == to) continue;
     const bool upwards = to > from;
+    // Negative when the position falls, as the differences of counts below are.
     const double us_per_count =
         static_cast<double>(heli::link::kTick_us) / (position_count_[axis] - previous_count_[axis]);
     const auto axis_index = static_cast<std::uint8_t>(axis);

@@ -17,11 +17,12 @@ using heli::link::HelloMessage;
 using heli::link::MessageId;
 using heli::link::WelcomeMessage;
 
-// A board that is still starting hears nothing.
+// How often hello is repeated: a board that is still starting receives nothing.
 constexpr std::uint32_t kAgain_ms = 20;
 
 }  // namespace
 
+// Sends hello and runs the board, a millisecond at a time with encoders at rest, until its welcome.
 std::optional<WelcomeMessage> greet(SimBoard& board, std::uint32_t max_ms) {
   HelloMessage hello;
   hello.request = 1;

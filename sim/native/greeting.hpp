@@ -1,4 +1,5 @@
-// Asks a board who it is, before anything is simulated with it.
+// Asks a board for its versions (hello and welcome of the link), before anything is simulated with
+// it.
 #pragma once
 
 #include <cstdint>

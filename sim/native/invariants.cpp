@@ -1,10 +1,12 @@
-// Compiled without access control: the invariants speak of private members.
+// Checks the invariants on the objects of a running flight code. Compiled without access control,
+// because the invariants use private members.
 #include "invariants.hpp"
 
 #include <atomic>
 
 namespace heli::proofs {
 
+// In a proof, an atomic is a variable of the model; here it is one that the flight code shares.
 template <class T>
 T value_of(const std::atomic<T>& shared) {
   return shared.load(std::memory_order_relaxed);
@@ -24,6 +26,7 @@ T value_of(const std::atomic<T>& shared) {
 
 namespace heli_sim {
 
+// See invariants.hpp.
 const char* broken_invariant(const heli::FlightCode& code, std::int32_t duty_full) {
   using heli::proofs::holds;
   const heli::Core& core = code.core;
@@ -33,6 +36,7 @@ const char* broken_invariant(const heli::FlightCode& code, std::int32_t duty_ful
   if (!holds(core.uploaded_.tape_)) return "upload";
   if (!heli::proofs::holds_verified(core.uploaded_.tape_)) return "interpreter";
   if (!heli::proofs::holds_accepted(core.uploaded_.tape_)) return "verifier";
+  // Parameters and what is derived from them are in two banks, of which one is active.
   const auto bank = core.active_.load(std::memory_order_relaxed);
   const bool bounded =
       holds(core.derived_[bank].setpoint_limits) && holds(core.supervisor_.setpoints_);

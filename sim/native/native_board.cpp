@@ -12,11 +12,12 @@ namespace heli_sim {
 
 namespace {
 
-// The boot event carries it as a float, which holds 24 bits.
+// The boot event carries the boot id as a float, which holds whole numbers of 24 bits.
 constexpr std::uint32_t kBootIdMask = 0x00FFFFFF;
 
 }  // namespace
 
+// Up to `most` received bytes; returns how many.
 std::size_t MemoryBoard::receive(std::uint8_t* to, std::size_t most) {
   std::size_t count = 0;
   while (count < most && !rx.empty()) to[count++] = rx.pop();
@@ -27,6 +28,7 @@ void MemoryBoard::transmit(const std::uint8_t* bytes, std::size_t count) {
   for (std::size_t i = 0; i < count; ++i) tx.push(bytes[i]);
 }
 
+// Reads the first bytes of a page; a page that does not exist reads as erased.
 void MemoryBoard::read_page(std::size_t page, std::uint8_t* to, std::size_t count) {
   if (page >= kPages || count > kPageBytes) {
     std::fill_n(to, count, std::uint8_t{0xFF});
@@ -35,6 +37,8 @@ void MemoryBoard::read_page(std::size_t page, std::uint8_t* to, std::size_t coun
   std::copy_n(flash.data() + page * kPageBytes, count, to);
 }
 
+// Erases a page and writes its first bytes; saves the flash if it has a file. False: there
+// is no such page, or the file could not be written.
 bool MemoryBoard::write_page(std::size_t page, const std::uint8_t* from, std::size_t count) {
   if (page >= kPages || count > kPageBytes) return false;
   std::uint8_t* to = flash.data() + page * kPageBytes;
@@ -46,6 +50,7 @@ bool MemoryBoard::write_page(std::size_t page, const std::uint8_t* from, std::si
   return static_cast<bool>(file.flush());
 }
 
+// Loads the flash file if it exists.
 NativeBoard::NativeBoard(const std::string& flash_file, bool from_edges, std::uint64_t boot_seed)
     : from_edges_(from_edges) {
   std::seed_seq words{boot_seed & 0xFFFFFFFFU, boot_seed >> 32U};
@@ -62,6 +67,7 @@ NativeBoard::NativeBoard(const std::string& flash_file, bool from_edges, std::ui
   }
 }
 
+// Starts the program: a new flight code on the board's memory, with another boot id each time.
 void NativeBoard::boot(heli::link::Reset cause) {
   memory_.boot.board = 0;
   memory_.boot.reset = static_cast<std::uint8_t>(cause);
@@ -72,6 +78,8 @@ void NativeBoard::boot(heli::link::Reset cause) {
   code_->core.start();
 }
 
+// See sim_board.hpp. The control tick and the idle loop run once. An invariant of a proof that does
+// not hold after that is a mistake in the flight code, and ends the simulation.
 void NativeBoard::tick(const std::int32_t* count) {
   std::copy_n(count, heli::kAxisCount, disc_.begin());
   leaving_ = memory_.tx.size();
@@ -84,7 +92,7 @@ void NativeBoard::tick(const std::int32_t* count) {
       memory_.encoders.count[axis] = disc_[axis] - origin_[axis];
     }
   }
-  if (erased_) return;
+  if (erased_) return;  // there is no program
   if (!code_) boot(cause_);
   code_->core.tick();
   code_->core.poll();
@@ -95,6 +103,7 @@ void NativeBoard::tick(const std::int32_t* count) {
   }
 }
 
+// See sim_board.hpp. The bytes of the millisecond arrive, and the edges count.
 void NativeBoard::rest(const Edge* edges, std::size_t edge_count) {
   for (std::size_t i = 0; i < edge_count; ++i) {
     memory_.encoders.count[edges[i].axis] += edges[i].direction;
@@ -105,12 +114,15 @@ void NativeBoard::rest(const Edge* edges, std::size_t edge_count) {
   }
 }
 
+// The last command as fractions of full duty; the stop input switches the bridges off by itself.
 MotorOutput NativeBoard::motors() const {
   const double full = MemoryBoard::kDutyFull;
   return {memory_.motors.front_duty / full, memory_.motors.back_duty / full,
           memory_.motors.enable && !memory_.stop_input};
 }
 
+// Ends the program and holds the board in reset; tick() starts the program again. The counters
+// begin at 0, wherever the discs are.
 void NativeBoard::reset(heli::link::Reset cause) {
   code_.reset();
   memory_.motors = {};
@@ -123,12 +135,14 @@ void NativeBoard::reset(heli::link::Reset cause) {
   reset_ticks_ = kResetTicks;
 }
 
+// No program starts any more, as on a Due with an empty flash.
 void NativeBoard::erase() {
   reset(heli::link::Reset::user);
   memory_.flash.fill(0xFF);
   erased_ = true;
 }
 
+// The next byte that was written before this millisecond; false if there is none.
 bool NativeBoard::uart_transmit(std::uint8_t& byte) {
   if (leaving_ == 0) return false;
   --leaving_;

@@ -80,10 +80,10 @@ class NativeBoard final : public SimBoard {
   bool from_edges_;
   std::mt19937 boot_ids_;
   std::uint64_t boots_ = 0;
-  bool erased_ = false;
+  bool erased_ = false;  // the flash holds no program
   MemoryBoard memory_;
   std::optional<heli::FlightCode> code_;
-  std::uint32_t reset_ticks_ = 0;
+  std::uint32_t reset_ticks_ = 0;  // milliseconds until the reset ends
   heli::link::Reset cause_ = heli::link::Reset::power_up;
   std::array<std::int32_t, heli::kAxisCount> disc_{};    // as of the last tick
   std::array<std::int32_t, heli::kAxisCount> origin_{};  // where the counters stood at 0

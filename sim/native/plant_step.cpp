@@ -1,4 +1,6 @@
-// Calls the step function of a compiled or a Python plant; see plant_step.hpp.
+// Loads a step function that CasADi has generated and calls it; see plant_step.hpp. Next to
+// function NAME the library has NAME_sparsity_in, NAME_sparsity_out and NAME_work, which describe
+// its arguments.
 #include "plant_step.hpp"
 
 #include <stdexcept>
@@ -7,6 +9,8 @@
 
 namespace heli_sim {
 
+// Loads the library, checks the sizes of inputs and outputs, and allocates the function's work
+// space.
 CompiledStep::CompiledStep(const std::string& library, const std::string& name)
     : library_(library) {
   handle_ = open_library(library);
@@ -22,6 +26,7 @@ CompiledStep::CompiledStep(const std::string& library, const std::string& name)
     const auto out = reinterpret_cast<Sparsity>(symbol(name + "_sparsity_out"));
     const auto work = reinterpret_cast<Work>(symbol(name + "_work"));
 
+    // Inputs: state, voltages, locked, parameters; outputs: state, angles.
     state_count_ = dense_size(in(0));
     parameter_count_ = dense_size(in(3));
     if (dense_size(in(1)) != 2 || dense_size(in(2)) != 3 || dense_size(out(0)) != state_count_ ||
@@ -46,6 +51,7 @@ CompiledStep::CompiledStep(const std::string& library, const std::string& name)
 
 CompiledStep::~CompiledStep() { close_library(handle_); }
 
+// The address of a function in the library; throws if it has none.
 void* CompiledStep::symbol(const std::string& name) const {
   void* address = find_symbol(handle_, name);
   if (address == nullptr) {
@@ -55,6 +61,7 @@ void* CompiledStep::symbol(const std::string& name) const {
   return address;
 }
 
+// The number of elements of an input or output; throws if its vector is sparse.
 std::size_t CompiledStep::dense_size(const Integer* sparsity) const {
   // CasADi's compressed columns: rows, columns, then 1 for dense or the column offsets.
   const Integer size = sparsity[0] * sparsity[1];
@@ -66,6 +73,7 @@ std::size_t CompiledStep::dense_size(const Integer* sparsity) const {
   return static_cast<std::size_t>(size);
 }
 
+// See plant_step.hpp; the last argument is CasADi's memory number.
 void CompiledStep::step(const double* state, const double* volts_V, const double* locked,
                         const double* parameters, double* next_state, double* angles_rad) {
   arguments_[0] = state;

@@ -7,7 +7,8 @@
 
 namespace heli_sim {
 
-// (state, voltages, locked, parameters) -> (state after the step, measured angles).
+// (state, voltages, locked, parameters) -> (state after the step, measured angles). `locked` is 1
+// for each axis that cannot move.
 class PlantStep {
  public:
   virtual ~PlantStep() = default;

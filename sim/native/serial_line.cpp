@@ -16,6 +16,8 @@ void SerialLine::host_write(const std::uint8_t* bytes, std::size_t count) {
   driver_queue_.insert(driver_queue_.end(), bytes, bytes + accepted);
 }
 
+// Bytes go from the driver into the 16U2's ring while it has room, and from there to the board at
+// the line's rate, 25 in a millisecond.
 void SerialLine::carry_to_board(SimBoard& board) {
   for (std::uint32_t byte_slot = 0; byte_slot < kBytesPerTick; ++byte_slot) {
     while (driver_queue_start_ < driver_queue_.size() &&
@@ -28,6 +30,8 @@ void SerialLine::carry_to_board(SimBoard& board) {
   }
 }
 
+// Bytes of the board enter the 16U2's ring one every 40 us. The ring is handed over at the end of
+// each interval, and when it is nearly full.
 void SerialLine::carry_to_host(SimBoard& board, std::vector<std::uint8_t>& to_host) {
   const std::uint64_t end_us = now_us_ + heli::link::kTick_us;
   std::uint8_t byte = 0;

@@ -1,8 +1,8 @@
 // What the simulated world needs of a board: NativeBoard and the emulated Due are two.
 //
-// A millisecond of a board is cut where its control tick has commanded the motors. Before the cut
-// it has read its encoders; after it the rig moves under that command, and the encoders step. So
-// the command of a tick acts during its own millisecond, whatever the board is made of.
+// A millisecond of a board has two parts. In the first, tick(), its control tick reads the encoders
+// and commands the motors. In the second, rest(), the rig moves under that command, and the
+// encoders step. So the command of a tick acts during its own millisecond, on both boards.
 #pragma once
 
 #include <cstddef>

@@ -12,13 +12,15 @@ namespace heli_sim {
 
 namespace {
 
-// How often the operator looks at the arm.
+// Ticks from one look of the operator at the arm to the next.
 constexpr std::uint64_t kSupport_ticks = 5;
 
-// How fast a hand turns an axis: a quarter of a turn takes three seconds. Below every rate limit.
+// How fast a hand turns an axis: a quarter of a turn takes three seconds. It is below the rate
+// limits of the flight code.
 constexpr double kHand_rad_s = 0.5;
 constexpr double kTick_s = 1e-3;
 
+// Throws if a vector has another length than the plant takes.
 void require_size(const char* what, std::size_t given, std::size_t wanted) {
   if (given == wanted) return;
   throw std::invalid_argument(std::string(what) + " has " + std::to_string(given) +
@@ -27,6 +29,7 @@ void require_size(const char* what, std::size_t given, std::size_t wanted) {
 
 }  // namespace
 
+// The mean voltage at a motor for a duty of -1 to 1.
 double PowerStage::volts(double duty) const {
   const double size = std::min(std::fabs(duty), 1.0);
   if (size < dead_band) return 0.0;
@@ -34,6 +37,7 @@ double PowerStage::volts(double duty) const {
   return std::copysign(effective * supply_V, duty);
 }
 
+// Encoders start at the angles of the state.
 World::World(std::shared_ptr<SimBoard> board, std::shared_ptr<PlantStep> step,
              std::vector<double> state, std::vector<double> parameters, const PowerStage& power,
              const EncoderConfig& encoders)
@@ -52,6 +56,7 @@ World::World(std::shared_ptr<SimBoard> board, std::shared_ptr<PlantStep> step,
   encoders_.move(angles_rad_.data());
 }
 
+// The rig jumps to another state; encoders follow by counts, as if it had moved there.
 void World::set_state(const std::vector<double>& state) {
   require_size("the state", state.size(), state_.size());
   state_ = state;
@@ -75,6 +80,8 @@ std::uint64_t World::advance(std::uint64_t ticks, bool until_output, std::uint64
   return passed;
 }
 
+// One millisecond: bytes to the board, its tick, the rig under the new command, the rest of the
+// board's millisecond with the edges of that motion, bytes to the host.
 void World::one_tick(std::vector<std::uint8_t>& to_host) {
   if (tick_ % kSupport_ticks == 0) support_arm();
   line_.carry_to_board(*board_);
@@ -90,6 +97,8 @@ void World::one_tick(std::vector<std::uint8_t>& to_host) {
   ++tick_;
 }
 
+// The operator holds the arm, or lets it go; not if somebody else has locked or unlocked axes
+// since.
 void World::support_arm() {
   if (!support_below_rad_.has_value() || locked_ != supported_) return;
   const bool off = volts_V_[0] == 0.0 && volts_V_[1] == 0.0;
@@ -103,6 +112,8 @@ void World::set_wiring(bool swapped, const std::array<double, 2>& signs) {
   signs_ = signs;
 }
 
+// Turns each axis that a hand holds a little towards its target, and stops its rate. Returns which
+// axes are locked in this millisecond, by hand or otherwise.
 std::array<double, heli::kAxisCount> World::turned_by_hand() {
   std::array<double, heli::kAxisCount> locked = locked_;
   for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
@@ -115,6 +126,8 @@ std::array<double, heli::kAxisCount> World::turned_by_hand() {
   return locked;
 }
 
+// The motors' voltages from the board's output (power stage, cables, supply), then one step of the
+// plant and the encoders.
 void World::move_rig() {
   const MotorOutput motors = board_->motors();
   const bool drives = motors.enable && supply_on_;

@@ -13,7 +13,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t cou
 
 namespace {
 
-constexpr std::uint32_t kGenerated = 500;
+constexpr std::uint32_t kGenerated = 500;  // inputs, if neither files nor a number are given
 
 // xorshift32 (Marsaglia 2003): the same sequence everywhere.
 std::uint32_t next(std::uint32_t& state) {
@@ -23,8 +23,9 @@ std::uint32_t next(std::uint32_t& state) {
   return state;
 }
 
+// Generated input `number`: up to 399 bytes, the same for each number.
 std::vector<std::uint8_t> generate(std::uint32_t number) {
-  std::uint32_t state = 2463534242U + number;
+  std::uint32_t state = 2463534242U + number;  // Marsaglia's seed
   for (int warm_up = 0; warm_up < 8; ++warm_up) next(state);
   std::vector<std::uint8_t> input(next(state) % 400U);
   // One byte in four is small: in a list of steps these are the ones that lead somewhere.
@@ -37,6 +38,7 @@ std::vector<std::uint8_t> generate(std::uint32_t number) {
 
 }  // namespace
 
+// Arguments: files, or `--generated N`, or none.
 int main(int argc, char** argv) {
   if (argc == 3 && std::strcmp(argv[1], "--generated") == 0) {
     const auto count = static_cast<std::uint32_t>(std::strtoul(argv[2], nullptr, 10));

@@ -1,4 +1,5 @@
-// Each answer, from any state of the dispatcher.
+// Each answer of the dispatcher, from any state of it: step_X proves that the message X gets one
+// answer of its kind and length.
 #include "any.hpp"
 #include "link/answers.cpp"
 #include "no_interrupt.hpp"
@@ -27,6 +28,7 @@ constexpr std::size_t kMostBytes = heli::link::LawPartMessage::kSize;
 std::uint8_t payload[kMostBytes];
 char name[heli::link::ControllerNames::kCharacters + 1];
 
+// Any state without a waiting reply, and any payload.
 void put_in_any_state(Dispatcher& d) {
   for (std::uint8_t& byte : payload) {
     byte = any<std::uint8_t>();
@@ -42,15 +44,17 @@ void put_in_any_state(Dispatcher& d) {
   d.reply_waits_ = false;
 }
 
+// A frame of this id and size with any payload.
 Frame frame_of(MessageId id, std::size_t size) {
   Frame frame;
   frame.id = static_cast<std::uint8_t>(id);
   frame.size = static_cast<std::uint8_t>(size);
-  // At its end, so that a byte behind the message is out of bounds.
+  // At the end of the array, so that a byte behind the message is out of bounds.
   frame.payload = payload + (kMostBytes - size);
   return frame;
 }
 
+// The dispatcher has made one answer to `frame`: of this id and size.
 void check_answer(const Dispatcher& d, const Frame& frame, MessageId id, std::size_t size) {
   CLAIM(d.reply_waits_, "there is an answer");
   CLAIM(d.reply_.id == id, "it is of its kind");
@@ -59,6 +63,7 @@ void check_answer(const Dispatcher& d, const Frame& frame, MessageId id, std::si
   CLAIM(d.reply_.payload[0] == frame.payload[0], "it has the number of its request");
 }
 
+// The dispatcher `d` of a proof.
 #define PREPARE() Dispatcher d(board, params, store, tape, names, mailbox, streams)
 
 }  // namespace
@@ -72,6 +77,7 @@ void step_refuse() {
   CLAIM(d.reply_.payload[1] == frame.id, "it names the message");
 }
 
+// A message without payload has no request number: the answer has 0.
 void step_refuse_without_content() {
   PREPARE();
   put_in_any_state(d);
@@ -135,6 +141,7 @@ void step_law_read() {
   check_answer(d, frame, MessageId::law, heli::link::LawMessage::kSize);
 }
 
+// Names of controllers of any length, up to the longest.
 void step_controller_read() {
   PREPARE();
   put_in_any_state(d);
@@ -162,6 +169,8 @@ void step_params_origin_read() {
   check_answer(d, frame, MessageId::params_origin, heli::link::ParamsOriginMessage::kSize);
 }
 
+// As many parameters as fit, from the requested first one on; a first one that does not exist is
+// refused.
 void step_params_read() {
   PREPARE();
   put_in_any_state(d);

@@ -1,10 +1,11 @@
-// One message of any content, from any state of the dispatcher.
+// The dispatcher: one message of any content, from any state. Each step_* function is one proof.
 #include <cfloat>
 
 #include "any.hpp"
 #include "event_queue.hpp"
 
-// Contract: there is room in the queue or not; the last value that was stored is remembered.
+// Contract of the queue from the link to the tick: there is room or not; the last value that was
+// stored is remembered.
 heli::link::StreamValue passed;
 int passed_count;
 template <>
@@ -29,11 +30,12 @@ using heli::proofs::any;
 
 namespace {
 
-int answers;
+int answers;  // made by the contracts below, in one call
 
 bool finite(float value) { return value >= -FLT_MAX && value <= FLT_MAX; }
 
-// What the tick may rely on: a command that it executes, as long as declared, and only numbers.
+// What the tick may rely on: the message is a command that it executes, has the declared length,
+// and its floats are finite.
 bool is_fit(MessageId id, const std::uint8_t* bytes, std::size_t size) {
   using heli::link::ControlMessage;
   using heli::link::ExciteMessage;
@@ -71,7 +73,7 @@ bool is_fit(MessageId id, const std::uint8_t* bytes, std::size_t size) {
   }
 }
 
-// The members that count for its message.
+// The same for a streamed value: the floats of its message are finite.
 bool is_fit(MessageId id, const heli::link::StreamValue& value) {
   if (value.id != id) {
     return false;
@@ -147,6 +149,7 @@ heli::link::Mailbox mailbox;
 heli::link::StreamQueue streams;
 std::uint8_t payload[heli::link::kMaxCommandPayload];
 
+// Every state that the proofs admit: a stop waits only while a command is with the tick.
 void put_in_any_state(Dispatcher& d) {
   d.session_open_ = any<bool>();
   d.busy_ = any<bool>();
@@ -158,6 +161,7 @@ void put_in_any_state(Dispatcher& d) {
   ASSUME(!d.stop_waits_ || d.busy_);
 }
 
+// The payload of the next frame: any bytes.
 void put_in_any_payload() {
   for (std::uint8_t& byte : payload) {
     byte = any<std::uint8_t>();
@@ -192,6 +196,7 @@ void check_command(const CommandInfo* info, std::uint8_t id) {
   CLAIM(!d.stop_waits_ || was_busy, "a stop waits only behind a command");
 }
 
+// One streamed value, with its row of the table.
 void check_stream(const CommandInfo& info) {
   Dispatcher d(board, params, store, tape, names, mailbox, streams);
   put_in_any_state(d);
@@ -212,7 +217,7 @@ void check_stream(const CommandInfo& info) {
         "the tick gets only whole messages");
 }
 
-// A row of the table, as the compiler evaluates it: the solver sees numbers.
+// A row of the table of commands as constants, so that the solver need not read the table.
 template <std::size_t kRow>
 CommandInfo row() {
   constexpr const CommandInfo& kInfo = heli::link::kCommands[kRow];
@@ -224,6 +229,7 @@ CommandInfo row() {
           heli::proofs::Folded<std::uint8_t, kInfo.float_count>::value()};
 }
 
+// Checks the commands of one kind, with or without floats, from row kRow of the table on.
 template <std::size_t kRow>
 void check_rows(Kind kind, bool has_floats) {
   if constexpr (kRow < sizeof heli::link::kCommands / sizeof heli::link::kCommands[0]) {
@@ -239,6 +245,7 @@ void check_rows(Kind kind, bool has_floats) {
   }
 }
 
+// From row kRow on, find() gives each message's own row.
 template <std::size_t kRow>
 void check_found() {
   if constexpr (kRow < sizeof heli::link::kCommands / sizeof heli::link::kCommands[0]) {
@@ -250,6 +257,7 @@ void check_found() {
 
 }  // namespace
 
+// The search in the table.
 void step_find() {
   check_found<0>();
   const auto id = any<std::uint8_t>();
@@ -257,16 +265,19 @@ void step_find() {
   CLAIM(info == nullptr || static_cast<std::uint8_t>(info->id) == id, "no message has another's");
 }
 
+// A message that the declaration does not have.
 void step_unknown() {
   put_in_any_payload();
   check_command(nullptr, any<std::uint8_t>());
 }
 
+// Commands that the dispatcher answers itself.
 void step_local() {
   put_in_any_payload();
   check_rows<0>(Kind::local, false);
 }
 
+// Commands that the tick answers, without floats; then those with floats.
 void step_remote() {
   put_in_any_payload();
   check_rows<0>(Kind::remote, false);

@@ -63,6 +63,7 @@ bool within(std::int32_t duty, std::int32_t full) { return -full <= duty && duty
 
 }  // namespace
 
+// The limits of a motor's duty, from any parameters.
 void step_conversion() {
   const auto params = any<heli::params::Params>();
   const auto full = any<std::int16_t>();
@@ -71,6 +72,7 @@ void step_conversion() {
   CLAIM(holds(motor, full), "the limits are within full duty");
 }
 
+// From two voltages to the duties of a command.
 void step_command() {
   const auto conversion = any<heli::Conversion>();
   const auto full = any<std::int32_t>();
@@ -87,6 +89,7 @@ void step_command() {
   CLAIM(enable || (command.front_duty == 0 && command.back_duty == 0), "off is duty 0");
 }
 
+// From a command to the registers of PWM and PIO.
 void step_write() {
   using namespace heli::due::motors;
   const auto command = any<heli::MotorCommand>();
@@ -101,6 +104,8 @@ void step_write() {
 
   write(command);
 
+  // A half bridge is high from CDTY to the end of its period. Front forward and reverse, back the
+  // same.
   std::uint32_t duty[4];
   for (unsigned k = 0; k < 4; ++k) {
     const std::uint32_t low =

@@ -52,6 +52,7 @@ Mailbox mailbox;
 heli::link::StreamQueue streams;
 std::uint8_t payload[Request::kMaxBytes];
 
+// Any state of dispatcher and mailbox that satisfies the invariant.
 void put_in_any_state(Dispatcher& d) {
   mailbox.state_.value_ = any<Mailbox::Slot>();
   mailbox.reply_.result = any<heli::link::Result>();
@@ -71,6 +72,7 @@ void put_in_any_state(Dispatcher& d) {
 
 }  // namespace
 
+// A command for the tick, while none is with it.
 void step_remote() {
   Dispatcher d(board, params, store, tape, names, mailbox, streams);
   put_in_any_state(d);
@@ -90,6 +92,7 @@ void step_remote() {
         "the tick gets this command");
 }
 
+// The idle loop looks for the tick's reply.
 void step_reply() {
   Dispatcher d(board, params, store, tape, names, mailbox, streams);
   put_in_any_state(d);

@@ -17,6 +17,7 @@ namespace {
 Tape tape;
 std::uint32_t cell;  // any cell
 
+// A tape of any content, and any cell.
 void put_in_any_state() {
   CONSTANT(Tape::kWords);
   CONSTANT(Tape::kCells);
@@ -27,6 +28,7 @@ void put_in_any_state() {
 
 }  // namespace
 
+// Executes one instruction that the verifier has accepted.
 void step_instruction() {
   put_in_any_state();
   const auto place = any<std::uint32_t>();
@@ -46,6 +48,7 @@ void step_instruction() {
         "an instruction changes no cell but its own");
 }
 
+// Sets a parameter of any number on a verified tape.
 void step_parameter() {
   put_in_any_state();
   tape.stored_.value_ = LawState::ready;

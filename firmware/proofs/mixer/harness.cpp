@@ -18,6 +18,7 @@ Quantity any_quantity() { return Quantity::from_raw(any<std::int32_t>()); }
 
 }  // namespace
 
+// Limits from any limits of the motors.
 void step_limits() {
   const Quantity least_V = any_quantity();
   const Quantity most_V = any_quantity();
@@ -33,6 +34,7 @@ void step_limits() {
   CLAIM(holds(limits), "the limits are usable");
 }
 
+// From any collective and differential to the voltages of both rotors.
 void step_mix() {
   const MixerLimits limits{any_quantity(), any_quantity(), any_quantity()};
   ASSUME(holds(limits));

@@ -21,6 +21,7 @@ std::uint32_t crc32(const std::uint8_t* bytes, std::size_t count, std::uint32_t)
 
 }  // namespace heli::link
 
+// One byte from the line.
 void step_put() {
   CONSTANT(Parser::kMaxBytes);
   Parser p = any<Parser>();
@@ -53,6 +54,7 @@ void step_put() {
   CLAIM(p.frames_lost_ == lost + (starts || step == 0U ? 0U : step - 1U), "gaps are counted");
 }
 
+// One byte of a COBS block.
 void step_cobs() {
   auto decoder = any<heli::link::CobsDecoder>();
   const std::uint8_t left = decoder.left_;
@@ -68,6 +70,7 @@ void step_cobs() {
   CLAIM(left != 0U || decoder.left_ == byte - 1U, "a block is as long as its code says");
 }
 
+// A new parser.
 void step_start() {
   CONSTANT(Parser::kMaxBytes);
   const Parser parser;

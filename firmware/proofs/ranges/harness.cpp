@@ -6,7 +6,7 @@
 #include "flight/supervisor.cpp"
 #include "no_interrupt.hpp"
 
-// Contract: a number without its fraction is any, and the last one is remembered.
+// Contract of trunc(): any number; the last one is remembered.
 float whole;
 namespace std {
 inline float any_trunc(float) {
@@ -65,6 +65,7 @@ TrackingLimits tracking;
 bool finite(float value) { return value >= -FLT_MAX && value <= FLT_MAX; }
 bool in(float value, float least, float most) { return value >= least && value <= most; }
 
+// Any state, any tick and any finite limits.
 void put_in_any_state(Supervisor& s) {
   seen.tick = any<std::uint32_t>();
   limits.voltage_valid_max_ticks = any<std::uint32_t>();
@@ -85,7 +86,7 @@ void put_in_any_state(Supervisor& s) {
   ASSUME(static_cast<std::size_t>(s.state_) < heli::link::kStateCount);
 }
 
-// What drives the motors, and in which state.
+// What drives the motors, and in which state: a copy, to compare it after the call.
 struct Driven {
   State state;
   std::uint8_t axes;
@@ -105,6 +106,8 @@ struct Driven {
   }
 };
 
+// What the declaration allows: known axes, travel only together with pitch, voltages within the
+// motor's.
 bool in_range(const ControlMessage& m) {
   const bool known = (m.axes & ~(axes::elevation | axes::pitch | axes::travel)) == 0;
   const bool travel_alone = (m.axes & axes::travel) != 0 && (m.axes & axes::pitch) == 0;
@@ -112,6 +115,7 @@ bool in_range(const ControlMessage& m) {
          in(m.back_V, limits.motor_min_V, limits.motor_max_V);
 }
 
+// The same for an excitation; which numbers count depends on its kind.
 bool in_range(const ExciteMessage& m) {
   constexpr float kMost_Hz = 500.0F;
   const auto kind = static_cast<Excitation>(m.kind);
@@ -127,6 +131,7 @@ bool in_range(const ExciteMessage& m) {
 
 }  // namespace
 
+// One command that closes loops or sets voltages.
 void step_control() {
   Supervisor s(the_link);
   put_in_any_state(s);
@@ -139,6 +144,7 @@ void step_control() {
   CLAIM(reply.result == Result::ok || before.is(s), "what is refused changes nothing");
 }
 
+// One command that starts an excitation.
 void step_excite() {
   Supervisor s(the_link);
   put_in_any_state(s);
@@ -152,6 +158,7 @@ void step_excite() {
   CLAIM(reply.result == Result::ok || before.is(s), "what is refused changes nothing");
 }
 
+// One streamed pair of voltages.
 void step_voltages() {
   Supervisor s(the_link);
   put_in_any_state(s);
@@ -173,6 +180,7 @@ void step_voltages() {
         "what is refused changes nothing");
 }
 
+// One parameter of any number and value, with a table of any content.
 void step_parameter() {
   for (heli::link::ParamInfo& row : heli::link::two_rows) {
     row = any<heli::link::ParamInfo>();

@@ -1,4 +1,4 @@
-// One tick and one target, from any state of the setpoints.
+// The setpoints: one tick or one target, from any state of them.
 #include "any.hpp"
 #include "control/fixed.hpp"
 
@@ -49,6 +49,7 @@ using heli::proofs::kTargetRoom;
 
 namespace {
 
+// Absolute value, in the raw unit of the fixed-point number.
 template <int kFraction>
 std::int64_t size(heli::control::Fixed<kFraction> value) {
   const std::int64_t raw = value.raw();
@@ -74,6 +75,7 @@ Setpoints any_setpoints(std::int64_t room, std::size_t first = 0, std::size_t la
   return setpoints;
 }
 
+// Any limits that satisfy the invariant.
 SetpointLimits any_limits() {
   SetpointLimits limits{};
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
@@ -90,6 +92,7 @@ SetpointLimits any_limits() {
 
 }  // namespace
 
+// Limits computed from any valid parameters satisfy the invariant.
 void step_limits() {
   heli::params::Params params;
   for (std::size_t i = 0; i < kParamCount; ++i) {
@@ -99,6 +102,7 @@ void step_limits() {
   CLAIM(holds(heli::flight::setpoint_limits_of(params)), "the limits are usable");
 }
 
+// One axis follows its path for a tick.
 void step_follow() {
   std::int64_t room = any<std::int64_t>();
   ASSUME(0 <= room && room <= kPlaceRoom);
@@ -119,6 +123,7 @@ void step_follow() {
         "the slope changes by no more than the acceleration");
 }
 
+// One tick of all axes, where only pitch moves.
 void step_pitch() {
   Setpoints setpoints = any_setpoints(kPlaceRoom, kPitch, kPitch + 1);
   const std::int64_t before = setpoints.axes_[kPitch].setpoint.raw_;
@@ -131,6 +136,7 @@ void step_pitch() {
   CLAIM(-most <= step && step <= most, "the pitch setpoint is within its slew");
 }
 
+// One target of any angles and times.
 void step_aim() {
   Setpoints setpoints = any_setpoints(kPlaceRoom);
   const Setpoints before = setpoints;

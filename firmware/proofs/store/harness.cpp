@@ -37,7 +37,7 @@ using heli::Page;
 
 namespace {
 
-constexpr std::size_t kChecked = kFewBytes - 4;
+constexpr std::size_t kChecked = kFewBytes - 4;  // bytes in front of the CRC
 
 }  // namespace
 
@@ -57,6 +57,7 @@ void heli::Board::read_page(std::size_t page, std::uint8_t* to, std::size_t) {
   std::memcpy(to, content.bytes, kFewBytes);
 }
 
+// The write succeeds, does nothing, or leaves a page with a wrong CRC; then the power may be cut.
 bool heli::Board::write_page(std::size_t page, const std::uint8_t* from, std::size_t) {
   CLAIM(page < 2, "the store has two pages");
   if (cut_) {
@@ -85,6 +86,7 @@ bool same_values(const Params& a, const Params& b) { return a.values_[0] == b.va
 
 }  // namespace
 
+// After a save that a power cut may end anywhere, a start finds the old or the new set.
 void step_save() {
   heli::Board flash;
   flash.first_ = any<Page>();

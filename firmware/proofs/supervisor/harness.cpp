@@ -43,6 +43,7 @@ Limits limits;
 SetpointLimits bounds;
 TrackingLimits tracking;
 
+// Any observation, any limits, and any state that satisfies the invariant.
 void put_in_any_state(Supervisor& s) {
   seen.tick = any<std::uint32_t>();
   seen.angle_rad[heli::kElevation] = any<heli::control::Quantity>();
@@ -77,6 +78,7 @@ void put_in_any_state(Supervisor& s) {
 
 }  // namespace
 
+// One control tick.
 void step_tick() {
   Supervisor s(the_link);
   put_in_any_state(s);
@@ -116,6 +118,7 @@ void step_tick() {
         "a landing is bounded in time");
 }
 
+// One command of the host.
 void step_command() {
   Supervisor s(the_link);
   put_in_any_state(s);
@@ -138,6 +141,7 @@ void step_command() {
   CLAIM(before != State::fault || after != before || s.fault_ == fault, "a fault keeps its reason");
 }
 
+// One streamed value of the host.
 void step_stream() {
   Supervisor s(the_link);
   put_in_any_state(s);

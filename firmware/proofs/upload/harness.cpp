@@ -15,16 +15,19 @@ std::uint32_t place;  // any word of the tape
 std::uint32_t word_in_flight;
 std::uint32_t instructions_in_flight;
 
+// Notes the tape at take-off, at one place that may be any.
 void remember() {
   word_in_flight = tape->image_[place];
   instructions_in_flight = tape->shape_.instructions;
 }
 
+// A law that flies has the tape that was noted.
 bool unchanged() {
   return !tape->flying_.value_ || (tape->image_[place] == word_in_flight &&
                                    tape->shape_.instructions == instructions_in_flight);
 }
 
+// Any tape that satisfies the invariant.
 void prepare_step(Tape& any_tape) {
   CONSTANT(Tape::kWords);
   tape = &any_tape;
@@ -36,6 +39,7 @@ void prepare_step(Tape& any_tape) {
   remember();
 }
 
+// After the call, and after one more interrupt.
 void check_step() {
   heli::proofs::show_stores();
   heli::proofs::interrupt();
@@ -71,6 +75,7 @@ std::uint32_t crc32(const std::uint8_t*, std::size_t, std::uint32_t) {
 
 }  // namespace heli::link
 
+// The message that begins an upload.
 void step_begin() {
   Tape t = any<Tape>();
   prepare_step(t);
@@ -78,6 +83,7 @@ void step_begin() {
   check_step();
 }
 
+// A message with words of the upload.
 void step_receive() {
   Tape t = any<Tape>();
   prepare_step(t);

@@ -38,6 +38,7 @@ bool is_marked(Bits number) { return (number & 1U) != 0U; }
 
 constexpr std::uint32_t kMostTerms = 2;  // more terms run the same loop
 
+// Whether `cells` notes the read of this cell; only inputs are noted.
 bool is_noted(std::uint32_t cell, const Cells& cells) {
   return cell >= kLawInputCount || (cells.inputs_read() >> cell & 1U) != 0U;
 }
@@ -47,6 +48,7 @@ void mark(std::uint32_t cell, const Cells& before, const Cells& after) {
   ASSUME(is_marked(tape.cells_[cell]) == !(before.has(cell) && is_noted(cell, after)));
 }
 
+// Any set of cells that were written, and any inputs that were read.
 Cells any_cells() {
   Cells cells(0);
   for (std::uint32_t& bits : cells.bits_) {
@@ -56,13 +58,14 @@ Cells any_cells() {
   return cells;
 }
 
+// A tape of any content.
 void put_in_any_state() {
   CONSTANT(Tape::kWords);
   CONSTANT(Tape::kCells);
   tape = any<Tape>();
 }
 
-// A tick has room for its end.
+// The invariant of the schedule: the running tick has its overhead, and room for its end.
 bool holds(const Schedule& schedule) {
   return schedule.ticks_ >= 1U && schedule.in_tick_ >= schedule.around_.every &&
          schedule.in_tick_ <= kLawTickCost &&
@@ -71,6 +74,7 @@ bool holds(const Schedule& schedule) {
 
 }  // namespace
 
+// The head of a tape: after read_shape() accepts it, all its parts have room.
 void step_shape() {
   put_in_any_state();
   ASSUME(tape.expected_ <= kLawWords);
@@ -90,6 +94,8 @@ void step_shape() {
         "the divisor is not 0, and each signal has a channel");
 }
 
+// One instruction: after check_instruction() accepts it, it writes a free cell, and its result
+// depends only on cells that were written.
 void step_instruction() {
   put_in_any_state();
   std::uint32_t words[kMostTerms + 1U];
@@ -98,6 +104,7 @@ void step_instruction() {
   }
   const auto terms = any<std::uint32_t>();
   ASSUME(terms <= kMostTerms);
+  // The instruction ends at the end of the array, so that a read behind it is out of bounds.
   const std::uint32_t* const from = words + (kMostTerms - terms);
   const std::uint32_t* const to = words + kMostTerms + 1U;
   const std::uint32_t word = *from;
@@ -120,6 +127,8 @@ void step_instruction() {
   const auto cell = any<std::uint32_t>();
   ASSUME(cell < kLawCells);
   CLAIM(cells.has(cell) == (before.has(cell) || cell == target), "the written cell is noted");
+  // Marks the operands that the verifier should not have let pass: none of the marks may reach the
+  // result. Without terms they are in the instruction, otherwise each term has two.
   if (terms == 0U) {
     mark((word >> 9U) & 0x1ffU, before, cells);
     mark(word & 0x1ffU, before, cells);
@@ -132,6 +141,7 @@ void step_instruction() {
   CLAIM(!is_marked(tape.cells_[target]), "a result depends on what was written, and inputs noted");
 }
 
+// One output: after check_output() accepts it, it is a cell that was written.
 void step_output() {
   const auto shape = any<Shape>();
   ASSUME(shape.states <= kLawCells && shape.parameters <= kLawCells &&
@@ -150,6 +160,7 @@ void step_output() {
         "a new state is no state");
 }
 
+// One instruction is added to the schedule: no tick costs more than it may.
 void step_schedule() {
   const auto shape = any<Shape>();
   ASSUME(shape.states <= kLawCells && shape.signals <= heli::link::kLawSignals);

@@ -25,12 +25,15 @@ void Due::load(std::uint32_t address, const std::uint8_t* bytes, std::size_t cou
 
 // -- encoders ---------------------------------------------------------------------------------
 
+// See due.hpp.
 int Due::attach_encoder(int pin_a, int pin_b) {
   encoders_.push_back({pin_a, pin_b, 0});
   drive_lines(encoders_.back());
   return static_cast<int>(encoders_.size()) - 1;
 }
 
+// Puts an encoder's lines at the levels of its count: A is high in phases 1 and 2, B in 2 and 3. An
+// open collector pulls low, or lets the resistor pull up.
 void Due::drive_lines(const Encoder& encoder) {
   const auto phase = static_cast<unsigned>(encoder.count) & 3U;
   const bool a = phase == 1 || phase == 2;
@@ -46,8 +49,10 @@ void Due::set_encoder(int encoder, std::int32_t count) {
   drive_lines(set);
 }
 
+// Two counts further, both lines differ.
 void Due::glitch_encoder(int encoder) { set_encoder(encoder, this->encoder(encoder) + 2); }
 
+// Queues a step of +1 or -1 for event(); times must not go backwards.
 void Due::schedule_step(int encoder, int direction, BoardTime when) {
   if (index(encoder) >= encoders_.size()) {
     throw std::out_of_range("encoder " + std::to_string(encoder) + " of " +
@@ -57,6 +62,7 @@ void Due::schedule_step(int encoder, int direction, BoardTime when) {
   plan();
 }
 
+// Schedules event() for the next encoder step.
 void Due::plan() {
   const std::uint64_t when =
       steps_.empty() ? kNever : chip.system.clock.cycle_at(steps_.front().when);
@@ -78,6 +84,7 @@ void Due::event(std::uint64_t) {
 
 // -- outputs ----------------------------------------------------------------------------------
 
+// See due.hpp.
 double Due::pin_duty(int pin) const {
   const PinSetting& setting = chip.pins.setting(pin);
   const int signal = Pwm::signal_at(pin);

@@ -16,7 +16,8 @@ class Due final : public EventSink {
 
   void power_on() { chip.power_on(); }
   void power_off() { chip.power_off(); }
-  // Program into flash, as a programmer does: power is off or the chip is reset afterwards.
+  // Writes a program into flash, as a programmer does, and makes the chip boot from flash. The
+  // power is off, or the caller resets the chip afterwards.
   void load(std::uint32_t address, const std::uint8_t* bytes, std::size_t count);
 
   BoardTime now() const { return chip.system.board_now(); }

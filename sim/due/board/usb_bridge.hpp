@@ -18,7 +18,7 @@ namespace due_emulator {
 
 class UsbBridge final : public EventSink, public SerialPeer {
  public:
-  static constexpr std::size_t kRing = 128;
+  static constexpr std::size_t kRing = 128;  // bytes
   static constexpr std::size_t kNearlyFull = 96;
   static constexpr BoardTime kRound = BoardTime{344064} * kOneCycle;  // 256 * 256 / 16 MHz
   static constexpr int kResetRounds = 50;
@@ -60,10 +60,10 @@ class UsbBridge final : public EventSink, public SerialPeer {
   bool resetting_ = false;
   int reset_timer_ = 0;
   bool host_reading_ = true;
-  std::deque<std::uint8_t> driver_;
-  std::deque<std::uint8_t> to_board_;
-  std::deque<std::uint8_t> to_host_;
-  std::vector<std::uint8_t> host_;
+  std::deque<std::uint8_t> driver_;    // bytes in the host's driver
+  std::deque<std::uint8_t> to_board_;  // ring of the 16U2
+  std::deque<std::uint8_t> to_host_;   // ring of the 16U2
+  std::vector<std::uint8_t> host_;     // bytes for read()
   std::uint64_t to_host_lost_ = 0;
   BoardTime next_round_ = kRound;
   BoardTime byte_done_ = 0;  // when the byte on its way to the board is sampled; 0: line idle

@@ -11,28 +11,37 @@ namespace due_emulator {
 
 namespace {
 
+// Bit bands (B3.1): each word there stands for one bit of the SRAM, or of the peripherals'
+// registers.
 constexpr std::uint32_t kRamBitBand = 0x22000000;
 constexpr std::uint32_t kPeripheralBitBand = 0x42000000;
 constexpr std::uint32_t kBitBandSize = 0x02000000;
 
+// Address ranges of the processor's memory map.
+constexpr std::uint32_t kPeripheralRegionSize = 0x20000000;
+constexpr std::uint32_t kPrivateBusBase = 0xE0000000;
+constexpr std::uint32_t kPrivateBusSize = 0x00100000;
+
 // The APB bridge costs two cycles more than SRAM in the cycle model.
 constexpr std::uint32_t kApbCycles = 2;
 
+// Whether `address` is in the `size` bytes from `base` on.
 bool inside(std::uint32_t address, std::uint32_t base, std::uint32_t size) {
   return address - base < size;
 }
 
 }  // namespace
 
+// Makes a device answer at the `size` bytes from `base` on.
 void Bus::add(std::uint32_t base, std::uint32_t size, Device* device) {
   if (base < kSystemBase) {
-    for (std::uint32_t at = base; at < base + size; at += 0x4000) {
-      devices_[(at - kPeripheralBase) / 0x4000] = device;
+    for (std::uint32_t at = base; at < base + size; at += kPeripheralSize) {
+      devices_[(at - kPeripheralBase) / kPeripheralSize] = device;
     }
     return;
   }
-  for (std::uint32_t at = base; at < base + size; at += 16) {
-    system_devices_[(at - kSystemBase) / 16] = device;
+  for (std::uint32_t at = base; at < base + size; at += kSystemGranule) {
+    system_devices_[(at - kSystemBase) / kSystemGranule] = device;
   }
 }
 
@@ -40,20 +49,24 @@ void Bus::add_unmodelled(std::uint32_t base, std::uint32_t size, std::string nam
   unmodelled_.push_back({base, size, std::move(name)});
 }
 
+// The device at an address of the peripherals; null if there is none.
 Device* Bus::device_at(std::uint32_t address) const {
   if (inside(address, kPeripheralBase, kSystemBase - kPeripheralBase)) {
-    return devices_[(address - kPeripheralBase) / 0x4000];
+    return devices_[(address - kPeripheralBase) / kPeripheralSize];
   }
   if (inside(address, kSystemBase, kSystemEnd - kSystemBase)) {
-    return system_devices_[(address - kSystemBase) / 16];
+    return system_devices_[(address - kSystemBase) / kSystemGranule];
   }
   return nullptr;
 }
 
+// The flash is read or executed at `offset`: the flash controllers check that while one is busy.
 void Bus::use_flash(std::uint32_t offset) {
   if (flash_ != nullptr && cpu_->flash_busy) flash_->use(offset);
 }
 
+// The byte of SRAM or flash at an address; null if there is no memory that can be accessed so.
+// Flash is not written this way.
 std::uint8_t* Bus::memory_at(std::uint32_t address, std::uint32_t size, bool for_write) {
   if (inside(address, kRamBase, kRamSize - size + 1))
     return memory_.ram.data() + (address - kRamBase);
@@ -77,12 +90,15 @@ std::uint8_t* Bus::memory_at(std::uint32_t address, std::uint32_t size, bool for
   return nullptr;
 }
 
+// An access to an address where nothing is: reported, and a precise BusFault. `verb` is "read of"
+// or "write of".
 void Bus::fail(std::uint32_t address, const char* verb) {
   diagnostics_.report(Trouble::kUnmapped, address,
                       std::string(verb) + " " + hex(address) + ", where there is nothing");
   throw Fault{exc::kBusFault, cfsr::kPrecisErr, address, true};
 }
 
+// Only privileged code may use the private peripheral bus; otherwise a BusFault.
 void Bus::check_private(std::uint32_t address, const char* verb) {
   if (cpu_->privileged()) return;
   diagnostics_.report(Trouble::kUnmapped, address,
@@ -90,6 +106,7 @@ void Bus::check_private(std::uint32_t address, const char* verb) {
   throw Fault{exc::kBusFault, cfsr::kPrecisErr, address, true};
 }
 
+// A load of 1, 2 or 4 bytes from any address. An unaligned one is reported and split into bytes.
 std::uint32_t Bus::read(std::uint32_t address, std::uint32_t size) {
   if ((address & (size - 1)) != 0) {
     diagnostics_.report(Trouble::kUnaligned, address,
@@ -104,6 +121,7 @@ std::uint32_t Bus::read(std::uint32_t address, std::uint32_t size) {
     return value;
   }
   if (inside(address, kRamBitBand, kBitBandSize)) {
+    // Each byte of SRAM has 32 bytes here, each bit 4.
     const std::uint32_t offset = address - kRamBitBand;
     return (read(kRamAlias + offset / 32, 1) >> ((offset >> 2) & 7U)) & 1U;
   }
@@ -112,14 +130,16 @@ std::uint32_t Bus::read(std::uint32_t address, std::uint32_t size) {
     const std::uint32_t target = kPeripheralBase + ((offset / 32) & ~3U);
     return (read_peripheral(target, 4) >> ((offset >> 2) & 31U)) & 1U;
   }
-  if (inside(address, kPeripheralBase, 0x20000000)) return read_peripheral(address, size);
-  if (inside(address, 0xE0000000, 0x00100000) && private_bus_ != nullptr) {
+  if (inside(address, kPeripheralBase, kPeripheralRegionSize))
+    return read_peripheral(address, size);
+  if (inside(address, kPrivateBusBase, kPrivateBusSize) && private_bus_ != nullptr) {
     check_private(address, "read of");
     return private_bus_->read_private(address, size);
   }
   fail(address, "read of");
 }
 
+// A store of 1, 2 or 4 bytes to any address. A word in a bit band changes one bit of its target.
 void Bus::write(std::uint32_t address, std::uint32_t value, std::uint32_t size) {
   if ((address & (size - 1)) != 0) {
     diagnostics_.report(Trouble::kUnaligned, address,
@@ -147,9 +167,10 @@ void Bus::write(std::uint32_t address, std::uint32_t value, std::uint32_t size) 
     const std::uint32_t old = read_peripheral(target, 4);
     return write_peripheral(target, (value & 1U) != 0 ? old | bit : old & ~bit, 4);
   }
-  if (inside(address, kPeripheralBase, 0x20000000)) return write_peripheral(address, value, size);
+  if (inside(address, kPeripheralBase, kPeripheralRegionSize))
+    return write_peripheral(address, value, size);
   if (rehearsal_.on) return;
-  if (inside(address, 0xE0000000, 0x00100000) && private_bus_ != nullptr) {
+  if (inside(address, kPrivateBusBase, kPrivateBusSize) && private_bus_ != nullptr) {
     check_private(address, "write of");
     return private_bus_->write_private(address, value, size);
   }
@@ -159,6 +180,7 @@ void Bus::write(std::uint32_t address, std::uint32_t value, std::uint32_t size) 
   fail(address, "write of");
 }
 
+// The name of the register at an address, for messages; "" if no peripheral is there.
 std::string Bus::name_of(std::uint32_t address) const {
   if (const Device* device = device_at(address)) return device->name_of(address & ~3U);
   for (const Unmodelled& part : unmodelled_) {
@@ -175,6 +197,8 @@ std::uint32_t Bus::outside_bits(std::uint32_t address) const {
   return device == nullptr ? 0 : device->outside_bits(address & ~3U);
 }
 
+// Reports an access to a peripheral that the model lacks. Returns false if there is no such
+// peripheral.
 bool Bus::report_unmodelled(std::uint32_t address, const char* verb) {
   const std::string name = name_of(address);
   if (name.empty()) return false;
@@ -183,6 +207,8 @@ bool Bus::report_unmodelled(std::uint32_t address, const char* verb) {
   return true;
 }
 
+// A load from a peripheral: takes its cycles, and is noted for the detection of wait loops. In a
+// rehearsal the first read gives the rehearsed value, and the second ends it.
 std::uint32_t Bus::read_peripheral(std::uint32_t address, std::uint32_t size) {
   if (rehearsal_.on) {
     if (std::exchange(rehearsal_.has_read, true)) throw RehearsalEnds{};
@@ -194,6 +220,7 @@ std::uint32_t Bus::read_peripheral(std::uint32_t address, std::uint32_t size) {
   return value;
 }
 
+// Reads the device's register; a narrow read is reported, and gives its bytes of the word.
 std::uint32_t Bus::read_device(std::uint32_t address, std::uint32_t size) {
   Device* device = device_at(address);
   if (device == nullptr) {
@@ -228,6 +255,7 @@ void Bus::write_peripheral(std::uint32_t address, std::uint32_t value, std::uint
   device->write_register(address & ~3U, value);
 }
 
+// One byte for a PDC, from SRAM or flash; false if there is neither.
 bool Bus::dma_read(std::uint32_t address, std::uint8_t& value) const {
   if (inside(address, kRamBase, kRamSize)) {
     value = memory_.ram[address - kRamBase];
@@ -241,6 +269,8 @@ bool Bus::dma_read(std::uint32_t address, std::uint8_t& value) const {
   return true;
 }
 
+// One byte from a PDC into SRAM; code that was decoded from there is forgotten. False: no SRAM
+// there.
 bool Bus::dma_write(std::uint32_t address, std::uint8_t value) {
   std::uint32_t offset = address - kRamBase;
   if (offset >= kRamSize) offset = address - kRamAlias;

@@ -14,14 +14,15 @@ namespace due_emulator {
 
 class Cpu;
 
-// Something with registers. Offsets are multiples of 4 below the size it was added with.
+// A peripheral with registers, which are words: `address` is a multiple of 4.
 class Device {
  public:
   virtual ~Device() = default;
   virtual std::uint32_t read_register(std::uint32_t address) = 0;
   virtual void write_register(std::uint32_t address, std::uint32_t value) = 0;
-  // For messages; and the bits that the world outside of the chip, or a slow clock, can change.
+  // The register's name, for messages.
   virtual std::string name_of(std::uint32_t address) const { return hex(address); }
+  // The bits of the register that something outside of the chip, or a slow clock, can change.
   virtual std::uint32_t outside_bits(std::uint32_t) const { return 0; }
 };
 
@@ -33,7 +34,7 @@ class PrivateBus {
   virtual void write_private(std::uint32_t address, std::uint32_t value, std::uint32_t size) = 0;
 };
 
-// What the flash controllers have to say about accesses to flash.
+// The flash controllers, as far as accesses to flash concern them.
 class FlashPort {
  public:
   virtual ~FlashPort() = default;
@@ -43,7 +44,7 @@ class FlashPort {
   virtual void latch(std::uint32_t offset, std::uint32_t value, std::uint32_t size) = 0;
 };
 
-// Thrown by the second read of a peripheral in a rehearsal.
+// Thrown by the second read of a peripheral in a rehearsal; see rehearsal.cpp.
 struct RehearsalEnds {};
 
 class Bus {
@@ -61,14 +62,14 @@ class Bus {
 
   std::uint32_t read(std::uint32_t address, std::uint32_t size);
   void write(std::uint32_t address, std::uint32_t value, std::uint32_t size);
-  // Words moved by a PDC: SRAM and flash only. False when there is no memory.
+  // Bytes moved by a PDC (peripheral DMA): SRAM and flash only. False if there is no memory.
   bool dma_read(std::uint32_t address, std::uint8_t& value) const;
   bool dma_write(std::uint32_t address, std::uint8_t value);
   void use_flash(std::uint32_t offset);
 
   Diagnostics& diagnostics() { return diagnostics_; }
 
-  // What register stands at `address`, and which of its bits the outside can change.
+  // The register at `address`, and which of its bits the outside can change.
   std::string name_of(std::uint32_t address) const;
   std::uint32_t outside_bits(std::uint32_t address) const;
 
@@ -91,7 +92,10 @@ class Bus {
     std::string name;
   };
 
-  // Peripherals below the system controller have 16 KiB each; in it the smallest has 16 bytes.
+  // Peripherals below the system controller have 16 KiB each; in the system controller, the
+  // smallest has 16 bytes.
+  static constexpr std::uint32_t kPeripheralSize = 0x4000;
+  static constexpr std::uint32_t kSystemGranule = 16;
   static constexpr std::uint32_t kPeripheralBase = 0x40000000;
   static constexpr std::uint32_t kSystemBase = 0x400E0000;
   static constexpr std::uint32_t kSystemEnd = 0x400E2000;
@@ -111,8 +115,8 @@ class Bus {
   Cpu* cpu_ = nullptr;
   PrivateBus* private_bus_ = nullptr;
   FlashPort* flash_ = nullptr;
-  std::array<Device*, (kSystemBase - kPeripheralBase) / 0x4000> devices_{};
-  std::array<Device*, (kSystemEnd - kSystemBase) / 16> system_devices_{};
+  std::array<Device*, (kSystemBase - kPeripheralBase) / kPeripheralSize> devices_{};
+  std::array<Device*, (kSystemEnd - kSystemBase) / kSystemGranule> system_devices_{};
   std::vector<Unmodelled> unmodelled_;
   Rehearsal rehearsal_;
 };

@@ -17,6 +17,7 @@ class Clock {
  public:
   std::uint32_t mck_Hz() const { return mck_Hz_; }
 
+  // From `cycle` on, the master clock has this frequency; the anchor is the time of that cycle.
   void set_mck(std::uint64_t cycle, std::uint32_t mck_Hz) {
     anchor_ = time_at(cycle);
     anchor_cycle_ = cycle;
@@ -36,6 +37,7 @@ class Clock {
  private:
   BoardTime anchor_ = 0;
   std::uint64_t anchor_cycle_ = 0;
+  // After reset MCK is the RC oscillator at 4 MHz.
   BoardTime per_cycle_ = BoardTime{kFull_Hz / 4000000} * kOneCycle;
   std::uint32_t mck_Hz_ = 4000000;
 };

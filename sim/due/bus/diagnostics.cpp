@@ -23,6 +23,7 @@ std::string hex(std::uint32_t value) {
   return text;
 }
 
+// Adds a function of the program; C++ names become readable, and the list stays sorted.
 void Symbols::add(std::uint32_t address, std::uint32_t size, std::string name) {
   int status = 0;
   if (char* plain = abi::__cxa_demangle(name.c_str(), nullptr, nullptr, &status)) {
@@ -35,6 +36,7 @@ void Symbols::add(std::uint32_t address, std::uint32_t size, std::string name) {
   entries_.insert(std::upper_bound(entries_.begin(), entries_.end(), entry), entry);
 }
 
+// See diagnostics.hpp. A function of size 0 reaches to the next one.
 std::string Symbols::describe(std::uint32_t address) const {
   const auto after = std::upper_bound(entries_.begin(), entries_.end(), Entry{address, 0, {}});
   if (after == entries_.begin()) return {};
@@ -46,11 +48,13 @@ std::string Symbols::describe(std::uint32_t address) const {
   return entry.name + text;
 }
 
+// Chooses for one kind whether it stops the emulation or is a warning.
 void Diagnostics::set_strict(Trouble kind, bool strict) {
   const std::uint32_t bit = 1U << static_cast<unsigned>(kind);
   strict_mask_ = strict ? strict_mask_ | bit : strict_mask_ & ~bit;
 }
 
+// See diagnostics.hpp. A warning appears once for each kind, address and place in the program.
 void Diagnostics::report(Trouble kind, std::uint32_t address, const std::string& text) {
   const std::uint32_t pc = pc_of != nullptr ? pc_of(pc_source) : 0;
   if (!strict(kind) && !seen_.insert({kind, address, pc}).second) return;
@@ -61,6 +65,7 @@ void Diagnostics::report(Trouble kind, std::uint32_t address, const std::string&
   warnings_.push_back(std::move(message));
 }
 
+// The warnings since the last call.
 std::vector<std::string> Diagnostics::take_warnings() { return std::exchange(warnings_, {}); }
 
 }  // namespace due_emulator

@@ -1,7 +1,7 @@
-// What the emulator says when firmware does something that the chip does not promise to take.
+// Reports of firmware that does something for which the chip promises no result.
 //
-// Strict: it stops the emulation. Lenient: it is a warning, once for each place in the program, and
-// the emulation goes on with what the chip would most likely do.
+// Strict: a report stops the emulation. Lenient: it is a warning, once for each place in the
+// program, and the emulation goes on with what the chip would most likely do.
 #pragma once
 
 #include <cstdint>
@@ -70,7 +70,7 @@ class Diagnostics {
   void report(Trouble kind, std::uint32_t address, const std::string& text);
   std::vector<std::string> take_warnings();
 
-  // Where the program is; the Cpu keeps it current.
+  // Gives the program counter when called with pc_source; the Cpu sets both.
   std::uint32_t (*pc_of)(const void*) = nullptr;
   const void* pc_source = nullptr;
 

@@ -11,12 +11,14 @@ void CodeWindow::open(const Insn& blank, const Insn& past_end) {
   slots_.back() = past_end;
 }
 
+// Widens the range that forget_all() must empty.
 void CodeWindow::note_decoded(std::uint32_t address) {
   const std::uint32_t index = (address - base_) >> 1;
   lowest_ = std::min(lowest_, index);
   highest_ = std::max(highest_, index);
 }
 
+// See memory.hpp.
 void CodeWindow::forget(std::uint32_t offset, std::uint32_t size) {
   if (slots_.empty() || offset >= size_) return;
   // A 32-bit instruction may begin one halfword earlier.
@@ -25,6 +27,7 @@ void CodeWindow::forget(std::uint32_t offset, std::uint32_t size) {
   for (std::uint32_t i = first; i <= last; ++i) slots_[i] = blank_;
 }
 
+// Empties all slots; only those in the noted range can be decoded.
 void CodeWindow::forget_all() {
   if (slots_.empty() || lowest_ > highest_) return;
   std::fill(slots_.begin() + lowest_, slots_.begin() + highest_ + 1, blank_);
@@ -32,6 +35,7 @@ void CodeWindow::forget_all() {
   highest_ = 0;
 }
 
+// Flash is erased. The windows are in the order that memory.hpp gives.
 Memory::Memory()
     : flash(kFlashSize, 0xFF),
       ram(kRamSize, 0),
@@ -40,6 +44,7 @@ Memory::Memory()
                {kRamBase, kRamSize, ram.data()},
                {kRamAlias, kRamAliasSize, ram.data()}}} {}
 
+// Bytes of the SRAM were written: both of its windows forget what was decoded from them.
 void Memory::forget_ram_code(std::uint32_t offset, std::uint32_t size) {
   windows[2].forget(offset, size);
   windows[3].forget(offset, size);
@@ -50,6 +55,7 @@ void Memory::forget_flash_code() {
   windows[1].forget_all();
 }
 
+// The window that an address, or a decoded instruction, is in; null if none.
 CodeWindow* Memory::window_of(std::uint32_t address) {
   for (CodeWindow& window : windows) {
     if (window.holds(address)) return &window;

@@ -1,4 +1,5 @@
-// When each model next wants to act by itself. A few dozen sources: a flat array beats a heap.
+// The cycle of each model's next event. There are a few dozen models, for which a flat array is
+// faster than a heap.
 #pragma once
 
 #include <cstdint>
@@ -21,11 +22,13 @@ class Scheduler {
  public:
   using Id = std::size_t;
 
+  // A model gets one event; set() moves it, and kNever takes it away.
   Id add(EventSink* sink) {
     sources_.push_back({kNever, sink});
     return sources_.size() - 1;
   }
 
+  // The model's event comes at `cycle`, in place of an earlier choice.
   void set(Id id, std::uint64_t cycle) {
     const std::uint64_t before = sources_[id].cycle;
     sources_[id].cycle = cycle;
@@ -41,6 +44,7 @@ class Scheduler {
   std::uint64_t at(Id id) const { return sources_[id].cycle; }
   std::uint64_t next() const { return next_; }
 
+  // Calls all events that are due by `now`; also those that they set for `now` or before.
   void dispatch(std::uint64_t now) {
     while (next_ <= now) {
       for (Source& source : sources_) {
@@ -56,6 +60,7 @@ class Scheduler {
     for (const Source& source : sources_) source.sink->clock_changed();
   }
 
+  // The processor runs until *deadline; an event that is set earlier moves it.
   void watch(std::uint64_t* deadline) { deadline_ = deadline; }
 
  private:

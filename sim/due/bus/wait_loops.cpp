@@ -9,9 +9,9 @@ namespace due_emulator {
 
 namespace {
 
-// Longer ways round do work, and are no wait.
+// A loop that takes more instructions than this does work: it does not only wait.
 constexpr std::uint64_t kMaxInstructions = 64;
-// Whoever waits may keep the watchdog quiet meanwhile.
+// WDT_CR: a loop that waits may restart the watchdog meanwhile.
 constexpr std::uint32_t kWatchdogRestart = 0x400E1A50;
 
 }  // namespace
@@ -25,6 +25,7 @@ bool WaitLoops::stands_in(const Cpu& cpu, const Loop& loop) {
          cpu.instructions_of_level() - loop.instructions <= kMaxInstructions;
 }
 
+// A load from a peripheral: it continues the loop of this level, or may begin one.
 void WaitLoops::read(const Cpu& cpu, std::uint32_t address, std::uint32_t value) {
   Loop& loop = at_level_of(cpu);
   const std::uint32_t pc = cpu.pc();
@@ -35,6 +36,7 @@ void WaitLoops::read(const Cpu& cpu, std::uint32_t address, std::uint32_t value)
   loop.instructions = instructions;
 }
 
+// A store to a peripheral: a program that does that in its loop does not only wait.
 void WaitLoops::write(const Cpu& cpu, std::uint32_t address) {
   if (address != kWatchdogRestart) at_level_of(cpu).pc = kNone;
 }

@@ -20,7 +20,7 @@ class WaitLoops {
     std::uint32_t pc = kNone;  // of the load
     std::uint32_t address = 0;
     std::uint32_t value = 0;
-    std::uint64_t entry = 0;         // of the handler that the loop stands in
+    std::uint64_t entry = 0;         // of the handler with the loop: Cpu::entry_of_level()
     std::uint64_t instructions = 0;  // of this level, up to the last read
     std::uint64_t since = 0;         // cycle of the first read
     bool found() const { return pc != kNone; }
@@ -30,7 +30,8 @@ class WaitLoops {
   void write(const Cpu& cpu, std::uint32_t address);
   // The loop that the running level of nesting is in, or was in last.
   Loop& at_level_of(const Cpu& cpu);
-  // The running level of nesting has read for the loop a few instructions ago.
+  // Whether the running level of nesting is still in the loop: its last read was a few instructions
+  // ago.
   static bool stands_in(const Cpu& cpu, const Loop& loop);
 
  private:

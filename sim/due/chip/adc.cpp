@@ -85,11 +85,12 @@ constexpr std::uint32_t kPtcr = 0x120;
 constexpr std::uint32_t kPtsr = 0x124;
 
 // ADC_MR
-constexpr std::uint32_t kTriggered = 1U << 0;
+constexpr std::uint32_t kTriggered = 1U << 0;  // TRGEN
 constexpr std::uint32_t kLowResolution = 1U << 4;
 constexpr std::uint32_t kSleep = 1U << 5;
 constexpr std::uint32_t kFreeRun = 1U << 7;
 constexpr std::uint32_t kSequence = 1U << 31;
+// STARTUP: periods of the converter's clock from sleep to the first conversion.
 constexpr std::uint32_t kStartup[] = {0,   8,   16,  24,  64,  80,  96,  112,
                                       512, 576, 640, 704, 768, 832, 896, 960};
 // ADC_ISR
@@ -99,8 +100,12 @@ constexpr std::uint32_t kComparison = 1U << 26;
 constexpr std::uint32_t kEndRx = 1U << 27;
 constexpr std::uint32_t kRxBuff = 1U << 28;
 
-constexpr std::uint32_t kTag = 1U << 24;  // ADC_EMR
-constexpr std::uint32_t kAcrReset = 0x100;
+constexpr std::uint32_t kTag = 1U << 24;         // ADC_EMR
+constexpr std::uint32_t kAcrReset = 0x100;       // ADC_ACR.IBCTL = 1
+constexpr std::uint32_t kAcrMask = 0x310;        // IBCTL, TSON
+constexpr std::uint32_t kEmrMask = 0x010032F3;   // TAG, CMPFILTER, CMPALL, CMPSEL, CMPMODE
+constexpr std::uint32_t kCwrMask = 0x0FFF0FFF;   // HIGHTHRES, LOWTHRES
+constexpr std::uint32_t kPdcCountMask = 0xFFFF;  // counters of the PDC have 16 bits
 // Periods of the converter's clock after the tracking time, TRACKTIM + 1: with the shortest one a
 // million samples a second at 21 MHz, as is measured on Dues.
 constexpr std::uint64_t kConversion = 20;
@@ -111,6 +116,7 @@ Adc::Adc(System& system)
     : Peripheral(system, "ADC", 0x400C0000, 0x4000, id::kAdc, kRegisters),
       id_(system.scheduler.add(this)) {}
 
+// Also ADC_CR.SWRST; the voltages at the inputs stay.
 void Adc::reset() {
   data_ = {};
   mode_ = channels_ = complete_ = overruns_ = interrupts_ = extended_ = last_ = window_ = 0;
@@ -125,11 +131,13 @@ void Adc::reset() {
 // Period of the converter's clock in cycles of MCK: (PRESCAL + 1) times 2.
 std::uint64_t Adc::period() const { return (((mode_ >> 8) & 0xFFU) + 1) * 2; }
 
+// ADC_ISR as it is now.
 std::uint32_t Adc::flags() const {
   return complete_ | (ready_ ? kDrdy : 0) | (overrun_ ? kGovre : 0) |
          (transfer_.ended ? kEndRx : 0) | (transfer_.full ? kRxBuff : 0);
 }
 
+// See adc.hpp. Each conversion also takes the tracking time, ADC_MR.TRACKTIM + 1 periods.
 bool Adc::convert_from(int channel, std::uint64_t wait) {
   while (channel < kChannels && ((channels_ >> channel) & 1U) == 0) ++channel;
   running_ = channel < kChannels ? channel : -1;
@@ -139,7 +147,8 @@ bool Adc::convert_from(int channel, std::uint64_t wait) {
   return true;
 }
 
-// A trigger during a sequence is lost.
+// A trigger (ADC_CR.START, or free run): begins with the first enabled channel, after the start-up
+// time if the converter slept. A trigger during a sequence is lost.
 void Adc::start() {
   if (running_ >= 0) return;
   const bool was_awake = std::exchange(awake_, (mode_ & kSleep) == 0);
@@ -149,16 +158,19 @@ void Adc::start() {
 // The end of a conversion: 12 bits (or 10) of the input relative to the reference, and the flags.
 void Adc::finish() {
   const auto index = static_cast<std::size_t>(running_);
+  // Share of the reference.
   const double share = std::clamp(input_V_[index] / kReference_V, 0.0, 1.0);
   std::uint32_t value = std::min(static_cast<std::uint32_t>(share * 4096.0), 4095U);
   if ((mode_ & kLowResolution) != 0) value >>= 2;
   const std::uint32_t bit = 1U << index;
+  // OVRE and GOVRE: the previous value was not read.
   overruns_ |= complete_ & bit;
   overrun_ = overrun_ || ready_;
   complete_ |= bit;
   ready_ = true;
   data_[index] = value;
   last_ = value;
+  // LCDR.CHNB.
   if ((extended_ & kTag) != 0) last_ |= static_cast<std::uint32_t>(index) << 12;
 }
 
@@ -180,6 +192,7 @@ void Adc::move() {
   transfer_.count = std::exchange(transfer_.next_count, 0U);
 }
 
+// The running conversion ends, and the next channel's begins.
 void Adc::event(std::uint64_t) {
   if (running_ < 0) return;
   // Without its clock the converter does not advance: try again one period later.
@@ -190,6 +203,7 @@ void Adc::event(std::uint64_t) {
   update();
 }
 
+// Reading a data register (LCDR, CDR) or a status register (ISR, OVER) clears its flags.
 std::uint32_t Adc::read(std::uint32_t offset) {
   std::uint32_t value = 0;
   switch (offset) {
@@ -198,7 +212,7 @@ std::uint32_t Adc::read(std::uint32_t offset) {
     case kChsr:
       return channels_;
     case kLcdr:
-      ready_ = false;
+      ready_ = false;  // reading clears DRDY
       value = last_;
       break;
     case kImr:
@@ -225,7 +239,7 @@ std::uint32_t Adc::read(std::uint32_t offset) {
       return transfer_.next_count;
     case kPtsr:
       return transfer_.enabled ? 1 : 0;
-    default:
+    default:  // a channel's data register; reading clears its EOC
       if (offset < kCdr0 || offset > kCdr15) return 0;
       complete_ &= ~(1U << ((offset - kCdr0) / 4));
       value = data_[(offset - kCdr0) / 4];
@@ -235,6 +249,7 @@ std::uint32_t Adc::read(std::uint32_t offset) {
   return value;
 }
 
+// ADC_MR: clock, times and free run.
 void Adc::write_mode(std::uint32_t value) {
   if ((value & kTriggered) != 0)
     not_modelled(kMr, "triggers from timers and pins are not modelled");
@@ -243,11 +258,12 @@ void Adc::write_mode(std::uint32_t value) {
   if ((value & kFreeRun) != 0) start();
 }
 
+// In free run (FREERUN), enabling a channel starts the conversions.
 void Adc::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kCr:
-      if ((value & 1U) != 0) return reset();
-      if ((value & 2U) != 0) start();
+      if ((value & 1U) != 0) return reset();  // SWRST
+      if ((value & 2U) != 0) start();         // START
       return;
     case kMr:
       return write_mode(value);
@@ -266,36 +282,36 @@ void Adc::write(std::uint32_t offset, std::uint32_t value) {
       interrupts_ &= ~value;
       break;
     case kEmr:
-      // CMPMODE, CMPSEL and CMPALL matter to who looks at COMPE, which IER refuses.
-      extended_ = value & 0x010032F3U;
+      // The comparison fields only affect COMPE, whose interrupt ADC_IER reports as not modelled.
+      extended_ = value & kEmrMask;
       return;
     case kCwr:
-      window_ = value & 0x0FFF0FFFU;
+      window_ = value & kCwrMask;
       return;
     case kCgr:
     case kCor:
       if (value != 0) not_modelled(offset, "gain and offset are not modelled");
       return;
     case kAcr:
-      analog_ = value & 0x310U;
+      analog_ = value & kAcrMask;
       return;
     case kRpr:
       transfer_.pointer = value;
       return;
     case kRcr:
-      transfer_.count = value & 0xFFFFU;
+      transfer_.count = value & kPdcCountMask;
       if (transfer_.count != 0) transfer_.ended = transfer_.full = false;
       break;
     case kRnpr:
       transfer_.next_pointer = value;
       return;
     case kRncr:
-      transfer_.next_count = value & 0xFFFFU;
+      transfer_.next_count = value & kPdcCountMask;
       if (transfer_.next_count != 0) transfer_.ended = transfer_.full = false;
       break;
     case kPtcr:
-      if ((value & 1U) != 0) transfer_.enabled = true;
-      if ((value & 2U) != 0) transfer_.enabled = false;
+      if ((value & 1U) != 0) transfer_.enabled = true;   // RXTEN
+      if ((value & 2U) != 0) transfer_.enabled = false;  // RXTDIS
       return;
     default:
       return;

@@ -26,6 +26,7 @@ class Adc final : public Peripheral {
  protected:
   std::uint32_t read(std::uint32_t offset) override;
   void write(std::uint32_t offset, std::uint32_t value) override;
+  // LCDR and the channels' CDR follow the voltages.
   std::uint32_t from_outside(std::uint32_t offset) const override {
     return offset == 0x20 || (offset >= 0x50 && offset <= 0x8C) ? ~0U : 0;
   }
@@ -36,7 +37,7 @@ class Adc final : public Peripheral {
   // of the converter's clock later than that alone takes; false: there is none.
   bool convert_from(int channel, std::uint64_t wait);
   void finish();
-  void move();
+  void move();  // by the PDC
   std::uint64_t period() const;
   std::uint32_t flags() const;
   void update() { system_.set_irq(id::kAdc, (flags() & interrupts_) != 0); }
@@ -54,16 +55,16 @@ class Adc final : public Peripheral {
 
   Scheduler::Id id_;
   std::array<double, kChannels> input_V_{};
-  std::array<std::uint32_t, kChannels> data_{};
-  std::uint32_t mode_ = 0;
-  std::uint32_t channels_ = 0;    // CHSR
-  std::uint32_t complete_ = 0;    // EOC of each channel
-  std::uint32_t overruns_ = 0;    // OVER
-  std::uint32_t interrupts_ = 0;  // IMR
-  std::uint32_t extended_ = 0;    // EMR
-  std::uint32_t last_ = 0;        // LCDR
-  std::uint32_t window_ = 0;      // CWR
-  std::uint32_t analog_ = 0;      // ACR
+  std::array<std::uint32_t, kChannels> data_{};  // CDR
+  std::uint32_t mode_ = 0;                       // MR
+  std::uint32_t channels_ = 0;                   // CHSR
+  std::uint32_t complete_ = 0;                   // EOC of each channel
+  std::uint32_t overruns_ = 0;                   // OVER
+  std::uint32_t interrupts_ = 0;                 // IMR
+  std::uint32_t extended_ = 0;                   // EMR
+  std::uint32_t last_ = 0;                       // LCDR
+  std::uint32_t window_ = 0;                     // CWR
+  std::uint32_t analog_ = 0;                     // ACR
   Transfer transfer_;
   bool ready_ = false;    // DRDY
   bool overrun_ = false;  // GOVRE

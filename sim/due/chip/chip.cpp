@@ -7,6 +7,7 @@ namespace due_emulator {
 
 namespace {
 
+// A peripheral that the chip has and the model has not: an access is reported with its name.
 struct Block {
   std::uint32_t base;
   std::uint32_t size;
@@ -35,14 +36,15 @@ constexpr Tc::Wiring kTc2 = {{pin_of('C', 25), pin_of('C', 28), pin_of('D', 7)},
 // The reset controller holds the core for three periods of the slow clock.
 constexpr std::uint64_t kResetPeriods = 3;
 
-// A wait in a loop that nothing ends, how often it is looked for, and the steps in which the
-// program comes back to its load, interrupts included.
+// For check_waits(): a wait loop may last this long; how often it is looked for; and the steps
+// within which the program must be back at its load, interrupts included.
 constexpr BoardTime kLongestWait = 500 * kOneMs;
 constexpr BoardTime kWatchEvery = 10 * kOneMs;
 constexpr int kMaxSteps = 10000;
 
 }  // namespace
 
+// Makes all peripherals with their base addresses, and holds the processor until the power comes.
 Chip::Chip()
     : scs(system.cpu, system.exceptions, system.scheduler, system.diagnostics),
       pins(system.diagnostics),
@@ -79,6 +81,7 @@ Chip::Chip()
 }
 
 void Chip::power_on() {
+  // Any pattern that no program expects.
   std::fill(system.memory.ram.begin(), system.memory.ram.end(), std::uint8_t{0x5B});
   system.memory.ram_code.fill(0);
   gpbr.power_lost();
@@ -86,6 +89,7 @@ void Chip::power_on() {
   reset(ResetType::kGeneral, false);
 }
 
+// A flash command that runs is cut off, and all outputs are released.
 void Chip::power_off() {
   efc0.cut();
   efc1.cut();
@@ -95,6 +99,8 @@ void Chip::power_off() {
   system.cpu.hold(true);
 }
 
+// Carries out a reset (RSTC_SR.RSTTYP gives its type) and holds the processor for three periods of
+// the slow clock; then event() starts it. `processor_only`: the peripherals go on.
 void Chip::reset(ResetType type, bool processor_only) {
   system.reset_wanted = false;
   scs.reset_requested = false;
@@ -111,11 +117,13 @@ void Chip::reset(ResetType type, bool processor_only) {
       id_, system.clock.cycle_at(system.board_now() + system.slow_periods(kResetPeriods)));
 }
 
+// The end of a reset.
 void Chip::event(std::uint64_t) {
   if (rstc.nrst_low() || !powered_) return;
   boot();
 }
 
+// Starts the program in flash; if GPNVM bit 1 is clear, the chip is in its boot ROM instead.
 void Chip::boot() {
   in_rom_ = (flash.gpnvm & 2U) == 0;
   system.cpu.reset();
@@ -123,6 +131,7 @@ void Chip::boot() {
   system.cpu.hold(false);
 }
 
+// The NRST pin changes. Its release starts the processor three periods of the slow clock later.
 void Chip::set_nrst(bool low) {
   const bool was = rstc.nrst_low();
   rstc.set_nrst(low);
@@ -132,29 +141,33 @@ void Chip::set_nrst(bool low) {
   }
 }
 
+// Resets that the last instructions have asked for (AIRCR, RSTC, watchdog, NRST).
 void Chip::carry_out_resets() {
   if (scs.reset_requested && !system.reset_wanted) system.request_reset(ResetType::kSoftware);
   if (system.reset_wanted && powered_) reset(system.reset_type, system.processor_only);
   system.reset_wanted = false;
 }
 
+// With the check of wait loops, runs in slices of kWatchEvery and looks for such a loop after each.
 void Chip::run_until(BoardTime until) {
   const bool watched = system.diagnostics.strict(Trouble::kWait);
   while (system.board_now() < until && system.cpu.halt() == Halt::kNone) {
-    const BoardTime slice = watched ? std::min(until, system.board_now() + kWatchEvery) : until;
-    system.cpu.run(system.clock.cycle_at(slice));
+    const BoardTime slice_end = watched ? std::min(until, system.board_now() + kWatchEvery) : until;
+    system.cpu.run(system.clock.cycle_at(slice_end));
     carry_out_resets();
     if (watched) check_waits();
   }
 }
 
-// Ends a program that waits for what never comes.
+// Reports a program that has waited for 0.5 s for a bit of a register that can no longer change:
+// one that follows neither pins nor time. Runs the program on to its load, then asks which bits
+// would end the loop.
 void Chip::check_waits() {
   const Cpu& cpu = system.cpu;
   WaitLoops::Loop& loop = system.bus.waits.at_level_of(cpu);
   const std::size_t level = cpu.nesting();
   if (system.board_now() - system.clock.time_at(loop.since) < kLongestWait) return;
-  // On to the load, through the handlers that come in between.
+  // Runs on to the load, through the handlers that interrupt the loop.
   for (int i = 0; cpu.nesting() != level || cpu.pc() != loop.pc; ++i) {
     const bool inside = cpu.nesting() > level || WaitLoops::stands_in(cpu, loop);
     if (i == kMaxSteps || !inside || cpu.held() || cpu.sleeping() || cpu.halt() != Halt::kNone)
@@ -166,7 +179,7 @@ void Chip::check_waits() {
   const std::uint32_t bits = system.cpu.deciding_bits(before.value);
   const std::uint32_t outside = system.bus.outside_bits(before.address);
   if ((bits & outside) != 0 || (bits == 0 && outside != 0)) {
-    loop.since = cpu.cycles();
+    loop.since = cpu.cycles();  // the wait can end: look again later
     return;
   }
   std::string wanted;

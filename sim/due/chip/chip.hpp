@@ -37,7 +37,7 @@ class Chip final : public EventSink {
   // The NRST pin.
   void set_nrst(bool low);
 
-  // The processor runs the boot loader in ROM, which is not modelled beyond doing nothing.
+  // Whether the processor is in the boot loader in ROM. That is not modelled: it does nothing.
   bool in_rom() const { return in_rom_; }
   bool powered() const { return powered_; }
   std::uint64_t resets() const { return resets_; }

@@ -45,12 +45,17 @@ constexpr std::uint32_t kImr = 0x2C;
 constexpr std::uint32_t kIsr = 0x30;
 constexpr std::uint32_t kAcr = 0x94;
 
-constexpr std::uint32_t kTriggered = 1U << 0;
-constexpr std::uint32_t kWord = 1U << 4;
-constexpr std::uint32_t kTag = 1U << 20;
+// DACC_MR
+constexpr std::uint32_t kTriggered = 1U << 0;  // TRGEN
+constexpr std::uint32_t kWord = 1U << 4;       // DACC_CDR takes two values at once
+constexpr std::uint32_t kTag = 1U << 20;       // bits 12 and 13 of a value are its channel
+constexpr unsigned kUserSel = 16;              // otherwise this field is
+constexpr std::uint32_t kMrMask = 0x3F33FF7F;  // all fields of DACC_MR
+constexpr std::uint32_t kAcrMask = 0x30F;      // IBCTLCH0, IBCTLCH1, IBCTLDACCORE
+// DACC_ISR
 constexpr std::uint32_t kTxRdy = 1U << 0;
 constexpr std::uint32_t kEoc = 1U << 1;
-constexpr std::size_t kQueue = 4;
+constexpr std::size_t kQueue = 4;  // values in the FIFO
 // A conversion takes 25 periods of MCK / 2.
 constexpr std::uint64_t kCycles = 50;
 // Outputs go from a sixth to five sixths of the reference, 0.55 to 2.75 V on a Due.
@@ -71,19 +76,22 @@ void Dacc::reset() {
   update();
 }
 
+// See dacc.hpp. Codes 0 to 4095 give one sixth to five sixths of the reference.
 double Dacc::output_V(int channel) const {
   const auto index = static_cast<std::size_t>(channel);
   if (((channels_ >> index) & 1U) == 0) return 0.0;
   return kReference_V * (1.0 + 4.0 * code_.at(index) / 4095.0) / 6.0;
 }
 
+// DACC_ISR: TXRDY (room in the FIFO) and EOC.
 std::uint32_t Dacc::flags() const {
   const bool room = channels_ != 0 && waiting_.size() < kQueue;
   return (room ? kTxRdy : 0) | (complete_ ? kEoc : 0);
 }
 
+// Puts a value of 12 bits into the FIFO.
 void Dacc::queue(std::uint32_t half_word) {
-  const std::size_t channel = ((mode_ & kTag) != 0 ? half_word >> 12 : mode_ >> 16) & 1U;
+  const std::size_t channel = ((mode_ & kTag) != 0 ? half_word >> 12 : mode_ >> kUserSel) & 1U;
   if (((channels_ >> channel) & 1U) == 0) {
     return misuse(kCdr, "value for channel " + std::to_string(channel) + ", which is off");
   }
@@ -92,6 +100,7 @@ void Dacc::queue(std::uint32_t half_word) {
   if (waiting_.size() == 1) system_.scheduler.set(id_, system_.now() + kCycles);
 }
 
+// A conversion ends: its value is at the output, and the next one begins.
 void Dacc::event(std::uint64_t) {
   if (waiting_.empty()) return;
   code_[waiting_.front().channel] = waiting_.front().code;
@@ -101,6 +110,7 @@ void Dacc::event(std::uint64_t) {
   update();
 }
 
+// Reading DACC_ISR clears EOC.
 std::uint32_t Dacc::read(std::uint32_t offset) {
   switch (offset) {
     case kMr:
@@ -122,14 +132,15 @@ std::uint32_t Dacc::read(std::uint32_t offset) {
   }
 }
 
+// A write to DACC_CDR queues one value, or with WORD two.
 void Dacc::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kCr:
-      if ((value & 1U) != 0) return reset();
+      if ((value & 1U) != 0) return reset();  // SWRST
       return;
     case kMr:
       if ((value & kTriggered) != 0) not_modelled(offset, "triggers are not modelled");
-      mode_ = value & 0x3F33FF7FU;
+      mode_ = value & kMrMask;
       return;
     case kCher:
       channels_ |= value & 3U;
@@ -149,7 +160,7 @@ void Dacc::write(std::uint32_t offset, std::uint32_t value) {
       interrupts_ &= ~value;
       break;
     case kAcr:
-      analog_ = value & 0x30FU;
+      analog_ = value & kAcrMask;
       return;
     default:
       return;

@@ -36,11 +36,11 @@ class Dacc final : public Peripheral {
   Scheduler::Id id_;
   std::deque<Value> waiting_;  // the first one is under conversion
   std::array<std::uint32_t, kChannels> code_{};
-  std::uint32_t mode_ = 0;
-  std::uint32_t channels_ = 0;
-  std::uint32_t interrupts_ = 0;
-  std::uint32_t analog_ = 0;
-  bool complete_ = false;  // EOC
+  std::uint32_t mode_ = 0;        // MR
+  std::uint32_t channels_ = 0;    // CHSR
+  std::uint32_t interrupts_ = 0;  // IMR
+  std::uint32_t analog_ = 0;      // ACR
+  bool complete_ = false;         // EOC
 };
 
 }  // namespace due_emulator

@@ -24,31 +24,42 @@ constexpr std::uint32_t kFmr = 0x00;
 constexpr std::uint32_t kFcr = 0x04;
 constexpr std::uint32_t kFsr = 0x08;
 
+// EEFC_FCR.FCMD: commands (18.4.3)
 constexpr std::uint32_t kGetd = 0x00;
-constexpr std::uint32_t kWp = 0x01;
-constexpr std::uint32_t kWpl = 0x02;
-constexpr std::uint32_t kEwp = 0x03;
-constexpr std::uint32_t kEwpl = 0x04;
-constexpr std::uint32_t kEa = 0x05;
-constexpr std::uint32_t kSlb = 0x08;
+constexpr std::uint32_t kWp = 0x01;    // write page
+constexpr std::uint32_t kWpl = 0x02;   // write page and lock
+constexpr std::uint32_t kEwp = 0x03;   // erase page and write
+constexpr std::uint32_t kEwpl = 0x04;  // erase page, write and lock
+constexpr std::uint32_t kEa = 0x05;    // erase all
+constexpr std::uint32_t kSlb = 0x08;   // set, clear, get lock bits
 constexpr std::uint32_t kClb = 0x09;
 constexpr std::uint32_t kGlb = 0x0A;
-constexpr std::uint32_t kSgpb = 0x0B;
+constexpr std::uint32_t kSgpb = 0x0B;  // set, clear, get GPNVM bits
 constexpr std::uint32_t kCgpb = 0x0C;
 constexpr std::uint32_t kGgpb = 0x0D;
 
+// EEFC_FMR
+constexpr std::uint32_t kFmrMask = 0x01010F01;  // FAM, SCOD, FWS, FRDY
+constexpr std::uint32_t kFrdyInterrupt = 1U << 0;
+constexpr unsigned kFwsShift = 8;
+
+// EEFC_FSR
 constexpr std::uint32_t kFrdy = 1U << 0;
 constexpr std::uint32_t kFcmde = 1U << 1;
 constexpr std::uint32_t kFlocke = 1U << 2;
-constexpr std::uint32_t kKey = 0x5A;
-constexpr std::uint32_t kBusyMark = 0x80;  // distinguishes "busy with command 0" from idle
+constexpr std::uint32_t kKey = 0x5A;          // EEFC_FCR.FKEY
+constexpr std::uint32_t kCommandMask = 0x0F;  // of command_
+constexpr std::uint32_t kBusyMark = 0x80;     // distinguishes "busy with command 0" from idle
 
 }  // namespace
 
 Flash::Flash(System& system) : system_(system) {}
 
+// A plane began or ended programming; the processor then reads the flash by way of use().
 void Flash::update_busy() { system_.cpu.flash_busy = planes_[0]->busy() || planes_[1]->busy(); }
 
+// The processor reads the flash at `offset`. If that plane is being programmed, this is reported,
+// and the processor waits for the plane.
 void Flash::use(std::uint32_t offset) {
   FlashController& plane = plane_at(offset);
   if (!plane.busy()) return;
@@ -59,6 +70,7 @@ void Flash::use(std::uint32_t offset) {
   if (ready > system_.now()) system_.cpu.stall(ready - system_.now());
 }
 
+// A store to the flash's addresses goes to the page latches of its plane, not to the flash.
 void Flash::latch(std::uint32_t offset, std::uint32_t value, std::uint32_t size) {
   if (size != 4) {
     system_.diagnostics.report(
@@ -68,6 +80,7 @@ void Flash::latch(std::uint32_t offset, std::uint32_t value, std::uint32_t size)
   plane_at(offset).latch(offset, value);
 }
 
+// EFC0 has the lower plane, EFC1 the upper one.
 FlashController::FlashController(System& system, Flash& flash, int index)
     : Peripheral(system, index == 0 ? "EFC0" : "EFC1", index == 0 ? 0x400E0A00U : 0x400E0C00U,
                  0x200, kAlwaysClocked, kRegisters),
@@ -78,6 +91,7 @@ FlashController::FlashController(System& system, Flash& flash, int index)
   flash.attach(index, this);
 }
 
+// A reset in the middle of programming leaves the page half done.
 void FlashController::reset() {
   cut();
   mode_ = errors_ = 0;
@@ -86,17 +100,20 @@ void FlashController::reset() {
   update_irq();
 }
 
+// EEFC_FMR.FWS: wait states of a read of this plane.
 void FlashController::set_wait_states(std::uint32_t count) {
   system_.flash_wait_states[static_cast<std::size_t>(index_)] = count;
   // Code runs from the lower plane: it decides for the cycle model.
   if (index_ == 0) system_.cpu.set_flash_wait_states(count);
 }
 
+// The bytes of a page of this plane.
 std::uint8_t* FlashController::page_bytes(std::uint32_t page) const {
   return system_.memory.flash.data() + static_cast<std::uint32_t>(index_) * kPlaneSize +
          page * kPage;
 }
 
+// A word for the page that the next command writes; the latches of one page serve all of them.
 void FlashController::latch(std::uint32_t offset, std::uint32_t value) {
   ++stores_;
   if (busy()) {
@@ -106,8 +123,10 @@ void FlashController::latch(std::uint32_t offset, std::uint32_t value) {
   std::memcpy(latches_.data() + (offset % kPage & ~3U), &value, 4);
 }
 
+// See eefc.hpp. First the page (or the plane) is erased from its beginning on, then the latches are
+// written; writing can only clear bits.
 void FlashController::apply(BoardTime passed) {
-  const std::uint32_t code = command_ & 0xFU;
+  const std::uint32_t code = command_ & kCommandMask;
   const bool writes = code == kWp || code == kWpl || code == kEwp || code == kEwpl;
   const BoardTime write = end_ - begin_ - erase_;
   std::uint8_t* page = code == kEa ? page_bytes(0) : page_bytes(page_);
@@ -123,6 +142,7 @@ void FlashController::apply(BoardTime passed) {
   if (erase_ != 0 || writes) system_.cpu.flush_flash_code();
 }
 
+// See eefc.hpp: the command that runs ends here, with the flash half done.
 void FlashController::cut() {
   if (!busy()) return;
   apply(std::min(system_.board_now(), end_) - begin_);
@@ -132,25 +152,28 @@ void FlashController::cut() {
   system_.scheduler.set(id_, kNever);
 }
 
+// What the ERASE pin does: the plane is empty, and no region is locked.
 void FlashController::erase_all() {
   std::memset(page_bytes(0), 0xFF, kPlaneSize);
   locks_ = 0;
   system_.cpu.flush_flash_code();
 }
 
+// Schedules event() for the end of the command that runs.
 void FlashController::plan() {
   system_.scheduler.set(id_, busy() ? system_.clock.cycle_at(end_) : kNever);
 }
 
 void FlashController::update_irq() {
-  system_.set_irq(index_ == 0 ? id::kEfc0 : id::kEfc1, !busy() && (mode_ & 1U) != 0);
+  system_.set_irq(index_ == 0 ? id::kEfc0 : id::kEfc1, !busy() && (mode_ & kFrdyInterrupt) != 0);
 }
 
+// The running command ends: the flash has its new content.
 void FlashController::event(std::uint64_t) {
   if (!busy()) return;
   if (system_.board_now() < end_) return plan();
   apply(end_ - begin_);
-  const std::uint32_t code = command_ & 0xFU;
+  const std::uint32_t code = command_ & kCommandMask;
   if (code == kWpl || code == kEwpl) locks_ |= 1U << (page_ * kPage / kLockRegion);
   if (code <= kEa && code != kGetd) ++writes_;
   command_ = 0;
@@ -159,27 +182,29 @@ void FlashController::event(std::uint64_t) {
   update_irq();
 }
 
+// EEFC_FMR, EEFC_FSR and EEFC_FRR.
 std::uint32_t FlashController::read(std::uint32_t offset) {
   switch (offset) {
     case kFmr:
       return mode_;
-    case kFsr: {
+    case kFsr: {  // reading clears the errors
       const std::uint32_t value = (busy() ? 0U : kFrdy) | errors_;
       errors_ = 0;
       return value;
     }
-    default:
+    default:  // EEFC_FRR: the results of a command, one word per read
       if (result_next_ >= result_count_) return 0;
       return results_[result_next_++];
   }
 }
 
+// EEFC_FCR is a command. EEFC_FMR sets the wait states, which must be enough for the master clock.
 void FlashController::write(std::uint32_t offset, std::uint32_t value) {
   if (offset == kFcr) return command(value);
   if (busy()) misuse(offset, "write while the plane is being programmed");
-  mode_ = value & 0x01010F01U;
+  mode_ = value & kFmrMask;
   update_irq();
-  const std::uint32_t wait_states = (value >> 8) & 0xFU;
+  const std::uint32_t wait_states = (value >> kFwsShift) & 0xFU;
   set_wait_states(wait_states);
   const std::uint32_t mck_Hz = system_.clock.mck_Hz();
   if (mck_Hz > flash_limit_Hz(wait_states)) {
@@ -188,6 +213,7 @@ void FlashController::write(std::uint32_t offset, std::uint32_t value) {
   }
 }
 
+// Appends a word to what EEFC_FRR will give.
 void FlashController::result(std::uint32_t word) {
   results_[result_count_++ % results_.size()] = word;
 }
@@ -201,6 +227,7 @@ void FlashController::check_caller() const {
   system_.cpu.stall(ready_cycle() - system_.now());
 }
 
+// Starts a command that takes time: `erase` and then `write`. A locked region sets FLOCKE instead.
 void FlashController::start(std::uint32_t code, std::uint32_t page, BoardTime erase,
                             BoardTime write) {
   const std::uint32_t region = page * kPage / kLockRegion;
@@ -209,8 +236,8 @@ void FlashController::start(std::uint32_t code, std::uint32_t page, BoardTime er
     errors_ |= kFlocke;
     return;
   }
-  if (code <= kEa && ((mode_ >> 8) & 0xFU) < kWriteWaitStates) {
-    misuse(kFcr, "flash is written with FWS = " + std::to_string((mode_ >> 8) & 0xFU) +
+  if (code <= kEa && ((mode_ >> kFwsShift) & 0xFU) < kWriteWaitStates) {
+    misuse(kFcr, "flash is written with FWS = " + std::to_string((mode_ >> kFwsShift) & 0xFU) +
                      "; the errata ask for 6");
   }
   command_ = code | kBusyMark;
@@ -224,6 +251,7 @@ void FlashController::start(std::uint32_t code, std::uint32_t page, BoardTime er
   check_caller();
 }
 
+// EEFC_FCR: key, command and argument (a page, a lock region's page or a GPNVM bit).
 void FlashController::command(std::uint32_t value) {
   ++stores_;
   const std::uint32_t code = value & 0xFFU;
@@ -236,6 +264,8 @@ void FlashController::command(std::uint32_t value) {
   errors_ = 0;
   result_count_ = result_next_ = 0;
   switch (code) {
+    // Flash descriptor: interface, size, page size, one plane and its size, lock bits and the size
+    // of each region.
     case kGetd:
       for (const std::uint32_t word : {0x000F0940U, kPlaneSize, kPage, 1U, kPlaneSize, 16U})
         result(word);
@@ -262,7 +292,7 @@ void FlashController::command(std::uint32_t value) {
       return result(locks_);
     case kSgpb:
     case kCgpb:
-      if (argument > 2) {
+      if (argument > 2) {  // there are three GPNVM bits
         errors_ |= kFcmde;
         return;
       }

@@ -12,6 +12,7 @@ namespace due_emulator {
 
 class FlashController;
 
+// The two planes together, as the bus sees them.
 class Flash final : public FlashPort {
  public:
   explicit Flash(System& system);
@@ -34,6 +35,7 @@ class Flash final : public FlashPort {
   std::array<FlashController*, 2> planes_{};
 };
 
+// One EEFC and its plane.
 class FlashController final : public Peripheral {
  public:
   static constexpr std::uint32_t kPage = 256;
@@ -71,7 +73,7 @@ class FlashController final : public Peripheral {
   void command(std::uint32_t value);
   void start(std::uint32_t code, std::uint32_t page, BoardTime erase, BoardTime write);
   void result(std::uint32_t word);
-  // Makes flash look as after the fractions of the erase and the write that have passed.
+  // Changes the flash to what the running command has done after `passed`.
   void apply(BoardTime passed);
   void plan();
   void update_irq();
@@ -81,17 +83,17 @@ class FlashController final : public Peripheral {
   Flash& flash_;
   int index_;
   Scheduler::Id id_;
-  std::uint32_t mode_ = 0;
-  std::uint32_t errors_ = 0;
-  std::uint32_t locks_ = 0;
+  std::uint32_t mode_ = 0;    // EEFC_FMR
+  std::uint32_t errors_ = 0;  // EEFC_FSR: FCMDE, FLOCKE
+  std::uint32_t locks_ = 0;   // one bit per region
   std::array<std::uint32_t, 16> results_{};
   std::uint32_t result_count_ = 0;
   std::uint32_t result_next_ = 0;
   std::array<std::uint8_t, kPage> latches_{};
-  std::uint32_t command_ = 0;
+  std::uint32_t command_ = 0;  // the one that runs, with kBusyMark; 0: none
   std::uint32_t page_ = 0;
   BoardTime begin_ = 0;
-  BoardTime erase_ = 0;
+  BoardTime erase_ = 0;  // how long the erase takes, from begin_ on
   BoardTime end_ = 0;
   std::uint64_t writes_ = 0;
   std::uint64_t stores_ = 0;

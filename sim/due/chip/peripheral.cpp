@@ -9,6 +9,8 @@ constexpr std::uint16_t kNone = 0xFFFF;
 
 }  // namespace
 
+// The master clock changes: events that stand for board time are scheduled anew, and the processor
+// leaves its run loop.
 void System::change_mck(std::uint32_t mck_Hz) {
   if (mck_Hz == clock.mck_Hz()) return;
   clock.set_mck(now(), mck_Hz);
@@ -16,6 +18,7 @@ void System::change_mck(std::uint32_t mck_Hz) {
   cpu.interrupt_run();
 }
 
+// Indexes the register table by offset, and adds the peripheral to the chip's list and to the bus.
 Peripheral::Peripheral(System& system, const char* name, std::uint32_t base, std::uint32_t size,
                        int clock_id, const Register* registers, std::size_t count)
     : system_(system),
@@ -31,11 +34,13 @@ Peripheral::Peripheral(System& system, const char* name, std::uint32_t base, std
   system.bus.add(base, size, this);
 }
 
+// The table's row of a register; null if there is none.
 const Register* Peripheral::find(std::uint32_t offset) const {
   if (offset / 4 >= index_.size() || index_[offset / 4] == kNone) return nullptr;
   return &registers_[index_[offset / 4]];
 }
 
+// "TC0 TC_QISR (0x400800d4)"; without a register, the address alone.
 std::string Peripheral::describe(std::uint32_t offset) const {
   const Register* reg = find(offset);
   if (reg == nullptr) return std::string(name_) + " " + hex(base_ + offset);
@@ -50,6 +55,7 @@ void Peripheral::not_modelled(std::uint32_t offset, const std::string& text) con
   system_.diagnostics.report(Trouble::kUnmodelled, base_ + offset, describe(offset) + ": " + text);
 }
 
+// Reports an access to a register whose peripheral clock is off.
 void Peripheral::check_clock(std::uint32_t offset, const Register& reg, const char* verb) const {
   const int identifier = clock_of(offset);
   if ((reg.access & access::kUnclocked) != 0 || identifier < 0 || system_.clocked(identifier))
@@ -59,7 +65,8 @@ void Peripheral::check_clock(std::uint32_t offset, const Register& reg, const ch
                                  std::to_string(identifier) + " is off in PMC_PCSR");
 }
 
-// The register to use, or null when lenient mode ignores the access.
+// Checks an access to a register (`direction`: access::kRead or kWrite). Returns its row, or null
+// if the access is reported and, in lenient mode, ignored.
 const Register* Peripheral::check(std::uint32_t offset, std::uint8_t direction) {
   const char* verb = direction == access::kRead ? "read of " : "write of ";
   const Register* reg = find(offset);
@@ -84,11 +91,13 @@ const Register* Peripheral::check(std::uint32_t offset, std::uint8_t direction) 
   return reg;
 }
 
+// An access that fails a check reads 0 or writes nothing.
 std::uint32_t Peripheral::read_register(std::uint32_t address) {
   const std::uint32_t offset = address - base_;
   return check(offset, access::kRead) != nullptr ? read(offset) : 0;
 }
 
+// Registers under write protection (kProtected) also need it to be off.
 void Peripheral::write_register(std::uint32_t address, std::uint32_t value) {
   const std::uint32_t offset = address - base_;
   const Register* reg = check(offset, access::kWrite);

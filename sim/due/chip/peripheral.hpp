@@ -1,5 +1,5 @@
-// Base of all peripheral models: a table of registers with the datasheet's names, and the checks
-// that make strict mode strict.
+// Base of all peripheral models: a table of registers with the datasheet's names, and the checks of
+// each access. In strict mode a failed check stops the simulation, in lenient mode it is a warning.
 #pragma once
 
 #include <cstddef>
@@ -55,18 +55,20 @@ class Peripheral : public Device, public EventSink {
   }
 
  protected:
+  // Accesses that have passed the checks; `offset` is in bytes from the base address.
   virtual std::uint32_t read(std::uint32_t offset) = 0;
   virtual void write(std::uint32_t offset, std::uint32_t value) = 0;
   // The PMC identifier that clocks the register at `offset`.
   virtual int clock_of(std::uint32_t) const { return clock_id_; }
   virtual bool write_protected() const { return false; }
-  // Bits of the register at `offset` that follow pins, lines or voltages, or a time of the
-  // program's choice: to wait for them is no mistake.
+  // Bits of the register at `offset` that follow pins, serial lines, voltages or a time that the
+  // program chose: a program that waits for one of them makes no mistake.
   virtual std::uint32_t from_outside(std::uint32_t) const { return 0; }
 
+  // Report what a program does wrong, or what the model lacks, with the register's name.
   void misuse(std::uint32_t offset, const std::string& text) const;
   void not_modelled(std::uint32_t offset, const std::string& text) const;
-  // "TC0_QISR (0x400800d4)"
+  // "TC0 TC_QISR (0x400800d4)"
   std::string describe(std::uint32_t offset) const;
 
   System& system_;

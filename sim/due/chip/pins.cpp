@@ -7,6 +7,7 @@ namespace due_emulator {
 
 namespace {
 
+// "PA9"
 std::string pin_name(int pin) {
   return std::string("P") + static_cast<char>('A' + pin / 32) + std::to_string(pin % 32);
 }
@@ -26,6 +27,8 @@ void Pins::join(int first, int second) {
   wires_[index(second)].joined = first;
 }
 
+// See pins.hpp. A peripheral drives the pin if the PIO has given it the pin, otherwise the PIO's
+// own output; an open-drain output only drives low.
 bool Pins::driven(int pin, bool& level) const {
   const Wire& wire = wires_[index(pin)];
   if (wire.setting.given_to_peripheral) {
@@ -39,6 +42,7 @@ bool Pins::driven(int pin, bool& level) const {
   return true;
 }
 
+// Adds what pulls at one pin to the votes of its wire.
 void Pins::vote(int pin, Votes& votes) const {
   const Wire& wire = wires_[index(pin)];
   bool high = false;
@@ -62,6 +66,7 @@ void Pins::vote(int pin, Votes& votes) const {
   votes.pull_up = votes.pull_up || wire.setting.pull_up;
 }
 
+// The strongest driver decides, as pins.hpp says. Two strong ones that differ are reported.
 bool Pins::level(int pin) const {
   Votes votes;
   vote(pin, votes);
@@ -77,6 +82,7 @@ bool Pins::level(int pin) const {
   return votes.weak_high || votes.pull_up;
 }
 
+// Notes the level at a pin and calls the listeners, if it has changed.
 void Pins::tell(int pin, bool level, std::uint64_t now) {
   std::uint32_t& seen = seen_[index(pin) / 32];
   const std::uint32_t mask = 1U << (pin % 32);
@@ -88,6 +94,7 @@ void Pins::tell(int pin, bool level, std::uint64_t now) {
     listener.sink->pin_changed(listener.signal, level, now);
 }
 
+// Finds the level of a pin's wire and tells it to this pin and to the one that is joined with it.
 void Pins::refresh(int pin, std::uint64_t now) {
   const bool value = level(pin);
   tell(pin, value, now);

@@ -18,9 +18,11 @@ inline constexpr int kPins = kPorts * 32;
 // Pin number as port * 32 + bit.
 constexpr int pin_of(char port, int bit) { return (port - 'A') * 32 + bit; }
 
+// What is connected to a pin outside of the chip: nothing, a resistor, or a source.
 enum class External : std::uint8_t { kOpen, kPullDown, kPullUp, kLow, kHigh };
 
-// Somebody inside of the chip who puts a signal on a pin.
+// A peripheral that can put a signal on a pin. `signal` is its own number for the signal, given at
+// connect_driver().
 class PinDriver {
  public:
   virtual ~PinDriver() = default;
@@ -29,13 +31,14 @@ class PinDriver {
   virtual bool level(int signal) const = 0;
 };
 
+// A part of the chip that follows the level at a pin. `signal` is from connect_listener().
 class PinListener {
  public:
   virtual ~PinListener() = default;
   virtual void pin_changed(int signal, bool level, std::uint64_t now) = 0;
 };
 
-// What the PIO controller has made of one pin.
+// How the PIO controller has set one pin.
 struct PinSetting {
   bool given_to_peripheral = false;
   bool peripheral_b = false;
@@ -58,18 +61,18 @@ class Pins {
   External external(int pin) const { return wires_[index(pin)].external; }
   void set_setting(int pin, const PinSetting& setting, std::uint64_t now);
   const PinSetting& setting(int pin) const { return wires_[index(pin)].setting; }
-  // A peripheral changed its mind about a signal.
+  // A driver's signal has changed: finds the level again and calls the listeners.
   void refresh(int pin, std::uint64_t now);
 
   // Level on the wire now.
   bool level(int pin) const;
-  // The level as of the last change that was told to listeners.
+  // The levels of a port's pins that listeners know.
   std::uint32_t seen(int port) const { return seen_[index(port)]; }
   void set_port_listener(int port, PinListener* listener) {
     ports_[static_cast<std::size_t>(port)] = listener;
   }
 
-  // Whether the chip itself drives this pin, and how.
+  // Whether the chip itself drives this pin; if so, `level` is the level.
   bool driven(int pin, bool& level) const;
 
  private:
@@ -86,10 +89,11 @@ class Pins {
     External external = External::kOpen;
     Driver drivers[2];
     std::vector<Listener> listeners;
-    int joined = -1;
+    int joined = -1;  // the pin that the board joins with this one
   };
 
   static std::size_t index(int pin) { return static_cast<std::size_t>(pin); }
+  // What pulls at a wire, by strength.
   struct Votes {
     bool strong_low = false;
     bool strong_high = false;

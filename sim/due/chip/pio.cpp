@@ -101,6 +101,7 @@ constexpr std::uint32_t kFrlhsr = 0xD8;
 
 }  // namespace
 
+// One port of 32 pins; it follows the edges of all of them.
 Pio::Pio(System& system, Pins& pins, int port, const char* name, std::uint32_t base)
     : Peripheral(system, name, base, 0x200, id::kPioA + port, kRegisters),
       pins_(pins),
@@ -108,6 +109,7 @@ Pio::Pio(System& system, Pins& pins, int port, const char* name, std::uint32_t b
   pins.set_port_listener(port, this);
 }
 
+// After reset all pins are inputs of the PIO with pull-ups.
 void Pio::reset() {
   pio_ = ~0U;
   output_ = filter_ = data_ = interrupts_ = status_ = open_drain_ = no_pull_up_ = 0;
@@ -117,6 +119,7 @@ void Pio::reset() {
   update_irq();
 }
 
+// Gives the pins whose bits are set in `changed` the setting that the registers describe.
 void Pio::apply(std::uint32_t changed) {
   for (std::uint32_t left = changed; left != 0; left &= left - 1) {
     const int bit = __builtin_ctz(left);
@@ -132,6 +135,7 @@ void Pio::apply(std::uint32_t changed) {
   }
 }
 
+// PIO_PDSR: the levels at the pins now.
 std::uint32_t Pio::levels() const {
   std::uint32_t value = pins_.seen(port_);
   // Only outputs of running peripherals can differ from what was last told.
@@ -143,6 +147,7 @@ std::uint32_t Pio::levels() const {
   return value;
 }
 
+// An edge at a pin sets its bit in PIO_ISR: any edge, or with PIO_AIMMR the chosen one.
 void Pio::pin_changed(int bit, bool level, std::uint64_t) {
   if (!system_.clocked(clock_id_)) return;
   const std::uint32_t mask = 1U << bit;
@@ -154,12 +159,15 @@ void Pio::pin_changed(int bit, bool level, std::uint64_t) {
   if ((interrupts_ & mask) != 0) update_irq();
 }
 
+// The port's interrupt line: any enabled bit of PIO_ISR, where pins in level mode count while their
+// level is the chosen one.
 void Pio::update_irq() {
   const std::uint32_t by_level = additional_ & on_level_;
   const std::uint32_t active = by_level != 0 ? by_level & ~(levels() ^ rising_high_) : 0;
   system_.set_irq(clock_id_, ((status_ | active) & interrupts_) != 0);
 }
 
+// Status registers: one bit per pin. Only reading PIO_ISR has an effect.
 std::uint32_t Pio::read(std::uint32_t offset) {
   switch (offset) {
     case kPsr:
@@ -174,7 +182,7 @@ std::uint32_t Pio::read(std::uint32_t offset) {
       return levels();
     case kImr:
       return interrupts_;
-    case kIsr: {
+    case kIsr: {  // reading clears it
       const std::uint32_t by_level = additional_ & on_level_;
       const std::uint32_t value =
           status_ | (by_level != 0 ? by_level & ~(levels() ^ rising_high_) : 0U);
@@ -201,6 +209,8 @@ std::uint32_t Pio::read(std::uint32_t offset) {
   }
 }
 
+// Most registers come in pairs: a 1 in the first sets a pin's bit of the status register, in the
+// second clears it.
 void Pio::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kPer:
@@ -228,7 +238,7 @@ void Pio::write(std::uint32_t offset, std::uint32_t value) {
     case kCodr:
       data_ &= ~value;
       return apply(value);
-    case kOdsr: {
+    case kOdsr: {  // only bits that PIO_OWSR allows
       const std::uint32_t before = data_;
       data_ = (data_ & ~direct_) | (value & direct_);
       return apply(before ^ data_);

@@ -16,6 +16,7 @@ class Pio final : public Peripheral, public PinListener {
  protected:
   std::uint32_t read(std::uint32_t offset) override;
   void write(std::uint32_t offset, std::uint32_t value) override;
+  // PDSR and ISR follow the pins.
   std::uint32_t from_outside(std::uint32_t offset) const override {
     return offset == 0x3C || offset == 0x4C ? ~0U : 0;
   }

@@ -3,84 +3,26 @@
 
 #include <algorithm>
 
+#include "chip/pmc_registers.hpp"
+
 namespace due_emulator {
 
 namespace {
 
-using access::kBoth;
-using access::kProtected;
-using access::kRead;
-using access::kUnmodelled;
-using access::kWrite;
-
-constexpr Register kRegisters[] = {
-    {0x000, "PMC_SCER", kWrite | kProtected},
-    {0x004, "PMC_SCDR", kWrite | kProtected},
-    {0x008, "PMC_SCSR", kRead},
-    {0x010, "PMC_PCER0", kWrite | kProtected},
-    {0x014, "PMC_PCDR0", kWrite | kProtected},
-    {0x018, "PMC_PCSR0", kRead},
-    {0x01C, "CKGR_UCKR", kBoth | kProtected},
-    {0x020, "CKGR_MOR", kBoth | kProtected},
-    {0x024, "CKGR_MCFR", kRead},
-    {0x028, "CKGR_PLLAR", kBoth | kProtected},
-    {0x030, "PMC_MCKR", kBoth | kProtected},
-    {0x038, "PMC_USB", kBoth | kProtected},
-    {0x040, "PMC_PCK0", kBoth | kUnmodelled},
-    {0x044, "PMC_PCK1", kBoth | kUnmodelled},
-    {0x048, "PMC_PCK2", kBoth | kUnmodelled},
-    {0x060, "PMC_IER", kWrite | kUnmodelled},
-    {0x064, "PMC_IDR", kWrite | kUnmodelled},
-    {0x068, "PMC_SR", kRead},
-    {0x06C, "PMC_IMR", kRead | kUnmodelled},
-    {0x070, "PMC_FSMR", kBoth | kUnmodelled},
-    {0x074, "PMC_FSPR", kBoth | kUnmodelled},
-    {0x078, "PMC_FOCR", kWrite | kUnmodelled},
-    {0x0E4, "PMC_WPMR", kBoth},
-    {0x0E8, "PMC_WPSR", kRead},
-    {0x100, "PMC_PCER1", kWrite | kProtected},
-    {0x104, "PMC_PCDR1", kWrite | kProtected},
-    {0x108, "PMC_PCSR1", kRead},
-    {0x10C, "PMC_PCR", kBoth | kUnmodelled},
-};
-
-// Offsets of the registers that the code below names.
-constexpr std::uint32_t kScer = 0x00;
-constexpr std::uint32_t kScdr = 0x04;
-constexpr std::uint32_t kScsr = 0x08;
-constexpr std::uint32_t kPcer0 = 0x10;
-constexpr std::uint32_t kPcdr0 = 0x14;
-constexpr std::uint32_t kPcsr0 = 0x18;
-constexpr std::uint32_t kUckr = 0x1C;
-constexpr std::uint32_t kMor = 0x20;
-constexpr std::uint32_t kMcfr = 0x24;
-constexpr std::uint32_t kPllar = 0x28;
-constexpr std::uint32_t kMckr = 0x30;
-constexpr std::uint32_t kUsb = 0x38;
-constexpr std::uint32_t kSr = 0x68;
-constexpr std::uint32_t kWpmr = 0xE4;
-constexpr std::uint32_t kPcer1 = 0x100;
-constexpr std::uint32_t kPcdr1 = 0x104;
-constexpr std::uint32_t kPcsr1 = 0x108;
-
-constexpr std::uint32_t kMoscXtEn = 1U << 0;
-constexpr std::uint32_t kMoscRcEn = 1U << 3;
-constexpr std::uint32_t kMoscSel = 1U << 24;
-
-constexpr std::uint32_t kMoscXtS = 1U << 0;
-constexpr std::uint32_t kLockA = 1U << 1;
-constexpr std::uint32_t kMckRdy = 1U << 3;
-constexpr std::uint32_t kLockU = 1U << 6;
-constexpr std::uint32_t kMoscSelS = 1U << 16;
-constexpr std::uint32_t kMoscRcS = 1U << 17;
-
-// CKGR_UCKR: bits that no field names read as they do after reset until they are written.
-constexpr std::uint32_t kUckrReset = 0x10200800;
-constexpr std::uint32_t kUpllEn = 1U << 16;
-// PMC_SCSR.UOTGCLK, the 48 MHz of the USB port; bit 0 always reads 1.
-constexpr std::uint32_t kUsbClock = 1U << 5;
+using namespace pmc;
 
 constexpr std::uint32_t kCrystal_Hz = 12000000;
+// PMC_MCKR: CSS chooses the source of the master clock, PRES divides it.
+constexpr std::uint32_t kCss = 3;
+constexpr std::uint32_t kCssPlla = 2;
+constexpr std::uint32_t kCssUpll = 3;
+constexpr std::uint32_t kPres = 7U << 4;
+constexpr std::uint32_t kPllaDiv2 = 1U << 12;
+constexpr std::uint32_t kMckrMask = 0x3073;  // CSS, PRES, PLLADIV2, UPLLDIV2
+constexpr std::uint32_t kPllarOne = 1U << 29;
+constexpr std::uint32_t kUsbs = 1;       // PMC_USB.USBS: UPLL, otherwise PLLA
+constexpr std::uint32_t kPck = 7U << 8;  // PMC_SCER.PCK0 to PCK2
+
 constexpr std::uint32_t kMorKey = 0x37;
 constexpr std::uint32_t kProtectKey = 0x504D43;
 // Peripherals 8 to 44 have a clock that can be switched; RSTC to EEFC always run.
@@ -103,13 +45,14 @@ Pmc::Pmc(System& system)
     : Peripheral(system, "PMC", 0x400E0600, 0x200, kAlwaysClocked, kRegisters),
       id_(system.scheduler.add(this)) {}
 
+// After reset the chip runs from the RC oscillator at 4 MHz, and all peripheral clocks are off.
 void Pmc::reset() {
   main_oscillator_ = kMoscRcEn;
-  plla_ = 0x3F00;
+  plla_ = 0x3F00;  // PLLACOUNT
   upll_ = kUckrReset;
   usb_ = 0;
-  system_clocks_ = 1;
-  master_ = 1;
+  system_clocks_ = 1;  // bit 0 always reads 1
+  master_ = 1;         // CSS: the main clock
   status_ = kMckRdy | kMoscSelS | kMoscRcS;
   protect_ = 0;
   crystal_ready_ = plla_ready_ = upll_ready_ = master_ready_ = 0;
@@ -119,12 +62,14 @@ void Pmc::reset() {
   plan();
 }
 
+// The main clock: the crystal, or the RC oscillator at the frequency in CKGR_MOR.MOSCRCF.
 std::uint32_t Pmc::main_Hz() const {
   if ((main_oscillator_ & kMoscSel) != 0) return kCrystal_Hz;
   static constexpr std::uint32_t kRc_Hz[] = {4000000, 8000000, 12000000, 12000000};
   return kRc_Hz[(main_oscillator_ >> 4) & 3U];
 }
 
+// PLLA: main clock / DIVA * (MULA + 1); 0 Hz while it is off.
 std::uint32_t Pmc::plla_Hz() const {
   const std::uint32_t divider = plla_ & 0xFFU;
   const std::uint32_t multiplier = (plla_ >> 16) & 0x7FFU;
@@ -132,25 +77,29 @@ std::uint32_t Pmc::plla_Hz() const {
   return main_Hz() / divider * (multiplier + 1);
 }
 
+// The master clock that a value of PMC_MCKR gives; 0 Hz if its source is off or not modelled.
 std::uint32_t Pmc::master_Hz(std::uint32_t mckr) const {
   std::uint32_t hz = 0;
-  switch (mckr & 3U) {
+  switch (mckr & kCss) {
     case 0:
       hz = system_.slow_Hz;
       break;
     case 1:
       hz = main_Hz();
       break;
-    case 2:
-      hz = plla_Hz() / ((mckr & (1U << 12)) != 0 ? 2U : 1U);
+    case kCssPlla:
+      hz = plla_Hz() / ((mckr & kPllaDiv2) != 0 ? 2U : 1U);
       break;
     default:
       break;
   }
   const std::uint32_t prescaler = (mckr >> 4) & 7U;
+  // PRES 7 divides by 3, the others by powers of 2.
   return prescaler == 7 ? hz / 3 : hz >> prescaler;
 }
 
+// Lets the chip run at the master clock that the registers give. Reports a clock that is too fast
+// for the chip or for the flash's wait states.
 void Pmc::apply_master_clock() {
   const std::uint32_t hz = master_Hz(master_);
   if (hz == 0) {
@@ -184,6 +133,7 @@ void Pmc::settle() {
   if (due(master_ready_)) status_ |= kMckRdy;
 }
 
+// Schedules event() for the next oscillator or PLL that becomes ready.
 void Pmc::plan() {
   BoardTime first = ~BoardTime{0};
   for (const BoardTime ready : {crystal_ready_, plla_ready_, upll_ready_, master_ready_}) {
@@ -197,6 +147,7 @@ void Pmc::event(std::uint64_t) {
   plan();
 }
 
+// Status first becomes what it is at this time.
 std::uint32_t Pmc::read(std::uint32_t offset) {
   settle();
   switch (offset) {
@@ -229,11 +180,13 @@ std::uint32_t Pmc::read(std::uint32_t offset) {
   }
 }
 
+// CKGR_MOR: switches crystal and RC oscillator, and chooses the main clock.
 void Pmc::write_main_oscillator(std::uint32_t value) {
   if (((value >> 16) & 0xFFU) != kMorKey) return misuse(kMor, "write without the key 0x37");
   const std::uint32_t before = main_oscillator_;
-  main_oscillator_ = value & ~0x00FF0000U;
+  main_oscillator_ = value & ~0x00FF0000U;  // KEY reads 0
   if ((value & kMoscXtEn) != 0 && (before & kMoscXtEn) == 0) {
+    // MOSCXTST counts eight periods of the slow clock each.
     const std::uint32_t startup = 8 * ((value >> 8) & 0xFFU);
     crystal_ready_ = system_.board_now() + system_.slow_periods(startup + 1);
     crystal_steady_ = system_.board_now() + kCrystalStart;
@@ -255,10 +208,12 @@ void Pmc::write_main_oscillator(std::uint32_t value) {
   apply_master_clock();
 }
 
+// CKGR_PLLAR: PLLA begins to lock at its new frequency.
 void Pmc::write_plla(std::uint32_t value) {
-  if ((value & (1U << 29)) == 0) return misuse(kPllar, "write without bit 29, which must be 1");
-  if ((master_ & 3U) == 2) misuse(kPllar, "PLLA is changed while the master clock runs from it");
-  plla_ = value & ~(1U << 29);
+  if ((value & kPllarOne) == 0) return misuse(kPllar, "write without bit 29, which must be 1");
+  if ((master_ & kCss) == kCssPlla)
+    misuse(kPllar, "PLLA is changed while the master clock runs from it");
+  plla_ = value & ~kPllarOne;
   status_ &= ~kLockA;
   const std::uint32_t hz = plla_Hz();
   plla_ready_ = 0;
@@ -266,6 +221,7 @@ void Pmc::write_plla(std::uint32_t value) {
     if (hz < kPllaLowest_Hz || hz > kPllaHighest_Hz) {
       misuse(kPllar, "PLLA at " + std::to_string(hz) + " Hz is outside of 84 to 192 MHz");
     }
+    // PLLACOUNT.
     plla_ready_ = system_.board_now() + system_.slow_periods(((value >> 8) & 0x3FU) + 1);
     plla_steady_ = system_.board_now() + kPllaStart;
   }
@@ -277,7 +233,7 @@ void Pmc::write_upll(std::uint32_t value) {
   const bool was_on = (upll_ & kUpllEn) != 0;
   upll_ = value;
   if ((value & kUpllEn) == 0) {
-    if ((system_clocks_ & kUsbClock) != 0 && (usb_ & 1U) != 0) {
+    if ((system_clocks_ & kUsbClock) != 0 && (usb_ & kUsbs) != 0) {
       misuse(kUckr, "UPLL is switched off while the USB clock runs from it");
     }
     status_ &= ~kLockU;
@@ -294,14 +250,15 @@ void Pmc::write_upll(std::uint32_t value) {
   plan();
 }
 
+// PMC_SCER and PMC_SCDR: the USB clock on or off.
 void Pmc::write_system_clocks(std::uint32_t offset, std::uint32_t value) {
-  if ((value & 0x700U) != 0) not_modelled(offset, "programmable clocks are not modelled");
+  if ((value & kPck) != 0) not_modelled(offset, "programmable clocks are not modelled");
   const std::uint32_t bits = value & kUsbClock;
   if (offset == kScdr) {
     system_clocks_ &= ~bits;
     return;
   }
-  const bool from_upll = (usb_ & 1U) != 0;
+  const bool from_upll = (usb_ & kUsbs) != 0;
   if (bits != 0 && (status_ & (from_upll ? kLockU : kLockA)) == 0) {
     misuse(offset, from_upll
                        ? "the USB clock is switched on before PMC_SR.LOCKU says that UPLL, its "
@@ -314,21 +271,23 @@ void Pmc::write_system_clocks(std::uint32_t offset, std::uint32_t value) {
   system_clocks_ |= bits;
 }
 
+// PMC_MCKR: another source or another prescaler; MCKRDY returns a little later.
 void Pmc::write_master_clock(std::uint32_t value) {
   if ((status_ & kMckRdy) == 0) misuse(kMckr, "write before PMC_SR.MCKRDY is set");
-  if ((value & 3U) == 2 && (status_ & kLockA) == 0) {
+  if ((value & kCss) == kCssPlla && (status_ & kLockA) == 0) {
     return misuse(kMckr, "PLLA is chosen before PMC_SR.LOCKA says that it is stable");
   }
-  if ((value & 3U) == 2 && system_.board_now() < plla_steady_) {
+  if ((value & kCss) == kCssPlla && system_.board_now() < plla_steady_) {
     misuse(kMckr, "CKGR_PLLAR.PLLACOUNT is too short: PLLA needs 0.2 ms to lock");
   }
-  if ((value & 3U) == 3) return not_modelled(kMckr, "a master clock from UPLL is not modelled");
-  const bool source = ((value ^ master_) & 3U) != 0;
-  const bool prescaler = ((value ^ master_) & 0x1070U) != 0;
+  if ((value & kCss) == kCssUpll)
+    return not_modelled(kMckr, "a master clock from UPLL is not modelled");
+  const bool source = ((value ^ master_) & kCss) != 0;
+  const bool prescaler = ((value ^ master_) & (kPres | kPllaDiv2)) != 0;
   if (source && prescaler) {
     misuse(kMckr, "prescaler and source of the master clock must not change in one write");
   }
-  master_ = value & 0x3073U;
+  master_ = value & kMckrMask;
   apply_master_clock();
   status_ &= ~kMckRdy;
   master_ready_ =
@@ -336,6 +295,8 @@ void Pmc::write_master_clock(std::uint32_t value) {
   plan();
 }
 
+// PMC_PCER and PMC_PCDR: clocks of peripherals on, or off (offset bit 2). Registers 1 are for the
+// identifiers from 32 on.
 void Pmc::write_peripheral(std::uint32_t offset, std::uint32_t value) {
   const unsigned shift = offset >= kPcer1 ? 32 : 0;
   const std::uint64_t bits = std::uint64_t{value} << shift;
@@ -348,6 +309,7 @@ void Pmc::write_peripheral(std::uint32_t offset, std::uint32_t value) {
   }
 }
 
+// Each register with its checks; write protection is checked before, in Peripheral.
 void Pmc::write(std::uint32_t offset, std::uint32_t value) {
   settle();
   switch (offset) {
@@ -368,7 +330,7 @@ void Pmc::write(std::uint32_t offset, std::uint32_t value) {
     case kMckr:
       return write_master_clock(value);
     case kUsb:
-      usb_ = value & 0xF01U;
+      usb_ = value & 0xF01U;  // USBDIV, USBS
       return;
     case kWpmr:
       if ((value >> 8) != kProtectKey) return misuse(offset, "write without the key 0x504D43");

@@ -33,20 +33,22 @@ class Pmc final : public Peripheral {
   void plan();
 
   Scheduler::Id id_;
-  std::uint32_t main_oscillator_ = 1;
-  std::uint32_t plla_ = 0x3F00;
-  std::uint32_t upll_ = 0;
-  std::uint32_t usb_ = 0;            // PMC_USB
-  std::uint32_t system_clocks_ = 1;  // SCSR
-  std::uint32_t master_ = 1;
-  std::uint32_t status_ = 0;
-  std::uint32_t protect_ = 0;
-  // Board times at which the crystal, the PLLs and the master clock are ready; 0: not on their way.
+  std::uint32_t main_oscillator_ = 1;  // CKGR_MOR
+  std::uint32_t plla_ = 0x3F00;        // CKGR_PLLAR
+  std::uint32_t upll_ = 0;             // CKGR_UCKR
+  std::uint32_t usb_ = 0;              // PMC_USB
+  std::uint32_t system_clocks_ = 1;    // SCSR
+  std::uint32_t master_ = 1;           // PMC_MCKR
+  std::uint32_t status_ = 0;           // PMC_SR
+  std::uint32_t protect_ = 0;          // PMC_WPMR.WPEN
+  // Board times at which PMC_SR will report the crystal, the PLLs and the master clock as ready; 0:
+  // nothing is starting.
   BoardTime crystal_ready_ = 0;
   BoardTime plla_ready_ = 0;
   BoardTime upll_ready_ = 0;
   BoardTime master_ready_ = 0;
-  // When crystal and PLLs run true, whatever the counters of slow clocks make PMC_SR say.
+  // Board times at which crystal and PLLs are really stable. PMC_SR can report them earlier, if a
+  // program sets its start-up counters too short.
   BoardTime crystal_steady_ = 0;
   BoardTime plla_steady_ = 0;
   BoardTime upll_steady_ = 0;

@@ -89,7 +89,7 @@ constexpr Register kRegisters[] = {
 
 struct PwmPin {
   int pin;
-  int signal;
+  int signal;  // see pwm.hpp
 };
 
 // Where the outputs come out, all on peripheral B.
@@ -104,6 +104,7 @@ constexpr PwmPin kPwmPins[] = {
     {pin_of('C', 22), 13}, {pin_of('C', 23), 14}, {pin_of('C', 24), 15},
 };
 
+// Fault inputs PWMFI0 to PWMFI2.
 constexpr PwmPin kFaultPins[] = {{pin_of('A', 5), 0}, {pin_of('A', 3), 1}, {pin_of('D', 6), 2}};
 
 }  // namespace
@@ -115,6 +116,7 @@ int Pwm::signal_at(int pin) {
   return -1;
 }
 
+// Becomes a driver of all PWM pins and a listener of the fault pins.
 Pwm::Pwm(System& system, Pins& pins)
     : Peripheral(system, "PWM", 0x40094000, 0x4000, id::kPwm, kRegisters),
       pins_(pins),
@@ -124,6 +126,7 @@ Pwm::Pwm(System& system, Pins& pins)
   for (const PwmPin& pin : kFaultPins) pins.connect_listener(pin.pin, this, pin.signal);
 }
 
+// Only the counters of high cycles survive: their readers take differences.
 void Pwm::reset() {
   const std::uint64_t now = system_.now();
   integrate_all();
@@ -145,6 +148,7 @@ void Pwm::reset() {
 
 // -- enabling and updating --------------------------------------------------------------------
 
+// Enables one channel: its counter begins at 0.
 void Pwm::start(int channel) {
   Channel& own = channels_[index(channel)];
   if (own.enabled) return;
@@ -153,10 +157,12 @@ void Pwm::start(int channel) {
   // A synchronous channel joins the counter of channel 0.
   if (!synchronous(channel) || channel == 0) own.origin = now;
   if (own.duty > counter_of(channel).period) {
+    // At PWM_CDTY of the channel.
     misuse(0x204U + 32U * static_cast<std::uint32_t>(channel), "CDTY is above CPRD");
   }
 }
 
+// PWM_ENA: with channel 0 of a synchronous group, all channels of the group.
 void Pwm::enable(std::uint32_t mask) {
   if ((mask & 1U) != 0 && synchronous(0)) mask |= sync_ & 0xFFU;
   for (int channel = 0; channel < kPwmChannels; ++channel) {
@@ -164,6 +170,7 @@ void Pwm::enable(std::uint32_t mask) {
   }
 }
 
+// PWM_DIS: the same group rule. A disabled output shows CPOL.
 void Pwm::disable(std::uint32_t mask) {
   if ((mask & 1U) != 0 && synchronous(0)) mask |= sync_ & 0xFFU;
   for (int channel = 0; channel < kPwmChannels; ++channel) {
@@ -171,6 +178,7 @@ void Pwm::disable(std::uint32_t mask) {
   }
 }
 
+// The values of CPRDUPD and CDTYUPD become CPRD and CDTY.
 void Pwm::load_updates(int channel) {
   Channel& own = channels_[index(channel)];
   if (own.period_waiting) own.period = own.period_update;
@@ -188,7 +196,8 @@ void Pwm::update_single(int channel, std::uint64_t now) {
   load_updates(channel);
 }
 
-// The group takes them together, once UPDULOCK is written.
+// The channels of the synchronous group take their new values together, at the end of the period in
+// which UPDULOCK was written.
 void Pwm::update_group(std::uint64_t now) {
   Channel& zero = channels_[0];
   const std::uint64_t begun = now - (now - zero.origin) % period_of(0);
@@ -210,6 +219,7 @@ void Pwm::event(std::uint64_t now) {
   plan();
 }
 
+// Schedules event() for the next period boundary at which a channel takes new values.
 void Pwm::plan() {
   std::uint64_t when = kNever;
   const std::uint64_t now = system_.now();
@@ -223,6 +233,7 @@ void Pwm::plan() {
   system_.scheduler.set(id_, when);
 }
 
+// Finds the level again of each pin that shows a PWM output.
 void Pwm::outputs_changed() {
   for (const PwmPin& pin : kPwmPins) {
     const PinSetting& setting = pins_.setting(pin.pin);
@@ -232,6 +243,7 @@ void Pwm::outputs_changed() {
 
 // -- faults -----------------------------------------------------------------------------------
 
+// An edge at a fault pin. With its filter (FFIL) on, it counts only after one cycle.
 void Pwm::pin_changed(int fault_input, bool, std::uint64_t now) {
   fault_since_[index(fault_input)] = now;
   if (((fault_mode_ >> (16 + fault_input)) & 1U) != 0) {
@@ -253,11 +265,13 @@ void Pwm::filter_faults() {
   }
 }
 
+// PWM_FSR from the inputs: a fault is present while its input has the level FPOL, and stays with
+// FMOD until it is cleared. Channels that become faulted, or no longer are, change their outputs.
 void Pwm::update_faults() {
   integrate_all();
   filter_faults();
   const std::uint32_t polarity = fault_mode_ & 0xFFU;
-  const std::uint32_t present = ~(fault_inputs_ ^ polarity) & 0x3FU;
+  const std::uint32_t present = ~(fault_inputs_ ^ polarity) & 0x3FU;  // six inputs
   const std::uint32_t latched = (fault_mode_ >> 8) & 0xFFU;
   faults_ = present | (faults_ & latched);
   bool changed = false;

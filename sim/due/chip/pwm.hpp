@@ -45,11 +45,11 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
 
  private:
   struct Channel {
-    std::uint32_t mode = 0;
-    std::uint32_t duty = 0;
-    std::uint32_t period = 0;
-    std::uint32_t duty_update = 0;
-    std::uint32_t period_update = 0;
+    std::uint32_t mode = 0;           // CMR
+    std::uint32_t duty = 0;           // CDTY
+    std::uint32_t period = 0;         // CPRD
+    std::uint32_t duty_update = 0;    // CDTYUPD
+    std::uint32_t period_update = 0;  // CPRDUPD
     bool duty_waiting = false;
     bool period_waiting = false;
     bool enabled = false;
@@ -64,11 +64,13 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
   bool synchronous(int channel) const {
     return ((sync_ >> channel) & 1U) != 0 || (channel == 0 && (sync_ & 0xFFU) != 0);
   }
+  // The channel whose counter, clock and period this channel uses: in the group, channel 0.
   const Channel& counter_of(int channel) const {
     return channels_[synchronous(channel) ? 0 : index(channel)];
   }
   std::uint64_t step_cycles(int channel) const;
   std::uint64_t period_of(int channel) const;
+  // CMR.CALG: centre-aligned.
   bool center(int channel) const { return (counter_of(channel).mode & (1U << 8)) != 0; }
   bool counts(int channel) const;
   bool forced(int channel, bool low_side, bool& level) const;
@@ -108,17 +110,17 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
   FaultFilter filter_{*this};
   Scheduler::Id filter_id_;
   std::array<Channel, kPwmChannels> channels_{};
-  std::uint32_t clock_ = 0;
+  std::uint32_t clock_ = 0;       // CLK
   std::uint32_t sync_ = 0;        // SCM
   bool update_unlocked_ = false;  // SCUC.UPDULOCK
   std::uint64_t unlocked_since_ = 0;
-  std::uint32_t override_value_ = 0;
-  std::uint32_t override_ = 0;
-  std::uint32_t fault_mode_ = 0;
-  std::uint32_t fault_inputs_ = 0;  // behind the filters
+  std::uint32_t override_value_ = 0;  // OOV
+  std::uint32_t override_ = 0;        // OS
+  std::uint32_t fault_mode_ = 0;      // FMR
+  std::uint32_t fault_inputs_ = 0;    // behind the filters
   std::array<std::uint64_t, 3> fault_since_{};
-  std::uint32_t faults_ = 0;
-  std::uint32_t fault_values_ = 0;
+  std::uint32_t faults_ = 0;        // FSR.FS: active, latched ones included
+  std::uint32_t fault_values_ = 0;  // FPV
   std::array<std::uint8_t, kPwmChannels> fault_enable_{};
   std::array<bool, kPwmChannels> faulted_{};
 };

@@ -10,13 +10,15 @@ namespace due_emulator {
 
 namespace {
 
-constexpr std::uint32_t kTransparent = 1U << 11;
-constexpr std::uint32_t kBothEdges = 1U << 12;  // EDGPHA
+// TC_BMR
+constexpr std::uint32_t kTransparent = 1U << 11;  // QDTRANS: the direction is not tracked
+constexpr std::uint32_t kBothEdges = 1U << 12;    // EDGPHA
 constexpr std::uint32_t kInvertA = 1U << 13;
 constexpr std::uint32_t kInvertB = 1U << 14;
 constexpr std::uint32_t kSwap = 1U << 16;
 constexpr std::uint32_t kFilter = 1U << 19;
 
+// TC_QISR
 constexpr std::uint32_t kDirChange = 1U << 1;
 constexpr std::uint32_t kError = 1U << 2;
 
@@ -29,6 +31,7 @@ void Quadrature::reset() {
   down_ = turning_ = have_last_ = false;
 }
 
+// TC_BMR was written; the decoder begins anew from the levels `a` and `b` at TIOA0 and TIOB0.
 void Quadrature::set_mode(std::uint32_t block_mode, bool a, bool b) {
   mode_ = block_mode;
   a_ = {(mode_ & kInvertA) != 0 ? !a : a, false, 0};
@@ -38,11 +41,14 @@ void Quadrature::set_mode(std::uint32_t block_mode, bool a, bool b) {
   have_last_ = turning_ = false;
 }
 
-// Pulses of up to MAXFILT clocks are dropped; longer ones come through that much later.
+// Cycles by which the filter delays an edge; 0 without filter. Pulses of up to MAXFILT clocks are
+// dropped.
 std::uint64_t Quadrature::filter_cycles() const {
   return (mode_ & kFilter) != 0 ? ((mode_ >> 20) & 63U) + 1 : 0;
 }
 
+// An edge at a pin. After inversion and swap it waits for the filter's time; a pulse that ends
+// before that is dropped.
 void Quadrature::input(bool is_a, bool level, std::uint64_t now) {
   if (!enabled()) return;
   settle(now);
@@ -54,6 +60,7 @@ void Quadrature::input(bool is_a, bool level, std::uint64_t now) {
   if (filter_cycles() == 0) settle(now);
 }
 
+// See quadrature.hpp: lets each waiting edge pass that is older than the filter's time.
 void Quadrature::settle(std::uint64_t now) {
   const std::uint64_t wait = filter_cycles();
   const auto ready = [now, wait](const Input& phase) {
@@ -67,6 +74,8 @@ void Quadrature::settle(std::uint64_t now) {
   }
 }
 
+// An edge has passed the filter: it may be an error (QERR), and it may count: edges of phase B only
+// with EDGPHA. `up` follows from the levels of both phases after the edge.
 void Quadrature::pass(bool is_a, std::uint64_t time) {
   Input& phase = is_a ? a_ : b_;
   phase.waiting = false;

@@ -14,7 +14,7 @@ class Wdt final : public Peripheral {
   void reset() override;
   void clock_changed() override { plan(); }
   void event(std::uint64_t now) override;
-  // By WDT_CR, since the model was made.
+  // Restarts by WDT_CR since the model was made.
   std::uint64_t restarts() const { return restarts_; }
 
  protected:
@@ -23,6 +23,7 @@ class Wdt final : public Peripheral {
 
  private:
   BoardTime passed() const;
+  // WDT_MR.WDV, from which the counter runs down, and WDD, below which it may be restarted.
   std::uint32_t value() const { return mode_ & 0xFFFU; }
   std::uint32_t window() const { return (mode_ >> 16) & 0xFFFU; }
   void restart();
@@ -30,12 +31,12 @@ class Wdt final : public Peripheral {
   void plan();
 
   Scheduler::Id id_;
-  std::uint32_t mode_ = 0;
-  bool written_ = false;
+  std::uint32_t mode_ = 0;  // WDT_MR
+  bool written_ = false;    // after the last reset
   std::uint64_t restarts_ = 0;
   std::uint32_t status_ = 0;
-  BoardTime start_ = 0;
-  std::uint64_t sleep_at_start_ = 0;
+  BoardTime start_ = 0;               // when the counter was loaded
+  std::uint64_t sleep_at_start_ = 0;  // cycles that the processor had slept by then
 };
 
 // Reset controller (section 14).
@@ -55,7 +56,7 @@ class Rstc final : public Peripheral {
  private:
   std::uint32_t mode_ = 1;
   ResetType type_ = ResetType::kGeneral;
-  bool user_seen_ = false;
+  bool user_seen_ = false;  // RSTC_SR.URSTS
   bool nrst_low_ = false;
 };
 
@@ -74,6 +75,7 @@ class Gpbr final : public Peripheral {
   std::array<std::uint32_t, 8> words_{};
 };
 
+// Chip identifier: it names the SAM3X8E.
 class ChipId final : public Peripheral {
  public:
   explicit ChipId(System& system);

@@ -48,6 +48,7 @@ constexpr std::uint32_t flash_limit_Hz(std::uint32_t wait_states) {
   return wait_states < 4 ? kLimits[wait_states] : 90000000;
 }
 
+// Processor, memories, bus, events and clock, and what the peripherals know of each other.
 struct System {
   Memory memory;
   Diagnostics diagnostics;
@@ -66,19 +67,22 @@ struct System {
   bool upll_locked = false;
   // EEFC_FMR.FWS of both flash planes.
   std::array<std::uint32_t, 2> flash_wait_states{};
-  // Set by whoever wants the chip reset; carried out after the running instruction.
+  // A reset was requested; the chip carries it out after the running instruction.
   bool reset_wanted = false;
   bool processor_only = false;
   ResetType reset_type = ResetType::kGeneral;
 
+  // Time in cycles of MCK, and in board time.
   std::uint64_t now() const { return cpu.cycles(); }
   BoardTime board_now() const { return clock.time_at(cpu.cycles()); }
+  // Whether the PMC clocks a peripheral.
   bool clocked(int identifier) const {
     return ((peripheral_clocks >> static_cast<unsigned>(identifier)) & 1U) != 0;
   }
   void set_irq(int identifier, bool high) {
     exceptions.set_line(static_cast<std::uint8_t>(identifier), high);
   }
+  // Asks for a reset; the chip carries it out as soon as the running instruction ends.
   void request_reset(ResetType type, bool only_processor = false) {
     reset_wanted = true;
     processor_only = only_processor;

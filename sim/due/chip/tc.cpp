@@ -63,10 +63,15 @@ constexpr std::uint32_t kQimr = 0xD0;
 constexpr std::uint32_t kQisr = 0xD4;
 
 constexpr const char* kNames[] = {"TC0", "TC1", "TC2"};
-constexpr std::uint32_t kSpeed = 1U << 10;
+constexpr std::uint32_t kSpeedEn = 1U << 10;        // TC_BMR.SPEEDEN
+constexpr std::uint32_t kBmrMask = 0x03FBFF3F;      // the fields that TC_BMR has
+constexpr std::uint32_t kQisrDir = 1U << 8;         // TC_QISR.DIR: downwards
+constexpr std::uint32_t kQuadratureInterrupts = 7;  // IDX, DIRCHG, QERR
+constexpr std::uint32_t kChannelBytes = 0x40;       // from one channel's registers to the next's
 
 }  // namespace
 
+// Block `index` of three; follows and drives the pins that the wiring gives it.
 Tc::Tc(System& system, Pins& pins, int index, const Wiring& wiring)
     : Peripheral(system, kNames[index], 0x40080000U + 0x4000U * static_cast<std::uint32_t>(index),
                  0x4000, id::kTc0 + 3 * index, kRegisters),
@@ -95,9 +100,10 @@ void Tc::reset() {
 
 // Each channel has its own clock; the block's registers run on that of channel 0.
 int Tc::clock_of(std::uint32_t offset) const {
-  return offset < kBcr ? clock_id_ + static_cast<int>(offset / 0x40) : clock_id_;
+  return offset < kBcr ? clock_id_ + static_cast<int>(offset / kChannelBytes) : clock_id_;
 }
 
+// Level at TIOA or TIOB of a channel; low if the pin is not brought out.
 bool Tc::pin_level(int channel, bool is_a) const {
   const int pin = is_a ? wiring_.tioa[channel] : wiring_.tiob[channel];
   return pin >= 0 && pins_.level(pin);
@@ -110,28 +116,32 @@ bool Tc::drives(int signal) const {
   return signal % 2 == 0 || !channel.event_is_tiob();
 }
 
+// `signal`: 2 * channel for TIOA, one more for TIOB.
 bool Tc::level(int signal) const {
   const TcChannel& channel = channels_[signal / 2];
   return signal % 2 == 0 ? channel.output_a() : channel.output_b();
 }
 
+// A channel has changed its output: the pin's wire may change too.
 void Tc::output_changed(int channel, bool is_a) {
   const int pin = is_a ? wiring_.tioa[channel] : wiring_.tiob[channel];
   if (pin >= 0) pins_.refresh(pin, system_.now());
 }
 
 void Tc::not_modelled_in(int channel, std::uint32_t offset, const std::string& text) const {
-  not_modelled(offset + 0x40U * static_cast<std::uint32_t>(channel), text);
+  not_modelled(offset + kChannelBytes * static_cast<std::uint32_t>(channel), text);
 }
 
 void Tc::misuse_in(int channel, std::uint32_t offset, const std::string& text) const {
-  misuse(offset + 0x40U * static_cast<std::uint32_t>(channel), text);
+  misuse(offset + kChannelBytes * static_cast<std::uint32_t>(channel), text);
 }
 
+// A step of the decoder: channel 0 counts it in position mode (POSEN).
 void Tc::quadrature_step(int direction) {
   if (quadrature_.position() && channels_[0].counts_external()) channels_[0].count(direction);
 }
 
+// An edge at TIOA0 or TIOB0, the decoder's inputs; the other channels' pins are not inputs here.
 void Tc::pin_changed(int signal, bool level, std::uint64_t now) {
   const int channel = signal / 2;
   const bool is_a = signal % 2 == 0;
@@ -140,14 +150,17 @@ void Tc::pin_changed(int signal, bool level, std::uint64_t now) {
   if (quadrature_interrupts_ != 0) channels_[0].update_irq();
 }
 
+// Registers whose bits follow the pins or the time: to wait for them is no mistake.
 std::uint32_t Tc::from_outside(std::uint32_t offset) const {
-  if (offset == kQisr) return ~0U;                                  // QISR
-  return offset % 0x40 >= 0x10 && offset % 0x40 <= 0x20 ? ~0U : 0;  // CV, RA, RB, SR
+  if (offset == kQisr) return ~0U;
+  // A channel's CV, RA, RB, RC and SR.
+  return offset % kChannelBytes >= 0x10 && offset % kChannelBytes <= 0x20 ? ~0U : 0;
 }
 
+// A channel's register, or one of the block from TC_BCR on. First, edges pass the decoder's filter.
 std::uint32_t Tc::read(std::uint32_t offset) {
   if (quadrature_.enabled()) quadrature_.settle(system_.now());
-  if (offset < kBcr) return channels_[offset / 0x40].read(offset % 0x40);
+  if (offset < kBcr) return channels_[offset / kChannelBytes].read(offset % kChannelBytes);
   switch (offset) {
     case kBmr:
       return block_mode_;
@@ -155,7 +168,7 @@ std::uint32_t Tc::read(std::uint32_t offset) {
       return quadrature_interrupts_;
     case kQisr: {
       const std::uint32_t value =
-          quadrature_.take_flags() | (quadrature_.direction_down() ? 1U << 8 : 0U);
+          quadrature_.take_flags() | (quadrature_.direction_down() ? kQisrDir : 0U);
       channels_[0].update_irq();
       return value;
     }
@@ -164,21 +177,23 @@ std::uint32_t Tc::read(std::uint32_t offset) {
   }
 }
 
+// TC_BCR triggers all channels at once; TC_BMR sets the decoder; TC_QIER and TC_QIDR its
+// interrupts.
 void Tc::write(std::uint32_t offset, std::uint32_t value) {
   if (quadrature_.enabled()) quadrature_.settle(system_.now());
-  if (offset < kBcr) return channels_[offset / 0x40].write(offset % 0x40, value);
+  if (offset < kBcr) return channels_[offset / kChannelBytes].write(offset % kChannelBytes, value);
   switch (offset) {
     case kBcr:
-      if ((value & 1U) == 0) return;
+      if ((value & 1U) == 0) return;  // SYNC
       for (TcChannel& channel : channels_) channel.software_trigger();
       return;
     case kBmr:
-      block_mode_ = value & 0x03FBFF3FU;
-      if ((value & kSpeed) != 0) not_modelled(offset, "speed measurement is not modelled");
+      block_mode_ = value & kBmrMask;
+      if ((value & kSpeedEn) != 0) not_modelled(offset, "speed measurement is not modelled");
       quadrature_.set_mode(block_mode_, pin_level(0, true), pin_level(0, false));
       return;
     case kQier:
-      quadrature_interrupts_ |= value & 7U;
+      quadrature_interrupts_ |= value & kQuadratureInterrupts;
       break;
     case kQidr:
       quadrature_interrupts_ &= ~value;

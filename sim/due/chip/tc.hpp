@@ -25,6 +25,7 @@ class TcChannel final : public EventSink {
   // A step of the quadrature decoder, when the channel counts those.
   void count(int direction);
   void software_trigger();
+  // TCCLKS = 5 (XC0): the channel counts the steps of the decoder.
   bool counts_external() const { return running_ && (mode_ & 7U) == 5; }
   bool output_a() const { return level_a_; }
   bool output_b() const { return level_b_; }
@@ -35,11 +36,14 @@ class TcChannel final : public EventSink {
   void update_irq();
 
  private:
+  // Times of the counter are counted in `steps` of its clock since the prescaler began, and in
+  // `ticks`, which are the steps since the counter was 0.
   std::uint64_t step() const;
   bool pending() const;
   std::uint64_t ticks(std::uint64_t now) const;
   std::uint64_t period() const;
   std::uint32_t value() const;
+  // WAVSEL 1 and 3: the counter runs up and then down.
   bool updown() const { return is_wave() && ((mode_ >> 13) & 1U) != 0; }
   bool resets_at_rc() const;
   std::uint64_t next_match(std::uint64_t after, std::uint32_t compare) const;
@@ -58,19 +62,19 @@ class TcChannel final : public EventSink {
   int index_;
   int identifier_;
   Scheduler::Id id_;
-  std::uint32_t mode_ = 0;
+  std::uint32_t mode_ = 0;  // TC_CMR
   std::uint32_t ra_ = 0;
   std::uint32_t rb_ = 0;
   std::uint32_t rc_ = 0;
-  std::uint32_t status_ = 0;
-  std::uint32_t interrupts_ = 0;
+  std::uint32_t status_ = 0;      // TC_SR: the flags that reading clears
+  std::uint32_t interrupts_ = 0;  // TC_IMR
   bool enabled_ = false;          // CLKSTA
   bool running_ = false;          // enabled and triggered
   bool clears_ = false;           // the decoder's next step clears the counter
   std::uint32_t held_ = 0;        // the value while the clock stands, or counts edges
   std::uint64_t start_step_ = 0;  // clock steps at which the value was 0
   std::uint64_t seen_ticks_ = 0;  // compares up to here are in status_
-  bool level_a_ = false;
+  bool level_a_ = false;          // TIOA and TIOB in waveform mode
   bool level_b_ = false;
 };
 
@@ -110,8 +114,8 @@ class Tc final : public Peripheral, public PinListener, public PinDriver {
   Wiring wiring_;
   TcChannel channels_[3];
   Quadrature quadrature_;
-  std::uint32_t block_mode_ = 0;
-  std::uint32_t quadrature_interrupts_ = 0;
+  std::uint32_t block_mode_ = 0;             // TC_BMR
+  std::uint32_t quadrature_interrupts_ = 0;  // TC_QIMR
 };
 
 }  // namespace due_emulator

@@ -14,6 +14,25 @@ constexpr std::uint32_t kCpas = 1U << 2;
 constexpr std::uint32_t kCpbs = 1U << 3;
 constexpr std::uint32_t kCpcs = 1U << 4;
 
+// TC_CMR. Bit 15 chooses capture or waveform mode; several bits mean something else in each.
+constexpr std::uint32_t kTcclks = 7;    // clock of the counter
+constexpr std::uint32_t kClockXc0 = 5;  // TCCLKS: the quadrature decoder's steps
+constexpr std::uint32_t kBurst = 3U << 4;
+constexpr std::uint32_t kCpcStop = 1U << 6;     // waveform: a compare with RC stops the clock
+constexpr std::uint32_t kCpcDis = 1U << 7;      // waveform: it disables the clock
+constexpr std::uint32_t kEventEdge = 3U << 8;   // ETRGEDG or EEVTEDG
+constexpr std::uint32_t kResetAtRc = 1U << 14;  // CPCTRG, or WAVSEL = 2 or 3
+constexpr std::uint32_t kWave = 1U << 15;
+constexpr std::uint32_t kLoads = 0xFU << 16;       // capture: LDRA and LDRB
+constexpr std::uint32_t kEffects = 0xFFFFU << 16;  // waveform: all effects on TIOA and TIOB
+// Lowest bit of an effect field, which has two bits.
+constexpr unsigned kAcpa = 16;
+constexpr unsigned kAcpc = 18;
+constexpr unsigned kAswtrg = 22;
+constexpr unsigned kBcpb = 24;
+constexpr unsigned kBcpc = 26;
+constexpr unsigned kBswtrg = 30;
+
 constexpr std::uint64_t kWhole = std::uint64_t{1} << 32;  // values of the counter
 
 // Offsets of a channel's registers.
@@ -46,7 +65,7 @@ void TcChannel::reset() {
 
 // Processor cycles per step of the counter, by TCCLKS; 0 if it counts edges instead of time.
 std::uint64_t TcChannel::step() const {
-  switch (mode_ & 7U) {
+  switch (mode_ & kTcclks) {
     case 0:
       return 2;
     case 1:
@@ -55,7 +74,7 @@ std::uint64_t TcChannel::step() const {
       return 32;
     case 3:
       return 128;
-    case 4:
+    case 4:  // the slow clock
       return std::max<std::uint64_t>(system_.clock.mck_Hz() / system_.slow_Hz, 1);
     default:
       return 0;
@@ -67,13 +86,11 @@ bool TcChannel::pending() const {
   return step() != 0 ? system_.now() / step() < start_step_ : clears_;
 }
 
-// The prescaler runs freely; the counter moves on its edges.
+// Clock steps since the counter was 0. The prescaler runs freely; the counter moves on its edges.
 std::uint64_t TcChannel::ticks(std::uint64_t now) const { return now / step() - start_step_; }
 
-bool TcChannel::resets_at_rc() const {
-  if (!is_wave()) return (mode_ & (1U << 14)) != 0;
-  return (mode_ & (1U << 14)) != 0;  // WAVSEL 2 and 3
-}
+// Whether the counter begins at 0 again (or turns, in up-down modes) when it reaches RC.
+bool TcChannel::resets_at_rc() const { return (mode_ & kResetAtRc) != 0; }
 
 // Steps after which the counter repeats itself.
 std::uint64_t TcChannel::period() const {
@@ -81,6 +98,7 @@ std::uint64_t TcChannel::period() const {
   return updown() ? 2 * top : top;
 }
 
+// TC_CV now.
 std::uint32_t TcChannel::value() const {
   if (!running_ || step() == 0 || pending()) return held_;
   const std::uint64_t phase = ticks(system_.now()) % period();
@@ -98,6 +116,7 @@ std::uint64_t TcChannel::next_match(std::uint64_t after, std::uint32_t compare) 
     const std::uint64_t here = after % whole;
     return after + (phase > here ? phase - here : phase + whole - here);
   };
+  // An up-down counter passes each value twice in a period.
   std::uint64_t match = next(compare);
   if (updown()) match = std::min(match, next(whole - compare));
   return match;
@@ -132,8 +151,7 @@ void TcChannel::matched(std::uint32_t flag, std::uint32_t a_effect, std::uint32_
   effect(level_b_, b_effect, false);
 }
 
-// Applies the compares and overflows from the last call until now, in order of time. The shifts of
-// mode_ select the fields ACPA, BCPB, ACPC and BCPC.
+// Applies the compares and overflows from the last call until now, in order of time.
 void TcChannel::settle() {
   if (!running_ || step() == 0 || pending()) return;
   const std::uint64_t now = ticks(system_.now());
@@ -152,14 +170,13 @@ void TcChannel::settle() {
       continue;
     }
     seen_ticks_ = first;
-    if (a == first) matched(kCpas, mode_ >> 16, 0);
-    if (b == first) matched(kCpbs, 0, mode_ >> 24);
+    if (a == first) matched(kCpas, mode_ >> kAcpa, 0);
+    if (b == first) matched(kCpbs, 0, mode_ >> kBcpb);
     if (overflows && overflow == first) status_ |= kCovfs;
     if (c == first) {
-      matched(kCpcs, mode_ >> 18, mode_ >> 26);
-      // CPCSTOP and CPCDIS.
-      const bool stops = is_wave() && (mode_ & (1U << 6)) != 0;
-      const bool disables = is_wave() && (mode_ & (1U << 7)) != 0;
+      matched(kCpcs, mode_ >> kAcpc, mode_ >> kBcpc);
+      const bool stops = is_wave() && (mode_ & kCpcStop) != 0;
+      const bool disables = is_wave() && (mode_ & kCpcDis) != 0;
       if (stops || disables) {
         held_ = resets_at_rc() ? 0 : rc_;
         running_ = false;
@@ -174,14 +191,17 @@ void TcChannel::settle() {
 void TcChannel::plan() {
   std::uint64_t when = kNever;
   if (running_ && step() != 0) {
-    const bool drives = is_wave() && (mode_ & 0xFFFF0000U) != 0;
-    const bool stops = is_wave() && (mode_ & 0xC0U) != 0;
+    const bool drives = is_wave() && (mode_ & kEffects) != 0;
+    const bool stops = is_wave() && (mode_ & (kCpcStop | kCpcDis)) != 0;
+    // Whether a compare must be acted on in time: `effects` are its fields in TC_CMR.
     const auto wanted = [&](std::uint32_t flag, std::uint32_t effects) {
       return (interrupts_ & flag) != 0 || (drives && (mode_ & effects) != 0);
     };
-    if (is_wave() && wanted(kCpas, 3U << 16)) when = std::min(when, next_match(seen_ticks_, ra_));
-    if (is_wave() && wanted(kCpbs, 3U << 24)) when = std::min(when, next_match(seen_ticks_, rb_));
-    if (wanted(kCpcs, (3U << 18) | (3U << 26)) || stops) {
+    if (is_wave() && wanted(kCpas, 3U << kAcpa))
+      when = std::min(when, next_match(seen_ticks_, ra_));
+    if (is_wave() && wanted(kCpbs, 3U << kBcpb))
+      when = std::min(when, next_match(seen_ticks_, rb_));
+    if (wanted(kCpcs, (3U << kAcpc) | (3U << kBcpc)) || stops) {
       when = std::min(when, next_match(seen_ticks_, rc_));
     }
     if ((interrupts_ & kCovfs) != 0) when = std::min(when, (seen_ticks_ / kWhole + 1) * kWhole);
@@ -190,6 +210,7 @@ void TcChannel::plan() {
   system_.scheduler.set(id_, when);
 }
 
+// A compare or an overflow for which plan() has scheduled this.
 void TcChannel::event(std::uint64_t) {
   settle();
   update_irq();
@@ -221,11 +242,14 @@ void TcChannel::trigger() {
   if (step() != 0) ++start_step_;
 }
 
+// TC_CCR.CLKDIS: the counter keeps its value.
 void TcChannel::stop() {
   held_ = value();
   running_ = enabled_ = false;
 }
 
+// One step of the quadrature decoder, up (+1) or down (-1). After a trigger, the step clears the
+// counter instead of moving it.
 void TcChannel::count(int direction) {
   if (std::exchange(clears_, false)) {
     held_ = 0;
@@ -238,16 +262,18 @@ void TcChannel::count(int direction) {
   if ((status_ & interrupts_) != 0) update_irq();
 }
 
+// TC_CCR.SWTRG or TC_BCR.SYNC: a trigger, with its effects on the outputs.
 void TcChannel::software_trigger() {
   settle();
   trigger();
   if (is_wave()) {
-    effect(level_a_, mode_ >> 22, true);
-    effect(level_b_, mode_ >> 30, false);
+    effect(level_a_, mode_ >> kAswtrg, true);
+    effect(level_b_, mode_ >> kBswtrg, false);
   }
   plan();
 }
 
+// Status and counter first become what they are at this time.
 std::uint32_t TcChannel::read(std::uint32_t offset) {
   settle();
   plan();
@@ -292,17 +318,17 @@ void TcChannel::write_control(std::uint32_t value) {
 // TC_CMR. Refuses what is not modelled; a running counter keeps its value.
 void TcChannel::write_mode(std::uint32_t value) {
   const std::uint32_t at = value != 0 || running_ ? this->value() : 0;
-  const bool quadrature = (value & 7U) == 5 && index_ == 0;
-  if ((value & 7U) > 4 && !quadrature) {
+  const bool quadrature = (value & kTcclks) == kClockXc0 && index_ == 0;
+  if ((value & kTcclks) >= kClockXc0 && !quadrature) {
     block_.not_modelled_in(index_, kCmr,
                            "external clocks other than the decoder's are not modelled");
   }
-  if ((value & 0x30U) != 0) block_.not_modelled_in(index_, kCmr, "BURST is not modelled");
-  if ((value & (1U << 15)) != 0 && (value & 0x300U) != 0) {
+  if ((value & kBurst) != 0) block_.not_modelled_in(index_, kCmr, "BURST is not modelled");
+  if ((value & kWave) != 0 && (value & kEventEdge) != 0) {
     block_.not_modelled_in(index_, kCmr, "external events in waveform mode are not modelled");
   }
   // The decoder of channel 0 takes the pins; then ETRGEDG chooses the edge of an index pulse.
-  if ((value & (1U << 15)) == 0 && (value & (quadrature ? 0xF0000U : 0xF0300U)) != 0) {
+  if ((value & kWave) == 0 && (value & (quadrature ? kLoads : kLoads | kEventEdge)) != 0) {
     block_.not_modelled_in(index_, kCmr, "captures and triggers by TIOA or TIOB are not modelled");
   }
   const bool triggered = running_ && pending();
@@ -311,6 +337,7 @@ void TcChannel::write_mode(std::uint32_t value) {
   if (triggered) trigger();
 }
 
+// Compares up to now happen with the old values; then the write acts.
 void TcChannel::write(std::uint32_t offset, std::uint32_t value) {
   settle();
   switch (offset) {
@@ -329,6 +356,7 @@ void TcChannel::write(std::uint32_t offset, std::uint32_t value) {
       rb_ = value;
       break;
     case kRc: {
+      // The counter goes on from its value with the new period.
       const std::uint32_t at = this->value();
       rc_ = value;
       if (!running_ || !resets_at_rc() || pending()) break;

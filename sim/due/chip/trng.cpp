@@ -42,21 +42,24 @@ void Trng::reset() {
   update();
 }
 
+// TRNG_CR.ENABLE: the first value comes 84 cycles later.
 void Trng::enable(bool on) {
   if (on && !enabled_) next_ = system_.now() + kCycles;
   enabled_ = on;
   if (!on) ready_ = false;
 }
 
+// The last value that is complete by now; values in between are skipped, as on the chip.
 void Trng::catch_up() {
   if (!enabled_ || system_.now() < next_) return;
   const std::uint64_t values = (system_.now() - next_) / kCycles + 1;
   next_ += values * kCycles;
-  state_ += values * 0x9E3779B97F4A7C15U;
+  state_ += values * 0x9E3779B97F4A7C15U;  // SplitMix64's step: 2^64 / golden ratio
   value_ = mixed(state_);
   ready_ = true;
 }
 
+// Sets the interrupt line, and schedules the next value if an interrupt waits for it.
 void Trng::update() {
   system_.set_irq(id::kTrng, ready_ && !masked_);
   system_.scheduler.set(id_, enabled_ && !masked_ && !ready_ ? next_ : kNever);
@@ -67,6 +70,7 @@ void Trng::event(std::uint64_t) {
   update();
 }
 
+// TRNG_ODATA (default), TRNG_IMR, or TRNG_ISR, which reading clears.
 std::uint32_t Trng::read(std::uint32_t offset) {
   catch_up();
   std::uint32_t value = value_;
@@ -79,6 +83,7 @@ std::uint32_t Trng::read(std::uint32_t offset) {
   return value;
 }
 
+// TRNG_CR switches the generator with its key; TRNG_IER and TRNG_IDR set the interrupt's mask.
 void Trng::write(std::uint32_t offset, std::uint32_t value) {
   catch_up();
   if (offset == kCr) {

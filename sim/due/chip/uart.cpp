@@ -53,8 +53,13 @@ constexpr std::uint32_t kTxEmpty = 1U << 9;
 constexpr std::uint32_t kTxBufE = 1U << 11;
 constexpr std::uint32_t kRxBufF = 1U << 12;
 
+constexpr unsigned kChannelModeShift = 14;  // UART_MR.CHMODE
+constexpr std::uint32_t kLocalLoopback = 2;
+constexpr std::uint32_t kMrMask = 0xCE00;  // UART_MR: CHMODE, PAR
+
 constexpr int kTxPin = pin_of('A', 9);
-// Half a bit less the start bit's uncertainty of a sixteenth, over the 9.5 bits to the stop bit.
+// Relative difference of the bit rates that the receiver tolerates: half a bit less the start bit's
+// uncertainty of a sixteenth, over the 9.5 bits to the middle of the stop bit.
 constexpr double kLargestMismatch = 0.045;
 
 // Returns a wrong value for a byte that the receiver cannot decode. Any wrong value is right here.
@@ -62,6 +67,8 @@ std::uint8_t garbled(std::uint8_t byte) { return static_cast<std::uint8_t>(byte 
 
 }  // namespace
 
+// At the end of the running buffer ENDRX or ENDTX is set, and the next buffer becomes the running
+// one.
 void PdcHalf::advance() {
   ++pointer;
   if (--count != 0) return;
@@ -95,6 +102,7 @@ Uart::Uart(System& system, Pins& pins)
   pins.connect_driver(kTxPin, false, this, 1);
 }
 
+// Transmitter and receiver are off, and all buffers are empty.
 void Uart::reset() {
   mode_ = interrupts_ = divider_ = errors_ = 0;
   rx_enabled_ = tx_enabled_ = rx_ready_ = shifting_ = holding_full_ = false;
@@ -105,6 +113,7 @@ void Uart::reset() {
   update_irq();
 }
 
+// UART_SR as it is now.
 std::uint32_t Uart::status() const {
   std::uint32_t value = errors_;
   if (rx_ready_) value |= kRxRdy;
@@ -168,8 +177,8 @@ void Uart::event(std::uint64_t) {
   }
   feed_transmitter();
   update_irq();
-  const std::uint32_t loop = (mode_ >> 14) & 3U;
-  if (loop == 2) return receive(byte, bit_cycles());
+  const std::uint32_t channel_mode = (mode_ >> kChannelModeShift) & 3U;
+  if (channel_mode == kLocalLoopback) return receive(byte, bit_cycles());
   const PinSetting& pin = pins_.setting(kTxPin);
   if (!pin.given_to_peripheral || pin.peripheral_b) {
     return misuse(kThr, "a byte is sent while PA9 is not given to the UART (PIO_PDR, PIO_ABSR)");
@@ -180,13 +189,15 @@ void Uart::event(std::uint64_t) {
 
 // -- receiver ---------------------------------------------------------------------------------
 
+// Puts a byte from the wire into UART_RHR. With another bit rate or parity at the sender the byte
+// is wrong and FRAME (and PARE) is set; a byte that was not read is lost, which sets OVRE.
 void Uart::receive(std::uint8_t byte, std::uint64_t sender_bit_cycles) {
   if (!rx_enabled_ || divider_ == 0 || !system_.clocked(clock_id_)) return;
   const double ratio = static_cast<double>(sender_bit_cycles) / bit_cycles();
   const bool in_step = ratio >= 1.0 - kLargestMismatch && ratio <= 1.0 + kLargestMismatch;
   // With different parities, a parity bit is read as a stop bit, and the next start bit is expected
   // at the wrong time. The local loopback has only one end.
-  const bool same_frame = ((mode_ >> 14) & 3U) != 0 || understood();
+  const bool same_frame = ((mode_ >> kChannelModeShift) & 3U) != 0 || understood();
   if (!in_step || !same_frame) {
     errors_ |= same_frame ? kFrame : kFrame | kPare;
     byte = garbled(byte);
@@ -230,6 +241,7 @@ void Uart::control(std::uint32_t value) {
   feed_transmitter();
 }
 
+// Registers of the PDC. UART_PTSR (default): bit 0 is RXTEN, bit 8 TXTEN.
 std::uint32_t Uart::read_pdc(std::uint32_t offset) const {
   switch (offset) {
     case kRpr:
@@ -256,6 +268,7 @@ std::uint32_t Uart::read_pdc(std::uint32_t offset) const {
 // The datasheet does not say what happens when a buffer is written just as the running one ends, so
 // that is reported as misuse.
 void Uart::check_pdc(std::uint32_t offset, std::uint32_t value) const {
+  // Offsets of the transmitter's registers have bit 3 set.
   const PdcHalf& half = (offset & 8U) != 0 ? tx_ : rx_;
   if (!half.enabled) return;
   const bool next = offset >= kRnpr;
@@ -304,11 +317,13 @@ void Uart::write_pdc(std::uint32_t offset, std::uint32_t value) {
   feed_transmitter();
 }
 
+// Bits that depend on what the peer sends: to wait for them is no mistake.
 std::uint32_t Uart::from_outside(std::uint32_t offset) const {
   if (offset == kSr) return kRxRdy | kEndRx | kRxBufF | kOvre | kFrame | kPare;
   return offset == kRhr || offset == kRpr || offset == kRcr ? ~0U : 0;
 }
 
+// Reading UART_RHR clears RXRDY.
 std::uint32_t Uart::read(std::uint32_t offset) {
   if (offset >= kRpr) return read_pdc(offset);
   switch (offset) {
@@ -329,14 +344,17 @@ std::uint32_t Uart::read(std::uint32_t offset) {
   }
 }
 
+// Each write can change the status, and so the interrupt line.
 void Uart::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kCr:
       control(value);
       break;
     case kMr:
-      mode_ = value & 0xCE00U;
-      if (((value >> 14) & 1U) != 0) not_modelled(offset, "this channel mode is not modelled");
+      mode_ = value & kMrMask;
+      // Automatic echo and remote loopback.
+      if (((value >> kChannelModeShift) & 1U) != 0)
+        not_modelled(offset, "this channel mode is not modelled");
       break;
     case kIer:
       interrupts_ |= value;

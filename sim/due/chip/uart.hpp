@@ -69,6 +69,7 @@ class Uart final : public Peripheral, public PinDriver {
     return static_cast<Parity>(((mode_ >> 9) & 7U) < 4 ? (mode_ >> 9) & 7U : 4U);
   }
   bool has_parity() const { return parity() != Parity::kNone; }
+  // Whether both ends use the same parity.
   bool understood() const { return peer_ == nullptr || peer_->parity() == parity(); }
   void control(std::uint32_t value);
   void transmit(std::uint8_t byte);
@@ -83,18 +84,18 @@ class Uart final : public Peripheral, public PinDriver {
   Pins& pins_;
   SerialPeer* peer_ = nullptr;
   Scheduler::Id id_;
-  std::uint32_t mode_ = 0;
-  std::uint32_t interrupts_ = 0;
-  std::uint32_t divider_ = 0;
+  std::uint32_t mode_ = 0;        // UART_MR
+  std::uint32_t interrupts_ = 0;  // UART_IMR
+  std::uint32_t divider_ = 0;     // UART_BRGR.CD
   bool rx_enabled_ = false;
   bool tx_enabled_ = false;
   bool rx_ready_ = false;
-  std::uint8_t rx_byte_ = 0;
-  std::uint32_t errors_ = 0;
-  bool shifting_ = false;
+  std::uint8_t rx_byte_ = 0;  // UART_RHR
+  std::uint32_t errors_ = 0;  // UART_SR: OVRE, FRAME, PARE
+  bool shifting_ = false;     // a byte is being sent:
   std::uint8_t shift_byte_ = 0;
-  std::uint64_t shift_end_ = 0;
-  bool holding_full_ = false;
+  std::uint64_t shift_end_ = 0;  // cycle at which its stop bit ends
+  bool holding_full_ = false;    // UART_THR holds the byte after it
   std::uint8_t holding_ = 0;
   PdcHalf rx_;
   PdcHalf tx_;

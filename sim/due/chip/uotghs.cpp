@@ -103,11 +103,11 @@ constexpr std::uint32_t kFsm = 0x82C;
 #undef DUE_DMA
 
 constexpr std::uint32_t kControlReset = 0x03004000;  // device mode, UOTGID decides, clock frozen
-constexpr std::uint32_t kUsbe = 1U << 15;
-constexpr std::uint32_t kDetached = 1U << 8;
-constexpr std::uint32_t kIdIsDevice = 1U << 10;
-constexpr std::uint32_t kClkUsable = 1U << 14;
-constexpr std::uint32_t kIdleState = 9;
+constexpr std::uint32_t kUsbe = 1U << 15;            // CTRL.USBE
+constexpr std::uint32_t kDetached = 1U << 8;         // DEVCTRL.DETACH
+constexpr std::uint32_t kIdIsDevice = 1U << 10;      // SR.ID
+constexpr std::uint32_t kClkUsable = 1U << 14;       // SR.CLKUSABLE
+constexpr std::uint32_t kIdleState = 9;              // FSM.DRDSTATE: B_IDLE
 
 }  // namespace
 
@@ -120,6 +120,7 @@ void Uotghs::reset() {
   interrupts_ = endpoints_ = 0;
 }
 
+// The state of a port with no cable: a device by its ID pin, idle, and detached.
 std::uint32_t Uotghs::read(std::uint32_t offset) {
   switch (offset) {
     case kDevctrl:
@@ -139,6 +140,7 @@ std::uint32_t Uotghs::read(std::uint32_t offset) {
   }
 }
 
+// The registers only keep what is written.
 void Uotghs::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kDevctrl:

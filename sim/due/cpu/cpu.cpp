@@ -9,9 +9,12 @@ namespace due_emulator {
 
 namespace {
 
+// Handler of a slot that is not decoded yet.
 const Insn* decode_slot(Cpu& cpu, const Insn* insn) { return cpu.decode(insn); }
+// Handler of the slot behind the end of a memory.
 const Insn* fetch_fails(Cpu& cpu, const Insn*) { return cpu.bad_fetch(); }
 
+// What an empty slot of a code window holds: running it decodes the instruction.
 Insn blank() {
   Insn insn{};
   insn.run = &decode_slot;
@@ -19,16 +22,21 @@ Insn blank() {
   return insn;
 }
 
+// What the slot behind a window's end holds.
 Insn past_end() {
   Insn insn{};
   insn.run = &fetch_fails;
   return insn;
 }
 
+constexpr std::uint32_t kUnalignTrap = 1U << 3;  // CCR.UNALIGN_TRP
+
 std::uint32_t pc_of_cpu(const void* cpu) { return static_cast<const Cpu*>(cpu)->pc(); }
 
 }  // namespace
 
+// Opens the decoded copy of the flash, and has scheduler, exceptions and diagnostics reach the
+// processor.
 Cpu::Cpu(Memory& memory, Bus& bus, Scheduler& scheduler, Exceptions& exceptions)
     : memory_(memory),
       bus_(bus),
@@ -45,9 +53,11 @@ Cpu::Cpu(Memory& memory, Bus& bus, Scheduler& scheduler, Exceptions& exceptions)
   bus_.diagnostics().pc_source = this;
 }
 
+// Reset (B1.5.5): thread mode on the main stack, flags and faults cleared; decoded code is
+// forgotten.
 void Cpu::reset() {
   std::fill(std::begin(r), std::end(r), 0U);
-  r[14] = ~0U;
+  r[14] = ~0U;  // LR
   other_sp_ = 0;
   spsel_ = uses_psp_ = unprivileged_thread_ = false;
   ipsr_ = 0;
@@ -58,14 +68,17 @@ void Cpu::reset() {
   sleeping_ = waiting_for_event_ = false;
   halt_ = Halt::kNone;
   cfsr = hfsr = mmfar = bfar = scr = vtor = 0;
-  ccr = 0x200;
+  ccr = 0x200;  // STKALIGN
   open_exceptions_.clear();
   open_probes_.clear();
   flush_ = false;
   memory_.forget_flash_code();
+  // The two windows of the SRAM.
   memory_.windows[2].forget_all();
   memory_.windows[3].forget_all();
   ip_ = bad_slot(0);
+  // The vector table: the stack pointer, then the address of the reset handler, with bit 0 for
+  // Thumb.
   set_sp(slow_load(vtor, 4));
   const std::uint32_t start = slow_load(vtor + 4, 4);
   thumb_ = (start & 1U) != 0;
@@ -74,7 +87,8 @@ void Cpu::reset() {
 
 // -- running ----------------------------------------------------------------------------------
 
-// Lets events happen and exceptions be taken. False: no instruction may run now.
+// Runs the events that are due, lets time pass if the processor is held in reset or asleep, and
+// enters a pending exception. Returns false if no instruction may run now.
 bool Cpu::prepare(std::uint64_t until) {
   if (cycles_ >= scheduler_.next()) scheduler_.dispatch(cycles_);
   if (flush_) forget_flash_code();
@@ -98,6 +112,8 @@ bool Cpu::prepare(std::uint64_t until) {
   return halt_ == Halt::kNone && cycles_ < until;
 }
 
+// The hot loop: executes instructions until stop_at_. The program counter is in a local variable;
+// ip_ is up to date while an instruction runs.
 void Cpu::burst() {
   const Insn* ip = ip_;
   while (cycles_ < stop_at_) {
@@ -109,6 +125,7 @@ void Cpu::burst() {
   ip_ = ip;
 }
 
+// Alternates between prepare() and burst(). A Fault thrown by an instruction becomes an exception.
 void Cpu::run(std::uint64_t until) {
   leave_ = false;
   while (cycles_ < until && halt_ == Halt::kNone && !leave_) {
@@ -123,6 +140,7 @@ void Cpu::run(std::uint64_t until) {
   }
 }
 
+// As one round of run(), with one instruction in place of a burst.
 void Cpu::step(std::uint64_t until) {
   leave_ = false;
   if (halt_ != Halt::kNone || !prepare(until)) return;
@@ -139,6 +157,8 @@ void Cpu::step(std::uint64_t until) {
 
 // -- decoded code -----------------------------------------------------------------------------
 
+// Handler of a slot that is run for the first time: decodes and executes its instruction. The slot
+// had cost no cycles yet.
 const Insn* Cpu::decode(const Insn* at) {
   const std::uint32_t address = pc_of(at);
   resume_at(address, 0);
@@ -161,6 +181,7 @@ void Cpu::resume_at(std::uint32_t address, std::uint8_t it) {
     window->note_decoded(address);
     if (in_ram) {
       const std::uint32_t offset = address - window->base();
+      // Writes to these blocks of 64 bytes must forget the copy.
       memory_.ram_code[offset / 64] = 1;
       memory_.ram_code[std::min(offset + 3, kRamSize - 1) / 64] = 1;
     }
@@ -169,6 +190,7 @@ void Cpu::resume_at(std::uint32_t address, std::uint8_t it) {
       mark->second.original = slot.run;
       slot.run = [](Cpu& cpu, const Insn* i) { return cpu.marked(i); };
     }
+    // ITAdvance() of the manual (A7.3): the lower five bits shift left, and 000 ends the block.
     it = decoder.is_it()    ? decoder.opens_it()
          : (it & 0x7U) == 0 ? std::uint8_t{0}
                             : static_cast<std::uint8_t>((it & 0xE0U) | ((it << 1) & 0x1FU));
@@ -176,6 +198,8 @@ void Cpu::resume_at(std::uint32_t address, std::uint8_t it) {
   } while (it != 0 && window->holds(address));
 }
 
+// Empties the decoded copies of the flash. An IT block that is being executed is decoded again,
+// because its conditions are known only in the copy.
 void Cpu::forget_flash_code() {
   flush_ = false;
   const bool executing = memory_.windows[0].holds(ip_) || memory_.windows[1].holds(ip_);
@@ -191,6 +215,7 @@ void Cpu::set_flash_wait_states(std::uint32_t count) {
   flush_flash_code();
 }
 
+// The address of a decoded instruction; of the bad slot, the address that was branched to.
 std::uint32_t Cpu::pc_of(const Insn* insn) const {
   for (const CodeWindow& window : memory_.windows) {
     if (window.holds(insn)) return window.address_of(insn);
@@ -198,11 +223,14 @@ std::uint32_t Cpu::pc_of(const Insn* insn) const {
   return bad_pc_;
 }
 
+// The instruction that stands for an address where nothing can be executed: running it faults.
 const Insn* Cpu::bad_slot(std::uint32_t address) {
   bad_pc_ = address;
   return &bad_slot_;
 }
 
+// The decoded instruction at any address; slot() has the fast way for flash. Opens the copy of a
+// memory at its first use.
 const Insn* Cpu::slow_slot(std::uint32_t address) {
   CodeWindow* window = memory_.window_of(address);
   if (window == nullptr) return bad_slot(address);
@@ -211,19 +239,24 @@ const Insn* Cpu::slow_slot(std::uint32_t address) {
   return window->slot(address);
 }
 
+// Handler of an instruction that cannot be fetched: raises the fault that the chip raises.
 const Insn* Cpu::bad_fetch() {
   const std::uint32_t address = pc();
   if (!thumb_) throw Fault{exc::kUsageFault, cfsr::kInvState, 0, false};
   bus_.diagnostics().report(
       Trouble::kUnmapped, address,
       "instruction fetch from " + hex(address) + ", where there is no memory");
+  // Regions of 512 MB in the default memory map (B3.1): peripherals (2), devices and system (from
+  // 5) are execute-never.
   const std::uint32_t region = address >> 29;
   const bool never_executable = region == 2 || region >= 5;
   if (never_executable) throw Fault{exc::kMemManage, cfsr::kIaccViol, 0, false};
   throw Fault{exc::kBusFault, cfsr::kIbusErr, 0, false};
 }
 
+// BXWritePC and LoadWritePC. A target without bit 0 would be ARM code: the next fetch faults.
 const Insn* Cpu::branch_exchange(std::uint32_t target) {
+  // From 0xF0000000 on it is an EXC_RETURN, in handler mode.
   if (target >= 0xF0000000U && ipsr_ != 0) return return_from_exception(target);
   if ((target & 1U) != 0) return slot(target & ~1U);
   thumb_ = false;
@@ -232,6 +265,7 @@ const Insn* Cpu::branch_exchange(std::uint32_t target) {
 
 // -- memory -----------------------------------------------------------------------------------
 
+// Any load that is not an aligned one from SRAM: flash directly, everything else by the bus.
 std::uint32_t Cpu::slow_load(std::uint32_t address, std::uint32_t size) {
   const std::uint32_t offset = address - kFlashBase;
   if (offset < kFlashSize && (address & (size - 1)) == 0 && !flash_busy) {
@@ -239,15 +273,16 @@ std::uint32_t Cpu::slow_load(std::uint32_t address, std::uint32_t size) {
     std::memcpy(&value, memory_.flash.data() + offset, size);
     return value;
   }
-  if ((address & (size - 1)) != 0 && (ccr & 8U) != 0) throw_unaligned(address);
+  if ((address & (size - 1)) != 0 && (ccr & kUnalignTrap) != 0) throw_unaligned(address);
   return bus_.read(address, size);
 }
 
 void Cpu::slow_store(std::uint32_t address, std::uint32_t value, std::uint32_t size) {
-  if ((address & (size - 1)) != 0 && (ccr & 8U) != 0) throw_unaligned(address);
+  if ((address & (size - 1)) != 0 && (ccr & kUnalignTrap) != 0) throw_unaligned(address);
   bus_.write(address, value, size);
 }
 
+// UsageFault UNALIGNED, for accesses that the processor cannot split.
 void Cpu::throw_unaligned(std::uint32_t address) const {
   bus_.diagnostics().report(Trouble::kUnaligned, address,
                             "access to " + hex(address) + ", which this instruction cannot split");
@@ -265,12 +300,14 @@ void Cpu::set_pc(std::uint32_t address) {
   ip_ = slot(address & ~1U);
 }
 
+// For a debugger: r0 to r15.
 void Cpu::set_reg(unsigned index, std::uint32_t value) {
   if (index == 15) return set_pc(value);
   if (index == 13) return set_sp(value);
   r[index] = value;
 }
 
+// xPSR: N, Z, C, V, Q in bits 31 to 27, ITSTATE in 26 to 25 and 15 to 10, T in 24, IPSR below.
 std::uint32_t Cpu::xpsr() const {
   const std::uint32_t it = ip_->it;
   return (n_src & 0x80000000U) | (z_src == 0 ? 1U << 30 : 0U) | (carry << 29) |
@@ -278,6 +315,7 @@ std::uint32_t Cpu::xpsr() const {
          (thumb_ ? 1U << 24 : 0U) | ipsr_;
 }
 
+// Takes N, Z, C, V and Q from bits 31 to 27, in the form in which cpu.hpp keeps the flags.
 void Cpu::set_apsr(std::uint32_t value) {
   n_src = value & 0x80000000U;
   z_src = (value & 0x40000000U) != 0 ? 0 : 1;
@@ -286,34 +324,35 @@ void Cpu::set_apsr(std::uint32_t value) {
   q_flag = (value >> 27) & 1U;
 }
 
+// ConditionPassed (A7.3): bits 3 to 1 choose the test, bit 0 inverts it.
 bool Cpu::passes(unsigned condition) const {
   const bool n = (n_src >> 31) != 0;
   const bool z = z_src == 0;
   const bool v = (v_src >> 31) != 0;
   bool result = true;
   switch (condition >> 1) {
-    case 0:
+    case 0:  // EQ, NE
       result = z;
       break;
-    case 1:
+    case 1:  // CS, CC
       result = carry != 0;
       break;
-    case 2:
+    case 2:  // MI, PL
       result = n;
       break;
-    case 3:
+    case 3:  // VS, VC
       result = v;
       break;
-    case 4:
+    case 4:  // HI, LS
       result = carry != 0 && !z;
       break;
-    case 5:
+    case 5:  // GE, LT
       result = n == v;
       break;
-    case 6:
+    case 6:  // GT, LE
       result = n == v && !z;
       break;
-    default:
+    default:  // AL
       return true;
   }
   return result == ((condition & 1U) == 0);

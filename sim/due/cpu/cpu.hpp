@@ -87,7 +87,7 @@ class Cpu {
   std::uint32_t psp() const { return uses_psp_ ? r[13] : other_sp_; }
   std::uint32_t control() const { return (spsel_ ? 2U : 0U) | (unprivileged_thread_ ? 1U : 0U); }
   std::uint32_t ipsr() const { return ipsr_; }
-  // The next instruction stands in an IT block and its condition fails.
+  // Whether the next instruction is in an IT block and its condition fails.
   bool next_is_skipped() const {
     return ip_->it != 0 && !passes(static_cast<unsigned>(ip_->it) >> 4);
   }
@@ -100,8 +100,9 @@ class Cpu {
   const ExceptionStats& stats(std::uint8_t number) const { return stats_[number]; }
   void clear_stats();
 
-  // Running handlers, one in the other, and the instructions of the innermost, or of the program
-  // below them all, without what interrupted it. `entry_of_level` tells its runs apart.
+  // Number of handlers that run, nested in each other; the instructions of the innermost one (of
+  // the thread if there is none), without those that interrupted it; and the instruction count at
+  // its entry, which distinguishes its runs.
   std::size_t nesting() const { return open_exceptions_.size(); }
   std::uint64_t instructions_of_level() const {
     return instructions_ - nested_[std::min(nesting(), nested_.size() - 1)];
@@ -109,9 +110,9 @@ class Cpu {
   std::uint64_t entry_of_level() const {
     return open_exceptions_.empty() ? 0 : open_exceptions_.back().instructions;
   }
-  // The next instruction loads `value` from a peripheral and stands in a loop without another
-  // access to one: the bits of the value that make the program leave the loop when they change,
-  // each alone.
+  // For a program that polls a peripheral: the next instruction is the load that reads `value` in a
+  // loop with no other access to a peripheral. Returns the bits of the value each of which, if it
+  // changed alone, would make the program leave the loop.
   std::uint32_t deciding_bits(std::uint32_t value);
 
   // Fault status registers of the SCB, kept here because the processor writes them.
@@ -147,6 +148,7 @@ class Cpu {
   std::uint32_t exclusive_address = 0;
 
   bool passes(unsigned condition) const;
+  // The decoded instruction at an address; flash is the fast way.
   const Insn* slot(std::uint32_t address) {
     const std::uint32_t offset = address - kFlashBase;
     if (offset < kFlashSize && flash_slots_ != nullptr) return flash_slots_ + (offset >> 1);
@@ -156,6 +158,7 @@ class Cpu {
   const Insn* branch_exchange(std::uint32_t target);
   std::uint32_t pc_of(const Insn* insn) const;
 
+  // A load of a T (1, 2 or 4 bytes): aligned SRAM directly, everything else the slow way.
   template <typename T>
   std::uint32_t load(std::uint32_t address) {
     const std::uint32_t offset = address - kRamBase;
@@ -166,6 +169,7 @@ class Cpu {
     }
     return slow_load(address, sizeof(T));
   }
+  // A store likewise; code that was decoded from there is forgotten.
   template <typename T>
   void store(std::uint32_t address, std::uint32_t value) {
     const std::uint32_t offset = address - kRamBase;
@@ -177,8 +181,8 @@ class Cpu {
     }
     slow_store(address, value, sizeof(T));
   }
-  // Where some bytes of RAM are, at most 64 from a multiple of 4 on; null when they are elsewhere,
-  // and for the second when a write may change what was decoded.
+  // The host's address of `bytes` bytes of SRAM (at most 64, from a multiple of 4 on), or null if
+  // they are not all in SRAM. The second is for writes: null too if they may change decoded code.
   const std::uint8_t* ram_at(std::uint32_t address, std::uint32_t bytes) const {
     const std::uint32_t offset = address - kRamBase;
     return offset <= kRamSize - bytes ? ram_ + offset : nullptr;
@@ -195,6 +199,7 @@ class Cpu {
     if ((address & (size - 1)) != 0) throw_unaligned(address);
   }
 
+  // Handlers, and what they call; each returns the next instruction.
   const Insn* decode(const Insn* at);
   const Insn* bad_fetch();
   const Insn* supervisor_call(const Insn* insn);
@@ -271,26 +276,26 @@ class Cpu {
 
   const Insn* ip_ = nullptr;
   std::uint64_t cycles_ = 0;
-  std::uint64_t stop_at_ = 0;
+  std::uint64_t stop_at_ = 0;  // burst() runs until this cycle; 0 makes it return
   std::uint64_t instructions_ = 0;
   std::uint64_t sleep_cycles_ = 0;
-  bool leave_ = false;
-  bool held_ = false;
-  bool flush_ = false;
+  bool leave_ = false;  // run() returns
+  bool held_ = false;   // in reset
+  bool flush_ = false;  // decoded flash is stale
   bool sleeping_ = false;
   bool waiting_for_event_ = false;
   Halt halt_ = Halt::kNone;
 
   std::uint32_t ipsr_ = 0;
-  std::uint32_t other_sp_ = 0;
-  bool spsel_ = false;
+  std::uint32_t other_sp_ = 0;  // the stack pointer that r13 is not
+  bool spsel_ = false;          // CONTROL.SPSEL
   bool uses_psp_ = false;
-  bool unprivileged_thread_ = false;
+  bool unprivileged_thread_ = false;  // CONTROL.nPRIV
   bool thumb_ = true;
 
   std::uint32_t flash_wait_states_ = 0;
   Insn bad_slot_{};
-  std::uint32_t bad_pc_ = 0;
+  std::uint32_t bad_pc_ = 0;  // the address that bad_slot_ stands for
 
   std::map<std::uint32_t, Mark> marks_;
   std::uint32_t step_over_ = 1;  // address whose breakpoint is passed once; odd: none

@@ -1,4 +1,5 @@
-// 16-bit Thumb encodings (ARMv7-M A5.2).
+// 16-bit Thumb encodings. Each function decodes one table of the ARMv7-M manual (A5.2), and `w` is
+// the instruction's halfword.
 #include "cpu/decoder.hpp"
 
 namespace due_emulator {
@@ -9,10 +10,12 @@ using ops::Op2;
 
 namespace {
 
+// The `bits` bits of `w` from bit `low` on.
 std::uint32_t field(std::uint32_t w, unsigned low, unsigned bits) {
   return (w >> low) & ((1U << bits) - 1U);
 }
 
+// Widens a two's complement number of `bits` bits to 32.
 std::uint32_t sign_extend(std::uint32_t value, unsigned bits) {
   const std::uint32_t sign = 1U << (bits - 1);
   return (value ^ sign) - sign;
@@ -20,6 +23,7 @@ std::uint32_t sign_extend(std::uint32_t value, unsigned bits) {
 
 }  // namespace
 
+// Chooses the table by the upper four bits (A5.2).
 void Decoder::decode16(std::uint32_t w) {
   switch (w >> 12) {
     case 0:
@@ -30,7 +34,7 @@ void Decoder::decode16(std::uint32_t w) {
     case 4:
       if ((w & 0x0C00U) == 0) return data_processing16(w);
       if ((w & 0x0C00U) == 0x0400U) return special_data(w);
-      rd(field(w, 8, 3));
+      rd(field(w, 8, 3));  // LDR (literal)
       return literal(4, false, (pc() & ~3U) + 4 * field(w, 0, 8));
     case 5:
     case 6:
@@ -40,18 +44,18 @@ void Decoder::decode16(std::uint32_t w) {
       return load_store16(w);
     case 10:
       rd(field(w, 8, 3));
-      if ((w & 0x0800U) == 0) {
+      if ((w & 0x0800U) == 0) {  // ADR: the address is a constant
         out_.imm = (pc() & ~3U) + 4 * field(w, 0, 8);
         return put_alu<Alu::kMov, Op2::kImm>(false);
       }
-      rn(13);
+      rn(13);  // ADD (SP plus immediate)
       out_.imm = 4 * field(w, 0, 8);
       return put_alu<Alu::kAdd, Op2::kImm>(false);
     case 11:
       return miscellaneous16(w);
     case 12:
       return multiple16(w);
-    case 13: {
+    case 13: {  // B<c>, UDF, SVC
       const std::uint32_t condition = field(w, 8, 4);
       if (condition == 14) return undefined();
       if (condition == 15) {
@@ -60,16 +64,18 @@ void Decoder::decode16(std::uint32_t w) {
       }
       return branch_to_if(condition, pc() + 2 * sign_extend(field(w, 0, 8), 8));
     }
-    default:
+    default:  // B
       if (in_it() && !last_in_it()) return undefined();
       return branch_to(pc() + 2 * sign_extend(field(w, 0, 11), 11), false);
   }
 }
 
+// Shift by a constant, add, subtract, move and compare (A5.2.1). Outside of an IT block they set
+// the flags.
 void Decoder::shift_add_compare(std::uint32_t w) {
   const bool flags = !in_it();
   const std::uint32_t op = field(w, 11, 3);
-  if ((w >> 13) == 1) {
+  if ((w >> 13) == 1) {  // a register and an immediate of 8 bits
     rd(field(w, 8, 3));
     rn(field(w, 8, 3));
     out_.imm = field(w, 0, 8);
@@ -85,10 +91,11 @@ void Decoder::shift_add_compare(std::uint32_t w) {
     }
   }
   rd(field(w, 0, 3));
-  if (op < 3) {
+  if (op < 3) {  // LSL, LSR, ASR (immediate)
     rm(field(w, 3, 3));
     return put_op2<Alu::kMov>(immediate_shift(op, field(w, 6, 5)), flags);
   }
+  // ADD and SUB of a register, or of an immediate of 3 bits in the same place.
   rn(field(w, 3, 3));
   rm(field(w, 6, 3));
   out_.imm = field(w, 6, 3);
@@ -104,6 +111,7 @@ void Decoder::shift_add_compare(std::uint32_t w) {
   }
 }
 
+// Data processing of two low registers (A5.2.2): rd = rd op rm.
 void Decoder::data_processing16(std::uint32_t w) {
   using ops::Shift;
   const bool flags = !in_it();
@@ -134,7 +142,7 @@ void Decoder::data_processing16(std::uint32_t w) {
                    : put<&ops::shift_by_register<Shift::kRor, false>>();
     case 8:
       return put_alu<Alu::kTst, Op2::kReg>(true);
-    case 9:
+    case 9:  // RSB from 0, also called NEG
       rn(field(w, 3, 3));
       out_.imm = 0;
       return put_alu<Alu::kRsb, Op2::kImm>(flags);
@@ -153,6 +161,8 @@ void Decoder::data_processing16(std::uint32_t w) {
   }
 }
 
+// ADD (op 0), CMP (1), MOV (2) of any registers, BX and BLX (3): A5.2.3. What writes PC branches,
+// and may only be the last instruction of an IT block; a read of PC is a constant.
 void Decoder::special_data(std::uint32_t w) {
   const std::uint32_t d = field(w, 0, 3) | (field(w, 7, 1) << 3);
   rd(d);
@@ -165,12 +175,12 @@ void Decoder::special_data(std::uint32_t w) {
   }
   if (op == 3 || d == 15) {
     if (in_it() && !last_in_it()) return undefined();
-    cycles(1U + taken_cycles(~0U));
+    cycles(1U + taken_cycles(~0U));  // ~0: the target is not known yet
   }
   if (op == 3) {
     if (field(w, 0, 3) != 0 || out_.rm == 15) return undefined();
     if (field(w, 7, 1) == 0) return put<&ops::branch_exchange>();
-    out_.imm = (address_ + 2) | 1U;
+    out_.imm = (address_ + 2) | 1U;  // return address for LR; bit 0 means Thumb
     return put<&ops::branch_link_exchange>();
   }
   if (op == 0) {
@@ -194,6 +204,8 @@ void Decoder::special_data(std::uint32_t w) {
   put_alu<Alu::kMov, Op2::kReg>(false);
 }
 
+// Loads and stores of one register (A5.2.4): the address is rn plus a register, or plus an
+// immediate that counts in units of the size. Arguments of put_load_store: bytes, sign, is_load.
 void Decoder::load_store16(std::uint32_t w) {
   rd(field(w, 0, 3));
   rn(field(w, 3, 3));
@@ -204,7 +216,7 @@ void Decoder::load_store16(std::uint32_t w) {
       rm(field(w, 6, 3));
       extra(0);
       switch (field(w, 9, 3)) {
-        case 0:
+        case 0:  // STR, STRH, STRB, LDRSB, LDR, LDRH, LDRB, LDRSH
           return put_load_store<Mode::kRegister>(4, false, false);
         case 1:
           return put_load_store<Mode::kRegister>(2, false, false);
@@ -231,7 +243,7 @@ void Decoder::load_store16(std::uint32_t w) {
     case 8:
       out_.imm = imm5 * 2;
       return put_load_store<Mode::kOffset>(2, false, is_load);
-    default:
+    default:  // relative to SP
       rd(field(w, 8, 3));
       rn(13);
       out_.imm = field(w, 0, 8) * 4;
@@ -239,10 +251,11 @@ void Decoder::load_store16(std::uint32_t w) {
   }
 }
 
+// The miscellaneous instructions (A5.2.5), by bits 8 to 11.
 void Decoder::miscellaneous16(std::uint32_t w) {
   const std::uint32_t op = field(w, 8, 4);
   switch (op) {
-    case 0:
+    case 0:  // ADD, SUB (SP plus or minus immediate)
       rd(13);
       rn(13);
       out_.imm = field(w, 0, 7) * 4;
@@ -251,7 +264,7 @@ void Decoder::miscellaneous16(std::uint32_t w) {
     case 1:
     case 3:
     case 9:
-    case 11: {
+    case 11: {  // CBZ, CBNZ
       if (in_it()) return undefined();
       rn(field(w, 0, 3));
       ra(field(w, 11, 1));
@@ -260,7 +273,7 @@ void Decoder::miscellaneous16(std::uint32_t w) {
       extra(taken_cycles(target));
       return put<&ops::compare_and_branch>();
     }
-    case 2:
+    case 2:  // SXTH, SXTB, UXTH, UXTB
       rd(field(w, 0, 3));
       rm(field(w, 3, 3));
       switch (field(w, 6, 2)) {
@@ -274,17 +287,17 @@ void Decoder::miscellaneous16(std::uint32_t w) {
           return put<&ops::extend<ops::Extend::kUxtb>>();
       }
     case 4:
-    case 5:
+    case 5:  // PUSH; bit 8 adds LR
       rn(13);
       ra(1);
       registers(field(w, 0, 8) | (field(w, 8, 1) << 14));
       if (out_.imm == 0) return undefined();
       return put<&ops::store_multiple<true>>();
-    case 6:
+    case 6:  // CPS
       if ((w & 0xE8U) != 0x60U || in_it()) return undefined();
       ra(field(w, 4, 1) | (field(w, 1, 1) << 1) | (field(w, 0, 1) << 2));
       return put<&ops::change_state>();
-    case 10:
+    case 10:  // REV, REV16, REVSH
       rd(field(w, 0, 3));
       rm(field(w, 3, 3));
       switch (field(w, 6, 2)) {
@@ -298,25 +311,26 @@ void Decoder::miscellaneous16(std::uint32_t w) {
           return undefined();
       }
     case 12:
-    case 13:
+    case 13:  // POP; bit 8 adds PC, which is a branch
       rn(13);
       ra(1);
       registers(field(w, 0, 8) | (field(w, 8, 1) << 15), 1U + (op == 13 ? taken_cycles(~0U) : 0U));
       if (out_.imm == 0 || (op == 13 && in_it() && !last_in_it())) return undefined();
       return put<&ops::load_multiple<false>>();
-    case 14:
+    case 14:  // BKPT
       out_.imm = field(w, 0, 8);
       out_.run = &ops::breakpoint;
       return;
-    case 15:
+    case 15:  // IT and hints
       return hints(w);
     default:
       return undefined();
   }
 }
 
+// IT, and the hints WFE, WFI, SEV; NOP and YIELD do nothing here.
 void Decoder::hints(std::uint32_t w) {
-  if ((w & 0xFU) != 0) {
+  if ((w & 0xFU) != 0) {  // IT: a condition and a mask that is not 0
     const std::uint32_t condition = field(w, 4, 4);
     // AL takes no else part, and the IT block may not nest.
     const bool al_else = condition == 14 && (w & (w - 1) & 0xFU) != 0;

@@ -1,4 +1,5 @@
-// 32-bit Thumb encodings of loads, stores, branches and control (ARMv7-M A5.3).
+// 32-bit Thumb encodings of loads, stores, branches and control. Each function decodes one table of
+// the ARMv7-M manual (A5.3); `hw1` and `hw2` are the instruction's first and second halfword.
 #include "cpu/decoder.hpp"
 
 namespace due_emulator {
@@ -7,51 +8,58 @@ using ops::Mode;
 
 namespace {
 
+// The `bits` bits of `w` from bit `low` on.
 std::uint32_t field(std::uint32_t w, unsigned low, unsigned bits) {
   return (w >> low) & ((1U << bits) - 1U);
 }
 
+// Widens a two's complement number of `bits` bits to 32.
 std::uint32_t sign_extend(std::uint32_t value, unsigned bits) {
   const std::uint32_t sign = 1U << (bits - 1);
   return (value ^ sign) - sign;
 }
 
+// SP and PC, which most 32-bit encodings forbid as a register.
 bool bad(std::uint32_t reg) { return reg == 13 || reg == 15; }
 
 }  // namespace
 
-void Decoder::decode32(std::uint32_t a, std::uint32_t b) {
-  const std::uint32_t op1 = field(a, 11, 2);
+// Chooses the table (A5.3): op1 is the manual's field of that name.
+void Decoder::decode32(std::uint32_t hw1, std::uint32_t hw2) {
+  const std::uint32_t op1 = field(hw1, 11, 2);
   if (op1 == 1) {
-    if (field(a, 9, 2) == 0) return field(a, 6, 1) == 0 ? multiple32(a, b) : double_exclusive(a, b);
-    if (field(a, 9, 2) == 1) return shifted_register(a, b);
+    if (field(hw1, 9, 2) == 0)
+      return field(hw1, 6, 1) == 0 ? multiple32(hw1, hw2) : double_exclusive(hw1, hw2);
+    if (field(hw1, 9, 2) == 1) return shifted_register(hw1, hw2);
     return put<&ops::no_coprocessor>();
   }
   if (op1 == 2) {
-    if (field(b, 15, 1) != 0) return branches(a, b);
-    return field(a, 9, 1) == 0 ? modified_immediate(a, b) : plain_immediate(a, b);
+    if (field(hw2, 15, 1) != 0) return branches(hw1, hw2);
+    return field(hw1, 9, 1) == 0 ? modified_immediate(hw1, hw2) : plain_immediate(hw1, hw2);
   }
-  if (field(a, 10, 1) != 0) return put<&ops::no_coprocessor>();
-  if (field(a, 9, 1) == 0) return load_store32(a, b);
-  if (field(a, 8, 1) == 0) return register_operations(a, b);
-  return field(a, 7, 1) == 0 ? multiply32(a, b) : multiply_long32(a, b);
+  if (field(hw1, 10, 1) != 0) return put<&ops::no_coprocessor>();
+  if (field(hw1, 9, 1) == 0) return load_store32(hw1, hw2);
+  if (field(hw1, 8, 1) == 0) return register_operations(hw1, hw2);
+  return field(hw1, 7, 1) == 0 ? multiply32(hw1, hw2) : multiply_long32(hw1, hw2);
 }
 
-void Decoder::multiple32(std::uint32_t a, std::uint32_t b) {
-  const std::uint32_t op = field(a, 7, 2);
-  const bool is_load = field(a, 4, 1) != 0;
-  const bool write_back = field(a, 5, 1) != 0;
-  rn(field(a, 0, 4));
+// LDM and STM (A5.3.5): op 1 increments after, op 2 decrements before. hw2 is the register list.
+// Refuses lists with SP, with fewer than two registers, and loads of both LR and PC.
+void Decoder::multiple32(std::uint32_t hw1, std::uint32_t hw2) {
+  const std::uint32_t op = field(hw1, 7, 2);
+  const bool is_load = field(hw1, 4, 1) != 0;
+  const bool write_back = field(hw1, 5, 1) != 0;
+  rn(field(hw1, 0, 4));
   ra(write_back ? 1 : 0);
-  const bool base_in_list = ((b >> out_.rn) & 1U) != 0;
-  const bool with_pc = (b & 0x8000U) != 0;
-  const bool single = (b & (b - 1U)) == 0;
-  registers(b, 1U + (with_pc ? taken_cycles(~0U) : 0U));
-  if ((op != 1 && op != 2) || out_.rn == 15 || single || (b & 0x2000U) != 0 ||
+  const bool base_in_list = ((hw2 >> out_.rn) & 1U) != 0;
+  const bool with_pc = (hw2 & 0x8000U) != 0;
+  const bool single = (hw2 & (hw2 - 1U)) == 0;
+  registers(hw2, 1U + (with_pc ? taken_cycles(~0U) : 0U));
+  if ((op != 1 && op != 2) || out_.rn == 15 || single || (hw2 & 0x2000U) != 0 ||
       (write_back && base_in_list)) {
     return undefined();
   }
-  if (is_load ? (b & 0xC000U) == 0xC000U : with_pc) return undefined();
+  if (is_load ? (hw2 & 0xC000U) == 0xC000U : with_pc) return undefined();
   if (with_pc && in_it() && !last_in_it()) return undefined();
   if (is_load) {
     return op == 1 ? put<&ops::load_multiple<false>>() : put<&ops::load_multiple<true>>();
@@ -59,19 +67,22 @@ void Decoder::multiple32(std::uint32_t a, std::uint32_t b) {
   op == 1 ? put<&ops::store_multiple<false>>() : put<&ops::store_multiple<true>>();
 }
 
-void Decoder::double_exclusive(std::uint32_t a, std::uint32_t b) {
-  const std::uint32_t op1 = field(a, 7, 2);
-  const std::uint32_t op2 = field(a, 4, 2);
+// LDRD and STRD, exclusive loads and stores, TBB and TBH (A5.3.6). op1, op2 and op3 are the
+// manual's fields: LDRD and STRD if op1 or op2 has bit 1 set, otherwise by op1 and op3.
+void Decoder::double_exclusive(std::uint32_t hw1, std::uint32_t hw2) {
+  const std::uint32_t op1 = field(hw1, 7, 2);
+  const std::uint32_t op2 = field(hw1, 4, 2);
   const bool is_load = (op2 & 1U) != 0;
-  rn(field(a, 0, 4));
-  rd(field(b, 12, 4));
+  rn(field(hw1, 0, 4));
+  rd(field(hw2, 12, 4));
   if ((op1 & 2U) != 0 || (op2 & 2U) != 0) {
-    // LDRD and STRD; P is bit 8, U bit 7, W bit 5 of the first halfword.
-    const std::uint32_t offset = field(b, 0, 8) * 4;
-    const bool add = field(a, 7, 1) != 0;
-    const bool pre = field(a, 8, 1) != 0;
-    const bool write = field(a, 5, 1) != 0;
-    ra(field(b, 8, 4));
+    // LDRD and STRD, to and from rd and ra; P (pre-index) is bit 8, U (add the offset) bit 7, W
+    // (write back) bit 5 of hw1. PC as base is allowed only for loads, without write-back.
+    const std::uint32_t offset = field(hw2, 0, 8) * 4;
+    const bool add = field(hw1, 7, 1) != 0;
+    const bool pre = field(hw1, 8, 1) != 0;
+    const bool write = field(hw1, 5, 1) != 0;
+    ra(field(hw2, 8, 4));
     cycles(3);
     if (bad(out_.rd) || bad(out_.ra)) return undefined();
     if (write && (out_.rn == out_.rd || out_.rn == out_.ra || out_.rn == 15)) return undefined();
@@ -92,77 +103,82 @@ void Decoder::double_exclusive(std::uint32_t a, std::uint32_t b) {
                    : put<&ops::store_double<Mode::kOffset>>();
   }
   cycles(2);
-  if (op1 == 0) {
-    out_.imm = field(b, 0, 8) * 4;
+  // In exclusive stores `ra` takes the result; loads have 15 in its place.
+  if (op1 == 0) {  // LDREX, STREX
+    out_.imm = field(hw2, 0, 8) * 4;
     if (out_.rn == 15 || bad(out_.rd)) return undefined();
     if (is_load) {
-      return field(b, 8, 4) == 15 ? put<&ops::load_exclusive<std::uint32_t>>() : undefined();
+      return field(hw2, 8, 4) == 15 ? put<&ops::load_exclusive<std::uint32_t>>() : undefined();
     }
-    ra(field(b, 8, 4));
+    ra(field(hw2, 8, 4));
     if (bad(out_.ra) || out_.ra == out_.rd || out_.ra == out_.rn) return undefined();
     return put<&ops::store_exclusive<std::uint32_t>>();
   }
-  const std::uint32_t op3 = field(b, 4, 4);
-  if (op3 <= 1) {
-    if (!is_load || out_.rn == 13 || field(b, 8, 8) != 0xF0U) return undefined();
-    rm(field(b, 0, 4));
+  const std::uint32_t op3 = field(hw2, 4, 4);
+  if (op3 <= 1) {  // TBB, TBH
+    if (!is_load || out_.rn == 13 || field(hw2, 8, 8) != 0xF0U) return undefined();
+    rm(field(hw2, 0, 4));
     if (bad(out_.rm) || (in_it() && !last_in_it())) return undefined();
     out_.imm = pc();
     cycles(2U + taken_cycles(~0U));
     return op3 == 0 ? put<&ops::table_branch<std::uint8_t>>()
                     : put<&ops::table_branch<std::uint16_t>>();
   }
-  if ((op3 != 4 && op3 != 5) || field(b, 8, 4) != 15 || out_.rn == 15 || bad(out_.rd)) {
+  // LDREXB and STREXB (op3 4), LDREXH and STREXH (5).
+  if ((op3 != 4 && op3 != 5) || field(hw2, 8, 4) != 15 || out_.rn == 15 || bad(out_.rd)) {
     return undefined();
   }
   if (is_load) {
-    if (field(b, 0, 4) != 15) return undefined();
+    if (field(hw2, 0, 4) != 15) return undefined();
     return op3 == 4 ? put<&ops::load_exclusive<std::uint8_t>>()
                     : put<&ops::load_exclusive<std::uint16_t>>();
   }
-  ra(field(b, 0, 4));
+  ra(field(hw2, 0, 4));
   if (bad(out_.ra) || out_.ra == out_.rd || out_.ra == out_.rn) return undefined();
   op3 == 4 ? put<&ops::store_exclusive<std::uint8_t>>()
            : put<&ops::store_exclusive<std::uint16_t>>();
 }
 
-void Decoder::load_store32(std::uint32_t a, std::uint32_t b) {
-  const std::uint32_t size_field = field(a, 5, 2);
-  const bool is_load = field(a, 4, 1) != 0;
-  const bool sign = field(a, 8, 1) != 0;
+// Loads and stores of one register (A5.3.7 to A5.3.10), by address: relative to PC, immediate of 12
+// bits, register with LSL by 0 to 3, or immediate of 8 bits with P (pre-index), U (add) and W
+// (write back) in bits 10, 9 and 8 of hw2.
+void Decoder::load_store32(std::uint32_t hw1, std::uint32_t hw2) {
+  const std::uint32_t size_field = field(hw1, 5, 2);
+  const bool is_load = field(hw1, 4, 1) != 0;
+  const bool sign = field(hw1, 8, 1) != 0;
   const std::uint32_t size = 1U << size_field;
   if (size_field == 3 || (sign && (!is_load || size == 4))) return undefined();
-  rd(field(b, 12, 4));
-  rn(field(a, 0, 4));
+  rd(field(hw2, 12, 4));
+  rn(field(hw1, 0, 4));
   // A byte or halfword load into PC is a hint: PLD, PLI or a reserved one.
   const bool hint = is_load && size != 4 && out_.rd == 15;
   if (out_.rn == 15) {
     if (!is_load) return undefined();
-    const std::uint32_t offset = field(b, 0, 12);
+    const std::uint32_t offset = field(hw2, 0, 12);
     if (hint) return put<&ops::nop>();
     if (out_.rd == 13 && size != 4) return undefined();
     if (out_.rd == 15 && in_it() && !last_in_it()) return undefined();
-    return literal(size, sign, (pc() & ~3U) + (field(a, 7, 1) != 0 ? offset : 0U - offset));
+    return literal(size, sign, (pc() & ~3U) + (field(hw1, 7, 1) != 0 ? offset : 0U - offset));
   }
   if (!is_load && out_.rd == 15) return undefined();
   if (out_.rd == 13 && size != 4) return undefined();
   if (is_load && out_.rd == 15 && size == 4 && in_it() && !last_in_it()) return undefined();
-  if (field(a, 7, 1) != 0) {
-    out_.imm = field(b, 0, 12);
+  if (field(hw1, 7, 1) != 0) {
+    out_.imm = field(hw2, 0, 12);
     return hint ? put<&ops::nop>() : put_load_store<Mode::kOffset>(size, sign, is_load);
   }
-  if (field(b, 11, 1) == 0) {
-    if (field(b, 6, 5) != 0) return undefined();
-    rm(field(b, 0, 4));
-    extra(field(b, 4, 2));
+  if (field(hw2, 11, 1) == 0) {
+    if (field(hw2, 6, 5) != 0) return undefined();
+    rm(field(hw2, 0, 4));
+    extra(field(hw2, 4, 2));
     if (bad(out_.rm)) return undefined();
     return hint ? put<&ops::nop>() : put_load_store<Mode::kRegister>(size, sign, is_load);
   }
-  const bool pre = field(b, 10, 1) != 0;
-  const bool add = field(b, 9, 1) != 0;
-  const bool write = field(b, 8, 1) != 0;
+  const bool pre = field(hw2, 10, 1) != 0;
+  const bool add = field(hw2, 9, 1) != 0;
+  const bool write = field(hw2, 8, 1) != 0;
   if (!pre && !write) return undefined();
-  const std::uint32_t offset = field(b, 0, 8);
+  const std::uint32_t offset = field(hw2, 0, 8);
   out_.imm = add ? offset : 0U - offset;
   if (write) {
     if (out_.rn == out_.rd || hint) return undefined();
@@ -175,37 +191,41 @@ void Decoder::load_store32(std::uint32_t a, std::uint32_t b) {
   put_load_store<Mode::kOffset>(size, sign, is_load);
 }
 
-void Decoder::branches(std::uint32_t a, std::uint32_t b) {
-  const std::uint32_t s = field(a, 10, 1);
-  const std::uint32_t j1 = field(b, 13, 1);
-  const std::uint32_t j2 = field(b, 11, 1);
-  const bool wide = field(b, 12, 1) != 0;
-  const bool link = field(b, 14, 1) != 0;
+// Branches and control (A5.3.4). B (T4) and BL have offsets of 25 bits, B<c> (T3) of 21; the names
+// S, J1, J2, I1, I2 are the manual's (A7.7.12).
+void Decoder::branches(std::uint32_t hw1, std::uint32_t hw2) {
+  const std::uint32_t s = field(hw1, 10, 1);
+  const std::uint32_t j1 = field(hw2, 13, 1);
+  const std::uint32_t j2 = field(hw2, 11, 1);
+  const bool wide = field(hw2, 12, 1) != 0;  // T4 or BL: no condition
+  const bool link = field(hw2, 14, 1) != 0;
   if (wide) {
     const std::uint32_t i1 = 1U ^ (j1 ^ s);
     const std::uint32_t i2 = 1U ^ (j2 ^ s);
     const std::uint32_t offset =
-        (s << 24) | (i1 << 23) | (i2 << 22) | (field(a, 0, 10) << 12) | (field(b, 0, 11) << 1);
+        (s << 24) | (i1 << 23) | (i2 << 22) | (field(hw1, 0, 10) << 12) | (field(hw2, 0, 11) << 1);
     if (in_it() && !last_in_it()) return undefined();
     return branch_to(pc() + sign_extend(offset, 25), link);
   }
-  if (link) return undefined();  // BLX to ARM code, or permanently undefined
-  if (field(a, 7, 3) == 7) return control(a, b);
+  if (link) return undefined();                         // BLX to ARM code, or permanently undefined
+  if (field(hw1, 7, 3) == 7) return control(hw1, hw2);  // no condition: 111x is not one
   const std::uint32_t offset =
-      (s << 20) | (j2 << 19) | (j1 << 18) | (field(a, 0, 6) << 12) | (field(b, 0, 11) << 1);
-  branch_to_if(field(a, 6, 4), pc() + sign_extend(offset, 21));
+      (s << 20) | (j2 << 19) | (j1 << 18) | (field(hw1, 0, 6) << 12) | (field(hw2, 0, 11) << 1);
+  branch_to_if(field(hw1, 6, 4), pc() + sign_extend(offset, 21));
 }
 
-void Decoder::control(std::uint32_t a, std::uint32_t b) {
-  switch (field(a, 4, 7)) {
+// MSR and MRS, 32-bit hints (A5.3.4), CLREX and barriers. A barrier only takes its time: the model
+// finishes each access before the next instruction.
+void Decoder::control(std::uint32_t hw1, std::uint32_t hw2) {
+  switch (field(hw1, 4, 7)) {
     case 0x38:
     case 0x39:
     case 0x3E:
-    case 0x3F:
-      return special_register(a, b);
-    case 0x3A:
-      if (field(b, 8, 3) != 0 || field(a, 0, 4) != 15) return undefined();
-      switch (field(b, 0, 8)) {
+    case 0x3F:  // MSR (0x38, 0x39) and MRS
+      return special_register(hw1, hw2);
+    case 0x3A:  // hints: WFE, WFI, SEV, NOP
+      if (field(hw2, 8, 3) != 0 || field(hw1, 0, 4) != 15) return undefined();
+      switch (field(hw2, 0, 8)) {
         case 2:
           return put<&ops::wait_for_event>();
         case 3:
@@ -215,13 +235,13 @@ void Decoder::control(std::uint32_t a, std::uint32_t b) {
         default:
           return put<&ops::nop>();
       }
-    case 0x3B:
-      switch (field(b, 4, 4)) {
-        case 2:
+    case 0x3B:  // miscellaneous control
+      switch (field(hw2, 4, 4)) {
+        case 2:  // CLREX
           return put<&ops::clear_exclusive>();
         case 4:
         case 5:
-        case 6:
+        case 6:  // DSB, DMB, ISB
           cycles(3);
           return put<&ops::nop>();
         default:
@@ -232,16 +252,18 @@ void Decoder::control(std::uint32_t a, std::uint32_t b) {
   }
 }
 
-void Decoder::special_register(std::uint32_t a, std::uint32_t b) {
-  out_.imm = field(b, 0, 8);
+// MRS (rd = special register) and MSR (special register = rn). `imm` is SYSm, the register's
+// number; for MSR, `ra` is the mask of the parts to write.
+void Decoder::special_register(std::uint32_t hw1, std::uint32_t hw2) {
+  out_.imm = field(hw2, 0, 8);
   cycles(2);
-  if (field(a, 5, 2) == 3) {
-    rd(field(b, 8, 4));
-    if (bad(out_.rd) || field(a, 0, 4) != 15) return undefined();
+  if (field(hw1, 5, 2) == 3) {
+    rd(field(hw2, 8, 4));
+    if (bad(out_.rd) || field(hw1, 0, 4) != 15) return undefined();
     return put<&ops::move_from_special>();
   }
-  rn(field(a, 0, 4));
-  ra(field(b, 8, 4));
+  rn(field(hw1, 0, 4));
+  ra(field(hw2, 8, 4));
   if (bad(out_.rn)) return undefined();
   put<&ops::move_to_special>();
 }

@@ -13,6 +13,7 @@ constexpr std::uint32_t kRefill = 2;
 
 }  // namespace
 
+// Decodes the instruction at `address` in the window's bytes.
 Decoder::Decoder(const Cpu& cpu, const CodeWindow& window, std::uint32_t address, std::uint8_t it)
     : cpu_(cpu), window_(window), address_(address), it_(it) {
   const std::uint8_t* bytes = window.bytes() + (address - window.base());
@@ -42,7 +43,8 @@ bool Decoder::near(std::uint32_t target) const {
   return window_.holds(target) && (same_plane || !window_.holds(kFlashBase));
 }
 
-// Cycles on top of one: refill, and the wait states of a flash line that is not being read anyhow.
+// Cycles that a taken branch costs on top of one; a target of ~0 is unknown, and in another line.
+// They are the refill, and the wait states of a flash line that is not being read anyhow.
 std::uint8_t Decoder::taken_cycles(std::uint32_t target) const {
   std::uint32_t count = kRefill;
   const bool in_flash = window_.bytes() != nullptr && window_.size() == kFlashSize;
@@ -50,6 +52,7 @@ std::uint8_t Decoder::taken_cycles(std::uint32_t target) const {
   return static_cast<std::uint8_t>(count);
 }
 
+// Notes a register list; see decoder.hpp.
 void Decoder::registers(std::uint32_t list, std::uint32_t more) {
   const auto count = static_cast<std::uint32_t>(__builtin_popcount(list));
   out_.imm = list;
@@ -57,11 +60,13 @@ void Decoder::registers(std::uint32_t list, std::uint32_t more) {
   cycles(count + more);
 }
 
+// Notes the target as an address and as a distance in halfwords.
 void Decoder::set_target(std::uint32_t target) {
   out_.imm = target;
   out_.step = static_cast<std::int32_t>(target - address_) / 2;
 }
 
+// B, or BL with `link`.
 void Decoder::branch_to(std::uint32_t target, bool link) {
   set_target(target);
   cycles(1U + taken_cycles(target));
@@ -74,11 +79,13 @@ void Decoder::branch_to(std::uint32_t target, bool link) {
   }
 }
 
+// The handler of B<c> for a condition that is known at compile time, so that it needs no switch.
 template <unsigned kCondition>
 static Handler conditional_branch(bool is_near) {
   return is_near ? &ops::branch_if<kCondition, true> : &ops::branch_if<kCondition, false>;
 }
 
+// Each condition has its own handler. Conditional branches are not allowed in an IT block.
 void Decoder::branch_to_if(std::uint32_t condition, std::uint32_t target) {
   if (in_it()) return undefined();
   set_target(target);
@@ -130,6 +137,7 @@ void Decoder::branch_to_if(std::uint32_t condition, std::uint32_t target) {
   }
 }
 
+// DecodeImmShift (A7.4.2): an amount of 0 means none for LSL, 32 for LSR and ASR, and RRX for ROR.
 Op2 Decoder::immediate_shift(std::uint32_t type, std::uint32_t amount) {
   extra(amount);
   switch (type) {
@@ -146,6 +154,7 @@ Op2 Decoder::immediate_shift(std::uint32_t type, std::uint32_t amount) {
   }
 }
 
+// LDR (literal) and its narrow forms. A word in flash becomes a constant of the instruction.
 void Decoder::literal(std::uint32_t size, bool sign, std::uint32_t address) {
   cycles(2);
   out_.imm = address;

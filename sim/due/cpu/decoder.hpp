@@ -24,6 +24,7 @@ class Decoder {
   std::uint8_t opens_it() const { return static_cast<std::uint8_t>(out_.imm); }
 
  private:
+  // Each of these fills `out_` for the instructions of one table of the manual.
   void decode16(std::uint32_t w);
   void shift_add_compare(std::uint32_t w);
   void data_processing16(std::uint32_t w);
@@ -33,22 +34,23 @@ class Decoder {
   void multiple16(std::uint32_t w);
   void hints(std::uint32_t w);
 
-  void decode32(std::uint32_t a, std::uint32_t b);
-  void multiple32(std::uint32_t a, std::uint32_t b);
-  void double_exclusive(std::uint32_t a, std::uint32_t b);
-  void shifted_register(std::uint32_t a, std::uint32_t b);
-  void modified_immediate(std::uint32_t a, std::uint32_t b);
-  void plain_immediate(std::uint32_t a, std::uint32_t b);
-  void branches(std::uint32_t a, std::uint32_t b);
-  void control(std::uint32_t a, std::uint32_t b);
-  void special_register(std::uint32_t a, std::uint32_t b);
-  void load_store32(std::uint32_t a, std::uint32_t b);
-  void register_operations(std::uint32_t a, std::uint32_t b);
-  void multiply32(std::uint32_t a, std::uint32_t b);
-  void multiply_long32(std::uint32_t a, std::uint32_t b);
+  void decode32(std::uint32_t hw1, std::uint32_t hw2);
+  void multiple32(std::uint32_t hw1, std::uint32_t hw2);
+  void double_exclusive(std::uint32_t hw1, std::uint32_t hw2);
+  void shifted_register(std::uint32_t hw1, std::uint32_t hw2);
+  void modified_immediate(std::uint32_t hw1, std::uint32_t hw2);
+  void plain_immediate(std::uint32_t hw1, std::uint32_t hw2);
+  void branches(std::uint32_t hw1, std::uint32_t hw2);
+  void control(std::uint32_t hw1, std::uint32_t hw2);
+  void special_register(std::uint32_t hw1, std::uint32_t hw2);
+  void load_store32(std::uint32_t hw1, std::uint32_t hw2);
+  void register_operations(std::uint32_t hw1, std::uint32_t hw2);
+  void multiply32(std::uint32_t hw1, std::uint32_t hw2);
+  void multiply_long32(std::uint32_t hw1, std::uint32_t hw2);
   void data_processing32(std::uint32_t op, bool flags, ops::Op2 op2, std::uint32_t rd,
                          std::uint32_t rn);
 
+  // Sets the handler that runs the instruction. In an IT block, it first checks the condition.
   template <Handler kHandler>
   void put() {
     out_.run = it_ != 0 ? &ops::conditional<kHandler> : kHandler;
@@ -62,6 +64,7 @@ class Decoder {
       put<kHandler>();
     }
   }
+  // Sets the handler of a data processing instruction, with or without flags.
   template <ops::Alu kAlu, ops::Op2 kOp>
   void put_alu(bool flags) {
     if (flags) {
@@ -70,19 +73,26 @@ class Decoder {
       put_rd<&ops::alu<kAlu, kOp, false>>();
     }
   }
+  // The same for a second operand that is known only at run time.
   template <ops::Alu kAlu>
   void put_op2(ops::Op2 op2, bool flags);
+  // Sets the handler of a load or store of `size` bytes; `sign`: the load extends the sign.
   template <ops::Mode kMode>
   void put_load_store(std::uint32_t size, bool sign, bool is_load);
+  // A load from `address`, which is relative to PC and so known when decoding.
   void literal(std::uint32_t size, bool sign, std::uint32_t address);
+  // Notes the shift's amount in `extra`; returns its kind. `type` is the encoding's field.
   ops::Op2 immediate_shift(std::uint32_t type, std::uint32_t amount);
 
-  void undefined();
+  void undefined();  // the instruction raises UsageFault
   void branch_to(std::uint32_t target, bool link);
+  // B<c>: `condition` as in A7.3.
   void branch_to_if(std::uint32_t condition, std::uint32_t target);
+  // Whether a branch from here may go by a distance between decoded instructions.
   bool near(std::uint32_t target) const;
   std::uint8_t taken_cycles(std::uint32_t target) const;
   void set_target(std::uint32_t target);
+  // What an instruction here reads from PC: two halfwords ahead.
   std::uint32_t pc() const { return address_ + 4; }
   bool in_it() const { return it_ != 0; }
   bool last_in_it() const { return (it_ & 0xFU) == 0x8U; }
@@ -91,7 +101,7 @@ class Decoder {
   void rm(std::uint32_t value) { out_.rm = static_cast<std::uint8_t>(value); }
   void ra(std::uint32_t value) { out_.ra = static_cast<std::uint8_t>(value); }
   void extra(std::uint32_t value) { out_.extra = static_cast<std::uint8_t>(value); }
-  // What LDM and STM move, bit n for rn; they take a cycle for each, and `more`.
+  // The register list of LDM or STM, bit n for rn: a cycle for each register, and `more` cycles.
   void registers(std::uint32_t list, std::uint32_t more = 1);
   void cycles(std::uint32_t value) { out_.cycles = static_cast<std::uint8_t>(value); }
 
@@ -103,6 +113,7 @@ class Decoder {
   Insn out_{};
 };
 
+// Turns the run-time operand kind into a template argument.
 template <ops::Alu kAlu>
 void Decoder::put_op2(ops::Op2 op2, bool flags) {
   switch (op2) {
@@ -125,6 +136,7 @@ void Decoder::put_op2(ops::Op2 op2, bool flags) {
   }
 }
 
+// Chooses the handler by size, sign and direction. A word that is loaded into PC branches.
 template <ops::Mode kMode>
 void Decoder::put_load_store(std::uint32_t size, bool sign, bool is_load) {
   using u8 = std::uint8_t;

@@ -14,6 +14,8 @@ constexpr std::uint32_t kEntryCycles = 12;
 constexpr std::uint32_t kReturnCycles = 10;
 constexpr std::uint32_t kTailChainCycles = 6;
 
+// EXC_RETURN: LR in a handler says where to return to: a handler, or a thread on the main or on the
+// process stack.
 constexpr std::uint32_t kReturnHandler = 0xFFFFFFF1U;
 constexpr std::uint32_t kReturnThreadMain = 0xFFFFFFF9U;
 constexpr std::uint32_t kReturnThreadProcess = 0xFFFFFFFDU;
@@ -26,14 +28,23 @@ constexpr std::uint32_t kCcrNonBaseThread = 1U << 0;
 constexpr std::uint32_t kCcrStackAlign = 1U << 9;
 constexpr std::uint32_t kScrSleepOnExit = 1U << 1;
 
+// An exception pushes 8 words: r0 to r3, r12, LR, return address, xPSR. Bit 9 of that xPSR notes
+// that one more word aligns the stack to 8 bytes.
+constexpr std::uint32_t kFrameBytes = 0x20;
+constexpr std::uint32_t kPsrPadded = 1U << 9;
+constexpr std::uint32_t kPsrThumb = 1U << 24;
+constexpr std::uint32_t kPsrIpsr = 0x1FF;
+
 }  // namespace
 
+// Makes r13 the process or the main stack pointer; the other one is in other_sp_.
 void Cpu::use_psp(bool psp) {
   if (psp == uses_psp_) return;
   std::swap(r[13], other_sp_);
   uses_psp_ = psp;
 }
 
+// Lockup (B1.5.15): a fault that no handler can take. In strict mode the simulation stops.
 void Cpu::lock_up(const std::string& why) {
   if (!bus_.diagnostics().strict(Trouble::kLockup)) {
     // On the chip the peripherals go on, and only a reset ends it: the watchdog's, for example.
@@ -48,7 +59,9 @@ void Cpu::lock_up(const std::string& why) {
   throw Stop(message);
 }
 
-// Notes the fault and makes its exception pend, escalated to HardFault when it cannot be taken.
+// Notes the fault in its status registers and pends its exception, or HardFault if that one cannot
+// be taken now. Locks up if not even HardFault can; `synchronous`: the running instruction caused
+// the fault.
 void Cpu::raise(const Fault& fault, bool synchronous) {
   cfsr |= fault.cfsr;
   if (fault.has_address && fault.exception == exc::kBusFault) {
@@ -71,12 +84,14 @@ void Cpu::raise(const Fault& fault, bool synchronous) {
   exceptions_.pend(number);
 }
 
+// Pushes the frame of the interrupted code. A fault during the push pends its exception, and the
+// entry goes on.
 void Cpu::push_frame() {
   const bool align = (ccr & kCcrStackAlign) != 0;
   const std::uint32_t padding = align && (r[13] & 4U) != 0 ? 4U : 0U;
-  const std::uint32_t frame = r[13] - 0x20U - padding;
+  const std::uint32_t frame = r[13] - kFrameBytes - padding;
   const std::uint32_t return_address = pc();
-  const std::uint32_t saved_psr = xpsr() | (padding != 0 ? 1U << 9 : 0U);
+  const std::uint32_t saved_psr = xpsr() | (padding != 0 ? kPsrPadded : 0U);
   r[13] = frame;
   try {
     const std::uint32_t words[8] = {r[0],  r[1],  r[2],           r[3],
@@ -88,6 +103,7 @@ void Cpu::push_frame() {
   }
 }
 
+// Exception entry from the running code: stacking, then the handler that is most urgent at its end.
 void Cpu::enter_exception() {
   if (stop_at_hardfault && exceptions_.next() == exc::kHardFault) {
     halt_ = Halt::kHardFault;
@@ -101,7 +117,8 @@ void Cpu::enter_exception() {
   enter_handler(exc_return);
 }
 
-// Enters the most urgent pending exception, its frame being on the stack.
+// Starts the handler of the most urgent pending exception; the frame is already on the stack.
+// `exc_return` is its LR. If the vector cannot be read, HardFault pends instead.
 void Cpu::enter_handler(std::uint32_t exc_return) {
   const std::uint8_t number = exceptions_.next();
   if (stop_at_hardfault && number == exc::kHardFault) {
@@ -129,6 +146,7 @@ void Cpu::enter_handler(std::uint32_t exc_return) {
   ip_ = thumb_ ? slot(vector & ~1U) : bad_slot(vector & ~1U);
 }
 
+// A return that EXC_RETURN or the active exceptions do not allow: UsageFault INVPC.
 void Cpu::fail_return(std::uint32_t exc_return) {
   note_return();
   if (exceptions_.active(static_cast<std::uint8_t>(ipsr_))) {
@@ -140,8 +158,12 @@ void Cpu::fail_return(std::uint32_t exc_return) {
   enter_handler(r[14]);
 }
 
+// Exception return (B1.5.8): checks EXC_RETURN, ends the exception, and continues with the next
+// pending one (tail-chaining) or with the interrupted code. Returns the next instruction.
 const Insn* Cpu::return_from_exception(std::uint32_t exc_return) {
   const auto number = static_cast<std::uint8_t>(ipsr_);
+  // Active exceptions. The last one may return to thread mode only, unless NONBASETHRDENA allows
+  // it.
   const int nesting = __builtin_popcountll(exceptions_.active_mask());
   const bool base_only = (ccr & kCcrNonBaseThread) == 0 && nesting != 1;
   const bool to_handler = exc_return == kReturnHandler;
@@ -167,6 +189,8 @@ const Insn* Cpu::return_from_exception(std::uint32_t exc_return) {
   return ip_;
 }
 
+// Pops the frame and continues the interrupted code. A fault during that, or a frame whose IPSR
+// does not fit `exc_return`, enters the fault's handler on the same frame.
 void Cpu::pop_frame(std::uint32_t exc_return) {
   cycles_ += kReturnCycles;
   const bool process = exc_return == kReturnThreadProcess;
@@ -185,8 +209,8 @@ void Cpu::pop_frame(std::uint32_t exc_return) {
     return;
   }
   const std::uint32_t psr = words[7];
-  const bool padded = (ccr & kCcrStackAlign) != 0 && (psr & (1U << 9)) != 0;
-  const std::uint32_t new_ipsr = psr & 0x1FFU;
+  const bool padded = (ccr & kCcrStackAlign) != 0 && (psr & kPsrPadded) != 0;
+  const std::uint32_t new_ipsr = psr & kPsrIpsr;
   if ((exc_return == kReturnHandler) != (new_ipsr != 0)) {
     use_psp(false);
     r[14] = 0xF0000000U | exc_return;
@@ -198,29 +222,33 @@ void Cpu::pop_frame(std::uint32_t exc_return) {
   std::copy_n(words, 4, r);
   r[12] = words[4];
   r[14] = words[5];
-  r[13] = frame + 0x20U + (padded ? 4U : 0U);
+  r[13] = frame + kFrameBytes + (padded ? 4U : 0U);
   ipsr_ = new_ipsr;
   set_apsr(psr);
-  thumb_ = (psr & (1U << 24)) != 0;
+  thumb_ = (psr & kPsrThumb) != 0;
   const std::uint32_t target = words[6] & ~1U;
+  // ITSTATE: bits 26 and 25, and 15 to 10.
   const auto it = static_cast<std::uint8_t>(((psr >> 25) & 3U) | ((psr >> 8) & 0xFCU));
   ip_ = thumb_ ? slot(target) : bad_slot(target);
   if (ip_ != &bad_slot_ && ip_->it != it) resume_at(target, it);
   if (ipsr_ == 0 && (scr & kScrSleepOnExit) != 0) sleeping_ = true;
 }
 
+// SVC: the exception is taken before the next instruction; if it cannot be, it is a fault.
 const Insn* Cpu::supervisor_call(const Insn* insn) {
   if (!exceptions_.can_take(exc::kSvCall)) throw Fault{exc::kSvCall, 0, 0, false};
   exceptions_.pend(exc::kSvCall);
   return insn + insn->length;
 }
 
+// BKPT.
 const Insn* Cpu::breakpoint_instruction(const Insn*) {
   // No debugger is attached to the core, so the event becomes a HardFault.
   hfsr |= kHfsrDebugEvent;
   throw Fault{exc::kHardFault, 0, 0, false};
 }
 
+// WFI: sleeps until an exception pends that could preempt.
 const Insn* Cpu::wait_for_interrupt(const Insn* insn) {
   sleeping_ = !exceptions_.wakes();
   waiting_for_event_ = false;
@@ -228,6 +256,7 @@ const Insn* Cpu::wait_for_interrupt(const Insn* insn) {
   return insn + insn->length;
 }
 
+// WFE: takes an event that has happened, or sleeps until the next one.
 const Insn* Cpu::wait_for_event(const Insn* insn) {
   if (std::exchange(exceptions_.event, false)) return insn + insn->length;
   sleeping_ = waiting_for_event_ = true;
@@ -235,8 +264,24 @@ const Insn* Cpu::wait_for_event(const Insn* insn) {
   return insn + insn->length;
 }
 
+namespace {
+
+// SYSm: numbers of the special registers in MRS and MSR.
+enum Sysm : unsigned {
+  kMsp = 8,
+  kPsp = 9,
+  kPrimask = 16,
+  kBasepri = 17,
+  kBasepriMax = 18,
+  kFaultmask = 19,
+  kControl = 20
+};
+
+}  // namespace
+
 // -- special registers ------------------------------------------------------------------------
 
+// CPSID and CPSIE. FAULTMASK can be set only at a priority above HardFault's, which is -1.
 void Cpu::change_processor_state(bool disable, bool primask, bool faultmask) {
   if (!privileged()) return;
   if (primask) exceptions_.set_primask(disable);
@@ -245,32 +290,35 @@ void Cpu::change_processor_state(bool disable, bool primask, bool faultmask) {
   }
 }
 
+// MRS. `sysm` is the number of a special register in the manual's table (B5.1.1); an unprivileged
+// program reads most of them as 0.
 std::uint32_t Cpu::read_special(unsigned sysm) const {
-  if (sysm <= 7) {
+  if (sysm <= 7) {  // combinations of APSR, IPSR and EPSR
     std::uint32_t value = 0;
     if ((sysm & 1U) != 0) value |= ipsr_;
     if ((sysm & 4U) == 0) value |= xpsr() & 0xF8000000U;
     return value;  // EPSR reads as zero
   }
-  if (sysm == 20) return control();
+  if (sysm == kControl) return control();
   if (!privileged()) return 0;
   switch (sysm) {
-    case 8:
+    case kMsp:
       return msp();
-    case 9:
+    case kPsp:
       return psp();
-    case 16:
+    case kPrimask:
       return exceptions_.primask() ? 1U : 0U;
-    case 17:
-    case 18:
+    case kBasepri:
+    case kBasepriMax:
       return exceptions_.basepri();
-    case 19:
+    case kFaultmask:
       return exceptions_.faultmask() ? 1U : 0U;
     default:
       return 0;
   }
 }
 
+// MSR. Bit 3 of `mask` writes the flags of APSR.
 void Cpu::write_special(unsigned sysm, std::uint32_t value, unsigned mask) {
   if (sysm < 4) {
     if ((mask & 8U) != 0) set_apsr(value);
@@ -278,31 +326,31 @@ void Cpu::write_special(unsigned sysm, std::uint32_t value, unsigned mask) {
   }
   if (!privileged()) return;
   switch (sysm) {
-    case 8:
+    case kMsp:
       (uses_psp_ ? other_sp_ : r[13]) = value & ~3U;
       break;
-    case 9:
+    case kPsp:
       (uses_psp_ ? r[13] : other_sp_) = value & ~3U;
       break;
-    case 16:
+    case kPrimask:
       exceptions_.set_primask((value & 1U) != 0);
       break;
-    case 17:
+    case kBasepri:
       exceptions_.set_basepri(static_cast<std::uint8_t>(value));
       break;
-    case 18: {
+    case kBasepriMax: {  // only raises the urgency
       const auto base = static_cast<std::uint8_t>(value & 0xF0U);
       if (base != 0 && (exceptions_.basepri() == 0 || base < exceptions_.basepri())) {
         exceptions_.set_basepri(base);
       }
       break;
     }
-    case 19:
+    case kFaultmask:
       if ((value & 1U) == 0 || exceptions_.execution_priority() > -1) {
         exceptions_.set_faultmask((value & 1U) != 0);
       }
       break;
-    case 20:
+    case kControl:
       unprivileged_thread_ = (value & 1U) != 0;
       if (ipsr_ == 0) {
         spsel_ = (value & 2U) != 0;

@@ -15,6 +15,7 @@ constexpr std::uint8_t kPriorityMask = 0xF0;  // 4 bits on this chip
 
 }  // namespace
 
+// Only reset, NMI and HardFault have fixed priorities, below 0.
 void Exceptions::reset() {
   pending_ = 0;
   active_ = 0;
@@ -34,11 +35,14 @@ void Exceptions::reset() {
   next_ = 0;
 }
 
+// The part of a priority that decides about preemption: AIRCR.PRIGROUP takes its lower bits away.
 int Exceptions::group(int priority) const {
   if (priority < 0) return priority;
   return priority & ~((2 << prigroup_) - 1) & 0xFF;
 }
 
+// The priority of the running code (ExecutionPriority, B1.5.4): that of the most urgent active
+// exception, raised by BASEPRI, PRIMASK and FAULTMASK.
 int Exceptions::masked(bool with_primask) const {
   int priority = active_priority_;
   if (basepri_ != 0) priority = std::min(priority, group(basepri_));
@@ -47,6 +51,8 @@ int Exceptions::masked(bool with_primask) const {
   return priority;
 }
 
+// The pending and enabled exception with the lowest priority value, and of equals the lowest
+// number; 0 if it would not preempt code that runs at priority `below`.
 std::uint8_t Exceptions::most_urgent(int below) const {
   std::uint64_t candidates = pending_ & enabled_;
   std::uint8_t best = 0;
@@ -78,6 +84,7 @@ bool Exceptions::can_take(std::uint8_t number) const {
   return enabled(number) && group(priority_[number]) < execution_priority();
 }
 
+// Recomputes the priority of the most urgent active exception.
 void Exceptions::find_active_priority() {
   active_priority_ = kThreadPriority;
   for (std::uint64_t left = active_; left != 0; left &= left - 1) {
@@ -86,12 +93,14 @@ void Exceptions::find_active_priority() {
   }
 }
 
+// The exception waits for its turn. A new one is also an event for WFE, if SEVONPEND is set.
 void Exceptions::pend(std::uint8_t number) {
   if (sev_on_pend && !pending(number)) event = true;
   pending_ |= bit(number);
   refresh();
 }
 
+// As by NVIC_ICPR or ICSR.
 void Exceptions::unpend(std::uint8_t number) {
   pending_ &= ~bit(number);
   // ICPR cannot clear what a peripheral still asks for.
@@ -113,6 +122,7 @@ void Exceptions::set_active(std::uint8_t number, bool active) {
   refresh();
 }
 
+// A peripheral's request line changes. A rising edge pends the interrupt immediately.
 void Exceptions::set_line(std::uint8_t irq, bool high) {
   const std::uint64_t mask = std::uint64_t{1} << irq;
   const bool was = (lines_ & mask) != 0;
@@ -121,6 +131,7 @@ void Exceptions::set_line(std::uint8_t irq, bool high) {
   if (high) pend(static_cast<std::uint8_t>(exc::kIrq0 + irq));
 }
 
+// The processor enters the handler of `number`.
 void Exceptions::activate(std::uint8_t number) {
   pending_ &= ~bit(number);
   active_ |= bit(number);
@@ -128,6 +139,7 @@ void Exceptions::activate(std::uint8_t number) {
   refresh();
 }
 
+// The processor returns from it.
 void Exceptions::deactivate(std::uint8_t number) {
   active_ &= ~bit(number);
   if (number >= exc::kIrq0 && line(static_cast<std::uint8_t>(number - exc::kIrq0))) {
@@ -137,6 +149,7 @@ void Exceptions::deactivate(std::uint8_t number) {
   refresh();
 }
 
+// The chip has four bits of priority, the upper ones.
 void Exceptions::set_priority(std::uint8_t number, std::uint8_t value) {
   priority_[number] = value & kPriorityMask;
   find_active_priority();

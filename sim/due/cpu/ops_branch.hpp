@@ -1,4 +1,5 @@
-// Handlers of branches, table branches and everything that concerns the processor itself.
+// Handlers of branches, table branches and everything that concerns the processor itself. A handler
+// executes the decoded instruction `i` on the processor `c` and returns the next instruction.
 #pragma once
 
 #include <cstdint>
@@ -9,7 +10,8 @@
 
 namespace due_emulator::ops {
 
-// Wraps an instruction inside an IT block.
+// Wraps an instruction inside an IT block: if its condition (ITSTATE, upper four bits) fails, it is
+// skipped and costs one cycle.
 template <Handler kInner>
 const Insn* conditional(Cpu& c, const Insn* i) {
   if (c.passes(static_cast<unsigned>(i->it) >> 4)) return kInner(c, i);
@@ -21,26 +23,27 @@ const Insn* conditional(Cpu& c, const Insn* i) {
 inline const Insn* branch_near(Cpu&, const Insn* i) { return i + i->step; }
 inline const Insn* branch_far(Cpu& c, const Insn* i) { return c.slot(i->imm); }
 
+// B<c>. The frequent conditions need no call.
 template <unsigned kCondition, bool kNear>
 const Insn* branch_if(Cpu& c, const Insn* i) {
   bool taken = false;
   switch (kCondition) {
-    case 0:
+    case 0:  // EQ
       taken = c.z_src == 0;
       break;
-    case 1:
+    case 1:  // NE
       taken = c.z_src != 0;
       break;
-    case 2:
+    case 2:  // CS
       taken = c.carry != 0;
       break;
-    case 3:
+    case 3:  // CC
       taken = c.carry == 0;
       break;
-    case 4:
+    case 4:  // MI
       taken = (c.n_src >> 31) != 0;
       break;
-    case 5:
+    case 5:  // PL
       taken = (c.n_src >> 31) == 0;
       break;
     default:
@@ -52,27 +55,29 @@ const Insn* branch_if(Cpu& c, const Insn* i) {
   return kNear ? i + i->step : c.slot(i->imm);
 }
 
-// `ra` is 1 for CBNZ.
+// CBZ and CBNZ: branches if rn is 0, or if it is not; `ra` is 1 for CBNZ.
 inline const Insn* compare_and_branch(Cpu& c, const Insn* i) {
   if ((c.r[i->rn] == 0) == (i->ra != 0)) return next(i);
   c.add_cycles(i->extra);
   return c.slot(i->imm);
 }
 
-// Here `imm` is the return address.
+// BL to a target in the same memory. `imm` is the return address, which goes to LR (r14).
 inline const Insn* branch_link_near(Cpu& c, const Insn* i) {
   c.r[14] = i->imm;
   return i + i->step;
 }
 
+// BL to another memory: `imm` is the target, so the return address is computed.
 inline const Insn* branch_link_far(Cpu& c, const Insn* i) {
   c.r[14] = (c.pc_of(i) + 4) | 1U;
   return c.slot(i->imm);
 }
 
+// BX: also returns from exceptions.
 inline const Insn* branch_exchange(Cpu& c, const Insn* i) { return c.branch_exchange(c.r[i->rm]); }
 
-// Here too.
+// BLX: `imm` is the return address.
 inline const Insn* branch_link_exchange(Cpu& c, const Insn* i) {
   const std::uint32_t target = c.r[i->rm];
   c.r[14] = i->imm;
@@ -85,6 +90,8 @@ inline const Insn* move_to_pc(Cpu& c, const Insn* i) { return c.slot(c.r[i->rm] 
 // `imm` is the address that reading PC gives here.
 inline const Insn* add_to_pc(Cpu& c, const Insn* i) { return c.slot((i->imm + c.r[i->rm]) & ~1U); }
 
+// TBB and TBH: branches forward by twice entry number rm of a table at rn, or behind the
+// instruction if rn is PC.
 template <typename T>
 const Insn* table_branch(Cpu& c, const Insn* i) {
   const std::uint32_t base = i->rn == 15 ? i->imm : c.r[i->rn];
@@ -112,6 +119,7 @@ inline const Insn* change_state(Cpu& c, const Insn* i) {
   return next(i);
 }
 
+// MRS and MSR: `imm` is SYSm, `ra` the mask.
 inline const Insn* move_from_special(Cpu& c, const Insn* i) {
   c.r[i->rd] = c.read_special(i->imm);
   return next(i);

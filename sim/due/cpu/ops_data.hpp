@@ -1,4 +1,5 @@
-// Handlers of data processing: arithmetic, logic, shifts, multiplication, bit fields.
+// Handlers of data processing: arithmetic, logic, shifts, multiplication, bit fields. A handler
+// executes the decoded instruction `i` on the processor `c` and returns the next instruction.
 #pragma once
 
 #include <cstdint>
@@ -7,7 +8,8 @@
 
 namespace due_emulator::ops {
 
-// The second operand of a data processing instruction.
+// The second operand of a data processing instruction. kImmCarry is an immediate that also gives
+// the carry; kReg is a register without a shift.
 enum class Op2 : std::uint8_t { kImm, kImmCarry, kReg, kLsl, kLsr, kAsr, kRor, kRrx };
 
 enum class Alu : std::uint8_t {
@@ -29,13 +31,16 @@ enum class Alu : std::uint8_t {
   kCmn
 };
 
+// The instruction behind `i`, if it did not branch.
 inline const Insn* next(const Insn* i) { return i + i->length; }
 
+// N and Z follow from the result when they are read.
 inline void set_nz(Cpu& c, std::uint32_t result) {
   c.n_src = result;
   c.z_src = result;
 }
 
+// AddWithCarry (A2.2.1); a - b is add(a, ~b, 1).
 template <bool kFlags>
 inline std::uint32_t add(Cpu& c, std::uint32_t a, std::uint32_t b, std::uint32_t carry) {
   const std::uint64_t wide = std::uint64_t{a} + b + carry;
@@ -53,6 +58,7 @@ inline std::uint32_t rotate_right(std::uint32_t value, unsigned amount) {
   return amount == 0 ? value : (value >> amount) | (value << (32 - amount));
 }
 
+// ASR, by any amount: from 32 on only copies of the sign are left.
 inline std::uint32_t arithmetic_right(std::uint32_t value, unsigned amount) {
   return static_cast<std::uint32_t>(static_cast<std::int32_t>(value) >>
                                     (amount > 31 ? 31 : amount));
@@ -92,6 +98,8 @@ inline std::uint32_t operand(const Cpu& c, const Insn* i, std::uint32_t& carry) 
   return value;
 }
 
+// rd = rn op operand, one function for each operation, operand and flags. Comparisons (TST, TEQ,
+// CMP, CMN) only set the flags.
 template <Alu kAlu, Op2 kOp, bool kFlags>
 const Insn* alu(Cpu& c, const Insn* i) {
   std::uint32_t carry = c.carry;
@@ -190,6 +198,7 @@ const Insn* shift_by_register(Cpu& c, const Insn* i) {
   return next(i);
 }
 
+// MOVT: the upper halfword.
 inline const Insn* move_top(Cpu& c, const Insn* i) {
   c.r[i->rd] = (c.r[i->rd] & 0xFFFFU) | (i->imm << 16);
   return next(i);
@@ -197,6 +206,7 @@ inline const Insn* move_top(Cpu& c, const Insn* i) {
 
 enum class Extend : std::uint8_t { kSxtb, kSxth, kUxtb, kUxth };
 
+// SXTB, SXTH, UXTB, UXTH of rm, rotated right by `extra` bits.
 template <Extend kExtend>
 const Insn* extend(Cpu& c, const Insn* i) {
   const std::uint32_t value = rotate_right(c.r[i->rm], i->extra);
@@ -221,6 +231,7 @@ const Insn* extend(Cpu& c, const Insn* i) {
 
 enum class Unary : std::uint8_t { kRev, kRev16, kRevsh, kRbit, kClz };
 
+// REV, REV16, REVSH (byte order), RBIT (bit order) and CLZ (leading zeros) of rm.
 template <Unary kUnary>
 const Insn* unary(Cpu& c, const Insn* i) {
   const std::uint32_t value = c.r[i->rm];
@@ -247,7 +258,8 @@ const Insn* unary(Cpu& c, const Insn* i) {
   return next(i);
 }
 
-// Bit fields: `extra` is the least significant bit, `imm` the mask of the field at bit 0.
+// BFI; with rn = 15 it is BFC, which inserts zeros. In all bit field handlers `extra` is the least
+// significant bit, `imm` the mask of the field at bit 0.
 inline const Insn* bit_field_insert(Cpu& c, const Insn* i) {
   const std::uint32_t source = i->rn == 15 ? 0 : c.r[i->rn];
   const std::uint32_t mask = i->imm << i->extra;
@@ -255,11 +267,13 @@ inline const Insn* bit_field_insert(Cpu& c, const Insn* i) {
   return next(i);
 }
 
+// UBFX.
 inline const Insn* bit_field_unsigned(Cpu& c, const Insn* i) {
   c.r[i->rd] = (c.r[i->rn] >> i->extra) & i->imm;
   return next(i);
 }
 
+// SBFX.
 inline const Insn* bit_field_signed(Cpu& c, const Insn* i) {
   const std::uint32_t field = (c.r[i->rn] >> i->extra) & i->imm;
   const std::uint32_t sign = i->imm ^ (i->imm >> 1);
@@ -267,7 +281,8 @@ inline const Insn* bit_field_signed(Cpu& c, const Insn* i) {
   return next(i);
 }
 
-// SSAT and USAT: shift in `extra` (ASR when `ra` is set, 0 meaning none), bound in `imm`.
+// SSAT and USAT: shifts rn by `extra` (LSL, or ASR if `ra` is not 0), limits it to `imm` and 0 or
+// -imm - 1, and sets Q if that changed it.
 template <bool kSigned>
 const Insn* saturate(Cpu& c, const Insn* i) {
   const std::uint32_t raw = c.r[i->rn];
@@ -283,6 +298,7 @@ const Insn* saturate(Cpu& c, const Insn* i) {
   return next(i);
 }
 
+// MUL.
 template <bool kFlags>
 const Insn* multiply(Cpu& c, const Insn* i) {
   const std::uint32_t result = c.r[i->rn] * c.r[i->rm];
@@ -301,7 +317,7 @@ inline const Insn* multiply_subtract(Cpu& c, const Insn* i) {
   return next(i);
 }
 
-// `rd` takes the low word, `ra` the high word.
+// SMULL, UMULL, SMLAL, UMLAL: `rd` takes the low word, `ra` the high word.
 template <bool kSigned, bool kAccumulate>
 const Insn* multiply_long(Cpu& c, const Insn* i) {
   std::uint64_t product = 0;
@@ -325,6 +341,8 @@ inline std::uint32_t division_cycles(std::uint32_t a, std::uint32_t b) {
   return static_cast<std::uint32_t>((quotient_bits + 3) / 4 + 1);
 }
 
+// SDIV and UDIV, rounded towards 0. A division by 0 gives 0, or a UsageFault if CCR.DIV_0_TRP (bit
+// 4) is set.
 template <bool kSigned>
 const Insn* divide(Cpu& c, const Insn* i) {
   const std::uint32_t a = c.r[i->rn];
@@ -347,7 +365,7 @@ const Insn* divide(Cpu& c, const Insn* i) {
   return next(i);
 }
 
-// r13 keeps its low two bits at 0 whatever is written to it.
+// Wraps a handler whose rd is SP (r13): its two lowest bits always read 0.
 template <Handler kInner>
 const Insn* into_sp(Cpu& c, const Insn* i) {
   const Insn* after = kInner(c, i);

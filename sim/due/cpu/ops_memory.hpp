@@ -1,4 +1,5 @@
-// Handlers of loads and stores.
+// Handlers of loads and stores. A handler executes the decoded instruction `i` on the processor `c`
+// and returns the next instruction. An access that fails throws Fault before a register changes.
 #pragma once
 
 #include <cstdint>
@@ -9,8 +10,11 @@
 
 namespace due_emulator::ops {
 
+// Address: rn + imm, the same with write-back before (pre-indexed) or after the access
+// (post-indexed), or rn + (rm << extra).
 enum class Mode : std::uint8_t { kOffset, kPre, kPost, kRegister };
 
+// The address of the access; see Mode.
 template <Mode kMode>
 inline std::uint32_t address_of(const Cpu& c, const Insn* i) {
   if constexpr (kMode == Mode::kPost) return c.r[i->rn];
@@ -18,6 +22,7 @@ inline std::uint32_t address_of(const Cpu& c, const Insn* i) {
   return c.r[i->rn] + i->imm;
 }
 
+// Gives the base register its new value, in the indexed modes.
 template <Mode kMode>
 inline void write_back(Cpu& c, const Insn* i) {
   if constexpr (kMode == Mode::kPre || kMode == Mode::kPost) {
@@ -26,6 +31,7 @@ inline void write_back(Cpu& c, const Insn* i) {
   }
 }
 
+// Sign extension of a byte or halfword that was loaded.
 template <typename T, bool kSigned>
 inline std::uint32_t widen(std::uint32_t raw) {
   if constexpr (kSigned && sizeof(T) == 1) {
@@ -37,6 +43,7 @@ inline std::uint32_t widen(std::uint32_t raw) {
   return raw;
 }
 
+// LDR, LDRB, LDRH, LDRSB, LDRSH.
 template <typename T, bool kSigned, Mode kMode>
 const Insn* load(Cpu& c, const Insn* i) {
   const std::uint32_t raw = c.load<T>(address_of<kMode>(c, i));
@@ -45,6 +52,7 @@ const Insn* load(Cpu& c, const Insn* i) {
   return next(i);
 }
 
+// LDR into PC, which branches.
 template <Mode kMode>
 const Insn* load_pc(Cpu& c, const Insn* i) {
   const std::uint32_t address = address_of<kMode>(c, i);
@@ -54,6 +62,7 @@ const Insn* load_pc(Cpu& c, const Insn* i) {
   return c.branch_exchange(target);
 }
 
+// STR, STRB, STRH.
 template <typename T, Mode kMode>
 const Insn* store(Cpu& c, const Insn* i) {
   const std::uint32_t value = c.r[i->rd];
@@ -73,6 +82,7 @@ inline const Insn* load_literal_pc(Cpu& c, const Insn* i) {
   return c.branch_exchange(c.load<std::uint32_t>(i->imm));
 }
 
+// LDRD: two words into rd and ra.
 template <Mode kMode>
 const Insn* load_double(Cpu& c, const Insn* i) {
   const std::uint32_t address = address_of<kMode>(c, i);
@@ -85,6 +95,7 @@ const Insn* load_double(Cpu& c, const Insn* i) {
   return next(i);
 }
 
+// LDRD relative to PC.
 inline const Insn* load_double_literal(Cpu& c, const Insn* i) {
   const std::uint32_t first = c.load<std::uint32_t>(i->imm);
   c.r[i->ra] = c.load<std::uint32_t>(i->imm + 4);
@@ -92,6 +103,7 @@ inline const Insn* load_double_literal(Cpu& c, const Insn* i) {
   return next(i);
 }
 
+// STRD.
 template <Mode kMode>
 const Insn* store_double(Cpu& c, const Insn* i) {
   const std::uint32_t address = address_of<kMode>(c, i);
@@ -110,6 +122,8 @@ inline void write_back_multiple(Cpu& c, const Insn* i) {
   if (i->rn == 13) c.r[13] &= ~3U;
 }
 
+// LDM and POP, in ascending order of registers and addresses. Bit 15 of the list is PC, which
+// branches; it comes last.
 template <bool kDecrementBefore>
 const Insn* load_multiple(Cpu& c, const Insn* i) {
   const std::uint32_t list = i->imm;
@@ -144,6 +158,7 @@ const Insn* load_multiple(Cpu& c, const Insn* i) {
   return next(i);
 }
 
+// STM and PUSH. The usual case is SRAM that holds no decoded code, and is copied directly.
 template <bool kDecrementBefore>
 const Insn* store_multiple(Cpu& c, const Insn* i) {
   const std::uint32_t base = c.r[i->rn];
@@ -164,6 +179,7 @@ const Insn* store_multiple(Cpu& c, const Insn* i) {
   return next(i);
 }
 
+// LDREX and the like: notes the address in the local monitor.
 template <typename T>
 const Insn* load_exclusive(Cpu& c, const Insn* i) {
   const std::uint32_t address = c.r[i->rn] + i->imm;
@@ -174,7 +190,8 @@ const Insn* load_exclusive(Cpu& c, const Insn* i) {
   return next(i);
 }
 
-// `ra` takes the result: 0 when the store was done.
+// STREX and the like: stores only if the monitor still holds this address. `ra` takes the result: 0
+// if the store was done, otherwise 1.
 template <typename T>
 const Insn* store_exclusive(Cpu& c, const Insn* i) {
   const std::uint32_t address = c.r[i->rn] + i->imm;

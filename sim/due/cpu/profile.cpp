@@ -1,11 +1,14 @@
-// Breakpoints, function probes and the cost of exception handlers. Marks replace the handler of a
-// decoded instruction, so that code without marks runs at full speed.
+// Breakpoints, function probes and the cost of exception handlers. A mark at an address replaces
+// the handler of its decoded instruction by marked(), so that code without marks runs at full
+// speed.
 #include <algorithm>
 
 #include "cpu/cpu.hpp"
 
 namespace due_emulator {
 
+// Adds one kind of mark to an address, and decodes its instruction again, which puts marked()
+// there.
 void Cpu::set_mark(std::uint32_t address, MarkKind kind) {
   Mark& mark = marks_[address & ~1U];
   if ((mark.kinds & kind) != 0) return;
@@ -16,6 +19,7 @@ void Cpu::set_mark(std::uint32_t address, MarkKind kind) {
   resume_at(address & ~1U, window->slot(address & ~1U)->it);
 }
 
+// Takes one kind of mark away; the last one restores the instruction's own handler.
 void Cpu::clear_mark(std::uint32_t address, MarkKind kind) {
   const auto found = marks_.find(address & ~1U);
   if (found == marks_.end()) return;
@@ -48,6 +52,8 @@ void Cpu::clear_stats() {
   for (auto& probe : probes_) probe.second = {};
 }
 
+// Handler of an instruction with marks. A breakpoint halts the processor before the instruction,
+// and lets it pass when the run continues. A probe notes the call and marks its return address.
 const Insn* Cpu::marked(const Insn* insn) {
   const std::uint32_t address = pc_of(insn);
   const Mark mark = marks_.at(address);
@@ -55,6 +61,7 @@ const Insn* Cpu::marked(const Insn* insn) {
     halt_ = Halt::kBreakpoint;
     step_over_ = address;
     stop_at_ = 0;
+    // The run loop has counted the instruction, which does not run now.
     --instructions_;
     cycles_ -= insn->cycles;
     return insn;
@@ -89,12 +96,15 @@ void Cpu::close_probes(std::uint32_t address) {
   }
 }
 
+// An exception is entered: notes the counters, to find the cost of its handler at its return.
 void Cpu::note_entry(std::uint8_t number) {
   const std::size_t inner = std::min<std::size_t>(open_exceptions_.size() + 1, nested_.size() - 1);
   stats_[number].last_entry = cycles_;
   open_exceptions_.push_back({number, instructions_, cycles_, nested_[inner]});
 }
 
+// A handler returns: adds its cost to its statistics. nested_[depth] counts the instructions of
+// handlers that have preempted the code at that depth; they do not count for the code itself.
 void Cpu::note_return() {
   if (open_exceptions_.empty()) return;
   const OpenException open = open_exceptions_.back();

@@ -11,13 +11,14 @@ namespace due_emulator {
 
 namespace {
 
-constexpr int kMaxInstructions = 256;
+constexpr int kMaxInstructions = 256;  // a longer way to the next read is no wait loop
 
 }  // namespace
 
-// Runs from the load at ip_, which gets `polled`, to the next read of a peripheral. Recording,
-// the addresses go into `loop`, and false means that there is no loop; otherwise false means that
-// the program left it.
+// Runs the program from the load at ip_, which reads the value `polled`, to its next read of a
+// peripheral. With `record`, notes the addresses in `loop`; returns whether there is a loop.
+// Without, returns whether the program stayed in the loop that was recorded. The caller restores
+// the state.
 bool Cpu::follow(std::uint32_t polled, std::set<std::uint32_t>& loop, bool record) {
   bus_.rehearse(polled);
   try {
@@ -37,6 +38,8 @@ bool Cpu::follow(std::uint32_t polled, std::set<std::uint32_t>& loop, bool recor
   return !record;
 }
 
+// See cpu.hpp. Runs the loop once with the value that the register has, and then once per bit with
+// that bit inverted; after each run the state is restored.
 std::uint32_t Cpu::deciding_bits(std::uint32_t value) {
   const auto members = [this] {
     return std::tie(n_src, z_src, carry, v_src, q_flag, exclusive, exclusive_address, cfsr, hfsr,

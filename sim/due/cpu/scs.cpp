@@ -1,19 +1,16 @@
 // Reads and writes of the system control space: NVIC, SCB and debug registers; see scs.hpp.
 #include "cpu/scs.hpp"
 
+#include "cpu/scs_registers.hpp"
+
 namespace due_emulator {
 
 namespace {
 
+// Values of read-only registers.
 constexpr std::uint32_t kCpuId = 0x412FC230;         // Cortex-M3 r2p0
 constexpr std::uint32_t kInterruptLines = 1;         // ICTR: 33 to 64 lines
 constexpr std::uint32_t kSystickCalib = 0x00002904;  // 1 ms at 84 MHz / 8
-constexpr std::uint32_t kAircrKey = 0x05FA;
-
-constexpr std::uint32_t kSystickEnable = 1U << 0;
-constexpr std::uint32_t kCountFlag = 1U << 16;
-
-constexpr std::uint32_t kDemcrTrace = 1U << 24;
 
 // An exception with bits in SHCSR (System Handler Control and State Register).
 struct SystemHandler {
@@ -50,25 +47,28 @@ void SystemControl::reset() {
   scheduler_.set(id_, kNever);
 }
 
+// Reports an access to a register that the model does not have. `verb` is "read of" or "write of".
 void SystemControl::unmodelled(std::uint32_t address, const char* verb) {
   diagnostics_.report(Trouble::kUnmodelled, address,
                       std::string(verb) + " " + hex(address) +
                           " in the private peripheral bus: this register is not modelled");
 }
 
+// A load from the private peripheral bus: the bytes that the instruction reads, from the register's
+// word.
 std::uint32_t SystemControl::read_private(std::uint32_t address, std::uint32_t size) {
   const std::uint32_t word = read_word(address & ~3U);
   if (size == 4) return word;
   return (word >> (8 * (address & 3U))) & (size == 1 ? 0xFFU : 0xFFFFU);
 }
 
-// A write to the private peripheral bus. Only priority registers (NVIC_IPR at 0x400, SHPR at 0xD18)
-// may be written in bytes or halfwords.
+// A store to the private peripheral bus. Only the priority registers NVIC_IPR and SHPR may be
+// written in bytes or halfwords; another narrow write is reported, and writes 0 to the other bytes.
 void SystemControl::write_private(std::uint32_t address, std::uint32_t value, std::uint32_t size) {
   if (size == 4) return write_word(address, value);
-  const std::uint32_t offset = address - 0xE000E000;
-  const bool bytes_allowed =
-      (offset >= 0x400 && offset < 0x500) || (offset >= 0xD18 && offset < 0xD24);
+  const std::uint32_t offset = address - scs::kBase;
+  const bool bytes_allowed = (offset >= scs::kNvicIpr && offset < scs::kNvicEnd) ||
+                             (offset >= scs::kShpr1 && offset < scs::kShcsr);
   if (!bytes_allowed) {
     diagnostics_.report(Trouble::kNarrow, address,
                         "write of " + std::to_string(size) + " bytes to " + hex(address));
@@ -79,71 +79,72 @@ void SystemControl::write_private(std::uint32_t address, std::uint32_t value, st
   write_word(address & ~3U, (old & ~mask) | ((value << shift) & mask));
 }
 
+// The value that a load of a register's word gives, and the load's side effects.
 std::uint32_t SystemControl::read_word(std::uint32_t address) {
-  if (address == 0xE0001000) return 0x40000000U | dwt_control_;
-  if (address == 0xE0001004) {
-    const bool counts = (dwt_control_ & 1U) != 0 && (demcr_ & kDemcrTrace) != 0;
+  if (address == scs::kDwtCtrl) return scs::kDwtNumComp | dwt_control_;
+  if (address == scs::kDwtCyccnt) {
+    const bool counts = (dwt_control_ & scs::kDwtCycCntEna) != 0 && (demcr_ & scs::kTrcEna) != 0;
     return counts ? static_cast<std::uint32_t>(cpu_.cycles() - cyccnt_start_) : cyccnt_held_;
   }
-  if (address < 0xE000E000 || address >= 0xE000F000) {
+  if (address < scs::kBase || address >= scs::kEnd) {
     unmodelled(address, "read of");
     return 0;
   }
-  const std::uint32_t offset = address - 0xE000E000;
-  if (offset >= 0x100 && offset < 0x500) return read_nvic(offset);
+  const std::uint32_t offset = address - scs::kBase;
+  if (offset >= scs::kNvicIser && offset < scs::kNvicEnd) return read_nvic(offset);
   switch (offset) {
-    case 0x004:
+    case scs::kIctr:
       return kInterruptLines;
-    case 0x008:
+    case scs::kActlr:
       return 0;
-    case 0x010: {
+    case scs::kSystCsr: {
       catch_up_systick();
       plan_systick();
       const std::uint32_t value = systick_control_;
-      systick_control_ &= ~kCountFlag;
+      systick_control_ &= ~scs::kSystCountFlag;  // reading clears it
       return value;
     }
-    case 0x014:
+    case scs::kSystRvr:
       return systick_reload_;
-    case 0x018:
+    case scs::kSystCvr:
       return systick_value();
-    case 0x01C:
+    case scs::kSystCalib:
       return kSystickCalib;
-    case 0xD00:
+    case scs::kCpuid:
       return kCpuId;
-    case 0xD04:
+    case scs::kIcsr:
       return icsr();
-    case 0xD08:
+    case scs::kVtor:
       return cpu_.vtor;
-    case 0xD0C:
-      return 0xFA050000U | (std::uint32_t{exceptions_.prigroup()} << 8);
-    case 0xD10:
+    case scs::kAircr:
+      return scs::kVectKeyStat | (std::uint32_t{exceptions_.prigroup()} << scs::kPriGroupShift);
+    case scs::kScr:
       return cpu_.scr;
-    case 0xD14:
+    case scs::kCcr:
       return cpu_.ccr;
-    case 0xD18:
-    case 0xD1C:
-    case 0xD20:
+    case scs::kShpr1:
+    case scs::kShpr2:
+    case scs::kShpr3:
       return read_priorities(4 + (offset - 0xD18));
-    case 0xD24:
+    case scs::kShcsr:
       return shcsr();
-    case 0xD28:
+    case scs::kCfsr:
       return cpu_.cfsr;
-    case 0xD2C:
+    case scs::kHfsr:
       return cpu_.hfsr;
-    case 0xD30:
+    case scs::kDfsr:
       return 0;
-    case 0xD34:
+    case scs::kMmfar:
       return cpu_.mmfar;
-    case 0xD38:
+    case scs::kBfar:
       return cpu_.bfar;
-    case 0xD3C:
+    case scs::kAfsr:
       return 0;
-    case 0xD90:
-      return 0x00000800;  // MPU_TYPE: 8 regions, none of them modelled
-    case 0xDF0:
+    case scs::kMpuType:
+      return scs::kMpuRegions;  // none of them modelled
+    case scs::kDhcsr:
       return 0;
-    case 0xDFC:
+    case scs::kDemcr:
       return demcr_;
     default:
       unmodelled(address, "read of");
@@ -151,84 +152,88 @@ std::uint32_t SystemControl::read_word(std::uint32_t address) {
   }
 }
 
+// Stores a whole word in a register, with the effects that the ARMv7-M manual gives the write.
 void SystemControl::write_word(std::uint32_t address, std::uint32_t value) {
-  if (address == 0xE0001000) {
-    cyccnt_held_ = read_word(0xE0001004);
-    dwt_control_ = value & 1U;
+  if (address == scs::kDwtCtrl) {
+    // The counter goes on from its value, or keeps it while it is off.
+    cyccnt_held_ = read_word(scs::kDwtCyccnt);
+    dwt_control_ = value & scs::kDwtCycCntEna;
     cyccnt_start_ = cpu_.cycles() - cyccnt_held_;
-    if ((value & ~1U & 0x0FFFFFFFU) != 0) unmodelled(address, "write of");
+    if ((value & ~scs::kDwtCycCntEna & ~scs::kDwtReadOnly) != 0) unmodelled(address, "write of");
     return;
   }
-  if (address == 0xE0001004) {
+  if (address == scs::kDwtCyccnt) {
     cyccnt_held_ = value;
     cyccnt_start_ = cpu_.cycles() - value;
     return;
   }
-  if (address < 0xE000E000 || address >= 0xE000F000) return unmodelled(address, "write of");
-  const std::uint32_t offset = address - 0xE000E000;
-  if (offset >= 0x100 && offset < 0x500) return write_nvic(offset, value);
+  if (address < scs::kBase || address >= scs::kEnd) return unmodelled(address, "write of");
+  const std::uint32_t offset = address - scs::kBase;
+  if (offset >= scs::kNvicIser && offset < scs::kNvicEnd) return write_nvic(offset, value);
   switch (offset) {
-    case 0x010: {
+    case scs::kSystCsr: {
       catch_up_systick();
-      const bool was_on = (systick_control_ & kSystickEnable) != 0;
+      const bool was_on = (systick_control_ & scs::kSystEnable) != 0;
       if (was_on) systick_stopped_value_ = systick_value();
-      systick_control_ = (systick_control_ & kCountFlag) | (value & 7U);
-      if ((value & kSystickEnable) != 0) return start_systick();
+      systick_control_ = (systick_control_ & scs::kSystCountFlag) |
+                         (value & (scs::kSystEnable | scs::kSystTickInt | scs::kSystClkSource));
+      if ((value & scs::kSystEnable) != 0) return start_systick();
       return plan_systick();
     }
-    case 0x014:
+    case scs::kSystRvr:
       catch_up_systick();
-      systick_reload_ = value & 0xFFFFFFU;
+      systick_reload_ = value & scs::kSystCounterMask;
       return plan_systick();
-    case 0x018:
-      systick_control_ &= ~kCountFlag;
+    case scs::kSystCvr:
+      // Any value clears the counter and COUNTFLAG.
+      systick_control_ &= ~scs::kSystCountFlag;
       systick_stopped_value_ = 0;
-      if ((systick_control_ & kSystickEnable) != 0) start_systick();
+      if ((systick_control_ & scs::kSystEnable) != 0) start_systick();
       return;
-    case 0xD04:
+    case scs::kIcsr:
       return write_icsr(value);
-    case 0xD08:
-      cpu_.vtor = value & 0x3FFFFF80U;
+    case scs::kVtor:
+      cpu_.vtor = value & scs::kVtorMask;
       return;
-    case 0xD0C:
+    case scs::kAircr:
       return write_aircr(value);
-    case 0xD10:
-      cpu_.scr = value & 0x16U;
-      exceptions_.sev_on_pend = (value & 0x10U) != 0;
-      if ((value & 4U) != 0) {
+    case scs::kScr:
+      cpu_.scr = value & scs::kScrMask;
+      exceptions_.sev_on_pend = (value & scs::kSevOnPend) != 0;
+      if ((value & scs::kSleepDeep) != 0) {
         diagnostics_.report(Trouble::kUnmodelled, address,
                             "SCR.SLEEPDEEP: wait mode is not modelled");
       }
       return;
-    case 0xD14:
-      cpu_.ccr = value & 0x31BU;
+    case scs::kCcr:
+      cpu_.ccr = value & scs::kCcrMask;
       return;
-    case 0xD18:
-    case 0xD1C:
-    case 0xD20:
+    case scs::kShpr1:
+    case scs::kShpr2:
+    case scs::kShpr3:
       return write_priorities(4 + (offset - 0xD18), value);
-    case 0xD24:
+    case scs::kShcsr:
       return write_shcsr(value);
-    case 0xD28:
-      cpu_.cfsr &= ~value;
+    case scs::kCfsr:
+      cpu_.cfsr &= ~value;  // writing 1 clears a status bit, here and in HFSR
       return;
-    case 0xD2C:
+    case scs::kHfsr:
       cpu_.hfsr &= ~value;
       return;
-    case 0xD34:
+    case scs::kMmfar:
       cpu_.mmfar = value;
       return;
-    case 0xD38:
+    case scs::kBfar:
       cpu_.bfar = value;
       return;
-    case 0xDFC:
-      cyccnt_held_ = read_word(0xE0001004);
-      demcr_ = value & kDemcrTrace;
+    case scs::kDemcr:
+      cyccnt_held_ = read_word(scs::kDwtCyccnt);
+      demcr_ = value & scs::kTrcEna;
       cyccnt_start_ = cpu_.cycles() - cyccnt_held_;
       return;
-    case 0xF00:
-      if ((value & 0x1FFU) < exc::kIrqCount) {
-        exceptions_.pend(static_cast<std::uint8_t>(exc::kIrq0 + (value & 0x1FFU)));
+    case scs::kStir:
+      if ((value & scs::kStirIntId) < exc::kIrqCount) {
+        exceptions_.pend(static_cast<std::uint8_t>(exc::kIrq0 + (value & scs::kStirIntId)));
       }
       return;
     default:
@@ -238,52 +243,59 @@ void SystemControl::write_word(std::uint32_t address, std::uint32_t value) {
 
 // -- NVIC -------------------------------------------------------------------------------------
 
+// One word of an NVIC register: four priorities, or 32 interrupts of a bit array. Set and clear
+// registers of an array read alike.
 std::uint32_t SystemControl::read_nvic(std::uint32_t offset) const {
-  if (offset >= 0x400) return read_priorities(16 + (offset - 0x400));
-  const std::uint32_t first = (offset & 0x7FU) * 8;
-  if (first >= 64) return 0;
+  if (offset >= scs::kNvicIpr) return read_priorities(exc::kIrq0 + (offset - scs::kNvicIpr));
+  const std::uint32_t first_irq = (offset & scs::kNvicByte) * 8;
+  if (first_irq >= 64) return 0;
   std::uint64_t set = 0;
-  switch (offset & 0x780U) {
-    case 0x100:
-    case 0x180:
+  switch (offset & scs::kNvicArray) {
+    case scs::kNvicIser:
+    case scs::kNvicIcer:
       set = exceptions_.enabled_mask();
       break;
-    case 0x200:
-    case 0x280:
+    case scs::kNvicIspr:
+    case scs::kNvicIcpr:
       set = exceptions_.pending_mask();
       break;
-    default:
+    default:  // NVIC_IABR
       set = exceptions_.active_mask();
       break;
   }
-  return static_cast<std::uint32_t>((set >> exc::kIrq0) >> first);
+  return static_cast<std::uint32_t>((set >> exc::kIrq0) >> first_irq);
 }
 
+// A write to an NVIC register: four priorities, or a bit array, in which each bit of 1 acts on its
+// interrupt and bits of 0 do nothing.
 void SystemControl::write_nvic(std::uint32_t offset, std::uint32_t value) {
-  if (offset >= 0x400) return write_priorities(16 + (offset - 0x400), value);
-  const std::uint32_t first = (offset & 0x7FU) * 8;
-  for (std::uint32_t bit = 0; bit < 32 && first + bit < exc::kIrqCount; ++bit) {
+  if (offset >= scs::kNvicIpr) {
+    return write_priorities(exc::kIrq0 + (offset - scs::kNvicIpr), value);
+  }
+  const std::uint32_t first_irq = (offset & scs::kNvicByte) * 8;
+  for (std::uint32_t bit = 0; bit < 32 && first_irq + bit < exc::kIrqCount; ++bit) {
     if (((value >> bit) & 1U) == 0) continue;
-    const auto number = static_cast<std::uint8_t>(exc::kIrq0 + first + bit);
-    switch (offset & 0x780U) {
-      case 0x100:
+    const auto number = static_cast<std::uint8_t>(exc::kIrq0 + first_irq + bit);
+    switch (offset & scs::kNvicArray) {
+      case scs::kNvicIser:
         exceptions_.set_enabled(number, true);
         break;
-      case 0x180:
+      case scs::kNvicIcer:
         exceptions_.set_enabled(number, false);
         break;
-      case 0x200:
+      case scs::kNvicIspr:
         exceptions_.pend(number);
         break;
-      case 0x280:
+      case scs::kNvicIcpr:
         exceptions_.unpend(number);
         break;
-      default:
+      default:  // NVIC_IABR is read-only
         break;
     }
   }
 }
 
+// The priorities of four exceptions from number `first` on, one in each byte.
 std::uint32_t SystemControl::read_priorities(std::uint32_t first) const {
   std::uint32_t value = 0;
   for (std::uint32_t i = 0; i < 4; ++i) {
@@ -295,7 +307,8 @@ std::uint32_t SystemControl::read_priorities(std::uint32_t first) const {
   return value;
 }
 
-// Four priority bytes, of the exceptions from `first` on; 7 to 10 and 13 are reserved.
+// Sets four priorities, one from each byte, of the exceptions from number `first` on. Exceptions 7
+// to 10 and 13 are reserved: nothing is written.
 void SystemControl::write_priorities(std::uint32_t first, std::uint32_t value) {
   for (std::uint32_t i = 0; i < 4; ++i) {
     const std::uint32_t number = first + i;
@@ -308,10 +321,12 @@ void SystemControl::write_priorities(std::uint32_t first, std::uint32_t value) {
 
 // -- SCB --------------------------------------------------------------------------------------
 
+// ICSR as a program reads it: VECTACTIVE (the running exception), RETTOBASE (at most one exception
+// is active), VECTPENDING (the most urgent exception that waits) and the pending bits.
 std::uint32_t SystemControl::icsr() const {
   std::uint32_t value = cpu_.ipsr();
   const std::uint64_t active = exceptions_.active_mask();
-  if ((active & (active - 1)) == 0) value |= 1U << 11;  // RETTOBASE
+  if ((active & (active - 1)) == 0) value |= scs::kRetToBase;
   const std::uint64_t waiting = exceptions_.pending_mask() & exceptions_.enabled_mask();
   std::uint32_t best = 0;
   int best_priority = Exceptions::kThreadPriority;
@@ -322,34 +337,37 @@ std::uint32_t SystemControl::icsr() const {
       best = number;
     }
   }
-  value |= best << 12;
-  if ((waiting >> exc::kIrq0) != 0) value |= 1U << 22;
-  if (exceptions_.pending(exc::kSysTick)) value |= 1U << 26;
-  if (exceptions_.pending(exc::kPendSv)) value |= 1U << 28;
-  if (exceptions_.pending(exc::kNmi)) value |= 1U << 31;
+  value |= best << scs::kVectPendingShift;
+  if ((waiting >> exc::kIrq0) != 0) value |= scs::kIsrPending;
+  if (exceptions_.pending(exc::kSysTick)) value |= scs::kPendStSet;
+  if (exceptions_.pending(exc::kPendSv)) value |= scs::kPendSvSet;
+  if (exceptions_.pending(exc::kNmi)) value |= scs::kNmiPendSet;
   return value;
 }
 
 void SystemControl::write_icsr(std::uint32_t value) {
-  if ((value & (1U << 31)) != 0) exceptions_.pend(exc::kNmi);
-  if ((value & (1U << 28)) != 0) exceptions_.pend(exc::kPendSv);
-  if ((value & (1U << 27)) != 0) exceptions_.unpend(exc::kPendSv);
-  if ((value & (1U << 26)) != 0) exceptions_.pend(exc::kSysTick);
-  if ((value & (1U << 25)) != 0) exceptions_.unpend(exc::kSysTick);
+  if ((value & scs::kNmiPendSet) != 0) exceptions_.pend(exc::kNmi);
+  if ((value & scs::kPendSvSet) != 0) exceptions_.pend(exc::kPendSv);
+  if ((value & scs::kPendSvClr) != 0) exceptions_.unpend(exc::kPendSv);
+  if ((value & scs::kPendStSet) != 0) exceptions_.pend(exc::kSysTick);
+  if ((value & scs::kPendStClr) != 0) exceptions_.unpend(exc::kSysTick);
 }
 
+// AIRCR: the priority grouping, and a request to reset the chip.
 void SystemControl::write_aircr(std::uint32_t value) {
-  if ((value >> 16) != kAircrKey) {
-    diagnostics_.report(Trouble::kMisuse, 0xE000ED0C, "write of AIRCR without its key 0x05FA");
+  if ((value >> 16) != scs::kVectKey) {
+    diagnostics_.report(Trouble::kMisuse, scs::kBase + scs::kAircr,
+                        "write of AIRCR without its key 0x05FA");
     return;
   }
-  exceptions_.set_prigroup(static_cast<std::uint8_t>((value >> 8) & 7U));
-  if ((value & 5U) != 0) {
+  exceptions_.set_prigroup(static_cast<std::uint8_t>((value >> scs::kPriGroupShift) & 7U));
+  if ((value & (scs::kSysResetReq | scs::kVectReset)) != 0) {
     reset_requested = true;
     cpu_.interrupt_run();
   }
 }
 
+// SHCSR: which system exceptions are active, pending and enabled, by the bits in kHandlers.
 std::uint32_t SystemControl::shcsr() const {
   std::uint32_t value = 0;
   for (const SystemHandler& handler : kHandlers) {
@@ -360,6 +378,8 @@ std::uint32_t SystemControl::shcsr() const {
   return value;
 }
 
+// A write to SHCSR sets all its bits: a program can pend or unpend a system exception, and even
+// change which ones count as active.
 void SystemControl::write_shcsr(std::uint32_t value) {
   for (const SystemHandler& handler : kHandlers) {
     exceptions_.set_active(handler.number, (value & handler.active_bit) != 0);

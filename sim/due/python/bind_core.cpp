@@ -17,6 +17,7 @@ using namespace due_emulator;
 
 namespace {
 
+// Processor, bus and memories; everything else of the chip is absent, and checks are lenient.
 class BareCore {
  public:
   BareCore() : scs_(system_.cpu, system_.exceptions, system_.scheduler, system_.diagnostics) {
@@ -26,6 +27,7 @@ class BareCore {
     system_.cpu.vtor = kFlashBase;
   }
 
+  // Registers as after reset; the vector table is at the beginning of the flash.
   void reset() {
     system_.exceptions.reset();
     scs_.reset();
@@ -33,6 +35,7 @@ class BareCore {
     system_.cpu.vtor = kFlashBase;
   }
 
+  // Writes flash or SRAM, and forgets all decoded code.
   void write(std::uint32_t address, nb::bytes data) {
     const auto size = static_cast<std::uint32_t>(data.size());
     std::uint8_t* to = place(address, size);
@@ -46,10 +49,12 @@ class BareCore {
     return nb::bytes(reinterpret_cast<const char*>(place(address, size)), size);
   }
 
-  // r0 to r12, SP, LR, PC and xPSR in front of each instruction until PC is `stop`, and once more
-  // at the end. Instructions that an IT block skips have no row, as in unicorn's code hook.
+  // Runs up to `most` instructions and returns r0 to r12, SP, LR, PC and xPSR in front of each
+  // instruction until PC is `stop`, and once more at the end. Instructions that an IT block skips
+  // have no row, as in unicorn's code hook.
   nb::ndarray<nb::numpy, std::uint32_t, nb::ndim<2>> trace(std::uint32_t stop, std::size_t most) {
-    auto rows = std::make_unique<std::uint32_t[]>((most + 1) * 17);
+    constexpr std::size_t kColumns = 17;
+    auto rows = std::make_unique<std::uint32_t[]>((most + 1) * kColumns);
     std::size_t count = 0;
     for (;;) {
       const bool at_stop = system_.cpu.pc() == stop;
@@ -57,7 +62,7 @@ class BareCore {
         system_.cpu.step(kNever - 1);
         continue;
       }
-      std::uint32_t* row = rows.get() + count * 17;
+      std::uint32_t* row = rows.get() + count * kColumns;
       for (unsigned reg = 0; reg < 16; ++reg) row[reg] = system_.cpu.reg(reg);
       row[16] = system_.cpu.xpsr();
       if (at_stop || ++count > most) break;
@@ -66,13 +71,14 @@ class BareCore {
     if (count <= most) ++count;
     std::uint32_t* data = rows.release();
     nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<std::uint32_t*>(p); });
-    return {data, {count, 17}, owner};
+    return {data, {count, kColumns}, owner};
   }
 
   Cpu& cpu() { return system_.cpu; }
   Exceptions& exceptions() { return system_.exceptions; }
 
  private:
+  // The bytes of flash or SRAM at an address.
   std::uint8_t* place(std::uint32_t address, std::uint32_t size) {
     if (address - kFlashBase < kFlashSize && size <= kFlashSize - (address - kFlashBase)) {
       return system_.memory.flash.data() + (address - kFlashBase);

@@ -37,6 +37,7 @@ int pin_number(const std::string& name) {
   throw std::invalid_argument("no pin is called " + name + "; write PA0 to PD31");
 }
 
+// "open", "pull-down" and so on to what is connected to a pin.
 External external_of(const std::string& state) {
   if (state == "open") return External::kOpen;
   if (state == "pull-down") return External::kPullDown;
@@ -46,6 +47,7 @@ External external_of(const std::string& state) {
   throw std::invalid_argument("a pin can be open, pull-down, pull-up, low or high, not " + state);
 }
 
+// A check's name, as trouble_name() gives it, to its number.
 Trouble trouble_of(const std::string& name) {
   for (int i = 0; i < kTroubleCount; ++i) {
     if (name == trouble_name(static_cast<Trouble>(i))) return static_cast<Trouble>(i);
@@ -58,7 +60,8 @@ const char* halt_name(Halt halt) {
   return kNames[static_cast<std::size_t>(halt)];
 }
 
-// A debugger looks without disturbing: what it may not read, it reads as zero.
+// Memory for a debugger, as bytes. What cannot be read gives zeros and no fault. Peripherals (from
+// 0x40000000 on) are read in words, if address and size allow it.
 nb::bytes peek(Due& due, std::uint32_t address, std::uint32_t size) {
   System& system = due.chip.system;
   std::vector<std::uint8_t> data(size);
@@ -77,6 +80,7 @@ nb::bytes peek(Due& due, std::uint32_t address, std::uint32_t size) {
   return to_bytes(data);
 }
 
+// Writes memory for a debugger: flash directly, everything else by the bus.
 void poke(Due& due, std::uint32_t address, const nb::bytes& data) {
   System& system = due.chip.system;
   const std::uint8_t* from = bytes_of(data);
@@ -100,9 +104,11 @@ void poke(Due& due, std::uint32_t address, const nb::bytes& data) {
   }
 }
 
+// Peripheral, its base address, register, its offset; readable, writable, modelled.
 using RegisterRow =
     std::tuple<std::string, std::uint32_t, std::string, std::uint32_t, bool, bool, bool>;
 
+// All registers of all peripherals, for a comparison with the chip's SVD file.
 std::vector<RegisterRow> registers(Due& due) {
   std::vector<RegisterRow> rows;
   for (const Peripheral* peripheral : due.chip.system.peripherals) {
@@ -115,10 +121,12 @@ std::vector<RegisterRow> registers(Due& due) {
   return rows;
 }
 
+// Switches all peripheral clocks on or off, so that tests need no PMC.
 void set_peripheral_clocks(Due& due, bool all) {
   due.chip.system.peripheral_clocks = all ? ~std::uint64_t{0} : 0;
 }
 
+// Power, time, resets and the checks of strict mode.
 void bind_running(nb::class_<Due>& due) {
   due.def(nb::init<>())
       .def("power_on", &Due::power_on)
@@ -177,6 +185,8 @@ void bind_running(nb::class_<Due>& due) {
       .def("take_warnings", [](Due& self) { return self.chip.system.diagnostics.take_warnings(); });
 }
 
+// What is connected to the board: USB, encoders, pins, voltages; and the flash as a programmer sees
+// it.
 void bind_outside(nb::class_<Due>& due) {
   due.def(
          "usb_line_coding",
@@ -263,6 +273,7 @@ void bind_outside(nb::class_<Due>& due) {
       .def_prop_ro("flash_busy", [](const Due& self) { return self.chip.system.cpu.flash_busy; });
 }
 
+// Registers of the processor, memory, breakpoints and symbols.
 void bind_debugging(nb::class_<Due>& due) {
   due.def_prop_ro("halt", [](const Due& self) { return halt_name(self.chip.system.cpu.halt()); })
       .def("resume", [](Due& self) { self.chip.system.cpu.clear_halt(); })
@@ -339,6 +350,7 @@ void bind_debugging(nb::class_<Due>& due) {
       .def("all_clocks_on", &set_peripheral_clocks, nb::arg("on"));
 }
 
+// Costs of functions (probes) and of exception handlers.
 void bind_measuring(nb::class_<Due>& due) {
   due.def(
          "add_probe",

@@ -1,4 +1,5 @@
-// The state table as the compiler works it out. The prover would work it out for every path.
+// The state table as the compiler computes it, entry by entry, because the prover would compute it
+// again on every path.
 #pragma once
 
 #include <cstddef>
@@ -18,12 +19,14 @@ struct Cell {
   };
 };
 
+// The entry at `place` of the whole table.
 template <std::size_t... k>
 std::uint8_t cell_of(std::size_t place, std::index_sequence<k...>) {
   const std::uint8_t cells[] = {Cell<k>::value...};
   return cells[place];
 }
 
+// In place of the flight code's next_state(): reads the table.
 inline std::uint8_t next_state(State from, Trigger on) {
   return cell_of(
       static_cast<std::size_t>(from) * link::kTriggerCount + static_cast<std::size_t>(on),
