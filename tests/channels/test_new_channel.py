@@ -41,9 +41,9 @@ def with_two_channels(root: Path, source: Path = ROOT) -> ChangedCopy:
         CORE,
         LAST_PUT,
         LAST_PUT
-        + "      .put<Channel::tick_echo>(static_cast<std::int32_t>(seen_.tick ^ 0x80000000U))\n"
+        + "      .put<Channel::tick_echo>(static_cast<std::int32_t>(observation_.tick ^ 0x80000000U))\n"
         + "      .put<Channel::tilt_rate>("
-        + "wire(seen_.rate_rad_s[kPitch], Wire::of(link::kTiltRatePerUnit)))\n",
+        + "to_wire(observation_.rate_rad_s[kPitch], Wire::of(link::kTiltRatePerUnit)))\n",
     )
     copy.generate()
 

@@ -208,7 +208,7 @@ def test_innovations_twice_as_large_as_stated_contradict_the_rig(
 
 def test_measurements_at_unknown_voltages_carry_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_Filter, "value", np.array([0.0, 2.0, 0.0]))
-    known_from_1_5_V = replace(EXACT, low_V=np.full(2, 1.5))
+    known_from_1_5_V = replace(EXACT, low_V=np.full(2, 1.5), high_V=np.full(2, 5.0))
     events = reported_events(
         monkeypatch, 300 * BELOW, calibration_s=CALIBRATION_s, uncertainty=known_from_1_5_V
     )
