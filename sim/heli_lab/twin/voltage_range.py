@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -40,12 +41,12 @@ class VoltageRange:
         self._unknown_steps = round(UNKNOWN_s / step_s)
         tolerance_V = EXTRAPOLATED_SHARE * (uncertainty.high_V - uncertainty.low_V)
         # A rotor that reverses follows another curve, so no range is extrapolated across 0 V.
-        self._lowest_V = np.where(
-            uncertainty.low_V < 0.0,
-            uncertainty.low_V - tolerance_V,
-            np.maximum(uncertainty.low_V - tolerance_V, 0.0),
+        min_V = np.where(uncertainty.low_V < 0.0, -np.inf, 0.0)
+        self._extrapolated = replace(
+            uncertainty,
+            low_V=np.maximum(uncertainty.low_V - tolerance_V, min_V),
+            high_V=uncertainty.high_V + tolerance_V,
         )
-        self._highest_V = uncertainty.high_V + tolerance_V
         self._last_unknown_step: int | None = None
 
     def update(self, index: int, volts_V: Floats) -> str:
@@ -54,7 +55,7 @@ class VoltageRange:
         Returns the reason why the twin does not judge them if these voltages are the first outside the range;
         otherwise the empty string.
         """
-        outside_V = np.maximum(self._lowest_V - volts_V, volts_V - self._highest_V)
+        outside_V = self._extrapolated.outside_V(volts_V)
         if not np.any(outside_V > 0.0):
             return ""
         is_first = self._last_unknown_step is None
