@@ -61,8 +61,9 @@ NativeBoard::NativeBoard(const std::string& flash_file, bool from_edges, std::ui
     file.read(reinterpret_cast<char*>(memory_.flash.data()),
               static_cast<std::streamsize>(memory_.flash.size()));
     if (static_cast<std::size_t>(file.gcount()) != memory_.flash.size()) {
-      throw std::runtime_error("the flash file " + flash_file +
-                               " is not 1024 bytes long; delete it, it is made again");
+      throw std::runtime_error("the flash file " + flash_file + " is not " +
+                               std::to_string(memory_.flash.size()) +
+                               " bytes long; delete it, it is made again");
     }
   }
 }
