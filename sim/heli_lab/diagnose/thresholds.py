@@ -328,13 +328,13 @@ OUTSIDE_SHARE: Final[Annotated[float, "1", JUDGEMENT]] = 0.1
 tails alone, two rotors have 0.04. Lower: windows of the fitted flight would be marked. Higher: extrapolations
 are not marked."""
 
-# Standard errors that are reported.
+# Standard errors that are reported, and that decide whether a size differs from zero.
 
 TIME_STD_FACTOR: Final[Annotated[float, "1", MEASUREMENT]] = 1.4
 """Factor on the standard error of times. A controller answers within a step to what the filter has not seen
 yet: lags come out short under fast disturbances, by 1.4 ms +- 1.1 ms on eleven simulated flights at 500 Hz
 (2026-11). Steps of 5 ms would avoid it, but take twice the time. Lower: intervals of lags miss the truth.
-Higher: they are wider than the flights justify."""
+Higher: they are wider than the flights justify, and short delays are not named."""
 
 MIN_STD_SHARE: Final[Annotated[float, "1", MEASUREMENT]] = 0.007
 """Least standard error, as a share of an effect's size. Steps of 10 ms blur what changes within them: the
@@ -344,8 +344,8 @@ steps of 5 ms (2026-11). Lower: intervals miss the truth. Higher: they are wider
 MIN_STD_COUNTS: Final[Annotated[float, "counts", MEASUREMENT]] = 0.5
 """Least standard error of what lies between an axis and its encoder. An axis that turns back within a count
 is not seen: backlashes have errors up to 0.9 counts, of either sign (eight of nine simulated flights within
-one standard error, 2026-11). Lower: intervals of backlashes miss the truth. Higher: they are wider than the
-flights justify."""
+one standard error, 2026-11). Lower: intervals of backlashes miss the truth, and a play of 0.4 counts is
+named next to dry friction. Higher: intervals are too wide, and small plays are missed."""
 
 # What a report shows.
 
