@@ -27,20 +27,22 @@ def test_there_are_five_bins_and_each_cause_is_in_one() -> None:
     rows = [row for sure in (0.0, 0.5, 0.7, 0.85, 0.95, 1.0) for row in cases_of_confidence(sure, 1, 0)]
     curve = reliability(rows)
     assert len(curve) == len(BINS) - 1 == 5
-    assert [one["causes"] for one in curve] == [1, 1, 1, 1, 2]
+    assert [bin_["causes"] for bin_ in curve] == [1, 1, 1, 1, 2]
 
 
 def test_wrong_names_count_wherever_they_are_given() -> None:
     off = replace(cases_of_confidence(0.97, 0, 1)[0], kind="off_list", hidden=("off-draught",))
     nothing = replace(off, kind="nothing", hidden=())
-    (curve,) = [one for one in reliability([off, nothing, *cases_of_confidence(0.99, 1, 0)]) if one["causes"]]
+    (curve,) = [
+        bin_ for bin_ in reliability([off, nothing, *cases_of_confidence(0.99, 1, 0)]) if bin_["causes"]
+    ]
     assert (curve["causes"], curve["right"]) == (3, 1)
 
 
 @pytest.mark.parametrize(("right", "within"), [(20, True), (19, True), (15, True), (14, False)])
 def test_a_bin_that_boasts_lies_outside_its_bounds(right: int, within: bool) -> None:
     # 20 causes of 0.9: a binomial distribution gives 14 or fewer in 1 of 88 runs, 15 or fewer in 1 of 23.
-    (curve,) = [one for one in reliability(cases_of_confidence(0.9, right, 20 - right)) if one["causes"]]
+    (curve,) = [bin_ for bin_ in reliability(cases_of_confidence(0.9, right, 20 - right)) if bin_["causes"]]
     assert holds(curve) is within
 
 

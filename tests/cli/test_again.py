@@ -71,12 +71,12 @@ def assert_same(first: Path, second: Path) -> None:
 
 
 def test_a_flight_is_repeated_from_its_log_alone(terminal: Terminal, tmp_path: Path, plan: Path) -> None:
-    own, rig = tmp_path / "mine.toml", load_rig("makki2024")
+    rig_file, rig = tmp_path / "mine.toml", load_rig("makki2024")
     # A number that seven digits do not hold.
     arm = rig["L_a"]
     numbers = {**rig.numbers, "L_a": replace(arm, value=arm.value + 1.0e-9 / 3.0)}
-    own.write_text(rig_text(Rig("mine", "One arm", numbers, rig.effects, rig.model), digits=17))
-    arguments = ("--sil", "--speed", "max", "--rig", own, "--seed", "7", "--effect", "rotor_lag=0.05")
+    rig_file.write_text(rig_text(Rig("mine", "One arm", numbers, rig.effects, rig.model), digits=17))
+    arguments = ("--sil", "--speed", "max", "--rig", rig_file, "--seed", "7", "--effect", "rotor_lag=0.05")
     flown = terminal(
         "fly",
         plan,
@@ -90,7 +90,7 @@ def test_a_flight_is_repeated_from_its_log_alone(terminal: Terminal, tmp_path: P
         "a.mcap",
     )
     assert flown.code == 0, flown.err
-    for file in (own, plan):
+    for file in (rig_file, plan):
         file.unlink()
     for source, target in (("a.mcap", "b.mcap"), ("b.mcap", "c.mcap")):
         repeated = terminal("fly", "--again", source, "--log", target)

@@ -17,6 +17,6 @@ from heli_host.cli.entry import _line_and_exit_code
     ],
 )
 def test_the_remedy_installs_the_extra(package: str, remedy: str) -> None:
-    said, code = _line_and_exit_code(ModuleNotFoundError("gone", name=package))
-    assert said.endswith(remedy)
+    line, code = _line_and_exit_code(ModuleNotFoundError("gone", name=package))
+    assert line.endswith(remedy)
     assert code == 2

@@ -58,8 +58,8 @@ def law_on(harness: Harness) -> LawMessage:
         payloads_of(harness.turn(harness.frame(hello), ticks=2), MessageId.WELCOME) for _ in range(9)
     )
     assert greeted
-    (told,) = payloads_of(harness.ask(LawReadMessage(241)), MessageId.LAW)
-    return LawMessage.unpack(told)
+    (payload,) = payloads_of(harness.ask(LawReadMessage(241)), MessageId.LAW)
+    return LawMessage.unpack(payload)
 
 
 def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:

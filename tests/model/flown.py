@@ -94,10 +94,13 @@ def main(ids: list[str]) -> None:
     for kind in catalogue().values():
         shown = not kind.baseline and not kind.id.startswith(BY_CHANCE) and kind.id != HIDDEN
         if kind.id in ids or (shown and not ids):
-            found = fly_and_identify(kind)
-            print(f"{kind.id}: residual {found.normalised:.3f}", end="")
-            for name, off in found.off.items():
-                print(f"; {name} {found.values[name]:.5g} +- {found.std[name]:.2g} ({off:+.1f} std)", end="")
+            estimate = fly_and_identify(kind)
+            print(f"{kind.id}: residual {estimate.normalised:.3f}", end="")
+            for name, off in estimate.off.items():
+                print(
+                    f"; {name} {estimate.values[name]:.5g} +- {estimate.std[name]:.2g} ({off:+.1f} std)",
+                    end="",
+                )
             print(flush=True)
 
 

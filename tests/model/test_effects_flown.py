@@ -19,6 +19,6 @@ SHARE = (
 
 @pytest.mark.parametrize("id", SHARE[: samples(len(SHARE), 3)])
 def test_a_flown_effect_is_found_within_three_standard_errors(id: str) -> None:
-    found = fly_and_identify(catalogue()[id])
-    assert max(abs(off) for off in found.off.values()) < 3.0
-    assert found.normalised < 1.05
+    estimate = fly_and_identify(catalogue()[id])
+    assert max(abs(off) for off in estimate.off.values()) < 3.0
+    assert estimate.normalised < 1.05

@@ -101,9 +101,9 @@ class SocketPage:
     def events(self, kind: str) -> list[str]:
         reported = [
             *self.known["hello"]["events"],
-            *(one["event"] for one in list(self.words) if "event" in one),
+            *(message["event"] for message in list(self.words) if "event" in message),
         ]
-        return [one["text"] for one in reported if one["kind"] == kind]
+        return [event["text"] for event in reported if event["kind"] == kind]
 
     def _read(self) -> None:
         with contextlib.suppress(WebSocketException, OSError):

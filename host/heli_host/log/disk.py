@@ -432,10 +432,10 @@ def check_free_space(path: Path, duration_s: float) -> None:
         If less is free than its ticks can need.
     """
     needed_bytes = RESERVED_BYTES + max(_MIN_FLIGHT_S, duration_s) * MAX_BYTES_PER_S
-    free_bytes_left = free_bytes(path.parent)
-    if free_bytes_left is not None and free_bytes_left < needed_bytes:
+    available_bytes = free_bytes(path.parent)
+    if available_bytes is not None and available_bytes < needed_bytes:
         raise LogWriteError(
-            f"the disk of the log {path} has {_megabytes_text(free_bytes_left)} left, but the flight can "
+            f"the disk of the log {path} has {_megabytes_text(available_bytes)} left, but the flight can "
             f"need {_megabytes_text(needed_bytes)}",
             "free disk space, or choose another disk with --log",
         )

@@ -208,9 +208,9 @@ class _Writer:
         self._kept_alive += parts
         self._repeated |= _repeated_parts(parts)
         result: list[Equation] = []
-        for left, part in zip(left_sides, parts, strict=True):
+        for left_side, part in zip(left_sides, parts, strict=True):
             self._name_parts(part, result)
-            result.append(Equation(left, self._latex_and_binding(part)[0]))
+            result.append(Equation(left_side, self._latex_and_binding(part)[0]))
         return result
 
     def _name_parts(self, expression: ca.SX, result: list[Equation]) -> None:
