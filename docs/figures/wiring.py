@@ -87,15 +87,15 @@ def pull_down(axes: Axes, x: float, y: float, value: str) -> None:
     earth(axes, x, y - 3.6)
 
 
-def board_pin(axes: Axes, y: float, label: str, chip: str, *, left: bool) -> None:
+def board_pin(axes: Axes, y: float, label: str, chip: str, *, is_left: bool) -> None:
     """A pin at the edge of the Due: the printed name outside, the chip's inside."""
-    x, step = (BOARD_LEFT, 1.0) if left else (BOARD_RIGHT, -1.0)
-    inward = "left" if left else "right"
+    x, step = (BOARD_LEFT, 1.0) if is_left else (BOARD_RIGHT, -1.0)
+    inward = "left" if is_left else "right"
     axes.add_patch(Rectangle((x - 0.7, y - 0.7), 1.4, 1.4, facecolor="black"))
     axes.text(
         x + 1.6 * step,
         y,
-        f"{label}  {chip}" if left else f"{chip}  {label}",
+        f"{label}  {chip}" if is_left else f"{chip}  {label}",
         ha=inward,
         va="center",
         fontsize=8,
@@ -112,7 +112,7 @@ def encoder(axes: Axes, top: float, name: str, line_a: Pin, line_b: Pin) -> None
         wire(axes, [(LEFT_EDGE, y), (BOARD_LEFT, y)])
         # The LED on the board loads this pin.
         pull_up(axes, at, y, "1 k" if pin.due == "D13" else "1-2.2 k")
-        board_pin(axes, y, pin.due, pin.chip, left=True)
+        board_pin(axes, y, pin.due, pin.chip, is_left=True)
     axes.text(5.0, top - 3.5, "N type:\nopen collector", fontsize=7, va="center")
 
 
@@ -123,7 +123,7 @@ def driver(axes: Axes, top: float, name: str, lines: list[tuple[str, Pin]], *, i
         y = top - 5.5 * row
         axes.text(RIGHT_EDGE + 1.0, y, terminal, ha="left", va="center", fontsize=8)
         wire(axes, [(BOARD_RIGHT, y), (RIGHT_EDGE, y)])
-        board_pin(axes, y, pin.due, pin.chip, left=False)
+        board_pin(axes, y, pin.due, pin.chip, is_left=False)
         if terminal.endswith("EN"):
             hold_off = pull_up if inverted else pull_down
             hold_off(axes, 92.0 if terminal == "R_EN" else 100.0, y, "4.7 k")
@@ -195,7 +195,7 @@ def draw(path: Path) -> Figure:
 
     stop = pins["HardwareStop"]
     y = 24.5
-    board_pin(axes, y, stop.due, stop.chip, left=True)
+    board_pin(axes, y, stop.due, stop.chip, is_left=True)
     wire(axes, [(BOARD_LEFT, y), (LEFT_EDGE, y)])
     pull_up(axes, 44.0, y, "4.7 k")
     block(
@@ -215,7 +215,7 @@ def draw(path: Path) -> Figure:
     earth(axes, 34.0, y - 3.4)
 
     for y, label, chip in ((15.0, "D10", "PC29, PA28"), (9.5, "A6", "PA3")):
-        board_pin(axes, y, label, chip, left=True)
+        board_pin(axes, y, label, chip, is_left=True)
         wire(axes, [(BOARD_LEFT - 4.5, y - 1.2), (BOARD_LEFT - 2.1, y + 1.2)], SUPPLY)
         wire(axes, [(BOARD_LEFT - 4.5, y + 1.2), (BOARD_LEFT - 2.1, y - 1.2)], SUPPLY)
         axes.text(

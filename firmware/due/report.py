@@ -403,8 +403,8 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
     constants: set[int] = set()
     for name, body in _disassembled(_run(cross, "objdump", "-d", "--no-show-raw-insn", elf)):
         if name:
-            functions[name], found = _function(name, body)
-            constants |= found
+            functions[name], new_constants = _function(name, body)
+            constants |= new_constants
     # One function may have several names; the disassembly shows one, calls may use another.
     by_address = {symbols[name]: name for name in functions if name in symbols}
     functions = {
@@ -454,19 +454,19 @@ def findings(image: Image) -> list[str]:
     list of str
         One line for each; empty when all hold.
     """
-    found = []
+    problems = []
     if image.flash_bytes > FLASH_MAX_BYTES:
-        found.append(f"flash: {image.flash_bytes} bytes are more than {FLASH_MAX_BYTES}")
+        problems.append(f"flash: {image.flash_bytes} bytes are more than {FLASH_MAX_BYTES}")
     if image.ram_bytes > RAM_MAX_BYTES:
-        found.append(f"RAM: {image.ram_bytes} bytes are more than {RAM_MAX_BYTES}")
+        problems.append(f"RAM: {image.ram_bytes} bytes are more than {RAM_MAX_BYTES}")
     needed = image.stack_needed_bytes()
     if needed > image.stack_reserved_bytes:
-        found.append(f"stack: {needed} bytes may be needed, due.ld reserves {image.stack_reserved_bytes}")
-    found += [f"heap: {name} is linked" for name in sorted(image.symbols) if HEAP.match(name)]
+        problems.append(f"stack: {needed} bytes may be needed, due.ld reserves {image.stack_reserved_bytes}")
+    problems += [f"heap: {name} is linked" for name in sorted(image.symbols) if HEAP.match(name)]
     for interrupt in INTERRUPTS:
         slow = sorted(name for name in image.reachable(interrupt, idle_loop=False) if SLOW.match(name))
-        found += [f"time: {interrupt} may reach {name}" for name in slow]
-    return found
+        problems += [f"time: {interrupt} may reach {name}" for name in slow]
+    return problems
 
 
 def report(image: Image, cross: str = "arm-none-eabi-") -> str:

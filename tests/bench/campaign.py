@@ -33,5 +33,5 @@ def measure() -> list[Measured]:
             spent.append((spent_s() - before_s) / CASES)
     return [
         Measured("campaign_two_workers_ratio", [taken_s[0] / taken_s[1]]),
-        Measured("campaign_case_overhead_cpu_ms", [1e3 * one for one in spent]),
+        Measured("campaign_case_overhead_cpu_ms", [1e3 * cpu_s for cpu_s in spent]),
     ]

@@ -130,10 +130,10 @@ def ratios(say: Callable[[str], None]) -> list[Measured]:
         for key, (fit, validation, rig) in PAIRS.items():
             words = ["diagnose", str(DATA / fit), "--validate", str(DATA / validation), "--rig", rig]
             words += ["--report", "page", "--save-rig", "found.toml", "--json", "found.json"]
-            taken = [(before(words), here(words)) for _ in range(REPETITIONS[key])]
+            pairs = [(before(words), here(words)) for _ in range(REPETITIONS[key])]
             measured += [
-                Measured(key, [old.elapsed_s / new.elapsed_s for old, new in taken]),
-                Measured(f"{key}_cpu", [old.cpu_s / new.cpu_s for old, new in taken]),
+                Measured(key, [old.elapsed_s / new.elapsed_s for old, new in pairs]),
+                Measured(f"{key}_cpu", [old.cpu_s / new.cpu_s for old, new in pairs]),
             ]
         return measured
 

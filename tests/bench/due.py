@@ -48,14 +48,14 @@ def law_costs(elf: Path) -> dict[str, float]:
     elf : Path
         The linked firmware.
     """
-    found: dict[str, float] = {}
+    instructions: dict[str, float] = {}
     for name in ("lqi", "mpc"):
         flight = Flight(elf, read_image(elf), (LAW_UPDATE,))
         fly_and_steer(flight, law_of(ROOT / "docs" / "laws" / f"{name}.py").program, 5.0)
-        found[f"law_{name}_tick_instructions"] = flight.tick()[2]
+        instructions[f"law_{name}_tick_instructions"] = flight.tick()[2]
         if name == "lqi":
-            found["law_lqi_instructions"] = flight.function(LAW_UPDATE)[2]
-    return found
+            instructions["law_lqi_instructions"] = flight.function(LAW_UPDATE)[2]
+    return instructions
 
 
 def measure() -> list[Measured]:

@@ -20,7 +20,7 @@ def test_a_part_without_its_package_is_skipped_in_one_line_and_the_next_is_measu
     )
     second = replace(first, name="second", measure=lambda _: [Measured("there", [2.0])], lack=lambda: "")
     measured = measured_by([first, second], Console(file=output, width=100))
-    assert [one.key for one in measured] == ["there"]
+    assert [row.key for row in measured] == ["there"]
     assert output.getvalue().splitlines()[1] == (
         "      skipped: no_such_package is not installed; make bench does that"
     )
@@ -34,7 +34,7 @@ def test_a_part_that_is_not_known_is_refused_in_one_line(capsys: pytest.CaptureF
 
 
 def test_a_promise_that_is_missed_fails_and_one_that_was_not_asked_for_has_no_row() -> None:
-    promise = next(one for one in PROMISES if one.bound is not None and one.at_least)
+    promise = next(candidate for candidate in PROMISES if candidate.bound is not None and candidate.at_least)
     assert promise.bound is not None
     for value, holds in ((promise.bound, True), (0.9 * promise.bound, False)):
         report, all_hold = table([Measured(promise.key, [value])], whole=False)

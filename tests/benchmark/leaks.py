@@ -37,22 +37,24 @@ def file_features(folder: Path) -> dict[str, object]:
         features[f"{path.name} schema"] = str(schema)
         features[f"{path.name} notes"] = str(schema.metadata)
     rig = (folder / "rig.toml").read_text()
-    features["decimals of the rig"] = tuple(sorted({len(one) for one in re.findall(r"\.(\d+)", rig)}))[:1]
+    features["decimals of the rig"] = tuple(
+        sorted({len(decimals) for decimals in re.findall(r"\.(\d+)", rig)})
+    )[:1]
     return features
 
 
 def accuracy(features: Sequence[Features], labels: Sequence[bool]) -> float:
     """Share of the cases that naive Bayes guesses, each left out of its training."""
-    keys = sorted({key for one in features for key in one})
+    keys = sorted({key for case_features in features for key in case_features})
     right = 0
-    for i, one in enumerate(features):
+    for i, case_features in enumerate(features):
         rest = [k for k in range(len(features)) if k != i]
         score = {}
         for label in (False, True):
             same = [k for k in rest if labels[k] == label]
             score[label] = np.log((len(same) + 1.0) / (len(rest) + 2.0))
             for key in keys:
-                hits = sum(features[k].get(key) == one.get(key) for k in same)
+                hits = sum(features[k].get(key) == case_features.get(key) for k in same)
                 score[label] += np.log((hits + 0.5) / (len(same) + 1.0))
         right += (score[True] > score[False]) == labels[i]
     return right / len(features)
@@ -63,7 +65,7 @@ def chance(features: Sequence[Features], labels: Sequence[bool], permutations: i
     rng = np.random.default_rng(0)
     reached = accuracy(features, labels)
     by_chance = [accuracy(features, list(rng.permutation(labels))) for _ in range(permutations)]
-    return float(np.mean([one >= reached for one in by_chance]))
+    return float(np.mean([score >= reached for score in by_chance]))
 
 
 def labels_of(split: Split) -> list[bool]:

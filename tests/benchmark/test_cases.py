@@ -58,9 +58,11 @@ def test_every_plan_can_be_flown() -> None:
 def test_the_catalogue_can_make_all_that_is_hidden() -> None:
     kinds = catalogue()
     for case in clean_cases():
-        for one in hidden_in(case, 0.6):
-            made = kinds[one.id].make(one.start)
-            assert {*one.scalars, *(name for pair in one.amplitudes for name in pair)} <= set(made.values)
+        for effect in hidden_in(case, 0.6):
+            made = kinds[effect.id].make(effect.start)
+            assert {*effect.scalars, *(name for pair in effect.amplitudes for name in pair)} <= set(
+                made.values
+            )
 
 
 def test_gusts_differ_between_flights_and_everything_else_is_the_same() -> None:
@@ -69,8 +71,8 @@ def test_gusts_differ_between_flights_and_everything_else_is_the_same() -> None:
     assert isinstance(first, RandomTorque)
     assert first.truth == second.truth
     moments = [Moment(0.0, 0.0, np.zeros(2), np.zeros(2), np.zeros(3), np.zeros(3)) for _ in range(2)]
-    for one, at in zip((first, second), moments, strict=True):
-        one.torque(at)
+    for effect, at in zip((first, second), moments, strict=True):
+        effect.torque(at)
     assert moments[0].torque_Nm[1] != moments[1].torque_Nm[1]
 
 

@@ -83,8 +83,8 @@ def test_one_to_four_causes_are_hidden_and_each_visible_effect_occurs() -> None:
     assert set(counts) == {1, 2, 3, 4}
     hidden = {name for case in CASES.values() for name, _ in case.effects}
     assert hidden <= {*LISTED, *MORE_LISTED, *MEASURED_EFFECTS}
-    left = {name for name in SIZES if name not in hidden}
-    assert {name.partition(".")[0] for name in left} == {"random_torque", "encoder_eccentricity"}
+    remaining = {name for name in SIZES if name not in hidden}
+    assert {name.partition(".")[0] for name in remaining} == {"random_torque", "encoder_eccentricity"}
     assert {name for case in CASES.values() for name, _ in case.unlisted} == set(DISTURBED)
 
 
@@ -133,7 +133,7 @@ def test_a_drift_is_slow() -> None:
 def test_no_gust_comes_twice_and_all_else_does() -> None:
     case = CASES["w-lag+coulomb_friction.pitch"]
     (*first, air), (*second, other) = case.hidden(0), case.hidden(1)
-    assert [one.truth for one in first] == [one.truth for one in second]
+    assert [case.truth for case in first] == [case.truth for case in second]
     at = [Moment(0.0, 1.0, np.zeros(2), np.zeros(2), np.zeros(3), np.zeros(3)) for _ in range(2)]
     air.torque(at[0])
     other.torque(at[1])

@@ -49,8 +49,8 @@ def nothing(verdict: str, *causes: dict[str, Any]) -> Row:
 
 
 def count(rows: list[Row], goal: str) -> tuple[int, int]:
-    one = (goals(rows) | further_counts(rows))[goal]
-    return one["count"], one["of"]
+    counted = (goals(rows) | further_counts(rows))[goal]
+    return counted["count"], counted["of"]
 
 
 def test_the_cause_named_first_is_right_and_another_is_not() -> None:
@@ -169,6 +169,6 @@ def test_a_row_is_read_back_as_it_was_written() -> None:
             LAG, hidden_in(LAG, 0.6), InformedFit(1, 1, 5, 5, {"rotor_lag": None}, {}, {}), None, 3.0, "boom"
         ),
     ]
-    back = [Row.read(json.loads(json.dumps(asdict(one)))) for one in rows]
+    back = [Row.read(json.loads(json.dumps(asdict(judged)))) for judged in rows]
     assert back == rows
     assert text(back) == text(rows)

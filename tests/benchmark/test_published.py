@@ -67,7 +67,8 @@ def test_conditions_give_no_hint_of_the_truth() -> None:
     assert chance(features, HIDDEN[:72], permutations=19) > 0.05
     # The same classifier finds a hint if there is one.
     leaking = [
-        one | {"rate": 100 if hidden else one["rate"]} for one, hidden in zip(features, HIDDEN, strict=False)
+        case_features | {"rate": 100 if hidden else case_features["rate"]}
+        for case_features, hidden in zip(features, HIDDEN, strict=False)
     ]
     assert chance(leaking, HIDDEN[:72], permutations=19) == 0.0
 
@@ -76,7 +77,7 @@ def test_conditions_give_no_hint_of_the_truth() -> None:
 def test_names_headers_and_formats_of_files_are_the_same_in_all_cases(tmp_path: Path) -> None:
     split = make(tmp_path / "small")
     features = [file_features(case) | {"number": 0} for case in split.cases]
-    assert all(one == features[0] for one in features)
+    assert all(case_features == features[0] for case_features in features)
     assert accuracy(features, labels_of(split)) <= 4 / 6
 
 

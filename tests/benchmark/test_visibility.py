@@ -109,12 +109,12 @@ def test_without_a_cause_nothing_is_asked() -> None:
 def test_inertias_are_those_of_the_masses() -> None:
     rig = CASES["w-nothing-0"].rig()
     v = {name: rig[name].value for name in rig}
-    found = inertia_kg_m2(rig, np.zeros((1, 3)))[0]
+    inertia = inertia_kg_m2(rig, np.zeros((1, 3)))[0]
     carried_kg = v["M_f"] + v["M_b"] + v["M_h"]
     along = carried_kg * v["L_a"] ** 2 + v["M_l"] * v["L_x"] ** 2 + v["M_w"] * v["L_b"] ** 2
     below = carried_kg * (v["L_theta"] + v["L_phi"]) ** 2 + (v["M_l"] + v["M_w"]) * v["L_theta"] ** 2
-    assert found[0, 0] == pytest.approx(along + below, rel=1e-3)
-    np.testing.assert_allclose(found, found.T, atol=1e-9)
+    assert inertia[0, 0] == pytest.approx(along + below, rel=1e-3)
+    np.testing.assert_allclose(inertia, inertia.T, atol=1e-9)
 
 
 @pytest.mark.medium

@@ -14,7 +14,7 @@ CODE = "the code of a test"
 def cases(count: int, nap_s: float, log: str) -> tuple[Case, ...]:
     work = "tests.campaign.works:count"
     settings = [{"number": number, "nap_s": nap_s, "log": log} for number in range(count)]
-    return tuple(Case(f"case {one['number']:03d}", work, one) for one in settings)
+    return tuple(Case(f"case {values['number']:03d}", work, values) for values in settings)
 
 
 def main(folder: str, log: str, count: str, nap_s: str, address: str | None = None) -> None:

@@ -18,9 +18,9 @@ PATIENCE_s = 120.0
 
 
 def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
+    with socket.socket() as free_socket:
+        free_socket.bind(("127.0.0.1", 0))
+        return int(free_socket.getsockname()[1])
 
 
 def start_program(*words: str, path: Path = ROOT) -> subprocess.Popen[bytes]:
@@ -88,8 +88,8 @@ class Cluster:
             client.wait_for_workers(count, timeout=PATIENCE_s)
 
     def end(self) -> None:
-        for one in self.parts:
-            kill_all(one)
+        for part in self.parts:
+            kill_all(part)
         self.parts = []
 
 

@@ -22,8 +22,8 @@ FINE = Case("fine", "tests.campaign.works:count", {"number": 3})
 
 @pytest.fixture(scope="module")
 def cage() -> Iterator[WorkerProcess]:
-    with WorkerProcess(LIMITS) as one:
-        yield one
+    with WorkerProcess(LIMITS) as process:
+        yield process
 
 
 def done(cage: WorkerProcess, how: str) -> JobResult:
@@ -31,7 +31,7 @@ def done(cage: WorkerProcess, how: str) -> JobResult:
 
 
 @pytest.mark.parametrize(
-    ("how", "said"),
+    ("how", "message"),
     [
         ("crashes", "its process crashed: SIGSEGV"),
         ("leaves", "its process crashed: exit status 7"),
@@ -46,10 +46,10 @@ def done(cage: WorkerProcess, how: str) -> JobResult:
     ],
 )
 def test_what_a_case_does_wrong_is_said_in_a_line_and_the_next_is_done(
-    cage: WorkerProcess, how: str, said: str
+    cage: WorkerProcess, how: str, message: str
 ) -> None:
     answer = done(cage, how)
-    assert (answer.failure, answer.row, answer.name) == (said, {}, how)
+    assert (answer.failure, answer.row, answer.name) == (message, {}, how)
     after = cage.run(FINE, "other")
     assert (after.failure, dict(after.row)) == ("", {"square": 9})
 

@@ -47,12 +47,12 @@ def test_a_worker_of_other_code_is_named_and_the_others_do_its_cases(
     for folder in (other, other.parent):
         (folder / "__init__.py").touch()
     (other / "works.py").write_text("def count(settings):\n    return {'square': -1}, None\n")
-    with Cluster(workers=1) as own:
+    with Cluster(workers=1) as cluster:
         monkeypatch.setenv("PYTHONPATH", "")
-        own.add_worker(path=other.parents[1])
-        own.wait_for_workers(2)
+        cluster.add_worker(path=other.parents[1])
+        cluster.wait_for_workers(2)
         rows = run_campaign(
-            squares(12), Store(tmp_path / "out"), scheduler=own.address, on_progress=states.append
+            squares(12), Store(tmp_path / "out"), scheduler=cluster.address, on_progress=states.append
         )
     assert [row["square"] for row in rows] == [number**2 for number in range(12)]
     (note,) = [state.note for state in states if state.note]

@@ -133,8 +133,10 @@ def test_a_function_in_a_module_next_to_the_file_is_a_work(
     (study / "helper_of_mine.py").write_text("SCALE = 10.0\n")
     assert terminal("campaign", str(file), "--output", str(out)).code == 0
     assert [row["root"] for row in pq.read_table(out / "cases.parquet").to_pylist()] == [20.0, 30.0]
-    with Cluster(workers=1) as own:
-        there = terminal("campaign", str(file), "--output", str(tmp_path / "c"), "--scheduler", own.address)
+    with Cluster(workers=1) as cluster:
+        there = terminal(
+            "campaign", str(file), "--output", str(tmp_path / "c"), "--scheduler", cluster.address
+        )
         assert there.code == 0, there
     assert [row["root"] for row in pq.read_table(tmp_path / "c" / "cases.parquet").to_pylist()] == [20, 30]
     assert "roots_of_mine" not in sys.modules

@@ -55,9 +55,9 @@ class ChangedCopy:
         path = self.root / DECLARATION
         text = path.read_text(encoding="utf-8")
         mark = f'[[channel]]\nname = "{before}"\n' if before else "[[message]]"
-        head, found, tail = text.partition(mark)
-        assert found, f"there is no {mark}"
-        path.write_text(head + entry + found + tail, encoding="utf-8")
+        head, marker, tail = text.partition(mark)
+        assert marker, f"there is no {mark}"
+        path.write_text(head + entry + marker + tail, encoding="utf-8")
 
     def generate(self) -> None:
         """Write the copy's tables from its declaration."""

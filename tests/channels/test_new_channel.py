@@ -143,7 +143,7 @@ def test_a_plan_flies_to_its_end_and_its_log_knows_state_and_fault(flown: Flown)
     names = log.layout.names("STATE")
     state = log.ticks["state"]
     changes = state[np.flatnonzero(np.diff(state, prepend=255))]
-    assert [names[int(one)] for one in changes] == ["idle", "armed", "closed_loop", "landing", "idle"]
+    assert [names[int(number)] for number in changes] == ["idle", "armed", "closed_loop", "landing", "idle"]
     assert not log.ticks["fault"].any()
     np.testing.assert_array_equal(log.ticks[ECHO], echo_of(log.ticks["tick"]))
     flight, table = log.flight(), read_flight(flown.copy.root / "hover.csv")
@@ -201,8 +201,8 @@ print(json.dumps([
 
 def test_an_older_host_reads_the_log_of_a_longer_declaration_and_the_other_way_round(flown: Flown) -> None:
     newer = read_flight(flown.after / "flight.mcap")
-    own = set(read_flight(flown.before / "flight.mcap").extra)
-    assert {ECHO, RATE} == set(newer.extra) - own, "this host does not know them"
+    known = set(read_flight(flown.before / "flight.mcap").extra)
+    assert {ECHO, RATE} == set(newer.extra) - known, "this host does not know them"
     program = """
 import sys
 from heli_host.errors import LogError
@@ -216,9 +216,9 @@ try:
 except LogError as error:
     print(error)
 """
-    rows, said = flown.copy.run("-c", program, str(flown.before / "flight.mcap")).splitlines()
+    rows, output = flown.copy.run("-c", program, str(flown.before / "flight.mcap")).splitlines()
     assert int(rows) == len(read_flight(flown.before / "flight.mcap"))
-    assert "no channel tick_echo" in said and "read it with the heli-host version that wrote it" in said
+    assert "no channel tick_echo" in output and "read it with the heli-host version that wrote it" in output
 
 
 def compiled(copy: ChangedCopy) -> str:

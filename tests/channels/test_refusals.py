@@ -26,7 +26,7 @@ def with_channel(entry: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("entry", "said"),
+    ("entry", "message"),
     [
         (channel("front", "i16", "V", 0.001), "two are called front"),
         (channel("front_volt", "u8"), "front already has a front_volt"),
@@ -60,14 +60,14 @@ def with_channel(entry: str) -> str:
         ("[[channel]\n", "cannot be read"),
     ],
 )
-def test_a_channel_that_would_not_work_is_refused(tmp_path: Path, entry: str, said: str) -> None:
+def test_a_channel_that_would_not_work_is_refused(tmp_path: Path, entry: str, message: str) -> None:
     with pytest.raises(DeclarationError) as refused:
         read(declared(tmp_path, with_channel(entry)))
-    assert said in str(refused.value) and "\n" not in str(refused.value)
+    assert message in str(refused.value) and "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("pitch = { bit = 1", "pitch = { bit = 3", "bits axes: its bits are those of enum axis"),
         ("pitch = { value = 1", "pitch = { value = 4", "enum axis: its values count from 0"),
@@ -80,11 +80,11 @@ def test_a_channel_that_would_not_work_is_refused(tmp_path: Path, entry: str, sa
         ('name = "host_us", type = "u64"', 'name = "host_us", type = "u63"', "ping.host_us: no type u63"),
     ],
 )
-def test_a_contradiction_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_a_contradiction_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in TEXT
     with pytest.raises(DeclarationError) as refused:
         read(declared(tmp_path, TEXT.replace(old, new, 1)))
-    assert said in str(refused.value) and "\n" not in str(refused.value)
+    assert message in str(refused.value) and "\n" not in str(refused.value)
 
 
 @pytest.mark.medium

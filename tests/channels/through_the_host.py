@@ -43,7 +43,7 @@ def random_raw_numbers() -> NDArray[np.int32]:
         raw[:, channel] = column
     for channel, kind in enumerate(KINDS):
         if kind is not None:
-            raw[:, channel] = random.choice([one.value for one in kind], TICKS)
+            raw[:, channel] = random.choice([member.value for member in kind], TICKS)
     # A flight of which the reader's checks of plausibility think well.
     for channel, spec in enumerate(CHANNELS):
         if spec.axis is not None:

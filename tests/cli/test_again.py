@@ -41,7 +41,7 @@ print("code has run")
 
 class Push(Effect):
     def torque_Nm(self, at):
-        return ca.vertcat(0, 0, self.own(at, "Nm"))
+        return ca.vertcat(0, 0, self.value(at, "Nm"))
 
 
 PUSH = EffectSpec(

@@ -278,8 +278,8 @@ def test_an_address_of_another_computer_is_not_taken_for_a_used_port(terminal: T
 
 
 def test_a_used_port_asks_for_another_port(terminal: Terminal) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
         line = refusal(terminal("dashboard", *SIL[:1], "--http-port", str(port)), code=LINK)
     assert "give --http-port another port, or 0 for a free one" in line
 

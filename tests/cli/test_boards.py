@@ -20,8 +20,8 @@ MAX = ("--sil", "--speed", "max")
 @pytest.fixture
 def built() -> Path:
     """An ELF that this installation can fly."""
-    found = firmware.candidates()
-    if not found:
+    builds = firmware.candidates()
+    if not builds:
         pytest.skip("no firmware is built: install the cross-compiler, then make setup or make firmware")
     return firmware.find_firmware()
 

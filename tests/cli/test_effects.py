@@ -32,10 +32,10 @@ def test_an_effect_changes_the_flight_and_the_seed_its_chance(terminal: Terminal
         log = tmp_path / f"{name}.mcap"
         assert terminal("fly", "hover", *SIL, *options, "--log", log).code == 0
         angles[name] = read_flight(log).angles_rad
-    rows = min(len(one) for one in angles.values())
+    rows = min(len(samples) for samples in angles.values())
     np.testing.assert_array_equal(angles["gusts"], angles["again"])
-    for one, two in (("plain", "lag"), ("plain", "gusts"), ("gusts", "other")):
-        assert np.abs(angles[one][:rows] - angles[two][:rows]).max() > np.radians(0.2)
+    for first, second in (("plain", "lag"), ("plain", "gusts"), ("gusts", "other")):
+        assert np.abs(angles[first][:rows] - angles[second][:rows]).max() > np.radians(0.2)
 
 
 @pytest.mark.parametrize(

@@ -91,9 +91,9 @@ def test_a_terminal_that_is_closed_lands_the_flight_and_keeps_its_log(tmp_path: 
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
         os.chdir(tmp_path)
         os.execv(sys.executable, command(*FLY))
-    said = b""
-    while b"closed_loop" not in said:
-        said += os.read(terminal, 4096)
+    output = b""
+    while b"closed_loop" not in output:
+        output += os.read(terminal, 4096)
     os.close(terminal)
     _, status = os.waitpid(child, 0)
     assert os.waitstatus_to_exitcode(status) == 130
@@ -187,6 +187,6 @@ def test_a_log_cut_short_is_read_up_to_there(terminal: Terminal, tmp_path: Path)
     assert "not closed" in result.out
     assert terminal("plot", cut, "--figure", tmp_path / "cut.png").code == 0
     assert terminal("export", cut, "--csv").code == 0
-    flown, left = read_flight(whole), read_flight(tmp_path / "cut.csv")
-    assert 10_000 < len(left) < len(flown)
-    assert left.elevation_rad == pytest.approx(flown.elevation_rad[: len(left)], abs=1e-6)
+    flown, kept = read_flight(whole), read_flight(tmp_path / "cut.csv")
+    assert 10_000 < len(kept) < len(flown)
+    assert kept.elevation_rad == pytest.approx(flown.elevation_rad[: len(kept)], abs=1e-6)

@@ -47,13 +47,13 @@ WORDS = re.compile(
 
 def commands() -> Iterator[tuple[str, Any]]:
     """Every verb and sub-verb that is listed, by name."""
-    left = [("", command_line())]
-    while left:
-        name, command = left.pop()
+    waiting = [("", command_line())]
+    while waiting:
+        name, command = waiting.pop()
         yield name or "heli-host", command
         for part, below in getattr(command, "commands", {}).items():
             if not below.hidden:
-                left.append((f"{name} {part}".strip(), below))
+                waiting.append((f"{name} {part}".strip(), below))
 
 
 def help_lines() -> list[tuple[str, str]]:

@@ -36,7 +36,7 @@ ESCAPES = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202e"
 
 def raw(text: str) -> set[str]:
     """Return the characters that do something to a terminal."""
-    return {one for one in text if not one.isprintable()} - {"\n"}
+    return {character for character in text if not character.isprintable()} - {"\n"}
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_live_lines_show_names_as_text(
                 bar._bar.refresh()
         shown = capsys.readouterr().out
         assert "owned" in shown and "[/stage]" in shown
-        assert not any(one in shown for one in ("\x07", "\x9b", "\u202e", "\x1b]0;", "\x1b[2J"))
+        assert not any(character in shown for character in ("\x07", "\x9b", "\u202e", "\x1b]0;", "\x1b[2J"))
 
 
 @pytest.mark.parametrize(

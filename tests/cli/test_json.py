@@ -36,10 +36,10 @@ WITHOUT_PARTS = {
 def test_every_verb_with_a_result_takes_a_json_file() -> None:
     matches = set()
     for name, leaf in leaves(command_line()).items():
-        options = [one for one in leaf.params if "--json" in one.opts]  # type: ignore[attr-defined]
+        options = [option for option in leaf.params if "--json" in option.opts]  # type: ignore[attr-defined]
         if not leaf.hidden and not options:  # type: ignore[attr-defined]
             matches.add(name)
-        assert all(one.metavar == "FILE" and not one.is_flag for one in options), name
+        assert all(option.metavar == "FILE" and not option.is_flag for option in options), name
     assert matches == WITHOUT | WITHOUT_PARTS
 
 

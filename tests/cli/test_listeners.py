@@ -114,9 +114,9 @@ def running(folder: Path, started: Started) -> Iterator[subprocess.Popen[bytes]]
 def test_no_verb_listens_beyond_loopback(tmp_path: Path, name: str) -> None:
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
     with running(tmp_path, STARTED[name]) as process:
-        found = listeners(process.pid)
-    assert len(found) == STARTED[name].count, found
-    assert all(address.is_loopback for address, _ in found), found
+        addresses = listeners(process.pid)
+    assert len(addresses) == STARTED[name].count, addresses
+    assert all(address.is_loopback for address, _ in addresses), addresses
 
 
 def test_every_verb_is_run_here_or_serves_nobody() -> None:
@@ -128,6 +128,6 @@ def test_a_listener_on_every_interface_is_noticed(family: socket.AddressFamily, 
     with socket.socket(family) as listening:
         listening.bind((host, 0))
         listening.listen()
-        found = listeners(os.getpid())
+        addresses = listeners(os.getpid())
         port = listening.getsockname()[1]
-    assert [str(address) for address, number in found if number == port] == [host]
+    assert [str(address) for address, number in addresses if number == port] == [host]

@@ -99,8 +99,8 @@ def test_check_ends_with_1_when_a_rig_is_too_heavy_for_its_supply(terminal: Term
         result = terminal("rig", "check", rig, "quanser-course")
         assert result.code == 1 and says in result.out and not result.err
         result = terminal("rig", "check", rig, "--json", "-")
-        [told] = json.loads(result.out)["rigs"]
-        assert result.code == 1 and told["is_valid"] and not told["can_fly"]
+        [report] = json.loads(result.out)["rigs"]
+        assert result.code == 1 and report["is_valid"] and not report["can_fly"]
     assert terminal("rig", "check", *rig_names()).code == 0
 
 
@@ -117,9 +117,9 @@ def test_a_number_beyond_calculation_is_refused_by_name(
         if line.startswith(f"{what} = "):
             path = tmp_path / "mine.toml"
             path.write_text("\n".join([*lines[:k], f"{what} = {number}", *lines[k + 1 :]]))
-            said = refusal(terminal("rig", "check", path), code=ASKED)
-            assert f"mine.toml: {name} has the {what} {float(number):g} " in said
-            assert "; give 0 or a size from 1e-09 to " in said
+            message = refusal(terminal("rig", "check", path), code=ASKED)
+            assert f"mine.toml: {name} has the {what} {float(number):g} " in message
+            assert "; give 0 or a size from 1e-09 to " in message
 
 
 def test_a_number_beyond_calculation_of_an_effect_is_refused_by_name(
@@ -128,8 +128,8 @@ def test_a_number_beyond_calculation_of_an_effect_is_refused_by_name(
     path = tmp_path / "mine.toml"
     lag = '[effects.rotor_lag.time_constant]\nvalue = 1e308\nunit = "s"\ntolerance = 0.0\nsource = "x"\n'
     path.write_text(PAPER.read_text() + lag)
-    said = refusal(terminal("rig", "check", path), code=ASKED)
-    assert "effects.rotor_lag.time_constant has the value 1e+308 s; give 0 or a size from" in said
+    message = refusal(terminal("rig", "check", path), code=ASKED)
+    assert "effects.rotor_lag.time_constant has the value 1e+308 s; give 0 or a size from" in message
 
 
 def test_numbers_that_no_table_bears_are_named(terminal: Terminal, tmp_path: Path) -> None:
@@ -196,5 +196,5 @@ def test_what_only_one_rig_has_and_what_is_exact_differ_without_measure() -> Non
 def test_the_largest_difference_comes_first() -> None:
     rig = load_rig("makki2024")
     other = rig.replace(M_w=1.565 + 0.1, L_a=0.65)
-    names = [one.name for one in compare_rigs(rig, other)]
+    names = [difference.name for difference in compare_rigs(rig, other)]
     assert names[:2] == ["M_w", "L_a"]

@@ -93,10 +93,10 @@ def test_a_verb_takes_its_target_from_the_environment(
 
 def test_every_verb_that_takes_a_port_is_tested_here() -> None:
     with_port = set()
-    left = list(command_line().commands.items())  # type: ignore[attr-defined]
-    while left:
-        name, command = left.pop()
-        left += [(f"{name} {part}", one) for part, one in getattr(command, "commands", {}).items()]
+    waiting = list(command_line().commands.items())  # type: ignore[attr-defined]
+    while waiting:
+        name, command = waiting.pop()
+        waiting += [(f"{name} {part}", below) for part, below in getattr(command, "commands", {}).items()]
         options = {option for parameter in command.params for option in parameter.opts}
         if "--port" in options and not command.hidden:
             assert "--sil" in options or name in ("class", "flash"), name

@@ -28,8 +28,8 @@ def test_a_float_becomes_the_nearest_quantity(value: float) -> None:
         assert abs(control.quantity(value)) == MAX
         return
     exact = Fraction(value) * 2**QUANTITY_BITS
-    found = control.quantity(value)
-    assert abs(found - max(-MAX, min(MAX, exact))) <= Fraction(1, 2)
+    quantity = control.quantity(value)
+    assert abs(quantity - max(-MAX, min(MAX, exact))) <= Fraction(1, 2)
 
 
 def test_a_float_of_any_exponent_becomes_the_nearest_quantity() -> None:

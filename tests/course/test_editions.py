@@ -90,9 +90,9 @@ def test_the_teacher_edition_runs_the_code_of_the_source(path: Path, made: Path)
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_each_notebook_has_ten_points_and_a_rubric(path: Path, made: Path) -> None:
     graded = [cell["metadata"].get("nbgrader", {}) for cell in edition(made, "student", path.stem)]
-    assert sum(one.get("points", 0) for one in graded) == 10
+    assert sum(cell.get("points", 0) for cell in graded) == 10
     # The check is locked, and its points are in it.
-    assert [one["points"] for one in graded if one.get("locked")] == [3]
+    assert [cell["points"] for cell in graded if cell.get("locked")] == [3]
     rubric = (made / "teacher" / f"{path.stem}.rubric.md").read_text()
     assert sum(int(points) for points in re.findall(r"^\| \w+ \| (\d+) \|", rubric, re.MULTILINE)) == 10
 

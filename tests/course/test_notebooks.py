@@ -19,8 +19,8 @@ STRICTLY = "import warnings; warnings.filterwarnings('error', '', DeprecationWar
 
 def cells(path: Path) -> list[tuple[str, str]]:
     """Heads and texts of a notebook's cells."""
-    found = re.split(r"^# %%(.*)$", path.read_text(), flags=re.MULTILINE)[1:]
-    return list(zip(found[::2], found[1::2], strict=True))
+    parts = re.split(r"^# %%(.*)$", path.read_text(), flags=re.MULTILINE)[1:]
+    return list(zip(parts[::2], parts[1::2], strict=True))
 
 
 def script(path: Path) -> str:
@@ -48,8 +48,8 @@ def test_all_notebooks_run_and_those_that_write_run_twice_in_one_folder(typed: T
 
     def run(path: Path, attempt: str) -> None:
         words = ["python", "-c", STRICTLY + script(path)]
-        code, said = typed.run(words, tmp_path, () if LONG else (WORK,))
-        assert code == 0, f"{path.name}, {attempt} run: {said[-5000:]}"
+        code, output = typed.run(words, tmp_path, () if LONG else (WORK,))
+        assert code == 0, f"{path.name}, {attempt} run: {output[-5000:]}"
 
     for path in NOTEBOOKS:
         run(path, "first")

@@ -82,23 +82,23 @@ class Oracle:
     def _compare(self, stop: int) -> None:
         # unicorn has no row for an instruction that an IT block skips, and neither has the trace.
         wanted = np.array(self._rows, dtype=np.uint64).astype(np.uint32)
-        found: NDArray[np.uint32] = self.core.trace(stop, len(wanted) - 1)
-        found = found[: len(wanted)].copy()
-        assert len(found) == len(wanted), "the two took different ways"
+        traced: NDArray[np.uint32] = self.core.trace(stop, len(wanted) - 1)
+        traced = traced[: len(wanted)].copy()
+        assert len(traced) == len(wanted), "the two took different ways"
         wanted[:, 16] &= FLAGS
-        found[:, 16] &= FLAGS
-        different = np.nonzero((wanted != found).any(axis=1))[0]
+        traced[:, 16] &= FLAGS
+        different = np.nonzero((wanted != traced).any(axis=1))[0]
         if len(different):
-            self._explain(int(different[0]), wanted, found)
+            self._explain(int(different[0]), wanted, traced)
         self.compared += len(wanted) - 1
         self._rows = self._rows[-1:]
 
-    def _explain(self, row: int, wanted: NDArray[np.uint32], found: NDArray[np.uint32]) -> None:
+    def _explain(self, row: int, wanted: NDArray[np.uint32], traced: NDArray[np.uint32]) -> None:
         at = int(wanted[max(row - 1, 0), 15])
         code = bytes(self._uc.mem_read(at, 4)).hex()
         lines = [
-            f"{name}: {int(found[row, i]):#010x}, unicorn has {int(wanted[row, i]):#010x}"
+            f"{name}: {int(traced[row, i]):#010x}, unicorn has {int(wanted[row, i]):#010x}"
             for i, name in enumerate(_NAMES)
-            if found[row, i] != wanted[row, i]
+            if traced[row, i] != wanted[row, i]
         ]
         pytest.fail(f"after {self.compared + row} instructions, behind {code} at {at:#x}: {'; '.join(lines)}")

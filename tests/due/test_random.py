@@ -43,22 +43,22 @@ def test_a_word_is_ready_after_84_cycles_and_reading_the_status_takes_it_back() 
 
 
 def test_words_follow_from_the_seed_and_are_spread_over_all_bits() -> None:
-    found = words(generating(), 256)
-    assert found == words(generating(), 256)
-    assert found[:8] != words(generating(2), 8)
-    assert len(set(found)) == 256
+    drawn = words(generating(), 256)
+    assert drawn == words(generating(), 256)
+    assert drawn[:8] != words(generating(2), 8)
+    assert len(set(drawn)) == 256
     for bit in range(32):
-        assert 80 < sum(word >> bit & 1 for word in found) < 176
+        assert 80 < sum(word >> bit & 1 for word in drawn) < 176
 
 
 def test_a_start_goes_on_in_the_sequence() -> None:
     chip = generating()
-    found = words(chip, 4)
+    drawn = words(chip, 4)
     chip.due.power_off()
     chip.power_on("TRNG")
     assert (chip["TRNG.ISR"], chip["TRNG.ODATA"]) == (0, 0)
     chip["TRNG.CR"] = KEY | 1
-    assert not set(found) & set(words(chip, 4))
+    assert not set(drawn) & set(words(chip, 4))
 
 
 def test_it_stops_when_it_is_disabled_and_needs_its_key() -> None:

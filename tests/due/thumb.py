@@ -55,15 +55,15 @@ class Encoding:
     @cached_property
     def _layout(self) -> tuple[int, tuple[tuple[str, int, int], ...]]:
         """Constant bits, and for each bit of a field its place there and in the word."""
-        left = dict(self.widths)
+        remaining_bits = dict(self.widths)
         constant = 0
         places = []
         for position, bit in zip(range(len(self.bits) - 1, -1, -1), self.bits, strict=True):
             if bit in "01":
                 constant |= int(bit) << position
             else:
-                left[bit] -= 1
-                places.append((bit, left[bit], position))
+                remaining_bits[bit] -= 1
+                places.append((bit, remaining_bits[bit], position))
         return constant, tuple(places)
 
     def assemble(self, fields: Fields) -> bytes:

@@ -45,7 +45,9 @@ def main(arguments: Sequence[str] | None = None, data: Path = DATA) -> int:
         return 0
     chosen = [case for case in there if _wanted(case, given.only)]
     if not chosen:
-        print(f"no case is called {', '.join(given.only)}; there are {', '.join(one.name for one in there)}")
+        print(
+            f"no case is called {', '.join(given.only)}; there are {', '.join(case.name for case in there)}"
+        )
         return 2
     one_thread_each()
     answers: dict[str, Any] = {}
@@ -54,11 +56,11 @@ def main(arguments: Sequence[str] | None = None, data: Path = DATA) -> int:
     # Fresh processes: each pays for itself, and its CPU time is its own.
     with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
         for case, answer in zip(chosen, pool.map(ask, chosen, [given.budget] * len(chosen)), strict=True):
-            found = judged(case, answer)
-            print(found.line(), flush=True)
+            row = judged(case, answer)
+            print(row.line(), flush=True)
             answers[case.name] = answer
-            right += found.right
-            spent_s += found.cpu_s
+            right += row.right
+            spent_s += row.cpu_s
             if given.json:
                 given.json.write_text(json.dumps(answers, indent=1, default=float) + "\n")
     print(f"\n{right} of {len(chosen)} right, {spent_s:.0f} s of CPU")

@@ -65,8 +65,8 @@ class Description:
 
 
 def _text(node: ElementTree.Element, name: str) -> str:
-    found = node.findtext(name)
-    return "" if found is None else found.strip()
+    text = node.findtext(name)
+    return "" if text is None else text.strip()
 
 
 def _register(node: ElementTree.Element) -> Register:

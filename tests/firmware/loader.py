@@ -92,9 +92,9 @@ class RomLoader:
     def _take(self, count: int) -> bytes:
         while len(self._waiting) < count and not self._ended.is_set():
             self._receive()
-        taken = bytes(self._waiting[:count])
+        data = bytes(self._waiting[:count])
         del self._waiting[:count]
-        return taken
+        return data
 
     def _say(self, data: bytes) -> None:
         os.write(self._ours, data)

@@ -55,7 +55,7 @@ def edited(old: str, new: str) -> Callable[[Path], Path]:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ('"D9" ', '"D3" ', "front.forward_pwm is 'D3'; only D9, D8, D7, D6 have a PWM output"),
         ('"D22"', '"D20"', "front.forward_enable is 'D20'; the board pulls it up"),
@@ -75,11 +75,11 @@ def edited(old: str, new: str) -> Callable[[Path], Path]:
     ],
 )
 def test_a_wiring_that_the_board_cannot_have_is_refused(
-    old: str, new: str, said: str, tmp_path: Path
+    old: str, new: str, message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(DeclarationError) as caught:
         read_pins(edited(old, new)(tmp_path))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_a_missing_file_is_one_line(tmp_path: Path) -> None:

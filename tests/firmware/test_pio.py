@@ -107,8 +107,10 @@ def test_platformio_builds_for_another_wiring_apart(uploaded: Uploaded, tmp_path
     )
     assert process.returncode == 0, process.stdout[-2000:] + process.stderr[-2000:]
     assert "| `FrontForwardEnable` | D34 | PC2 |" in (project / "build/pio-wiring/wiring.md").read_text()
-    for_pins, usual = (project / "build" / name / "due" / "firmware.bin" for name in ("pio-pins", "pio"))
-    assert for_pins.read_bytes() != usual.read_bytes()
+    with_other_pins, with_default_pins = (
+        project / "build" / name / "due" / "firmware.bin" for name in ("pio-pins", "pio")
+    )
+    assert with_other_pins.read_bytes() != with_default_pins.read_bytes()
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this system")

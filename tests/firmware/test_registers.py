@@ -130,16 +130,16 @@ def test_registers_can_be_read_and_written_as_on_the_chip(description: Descripti
 
 
 def test_peripherals_stand_where_the_description_has_them(description: Description) -> None:
-    found = re.findall(r"^inline constexpr At<(\w+)> (\w+)\{(0x[0-9A-Fa-f]+)\};", text(), re.MULTILINE)
-    assert len(found) >= len(BLOCKS)
-    for _, name, address in found:
+    definitions = re.findall(r"^inline constexpr At<(\w+)> (\w+)\{(0x[0-9A-Fa-f]+)\};", text(), re.MULTILINE)
+    assert len(definitions) >= len(BLOCKS)
+    for _, name, address in definitions:
         assert int(address, 16) == description.peripherals[name].address, name
 
 
 def test_identifiers_are_those_of_the_description(description: Description) -> None:
-    found = re.findall(r"^inline constexpr unsigned ID_(\w+) = (\d+);", text(), re.MULTILINE)
-    assert found
-    for name, number in found:
+    definitions = re.findall(r"^inline constexpr unsigned ID_(\w+) = (\d+);", text(), re.MULTILINE)
+    assert definitions
+    for name, number in definitions:
         assert description.interrupts[name] == int(number), name
 
 

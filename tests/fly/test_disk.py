@@ -98,11 +98,11 @@ def test_over_a_port_a_full_disk_lands_the_rig_and_is_reported_first(
 def test_a_disk_that_gets_full_lands_while_the_log_can_still_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def left(_: Path) -> int:
+    def free_bytes(_: Path) -> int:
         path = tmp_path / "a.mcap"
         return 3_000_000 if path.exists() and path.stat().st_size > 120_000 else 10**9
 
-    monkeypatch.setattr(disk, "free_bytes", left)
+    monkeypatch.setattr(disk, "free_bytes", free_bytes)
     summary, log, state = flown(tmp_path / "a.mcap")
     assert summary.outcome.startswith("aborted: the disk of the log") and "3.0 MB are left" in summary.outcome
     assert state is State.IDLE and log.complete and log.ticks["state"][-1] == State.IDLE

@@ -34,10 +34,10 @@ def document() -> list[str]:
 
 def assert_agrees_with_document(case: Case, outcome: Outcome) -> None:
     """The document's row has the same words, and numbers within a tenth of a second or 2 %."""
-    [told] = [line for line in document() if line.startswith(f"| {case.what} |")]
+    [document_row] = [line for line in document() if line.startswith(f"| {case.what} |")]
     flown_row = row(case, outcome)
-    assert NUMBER.sub("#", told) == NUMBER.sub("#", flown_row)
-    for written, measured in zip(NUMBER.findall(told), NUMBER.findall(flown_row), strict=True):
+    assert NUMBER.sub("#", document_row) == NUMBER.sub("#", flown_row)
+    for written, measured in zip(NUMBER.findall(document_row), NUMBER.findall(flown_row), strict=True):
         near_s = 0.1 if float(measured) > 1.0 else 0.02
         assert float(written) == pytest.approx(float(measured), rel=0.02, abs=near_s), flown_row
 

@@ -59,30 +59,30 @@ def test_fmpy_finds_no_problem_and_both_interfaces_fly_the_plant(case: str, tmp_
     write_fmu(plant, path)
     assert validate_fmu(str(path)) == []
     volts_V = voltages(SECONDS, trim(MultibodyModel(), plant.rig).volts_V)
-    own = plants_flight(plant, volts_V)
+    expected = plants_flight(plant, volts_V)
     # It flies: up from where it rested, and through its stops where the rig has it so.
-    assert np.ptp(own[:, 0]) > 0.1 and np.ptp(own[:, 1]) > 0.01
-    np.testing.assert_allclose(co_simulated(path, tmp_path / "cs", volts_V), own, rtol=0, atol=1e-9)
-    found, events = exchanged(path, tmp_path / "me", volts_V, len(plant.model.states))
-    np.testing.assert_allclose(found, own, rtol=0, atol=1e-9)
+    assert np.ptp(expected[:, 0]) > 0.1 and np.ptp(expected[:, 1]) > 0.01
+    np.testing.assert_allclose(co_simulated(path, tmp_path / "cs", volts_V), expected, rtol=0, atol=1e-9)
+    exchange_angles, events = exchanged(path, tmp_path / "me", volts_V, len(plant.model.states))
+    np.testing.assert_allclose(exchange_angles, expected, rtol=0, atol=1e-9)
     assert (events >= len(volts_V)) == (case == "sampled")
 
 
 def test_longer_communication_steps_are_whole_milliseconds_inside(plain: Path, tmp_path: Path) -> None:
     plant = plant_named("as it is")
     held = np.repeat(voltages(3.0, np.array([1.8, 1.8]))[::20], 20, axis=0)
-    own = plants_flight(plant, held)[19::20]
-    np.testing.assert_array_equal(co_simulated(plain, tmp_path / "cs", held, 20), own)
+    expected = plants_flight(plant, held)[19::20]
+    np.testing.assert_array_equal(co_simulated(plain, tmp_path / "cs", held, 20), expected)
 
 
 def test_a_number_of_the_rig_can_be_set_and_has_its_effect(plain: Path, tmp_path: Path) -> None:
-    variables = {one.name: one for one in read_model_description(str(plain)).modelVariables}
-    one = variables["rig.thrust_gain"]
+    variables = {variable.name: variable for variable in read_model_description(str(plain)).modelVariables}
+    thrust_gain = variables["rig.thrust_gain"]
     slave = instance_in_initialization(plain, tmp_path / "u", co_simulation=True)
-    slave.setFloat64([one.valueReference], [1.1 * float(one.start)])
+    slave.setFloat64([thrust_gain.valueReference], [1.1 * float(thrust_gain.start)])
     slave.exitInitializationMode()
     changed = plant_of(SilOptions())
-    other = Plant(changed.model, changed.rig.replace(thrust_gain=1.1 * float(one.start)))
+    other = Plant(changed.model, changed.rig.replace(thrust_gain=1.1 * float(thrust_gain.start)))
     volts_V = voltages(2.0, np.array([1.8, 1.8]))
     for row, volts in enumerate(volts_V):
         slave.setFloat64([1, 2], volts.tolist())
@@ -112,10 +112,10 @@ def test_the_sources_compile_by_themselves_without_a_warning(plain: Path, tmp_pa
         archive.extractall(tmp_path)
         listed = archive.read("sources/buildDescription.xml").decode()
     # Warnings about code that CasADi generates are not ours.
-    own = ["rig.c", "fmi3.c", "model_start.c"]
-    assert all(f'name="{name}"' in listed for name in [*own, "model.c"])
+    sources = ["rig.c", "fmi3.c", "model_start.c"]
+    assert all(f'name="{name}"' in listed for name in [*sources, "model.c"])
     subprocess.run(
-        ["cc", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-fsyntax-only", *own],
+        ["cc", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-fsyntax-only", *sources],
         cwd=tmp_path / "sources",
         check=True,
     )

@@ -83,8 +83,8 @@ def test_the_travel_torque_weighs_mirror_images_against_each_other() -> None:
 
 
 def test_the_torque_decides_between_images_with_similarly_many_changes_of_sign() -> None:
-    usual, turned = SignChanges(1.0, 1.0, 1.0, False), SignChanges(1.0, 1.0, -1.0, False)
-    assert not prefers_mirror(usual, -2.2)
+    upright, turned = SignChanges(1.0, 1.0, 1.0, False), SignChanges(1.0, 1.0, -1.0, False)
+    assert not prefers_mirror(upright, -2.2)
     assert prefers_mirror(turned, -2.0)
     assert not prefers_mirror(turned, -0.5)
 

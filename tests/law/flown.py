@@ -78,8 +78,8 @@ def fly(
         unsubscribe()
         heli.wait(0.5)
         heli.land()
-    raw = np.concatenate([one.raw for one in ticks])
-    tick = np.concatenate([one.tick for one in ticks]).astype(np.int64)
+    raw = np.concatenate([part.raw for part in ticks])
+    tick = np.concatenate([part.tick for part in ticks]).astype(np.int64)
     assert (np.diff(tick) == 1).all(), "a tick was lost"
     return Flown(report, raw, params)
 
@@ -125,8 +125,8 @@ def replayed(flown: Flown, program: LawProgram, board: str = "native") -> int:
         assert acted is not None, f"the replay was taken over at tick {k}"
         wanted = (row[Channel.FRONT], row[Channel.BACK])
         assert acted == wanted, f"tick {k}, {count} after the first: replayed {acted}, flown {wanted}"
-        told_setpoints, told_signals = replay.told()
-        assert list(told_setpoints) == [row[channel] for channel in SETPOINTS], k
-        assert list(told_signals) == [row[channel] for channel in SIGNALS], k
+        setpoints_out, signals_out = replay.outputs()
+        assert list(setpoints_out) == [row[channel] for channel in SETPOINTS], k
+        assert list(signals_out) == [row[channel] for channel in SIGNALS], k
         count += 1
     return count

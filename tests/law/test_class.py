@@ -125,19 +125,19 @@ def test_the_points_of_each_number_add_up_to_the_mark() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (("--effect", "rotor_lga=0.1"), "did you mean rotor_lag?"),
         (("--port", "/dev/no-such-port"), "cannot open port /dev/no-such-port"),
     ],
 )
 def test_a_wrong_option_is_no_fault_of_a_submission(
-    options: tuple[str, ...], said: str, tmp_path: Path, in_process: Any
+    options: tuple[str, ...], message: str, tmp_path: Path, in_process: Any
 ) -> None:
     make_class(tmp_path / "class", 1, [], 5.0)
     before = digest(tmp_path / "class")
     code, text = in_process(["class", str(tmp_path / "class"), "--duration", "5", *options])
-    assert code != 0 and said in text and text.count("\n") == 1
+    assert code != 0 and message in text and text.count("\n") == 1
     assert digest(tmp_path / "class") == before and not list(tmp_path.rglob("mark*.*"))
 
 

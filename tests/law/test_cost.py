@@ -72,10 +72,10 @@ def test_a_sum_takes_no_longer_than_declared_whatever_its_terms_are(processor: P
     chance = np.random.default_rng(7)
     nearest = 0.0
     for cells, terms in adversarial_sums(chance, samples(20_000, 400)):
-        taken = sum_cost(processor, cells, terms)
+        instructions = sum_cost(processor, cells, terms)
         declared = SUM.cost + LAW_TERM_COST * len(terms)
-        assert taken <= declared, (cells, terms)
-        nearest = max(nearest, taken / declared)
+        assert instructions <= declared, (cells, terms)
+        nearest = max(nearest, instructions / declared)
     # There are terms that take as long as is declared of any.
     assert nearest > 0.98
 

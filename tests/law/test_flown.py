@@ -76,7 +76,7 @@ def stays_off(heli: heli_host.Heli, which: str) -> None:
     with pytest.raises(heli_host.HeliError):
         heli.session.command(LawFlyMessage(0, 1))
     heli.wait(0.5)
-    motors = np.concatenate([one.raw for one in ticks])[:, [Channel.FRONT, Channel.BACK]]
+    motors = np.concatenate([part.raw for part in ticks])[:, [Channel.FRONT, Channel.BACK]]
     assert len(motors) > 400
     assert not motors.any(), which
 

@@ -78,7 +78,7 @@ def test_a_law_that_logs_its_angle_as_its_setpoint_is_judged_by_the_board_s() ->
     fair = with_plan_setpoints(program)
     random = np.random.default_rng(2)
     inputs = random.uniform(-0.2, 0.2, 17).tolist()
-    voltages, honest = (law_of_program(one).runner()(inputs) for one in (program, fair))
+    voltages, honest = (law_of_program(candidate).runner()(inputs) for candidate in (program, fair))
     assert list(voltages)[:2] == list(honest)[:2], "the voltages are the same"
     ours = with_plan_setpoints(law_with_setpoints().program)
     assert fair.outputs[2] == ours.outputs[2] and fair.outputs[4] == ours.outputs[4]
@@ -138,7 +138,7 @@ def test_the_command_fails_if_a_law_was_taken_over_and_still_writes_all(terminal
     assert result.code == FAILED
     assert "2 of 3 laws did not fly to the end: wild, empty" in result.err
     grades = json.loads(Path("g.json").read_text())["grades"]
-    assert [one["law"] for one in grades] == ["the board's own", "good", "wild", "empty"]
+    assert [grade["law"] for grade in grades] == ["the board's own", "good", "wild", "empty"]
     assert grades[1]["takeovers"] == 0 and grades[2]["flights"][0]["ended"] == "voltage_jump"
     assert grades[1]["phase_margin_deg"] > 0.0
     assert "does not define LAW" in grades[3]["refused"]

@@ -157,7 +157,7 @@ def test_a_law_flies_where_no_compiler_is_on_the_path(board: str, tmp_path: Path
         pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
     (tmp_path / "bin").mkdir()
     start = "from heli_host.cli.entry import main; main()"
-    asked = [
+    command = [
         "law",
         "fly",
         str(LAWS / "lqr.py"),
@@ -170,7 +170,7 @@ def test_a_law_flies_where_no_compiler_is_on_the_path(board: str, tmp_path: Path
         "2",
     ]
     process = subprocess.run(
-        [sys.executable, "-c", start, *asked],
+        [sys.executable, "-c", start, *command],
         capture_output=True, text=True, check=False, env={**os.environ, "PATH": str(tmp_path / "bin")},
     )  # fmt: skip
     assert process.returncode == 0, process.stderr

@@ -70,10 +70,10 @@ def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
         harness = open_harness()
         for frame in upload_frames(harness, old, 1):
             harness.turn(frame, ticks=2)
-        left = cut
+        remaining = cut
         for frame in upload_frames(harness, new, 50):
-            harness.turn(frame[:left], ticks=2)
-            left = max(0, left - len(frame))
+            harness.turn(frame[:remaining], ticks=2)
+            remaining = max(0, remaining - len(frame))
         law = law_on(harness)
         if law.state == LawState.READY:
             assert law.hash == (new.hash if cut == byte_count else old.hash), cut

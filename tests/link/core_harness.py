@@ -102,8 +102,8 @@ class Harness:
     def status(self) -> StatusMessage:
         request = 250
         frames = self.ask(StatusReadMessage(request))
-        (asked,) = [f for f in frames if f.id == MessageId.STATUS and f.payload[0] == request]
-        return StatusMessage.unpack(asked.payload)
+        (answer,) = [f for f in frames if f.id == MessageId.STATUS and f.payload[0] == request]
+        return StatusMessage.unpack(answer.payload)
 
 
 def named(value: object) -> str | None:

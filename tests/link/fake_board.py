@@ -169,9 +169,9 @@ class FakeBoard:
         )
 
     def _execute_once(self, frame: Frame) -> None:
-        asked = bytes([frame.id]) + frame.payload
-        if self._memory is None or self._memory[0] != asked:
-            self._memory = (asked, self._execute(frame))
+        request = bytes([frame.id]) + frame.payload
+        if self._memory is None or self._memory[0] != request:
+            self._memory = (request, self._execute(frame))
         if self.lose_replies:
             self.lose_replies -= 1
             return

@@ -155,13 +155,13 @@ def test_a_batch_too_large_for_a_frame_is_halved_until_it_fits() -> None:
     raw[::2, SIGNED] = 2**15 - 1
     raw[1::2, SIGNED] = -(2**15)
     payloads = core_link.pack_telemetry(0, raw)
-    sizes, left = [], raw.tolist()
-    while left:
-        count = len(left)
-        while len(reference.telemetry_payload(0, left[:count])) > MAX_TELEMETRY_PAYLOAD:
+    sizes, remaining = [], raw.tolist()
+    while remaining:
+        count = len(remaining)
+        while len(reference.telemetry_payload(0, remaining[:count])) > MAX_TELEMETRY_PAYLOAD:
             count //= 2
         sizes.append(count)
-        left = left[count:]
+        remaining = remaining[count:]
     assert [payload[4] for payload in payloads] == sizes
     assert len(sizes) > 1
     assert unpacked(payloads, 0) == raw.tolist()

@@ -14,12 +14,12 @@ def printed_tree() -> dict[str, str]:
     parents: dict[str, str] = {}
     path = ["Exception"]
     for line in (errors.__doc__ or "").splitlines():
-        found = re.match(r"^    ([│ ├└─]*)([A-Z]\w+) ", line)
-        if found:
-            depth = len(found[1]) // 4
+        entry = re.match(r"^    ([│ ├└─]*)([A-Z]\w+) ", line)
+        if entry:
+            depth = len(entry[1]) // 4
             del path[depth + 1 :]
-            parents[found[2]] = path[-1]
-            path.append(found[2])
+            parents[entry[2]] = path[-1]
+            path.append(entry[2])
     return parents
 
 

@@ -74,18 +74,18 @@ def test_a_campaign_takes_known_values_of_another_schema_and_lists_the_others(
     file = written(tmp_path, OTHER, ("hover_slope =", "hover_curve ="))
     campaign = tmp_path / "study.toml"
     campaign.write_text(f'work = "gains"\n[cases]\nparams = ["{file.name}", ""]\n')
-    taken = []
+    tried_parameters = []
 
     def tried(plant: object, parameters: dict[str, float], *rest: object) -> None:
-        taken.append(parameters)
+        tried_parameters.append(parameters)
         raise KeyboardInterrupt
 
     monkeypatch.setattr("heli_lab.tune.flights.try_gains", tried)
     monkeypatch.setattr("heli_lab.campaign.run.run_campaign", first_case)
     assert run(["campaign", str(campaign), "-o", str(tmp_path / "out")]) == 2
     assert f"{file}: dropped: unknown parameter hover_curve\n" in capsys.readouterr().out
-    assert taken[0]["hover_V"] == 1.75
-    assert "hover_curve" not in taken[0]
+    assert tried_parameters[0]["hover_V"] == 1.75
+    assert "hover_curve" not in tried_parameters[0]
 
 
 def first_case(campaign: Campaign, *_: object, **__: object) -> None:

@@ -41,17 +41,17 @@ def test_hello_is_repeated_every_tenth_of_a_second() -> None:
 
 
 @pytest.mark.parametrize(
-    "said", [b"Hello, I am a GPS!\r\n$GPGGA,1,2*33\r\n", b"\0\0\0\x05\x01", bytes(range(256))]
+    "sent", [b"Hello, I am a GPS!\r\n$GPGGA,1,2*33\r\n", b"\0\0\0\x05\x01", bytes(range(256))]
 )
-def test_bytes_that_are_not_ours_are_a_wrong_device_with_count_and_excerpt(said: bytes) -> None:
+def test_bytes_that_are_not_ours_are_a_wrong_device_with_count_and_excerpt(sent: bytes) -> None:
     board = FakeBoard()
     board.answers_hello = False
-    with Session(FakeLine(board, to_host=lambda _: said)) as session, pytest.raises(WrongDevice) as caught:
+    with Session(FakeLine(board, to_host=lambda _: sent)) as session, pytest.raises(WrongDevice) as caught:
         session.connect()
-    assert caught.value.byte_count % len(said) == 0
+    assert caught.value.byte_count % len(sent) == 0
     assert str(caught.value.byte_count) in str(caught.value)
     assert caught.value.excerpt.hex(" ") in str(caught.value)
-    assert caught.value.excerpt in (said * 20).replace(b"\0", b"")
+    assert caught.value.excerpt in (sent * 20).replace(b"\0", b"")
 
 
 @pytest.mark.medium

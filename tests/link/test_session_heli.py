@@ -162,13 +162,15 @@ def test_a_setpoint_keeps_what_it_does_not_name_and_lies_ahead_in_device_time() 
     # The second waits for the rate limit, leaves at the end of a reading, and is heard with the next.
     heli.wait(0.04)
     heli.wait(0.04)
-    asked = next(
-        one for one in setpoints(board) if math.isclose(one.travel_rad, math.radians(30.0), rel_tol=1e-6)
+    sent = next(
+        setpoint
+        for setpoint in setpoints(board)
+        if math.isclose(setpoint.travel_rad, math.radians(30.0), rel_tol=1e-6)
     )
-    assert asked.elevation_rad == pytest.approx(math.radians(10.0))
-    assert 0 < asked.apply_tick - board.tick < 100
+    assert sent.elevation_rad == pytest.approx(math.radians(10.0))
+    assert 0 < sent.apply_tick - board.tick < 100
     heli.wait(1.0)
-    assert setpoints(board)[-1] == asked
+    assert setpoints(board)[-1] == sent
 
 
 @pytest.mark.medium

@@ -76,7 +76,7 @@ def test_effort_is_the_rms_of_what_control_adds_to_the_mean_voltage() -> None:
     assert flight.state is not None
     flight.state[:] = 0
     assert math.isnan(effort_V(flight))
-    assert all(math.isnan(one.rms_deg) for one in responses(flight))
+    assert all(math.isnan(response.rms_deg) for response in responses(flight))
 
 
 def counted(flight: Flight, counts: float, *, logged: bool) -> Flight:

@@ -109,10 +109,10 @@ def test_an_index_finds_the_ticks_of_a_time_span(tmp_path: Path) -> None:
     write_made_log(tmp_path / "a.mcap", 5000)
     with (tmp_path / "a.mcap").open("rb") as file:
         start_ns = WALL_NS + 2_500_000_000
-        found = make_reader(file).iter_messages(
+        messages = make_reader(file).iter_messages(
             [TICK_TOPIC], start_time=start_ns, end_time=start_ns + 10_000_000
         )
-        ticks = [message.sequence for _, _, message in found]
+        ticks = [message.sequence for _, _, message in messages]
     assert ticks == list(range(5000 + 2500, 5000 + 2510))
 
 
@@ -262,15 +262,15 @@ def test_a_log_opens_to_its_last_flush_after_kill_9(tmp_path: Path) -> None:
         [sys.executable, "-c", _WRITE_FOR_EVER, str(path)], stdout=subprocess.PIPE, env=environment, text=True
     )
     assert process.stdout is not None
-    taken = 0
-    while taken < 7000:
-        taken = int(process.stdout.readline())
+    last_tick = 0
+    while last_tick < 7000:
+        last_tick = int(process.stdout.readline())
     process.send_signal(signal.SIGKILL)
     process.wait(timeout=30)
     log = read_log(path)
     _, raw = make_samples(100_000)
     assert not log.complete and "not closed" in log.notes[0]
-    assert len(log.ticks) >= taken - CHUNK_TICKS
+    assert len(log.ticks) >= last_tick - CHUNK_TICKS
     np.testing.assert_array_equal(log.raw, raw[: len(log.ticks)])
     assert log.parameters["hover_V"] == PARAMETERS["hover_V"]
 

@@ -51,10 +51,10 @@ def test_a_rate_is_the_derivative_of_what_the_encoder_counts(hertz: float) -> No
     t_s = np.linspace(0.0, 3.999, 4000)
     angle_rad = 0.3 * np.sin(2.0 * np.pi * hertz * t_s)
     true = 0.3 * 2.0 * np.pi * hertz * np.cos(2.0 * np.pi * hertz * t_s)
-    found = rate(t_s, np.round(angle_rad / COUNT_RAD) * COUNT_RAD)
+    rate_rad_s = rate(t_s, np.round(angle_rad / COUNT_RAD) * COUNT_RAD)
     inside = slice(60, -60)
     # Half of the parabolas' length loses 4 % at 2 Hz; the module states the noise, which adds to this.
-    assert np.abs(found - true)[inside].max() < 0.05 * np.abs(true).max() + np.deg2rad(0.5)
+    assert np.abs(rate_rad_s - true)[inside].max() < 0.05 * np.abs(true).max() + np.deg2rad(0.5)
     assert np.std(rate(t_s, angle_rad)[inside]) == pytest.approx(np.std(true[inside]), rel=0.05)
 
 
@@ -88,9 +88,9 @@ def test_without_pandas_everything_else_works(flight: Flight, monkeypatch: pytes
 def test_a_notebook_gets_the_text_and_a_small_figure(flight: Flight) -> None:
     shown = flight._repr_html_()
     assert "&lt;Flight: 3.0 s" in shown
-    found = re.search(r'base64,([^"]+)"', shown)
-    assert found is not None
-    picture = b64decode(found[1])
+    embedded = re.search(r'base64,([^"]+)"', shown)
+    assert embedded is not None
+    picture = b64decode(embedded[1])
     assert picture[:8] == b"\x89PNG\r\n\x1a\n" and len(picture) < 80_000
     assert int.from_bytes(picture[16:20]) == 640 and int.from_bytes(picture[20:24]) == 320
 

@@ -94,9 +94,9 @@ def _row(pair: str, pair_fit: PairFit) -> str:
 
 def _ahead(pair: str, pair_fit: PairFit) -> str:
     """A line of the second table: ratios at each horizon, and over what the judging flight itself teaches."""
-    own = cross_validated(pair_fit)["2"]
+    replicated = cross_validated(pair_fit)["2"]
     ratios = [", ".join(f"{pair_fit.gain[key][axis].ratio:.2f}" for key in HORIZONS) for axis in AXES]
-    return "| " + " | ".join([pair, *ratios, *(f"{own[axis].ratio:.2f}" for axis in AXES)]) + " |"
+    return "| " + " | ".join([pair, *ratios, *(f"{replicated[axis].ratio:.2f}" for axis in AXES)]) + " |"
 
 
 def _diagnosed(pair: str, exchanged: bool) -> tuple[str, int]:

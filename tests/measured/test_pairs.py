@@ -30,7 +30,7 @@ def test_on_the_liveliest_pair_three_effects_halve_the_error_of_pitch_and_travel
     all_three = liveliest[-1]
     for axis in ("pitch", "travel"):
         assert all_three.gain["2"][axis].ratio <= HALF
-        error_deg = [one.gain["2"][axis].after_deg for one in liveliest]
+        error_deg = [pair.gain["2"][axis].after_deg for pair in liveliest]
         assert error_deg == sorted(error_deg, reverse=True)
     fit = all_three.fit
     for name in ("rotor_lag_s", "gyroscopic_torque_m_s", "edgewise_flow_s_per_m"):

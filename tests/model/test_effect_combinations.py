@@ -21,10 +21,10 @@ FORBIDDEN = {
 
 def test_forbidden_pairs_of_effects_are_those_of_lags_and_delays() -> None:
     forbidden = set()
-    for one, other in itertools.combinations(KINDS.values(), 2):
-        assert one.compatible_with(other) == other.compatible_with(one)
-        if not one.compatible_with(other):
-            forbidden.add(frozenset((one.id, other.id)))
+    for first, second in itertools.combinations(KINDS.values(), 2):
+        assert first.compatible_with(second) == second.compatible_with(first)
+        if not first.compatible_with(second):
+            forbidden.add(frozenset((first.id, second.id)))
     assert forbidden == FORBIDDEN
 
 
@@ -34,7 +34,7 @@ def test_every_allowed_pair_and_triple_of_effects_makes_a_model() -> None:
     for size in (2, 3):
         for ids in itertools.combinations(KINDS, size):
             pairs = itertools.combinations(ids, 2)
-            if all(KINDS[one].compatible_with(KINDS[other]) for one, other in pairs):
+            if all(KINDS[first].compatible_with(KINDS[second]) for first, second in pairs):
                 model = MultibodyModel(tuple(EFFECTS[id_] for id_ in ids))
                 assert len(model.effects) == size
                 made += 1

@@ -77,9 +77,9 @@ def test_an_effect_does_nothing_at_its_neutral_values(model: type[Model], kind: 
     without, within = functions(plain), functions(neutral)
     for _ in range(5):
         x, volts_V, t = states(random), random.uniform(1.2, 3.0, 2), random.uniform(0.0, 60.0)
-        own = np.zeros(len(neutral.states) - 6)
+        effect_states = np.zeros(len(neutral.states) - 6)
         before = without(x, volts_V, plain.parameter_values(rig), t)
-        after = within(np.append(x, own), volts_V, neutral.parameter_values(rig), t)
+        after = within(np.append(x, effect_states), volts_V, neutral.parameter_values(rig), t)
         np.testing.assert_allclose(np.asarray(after[0])[:6], before[0], atol=1e-12)
         # An encoder without any play has no side on which its shaft lies: 1 microradian is the least.
         np.testing.assert_allclose(after[1], before[1], atol=5.1e-7 if "backlash" in kind.id else 1e-12)
@@ -261,8 +261,8 @@ def test_springs_and_tilt_conserve_energy(text: str) -> None:
     at = model.operands(x, u, p)
     # The rate of the energy along the motion is exactly nothing.
     change = ca.jtimes(model.energy_J(at), x, model.dynamics(x, u, p))
-    own = model.energy_J(at) - MultibodyModel().energy_J(at)
-    both = ca.Function("both", [x], [change, ca.norm_2(ca.gradient(own, x))])
+    effect_energy = model.energy_J(at) - MultibodyModel().energy_J(at)
+    both = ca.Function("both", [x], [change, ca.norm_2(ca.gradient(effect_energy, x))])
     random, steepest = np.random.default_rng(4), 0.0
     for _ in range(20):
         change_W, slope = (float(value) for value in both(states(random)))

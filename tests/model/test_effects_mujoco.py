@@ -80,15 +80,15 @@ def theirs(
     return angles
 
 
-def lagged(asked: Floats) -> ReferenceTrajectory:
+def lagged(commanded: Floats) -> ReferenceTrajectory:
     """Response to each row of `asked`, from zero, with a lag of T_s: exactly, also between the ticks."""
-    left = np.exp(-1e-3 / T_s)
-    reached = np.zeros((len(asked) + 1, 2))
-    for tick, row in enumerate(asked):
-        reached[tick + 1] = row + (reached[tick] - row) * left
+    remaining_share = np.exp(-1e-3 / T_s)
+    reached = np.zeros((len(commanded) + 1, 2))
+    for tick, row in enumerate(commanded):
+        reached[tick + 1] = row + (reached[tick] - row) * remaining_share
 
     def course(tick: int, later_s: float) -> Floats:
-        now: Floats = asked[tick] + (reached[tick] - asked[tick]) * np.exp(-later_s / T_s)
+        now: Floats = commanded[tick] + (reached[tick] - commanded[tick]) * np.exp(-later_s / T_s)
         return now
 
     return course

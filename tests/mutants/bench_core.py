@@ -54,13 +54,13 @@ class CoreBench:
         if stale or not code.exists():
             folder.mkdir(parents=True, exist_ok=True)
             library = self._covered()
-            found = reach_of(
+            reach = reach_of(
                 session.call_in_fork(lambda: _look(library, stale)),
                 blocks_of(library, self._native.tree.folder),
             )
             for file in stale:
-                found.of_file(file).save(kept[file])
-            Reach({}, {f: dict.fromkeys(lines, frozenset()) for f, lines in found.lines.items()}).save(code)
+                reach.of_file(file).save(kept[file])
+            Reach({}, {f: dict.fromkeys(lines, frozenset()) for f, lines in reach.lines.items()}).save(code)
         return Reach.load([code, *kept.values()])
 
     def _covered(self) -> Path:

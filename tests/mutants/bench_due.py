@@ -128,14 +128,14 @@ def _functions_of(elf: Path, folder: Path) -> dict[int, set[tuple[str, int]]]:
     """By the address of each function of the drivers: files and lines of its code."""
     command = [f"{_CROSS}objdump", "-d", "-l", "--no-show-raw-insn", str(elf)]
     listing = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    found: dict[int, set[tuple[str, int]]] = defaultdict(set)
+    lines_at: dict[int, set[tuple[str, int]]] = defaultdict(set)
     address = 0
     for row in listing.splitlines():
         if function := _FUNCTION.match(row):
             address = int(function[1], 16)
         elif (place := _PLACE.match(row)) and place[1].startswith(f"{folder}/{FOLDER}/"):
-            found[address].add((place[1].removeprefix(f"{folder}/"), int(place[2])))
-    return dict(found)
+            lines_at[address].add((place[1].removeprefix(f"{folder}/"), int(place[2])))
+    return dict(lines_at)
 
 
 class _Probes:

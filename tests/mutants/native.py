@@ -124,14 +124,14 @@ class Native:
     @cached_property
     def _base_bindings(self) -> dict[str, Path]:
         """Objects of the bindings as CMake made them."""
-        found = {}
+        objects = {}
         for source, command in self._commands.items():
             if source.startswith(_BINDINGS):
                 place = Path(command[command.index("-o") + 1])
-                found[source] = next(
+                objects[source] = next(
                     p for p in (self._base / place, self._base / "tests/native" / place) if p.exists()
                 )
-        return found
+        return objects
 
     def recompiled(self) -> list[str]:
         """Every source of the core, for builds that look into all of it."""

@@ -246,7 +246,7 @@ def blocks_of(library: Path, folder: Path) -> dict[int, set[tuple[str, int]]]:
         text=True,
         check=True,
     ).stdout
-    found: dict[int, set[tuple[str, int]]] = {}
+    lines_at: dict[int, set[tuple[str, int]]] = {}
     place: tuple[str, int] | None = None
     current: set[tuple[str, int]] = set()
     after_hook = False
@@ -263,13 +263,13 @@ def blocks_of(library: Path, folder: Path) -> dict[int, set[tuple[str, int]]]:
                 current, place = set(), None
             continue
         if after_hook:
-            current = found.setdefault(int(instruction[1], 16), set())
+            current = lines_at.setdefault(int(instruction[1], 16), set())
             after_hook = False
         if "<__sanitizer_cov_trace_pc" in instruction[2] and "call" in instruction[2]:
             after_hook = True
         if place is not None:
             current.add(place)
-    return found
+    return lines_at
 
 
 class Recorder:

@@ -157,7 +157,7 @@ def run_tests(prepare: Callable[[], None], limits_s: dict[str, float], most_s: f
         os.close(reading)
         _in_child(lambda: _run_selection(prepare, limits_s, writing))
     os.close(writing)
-    said, ended = _read_until_end(reading, most_s)
+    output, ended = _read_until_end(reading, most_s)
     if not ended:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child, signal.SIGKILL)
@@ -165,7 +165,7 @@ def run_tests(prepare: Callable[[], None], limits_s: dict[str, float], most_s: f
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(child, signal.SIGKILL)
     spent_s = usage.ru_utime + usage.ru_stime
-    lines = [line.partition(" ") for line in said.decode(errors="replace").splitlines()]
+    lines = [line.partition(" ") for line in output.decode(errors="replace").splitlines()]
     failed = next((name for what, _, name in lines if what == "fails"), None)
     if failed is not None:
         return Outcome(failed, "failed", spent_s)
@@ -222,7 +222,7 @@ def _read_until_end(reading: int, most_s: float) -> tuple[bytes, bool]:
     """Output of a child, and whether it closed its end in time."""
     import select
 
-    said, deadline_s = b"", time.monotonic() + most_s
+    output, deadline_s = b"", time.monotonic() + most_s
     with os.fdopen(reading, "rb", buffering=0) as pipe:
         while (rest_s := deadline_s - time.monotonic()) > 0:
             ready, _, _ = select.select([pipe], [], [], rest_s)
@@ -230,9 +230,9 @@ def _read_until_end(reading: int, most_s: float) -> tuple[bytes, bool]:
                 break
             part = pipe.read(65536)
             if not part:
-                return said, True
-            said += part
-    return said, False
+                return output, True
+            output += part
+    return output, False
 
 
 def call_in_fork(run: Callable[[], object]) -> Any:

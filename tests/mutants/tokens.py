@@ -75,15 +75,15 @@ def _tokens(text: str) -> Iterator[Token]:
 
 def partners(tokens: list[Token]) -> dict[int, int]:
     """Index of the bracket that closes or opens what each bracket opens or closes."""
-    found: dict[int, int] = {}
+    partner: dict[int, int] = {}
     opened: list[int] = []
     for index, token in enumerate(tokens):
         if token.text in _OPENING and token.kind == "punctuation":
             opened.append(index)
         elif token.text in _OPENING.values() and token.kind == "punctuation" and opened:
-            found[index] = opened.pop()
-            found[found[index]] = index
-    return found
+            partner[index] = opened.pop()
+            partner[partner[index]] = index
+    return partner
 
 
 class Lines:

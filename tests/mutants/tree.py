@@ -67,12 +67,12 @@ class Tree:
         folders = ("firmware/core", "firmware/due", *self._others)
         paths = [path for folder in folders for path in sorted((ROOT / folder).rglob("*.[ch]pp"))]
         names = {path.relative_to(ROOT).as_posix() for path in paths}
-        found: dict[str, set[str]] = {}
+        includes: dict[str, set[str]] = {}
         for name in names:
             places = [Path(name).parent.as_posix(), *folders]
             included = _INCLUDE.findall((ROOT / name).read_text(encoding="utf-8"))
-            found[name] = {p for part in included for p in (f"{at}/{part}" for at in places) if p in names}
-        return found
+            includes[name] = {p for part in included for p in (f"{at}/{part}" for at in places) if p in names}
+        return includes
 
     def _closure(self, source: str) -> set[str]:
         seen, waiting = {source}, [source]

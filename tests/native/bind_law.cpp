@@ -47,8 +47,8 @@ UploadCheck upload(Tape& tape, const Words& words, std::uint32_t hash) {
   heli::link::LawBeginMessage begin;
   begin.hash = hash;
   begin.words = static_cast<std::uint16_t>(words.size());
-  UploadCheck found = tape.begin(begin);
-  if (found.error != LawError::none || words.size() > 0xffffU) return found;
+  UploadCheck check = tape.begin(begin);
+  if (check.error != LawError::none || words.size() > 0xffffU) return check;
   constexpr std::size_t kPart = 12;
   for (std::size_t first = 0; first < words.size(); first += kPart) {
     std::uint8_t payload[heli::link::LawPartMessage::kSize] = {};
@@ -56,8 +56,8 @@ UploadCheck upload(Tape& tape, const Words& words, std::uint32_t hash) {
     for (std::size_t k = 0; k < kPart && first + k < words.size(); ++k) {
       heli::link::put_u32(payload + 3 + 4 * k, words[first + k]);
     }
-    found = tape.receive(heli::link::LawPartMessage::read(payload));
-    if (found.error != LawError::none) return found;
+    check = tape.receive(heli::link::LawPartMessage::read(payload));
+    if (check.error != LawError::none) return check;
   }
   return tape.end();
 }
@@ -68,8 +68,8 @@ class LoadedTape {
   LoadedTape() : tape_(std::make_unique<Tape>()) {}
 
   std::tuple<int, std::uint32_t, std::uint32_t> load(const Words& words, std::uint32_t hash) {
-    const UploadCheck found = upload(*tape_, words, hash);
-    return {static_cast<int>(found.error), found.value, tape_->ticks()};
+    const UploadCheck check = upload(*tape_, words, hash);
+    return {static_cast<int>(check.error), check.value, tape_->ticks()};
   }
 
   void restart() {
@@ -189,7 +189,7 @@ class LawReplay {
     return std::tuple(applied.front_raw, applied.back_raw);
   }
 
-  std::tuple<std::array<std::int32_t, heli::kAxisCount>, std::array<std::int32_t, 4>> told() const {
+  std::tuple<std::array<std::int32_t, heli::kAxisCount>, std::array<std::int32_t, 4>> outputs() const {
     return {{uploaded_->setpoint_raw(0), uploaded_->setpoint_raw(1), uploaded_->setpoint_raw(2)},
             {uploaded_->signal_raw(0), uploaded_->signal_raw(1), uploaded_->signal_raw(2),
              uploaded_->signal_raw(3)}};
@@ -252,6 +252,6 @@ void bind_law(nb::module_& parent) {
       .def("set_parameter", &LawReplay::set_parameter, "index"_a, "value"_a)
       .def("news", &LawReplay::news)
       .def("update", &LawReplay::update, "setpoint_raw"_a)
-      .def("told", &LawReplay::told);
+      .def("outputs", &LawReplay::outputs);
   module.def("operate", &operate, "code"_a, "operands"_a);
 }

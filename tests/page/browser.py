@@ -70,9 +70,9 @@ def until(page: Page, expression: str) -> None:
 def click(page: Page, selector: str) -> None:
     """Click what is enabled. Playwright's own click waits for drawn frames, which a busy computer makes
     rare."""
-    found = page.locator(selector).first
-    expect(found).to_be_enabled(timeout=PATIENCE_S * 1e3)
-    found.click(force=True)
+    element = page.locator(selector).first
+    expect(element).to_be_enabled(timeout=PATIENCE_S * 1e3)
+    element.click(force=True)
 
 
 @dataclass
@@ -91,7 +91,7 @@ class Tabs:
         page.on("requestfailed", lambda request: self.wrong.append(f"failed: {request.url}"))
         page.on(
             "console",
-            lambda said: self.wrong.append(f"said: {said.text}") if said.type == "error" else None,
+            lambda message: self.wrong.append(f"said: {message.text}") if message.type == "error" else None,
         )
         page.on(
             "response",

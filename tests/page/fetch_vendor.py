@@ -37,13 +37,13 @@ def stored(name: str) -> Path:
 
 def unpacked(tarball: bytes, files: dict[str, str]) -> dict[str, bytes]:
     """The files of a tarball that are kept, by the names they are kept under."""
-    found: dict[str, bytes] = {}
+    contents: dict[str, bytes] = {}
     with tarfile.open(fileobj=io.BytesIO(tarball)) as tar:
         for name, member in files.items():
             entry = tar.extractfile(member)
             assert entry is not None
-            found[name] = entry.read()
-    return found
+            contents[name] = entry.read()
+    return contents
 
 
 def main() -> int:

@@ -87,14 +87,14 @@ def page_process(*arguments: str, folder: Path) -> Iterator[tuple[subprocess.Pop
     )
     try:
         assert process.stdout is not None
-        said = []
+        lines = []
         for line in process.stdout:
-            said.append(line)
+            lines.append(line)
             if line.startswith("page: "):
                 yield process, line.split()[1]
                 break
         else:
-            raise AssertionError("".join(said))
+            raise AssertionError("".join(lines))
     finally:
         process.kill()
         process.wait()

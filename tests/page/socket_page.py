@@ -88,11 +88,11 @@ class SocketPage:
         return self.answer(self.send(name, **arguments))
 
     def answer(self, number: int) -> dict[str, Any]:
-        def found() -> list[dict[str, Any]]:
+        def matching() -> list[dict[str, Any]]:
             return [words for words in list(self.words) if words.get("answer") == number]
 
-        self.until(lambda: bool(found()))
-        return found()[0]
+        self.until(lambda: bool(matching()))
+        return matching()[0]
 
     def stop(self) -> str:
         self.stop_socket.send("stop")

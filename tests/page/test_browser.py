@@ -238,7 +238,7 @@ def test_a_plan_is_flown_from_the_page_and_the_page_holds_what_the_log_holds(
     click(page, "text=Fly short")
     until_state(page, "closed loop")
     page.keyboard.press("m")
-    expect(page.locator("#said")).to_have_text("plan: completed", timeout=90_000)
+    expect(page.locator("#message")).to_have_text("plan: completed", timeout=90_000)
     expect(page.locator("#recording")).to_contain_text("recorded")
     log = read_log(served.logs()[0])
     assert "mark 1" in [event["message"] for event in log.events]
@@ -290,11 +290,11 @@ def test_a_parameter_is_changed_in_flight_and_taken_back(served: Served, window:
     page.fill("#filter", "travel_k")
     page.fill("#p-travel_kp", "0.7")
     page.keyboard.press("Enter")
-    expect(page.locator("#parameter-said")).to_contain_text("travel_kp is 0.7")
+    expect(page.locator("#parameter-message")).to_contain_text("travel_kp is 0.7")
     assert served.heli.params["travel_kp"] == 0.7
     page.fill("#p-travel_kp", "-3")
     page.keyboard.press("Enter")
-    expect(page.locator("#parameter-said")).to_contain_text("out of range")
+    expect(page.locator("#parameter-message")).to_contain_text("out of range")
     expect(page.locator("#p-travel_kp")).to_have_value("0.7")
     page.fill("#filter", "supply")
     expect(page.locator("#p-supply_V")).to_be_disabled()
@@ -307,7 +307,7 @@ def test_a_parameter_is_changed_in_flight_and_taken_back(served: Served, window:
     until_state(page, "idle")
     expect(page.locator("#p-supply_V")).to_be_enabled()
     click(page, "#save")
-    expect(page.locator("#said")).to_contain_text("saved in the board's flash")
+    expect(page.locator("#message")).to_contain_text("saved in the board's flash")
 
 
 def test_two_tabs_one_flies_and_hands_over_when_asked(served: Served, window: Tabs) -> None:
@@ -376,22 +376,22 @@ def test_a_law_is_chosen_its_signal_drawn_and_why_it_was_taken_over_said(
     with patient_page(tmp_path, laws) as served, tabs(chromium) as opened:
         page = opened.open(served.address.page)
         click(page, "#laws >> text=steady")
-        expect(page.locator("#law-said")).to_have_text("steady is loaded, and flies after take-off")
+        expect(page.locator("#law-message")).to_have_text("steady is loaded, and flies after take-off")
         click(page, "#laws >> text=tired")
-        expect(page.locator("#law-said")).to_have_text("tired is loaded, and flies after take-off")
+        expect(page.locator("#law-message")).to_have_text("tired is loaded, and flies after take-off")
         page.fill("#law-kp", "17")
         page.keyboard.press("Enter")
         click(page, "#take-off")
-        expect(page.locator("#law-said")).to_contain_text(
+        expect(page.locator("#law-message")).to_contain_text(
             "the board's own control law took over: voltage jump"
         )
         expect(page.locator("#strips")).to_contain_text("wanted_pitch")
         axe = Axe().run(page).response["violations"]
         assert not [issue["id"] for issue in axe if issue["impact"] in ("serious", "critical")]
         click(page, "#laws >> text=steady")
-        expect(page.locator("#said")).to_contain_text("land first")
+        expect(page.locator("#message")).to_contain_text("land first")
         click(page, "#laws >> text=board's own")
-        expect(page.locator("#law-said")).to_have_text("the board's own control law")
+        expect(page.locator("#law-message")).to_have_text("the board's own control law")
         page.keyboard.press("Space")
         until_state(page, "idle")
         assert not opened.wrong
@@ -435,7 +435,7 @@ def test_a_server_that_is_gone_is_said_large(tmp_path: Path, chromium: Browser) 
             page = opened.open(served.address.page)
         expect(page.locator("#alarm")).to_contain_text("The server does not answer")
         page.keyboard.press("Space")
-        expect(page.locator("#said")).to_contain_text("use the rig's own stop switch")
+        expect(page.locator("#message")).to_contain_text("use the rig's own stop switch")
 
 
 def test_strips_pause_zoom_and_go_on(served: Served, window: Tabs) -> None:

@@ -24,8 +24,8 @@ def test_our_own_javascript_is_below_1200_lines() -> None:
 
 @pytest.mark.parametrize("path", OWN, ids=lambda path: path.name)
 def test_nothing_is_loaded_from_elsewhere(path: Path) -> None:
-    found = set(re.findall(r"(?:https?:)?//[\w.-]+\.\w+[^\s\"')]*", path.read_text()))
-    assert found <= {"http://www.w3.org/2000/svg"}
+    addresses = set(re.findall(r"(?:https?:)?//[\w.-]+\.\w+[^\s\"')]*", path.read_text()))
+    assert addresses <= {"http://www.w3.org/2000/svg"}
 
 
 def test_the_policy_lets_a_page_load_from_its_server_only() -> None:

@@ -21,8 +21,8 @@ STEADY, TIRED = steady().program, tired().program
 
 @pytest.fixture
 def heli() -> Iterator[Heli]:
-    with heli_host.connect("sil://?speed=max") as one:
-        yield one
+    with heli_host.connect("sil://?speed=max") as connected:
+        yield connected
 
 
 def flies(heli: Heli) -> bool:

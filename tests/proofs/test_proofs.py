@@ -87,10 +87,10 @@ def test_each_step_of_a_claim_has_a_mutant(name: str) -> None:
 
 def test_a_function_without_a_body_is_no_proof() -> None:
     proved = "** 0 of 3 properties failed, 3 passed\nVERIFICATION SUCCESSFUL\n"
-    said = f"WARNING: no body for function crc32\n{proved}"
+    output = f"WARNING: no body for function crc32\n{proved}"
     assert prove.verdict_of(proved, 0.0).failed == ()
     with pytest.raises(prove.ProofError, match="crc32"):
-        prove.verdict_of(said, 0.0)
+        prove.verdict_of(output, 0.0)
 
 
 @pytest.mark.medium
@@ -101,17 +101,17 @@ def test_a_bound_of_a_function_without_loops_is_an_error(prover: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "said", ["", "VERIFICATION SUCCESSFUL", "** 0 of 3 properties failed\nERROR: memory"]
+    "output", ["", "VERIFICATION SUCCESSFUL", "** 0 of 3 properties failed\nERROR: memory"]
 )
-def test_a_prover_that_gives_up_is_no_proof(said: str) -> None:
+def test_a_prover_that_gives_up_is_no_proof(output: str) -> None:
     with pytest.raises(prove.ProofError, match="no result"):
-        prove.verdict_of(said, 0.0)
+        prove.verdict_of(output, 0.0)
 
 
 def test_a_property_that_was_not_checked_is_no_proof() -> None:
-    said = "** 0 of 3 properties failed, 2 passed, 1 not checked\nVERIFICATION SUCCESSFUL\n"
+    output = "** 0 of 3 properties failed, 2 passed, 1 not checked\nVERIFICATION SUCCESSFUL\n"
     with pytest.raises(prove.ProofError, match="check everything"):
-        prove.verdict_of(said, 0.0)
+        prove.verdict_of(output, 0.0)
 
 
 def test_a_loop_that_is_cut_short_refutes_no_mutant() -> None:

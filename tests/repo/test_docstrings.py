@@ -155,9 +155,9 @@ def entries(doc: str) -> Iterator[tuple[str, str, str]]:
 
 
 def tells_something(name: str, kind: str, text: str) -> bool:
-    said = set(re.findall(r"[a-z]+|\d+", text.lower())) - SMALL_WORDS
+    words = set(re.findall(r"[a-z]+|\d+", text.lower())) - SMALL_WORDS
     known = set(re.findall(r"[a-z]+|\d+", f"{name} {kind}".lower().replace("_", " ")))
-    return bool(said - known) or bool(UNIT.search(text))
+    return bool(words - known) or bool(UNIT.search(text))
 
 
 CONTAINERS = {"Sequence", "list", "tuple", "Iterable", "Iterator", "Mapping", "dict", "str"}
@@ -199,14 +199,14 @@ THINGS = dict(public_things())
 @pytest.mark.parametrize("where", THINGS)
 def test_public_thing_is_documented(where: str) -> None:
     thing = THINGS[where]
-    own = inspect.cleandoc(thing.__doc__ or "")
-    docs = [doc for doc in (own, *overridden(where, thing)) if doc]
-    assert own or (docs and not inspect.isclass(thing)), f"{where} has no docstring"
+    docstring = inspect.cleandoc(thing.__doc__ or "")
+    docs = [doc for doc in (docstring, *overridden(where, thing)) if doc]
+    assert docstring or (docs and not inspect.isclass(thing)), f"{where} has no docstring"
     missing = arguments(thing) - explained_by_type(thing) - explained_by_name(thing)
     for doc in docs:
         missing -= documented_arguments(doc)
     assert not missing, f"{where} does not document {', '.join(sorted(missing))}"
-    empty = [name for name, kind, text in entries(own) if not tells_something(name, kind, text)]
+    empty = [name for name, kind, text in entries(docstring) if not tells_something(name, kind, text)]
     assert not empty, f"{where} says of {', '.join(empty)} only what its name and type say"
 
 

@@ -131,11 +131,11 @@ def parse(arguments: list[str]) -> None:
         if not hasattr(command, "resolve_command"):
             return
         # A group keeps what it has not parsed under one name or another, depending on Typer's age.
-        left = [
+        unparsed = [
             *(getattr(context, "protected_args", None) or getattr(context, "_protected_args", [])),
             *context.args,
         ]
-        name, command, arguments = command.resolve_command(context, left)
+        name, command, arguments = command.resolve_command(context, unparsed)
 
 
 @pytest.mark.documents
@@ -154,8 +154,8 @@ def test_what_a_document_says_to_run_runs(path: Path, typed: Typed, tmp_path: Pa
         shorter = (PLANS, WORK) if block.is_long and not LONG else ()
         is_python = block.language == "python"
         for words in [["python", "-c", block.text]] if is_python else block.commands:
-            code, said = typed.run(words, tmp_path, shorter)
-            assert code == 0, f"{words[-1] if is_python else shlex.join(words)}\n{said[-4000:]}"
+            code, output = typed.run(words, tmp_path, shorter)
+            assert code == 0, f"{words[-1] if is_python else shlex.join(words)}\n{output[-4000:]}"
 
 
 def anchors(path: Path) -> set[str]:

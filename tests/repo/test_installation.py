@@ -63,8 +63,8 @@ def test_flying_leaves_tests_able_to_run(purpose: str, tools: bool, wanted: bool
     assert function is not None
     if tools:
         (tmp_path / "stamp-test").touch()
-    asked = f"purpose={purpose} venv={tmp_path}\n{function[0]}\ntests_wanted"
-    assert (subprocess.run(["bash", "-c", asked], check=False).returncode == 0) is wanted
+    script = f"purpose={purpose} venv={tmp_path}\n{function[0]}\ntests_wanted"
+    assert (subprocess.run(["bash", "-c", script], check=False).returncode == 0) is wanted
 
 
 def test_only_the_tests_component_installs_the_tests_extension() -> None:
@@ -96,7 +96,7 @@ def test_a_wheel_has_pages_rigs_and_plans_and_no_tests(tmp_path: Path) -> None:
     wheel = settings("wheel").wheel
     assert isinstance(wheel.packages, list)
     mapping = packages_to_file_mapping(
-        packages={Path(one).name: str(ROOT / one) for one in wheel.packages},
+        packages={Path(package).name: str(ROOT / package) for package in wheel.packages},
         platlib_dir=tmp_path,
         include=[],
         src_exclude=[],

@@ -31,7 +31,7 @@ class Wrong:
 
     file: str
     line: str
-    told: str
+    report: str
 
 
 WRONG = {
@@ -189,9 +189,9 @@ def lint(folder: Path) -> dict[str, str]:
     assert "Contracts: " in process.stdout, process.stdout + process.stderr
     _, _, report = process.stdout.partition("Broken contracts\n")
     parts = re.split(r"^(.+)\n-{3,}$", report, flags=re.MULTILINE)
-    said = dict(zip(parts[1::2], parts[2::2], strict=True))
-    assert bool(said) == bool(process.returncode)
-    return said
+    reports = dict(zip(parts[1::2], parts[2::2], strict=True))
+    assert bool(reports) == bool(process.returncode)
+    return reports
 
 
 @pytest.fixture(scope="module")
@@ -225,7 +225,7 @@ def test_no_contract_has_an_exception() -> None:
 @pytest.mark.parametrize("start", WRONG)
 def test_a_wrong_import_breaks_its_contract(start: str, spoiled: dict[str, str]) -> None:
     (name,) = (name for name in contracts() if name.startswith(start))
-    assert WRONG[start].told in re.sub(r"\s+", " ", spoiled.get(name, "")), f"{name} did not notice"
+    assert WRONG[start].report in re.sub(r"\s+", " ", spoiled.get(name, "")), f"{name} did not notice"
 
 
 def test_a_module_in_no_layer_is_noticed(spoiled: dict[str, str]) -> None:
@@ -234,13 +234,13 @@ def test_a_module_in_no_layer_is_noticed(spoiled: dict[str, str]) -> None:
 
 
 def test_the_host_names_no_package_above_it() -> None:
-    found = [
+    imports = [
         f"{path.relative_to(ROOT)}:{number}"
         for path in HOST.rglob("*.py")
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
         if re.search(r"heli_sim|heli_lab", line)
     ]
-    assert not found, "a package above the host comes in by an entry point"
+    assert not imports, "a package above the host comes in by an entry point"
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ def raw_prints(source: str) -> Iterator[int]:
         # As a callback, it prints whatever it is given.
         if isinstance(node, ast.Call | ast.keyword):
             given = [node.value] if isinstance(node, ast.keyword) else node.args
-            if any(isinstance(one, ast.Name) and one.id == "print" for one in given):
+            if any(isinstance(argument, ast.Name) and argument.id == "print" for argument in given):
                 yield node.lineno if isinstance(node, ast.Call) else node.value.lineno
 
 
@@ -44,8 +44,8 @@ def _is_safe(value: ast.expr) -> bool:
 def test_no_verb_prints_a_name_raw(room: str) -> None:
     files = [file for file in (ROOT / room).rglob("*.py") if file.name != "say.py"]
     assert len(files) > 2
-    found = [f"{file.relative_to(ROOT)}:{line}" for file in files for line in raw_prints(file.read_text())]
-    assert not found, f"print these with heli_host.cli.say: {', '.join(found)}"
+    prints = [f"{file.relative_to(ROOT)}:{line}" for file in files for line in raw_prints(file.read_text())]
+    assert not prints, f"print these with heli_host.cli.say: {', '.join(prints)}"
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def test_a_dated_changelog_of_this_version_is_good(tree: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (DATED.replace("0.1.0", "0.0.9"), "0.0.9 - 2026-12-01, not 0.1.0"),
         (DATED.replace(" - 2026-12-01", ""), "not 0.1.0 with a date"),
@@ -58,9 +58,9 @@ def test_a_dated_changelog_of_this_version_is_good(tree: Path) -> None:
         ("# Changelog\n", "newest release is none"),
     ],
 )
-def test_a_changelog_without_this_release_is_found(tree: Path, text: str, said: str) -> None:
+def test_a_changelog_without_this_release_is_found(tree: Path, text: str, message: str) -> None:
     (tree / "CHANGELOG.md").write_text(text)
-    assert said in problems(release.check_changelog(tree))
+    assert message in problems(release.check_changelog(tree))
 
 
 def test_a_citation_of_another_version_is_found(tree: Path) -> None:

@@ -80,12 +80,14 @@ def test_no_file_of_the_laboratory_is_longer_than_four_hundred_lines() -> None:
 
 
 def test_few_constants_of_the_laboratory_are_set_by_judgement() -> None:
-    found = [
+    listed = [
         f"{path}: {name}"
         for path, source, tree in trees(ROOT / "sim" / "heli_lab")
         for name in judgements(source, tree)
     ]
-    assert len(found) <= MAX_JUDGEMENTS, "\n".join([f"{len(found)}; measure, merge or remove some:", *found])
+    assert len(listed) <= MAX_JUDGEMENTS, "\n".join(
+        [f"{len(listed)}; measure, merge or remove some:", *listed]
+    )
 
 
 def test_text_is_not_counted_as_code() -> None:

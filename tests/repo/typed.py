@@ -49,16 +49,16 @@ class Typed:
 
     Parameters
     ----------
-    said : Path
-        File for what they say.
+    output_file : Path
+        File for what they print.
     """
 
-    def __init__(self, said: Path) -> None:
-        self._said = said
+    def __init__(self, output_file: Path) -> None:
+        self._output_file = output_file
         self._charged_s = 0.0
         environment = {**os.environ, "MPLBACKEND": "agg"}
         self._started = subprocess.Popen(
-            [sys.executable, "-m", "tests.repo.typed", str(said)],
+            [sys.executable, "-m", "tests.repo.typed", str(output_file)],
             cwd=ROOT,
             env=environment,
             stdin=subprocess.PIPE,
@@ -93,7 +93,7 @@ class Typed:
         code, cpu_s = json.loads(self._started.stdout.readline() or "[-1, 0.0]")
         self._charged_s += cpu_s
         clock.charge(cpu_s)
-        return code, self._said.read_text(encoding="utf-8", errors="replace")
+        return code, self._output_file.read_text(encoding="utf-8", errors="replace")
 
 
 def main() -> None:
@@ -127,10 +127,10 @@ def parse_nothing(command: Any) -> None:
         parse_nothing(part)
 
 
-def exit_code_of(words: list[str], said: str) -> int:
+def exit_code_of(words: list[str], output_file: str) -> int:
     """Exit code of a command, which says on its standard error what went wrong with it."""
     try:
-        become(words, said)
+        become(words, output_file)
     except SystemExit as ended:
         if ended.code is None or isinstance(ended.code, int):
             return ended.code or 0
@@ -152,10 +152,10 @@ def end(code: int) -> NoReturn:
     os._exit(code)
 
 
-def become(words: list[str], said: str) -> None:
+def become(words: list[str], output_file: str) -> None:
     """Be a command, with nothing to read and its output in a file."""
     signal.alarm(PATIENCE_S)
-    with Path(os.devnull).open("rb") as nothing, Path(said).open("wb") as output:
+    with Path(os.devnull).open("rb") as nothing, Path(output_file).open("wb") as output:
         os.dup2(nothing.fileno(), 0)
         for number in (1, 2):
             os.dup2(output.fileno(), number)

@@ -100,7 +100,7 @@ def test_answers_are_asked_again_until_they_can_be(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("--set", "M_x=1"), "unknown rig parameter 'M_x'"),
         (("--set", "M_f"), "does not set a parameter"),
@@ -113,10 +113,10 @@ def test_answers_are_asked_again_until_they_can_be(
         (("--like", "nobodys", "--set", "M_f=1"), "unknown rig 'nobodys'"),
     ],
 )
-def test_the_impossible_is_one_line(terminal: Terminal, arguments: tuple[str, ...], said: str) -> None:
+def test_the_impossible_is_one_line(terminal: Terminal, arguments: tuple[str, ...], message: str) -> None:
     Path("odd.csv").write_text("a,b\n1,2\n")
     Path("twice.csv").write_text("name,value\nM_f,0.3\nM_f,0.4\n")
-    assert said in refusal(terminal("rig", "new", "mine.toml", *arguments), code=2)
+    assert message in refusal(terminal("rig", "new", "mine.toml", *arguments), code=2)
     assert not Path("mine.toml").exists()
 
 

@@ -74,8 +74,8 @@ def bench(rig: Rig) -> dict[str, Any]:
 def test_numbers_that_were_hidden_are_found_within_their_tolerances() -> None:
     known = load_rig("makki2024")
     weighed = weigh(known, *bench_tests_from(bench(truth())))
-    assert {"thrust_gain", "dead_zone", "friction_pitch"} <= set(weighed.found)
-    for name in weighed.found:
+    assert {"thrust_gain", "dead_zone", "friction_pitch"} <= set(weighed.determined)
+    for name in weighed.determined:
         number = weighed.rig[name]
         assert abs(number.value - truth()[name].value) <= 1.3 * number.tolerance, name
         assert number.tolerance < known[name].tolerance

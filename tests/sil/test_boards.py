@@ -198,12 +198,12 @@ class TestWhichElf:
     def test_firmware_for_another_link_is_refused_with_both_versions(
         self, elf: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        own = _native.identity()
+        identity = _native.identity()
         monkeypatch.setattr(_native, "identity", lambda: (0x1234, 9, 8, "7.6.5"))
         with pytest.raises(FirmwareError) as refused:
             choose("due", str(elf))
         message = str(refused.value)
-        assert f"link version {own[1]}.{own[2]} ({own[0]:08x})" in message
+        assert f"link version {identity[1]}.{identity[2]} ({identity[0]:08x})" in message
         assert "this host has 9.8 (00001234)" in message
         assert "make firmware" in message
 

@@ -154,17 +154,17 @@ class Served:
 
 @contextmanager
 def served(options: Board) -> Iterator[Served]:
-    one = Served(options)
+    board = Served(options)
     stop, stopper = os.pipe()
-    thread = threading.Thread(target=serve, args=(one.endpoint, one.world, make_clock(None), stop))
+    thread = threading.Thread(target=serve, args=(board.endpoint, board.world, make_clock(None), stop))
     thread.start()
     try:
-        yield one
+        yield board
     finally:
         os.close(stopper)
         thread.join()
         os.close(stop)
-        one.endpoint.close()
+        board.endpoint.close()
 
 
 def test_a_flight_over_rfc2217_begins_with_a_reset(elf: Path) -> None:

@@ -60,8 +60,8 @@ def person(host: Host) -> Iterator[Person]:
 
 def test_the_stop_switch_is_pressed_and_released(host: Host, person: Person) -> None:
     host.drive(1.9, 1.9)
-    said = person.type_in("stop\n")
-    assert said == f"{host.world.time_s:.1f} s: the stop switch is pressed"
+    reply = person.type_in("stop\n")
+    assert reply == f"{host.world.time_s:.1f} s: the stop switch is pressed"
     host.wait(1)
     assert host.world.native.volts_V == [0.0, 0.0]
 
@@ -189,8 +189,8 @@ def test_a_served_board_listens_while_it_flies(host: Host, person: Person) -> No
 
 
 def test_a_hand_turns_an_axis_and_lets_it_go(host: Host, person: Person) -> None:
-    said = person.type_in("turn elevation -5\nturn pitch 20\n")
-    assert said.endswith("a hand turns pitch to 20 degrees, and holds it")
+    reply = person.type_in("turn elevation -5\nturn pitch 20\n")
+    assert reply.endswith("a hand turns pitch to 20 degrees, and holds it")
     host.wait(1500)
     assert np.degrees(host.world.state[:2]) == pytest.approx([-5.0, 20.0])
     person.type_in("let pitch\n")

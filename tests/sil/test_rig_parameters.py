@@ -124,8 +124,11 @@ def test_on_hardware_a_sign_is_wiring_and_each_part_is_named() -> None:
         "supply_V": 9.0,
         "elevation_max_deg": 40.0,
     }
-    found = {one.parameter: one.part for one in rig_differences(stated, board, simulated=False)}
-    assert found == {
+    parts = {
+        difference.parameter: difference.part
+        for difference in rig_differences(stated, board, simulated=False)
+    }
+    assert parts == {
         "travel_counts_per_rev": BoardProperty.SCALE,
         "elevation_rest_deg": BoardProperty.REST,
         "supply_V": BoardProperty.SUPPLY,

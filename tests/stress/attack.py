@@ -40,8 +40,8 @@ def numbers(seed: int, count: int) -> range:
 def faulty_links(seed: int, count: int) -> Iterator[str]:
     """Fly over links with noise, stalls and unplugging; complain about samples, reasons and motors."""
     for number in numbers(seed, count):
-        one = case(number)
-        yield from (f"{one}: {complaint}" for complaint in mistakes_of(flown(one)))
+        link = case(number)
+        yield from (f"{link}: {complaint}" for complaint in mistakes_of(flown(link)))
 
 
 def serial_trouble(seed: int, count: int) -> Iterator[str]:
@@ -161,14 +161,14 @@ def attack(
     """
     lines = [f"| attack (seed {seed}) | tried | complaints | seconds |", "|---|---|---|---|"]
     total = 0
-    for name, one in ATTACKS.items():
+    for name, attack in ATTACKS.items():
         if names and name not in names:
             continue
         begin_s, complaints = time.monotonic(), 0
-        for complaint in one.run(seed, count * one.weight):
+        for complaint in attack.run(seed, count * attack.weight):
             complaints += 1
             say(f"{name}: {complaint}")
         total += complaints
         spent_s = time.monotonic() - begin_s
-        lines.append(f"| {one.what} | {count * one.weight} | {complaints} | {spent_s:.0f} |")
+        lines.append(f"| {attack.what} | {count * attack.weight} | {complaints} | {spent_s:.0f} |")
     return lines, total

@@ -55,7 +55,9 @@ class TroubledOs:
         if self._due(READ_FAILS):
             raise OSError(errno.EIO, "Input/output error")
         now_s = time.monotonic() - self._begin_s
-        if any(one.kind == SLOW and one.at_s <= now_s < one.until_s for one in self._troubles):
+        if any(
+            trouble.kind == SLOW and trouble.at_s <= now_s < trouble.until_s for trouble in self._troubles
+        ):
             time.sleep(0.004)
             size = min(size, 40)
         return os.read(fd, size)
@@ -72,7 +74,9 @@ class TroubledOs:
 
     def _due(self, kind: str) -> bool:
         now_s = time.monotonic() - self._begin_s
-        due = next((one for one in self._troubles if one.kind == kind and one.at_s <= now_s), None)
+        due = next(
+            (trouble for trouble in self._troubles if trouble.kind == kind and trouble.at_s <= now_s), None
+        )
         if due is not None:
             self._troubles.remove(due)
         return due is not None

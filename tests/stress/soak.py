@@ -178,8 +178,8 @@ class Clients:
         self.ages.append(vars_of(page.ages))
 
     def _raw(self, **more: Any) -> Any:
-        one = self._address
-        url = f"ws://{one.host}:{one.port}/ws?role=program&token={one.token}"
+        address = self._address
+        url = f"ws://{address.host}:{address.port}/ws?role=program&token={address.token}"
         return connect(url, compression=None, proxy=None, **more)
 
     def _does_not_read(self, chance: random.Random) -> None:

@@ -39,7 +39,7 @@ def test_stories_of_serial_trouble_end_with_a_true_reason_and_motors_off(tmp_pat
     )
     assert ended.returncode == 0, ended.stdout + ended.stderr
     lived = [json.loads(line) for line in lines.read_text().splitlines()]
-    assert len(lived) == count and all(one["outcome"] for one in lived)
+    assert len(lived) == count and all(flight["outcome"] for flight in lived)
 
 
 @posix

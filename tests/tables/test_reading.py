@@ -24,7 +24,7 @@ def assert_same_columns(table: Table, x: str = "x", y: str = "y") -> None:
 
 
 def rows(separator: str, decimal: str) -> str:
-    made = [separator.join(f"{one:.4f}" for one in row) for row in zip(T_S, X, Y, strict=True)]
+    made = [separator.join(f"{value:.4f}" for value in row) for row in zip(T_S, X, Y, strict=True)]
     return "\n".join(made).replace(".", decimal)
 
 
@@ -54,7 +54,7 @@ def test_a_row_of_units_and_a_title(tmp_path: Path) -> None:
     path.write_text("Measurement 7\nt,x,y\n[ms],[deg],[V]\n" + rows(",", "."))
     table = read_table(path)
     assert_same_columns(table)
-    assert [one.unit for one in table.columns.values()] == ["ms", "deg", "V"]
+    assert [column.unit for column in table.columns.values()] == ["ms", "deg", "V"]
 
 
 CLOCKS = [

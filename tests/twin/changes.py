@@ -62,7 +62,7 @@ class _LateFade(ThrustFade):
     """Thrust that decreases at a constant rate from `ONSET_s` on."""
 
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        return thrust_N * (1 - self.own(at, "per_s") * ca.fmax(at.time_s - ONSET_s, 0.0))
+        return thrust_N * (1 - self.value(at, "per_s") * ca.fmax(at.time_s - ONSET_s, 0.0))
 
 
 _LATE_EFFECTS: Mapping[str, type[Effect]] = {

@@ -186,10 +186,10 @@ void Chip::check_waits() {
   for (unsigned bit = 0; bit < 32; ++bit) {
     if (((bits >> bit) & 1U) != 0) wanted += (wanted.empty() ? "" : ", ") + std::to_string(bit);
   }
-  const bool one = (bits & (bits - 1)) == 0;
-  const std::string what = bits == 0 ? "the program waits for no single bit of it"
-                           : one     ? "the program waits for its bit " + wanted
-                                     : "the program waits for one of its bits " + wanted;
+  const bool is_single = (bits & (bits - 1)) == 0;
+  const std::string what = bits == 0   ? "the program waits for no single bit of it"
+                           : is_single ? "the program waits for its bit " + wanted
+                                       : "the program waits for one of its bits " + wanted;
   system.diagnostics.report(Trouble::kWait, before.address,
                             "for 0.5 s a loop has read " + system.bus.name_of(before.address) +
                                 ", which stays " + hex(before.value) + ": " + what);

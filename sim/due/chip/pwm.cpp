@@ -150,13 +150,13 @@ void Pwm::reset() {
 
 // Enables one channel: its counter begins at 0.
 void Pwm::start(int channel) {
-  Channel& own = channels_[index(channel)];
-  if (own.enabled) return;
-  own.enabled = true;
+  Channel& state = channels_[index(channel)];
+  if (state.enabled) return;
+  state.enabled = true;
   const std::uint64_t now = system_.now();
   // A synchronous channel joins the counter of channel 0.
-  if (!synchronous(channel) || channel == 0) own.origin = now;
-  if (own.duty > counter_of(channel).period) {
+  if (!synchronous(channel) || channel == 0) state.origin = now;
+  if (state.duty > counter_of(channel).period) {
     // At PWM_CDTY of the channel.
     misuse(0x204U + 32U * static_cast<std::uint32_t>(channel), "CDTY is above CPRD");
   }
@@ -180,19 +180,19 @@ void Pwm::disable(std::uint32_t mask) {
 
 // The values of CPRDUPD and CDTYUPD become CPRD and CDTY.
 void Pwm::load_updates(int channel) {
-  Channel& own = channels_[index(channel)];
-  if (own.period_waiting) own.period = own.period_update;
-  if (own.duty_waiting) own.duty = own.duty_update;
-  own.period_waiting = own.duty_waiting = false;
+  Channel& state = channels_[index(channel)];
+  if (state.period_waiting) state.period = state.period_update;
+  if (state.duty_waiting) state.duty = state.duty_update;
+  state.period_waiting = state.duty_waiting = false;
 }
 
 // Asynchronous channels take new values at the end of the period in which they were written.
 void Pwm::update_single(int channel, std::uint64_t now) {
-  Channel& own = channels_[index(channel)];
-  const std::uint64_t begun = now - (now - own.origin) % period_of(channel);
-  if ((!own.duty_waiting && !own.period_waiting) || begun < own.update_since) return;
+  Channel& state = channels_[index(channel)];
+  const std::uint64_t begun = now - (now - state.origin) % period_of(channel);
+  if ((!state.duty_waiting && !state.period_waiting) || begun < state.update_since) return;
   integrate(channel, begun);
-  own.origin = begun;
+  state.origin = begun;
   load_updates(channel);
 }
 
@@ -225,9 +225,9 @@ void Pwm::plan() {
   const std::uint64_t now = system_.now();
   for (int channel = 0; channel < kPwmChannels; ++channel) {
     if (!counts(channel)) continue;
-    const Channel& own = channels_[index(channel)];
+    const Channel& state = channels_[index(channel)];
     const bool waits = synchronous(channel) ? channel == 0 && update_unlocked_
-                                            : own.duty_waiting || own.period_waiting;
+                                            : state.duty_waiting || state.period_waiting;
     if (waits) when = std::min(when, next_period(channel, now));
   }
   system_.scheduler.set(id_, when);

@@ -83,45 +83,45 @@ void Pwm::write_sync_mode(std::uint32_t value) {
 
 // CDTYUPD or CPRDUPD of a channel: the value acts at the end of its period.
 void Pwm::write_update(int channel, std::uint32_t offset, std::uint32_t value) {
-  Channel& own = channels_[index(channel)];
+  Channel& state = channels_[index(channel)];
   const std::uint32_t reg = register_of(channel, offset);
   if (offset == kCdtyupd) {
-    if (value > counter_of(channel).period && !counter_of(channel).period_waiting && own.enabled) {
+    if (value > counter_of(channel).period && !counter_of(channel).period_waiting && state.enabled) {
       misuse(reg, "a duty of " + std::to_string(value) +
                       " is above CPRD = " + std::to_string(counter_of(channel).period));
     }
-    own.duty_update = value & kCounterMask;
-    own.duty_waiting = true;
-    own.update_since = system_.now();
+    state.duty_update = value & kCounterMask;
+    state.duty_waiting = true;
+    state.update_since = system_.now();
   } else {
-    own.period_update = value & kCounterMask;
-    own.period_waiting = true;
-    own.update_since = system_.now();
+    state.period_update = value & kCounterMask;
+    state.period_waiting = true;
+    state.update_since = system_.now();
   }
   // A channel that does not run uses the value immediately.
   if (synchronous(channel)) return;
-  if (!own.enabled) load_updates(channel);
+  if (!state.enabled) load_updates(channel);
   plan();
 }
 
 // A channel's register. The masks keep the bits that the register has.
 void Pwm::write_channel(int channel, std::uint32_t offset, std::uint32_t value) {
-  Channel& own = channels_[index(channel)];
+  Channel& state = channels_[index(channel)];
   const std::uint32_t reg = register_of(channel, offset);
   if (offset == kCdtyupd || offset == kCprdupd) return write_update(channel, offset, value);
   integrate_all();
-  if (own.enabled) misuse(reg, "write while the channel is enabled; use the update register");
+  if (state.enabled) misuse(reg, "write while the channel is enabled; use the update register");
   switch (offset) {
     case kCmr:
       if ((value & kDeadTime) != 0) not_modelled(reg, "the dead-time generator is not modelled");
-      own.mode = value & 0x00070F0FU;  // DTE, DTHI, DTLI, CES, CPOL, CALG, CPRE
+      state.mode = value & 0x00070F0FU;  // DTE, DTHI, DTLI, CES, CPOL, CALG, CPRE
       outputs_changed();
       return;
     case kCdty:
-      own.duty = value & kCounterMask;
+      state.duty = value & kCounterMask;
       return;
     case kCprd:
-      own.period = value & kCounterMask;
+      state.period = value & kCounterMask;
       return;
     default:
       return;
@@ -130,14 +130,14 @@ void Pwm::write_channel(int channel, std::uint32_t offset, std::uint32_t value) 
 
 // A channel's register. CCNT is computed from the time; centre-aligned counters run up and down.
 std::uint32_t Pwm::read_channel(int channel, std::uint32_t offset) const {
-  const Channel& own = channels_[index(channel)];
+  const Channel& state = channels_[index(channel)];
   switch (offset) {
     case kCmr:
-      return own.mode;
+      return state.mode;
     case kCdty:
-      return own.duty;
+      return state.duty;
     case kCprd:
-      return own.period;
+      return state.period;
     case kCcnt: {
       if (!counts(channel)) return 0;
       const std::uint64_t whole = period_of(channel);

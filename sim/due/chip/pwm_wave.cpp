@@ -42,13 +42,13 @@ bool Pwm::counts(int channel) const {
 // Level of the comparator output. With CPOL = 0 it is low while the counter is below CDTY; with
 // CPOL = 1 it is high there.
 bool Pwm::comparator_level(int channel, std::uint64_t now) const {
-  const Channel& own = channels_[index(channel)];
-  const bool start_level = (own.mode & kPolarity) != 0;
+  const Channel& state = channels_[index(channel)];
+  const bool start_level = (state.mode & kPolarity) != 0;
   if (!counts(channel)) return start_level;
   const std::uint64_t whole = period_of(channel);
   const std::uint64_t phase = (now - counter_of(channel).origin) % whole;
   // The counter reaches CDTY at `edge`; centre-aligned, it falls below it again at `back`.
-  const std::uint64_t edge = std::min(own.duty * step_cycles(channel), whole);
+  const std::uint64_t edge = std::min(state.duty * step_cycles(channel), whole);
   const std::uint64_t back = center(channel) ? whole - std::min(edge, whole) : whole;
   const bool beyond = phase >= edge && phase < back;
   return beyond != start_level;
@@ -56,11 +56,11 @@ bool Pwm::comparator_level(int channel, std::uint64_t now) const {
 
 // Cycles in [from, to) during which the comparator output is high.
 std::uint64_t Pwm::comparator_high(int channel, std::uint64_t from, std::uint64_t to) const {
-  const Channel& own = channels_[index(channel)];
-  const bool start_level = (own.mode & kPolarity) != 0;
+  const Channel& state = channels_[index(channel)];
+  const bool start_level = (state.mode & kPolarity) != 0;
   if (!counts(channel)) return start_level ? to - from : 0;
   const std::uint64_t whole = period_of(channel);
-  const std::uint64_t edge = std::min(own.duty * step_cycles(channel), whole);
+  const std::uint64_t edge = std::min(state.duty * step_cycles(channel), whole);
   const std::uint64_t back = center(channel) ? whole - edge : whole;
   const std::uint64_t width = back > edge ? back - edge : 0;
   const std::uint64_t origin = counter_of(channel).origin;
@@ -108,20 +108,20 @@ bool Pwm::level(int signal) const {
 // Counts the cycles up to `until` in which each output of the channel was high. Everything that
 // changes an output calls this first.
 void Pwm::integrate(int channel, std::uint64_t until) {
-  Channel& own = channels_[index(channel)];
-  if (until <= own.counted) return;
-  const std::uint64_t span = until - own.counted;
-  const std::uint64_t high = comparator_high(channel, own.counted, until);
+  Channel& state = channels_[index(channel)];
+  if (until <= state.counted) return;
+  const std::uint64_t span = until - state.counted;
+  const std::uint64_t high = comparator_high(channel, state.counted, until);
   for (const bool low_side : {false, true}) {
     bool value = false;
-    const bool inverted = (own.mode & (low_side ? kInvertLow : kInvertHigh)) != 0;
+    const bool inverted = (state.mode & (low_side ? kInvertLow : kInvertHigh)) != 0;
     if (forced(channel, low_side, value)) {
-      own.high[low_side] += value ? span : 0;
+      state.high[low_side] += value ? span : 0;
     } else {
-      own.high[low_side] += low_side != inverted ? span - high : high;
+      state.high[low_side] += low_side != inverted ? span - high : high;
     }
   }
-  own.counted = until;
+  state.counted = until;
 }
 
 void Pwm::integrate_all(std::uint64_t until) {
@@ -137,10 +137,10 @@ std::uint64_t Pwm::high_cycles(int channel, bool low_side) {
 double Pwm::duty(int channel, bool low_side) const {
   bool value = false;
   if (forced(channel, low_side, value)) return value ? 1.0 : 0.0;
-  const Channel& own = channels_[index(channel)];
-  const bool inverted = (own.mode & (low_side ? kInvertLow : kInvertHigh)) != 0;
+  const Channel& state = channels_[index(channel)];
+  const bool inverted = (state.mode & (low_side ? kInvertLow : kInvertHigh)) != 0;
   const bool complement = low_side != inverted;
-  if (!counts(channel)) return ((own.mode & kPolarity) != 0) != complement ? 1.0 : 0.0;
+  if (!counts(channel)) return ((state.mode & kPolarity) != 0) != complement ? 1.0 : 0.0;
   const std::uint64_t origin = counter_of(channel).origin;
   const std::uint64_t whole = period_of(channel);
   const std::uint64_t high = comparator_high(channel, origin, origin + whole);

@@ -21,11 +21,11 @@ void Cpu::set_mark(std::uint32_t address, MarkKind kind) {
 
 // Takes one kind of mark away; the last one restores the instruction's own handler.
 void Cpu::clear_mark(std::uint32_t address, MarkKind kind) {
-  const auto found = marks_.find(address & ~1U);
-  if (found == marks_.end()) return;
-  found->second.kinds = static_cast<std::uint8_t>(found->second.kinds & ~kind);
-  if (found->second.kinds != 0) return;
-  marks_.erase(found);
+  const auto mark = marks_.find(address & ~1U);
+  if (mark == marks_.end()) return;
+  mark->second.kinds = static_cast<std::uint8_t>(mark->second.kinds & ~kind);
+  if (mark->second.kinds != 0) return;
+  marks_.erase(mark);
   CodeWindow* window = memory_.window_of(address);
   if (window != nullptr) resume_at(address & ~1U, window->slot(address & ~1U)->it);
 }
@@ -43,8 +43,8 @@ void Cpu::add_probe(std::uint32_t address) {
 }
 
 ProbeStats Cpu::probe(std::uint32_t address) const {
-  const auto found = probes_.find(address & ~1U);
-  return found == probes_.end() ? ProbeStats{} : found->second;
+  const auto probe = probes_.find(address & ~1U);
+  return probe == probes_.end() ? ProbeStats{} : probe->second;
 }
 
 void Cpu::clear_stats() {

@@ -47,11 +47,11 @@ class TrueEquationEffect(Effect):
         """Return the arguments of the equation as symbols."""
         q = [at.state[f"{axis}_rad"] for axis in _AXES]
         w = [at.state[f"{axis}_rate_rad_s"] for axis in _AXES]
-        late = self.own(at, "late") if self.states else 0.0
+        late = self.value(at, "late") if self.states else 0.0
         return EquationInputs(q, w, [at.thrust_N[0], at.thrust_N[1]], late)
 
     def _value(self, at: Operands) -> ca.SX:
-        value: ca.SX = self.own(at, "size") * self.equation.value(ca, self._input_symbols(at), self.numbers)
+        value: ca.SX = self.value(at, "size") * self.equation.value(ca, self._input_symbols(at), self.numbers)
         return value
 
     def torque_Nm(self, at: Operands) -> ca.SX:

@@ -24,11 +24,11 @@ class RotorGains(Effect):
 
     @override
     def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
-        return volts_V * (1 + self.own(at, "supply"))
+        return volts_V * (1 + self.value(at, "supply"))
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        difference = self.own(at, "difference")
+        difference = self.value(at, "difference")
         return thrust_N * ca.vertcat(1 + difference, 1 - difference)
 
 

@@ -143,7 +143,7 @@ class Weighed:
     ----------
     rig : Rig
         The rig with the estimated parameters, their tolerances and sources.
-    found : tuple of str
+    determined : tuple of str
         Names of the parameters that the tests determine: their tolerance is reduced, or they change by more
         than their tolerance.
     tested : tuple of Tested
@@ -151,7 +151,7 @@ class Weighed:
     """
 
     rig: Rig
-    found: tuple[str, ...]
+    determined: tuple[str, ...]
     tested: tuple[Tested, ...]
 
 

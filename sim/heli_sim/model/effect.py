@@ -158,7 +158,7 @@ class Effect:
             result[self.moment] = self.other_moments_s.get(label, NEVER_s)
         return result
 
-    def own(self, at: Operands, short_name: str) -> ca.SX:
+    def value(self, at: Operands, short_name: str) -> ca.SX:
         """Value of one of the effect's own parameters or states, in its unit.
 
         Parameters

@@ -455,11 +455,11 @@ def weigh_rig(
         check_place(save_rig)
         weighed_rig = replace(weighed.rig, name=save_rig.stem)
         write_rig(weighed_rig, save_rig, f"Found by heli-host rig weigh from {tests.name} and {before.name}.")
-    numbers = {name: asdict(weighed.rig[name]) for name in weighed.found}
+    numbers = {name: asdict(weighed.rig[name]) for name in weighed.determined}
     tested = [{**asdict(test), "off": test.off} for test in weighed.tested]
     if write_result(json, {"rig": weighed.rig.name, "numbers": numbers, "tests": tested}):
         return
-    for name in weighed.found:
+    for name in weighed.determined:
         number_before, number_after = before[name], weighed.rig[name]
         change_in_tolerances = (
             abs(number_after.value - number_before.value) / number_before.tolerance

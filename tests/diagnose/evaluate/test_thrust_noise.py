@@ -35,11 +35,11 @@ class _WanderingSupply(Effect):
 
     @override
     def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
-        return volts_V * (1 + self.own(at, "now"))
+        return volts_V * (1 + self.value(at, "now"))
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:
-        return -self.own(at, "now") / CORRELATION_s
+        return -self.value(at, "now") / CORRELATION_s
 
     @override
     def diffusion(self, at: Operands, step_s: float, normal: ca.SX) -> ca.SX:

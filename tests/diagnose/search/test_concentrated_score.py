@@ -54,14 +54,14 @@ def test_a_low_score_of_an_event_in_large_disturbances_still_leads_to_a_refit(
     comparison: ModelComparison,
 ) -> None:
     base = comparison.refit([])
-    own = base.estimate.disturbances
-    gusty = replace(own, fast_std=np.maximum(2.5 * own.fast_std, 0.01), curvature=None)
+    disturbances = base.estimate.disturbances
+    gusty = replace(disturbances, fast_std=np.maximum(2.5 * disturbances.fast_std, 0.01), curvature=None)
     screening = Screening(replace(base.estimate, disturbances=gusty))
     plain = screening.effects([KIND, catalogue()["thrust_step.front"], catalogue()["axis_tilt"]])
-    found = with_concentrated_scores(screening, lambda screened: [], plain)
-    assert found[0].candidate.id == KIND.id
-    assert found[0].log_likelihood_gain > 5.0 * plain[0].log_likelihood_gain
-    by_id = {scored.candidate.id: scored.log_likelihood_gain for scored in found}
+    concentrated = with_concentrated_scores(screening, lambda screened: [], plain)
+    assert concentrated[0].candidate.id == KIND.id
+    assert concentrated[0].log_likelihood_gain > 5.0 * plain[0].log_likelihood_gain
+    by_id = {scored.candidate.id: scored.log_likelihood_gain for scored in concentrated}
     assert by_id["axis_tilt"] == next(s for s in plain if s.candidate.id == "axis_tilt").log_likelihood_gain
     assert with_concentrated_scores(screening, lambda screened: screened, plain) == plain
 

@@ -301,12 +301,12 @@ def _python(source: str, name: str, errors: frozenset[str]) -> Iterator[Text]:
 
 def _attribute_docstrings(node: ast.Module | ast.ClassDef) -> Iterator[tuple[int, str]]:
     """Strings below the public constants of a module, such as thresholds, and attributes of a class."""
-    for named, said in itertools.pairwise(node.body):
+    for named, docstring in itertools.pairwise(node.body):
         target = named.targets[0] if isinstance(named, ast.Assign) else getattr(named, "target", None)
         if not (isinstance(target, ast.Name) and _is_public(target.id)):
             continue
-        if isinstance(said, ast.Expr) and isinstance(said.value, ast.Constant):
-            yield said.lineno, inspect.cleandoc(str(said.value.value))
+        if isinstance(docstring, ast.Expr) and isinstance(docstring.value, ast.Constant):
+            yield docstring.lineno, inspect.cleandoc(str(docstring.value.value))
 
 
 def _docstring(doc: str, name: str, line: int, kind: str) -> Iterator[Text]:

@@ -95,8 +95,8 @@ export class Controls {
   greet(hello) {
     this.hello = hello;
     const live = hello.mode === "live";
-    for (const one of document.querySelectorAll(".live-only")) one.hidden = !live;
-    for (const one of document.querySelectorAll(".replay-only")) one.hidden = live;
+    for (const part of document.querySelectorAll(".live-only")) part.hidden = !live;
+    for (const part of document.querySelectorAll(".replay-only")) part.hidden = live;
     for (const id of ["tab-parameters", "tab-link", "stop"]) $(id).hidden = !live;
     $("tab-fly").textContent = live ? "Fly" : "Replay";
     if (!live) Object.assign($("seek"), { min: hello.span_s[0], max: hello.span_s[1] });
@@ -230,9 +230,9 @@ export class Controls {
       input.disabled = !this.mayTune;
       if (document.activeElement !== input) input.value = +law.values[input.name].toPrecision(7);
     }
-    const said = law.flies ? `${law.chosen} flies` : law.taken_over ? `the board's own control law took over: ${law.taken_over}` : law.chosen && this.state === "idle" ? `${law.chosen} is loaded, and flies after take-off` : "the board's own control law";
-    $("law-said").className = law.taken_over ? "hint bad" : "hint";
-    if ($("law-said").textContent !== said) $("law-said").textContent = said;
+    const message = law.flies ? `${law.chosen} flies` : law.taken_over ? `the board's own control law took over: ${law.taken_over}` : law.chosen && this.state === "idle" ? `${law.chosen} is loaded, and flies after take-off` : "the board's own control law";
+    $("law-message").className = law.taken_over ? "hint bad" : "hint";
+    if ($("law-message").textContent !== message) $("law-message").textContent = message;
   }
 
   showLink(link) {
@@ -279,9 +279,9 @@ export class Controls {
       const row = element("div", { className: "parameter", title: spec.meaning }, element("label", { htmlFor: input.id }, spec.name), input, element("span", {}, spec.unit), why);
       input.addEventListener("change", async () => {
         const answer = await this.link.ask("set", { name: spec.name, value: Number(input.value) });
-        const said = $("parameter-said");
-        said.className = answer.error ? "hint bad" : "hint";
-        said.textContent = answer.error ? `${answer.error}; ${answer.remedy}` : `${spec.name} is ${answer.value} ${spec.unit}, until the board restarts or it is saved`;
+        const note = $("parameter-message");
+        note.className = answer.error ? "hint bad" : "hint";
+        note.textContent = answer.error ? `${answer.error}; ${answer.remedy}` : `${spec.name} is ${answer.value} ${spec.unit}, until the board restarts or it is saved`;
         input.value = this.hello.values[spec.name];
       });
       this.rows.set(spec.name, { spec, input, row, why });

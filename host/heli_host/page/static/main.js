@@ -24,8 +24,8 @@ let stopMs = null, confirmed = false; // when this page sent a stop, and whether
 let frameState = null, frameMs = -Infinity, beatMs = -Infinity; // the state that the newest frame carries, by number
 
 function say(words, bad = false) {
-  $("said").textContent = words;
-  $("said").className = bad ? "bad" : "";
+  $("message").textContent = words;
+  $("message").className = bad ? "bad" : "";
 }
 
 // Only what changes: a screen reader would read the same words ten times a second.

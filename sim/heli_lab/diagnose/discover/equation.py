@@ -216,7 +216,7 @@ class EquationEffect(Effect):
         for i, term in enumerate(self.equation.terms):
             if not term.channel.startswith(kind):
                 continue
-            value = self.own(at, self.equation.coefficient(i))
+            value = self.value(at, self.equation.coefficient(i))
             for j, factor in enumerate(term.term.factors):
                 value = value * self._factor_value(at, i, j, factor)
             yield term.channel, value
@@ -228,7 +228,7 @@ class EquationEffect(Effect):
             lagged = self._lag_state(at, i, j, factor)
             x = lagged if factor.lag_filter == "lag" else lagged - x
         names = self.equation.inner_names(i, j)
-        parameters = {inner_name: self.own(at, name) for inner_name, name in names.items()}
+        parameters = {inner_name: self.value(at, name) for inner_name, name in names.items()}
         value: ca.SX = factor.value(ca, x, parameters)
         return value
 
@@ -239,8 +239,8 @@ class EquationEffect(Effect):
         """
         name = lag_state_name(i, j)
         if not factor.per_rotor:
-            return self.own(at, name)
-        return ca.vertcat(self.own(at, f"{name}_front"), self.own(at, f"{name}_back"))
+            return self.value(at, name)
+        return ca.vertcat(self.value(at, f"{name}_front"), self.value(at, f"{name}_back"))
 
     def torque_Nm(self, at: Operands) -> ca.SX:
         """Torques of the equation [N m], shape (3, 1); see `Effect.torque_Nm`."""
@@ -273,7 +273,7 @@ class EquationEffect(Effect):
         """Rates of the lag states; see `Effect.state_rates`."""
         rates = []
         for i, j, factor in self.equation.lagged_factors:
-            lag_s = self.own(at, self.equation.inner_names(i, j)["s"])
+            lag_s = self.value(at, self.equation.inner_names(i, j)["s"])
             rates.append((SYMBOLS[factor.quantity].value(at) - self._lag_state(at, i, j, factor)) / lag_s)
         return ca.vertcat(*rates)
 

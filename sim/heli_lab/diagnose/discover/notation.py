@@ -231,7 +231,7 @@ def _methods_code(equation: Equation) -> Iterator[str]:
     # A lagged factor has a state that follows its quantity with the time constant "s".
     rates = [
         f"({SYMBOLS[factor.quantity].python} - {_lag_state_code(i, j, factor)})"
-        f' / self.own(at, "{equation.inner_names(i, j)["s"]}")'
+        f' / self.value(at, "{equation.inner_names(i, j)["s"]}")'
         for i, j, factor in equation.lagged_factors
     ]
     if rates:
@@ -259,10 +259,10 @@ def _sum_code(equation: Equation, channel: str) -> str:
 
 def _term_code(equation: Equation, i: int, term: EquationTerm) -> str:
     """Return the Python code of term `i`: the product of its coefficient and factors."""
-    factors = [f'self.own(at, "{equation.coefficient(i)}")']
+    factors = [f'self.value(at, "{equation.coefficient(i)}")']
     for j, factor in enumerate(term.term.factors):
         texts = {
-            inner_name: f'self.own(at, "{name}")' for inner_name, name in equation.inner_names(i, j).items()
+            inner_name: f'self.value(at, "{name}")' for inner_name, name in equation.inner_names(i, j).items()
         }
         x = None
         if factor.lag_filter:
@@ -280,5 +280,5 @@ def _lag_state_code(i: int, j: int, factor: Factor) -> str:
     """
     name = lag_state_name(i, j)
     if not factor.per_rotor:
-        return f'self.own(at, "{name}")'
-    return f'ca.vertcat(self.own(at, "{name}_front"), self.own(at, "{name}_back"))'
+        return f'self.value(at, "{name}")'
+    return f'ca.vertcat(self.value(at, "{name}_front"), self.value(at, "{name}_back"))'

@@ -19,7 +19,7 @@ class RemovedTerm(Effect):
 
     @override
     def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
-        remaining_share = 1 - self.own(at, "share")
+        remaining_share = 1 - self.value(at, "share")
         return {
             name: remaining_share * at.parameter[name] for name in TERMS[self.name][1] if name in at.parameter
         }
@@ -34,7 +34,7 @@ class RemovedDifferentialTravel(Effect):
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
         term = (at.thrust_N[0] - at.thrust_N[1]) * at.parameter["L_h"] * ca.sin(at.state["pitch_rad"])
-        return on_axis("travel", -self.own(at, "share") * term)
+        return on_axis("travel", -self.value(at, "share") * term)
 
 
 TERMS: Final[Mapping[str, tuple[str, tuple[str, ...], str]]] = {

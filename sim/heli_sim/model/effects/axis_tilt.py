@@ -34,7 +34,7 @@ class AxisTilt(Effect):
 
     def _potential_J(self, at: Operands, q: ca.SX) -> ca.SX:
         """Return the potential energy that the tilt adds at the angles `q`."""
-        x, y = self.own(at, "x_rad"), self.own(at, "y_rad")
+        x, y = self.value(at, "x_rad"), self.value(at, "y_rad")
         angle2 = x**2 + y**2
         # Change of the unit vector by the lean a: horizontal part sin|a| (x, y)/|a|, vertical part cos|a| -
         # 1. Taylor series to 4th order have derivatives at 0, and are exact enough up to 1 rad.

@@ -23,8 +23,8 @@ class Backlash(Effect):
 
     @override
     def reset_map(self, at: Operands) -> ca.SX:
-        angle, half = at.state[f"{self.place}_rad"], 0.5 * self.own(at, "rad")
-        return ca.fmin(ca.fmax(self.own(at, "shaft_rad"), angle - half), angle + half)
+        angle, half = at.state[f"{self.place}_rad"], 0.5 * self.value(at, "rad")
+        return ca.fmin(ca.fmax(self.value(at, "shaft_rad"), angle - half), angle + half)
 
     @override
     def alternative_starts(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
@@ -63,7 +63,7 @@ class BacklashOfKnownSide(Effect):
 
     @override
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
-        error_rad = -0.5 * self.own(at, "rad") * self.own(at, "direction")
+        error_rad = -0.5 * self.value(at, "rad") * self.value(at, "direction")
         return angles_rad + on_axis(self.place, error_rad)
 
 

@@ -18,14 +18,14 @@ class CableSpring(Effect):
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
-        return on_axis(self.place, -self.own(at, "Nm_per_rad") * self._deflection_rad(at))
+        return on_axis(self.place, -self.value(at, "Nm_per_rad") * self._deflection_rad(at))
 
     @override
     def energy_J(self, at: Operands) -> ca.SX:
-        return 0.5 * self.own(at, "Nm_per_rad") * self._deflection_rad(at) ** 2
+        return 0.5 * self.value(at, "Nm_per_rad") * self._deflection_rad(at) ** 2
 
     def _deflection_rad(self, at: Operands) -> ca.SX:
-        return at.state[f"{self.place}_rad"] - self.own(at, "rest_rad")
+        return at.state[f"{self.place}_rad"] - self.value(at, "rest_rad")
 
 
 def _spec(axis: str) -> EffectSpec:

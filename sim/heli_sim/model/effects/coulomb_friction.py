@@ -34,13 +34,13 @@ class CoulombFriction(Effect):
     @override
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
         stopping_Nm = inertia_kg_m2[AXES.index(self.place)] * self._stopping_rad_s2(at, acceleration_rad_s2)
-        max_Nm = self.own(at, "Nm")
+        max_Nm = self.value(at, "Nm")
         return on_axis(self.place, -ca.fmin(ca.fmax(stopping_Nm, -max_Nm), max_Nm))
 
     def _stopping_rad_s2(self, at: Operands, acceleration_rad_s2: ca.SX) -> ca.SX:
         """Return the deceleration that brings the axis to rest within the short time."""
         rate_rad_s = at.state[f"{self.place}_rate_rad_s"]
-        return acceleration_rad_s2[AXES.index(self.place)] + rate_rad_s / self.own(at, "hold_s")
+        return acceleration_rad_s2[AXES.index(self.place)] + rate_rad_s / self.value(at, "hold_s")
 
     @override
     def with_measured_angles(self) -> Effect:
@@ -64,9 +64,9 @@ class CoulombFrictionOfMeasuredRate(CoulombFriction):
     @override
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
         count_rad = 2.0 * math.pi / at.parameter[f"encoder_counts_{self.place}"]
-        uncertainty_rad_s2 = _RATE_STD_COUNTS_PER_s * count_rad / self.own(at, "hold_s")
+        uncertainty_rad_s2 = _RATE_STD_COUNTS_PER_s * count_rad / self.value(at, "hold_s")
         stopping_rad_s2 = self._stopping_rad_s2(at, acceleration_rad_s2)
-        moving_Nm = self.own(at, "Nm") * ca.erf(stopping_rad_s2 / (math.sqrt(2.0) * uncertainty_rad_s2))
+        moving_Nm = self.value(at, "Nm") * ca.erf(stopping_rad_s2 / (math.sqrt(2.0) * uncertainty_rad_s2))
         at_rest_Nm = super().friction_Nm(at, acceleration_rad_s2, inertia_kg_m2)
         is_at_rest = at.state[f"{self.place}_rate_rad_s"] == 0.0
         return ca.if_else(is_at_rest, at_rest_Nm, -on_axis(self.place, moving_Nm))

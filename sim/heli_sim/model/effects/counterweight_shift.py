@@ -20,7 +20,7 @@ class CounterweightShift(Effect):
 
     @override
     def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
-        shift_m = self.own(at, "m") * smooth_step(at.time_s, self.own(at, "at_s"))
+        shift_m = self.value(at, "m") * smooth_step(at.time_s, self.value(at, "at_s"))
         return {"L_b": at.parameter["L_b"] + shift_m}
 
 

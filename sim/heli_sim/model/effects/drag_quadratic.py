@@ -22,7 +22,7 @@ class DragQuadratic(Effect):
     def torque_Nm(self, at: Operands) -> ca.SX:
         axis = self.name.partition("_")[0]
         rate = at.state[f"{axis}_rate_rad_s"]
-        return on_axis(axis, -self.own(at, "Nms2") * rate * ca.fabs(rate))
+        return on_axis(axis, -self.value(at, "Nms2") * rate * ca.fabs(rate))
 
 
 def _spec(axis: str, symbol: str, typical_Nms2: float, prior: Prior, source: str) -> EffectSpec:

@@ -29,7 +29,7 @@ class EdgewiseFlow(Effect):
         pitch = state["pitch_rad"]
         edgewise_m_s = around_m_s * ca.cos(pitch) - up_m_s * ca.sin(pitch)
         # Positive travel moves the back rotor ahead of the front one.
-        return thrust_N * (1 + self.own(at, "s_per_m") * edgewise_m_s * ca.vertcat(-1, 1))
+        return thrust_N * (1 + self.value(at, "s_per_m") * edgewise_m_s * ca.vertcat(-1, 1))
 
 
 SPEC: Final = EffectSpec(

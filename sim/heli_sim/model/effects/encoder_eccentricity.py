@@ -18,8 +18,10 @@ class EncoderEccentricity(Effect):
 
     @override
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
-        angle_rad = self.own(at, "order") * angles_rad[AXES.index(self.place)]
-        error_rad = self.own(at, "sin_rad") * ca.sin(angle_rad) + self.own(at, "cos_rad") * ca.cos(angle_rad)
+        angle_rad = self.value(at, "order") * angles_rad[AXES.index(self.place)]
+        error_rad = self.value(at, "sin_rad") * ca.sin(angle_rad) + self.value(at, "cos_rad") * ca.cos(
+            angle_rad
+        )
         return angles_rad + on_axis(self.place, error_rad)
 
 

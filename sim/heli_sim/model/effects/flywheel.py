@@ -25,13 +25,13 @@ class Flywheel(Effect):
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
-        momentum_per_V, speed_rate = self.own(at, "Nms_per_V"), self.state_rates(at)
-        reaction = upright_torque_Nm(at.state, -self.own(at, "spin_up") * momentum_per_V * speed_rate)
-        return wheel_torque_Nm(at, momentum_per_V * self.own(at, "both_V")) + reaction
+        momentum_per_V, speed_rate = self.value(at, "Nms_per_V"), self.state_rates(at)
+        reaction = upright_torque_Nm(at.state, -self.value(at, "spin_up") * momentum_per_V * speed_rate)
+        return wheel_torque_Nm(at, momentum_per_V * self.value(at, "both_V")) + reaction
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:
-        return (at.volts_V[0] + at.volts_V[1] - self.own(at, "both_V")) / self.own(at, "s")
+        return (at.volts_V[0] + at.volts_V[1] - self.value(at, "both_V")) / self.value(at, "s")
 
 
 SPEC: Final = EffectSpec(

@@ -24,8 +24,8 @@ class GroundEffect(Effect):
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         height_m = rotor_height_m(at.state, at.parameter)
         end_m = ca.sum1(height_m) / 2
-        above_m = end_m + self.own(at, "own") * (height_m - end_m) + self.own(at, "table_m")
-        return thrust_N * (1 + self.own(at, "share") * ca.exp(-above_m / self.own(at, "height_m")))
+        above_m = end_m + self.value(at, "own") * (height_m - end_m) + self.value(at, "table_m")
+        return thrust_N * (1 + self.value(at, "share") * ca.exp(-above_m / self.value(at, "height_m")))
 
 
 SPEC: Final = EffectSpec(

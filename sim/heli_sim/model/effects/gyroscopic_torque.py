@@ -22,7 +22,7 @@ class GyroscopicTorque(Effect):
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
-        return wheel_torque_Nm(at, self.own(at, "m_s") * (at.thrust_N[0] + at.thrust_N[1]))
+        return wheel_torque_Nm(at, self.value(at, "m_s") * (at.thrust_N[0] + at.thrust_N[1]))
 
 
 def wheel_torque_Nm(at: Operands, momentum_Nms: ca.SX) -> ca.SX:

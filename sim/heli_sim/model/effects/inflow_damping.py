@@ -24,10 +24,10 @@ class InflowDamping(Effect):
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        through_air = {"travel_rate_rad_s": self.own(at, "still") * at.state["travel_rate_rad_s"]}
+        through_air = {"travel_rate_rad_s": self.value(at, "still") * at.state["travel_rate_rad_s"]}
         climb_m_s = rotor_climb_m_s({**at.state, **through_air}, at.parameter)
-        loaded = self.own(at, "loaded")
-        return thrust_N - self.own(at, "s_per_m") * climb_m_s * (loaded * thrust_N + (1 - loaded) * _AT_N)
+        loaded = self.value(at, "loaded")
+        return thrust_N - self.value(at, "s_per_m") * climb_m_s * (loaded * thrust_N + (1 - loaded) * _AT_N)
 
 
 _AT_N: Final = 1.0

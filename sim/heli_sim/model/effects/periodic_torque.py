@@ -22,8 +22,8 @@ class PeriodicTorque(Effect):
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
-        phase = 2 * np.pi * self.own(at, "Hz") * at.time_s
-        torque = self.own(at, "sin_Nm") * ca.sin(phase) + self.own(at, "cos_Nm") * ca.cos(phase)
+        phase = 2 * np.pi * self.value(at, "Hz") * at.time_s
+        torque = self.value(at, "sin_Nm") * ca.sin(phase) + self.value(at, "cos_Nm") * ca.cos(phase)
         return on_axis(self.place, torque)
 
 

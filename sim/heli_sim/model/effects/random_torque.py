@@ -22,16 +22,16 @@ class RandomTorque(Effect):
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
-        return on_axis(self.place, self.own(at, "now_Nm"))
+        return on_axis(self.place, self.value(at, "now_Nm"))
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:
-        return -self.own(at, "now_Nm") / self.own(at, "s")
+        return -self.value(at, "now_Nm") / self.value(at, "s")
 
     @override
     def diffusion(self, at: Operands, step_s: float, normal: ca.SX) -> ca.SX:
         # Exact sampling: the stationary standard deviation is Nm for any length of step.
-        return self.own(at, "Nm") * ca.sqrt(1 - ca.exp(-2 * step_s / self.own(at, "s"))) * normal
+        return self.value(at, "Nm") * ca.sqrt(1 - ca.exp(-2 * step_s / self.value(at, "s"))) * normal
 
 
 def _spec(axis: str, typical_Nm: float) -> EffectSpec:

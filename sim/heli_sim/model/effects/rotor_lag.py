@@ -56,17 +56,17 @@ class RotorLag(Effect):
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        share = ca.fmin(self.own(at, self.time_constant) / MIN_LAG_s, 1.0)
+        share = ca.fmin(self.value(at, self.time_constant) / MIN_LAG_s, 1.0)
         return share * self._lagged_thrust_N(at) + (1 - share) * thrust_N
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:
         return (at.thrust_N - self._lagged_thrust_N(at)) / ca.fmax(
-            self.own(at, self.time_constant), MIN_LAG_s
+            self.value(at, self.time_constant), MIN_LAG_s
         )
 
     def _lagged_thrust_N(self, at: Operands) -> ca.SX:
-        return ca.vertcat(self.own(at, "front_N"), self.own(at, "back_N"))
+        return ca.vertcat(self.value(at, "front_N"), self.value(at, "back_N"))
 
 
 LAGS: Final = EffectFamily(

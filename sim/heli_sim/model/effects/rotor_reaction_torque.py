@@ -22,7 +22,7 @@ class RotorReactionTorque(Effect):
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
-        torque = self.own(at, "front_m") * at.thrust_N[0] + self.own(at, "back_m") * at.thrust_N[1]
+        torque = self.value(at, "front_m") * at.thrust_N[0] + self.value(at, "back_m") * at.thrust_N[1]
         return upright_torque_Nm(at.state, torque)
 
 

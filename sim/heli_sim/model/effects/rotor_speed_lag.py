@@ -38,12 +38,12 @@ class RotorSpeedLag(Effect):
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        share = ca.fmin(self.own(at, "s") / MIN_LAG_s, 1.0)
+        share = ca.fmin(self.value(at, "s") / MIN_LAG_s, 1.0)
         return share * self._thrust_of_speeds_N(at) + (1 - share) * thrust_N
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:
-        return (at.volts_V - self._speed_V(at)) / ca.fmax(self.own(at, "s"), MIN_LAG_s)
+        return (at.volts_V - self._speed_V(at)) / ca.fmax(self.value(at, "s"), MIN_LAG_s)
 
     @property
     @override
@@ -52,14 +52,14 @@ class RotorSpeedLag(Effect):
 
     def _thrust_of_speeds_N(self, at: Operands) -> ca.SX:
         """Return the thrust of both rotors at their present speeds, shape (2, 1)."""
-        p, speed_V, begins = at.parameter, self._speed_V(at), self.own(at, "begins")
+        p, speed_V, begins = at.parameter, self._speed_V(at), self.value(at, "begins")
         forward_V = ca.fmax(speed_V - begins * p["dead_zone"], 0.0)
         backward_V = ca.fmax(-speed_V - begins * p["dead_zone"], 0.0)
-        scale_V = 0.5 * self.own(at, "pivot_V") * (2 - begins) ** 2
+        scale_V = 0.5 * self.value(at, "pivot_V") * (2 - begins) ** 2
         return p["thrust_gain"] * (forward_V**2 - p["reverse_thrust"] * backward_V**2) / scale_V
 
     def _speed_V(self, at: Operands) -> ca.SX:
-        return ca.vertcat(self.own(at, "front_V"), self.own(at, "back_V"))
+        return ca.vertcat(self.value(at, "front_V"), self.value(at, "back_V"))
 
 
 SPEC: Final = EffectSpec(

@@ -263,7 +263,7 @@ class EffectSpec:
 
     def full(self, name: str) -> str:
         """Full name of a parameter or state in a model, from its short `name`: ``share`` of the effect
-        ``thrust_step.front`` is ``thrust_step_front_share``. `Effect.own` finds it again by the short name.
+        ``thrust_step.front`` is ``thrust_step_front_share``. `Effect.value` finds it again by the short name.
         """
         return f"{self.prefix}_{name}"
 

@@ -23,7 +23,7 @@ class SupplyFade(Effect):
 
     @override
     def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
-        return volts_V * remaining_share(at.time_s, self.own(at, "per_s"), self.own(at, "bend_per_s"))
+        return volts_V * remaining_share(at.time_s, self.value(at, "per_s"), self.value(at, "bend_per_s"))
 
 
 SPEC: Final = EffectSpec(

@@ -22,8 +22,8 @@ class SupplySag(Effect):
     @override
     def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
         load_V = ca.fabs(volts_V[0]) + ca.fabs(volts_V[1])
-        line = self.own(at, "line")
-        return volts_V - self.own(at, "per_V") * load_V * ((1 - line) * volts_V + line * _LINE_V)
+        line = self.value(at, "line")
+        return volts_V - self.value(at, "per_V") * load_V * ((1 - line) * volts_V + line * _LINE_V)
 
 
 _LINE_V: Final = 1.0

@@ -17,7 +17,7 @@ class ThrustAsymmetry(Effect):
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        share = self.own(at, "share")
+        share = self.value(at, "share")
         return thrust_N * ca.vertcat(1 + share, 1 - share)
 
 

@@ -17,7 +17,7 @@ class ThrustFade(Effect):
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        return thrust_N * remaining_share(at.time_s, self.own(at, "per_s"), self.own(at, "bend_per_s"))
+        return thrust_N * remaining_share(at.time_s, self.value(at, "per_s"), self.value(at, "bend_per_s"))
 
 
 def remaining_share(time_s: ca.SX, per_s: ca.SX, bend_per_s: ca.SX) -> ca.SX:

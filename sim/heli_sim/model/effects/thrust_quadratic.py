@@ -19,7 +19,7 @@ class ThrustQuadratic(Effect):
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         # Bent about one point, which leaves the gain near what it was.
         above_V = ca.fabs(thrust_N) / at.parameter["thrust_gain"]
-        return thrust_N * (1 + self.own(at, "share") * (above_V / self.own(at, "pivot_V") - 1))
+        return thrust_N * (1 + self.value(at, "share") * (above_V / self.value(at, "pivot_V") - 1))
 
 
 SPEC: Final = EffectSpec(

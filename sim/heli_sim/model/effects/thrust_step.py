@@ -18,7 +18,7 @@ class ThrustStep(Effect):
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        factor = 1 - self.own(at, "share") * smooth_step(at.time_s, self.own(at, "at_s"))
+        factor = 1 - self.value(at, "share") * smooth_step(at.time_s, self.value(at, "at_s"))
         return thrust_N * (ca.vertcat(factor, 1) if self.place == "front" else ca.vertcat(1, factor))
 
 

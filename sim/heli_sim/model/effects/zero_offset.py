@@ -19,7 +19,7 @@ class ZeroOffset(Effect):
 
     @override
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
-        return angles_rad + on_axis(self.place, self.own(at, "rad"))
+        return angles_rad + on_axis(self.place, self.value(at, "rad"))
 
 
 def _spec(axis: str) -> EffectSpec:
