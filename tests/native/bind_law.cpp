@@ -189,7 +189,8 @@ class LawReplay {
     return std::tuple(applied.front_raw, applied.back_raw);
   }
 
-  std::tuple<std::array<std::int32_t, heli::kAxisCount>, std::array<std::int32_t, 4>> outputs() const {
+  std::tuple<std::array<std::int32_t, heli::kAxisCount>, std::array<std::int32_t, 4>> outputs()
+      const {
     return {{uploaded_->setpoint_raw(0), uploaded_->setpoint_raw(1), uploaded_->setpoint_raw(2)},
             {uploaded_->signal_raw(0), uploaded_->signal_raw(1), uploaded_->signal_raw(2),
              uploaded_->signal_raw(3)}};

@@ -53,8 +53,10 @@ std::vector<std::uint8_t> UsbBridge::read() { return std::exchange(host_, {}); }
 void UsbBridge::byte_from_uart(std::uint8_t byte, std::uint32_t bit_cycles, std::uint64_t) {
   // Both bits in cycles at 84 MHz.
   const double own_bit = static_cast<double>(bit_time()) / kOneCycle;
-  const double sender_bit = static_cast<double>(bit_cycles) * kFull_Hz / chip_.system.clock.mck_Hz();
-  if (sender_bit < (1.0 - kLargestMismatch) * own_bit || sender_bit > (1.0 + kLargestMismatch) * own_bit)
+  const double sender_bit =
+      static_cast<double>(bit_cycles) * kFull_Hz / chip_.system.clock.mck_Hz();
+  if (sender_bit < (1.0 - kLargestMismatch) * own_bit ||
+      sender_bit > (1.0 + kLargestMismatch) * own_bit)
     byte = static_cast<std::uint8_t>(byte ^ 0xA5U);
   if (to_host_.size() >= kRing) {
     ++to_host_lost_;

@@ -86,7 +86,8 @@ void Pwm::write_update(int channel, std::uint32_t offset, std::uint32_t value) {
   Channel& state = channels_[index(channel)];
   const std::uint32_t reg = register_of(channel, offset);
   if (offset == kCdtyupd) {
-    if (value > counter_of(channel).period && !counter_of(channel).period_waiting && state.enabled) {
+    if (value > counter_of(channel).period && !counter_of(channel).period_waiting &&
+        state.enabled) {
       misuse(reg, "a duty of " + std::to_string(value) +
                       " is above CPRD = " + std::to_string(counter_of(channel).period));
     }
