@@ -40,7 +40,7 @@ def typed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Typed]:
     """What documents say to type, run by one process of a worker: what that reads takes seconds."""
     from tests.repo.typed import Typed
 
-    with Typed(tmp_path_factory.mktemp("typed") / "said") as started:
+    with Typed(tmp_path_factory.mktemp("typed") / "output") as started:
         yield started
 
 

@@ -24,7 +24,7 @@ def missing(page: SocketPage) -> int:
     page : SocketPage
         Which.
     """
-    tick = np.concatenate([rows.tick for rows in list(page.rows)[1:]])
+    tick = np.concatenate([batch.tick for batch in list(page.rows)[1:]])
     return int((np.diff(tick) - 1).sum())
 
 

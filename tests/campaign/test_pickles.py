@@ -65,11 +65,11 @@ def test_a_fit_predicts_what_it_predicted() -> None:
 def test_the_number_of_threads_changes_no_number() -> None:
     rig = load_rig("makki2024")
     record = prepare(thinned(flights("rotor_lag=0.08")[0], 2), rig, "a", stop_s=20.0)
-    pickles = [
+    fitted_values = [
         identify(MultibodyModel(), rig, [record], free=["thrust_gain"], threads=threads).fit.values
         for threads in (1, 3)
     ]
-    assert pickles[0] == pickles[1]
+    assert fitted_values[0] == fitted_values[1]
 
 
 @pytest.mark.diagnosis

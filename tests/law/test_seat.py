@@ -253,8 +253,8 @@ def test_a_law_with_a_setpoint_of_its_own_logs_the_boards_in_the_first_free_sign
     harness.keep_flying(1500, elevation_deg=4.0)
     payload = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY][-1]
     last = TelemetryDecoder().decode([payload]).raw[-1]
-    board, host_deg = last[Channel.SIGNAL_2], last[Channel.ELEVATION_SETPOINT]
-    assert board == pytest.approx(2 * host_deg, abs=2)
+    board_raw, law_raw = last[Channel.SIGNAL_2], last[Channel.ELEVATION_SETPOINT]
+    assert board_raw == pytest.approx(2 * law_raw, abs=2)
     assert math.degrees(float(physical(last, Channel.ELEVATION_SETPOINT))) == pytest.approx(2.0, abs=0.2)
 
 

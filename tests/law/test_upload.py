@@ -70,10 +70,10 @@ def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
         harness = open_harness()
         for frame in upload_frames(harness, old, 1):
             harness.turn(frame, ticks=2)
-        remaining = cut
+        remaining_bytes = cut
         for frame in upload_frames(harness, new, 50):
-            harness.turn(frame[:remaining], ticks=2)
-            remaining = max(0, remaining - len(frame))
+            harness.turn(frame[:remaining_bytes], ticks=2)
+            remaining_bytes = max(0, remaining_bytes - len(frame))
         law = law_on(harness)
         if law.state == LawState.READY:
             assert law.hash == (new.hash if cut == byte_count else old.hash), cut

@@ -335,8 +335,8 @@ def test_a_flight_needs_the_space_of_its_length(tmp_path: Path, monkeypatch: pyt
 
 
 def test_free_space_is_known_of_a_folder_that_is_still_to_be_made(tmp_path: Path) -> None:
-    free = disk.free_bytes(tmp_path / "not" / "yet")
-    assert free is not None and free > 0
+    free_space_bytes = disk.free_bytes(tmp_path / "not" / "yet")
+    assert free_space_bytes is not None and free_space_bytes > 0
 
 
 def test_no_flight_needs_more_space_than_is_asked_for(tmp_path: Path) -> None:

@@ -262,15 +262,15 @@ def test_a_log_opens_to_its_last_flush_after_kill_9(tmp_path: Path) -> None:
         [sys.executable, "-c", _WRITE_FOR_EVER, str(path)], stdout=subprocess.PIPE, env=environment, text=True
     )
     assert process.stdout is not None
-    last_tick = 0
-    while last_tick < 7000:
-        last_tick = int(process.stdout.readline())
+    ticks_logged = 0
+    while ticks_logged < 7000:
+        ticks_logged = int(process.stdout.readline())
     process.send_signal(signal.SIGKILL)
     process.wait(timeout=30)
     log = read_log(path)
     _, raw = make_samples(100_000)
     assert not log.complete and "not closed" in log.notes[0]
-    assert len(log.ticks) >= last_tick - CHUNK_TICKS
+    assert len(log.ticks) >= ticks_logged - CHUNK_TICKS
     np.testing.assert_array_equal(log.raw, raw[: len(log.ticks)])
     assert log.parameters["hover_V"] == PARAMETERS["hover_V"]
 

@@ -228,8 +228,8 @@ def _unlikely(fit: Fit) -> float:
     mean_square = np.mean(seen.residual**2, axis=0)
     variance = floor_axes(np.maximum(mean_square, _MIN_VARIANCE), mean_square, seen.sigma_rad)
     blocks = problem.records[0].used_s / BLOCK_S
-    of_effects = {name for effect in problem.model.effects for name in effect.priors}
+    effect_parameters = {name for effect in problem.model.effects for name in effect.priors}
     off = ((fit.theta - problem.parameter_vector.mean) / problem.parameter_vector.std)[
-        [name not in of_effects for name in problem.names]
+        [name not in effect_parameters for name in problem.names]
     ]
     return float(0.5 * (blocks * np.sum(np.log(variance) + mean_square / variance) + off @ off))

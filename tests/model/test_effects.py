@@ -261,8 +261,8 @@ def test_springs_and_tilt_conserve_energy(text: str) -> None:
     at = model.operands(x, u, p)
     # The rate of the energy along the motion is exactly nothing.
     change = ca.jtimes(model.energy_J(at), x, model.dynamics(x, u, p))
-    effect_energy = model.energy_J(at) - MultibodyModel().energy_J(at)
-    both = ca.Function("both", [x], [change, ca.norm_2(ca.gradient(effect_energy, x))])
+    effect_energy_J = model.energy_J(at) - MultibodyModel().energy_J(at)
+    both = ca.Function("both", [x], [change, ca.norm_2(ca.gradient(effect_energy_J, x))])
     random, steepest = np.random.default_rng(4), 0.0
     for _ in range(20):
         change_W, slope = (float(value) for value in both(states(random)))

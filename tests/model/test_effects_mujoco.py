@@ -81,7 +81,7 @@ def theirs(
 
 
 def lagged(commanded: Floats) -> ReferenceTrajectory:
-    """Response to each row of `asked`, from zero, with a lag of T_s: exactly, also between the ticks."""
+    """Response to each row of `commanded`, from zero, with a lag of T_s: exactly, also between the ticks."""
     remaining_share = np.exp(-1e-3 / T_s)
     reached = np.zeros((len(commanded) + 1, 2))
     for tick, row in enumerate(commanded):

@@ -91,7 +91,9 @@ class Tabs:
         page.on("requestfailed", lambda request: self.wrong.append(f"failed: {request.url}"))
         page.on(
             "console",
-            lambda message: self.wrong.append(f"said: {message.text}") if message.type == "error" else None,
+            lambda message: (
+                self.wrong.append(f"console: {message.text}") if message.type == "error" else None
+            ),
         )
         page.on(
             "response",

@@ -49,7 +49,7 @@ def hostile_request(chance: random.Random, harmless: bool = False) -> dict[str, 
         True leaves out requests that a sound client could send to end a flight.
     """
     ends = ("land", "take_off", "fly", "law", "grant", "ask") if harmless else ()
-    name = chance.choice([argument for argument in (*ARGUMENTS, "stop it", "") if argument not in ends])
+    name = chance.choice([request for request in (*ARGUMENTS, "stop it", "") if request not in ends])
     arguments = {argument: chance.choice(ODD) for argument in ARGUMENTS.get(name, ("x",))}
     more = {chance.choice(("do it", "id2", "\0")): chance.choice(ODD)} if chance.random() < 0.2 else {}
     return {**arguments, **more, "do": name}

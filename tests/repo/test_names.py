@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ast
-import subprocess
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.repo.test_tree import ROOT, tracked
+
 NO_NOUNS = frozenset({"one", "found", "own", "taken", "told", "asked", "said", "usual"})
 """Words that name nothing: the reader has to find out what was found."""
 
@@ -39,13 +38,11 @@ def meaningless(source: str) -> list[tuple[int, str]]:
 
 @pytest.mark.slow
 def test_no_name_in_python_is_a_word_without_meaning() -> None:
-    listed = subprocess.run(["git", "ls-files", "-z", "*.py"], cwd=ROOT, capture_output=True, check=True)
-    files = [ROOT / name for name in listed.stdout.decode().split("\0") if name]
+    files = [path for path in tracked() if path.suffix == ".py"]
     assert len(files) > 1000
     places = [
         f"{path.relative_to(ROOT)}:{line}: {name}"
         for path in files
-        if path.exists()
         for line, name in meaningless(path.read_text(encoding="utf-8"))
     ]
     assert not places, "name the thing, such as `entry` for `found`:\n" + "\n".join(places)

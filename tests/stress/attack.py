@@ -40,8 +40,8 @@ def numbers(seed: int, count: int) -> range:
 def faulty_links(seed: int, count: int) -> Iterator[str]:
     """Fly over links with noise, stalls and unplugging; complain about samples, reasons and motors."""
     for number in numbers(seed, count):
-        link = case(number)
-        yield from (f"{link}: {complaint}" for complaint in mistakes_of(flown(link)))
+        faulty_flight = case(number)
+        yield from (f"{faulty_flight}: {complaint}" for complaint in mistakes_of(flown(faulty_flight)))
 
 
 def serial_trouble(seed: int, count: int) -> Iterator[str]:

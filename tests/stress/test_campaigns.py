@@ -38,8 +38,8 @@ def test_stories_of_serial_trouble_end_with_a_true_reason_and_motors_off(tmp_pat
         [*command, "--lines", str(lines)], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert ended.returncode == 0, ended.stdout + ended.stderr
-    lived = [json.loads(line) for line in lines.read_text().splitlines()]
-    assert len(lived) == count and all(flight["outcome"] for flight in lived)
+    stories = [json.loads(line) for line in lines.read_text().splitlines()]
+    assert len(stories) == count and all(story["outcome"] for story in stories)
 
 
 @posix

@@ -200,7 +200,7 @@ def fly_changed(rig: RigWithTwin, name: str, size: float, flight_seed: int) -> d
         "delay_s": late_alarms[0].t_s - onset_s,
         "first_name": late_alarms[0].ranking[0].change.id,
         "name": ranking[0].change.id,
-        "said": ranking[0].size,
+        "estimate": ranking[0].size,
         "std": ranking[0].std,
         "ranking": [[candidate.change.id, round(candidate.log_evidence, 1)] for candidate in ranking[:4]],
     }
