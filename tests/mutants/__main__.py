@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
+from pathlib import Path
 
 from tests.mutants import bench_core, bench_due, rotation, session
 from tests.mutants.declared import DeclarationError, read_declarations
@@ -33,8 +35,8 @@ def main(words: list[str] | None = None) -> int:
         if options.list:
             print("\n".join(f"{mutant.identity} {mutant.kind:<10} {mutant}" for mutant in chosen))
             return 0
-        results = _run(chosen)
-    except (DeclarationError, BuildError) as error:
+        results = _run(chosen, options.tests)
+    except (DeclarationError, BuildError, session.ChildError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(table(results))
@@ -43,18 +45,36 @@ def main(words: list[str] | None = None) -> int:
     return int(any(result.outcome in SURVIVED for result in results))
 
 
-def _run(chosen: list[Mutant]) -> list[Result]:
+def _run(chosen: list[Mutant], tests: str) -> list[Result]:
     session.preload()
     matches: list[Result] = []
     core = [mutant for mutant in chosen if mutant.file.startswith(bench_core.FOLDER)]
-    if core:
-        sources_digest, tests_digest = digest(*bench_core.SOURCES), digest(*bench_core.test_files())
-        matches += _run_on(bench_core.CoreBench(BUILD / "work" / "core"), core, sources_digest, tests_digest)
     due = [mutant for mutant in chosen if mutant.file.startswith(bench_due.FOLDER)]
-    if due:
-        sources_digest, tests_digest = digest(*bench_due.SOURCES), digest(*bench_due.ROOMS)
-        matches += _run_on(bench_due.DueBench(BUILD / "work" / "due"), due, sources_digest, tests_digest)
+    BUILD.mkdir(parents=True, exist_ok=True)
+    # A folder of this run: the suite, too, runs a few mutants.
+    with tempfile.TemporaryDirectory(prefix="work-", dir=BUILD) as work:
+        if core:
+            files = _of_tests(bench_core.test_files(), tests)
+            sources_digest, tests_digest = digest(*bench_core.SOURCES), digest(*files)
+            core_bench = bench_core.CoreBench(Path(work) / "core", files)
+            matches += _run_on(core_bench, core, sources_digest, tests_digest)
+        if due:
+            files = _of_tests(bench_due.test_files(), tests)
+            sources_digest = digest(*bench_due.SOURCES)
+            tests_digest = digest(*(files if tests else bench_due.ROOMS))
+            due_bench = bench_due.DueBench(Path(work) / "due", files)
+            matches += _run_on(due_bench, due, sources_digest, tests_digest)
     return matches
+
+
+def _of_tests(files: list[str], part: str) -> list[str]:
+    """Files of tests that have a text in their path; an empty text leaves all."""
+    chosen = [file for file in files if part in file]
+    if not chosen:
+        raise BuildError(
+            f"no file of tests that run this part has {part!r} in its path; give part of {files[0]}"
+        )
+    return chosen
 
 
 def _run_on(
@@ -65,7 +85,8 @@ def _run_on(
 ) -> list[Result]:
     print("looking which test reaches which line; after a change of sources this takes minutes", flush=True)
     results = Results(BUILD / "results.jsonl")
-    runner = Runner(bench, bench.reach(), read_declarations(), results, sources_digest, tests_digest)
+    reach = bench.reach({mutant.file for mutant in mutants})
+    runner = Runner(bench, reach, read_declarations(), results, sources_digest, tests_digest)
     matches = []
     for number, result in enumerate(runner.run(mutants), 1):
         print(f"{number}/{len(mutants)} {result.outcome} {result.text}  ({result.by[-70:]})", flush=True)
@@ -77,6 +98,11 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
     parser.add_argument(
         "--files", default=bench_core.FOLDER, help="part of the path of the files [default: %(default)s]"
+    )
+    parser.add_argument(
+        "--tests",
+        default="",
+        help="part of the path of the files of tests that run [default: all that apply]",
     )
     parser.add_argument("--seed", default="1", help="which mutants [default: 1]")
     parser.add_argument("--count", type=int, default=150, help="how many [default: 150]")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, Final
 
 from tests.mutants import session
 from tests.mutants.generate import ROOT, Mutant
 from tests.mutants.native import Native
-from tests.mutants.reach import Reach, Recorder, Watch, blocks_of, reach_of
+from tests.mutants.reach import Reach, Recorder, Watch, blocks_of, reach_of, require_passed
 from tests.mutants.tree import BUILD, BuildError, digest
 
 FOLDER: Final = "firmware/core"
@@ -28,11 +28,14 @@ class CoreBench:
     ----------
     work : Path
         A folder of this process.
+    files : list of str
+        Files of the tests that run.
     """
 
-    def __init__(self, work: Path) -> None:
+    def __init__(self, work: Path, files: list[str]) -> None:
         self._native = Native(work)
         self._work = work
+        self._files = files
 
     def build(self, mutant: Mutant) -> Callable[[], None]:
         """Compile a mutant; what to call in a fork before its tests."""
@@ -43,28 +46,35 @@ class CoreBench:
         """Whether the compiler makes the same code of it."""
         return self._native.is_same_code(mutant)
 
-    def reach(self) -> Reach:
-        """Which test reaches which line; only files of tests that have changed run again."""
-        folder = BUILD / f"reach-core-{digest(*SOURCES)}"
+    def reach(self, files: Collection[str]) -> Reach:
+        """Which test reaches which line; only files of tests that have changed run again.
+
+        Parameters
+        ----------
+        files : collection of str
+            Files with mutants. Only if one of them is a header, the bindings are compiled again, which costs
+            13 s of CPU: they contain what headers define.
+        """
+        with_headers = not all(file.endswith(".cpp") for file in files)
+        folder = BUILD / f"reach-core-{digest(*SOURCES)}{'' if with_headers else '-cpp'}"
         kept = {
-            file: folder / f"{file.replace('/', '+')}-{_digest_of_tests(file)}.json" for file in test_files()
+            file: folder / f"{file.replace('/', '+')}-{_digest_of_tests(file)}.json" for file in self._files
         }
         stale = [file for file, path in kept.items() if not path.exists()]
         code = folder / "code.json"
         if stale or not code.exists():
             folder.mkdir(parents=True, exist_ok=True)
-            library = self._covered()
-            reach = reach_of(
-                session.call_in_fork(lambda: _look(library, stale)),
-                blocks_of(library, self._native.tree.folder),
-            )
+            library = self._covered(with_headers)
+            looked = session.call_in_fork(lambda: _look(library, stale))
+            require_passed(looked)
+            reach = reach_of(looked, blocks_of(library, self._native.tree.folder))
             for file in stale:
                 reach.of_file(file).save(kept[file])
             Reach({}, {f: dict.fromkeys(lines, frozenset()) for f, lines in reach.lines.items()}).save(code)
         return Reach.load([code, *kept.values()])
 
-    def _covered(self) -> Path:
-        """A build that notes every block that it enters."""
+    def _covered(self, with_headers: bool) -> Path:
+        """A build that notes every block that it enters; those of headers only if that is wanted."""
         recorder = self._work / "recorder.o"
         source = Path(__file__).with_name("recorder.cpp")
         process = subprocess.run(
@@ -73,7 +83,7 @@ class CoreBench:
         if process.returncode != 0:
             raise BuildError(process.stderr)
         objects = self._native.compile(self._native.recompiled(), "covered", _COVERED)
-        return self._native.link(objects, recorder)
+        return self._native.link(objects, recorder, inlined=not with_headers)
 
 
 def test_files() -> list[str]:

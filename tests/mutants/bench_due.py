@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import re
 import shlex
 import shutil
 import subprocess
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, Final
 
 from tests.mutants import session
 from tests.mutants.generate import ROOT, Mutant
-from tests.mutants.reach import Reach, Watch, reach_of
+from tests.mutants.reach import Reach, Watch, reach_of, require_passed
 from tests.mutants.tree import BUILD, BuildError, Tree, digest
 
 FOLDER: Final = "firmware/due"
@@ -37,11 +38,14 @@ class DueBench:
     ----------
     work : Path
         A folder of this process.
+    files : list of str
+        Files of the tests that run.
     """
 
-    def __init__(self, work: Path) -> None:
+    def __init__(self, work: Path, files: list[str]) -> None:
         work.mkdir(parents=True, exist_ok=True)
         self._work = work
+        self._files = files
         self._tree = Tree(work / "tree")
         flags = (ROOT / FOLDER / "compile.flags").read_text(encoding="utf-8").split()
         self._flags = [flag for flag in flags if flag != "-g" and not flag.startswith("-W")] + ["-w"]
@@ -63,22 +67,22 @@ class DueBench:
         """Whether the linked program is the same; the mutant was built last."""
         return (self._work / "mutant.elf").read_bytes() == self._code
 
-    def reach(self) -> Reach:
+    def reach(self, _: Collection[str]) -> Reach:
         """Which test was seen to enter which function; these go first, and the others follow.
 
         A probe counts when its function returns. Fault handlers never do, a test that cuts the power or calls
         a function itself may not let it, and `test_registers.py` reads the text of a header.
         """
-        kept = BUILD / f"reach-due-{digest(*SOURCES, *ROOMS)}.json"
+        part = hashlib.sha256("\0".join(self._files).encode()).hexdigest()[:8]
+        kept = BUILD / f"reach-due-{digest(*SOURCES, *ROOMS)}-{part}.json"
         if not kept.exists():
             # The same code, with lines: other code would fail the tests of its cost and of its places.
             drivers = [source for source in self._sources if source.startswith(FOLDER)]
             objects = self._compile(drivers, "covered", [*self._flags, "-g", "-gdwarf-4"])
             elf = self._link(self._original | objects, "covered.elf")
             functions = _functions_of(elf, self._tree.folder)
-            looked = session.call_in_fork(lambda: _look(elf, sorted(functions)))
-            if looked["failed"]:
-                raise BuildError(f"{looked['failed'][0]} fails without a mutant; make it pass first")
+            looked = session.call_in_fork(lambda: _look(elf, sorted(functions), self._files))
+            require_passed(looked)
             seen = reach_of(looked, functions)
             every = frozenset(seen.costs_s)
             lines = {f: {line: tests or every for line, tests in of.items()} for f, of in seen.lines.items()}
@@ -155,7 +159,7 @@ class _Probes:
         return {address for board in boards for address in self._addresses if board.probe(address)[0] > 0}
 
 
-def _look(elf: Path, addresses: list[int]) -> dict[str, Any]:
+def _look(elf: Path, addresses: list[int], files: list[str]) -> dict[str, Any]:
     machine: Any = importlib.import_module("due_emulator.machine")
     probes = _Probes(addresses)
     load = machine.load_image
@@ -167,7 +171,7 @@ def _look(elf: Path, addresses: list[int]) -> dict[str, Any]:
     machine.load_image = load_and_watch
     session.use_firmware(elf)
     watch = Watch(probes.take, keeps_all=True)
-    session.run_pytest(test_files(), [watch], "--maxfail=100000")
+    session.run_pytest(files, [watch], "--maxfail=100000")
     return watch.result()
 
 

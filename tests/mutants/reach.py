@@ -19,6 +19,7 @@ import pytest
 
 from tests.mutants.generate import ROOT, Mutant
 from tests.mutants.tokens import tokens_of
+from tests.mutants.tree import BuildError
 
 MAX_COST_S: Final = 3.0
 """CPU time above which a test is left out: such a test fits, or starts programs without the mutant."""
@@ -161,13 +162,10 @@ class Watch:
         self._shared_s: dict[tuple[str, str], float] = defaultdict(float)
         self._not_passed: set[str] = set()
         self._failed: set[str] = set()
-        self._items: list[pytest.Item] = []
+        self._ran: list[pytest.Item] = []
         self._outer: list[set[int]] = []
         self._start_s = self._set_up_s = 0.0
         self._pending: set[int] = set()
-
-    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        self._items = list(items)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef[Any]) -> Generator[None, Any, Any]:
@@ -188,6 +186,8 @@ class Watch:
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, Any, Any]:
+        # Collected tests that a marker leaves out never get here, and share fixtures with those that do.
+        self._ran.append(item)
         self._take()
         self._pending = set()
         self._start_s, self._set_up_s = time.process_time(), 0.0
@@ -203,9 +203,14 @@ class Watch:
         if report.failed:
             self._failed.add(report.nodeid)
 
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        # A file that cannot be imported ends the run before the first test: no line would be reached.
+        if report.failed:
+            self._failed.add(report.nodeid)
+
     def result(self) -> dict[str, Any]:
         """Costs and entered functions of the tests that passed and are not too expensive."""
-        for item in self._items:
+        for item in self._ran:
             for (name, base), entered in self._shared.items():
                 if name in getattr(item, "fixturenames", ()) and item.nodeid.startswith(base):
                     self.entered[item.nodeid] |= entered
@@ -222,6 +227,20 @@ class Watch:
             "entered": {name: sorted(self.entered[name]) for name in costs_s},
             "failed": sorted(self._failed),
         }
+
+
+def require_passed(result: dict[str, Any]) -> None:
+    """Refuse a run in which a test failed without a mutant: the mutants that only it notices would survive.
+
+    Raises
+    ------
+    BuildError
+        It names the first tests that failed.
+    """
+    failed = result["failed"]
+    if failed:
+        more = f" and {len(failed) - 3} more" if len(failed) > 3 else ""
+        raise BuildError(f"{', '.join(failed[:3])}{more} failed without a mutant; make them pass first")
 
 
 def reach_of(result: dict[str, Any], lines_of_block: dict[int, set[tuple[str, int]]]) -> Reach:

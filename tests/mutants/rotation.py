@@ -64,7 +64,7 @@ def rotating(count: int, seed: str) -> list[tuple[Mutant, str]]:
 def run(count: int, seed: str) -> int:
     """Repeat so many mutants; 1 if a test does not notice its mutant any more."""
     session.preload()
-    bench = CoreBench(BUILD / f"rotating-{digest(*SOURCES)[:8]}")
+    bench = CoreBench(BUILD / f"rotating-{digest(*SOURCES)[:8]}", [])
     survived = 0
     for mutant, test in rotating(count, seed):
         outcome = session.run_tests(bench.build(mutant), {test: _LIMIT_s}, _REAL_s)

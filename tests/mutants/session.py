@@ -17,6 +17,7 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +39,8 @@ _ARGUMENTS: Final = (
     "-o", "medium_cpu_s=1e9", "--import-mode=importlib", "-o", "addopts=",
 )  # fmt: skip
 _DIE_WITH_PARENT: Final = 1  # PR_SET_PDEATHSIG
+_LAST_LINES: Final = 15
+"""Lines of a failed process that are shown: a traceback's end, with the frame that raised it."""
 _MEMORY_BYTES: Final = 8 << 30
 """A mutant that allocates without end stops here; a healthy run reserves below 3 GB."""
 
@@ -59,6 +62,26 @@ class Outcome:
     killed_by: str
     reason: str
     spent_s: float
+
+
+class ChildError(Exception):
+    """A process that looks which test reaches which line ended early.
+
+    Parameters
+    ----------
+    status : int
+        Exit status; negative for the number of a signal.
+    printed : str
+        Output of the process.
+    """
+
+    def __init__(self, status: int, printed: str) -> None:
+        ended = f"signal {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+        last = "\n".join(printed.strip().splitlines()[-_LAST_LINES:]) or "(it printed nothing)"
+        super().__init__(
+            f"the process that looks which test reaches which line ended with {ended}; "
+            f"correct what its last lines report:\n{last}"
+        )
 
 
 class Selection:
@@ -155,7 +178,8 @@ def run_tests(prepare: Callable[[], None], limits_s: dict[str, float], most_s: f
     child = os.fork()
     if child == 0:
         os.close(reading)
-        _in_child(lambda: _run_selection(prepare, limits_s, writing))
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        _in_child(lambda: _run_selection(prepare, limits_s, writing), nowhere)
     os.close(writing)
     output, ended = _read_until_end(reading, most_s)
     if not ended:
@@ -198,7 +222,8 @@ def files_of(names: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(name.partition("::")[0] for name in names))
 
 
-def _in_child(run: Callable[[], int]) -> None:
+def _in_child(run: Callable[[], int], output: int) -> None:
+    """Run a function, print to the file descriptor `output`, and end this process with its status."""
     status = 70
     try:
         os.setpgid(0, 0)
@@ -206,16 +231,27 @@ def _in_child(run: Callable[[], int]) -> None:
         if sys.platform == "linux":
             ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
         os.chdir(ROOT)
-        nowhere = os.open(os.devnull, os.O_RDWR)
-        for descriptor in (0, 1, 2):
-            os.dup2(nowhere, descriptor)
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        for descriptor in (1, 2):
+            os.dup2(output, descriptor)
         with tempfile.TemporaryDirectory(prefix="heli-mutant-") as folder:
             tempfile.tempdir = folder
             os.environ["TMPDIR"] = folder
             os.environ["PYTEST_DEBUG_TEMPROOT"] = folder
             status = run()
+    except BaseException:  # noqa: BLE001 - the parent reads why its child ended
+        _flush()
+        os.write(output, traceback.format_exc().encode())
     finally:
+        _flush()
         os._exit(status)
+
+
+def _flush() -> None:
+    """Write what Python still holds: a process that ends with `_exit` does not."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
 
 
 def _read_until_end(reading: int, most_s: float) -> tuple[bytes, bool]:
@@ -236,12 +272,27 @@ def _read_until_end(reading: int, most_s: float) -> tuple[bytes, bool]:
 
 
 def call_in_fork(run: Callable[[], object]) -> Any:
-    """The result of a function, as JSON, from a fork of this process."""
-    with tempfile.NamedTemporaryFile(suffix=".json") as file:
+    """The result of a function, as JSON, from a fork of this process.
+
+    Raises
+    ------
+    ChildError
+        The function failed, or the process ended before it returned; the message has its last lines.
+    """
+    with (
+        tempfile.NamedTemporaryFile(suffix=".json") as file,
+        tempfile.NamedTemporaryFile(suffix=".txt") as printed,
+    ):
+        # The child would write a second time what this process still holds.
+        _flush()
         child = os.fork()
         if child == 0:
-            _in_child(lambda: Path(file.name).write_text(json.dumps(run()), encoding="utf-8") * 0)
+            _in_child(
+                lambda: Path(file.name).write_text(json.dumps(run()), encoding="utf-8") * 0, printed.fileno()
+            )
         _, status = os.waitpid(child, 0)
         if status != 0:
-            raise RuntimeError(f"the process that looks where tests go ended with {status}")
+            raise ChildError(
+                os.waitstatus_to_exitcode(status), Path(printed.name).read_text(errors="replace")
+            )
         return json.loads(Path(file.name).read_text(encoding="utf-8"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -12,9 +13,9 @@ import pytest
 from tests.mutants import rotation, session
 from tests.mutants.declared import DeclarationError, read_declarations
 from tests.mutants.generate import ROOT, Mutant, mutants_of, sample, sources
-from tests.mutants.reach import Reach, Watch
+from tests.mutants.reach import Reach, Watch, require_passed
 from tests.mutants.results import Result, Results, table
-from tests.mutants.tree import digest
+from tests.mutants.tree import BuildError, digest
 
 SOURCE = """\
 #include <cstdint>
@@ -161,6 +162,63 @@ def test_the_cost_of_a_fixture_counts_for_each_test_that_uses_it(tmp_path: Path)
     assert costs_s["test_first"] >= 0.2
     assert costs_s["test_second"] >= 0.2
     assert costs_s["test_alone"] < 0.2
+
+
+SIDE_BY_SIDE = """
+import pytest
+
+@pytest.fixture(scope="session")
+def table(): pass
+
+def test_quick(table): pass
+
+@pytest.mark.slow
+def test_left_out(table): pass
+
+def test_wrong(): assert False
+"""
+
+
+def test_a_test_that_a_marker_leaves_out_has_no_cost_though_it_shares_a_fixture(tmp_path: Path) -> None:
+    file = tmp_path / "test_side_by_side.py"
+    file.write_text(SIDE_BY_SIDE, encoding="utf-8")
+
+    def look() -> dict[str, object]:
+        watch = Watch(set, keeps_all=True)
+        session.run_pytest([str(file)], [watch], "-m", "not slow")
+        return watch.result()
+
+    looked = session.call_in_fork(look)
+    assert [name.rpartition("::")[2] for name in looked["costs_s"]] == ["test_quick"]
+    with pytest.raises(BuildError, match="test_wrong failed without a mutant; make them pass first"):
+        require_passed(looked)
+
+
+def test_a_file_of_tests_that_cannot_be_imported_is_not_one_that_reaches_nothing(tmp_path: Path) -> None:
+    file = tmp_path / "test_broken.py"
+    file.write_text("import no_such_module", encoding="utf-8")
+
+    def look() -> dict[str, object]:
+        watch = Watch(set, keeps_all=True)
+        session.run_pytest([str(file)], [watch])
+        return watch.result()
+
+    with pytest.raises(BuildError, match="test_broken"):
+        require_passed(session.call_in_fork(look))
+
+
+def test_a_fork_that_fails_reports_its_last_lines_and_not_a_wait_status() -> None:
+    def look() -> None:
+        os.write(1, b"what a test printed\n")
+        raise KeyError("a name that nobody knows")
+
+    with pytest.raises(session.ChildError) as failed:
+        session.call_in_fork(look)
+    text = str(failed.value)
+    assert "exit status 70" in text and "what a test printed" in text
+    assert text.endswith("KeyError: 'a name that nobody knows'")
+    with pytest.raises(session.ChildError, match=r"signal SIGKILL; .*\n.*printed nothing"):
+        session.call_in_fork(lambda: os.kill(os.getpid(), signal.SIGKILL))
 
 
 def a_result(outcome: str, sources_digest: str = "s", tests_digest: str = "t") -> Result:
