@@ -11,6 +11,9 @@ LOGS ?= 4000
 CASES ?=
 CLAIMS ?=
 FILES ?= firmware/core
+TESTS ?=
+KINDS ?=
+CHECKS ?=
 SEED ?= 1
 COUNT ?= 150
 PARTS ?=
@@ -34,13 +37,13 @@ docs: ## build the site in build/docs/index.html; a warning or a broken link fai
 	@echo "open build/docs/index.html"
 
 quick: ## run the fast tests; use it after each edit
-	@.ci/test quick
+	@.ci/test quick $(TESTS)
 
-test: ## run all tests, style, types, static analysis and a short fuzzing
-	@.ci/test
+test: ## run all tests, style, types, static analysis and a short fuzzing; or some tests: make test [TESTS=tests/link]
+	@.ci/test all $(TESTS)
 
 long: ## run the same with the statistical tests at full length
-	@.ci/test long
+	@.ci/test long $(TESTS)
 
 check: ## run style, types and static analysis only
 	@.ci/setup test
@@ -56,7 +59,7 @@ blind: ## score the diagnosis on flights with hidden effects, into blind.json; c
 
 mutants: ## list small changes of the flight code that no test notices: make mutants [FILES=upload.cpp] [SEED=1] [COUNT=150]
 	@.ci/setup test
-	@.venv/bin/python -m tests.mutants --files $(FILES) --seed $(SEED) --count $(COUNT)
+	@.venv/bin/python -m tests.mutants --files $(FILES) --seed $(SEED) --count $(COUNT) $(if $(TESTS),--tests $(TESTS))
 
 fuzz: ## fuzz board, host and logs: make fuzz [FUZZ_S=60] [FRAMES=1000000] [LOGS=4000]; needs clang
 	@.ci/setup test
@@ -68,11 +71,11 @@ soak: ## keep a dashboard busy, and measure losses, memory and delays: make soak
 	@.ci/setup test
 	@.venv/bin/python -m tests.stress soak --minutes $(MINUTES) --seed $(SEED)
 
-attack: ## attack with faulty links, serial trouble, damaged logs, hostile clients and laws: make attack [SEED=1] [COUNT=150]
+attack: ## attack with faulty links, serial trouble, damaged logs, hostile clients and laws: make attack [SEED=1] [COUNT=150] [KINDS=logs]
 	@.ci/setup test
-	@.venv/bin/python -m tests.stress attack --seed $(SEED) --count $(COUNT)
+	@.venv/bin/python -m tests.stress attack --seed $(SEED) --count $(COUNT) $(if $(KINDS),--only $(KINDS))
 
-prove: ## prove claims about the flight code for all inputs: make prove [CLAIMS="parser"]; Linux on x86-64
+prove: ## prove claims about the flight code for all inputs: make prove [CLAIMS="parser duty:STEP"]; Linux on x86-64
 	@.ci/setup test
 	@.venv/bin/python firmware/proofs/prove.py $(CLAIMS)
 
@@ -80,9 +83,9 @@ firmware: ## build the firmware of the Due: make firmware [PINS=my.toml, for ano
 	@.ci/setup firmware
 	@.venv/bin/python firmware/pio/build.py $(if $(PINS),--pins "$(PINS)") run -e due
 
-release: ## check what a release needs, and build wheel and source archive in dist/; publishes nothing
+release: ## check what a release needs, and build wheel and source archive in dist/; publishes nothing: make release [CHECKS=citation]
 	@.ci/setup test
-	@.venv/bin/python .ci/release.py
+	@.venv/bin/python .ci/release.py $(CHECKS)
 
 clean: ## remove .venv and everything built; flights/ stays
 	rm -rf .venv build dist bench.json blind.json blind.png .pytest_cache .mypy_cache .ruff_cache .hypothesis

