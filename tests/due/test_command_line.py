@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from tests.due.conftest import Build
 
 pytestmark = pytest.mark.emulated
 
+GUARD_S = 120.0
+"""How long a failing test waits."""
 GDB = shutil.which("gdb-multiarch") or shutil.which("arm-none-eabi-gdb")
 
 
@@ -46,7 +49,7 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=GUARD_S,
     )
 
 
@@ -180,12 +183,14 @@ def test_gdb_over_tcp(image: Image) -> None:
     listener.close()
     thread = threading.Thread(target=server.serve, args=(port,), daemon=True)
     thread.start()
-    for _ in range(200):
+    give_up_s = time.monotonic() + GUARD_S
+    while True:
         try:
-            client = socket.create_connection(("127.0.0.1", port), timeout=10)
+            client = socket.create_connection(("127.0.0.1", port), timeout=GUARD_S)
             break
         except ConnectionRefusedError:
-            threading.Event().wait(0.01)
+            assert time.monotonic() < give_up_s, "nobody listens"
+            time.sleep(0.01)
     with client:
         client.sendall(b"+" + packet("qSupported"))
         reply = client.recv(1000)
@@ -193,7 +198,7 @@ def test_gdb_over_tcp(image: Image) -> None:
             reply += client.recv(1000)
         assert b"qXfer:features:read+" in reply
         client.sendall(packet("D"))
-        thread.join(timeout=10)
+        thread.join(timeout=GUARD_S)
     assert not thread.is_alive()
 
 
@@ -216,7 +221,7 @@ def test_a_real_gdb_reaches_a_function(program: Path, tmp_path: Path) -> None:
     script = [f"target remote :{port}", "break work", "continue", "print count", "info registers pc", "kill"]
     result = subprocess.run(
         [GDB, "-q", "-batch", *(part for line in script for part in ("-ex", line)), str(program)],
-        capture_output=True, text=True, check=False, timeout=60,
+        capture_output=True, text=True, check=False, timeout=GUARD_S,
     )  # fmt: skip
-    server.wait(timeout=20)
+    server.wait(timeout=GUARD_S)
     assert "$1 = 20" in result.stdout, result.stdout + result.stderr

@@ -8,7 +8,6 @@ import platform
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -30,15 +29,22 @@ class StopReading(Exception):
     """Ends a diagnosis at its first flight."""
 
 
+PATIENCE_S = 60.0
+"""How long a failing test waits."""
 KINDS = [catalogue()[name] for name in ("rotor_lag", "periodic_torque.pitch", "thrust_step.front")]
 
 
 def test_results_come_in_the_order_of_the_items() -> None:
-    def slow_at_first(number: int) -> tuple[int, str]:
-        time.sleep(0.05 if number == 0 else 0.0)
+    others_are_done = threading.Event()
+
+    def last_at_first(number: int) -> tuple[int, str]:
+        """The first item waits until the others are done, so that another thread does these."""
+        if number == 5:
+            others_are_done.set()
+        assert number or others_are_done.wait(PATIENCE_S)
         return number, threading.current_thread().name
 
-    results = parallel_map(slow_at_first, range(6), 2)
+    results = parallel_map(last_at_first, range(6), 2)
     assert [number for number, _ in results] == list(range(6))
     assert len({name for _, name in results}) == 2
 
@@ -67,14 +73,10 @@ def test_a_block_uses_the_given_number_of_threads(monkeypatch: pytest.MonkeyPatc
     with using_threads(3):
         with using_threads(None):
             assert default_thread_count() == 3
-        assert len({*parallel_map(_name_after_a_while, range(3))}) > 1
+        # Each item waits for the other two: with fewer threads they would never meet.
+        meeting = threading.Barrier(3, timeout=PATIENCE_S)
+        parallel_map(lambda _: meeting.wait(), range(3))
     assert default_thread_count() == 1
-
-
-def _name_after_a_while(_: int) -> str:
-    """Return the name of the thread, late enough that another thread takes the next item."""
-    time.sleep(0.05)
-    return threading.current_thread().name
 
 
 def test_linear_algebra_has_one_thread_during_a_diagnosis() -> None:

@@ -65,9 +65,9 @@ def test_a_real_gdb_stops_in_the_tick_and_names_its_lines(elf: Path) -> None:
     ]
     script = [part for line in lines for part in ("-ex", line)]
     process = subprocess.run(
-        [GDB, "-q", "-batch", *script, str(elf)], capture_output=True, text=True, check=False, timeout=60
+        [GDB, "-q", "-batch", *script, str(elf)], capture_output=True, text=True, check=False, timeout=120
     )
-    server.wait(timeout=20)
+    server.wait(timeout=120)
     output = process.stdout + process.stderr
     assert "tick_interrupt" in process.stdout, output
     assert "main.cpp" in process.stdout, output

@@ -21,7 +21,7 @@ from tests.sil.harness import Host, world
 pytestmark = pytest.mark.medium
 
 # Only how long a failing test takes.
-PATIENCE_s = 20.0
+PATIENCE_s = 120.0
 
 
 class Person:

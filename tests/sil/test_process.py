@@ -7,6 +7,7 @@ import select
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,7 @@ from tests.sil.harness import hello_frame
 pytestmark = pytest.mark.medium
 
 # Only how long a failing test takes.
-PATIENCE_s = 20.0
+PATIENCE_s = 120.0
 
 
 def has_ended(pid: int) -> bool:
@@ -53,6 +54,7 @@ def test_a_host_talks_to_it_as_to_hardware(speed: float | None) -> None:
 
 
 def test_lockstep_waits_for_a_host_that_says_nothing() -> None:
+    began_s = time.monotonic()
     with SilProcess(speed=None) as sil:
         transport = open_transport(sil.url)
         transport.write(hello_frame())
@@ -60,8 +62,9 @@ def test_lockstep_waits_for_a_host_that_says_nothing() -> None:
         while not ticks:
             ticks += sum(frame.id == MessageId.TELEMETRY for frame in parser.feed(transport.read(0.05)))
         transport.close()
-    # Unbounded, the simulation makes hundreds of thousands of ticks a second.
-    assert sil.counters["ticks"] < 20_000
+    # Without a host, simulated time is real time, and one frame allows 40 ms more. Unbounded, the simulation
+    # makes hundreds of thousands of ticks a second.
+    assert sil.counters["ticks"] <= 1e3 * (time.monotonic() - began_s) + 2 * 40
 
 
 def test_it_ends_when_the_process_that_started_it_is_killed(tmp_path: Path) -> None:

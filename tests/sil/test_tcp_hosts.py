@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import socket
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -12,6 +13,9 @@ from heli_host.link.session import Session
 from heli_host.link.transport import open_transport
 from heli_sim.sil.server import is_local
 from heli_sim.sil.tcp import PATIENCE_S, SILENT_S, TcpEndpoint
+
+GUARD_S = 60.0
+"""How long a failing test waits."""
 
 
 class FakeClock:
@@ -40,17 +44,17 @@ def endpoint(clock: FakeClock) -> Iterator[TcpEndpoint]:
 def connected(endpoint: TcpEndpoint) -> socket.socket:
     """Return a connection that the board's side may hold, or let wait."""
     host, port = endpoint.url.removeprefix("socket://").split(":")
-    opened = socket.create_connection((host, int(port)), timeout=5.0)
-    opened.settimeout(5.0)
+    opened = socket.create_connection((host, int(port)), timeout=GUARD_S)
+    opened.settimeout(GUARD_S)
     return opened
 
 
 def until(endpoint: TcpEndpoint, so: Callable[[bytes], bool]) -> None:
     """Let the board's side look at its port until something is so; the network may take a moment."""
-    for _ in range(20_000):
-        if so(endpoint.receive()):
-            return
-    pytest.fail("it never came")
+    give_up_s = time.monotonic() + GUARD_S
+    while not so(endpoint.receive()):
+        assert time.monotonic() < give_up_s, "it never came"
+        time.sleep(0.0005)
 
 
 def test_the_next_host_learns_which_host_has_the_board_and_waits(

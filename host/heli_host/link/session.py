@@ -192,9 +192,12 @@ class Session:
         driver.handshake_deadline_s = driver.transport.now_s() + self.handshake_timeout_s
         while not self._engine.handshake.is_open:
             driver.check()
-            if driver.transport.now_s() >= driver.handshake_deadline_s:
-                raise no_welcome(self._engine.parser, driver.transport.url, self.handshake_timeout_s)
+            # The clock is read before the port: the answer of a board that waits there counts, however long
+            # the machine let this thread wait.
+            is_late = driver.transport.now_s() >= driver.handshake_deadline_s
             driver.pump(READ_TIMEOUT_S)
+            if is_late and not self._engine.handshake.is_open:
+                raise no_welcome(self._engine.parser, driver.transport.url, self.handshake_timeout_s)
         driver.start()
         return self.welcome
 

@@ -15,7 +15,9 @@ from urllib.parse import urlencode
 
 from heli_sim.errors import EndpointError
 
-_STOP_s = 3.0
+_STOP_s = 60.0
+"""Longest wait for the end of the child [s]. A child that is killed leaves its port behind and reports no
+counters; on a busy machine it takes seconds to end in order."""
 
 
 class SilProcess:
