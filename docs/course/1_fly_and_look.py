@@ -11,7 +11,7 @@ import heli_host
 import matplotlib.pyplot as plt
 import numpy as np
 
-with heli_host.connect("sil://", land_on_exit=True) as heli:
+with heli_host.connect("sil://") as heli:
     print(heli)
     heli.take_off()
     heli.wait(3.0)

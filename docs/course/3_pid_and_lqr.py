@@ -86,7 +86,7 @@ law = from_gain(K, hover_V=linear_plant(rig).hover_V, name="mine")
 # %%
 rms_deg = {}
 for name in ("cascade", "mine"):
-    with heli_host.connect("sil://", land_on_exit=True) as heli:
+    with heli_host.connect("sil://") as heli:
         heli.take_off()
         heli.wait(2.0)
         heli.setpoint(elevation_deg=5.0, travel_deg=20.0)

@@ -17,11 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from heli_host.declaration import AXES, PARAMS, Channel, FollowingMessage, Param, State
-from heli_host.errors import ControllerError, FlightAborted, HeliError, fault_text
+from heli_host.errors import ControllerError, FlightAborted, HeliError, check_choice, fault_text
 from heli_host.link.channels import physical
 from heli_host.link.clock import TICK_S
 from heli_host.link.telemetry import Ticks
 from heli_host.samples import Sample
+from heli_host.vehicle import AFTER_LAW
 
 if TYPE_CHECKING:
     from heli_host.vehicle import AfterLaw, Vehicle
@@ -130,6 +131,7 @@ def run_controller(
     law, rate_Hz, duration_s, valid_s, after
         As in `heli_host.Heli.run_controller`, which calls this; so are errors.
     """
+    check_choice("after", after, AFTER_LAW)
     period_ticks = round(1.0 / (rate_Hz * TICK_S)) if rate_Hz > 0.0 else 0
     if period_ticks < _MIN_PERIOD_TICKS:
         most_Hz = 1.0 / (_MIN_PERIOD_TICKS * TICK_S)

@@ -37,6 +37,8 @@ Other packages add classes to this tree and list them in their ``errors.py``. Th
 from __future__ import annotations
 
 import errno
+import sys
+from collections.abc import Iterable
 from typing import ClassVar
 
 from heli_host.declaration import FAULTS, PARAMS, Fault, FaultSpec, LawError, MessageId, Param, Result, State
@@ -103,6 +105,11 @@ def printable(text: str) -> str:
         character if character.isprintable() else character.encode("unicode_escape").decode("ascii")
         for character in text
     )
+
+
+def announce(text: str) -> None:
+    """Print a line about the motors on standard error at once: the program may end before its result."""
+    print(printable(text), file=sys.stderr, flush=True)
 
 
 class HeliError(Exception):
@@ -332,6 +339,28 @@ class FlightDataError(HeliError):
     """A flight file without the columns, the units or the order that it needs."""
 
     exit_code = 5
+
+
+def check_choice(name: str, value: object, choices: Iterable[str]) -> None:
+    """Refuse a text that is not one of those that an argument takes.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument.
+    value : object
+        Text of the caller.
+    choices : iterable of str
+        Valid texts.
+
+    Raises
+    ------
+    ParameterError
+        The text is none of them.
+    """
+    listed = tuple(choices)
+    if value not in listed:
+        raise ParameterError(f"{name} is {value!r}", f"give {' or '.join(map(repr, listed))}")
 
 
 class LogError(HeliError):

@@ -20,10 +20,11 @@ from heli_host.declaration import (
     State,
     Takeover,
 )
-from heli_host.errors import BadLaw, FlightAborted, fault_text
+from heli_host.errors import BadLaw, FlightAborted, check_choice, fault_text
 from heli_host.law_program import LawProgram, check_number
 from heli_host.link.events import LAW_SIGNAL_NAMES
 from heli_host.samples import Sample
+from heli_host.vehicle import AFTER_LAW
 
 if TYPE_CHECKING:
     from heli_host.link.events import LinkEvent
@@ -232,6 +233,7 @@ def fly_law(
     duration_s, after, parameters
         As in `heli_host.Heli.fly_law`, which calls this; so are errors.
     """
+    check_choice("after", after, AFTER_LAW)
     first = engage(heli, program, parameters)
     end = first + round(duration_s * 1000.0)
 

@@ -26,8 +26,8 @@ from heli_host.vehicle import AfterLaw, Vehicle
 class Heli(Vehicle):
     """A connected helicopter; `connect` makes one.
 
-    `heli_host.vehicle.Vehicle` documents its parameters and what happens to the motors: they are switched off
-    at the end of the ``with`` block. This class adds flights of plans and of control laws.
+    `heli_host.vehicle.Vehicle` documents its parameters and what happens to the motors: an arm in the air
+    lands at the end of the ``with`` block. This class adds flights of plans and of control laws.
     """
 
     _program: LawProgram | None = None
@@ -228,7 +228,7 @@ def connect(
     baud: int = BAUD,
     reset_board: bool = False,
     keep_alive: bool = True,
-    land_on_exit: bool = False,
+    land_on_exit: bool = True,
     history_s: float = HISTORY_S,
     handshake_timeout_s: float = HANDSHAKE_TIMEOUT_S,
     reconnect_timeout_s: float = RECONNECT_TIMEOUT_S,
@@ -247,7 +247,7 @@ def connect(
     keep_alive : bool
         True repeats the last setpoint ten times per second; see `heli_host.vehicle.Vehicle`.
     land_on_exit : bool
-        True lands at the end of a ``with`` block, before the motors are switched off.
+        False switches the motors off at the end of a ``with`` block without an error, instead of landing.
     history_s : float
         Length of the history that `Heli.samples` can return [s].
     handshake_timeout_s : float

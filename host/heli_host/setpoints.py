@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 
 from heli_host.errors import SetpointError
 
@@ -64,6 +65,7 @@ def check_setpoint(targets_deg: Mapping[str, float], parameters: Mapping[str, fl
     """
     bounds = setpoint_bounds(parameters)
     for axis, value_deg in targets_deg.items():
+        _check_number(f"{axis} setpoint", value_deg, "degrees")
         least_deg, most_deg = bounds[axis].least_deg, bounds[axis].most_deg
         if not least_deg <= value_deg <= most_deg:
             raise SetpointError(
@@ -74,9 +76,17 @@ def check_setpoint(targets_deg: Mapping[str, float], parameters: Mapping[str, fl
 
 def check_voltages(front_V: float, back_V: float, parameters: Mapping[str, float]) -> None:
     """Refuse `front_V` and `back_V` unless the board takes both by its `parameters`: SetpointError."""
+    for motor, value_V in (("front", front_V), ("back", back_V)):
+        _check_number(f"{motor} voltage", value_V, "volts")
     least_V, most_V = parameters["motor_min_V"], parameters["motor_max_V"]
     if not (least_V <= front_V <= most_V and least_V <= back_V <= most_V):
         raise SetpointError(
             f"voltages {front_V:g} and {back_V:g} V are outside the board's limits",
             f"give {least_V:g} to {most_V:g} V, or set motor_min_V and motor_max_V",
         )
+
+
+def _check_number(name: str, value: object, unit: str) -> None:
+    """Refuse a value that is not a number, such as a text: SetpointError."""
+    if not isinstance(value, Real):
+        raise SetpointError(f"the {name} is {value!r}, not a number", f"give a number of {unit}, such as 3.0")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from heli_host.declaration import Fault, ParamsSource, Reset, State
@@ -185,7 +185,7 @@ class TelemetryView:
         return self.session.subscribe_events(callback)
 
     def wait(self, duration_s: float) -> None:
-        """Wait for `duration_s` of device time, at any speed of a simulation.
+        """Wait for `duration_s` of device time, at any speed of a simulation; for at least one tick.
 
         Parameters
         ----------
@@ -194,10 +194,34 @@ class TelemetryView:
 
         Raises
         ------
+        ParameterError
+            The time is negative, or not a finite number.
         LinkLost
             The board restarted, or could not be reached within the reconnect timeout.
         """
         self.session.wait(duration_s)
+
+    def pace(self, step_s: float, duration_s: float | None = None) -> Iterator[float]:
+        """Yield the device time that has passed [s], first 0 and then after each step, until a duration has
+        passed.
+
+        Parameters
+        ----------
+        step_s : float
+            Device time between two yields [s]; the last step is shorter.
+        duration_s : float or None
+            Device time until the end [s]; None for no end.
+
+        Raises
+        ------
+        LinkLost
+            As `wait`.
+        """
+        start_s, passed_s = self.latest.t_s, 0.0
+        while duration_s is None or passed_s < duration_s:
+            yield passed_s
+            self.wait(step_s if duration_s is None else min(step_s, duration_s - passed_s))
+            passed_s = self.latest.t_s - start_s
 
     def wait_until(self, predicate: Callable[[Sample], bool], timeout_s: float) -> Sample:
         """Wait until a sample meets a condition. Only the newest sample of each reading is tested.

@@ -5,21 +5,17 @@ from __future__ import annotations
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from heli_host.cli.flight_command import FlightOptions, FlownFlight, fly_plans
 from heli_host.cli.say import QUIET
-from heli_host.declaration import Takeover
+from heli_host.fly.flight_monitor import LAW_TAKEN_OVER
 from heli_host.law_program import LawProgram
 
 from heli_lab.law.trial import LawTrial
 
 if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
-    from heli_host.heli import Heli
-
-_LANDED: Final = Takeover.STATE.name.lower()
-"""Reason of the takeover that the board reports at each landing."""
 
 
 def fly_law(
@@ -27,7 +23,8 @@ def fly_law(
 ) -> tuple[FlownFlight, LawTrial]:
     """Fly a plan with a law.
 
-    After a completed flight, the caller must write its files.
+    The caller must write the files of the flight, and then call `FlownFlight.end`, which raises if the
+    board's own law took over.
 
     Parameters
     ----------
@@ -43,19 +40,19 @@ def fly_law(
     Returns
     -------
     flown : FlownFlight
-        The completed flight.
+        The flight, completed, or flown to its end by the board's own law.
     trial : LawTrial
         How well the law followed its setpoints.
 
     Raises
     ------
     FlightAborted
-        The flight was not completed. Its files have been written.
+        The flight ended early. Its files have been written.
     HeliError
         As `fly_plans`.
     """
     flown, taken_over = flown_with(program, options, plan, typed)
-    if not flown.summary.completed:
+    if not (flown.summary.completed or taken_over):
         flown.report()
         flown.write()
         # This raises FlightAborted.
@@ -76,7 +73,8 @@ def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) ->
         with tempfile.TemporaryDirectory() as folder:
             trial_options = replace(options, log=Path(folder) / "trial.mcap")
             flown, taken_over = flown_with(program, trial_options, plan)
-            flown.end()
+            if not taken_over:
+                flown.end()
             return LawTrial.of_log(flown.log, taken_over)
     finally:
         QUIET.reset(quiet_setting)
@@ -97,27 +95,20 @@ def flown_with(
     flown : FlownFlight
         The flight.
     taken_over : str
-        Why the board's own law took over; empty if it did not.
+        Why the board's own law took over and flew the plan to its end; empty if it did not.
 
     Raises
     ------
     HeliError
         As `fly_plans`.
     """
-    from heli_host.guest_law import engage, takeover_text
-
-    reasons: list[str] = []
-
-    def note_takeovers(heli: Heli) -> None:
-        """Collect the reasons of all takeovers except that of the landing, which ends the closed loop."""
-        texts = (takeover_text(event) for event in heli.session.events)
-        reasons.extend(text[0] for text in texts if text is not None and text[0] != _LANDED)
+    from heli_host.guest_law import engage
 
     flown = fly_plans(
         options,
         [plan],
         plan_names=[typed],
         on_taken_off=(lambda heli: engage(heli, program)) if program is not None else None,
-        on_flown=note_takeovers,
     )
-    return flown, ", ".join(reasons)
+    outcome, _, reason = flown.summary.outcome.partition(": ")
+    return flown, reason.partition(";")[0] if outcome == LAW_TAKEN_OVER else ""

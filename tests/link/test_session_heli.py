@@ -92,18 +92,18 @@ def test_the_ring_keeps_the_newest_whatever_the_pieces() -> None:
     assert ring.newest(3).tick.tolist() == newest.tick.tolist()[-3:]
 
 
-def test_leaving_the_block_stops_motors_that_may_run() -> None:
+def test_leaving_the_block_stops_motors_where_asked_to() -> None:
     board = FakeBoard()
-    with connected(board) as heli:
+    with connected(board, land_on_exit=False) as heli:
         heli.arm()
         heli.control()
     assert executed(board)[-1] == MessageId.STOP
     assert board.state is State.IDLE
 
 
-def test_leaving_the_block_by_an_error_stops_the_motors_too() -> None:
+def test_leaving_the_block_by_an_error_on_the_table_stops_the_motors() -> None:
     board = FakeBoard()
-    with pytest.raises(KeyboardInterrupt), connected(board, land_on_exit=True) as heli:
+    with pytest.raises(KeyboardInterrupt), connected(board) as heli:
         heli.arm()
         raise KeyboardInterrupt
     assert executed(board) == [MessageId.ARM, MessageId.STOP]
@@ -122,9 +122,9 @@ def test_a_failed_callback_does_not_keep_the_motors_running() -> None:
     assert executed(board)[-1] == MessageId.STOP
 
 
-def test_leaving_the_block_lands_where_asked_to() -> None:
+def test_leaving_the_block_in_the_air_lands() -> None:
     board = FakeBoard()
-    with connected(board, land_on_exit=True) as heli:
+    with connected(board) as heli:
         heli.arm()
         heli.control()
     assert executed(board)[-1] == MessageId.LAND

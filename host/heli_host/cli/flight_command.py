@@ -160,14 +160,9 @@ class FlownFlight:
         say_files([self.log, self.json, self.figure])
 
     def end(self) -> None:
-        """Raise KeyboardInterrupt after a flight that Ctrl-C ended, FlightAborted after any other flight that
-        was not completed.
-        """
+        """Raise FlightAborted after a flight that was not completed."""
         from heli_host.errors import FlightAborted
-        from heli_host.fly.interrupts import was_interrupted
 
-        if was_interrupted(self.summary.outcome):
-            raise KeyboardInterrupt
         if not self.summary.completed:
             # A fault's text says what to do already.
             explained = ";" in self.summary.outcome
@@ -181,7 +176,6 @@ def fly_plans(
     *,
     plan_names: Sequence[str] = (),
     on_taken_off: Callable[[Heli], object] | None = None,
-    on_flown: Callable[[Heli], object] | None = None,
 ) -> FlownFlight:
     """Fly plans on the board that the options name; write log and figure. The caller writes the summary.
 
@@ -193,8 +187,8 @@ def fly_plans(
         Plans to fly one after the other.
     plan_names : sequence of str
         The same as typed, for the truth file of a blind flight.
-    on_taken_off, on_flown : callable taking Heli, optional
-        Called when the plans begin, and after the landing.
+    on_taken_off : callable taking Heli, optional
+        Called when the plans begin.
 
     Raises
     ------
@@ -295,8 +289,6 @@ def fly_plans(
                 setup=_setup_record(options, parameters, plans) if on_taken_off is None else {},
                 on_taken_off=(lambda: on_taken_off(heli)) if on_taken_off is not None else None,
             )
-        if on_flown is not None:
-            on_flown(heli)
     lines = [*summary_lines(summary), f"board: {text}"]
     if watch is not None:
         lines.append(f"twin: {watch.words()}")

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from heli_host.declaration import Channel, Event, Fault, State, Trigger
+from heli_host.declaration import Channel, Event, Fault, State, Takeover, Trigger
 from heli_host.errors import FlightAborted, fault_text
-from heli_host.link.events import BOARD_RESTARTED, LinkEvent, state_text
+from heli_host.link.clock import TICK_S
+from heli_host.link.events import LinkEvent, state_text
 
 if TYPE_CHECKING:
+    from heli_host.declaration import EventMessage
     from heli_host.fly.recorder import Recorder
-    from heli_host.link.session import Session
+    from heli_host.vehicle import Vehicle
 
+LAW_TAKEN_OVER: Final = "law_taken_over"
+"""Beginning of the outcome of a flight in which the board's own law took over from an uploaded one."""
+_EXPECTED_TAKEOVERS: Final = (Takeover.COMMAND, Takeover.STATE)
+"""The host's own request, and the landing, which ends the closed loop."""
 _LOOK_S = 0.05
 _CLOSING_S = 2.0
 FLYING = (State.ARMED, State.CLOSED_LOOP, State.HOLD)
@@ -26,8 +32,8 @@ class FlightMonitor:
 
     Parameters
     ----------
-    session : Session
-        Session with the board.
+    heli : Vehicle
+        Board that flies.
     recorder : Recorder
         If it fails, the flight must end.
     end_when : callable returning str
@@ -37,11 +43,16 @@ class FlightMonitor:
     ----------
     was_closed : bool
         Whether the control loops have been closed in this flight.
+    takeover : str
+        Why and when the board's own law took over from an uploaded one; empty if it did not.
     """
 
-    def __init__(self, session: Session, recorder: Recorder, end_when: Callable[[], str]) -> None:
+    def __init__(self, heli: Vehicle, recorder: Recorder, end_when: Callable[[], str]) -> None:
         self.was_closed = False
-        self._session = session
+        self.takeover = ""
+        self._law_engaged_tick = 0
+        self._heli = heli
+        self._session = heli.session
         self._recorder = recorder
         self._end_when = end_when
         self._hears = False
@@ -65,6 +76,8 @@ class FlightMonitor:
         event : LinkEvent
             Any event of the link; called in the session's reading thread.
         """
+        if event.message is not None:
+            self._take_law_event(event.message)
         # The first event with a state that is not flying gives the cause; later ones are its consequences.
         message = event.message
         if not self._hears or self._ended_by or message is None or message.kind != Event.STATE:
@@ -72,6 +85,20 @@ class FlightMonitor:
         # A touchdown follows from a landing, whose event was lost if this is the first.
         if message.cause != Trigger.TOUCHDOWN:
             self._ended_by = "" if message.detail in FLYING else event.text
+
+    def _take_law_event(self, message: EventMessage) -> None:
+        """Remember the first takeover from an uploaded law that nobody requested."""
+        if message.kind == Event.LAW_ENGAGED:
+            self._law_engaged_tick = message.tick
+        if message.kind != Event.LAW_TAKEN_OVER or message.detail in _EXPECTED_TAKEOVERS or self.takeover:
+            return
+        known = message.detail in Takeover._value2member_map_
+        reason = Takeover(message.detail).name.lower() if known else f"reason {message.detail}"
+        flown_s = ((message.tick - self._law_engaged_tick) & 0xFFFFFFFF) * TICK_S
+        self.takeover = (
+            f"{LAW_TAKEN_OVER}: {reason} ({message.value:.3g}), {flown_s:.1f} s after the uploaded law "
+            "began; the board's own law flew the rest"
+        )
 
     def must_end(self) -> bool:
         """Whether the board does not fly any more, the recorder has failed, or the caller ends the flight."""
@@ -124,9 +151,7 @@ class FlightMonitor:
         """Return the outcome of a flight whose board has restarted; empty if it has not."""
         if self._session.counters.restarts == self._restarts:
             return ""
-        texts = (event.text for event in reversed(self._session.events) if event.kind == BOARD_RESTARTED)
-        text = next(texts, "the board restarted")
-        return f"aborted: {text} in flight, motors off; check its supply and the log's last events"
+        return f"aborted: {self._heli.restart_text()}"
 
     def fault(self) -> int:
         """Return the number of the fault in the newest sample."""

@@ -1,14 +1,12 @@
-"""The end of every flight: the arm comes down, or the motors go off."""
+"""The end of every flight of plans: the arm comes down, and the log goes on until it rests."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from heli_host.declaration import Channel, State, Trigger
-from heli_host.errors import fault_text
 from heli_host.flight.flown import LANDING
 from heli_host.fly.ticks import newest_tick, wait_ticks
-from heli_host.link.clock import TICK_S
 
 if TYPE_CHECKING:
     from heli_host.fly.flight_monitor import FlightMonitor
@@ -17,9 +15,6 @@ if TYPE_CHECKING:
     from heli_host.fly.route_stream import RouteStream
     from heli_host.vehicle import Vehicle
 
-NOT_LANDED: Final = "it did not land"
-"""How the outcome of a flight begins whose board did not land in time."""
-_LOOK_S = 0.05
 # The log ends at rest: these rows show the encoders' offsets and noise.
 _AFTER_TICKS = 200
 _DOWN = (State.IDLE, State.FAULT)
@@ -73,43 +68,22 @@ class Landing:
         """
         if not self._session.connected and not self._monitor.was_closed:
             return ""
+        # An idle board needs no landing, although a sample with this state may not have arrived yet.
+        has_flown = self._monitor.was_closed or self._session.state not in _DOWN
         trouble = ""
-        if self._monitor.restarted():
-            # An idle board needs no landing, although a sample with this state may not have arrived yet.
-            pass
-        elif self._session.state is State.ARMED:
-            self._heli.stop()
-        elif self._session.state not in _DOWN:
-            trouble = self._land_and_wait()
-        wait_ticks(self._session, _AFTER_TICKS)
+        if has_flown and not self._monitor.restarted():
+            trouble = self._heli.bring_down(
+                lambda: self._recorder.mark_phase(newest_tick(self._session), LANDING),
+                lambda: self._reports.report_landing(self._stream.t_s),
+            )
+        else:
+            wait_ticks(self._session, _AFTER_TICKS)
         newest = self._session.latest
-        if is_completed and not trouble and newest is not None:
+        if is_completed and newest is not None and not self._monitor.restarted():
             # The board may have landed by itself, if the host was suspended between the end of the plan and
             # the landing.
             _, channels = newest
             was_requested = channels[Channel.TRIGGER] in _REQUESTED
             if channels[Channel.STATE] in _DOWN and not was_requested:
                 return self._monitor.why_down()
-            return ""
         return trouble
-
-    def _land_and_wait(self) -> str:
-        """Land, wait until the motors are off, and return the reason if that failed; an empty text otherwise.
-        A board that does not land in time is stopped.
-        """
-        begin_tick = newest_tick(self._session)
-        emergency = self._session.state is State.EMERGENCY_LANDING
-        if self._session.state is not State.LANDING and not emergency:
-            self._heli.land(wait=False)
-        self._recorder.mark_phase(begin_tick, LANDING)
-        timeout_s = self._heli.params["landing_timeout_s"] + 3.0
-        until_tick = newest_tick(self._session) + round(timeout_s / TICK_S)
-        while self._session.state not in _DOWN:
-            if newest_tick(self._session) >= until_tick:
-                self._heli.stop()
-                return f"{NOT_LANDED} within {timeout_s:g} s; motors stopped"
-            self._reports.report_landing(self._stream.t_s)
-            self._session.wait_for(lambda: self._session.state in _DOWN, _LOOK_S)
-        if self._session.state is not State.FAULT or emergency:
-            return ""
-        return f"fault {fault_text(self._monitor.fault())}"

@@ -7,22 +7,22 @@ host's, at any speed of a simulation. Commands, which wait for an answer, go out
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from heli_host.declaration import Axes
 from heli_host.errors import CommandRefused, FlightAborted, HeliError, LinkLost
 from heli_host.fly.flight_monitor import FLYING, FlightMonitor
-from heli_host.fly.interrupts import Interrupts, name_of, was_interrupted
 from heli_host.fly.landing import Landing
 from heli_host.fly.progress import Progress, ProgressReports
 from heli_host.fly.route import Route
 from heli_host.fly.route_stream import RouteStream
 from heli_host.fly.ticks import newest_tick, wait_ticks
 from heli_host.fly.tracking import Tolerance, TrackingMonitor
+from heli_host.interrupts import Interrupts, name_of, was_interrupted
 from heli_host.link.channels import rad_per_count
 from heli_host.log.schema import LEVEL_WARNING
+from heli_host.rest_check import ANGLE_SHIFTED
 
 if TYPE_CHECKING:
     from heli_host.fly.recorder import Recorder
@@ -38,7 +38,7 @@ class Pilot:
 
     It owns the order of a flight and its outcome, and runs in the thread that calls `fly`. Setpoints go out
     from `RouteStream`, `FlightMonitor` decides that the flight must end, `Landing` brings the arm down. It
-    switches the motors off in the air only after a second interrupt, and if a landing takes too long.
+    switches the motors off in the air only after a second interrupt.
 
     Parameters
     ----------
@@ -66,7 +66,8 @@ class Pilot:
     Attributes
     ----------
     outcome : str
-        ``completed``; ``not_tracked`` with the axis and its error; or one line with the reason of the end.
+        ``completed``; ``not_tracked`` with the axis and its error; ``law_taken_over`` with the reason;
+        ``angle_shifted`` with the axis; or one line with the reason of the end.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class Pilot:
         self._recorder = recorder
         self._tracking = TrackingMonitor(tolerance or Tolerance(), rad_per_count(heli.params), axes)
         self._stream = RouteStream(heli, route, recorder, self._tracking)
-        self._monitor = FlightMonitor(heli.session, recorder, end_when or (lambda: ""))
+        self._monitor = FlightMonitor(heli, recorder, end_when or (lambda: ""))
         self._reports = ProgressReports(heli, route, on_progress)
         self._landing = Landing(heli, self._stream, recorder, self._monitor, self._reports)
         self._excitations = [piece for piece in route.pieces if piece.excitation is not None]
@@ -108,7 +109,7 @@ class Pilot:
         self._monitor.begin()
         try:
             self._fly_route()
-            self.outcome = self._tracking.verdict() or "completed"
+            self.outcome = self._monitor.takeover or self._tracking.verdict() or "completed"
         except KeyboardInterrupt as error:
             self.outcome = f"aborted: {name_of(error)}"
         except LinkLost as error:
@@ -191,13 +192,8 @@ class Pilot:
             trouble = self._landing.land(is_completed=self.outcome == "completed")
         except KeyboardInterrupt as error:
             self._interrupts.allow_no_more()
-            # A pending error of a callback must not delay the stop.
-            for _ in range(3):
-                with contextlib.suppress(HeliError):
-                    self._heli.stop()
-                    break
             moment_text = "again" if was_interrupted(self.outcome) else "while landing"
-            trouble = f"{name_of(error)} {moment_text}, motors stopped in the air"
+            trouble = self._heli.cut_motors(f"{name_of(error)} {moment_text}")
             self._note_interrupt(trouble)
         except LinkLost as error:
             trouble = f"link lost while landing: {error.cause}; the board lands by itself"
@@ -205,15 +201,31 @@ class Pilot:
             trouble = f"while landing: {error}"
         if trouble and (restarted := self._monitor.restarted()):
             trouble = "" if self.outcome == restarted else restarted.removeprefix("aborted: ")
-        if trouble and self.outcome == "completed":
-            self.outcome = f"aborted: {trouble}"
-        elif trouble and not self.outcome.startswith("link lost"):
-            self.outcome += f"; {trouble}"
+        self.outcome = _outcome_with(self.outcome, trouble)
 
     def _note_interrupt(self, text: str) -> None:
         # Half a record would cost the log more than a moment costs here.
         with self._interrupts.shielded():
             self._recorder.note("interrupt", text, LEVEL_WARNING)
+
+
+def _outcome_with(outcome: str, trouble: str) -> str:
+    """Return the outcome of a flight whose landing went wrong; a fault of the board comes first.
+
+    Parameters
+    ----------
+    outcome : str
+        Outcome of the route.
+    trouble : str
+        What went wrong from the landing on; empty if nothing did.
+    """
+    if not trouble or trouble in outcome:
+        return outcome
+    if outcome == "completed":
+        return trouble if trouble.startswith(ANGLE_SHIFTED) else f"aborted: {trouble}"
+    if trouble.startswith("fault "):
+        return f"aborted: {trouble}; {outcome.removeprefix('aborted: ')}"
+    return f"{outcome}; {trouble}"
 
 
 def _axes_bit_mask(axes: tuple[str, ...]) -> Axes:

@@ -87,5 +87,6 @@ class ProgressReports:
             self.error, self._callback = error, None
 
     def _call(self, t_s: float, phase: str, left_s: float | None) -> None:
-        if self._callback is not None:
+        # A board that has restarted has sent no sample yet.
+        if self._callback is not None and self._heli.session.latest is not None:
             self._callback(Progress(t_s, left_s, phase, self._heli.latest, self._heli.session.counters))

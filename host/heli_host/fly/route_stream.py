@@ -63,6 +63,7 @@ class RouteStream:
         self._lock = threading.Lock()
         self._streaming = False
         self._sent_tick = 0
+        self._coming_ends = list(route.pieces)
         self._coming_phases = _first_piece_of_phases(route)
         # The take-off lasts until the first phase of another name begins.
         take_off_s = next(
@@ -89,6 +90,9 @@ class RouteStream:
     def tick_of(self, piece: Piece) -> int:
         """Return the tick at which a piece of the route begins."""
         return self.start_tick + round(piece.start_s / TICK_S)
+
+    def _end_tick_of(self, piece: Piece) -> int:
+        return self.start_tick + round((piece.start_s + piece.duration_s) / TICK_S)
 
     def warm_up(self) -> None:
         """Evaluate the route once. The first evaluation takes 20 ms, most of it numpy's; at 50x real time
@@ -121,6 +125,11 @@ class RouteStream:
             if not self._streaming:
                 return
             self._tracking.take(ticks, self.taken_off_tick)
+            while self._coming_ends and tick >= self._end_tick_of(self._coming_ends[0]):
+                ended_piece = self._coming_ends.pop(0)
+                self._tracking.take_end(
+                    ticks, self._end_tick_of(ended_piece), ended_piece, not self._coming_ends
+                )
             while self._coming_phases and tick >= self.tick_of(self._coming_phases[0]):
                 begun_piece = self._coming_phases.pop(0)
                 self._recorder.mark_phase(self.tick_of(begun_piece), begun_piece.phase)

@@ -15,12 +15,12 @@ import numpy as np
 from heli_host.declaration import AXES
 from heli_host.errors import LogError, PlanError
 from heli_host.flight_checks import check_flight
-from heli_host.fly.interrupts import Interrupts
 from heli_host.fly.pilot import Pilot
 from heli_host.fly.plan import Plan, load_plan, take_off
 from heli_host.fly.progress import Progress
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.tracking import Tolerance
+from heli_host.interrupts import Interrupts
 from heli_host.log.blind import hide
 from heli_host.log.figure import write_figure
 from heli_host.log.reader import Log, read_log

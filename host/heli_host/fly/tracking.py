@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from heli_host.declaration import AXES, CHANNELS, Channel, State
 from heli_host.fly.keys import Number, PlanTable
+from heli_host.fly.route import RISE, SETTLE, Piece
 from heli_host.link.channels import ENCODERS, numbers
 from heli_host.link.clock import TICK_S
 from heli_host.link.telemetry import Ticks
@@ -114,6 +115,7 @@ class TrackingMonitor:
     worst_deg: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(AXES)))
 
     def __post_init__(self) -> None:
+        self._unreached = ""
         self._beyond_since_tick = np.full(len(AXES), -1, np.int64)
         self._peak_deg = np.zeros(len(AXES))
         # A row of raw numbers times this matrix is angle minus setpoint, shape (channels, axes).
@@ -146,6 +148,47 @@ class TrackingMonitor:
         for index, axis in enumerate(AXES):
             if axis in self.axes:
                 self._update_axis(index, tick, error_deg[:, index], is_beyond[:, index])
+
+    def take_end(self, ticks: Ticks, end_tick: int, piece: Piece, is_last: bool) -> None:
+        """Compare the end of a piece of the route with what the plan demands there.
+
+        The board limits the rate of its setpoints, and the error above is that from the limited setpoint. A
+        step that is too short for this rate ends far from its target without such an error.
+
+        Parameters
+        ----------
+        ticks : Ticks
+            Samples of the reading in which the piece ended.
+        end_tick : int
+            Device tick of the end.
+        piece : Piece
+            The piece.
+        is_last : bool
+            Whether the route ends here. Then the arm must have arrived at the target of a step. Otherwise the
+            board's setpoint must be there, or the arm.
+        """
+        tick = ticks.tick.astype(np.int64)
+        row = min(int(np.searchsorted(tick, end_tick & 0xFFFFFFFF)), len(tick) - 1)
+        raw = ticks.raw[row]
+        # The way to the first elevation is no segment of the plan, and a hold may wait for its end.
+        is_segment = piece.name not in (RISE, SETTLE)
+        if self._unreached or not is_segment or raw[Channel.STATE] != State.CLOSED_LOOP:
+            return
+        for index, axis in enumerate(AXES):
+            # The loop of travel makes the setpoint of pitch.
+            if axis not in self.axes or (axis == "pitch" and "travel" in self.axes):
+                continue
+            setpoint_deg = np.degrees(CHANNELS[_SETPOINTS[index]].scale) * raw[_SETPOINTS[index]]
+            angle_deg = float(self._deg_per_raw[:, index] @ raw) + setpoint_deg
+            demanded_deg = float(piece.end_deg[index])
+            reached_deg = [angle_deg] if is_last and piece.name == "step" else [angle_deg, setpoint_deg]
+            if min(abs(reached - demanded_deg) for reached in reached_deg) > self._bound_deg[index]:
+                self._unreached = (
+                    f"{NOT_TRACKED}: {axis} was at {angle_deg:.1f} degrees when its {piece.name} to "
+                    f"{demanded_deg:g} ended (allowed: {self._bound_deg[index]:g} from it); give the segment "
+                    f"more time, because the board moves the setpoint by at most {axis}_slew_deg_s"
+                )
+                return
 
     def _update_axis(
         self,
@@ -181,4 +224,4 @@ class TrackingMonitor:
                     f"{duration_s:.1f} s (allowed: {tolerance_text}); tune the gains for this rig, or widen "
                     "[tolerance] of the plan"
                 )
-        return ""
+        return self._unreached

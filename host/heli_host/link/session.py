@@ -7,6 +7,7 @@ bytes itself, and only that makes simulated time pass. The same calls then give 
 
 from __future__ import annotations
 
+import math
 import secrets
 import struct
 import threading
@@ -34,7 +35,7 @@ from heli_host.declaration import (
     VoltagesMessage,
     WelcomeMessage,
 )
-from heli_host.errors import LinkError, LinkLost, WaitTimeout
+from heli_host.errors import LinkError, LinkLost, ParameterError, WaitTimeout
 from heli_host.link.accounting import LinkCounters
 from heli_host.link.clock import TICK_S, ClockEstimate
 from heli_host.link.driver import READ_TIMEOUT_S, Driver
@@ -474,13 +475,17 @@ class Session:
     def wait(self, duration_s: float) -> None:
         """Wait until a sample arrives that is `duration_s` of device time later than the newest one now.
 
+        At least one tick passes: a loop that waits for a rest of less than a tick comes to its end.
+
         Parameters
         ----------
         duration_s : float
-            Device time [s].
+            Device time [s], rounded up to whole ticks.
 
         Raises
         ------
+        ParameterError
+            The time is negative, or not a finite number.
         WaitTimeout
             No sample has arrived yet, and none arrives within 5 s.
         LinkLost
@@ -488,12 +493,18 @@ class Session:
         HeliError
             A callback failed.
         """
+        if not 0.0 <= duration_s < math.inf:
+            raise ParameterError(
+                f"a wait of {duration_s} s is impossible", "give a number of seconds, 0 or more"
+            )
+        # The tolerance keeps 0.3 s at 300 ticks, although 0.3 / 0.001 is a little more.
+        ticks = max(math.ceil(duration_s / TICK_S - 1e-6), 1)
         account, handshake = self._engine.telemetry.account, self._engine.handshake
         if account.last is None and not self.wait_for(
             lambda: account.last is not None, _FIRST_SAMPLE_TIMEOUT_S
         ):
             raise WaitTimeout("the board sends no samples", "reset it, then connect again")
-        restarts, goal_tick = handshake.restarts, (account.last or 0) + round(duration_s / TICK_S)
+        restarts, goal_tick = handshake.restarts, (account.last or 0) + ticks
 
         def has_arrived() -> bool:
             return handshake.restarts != restarts or (account.last is not None and account.last >= goal_tick)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from heli_host.declaration import AXES
+from heli_host.declaration import AXES, Takeover
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight, FlightEvent
 from heli_host.flight.flown import LANDING, PHASE_EVENT, TAKE_OFF
@@ -39,6 +39,7 @@ _SERIOUS_EVENTS = frozenset(
         "fault",
         "link_lost",
         "link_restored",
+        "law_taken_over",
         "link_silent",
         "setpoint_rejected",
         "setpoint_stale",
@@ -263,7 +264,9 @@ def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
     if not len(flight):
         return
     phases = [event for event in flight.events if event.name == PHASE_EVENT]
-    serious_events = [event for event in flight.events if event.name in _SERIOUS_EVENTS]
+    serious_events = [
+        event for event in flight.events if event.name in _SERIOUS_EVENTS and not _is_end_of_law(event)
+    ]
     for event in phases:
         for panel in panels:
             panel.axvline(_time_in_figure_s(event, flight), color="#666666", lw=0.8, ls=":", zorder=2)
@@ -276,6 +279,13 @@ def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
             panel.axvline(_time_in_figure_s(event, flight), color="#c0202a", lw=1.0, zorder=2)
     for event in _events_with_room(serious_events, flight):
         _draw_label(panels[-1], _time_in_figure_s(event, flight), event.name.replace("_", " "), "#c0202a")
+
+
+def _is_end_of_law(event: FlightEvent) -> bool:
+    """Whether the board's own law took over because a landing or the host ended the flight of a law."""
+    return event.name == "law_taken_over" and any(
+        f"({reason.name.lower()};" in event.text for reason in (Takeover.COMMAND, Takeover.STATE)
+    )
 
 
 def _draw_label(panel: Axes, at_s: float, text: str, colour: str) -> None:

@@ -139,14 +139,22 @@ class LawGrade:
             "flights": [score.as_dict() for score in self.scores],
         }
 
+    def _settling_text(self) -> str:
+        """Return the mean settling time of the flights that settled, and their number if some did not."""
+        settled_s = [score.settling_s for score in self.scores if math.isfinite(score.settling_s)]
+        unsettled_count = sum(math.isinf(score.settling_s) for score in self.scores)
+        if not settled_s:
+            return "never" if unsettled_count else "–"
+        some_text = f" in {len(settled_s)} of {len(self.scores)}" if len(settled_s) < len(self.scores) else ""
+        return f"{np.mean(settled_s):.2f}{some_text}"
+
     def row(self) -> list[str]:
         """Return the cells of a table under `HEADS`."""
         if self.refused:
             return [self.label, *["–"] * 5, "refused", "–", "–"]
-        settling_s = self.mean("settling_s")
         return [
             self.label,
-            "never" if math.isinf(settling_s) else _format_number(settling_s, ".2f"),
+            self._settling_text(),
             _format_number(self.mean("overshoot_percent"), ".0f"),
             _format_number(self.mean("elevation_rms_deg"), ".3f"),
             _format_number(self.mean("travel_rms_deg"), ".3f"),

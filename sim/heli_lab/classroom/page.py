@@ -54,7 +54,12 @@ def _flights_per_figure(grades: Sequence[LawGrade]) -> list[tuple[dict[str, Flig
     list of (dict of Flight, str)
         For each figure: its flights by label, and the names of all but the first, for the caption.
     """
-    flight_by_label = {grade.label: grade.flight for grade in grades if grade.flight is not None}
+    # The flights differ by their seeds, so that the numbers of one differ from the means of the table.
+    flight_by_label = {
+        f"{grade.label}, first flight" + (", taken over" if grade.scores[0].ended else ""): grade.flight
+        for grade in grades
+        if grade.flight is not None
+    }
     if not flight_by_label:
         return []
     figures = []

@@ -196,7 +196,9 @@ class BoardInLockstep(Simulator):
     @override
     def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
         self._disconnect()
-        self._heli = heli = heli_host.connect(self._board_address(drawn, seed), history_s=1.0)
+        self._heli = heli = heli_host.connect(
+            self._board_address(drawn, seed), history_s=1.0, land_on_exit=False
+        )
         heli.take_off()
         heli.params["telemetry_batch_ticks"] = _BATCH_TICKS
         heli.session.read_interval_s = 0.001

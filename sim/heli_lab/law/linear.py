@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import casadi as ca
@@ -10,13 +10,20 @@ import control
 import numpy as np
 import numpy.typing as npt
 from heli_host.arrays import Floats
-from heli_host.declaration import LAW_INPUTS
+from heli_host.declaration import AXES, LAW_INPUTS
 
 from heli_lab.law.law import Law
 from heli_lab.tune.plants import LinearPlant
 
 BODE_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
 """Frequencies at which the margins are computed."""
+
+
+_MIN_DECAY_per_s: Final = 1e-3
+"""Slowest decay that counts as stable [1/s]. It takes a quarter of an hour, so that nobody would see it; the
+rounding of a pole at 0 is far smaller."""
+_PROBE_rad: Final = np.radians(1.0)
+_PROBE_rad_s: Final = np.radians(5.0)
 
 
 @dataclass(frozen=True)
@@ -29,17 +36,21 @@ class LinearisedLaw:
         Poles of the closed loop, converted to those of a continuous system [1/s].
     gain_up, phase_deg : tuple of float
         Gain margin (largest factor on the gain) and phase margin, at the collective and at the differential,
-        with the other loop closed.
+        with the other loop closed; nan if the closed loop is not stable.
+    nonlinearity_V : float
+        Largest difference between the law's voltages and the linear law [V], over errors of `_PROBE_rad` and
+        `_PROBE_rad_s`. If it is large, poles and margins do not describe the law.
     """
 
     poles: npt.NDArray[np.complex128]
     gain_up: tuple[float, float]
     phase_deg: tuple[float, float]
+    nonlinearity_V: float
 
     @property
     def stable(self) -> bool:
-        """Whether all poles decay."""
-        return bool((self.poles.real < 1e-3).all())
+        """Whether all poles decay. A pole at 0, such as that of travel without feedback, does not."""
+        return bool((self.poles.real < -_MIN_DECAY_per_s).all())
 
 
 def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
@@ -63,13 +74,41 @@ def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
     closed = control.feedback(loop, control.ss([], [], [], np.eye(2), law.dt_s), sign=1)
     # A discrete pole z is that of a continuous system at log(z) / dt.
     log_poles = np.log(np.maximum(np.abs(closed.poles()), 1e-12)) + 1j * np.angle(closed.poles())
-    collective_gain, collective_deg = _margins(loop, 0)
-    differential_gain, differential_deg = _margins(loop, 1)
-    return LinearisedLaw(
-        log_poles / law.dt_s,
-        gain_up=(collective_gain, differential_gain),
-        phase_deg=(collective_deg, differential_deg),
+    result = LinearisedLaw(log_poles / law.dt_s, (np.nan,) * 2, (np.nan,) * 2, _nonlinearity_V(law))
+    if not result.stable:
+        return result
+    (collective_gain, collective_deg), (differential_gain, differential_deg) = (
+        _margins(loop, 0),
+        _margins(loop, 1),
     )
+    return replace(
+        result, gain_up=(collective_gain, differential_gain), phase_deg=(collective_deg, differential_deg)
+    )
+
+
+def _nonlinearity_V(law: Law) -> float:
+    """Return the largest difference [V] between a law and its linearisation, at errors of single axes."""
+    states = np.array([*law.states.values()], float)
+    parameters = np.array([*law.parameters.values()], float)
+
+    def volts_V(inputs: Floats) -> Floats:
+        """Evaluate both voltages of the law's first call."""
+        return np.asarray(ca.DM(law.function(inputs, states, parameters)[0]), float).ravel()[:2]
+
+    inputs, states_symbol = ca.SX.sym("u", len(LAW_INPUTS)), ca.SX.sym("x", len(law.states))
+    outputs, _ = law.function(inputs, states_symbol, ca.DM(parameters))
+    slopes = ca.Function("slopes", [inputs, states_symbol], [ca.jacobian(outputs[:2], inputs)])
+    level = np.zeros(len(LAW_INPUTS))
+    slope_V = np.asarray(ca.DM(slopes(level, states)), float)
+    largest_V = 0.0
+    for axis in AXES:
+        for name, size in ((f"{axis}_rad", _PROBE_rad), (f"{axis}_rad_s", _PROBE_rad_s)):
+            for signed_size in (size, -size):
+                probe = level.copy()
+                probe[LAW_INPUTS.index(name)] = signed_size
+                error_V = volts_V(probe) - volts_V(level) - slope_V @ probe
+                largest_V = max(largest_V, float(np.max(np.abs(np.nan_to_num(error_V, nan=np.inf)))))
+    return largest_V
 
 
 def _linear_regulator(law: Law) -> control.StateSpace:

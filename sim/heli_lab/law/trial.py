@@ -59,7 +59,7 @@ class LawTrial:
 
     def __str__(self) -> str:
         elevation, _, travel = responses(self.flight)
-        step = "travel step not flown to its end"
+        step = "travel step: not flown to its end"
         if not math.isnan(travel.step_deg):
             settling = (
                 "not settled" if math.isnan(travel.settling_s) else f"settling time {travel.settling_s:.1f} s"
@@ -67,9 +67,14 @@ class LawTrial:
             step = f"travel step: overshoot {travel.overshoot_percent:.0f} %, {settling}"
         over = f"; the board's control law took over: {self.taken_over}" if self.taken_over else ""
         return (
-            f"{step}; RMS error: elevation {elevation.rms_deg:.2f} deg, travel {travel.rms_deg:.2f} deg; "
-            f"effort {effort_V(self.flight):.2f} V{over}"
+            f"{step}; RMS error: elevation {_error_text(elevation.rms_deg)}, travel "
+            f"{_error_text(travel.rms_deg)}; effort {effort_V(self.flight):.2f} V{over}"
         )
+
+
+def _error_text(rms_deg: float) -> str:
+    """Return a tracking error with its unit; a law may publish no setpoint, and then has no error."""
+    return "not measured (no setpoint)" if math.isnan(rms_deg) else f"{rms_deg:.2f} deg"
 
 
 def trial_plan(duration_s: float) -> Plan:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -55,6 +55,10 @@ GradedPlanOption = Annotated[
 ]
 _MAX_POLES = 4
 """Number of poles that `law check` prints."""
+TAKEN_OVER = "taken over"
+_LINEAR_V = 0.2
+"""Largest difference from the linear law up to which poles and margins describe a law [V]: a twentieth of the
+voltage that carries the arm. Saturations and dead zones outside of small errors stay below it."""
 _MIN_LOGS = 2
 _CHECK_s = 15.0
 """Flight time with the law on each rig of `law check` [s]."""
@@ -76,7 +80,8 @@ def check(
     """Report a control law's cost and stability margins, and fly it in simulation.
 
     The simulated rigs have random thrust and rotor lag. The code of the file runs with your rights. No real
-    board is used, and no file is written without --json.
+    board is used, and no file is written without --json. The exit code is 1 if the loop is not stable, or the
+    board had to take over.
 
     Example: `heli-host law check lqi.py --rigs 5`
     """
@@ -102,6 +107,7 @@ def check(
     linear = linearised(control_law, linear_plant(load_rig(rig)))
     say(*_stability_lines(linear))
     trials = _fly_random_rigs(program, rig, rigs, seed)
+    problems = _problems(linear, trials)
     write_result(
         json,
         {
@@ -113,9 +119,14 @@ def check(
             "poles": [[pole.real, pole.imag] for pole in linear.poles],
             "gain_margin": list(linear.gain_up),
             "phase_margin_deg": list(linear.phase_deg),
+            "linear_within_V": linear.nonlinearity_V,
             "trials": trials,
+            "problems": problems,
         },
     )
+    if problems:
+        say(*(f"problem: {problem}" for problem in problems))
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -130,7 +141,8 @@ def fly(
 ) -> None:
     """Fly a control law on the board, along a travel step and sines.
 
-    The board takes off and lands with its own control law. If the flight fails, that law takes over. Options
+    The board takes off and lands with its own control law. If the flight fails, that law takes over, and the
+    exit code is 4. Options
     and files are those of `heli-host fly`. --duration applies only without --plan. The code
     of the file runs with your rights.
 
@@ -150,6 +162,7 @@ def fly(
     flight_result.report()
     say(f"law {control_law.name}: {trial}")
     flight_result.write(law=control_law.name, trial=trial.as_dict())
+    flight_result.end()
 
 
 @app.command()
@@ -181,6 +194,7 @@ def compare(
     """
     from heli_host.cli.board import check_target
     from heli_host.cli.outputs import check_result_places
+    from heli_host.errors import FlightAborted
     from heli_host.log.comparison import comparison_lines, comparison_numbers, write_comparisons
 
     check_result_places(json, figure=figure)
@@ -198,6 +212,12 @@ def compare(
     if not write_result(json, result):
         say(*comparison_lines(numbers))
     say_files(figures)
+    taken_over = [label for label in flights if label.endswith(f"({TAKEN_OVER})")]
+    if taken_over:
+        raise FlightAborted(
+            f"the board took over from {len(taken_over)} of {len(flights)} laws",
+            "look at the reasons above, or try one with heli-host law check",
+        )
 
 
 @app.command()
@@ -321,11 +341,35 @@ def _stability_lines(linear: LinearisedLaw) -> list[str]:
     """Describe the slowest poles and the margins of both loops, as text."""
     slowest_poles = sorted(linear.poles, key=lambda pole: -pole.real)[:_MAX_POLES]
     poles = ", ".join(f"{pole.real:.2f}{pole.imag:+.2f}j" for pole in slowest_poles)
-    lines = [f"{'stable' if linear.stable else 'UNSTABLE'} around level; slowest poles {poles} 1/s"]
+    lines = [f"{'stable' if linear.stable else 'NOT STABLE'} around level; slowest poles {poles} 1/s"]
+    if linear.nonlinearity_V > _LINEAR_V:
+        lines.append(
+            "the law is not linear, and poles and margins do not describe it: at small errors its voltages "
+            f"differ by {linear.nonlinearity_V:.2g} V from the linear law"
+        )
+    if not linear.stable:
+        return lines
     loops = zip(("collective", "differential"), linear.gain_up, linear.phase_deg, strict=True)
     for loop, gain, phase_deg in loops:
         lines.append(f"{loop:13} gain margin {gain:.2f}, phase margin {phase_deg:.0f} deg")
     return lines
+
+
+def _problems(linear: LinearisedLaw, trials: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return why a law must not fly, one line per reason; none if the check found no problem."""
+    problems = []
+    if not linear.stable:
+        slowest = max(linear.poles, key=lambda pole: pole.real)
+        problems.append(
+            f"the pole at {slowest.real:.3g}{slowest.imag:+.3g}j 1/s does not decay: check the signs of the "
+            "gains, and that the law uses all three axes"
+        )
+    reasons = [trial["taken_over"] for trial in trials if trial["taken_over"]]
+    if reasons:
+        problems.append(
+            f"the board's own law had to take over on {len(reasons)} of {len(trials)} rigs: {reasons[0]}"
+        )
+    return problems
 
 
 def _fly_random_rigs(program: LawProgram, rig: str, count: int, seed: int) -> list[dict[str, Any]]:
@@ -391,7 +435,8 @@ def _fly_laws(
     flights: dict[str, Flight] = {}
     for label, program in programs.items():
         trial = fly_trial(program, options, trial_plan(duration_s))
-        flights[label] = trial.flight
+        # The label appears in the figure, whose curve ends at the takeover.
+        flights[f"{label} ({TAKEN_OVER})" if trial.taken_over else label] = trial.flight
         if trial.taken_over:
             say(f"law {label}: the board's control law took over: {trial.taken_over}")
     return flights

@@ -67,12 +67,14 @@ def tune(
 
     One set of gains must fly rigs that differ from the rig file: by 20 % in thrust, 3 % in counterweight, and
     with rotor lags from 0 to 0.15 s. If the rig file states a rotor_lag, the lags are within 25 % of it.
-    Without --save-params the gains are only tested.
+    Without --save-params the gains are only tested. If a test flight fails, the exit code is 4, and no
+    parameters are written.
 
     Example: `heli-host tune --rig mine.toml --save-params gains.toml`
     """
     from heli_host.cli.outputs import check_parameters_place, check_result_places
     from heli_host.cli.progress_bar import WorkBar
+    from heli_host.errors import FlightAborted
     from heli_host.parameter_file import parameters_text
     from heli_host.parameters import checked
     from heli_sim.model.effects import effects_with
@@ -108,7 +110,10 @@ def tune(
             test_models.append(_TestModel(_lag_label(TRIAL_LAG_s), model_with_lag))
         trials = _fly_test(test_models, base_rig, parameters, seed, bar)
     say(*_rig_lines(base_rig, name, design, loop_effects), *_margin_lines(design), *_flight_lines(trials))
-    if save_params is not None:
+    failures = [
+        f"{trial.label}: {trial.metrics.outcome}" for trial in trials if trial.metrics.outcome != "completed"
+    ]
+    if save_params is not None and not failures:
         design_text = ", ".join(
             (f"rig {base_rig.name}", f"model {name}", *(effect.name for effect in all_effects))
         )
@@ -120,7 +125,14 @@ def tune(
 
         flights = [(trial.label, trial.flight) for trial in trials]
         figure_of_design(design, flights).savefig(figure, dpi=120)
-    say_files((save_params, json, figure))
+    say_files((None if failures else save_params, json, figure))
+    if failures:
+        not_written = f"; {save_params} was not written" if save_params is not None else ""
+        raise FlightAborted(
+            f"{len(failures)} of {len(trials)} test flights with these gains failed: "
+            f"{failures[0]}{not_written}",
+            "check the rig file with heli-host rig check, or lower --sensitivity",
+        )
     if save_params is not None:
         say(
             f"to fly with these gains: heli-host fly hover --sil --rig {rig} --params {save_params}; "

@@ -66,8 +66,7 @@ def _apply_voltages(heli: Heli, front_V: float, back_V: float, duration_s: float
     from heli_host.declaration import Axes, State
     from heli_host.errors import CommandRefused, FlightAborted, fault_text
 
-    start_s = heli.latest.t_s
-    while (passed_s := heli.latest.t_s - start_s) < duration_s:
+    for _ in heli.pace(REFRESH_S, duration_s):
         try:
             heli.control(Axes(0), front_V, back_V)
         except CommandRefused as refused:
@@ -76,7 +75,6 @@ def _apply_voltages(heli: Heli, front_V: float, back_V: float, duration_s: float
             if heli.state is not State.FAULT:
                 raise
             raise FlightAborted(f"the board switched the motors off: {fault_text(heli.fault)}") from refused
-        heli.wait(min(REFRESH_S, duration_s - passed_s))
 
 
 VERB = Verb(motors, "Board")

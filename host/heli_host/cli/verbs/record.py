@@ -64,15 +64,10 @@ def record(
         recorder = Recorder(heli, path, rig_name=rig_name(rig, simulated=sil))
         try:
             with recorder, LiveLine() as live:
-                start_s = heli.latest.t_s
-                passed_s = 0.0
-                while duration_s is None or passed_s < duration_s:
-                    heli.wait(STEP_S if duration_s is None else min(STEP_S, duration_s - passed_s))
+                for passed_s in heli.pace(STEP_S, duration_s):
                     recorder.check()
-                    sample = heli.latest
-                    passed_s = sample.t_s - start_s
                     left_s = None if duration_s is None else duration_s - passed_s
-                    live.show(sample, heli.counters, t_s=passed_s, phase="recording", left_s=left_s)
+                    live.show(heli.latest, heli.counters, t_s=passed_s, phase="recording", left_s=left_s)
         except KeyboardInterrupt:
             # A recording without --duration ends this way.
             pass

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from heli_host.declaration import Axes
     from heli_host.fly.recorder import Recorder
     from heli_host.heli import Heli
+    from heli_host.samples import Sample
 
 STEP_S = 0.1
 """Device time between two looks at the clock."""
@@ -73,8 +74,9 @@ def setpoint(
         )
     from heli_host.cli.board import check_board_rig, clear_latched_fault, open_board
     from heli_host.declaration import Axes
-    from heli_host.errors import LogWriteError
+    from heli_host.errors import FlightAborted, HeliError
     from heli_host.fly.recorder import Recorder
+    from heli_host.interrupts import name_of
     from heli_host.log.disk import check_new
     from heli_host.open_loop import ALL_AXES
     from heli_host.setpoints import check_setpoint
@@ -93,36 +95,42 @@ def setpoint(
         if log is not None:
             recorder = Recorder(heli, log, rig_name=rig_name(rig, simulated=sil))
             stack.enter_context(recorder)
+        error: HeliError | None = None
+        sample: Sample | None = None
         try:
-            _begin_control(heli, axes, take_off)
-            _hold_setpoints(heli, targets_deg, duration_s, recorder)
-        except (KeyboardInterrupt, LogWriteError):
-            if heli.motors_may_run:
-                heli.land()
-            raise
-        sample = heli.latest
-        say(
-            f"elevation {sample.elevation_deg:.1f}, pitch {sample.pitch_deg:.1f}, "
-            f"travel {sample.travel_deg:.1f} deg after {duration_s:g} s"
-        )
-        if keep:
-            # Ends the session but not the flight; the board holds level, and lands when nobody takes over.
-            heli.session.close()
-            say("left flying: the board holds level, and lands unless another command takes over")
-        else:
-            heli.land()
-            say("landed")
+            with heli.landing_on_error():
+                _begin_control(heli, axes, take_off)
+                _hold_setpoints(heli, targets_deg, duration_s, recorder)
+                sample = heli.latest
+                say(
+                    f"elevation {sample.elevation_deg:.1f}, pitch {sample.pitch_deg:.1f}, "
+                    f"travel {sample.travel_deg:.1f} deg after {duration_s:g} s"
+                )
+                if keep:
+                    heli.leave_flying()
+                    say("left flying: the board holds level, and lands unless another command takes over")
+                else:
+                    heli.land()
+                    say("landed")
+        except KeyboardInterrupt as interrupt:
+            notes = getattr(interrupt, "__notes__", ("the arm landed",))
+            error = FlightAborted(f"{name_of(interrupt)} ended the flight; {'; '.join(notes)}")
+        except HeliError as failure:
+            error = failure
         write_result(
             json,
             {
+                "outcome": "completed" if error is None else str(error),
                 "targets_deg": targets_deg,
                 "duration_s": duration_s,
-                "elevation_deg": sample.elevation_deg,
-                "pitch_deg": sample.pitch_deg,
-                "travel_deg": sample.travel_deg,
-                "landed": not keep,
+                "elevation_deg": sample.elevation_deg if sample else None,
+                "pitch_deg": sample.pitch_deg if sample else None,
+                "travel_deg": sample.travel_deg if sample else None,
+                "landed": error is None and not keep,
             },
         )
+        if error is not None:
+            raise error
 
 
 def _begin_control(heli: Heli, axes: Axes, take_off: bool) -> None:
@@ -153,10 +161,8 @@ def _hold_setpoints(
     from heli_host.errors import FlightAborted, fault_text
 
     heli.setpoint(**{f"{axis}_deg": value_deg for axis, value_deg in targets_deg.items()})
-    start_s = heli.latest.t_s
     with LiveLine() as live:
-        while (passed_s := heli.latest.t_s - start_s) < duration_s:
-            heli.wait(min(STEP_S, duration_s - passed_s))
+        for passed_s in heli.pace(STEP_S, duration_s):
             if recorder is not None:
                 recorder.check()
             sample = heli.latest

@@ -53,12 +53,8 @@ def _show_until(heli: Heli, duration_s: float | None) -> None:
     """Show the newest sample until `duration_s` has passed on the device; until Ctrl-C if it is None."""
     from heli_host.cli.live_display import LiveDisplay
 
-    start_s = heli.latest.t_s
-    passed_s = 0.0
     with LiveDisplay(LINE_EVERY_S) as live:
-        while duration_s is None or passed_s < duration_s:
-            heli.wait(STEP_S if duration_s is None else min(STEP_S, duration_s - passed_s))
-            passed_s = heli.latest.t_s - start_s
+        for passed_s in heli.pace(STEP_S, duration_s):
             if live.due:
                 _show_sample(heli, live, passed_s)
 
