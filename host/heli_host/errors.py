@@ -108,7 +108,13 @@ def printable(text: str) -> str:
 
 
 def announce(text: str) -> None:
-    """Print a line about the motors on standard error at once: the program may end before its result."""
+    """Print a line about the motors on standard error immediately: the program may end before its result.
+
+    Parameters
+    ----------
+    text : str
+        State of the motors and its cause, for a person next to the rig.
+    """
     print(printable(text), file=sys.stderr, flush=True)
 
 

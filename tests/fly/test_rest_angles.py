@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import heli_host
 import numpy as np
@@ -25,7 +26,7 @@ COUNT_DEG = 0.1
 def after(elevation_deg: object, pitch_deg: object, length_s: float = 20.0) -> Samples:
     """The samples since a landing, with constant angles or functions of the time in s."""
     tick = np.arange(round(length_s * 1e3))
-    columns = {field: np.zeros(len(tick)) for field in Samples.__dataclass_fields__}
+    columns: dict[str, Any] = {field: np.zeros(len(tick)) for field in Samples.__dataclass_fields__}
     for name, value in (("elevation_rad", elevation_deg), ("pitch_rad", pitch_deg)):
         columns[name] = np.radians(value(tick * 1e-3) if callable(value) else np.full(len(tick), value))
     return Samples(**{**columns, "tick": tick})

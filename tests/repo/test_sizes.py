@@ -11,9 +11,9 @@ import pytest
 pytestmark = pytest.mark.medium
 
 ROOT = Path(__file__).resolve().parents[2]
-LONGEST = 200
+LONGEST = 300
 """Lines of a class without docstrings, comments and blank lines."""
-LONGEST_FILE = 400
+LONGEST_FILE = 500
 """Lines of a file, with docstrings and comments."""
 MAX_LEVELS = 6
 """Files in the longest chain of imports in a package."""
@@ -62,7 +62,7 @@ def judgements(source: str, tree: ast.Module) -> list[str]:
     return sorted(matches)
 
 
-def test_no_class_is_longer_than_two_hundred_lines_of_code() -> None:
+def test_no_class_is_longer_than_three_hundred_lines_of_code() -> None:
     long = []
     for folder in ("host/heli_host", "sim/heli_sim", "sim/heli_lab"):
         for path, source, tree in trees(ROOT / folder):
@@ -74,7 +74,7 @@ def test_no_class_is_longer_than_two_hundred_lines_of_code() -> None:
     assert not long, "\n".join(long)
 
 
-def test_no_file_of_the_laboratory_is_longer_than_four_hundred_lines() -> None:
+def test_no_file_of_the_laboratory_is_longer_than_five_hundred_lines() -> None:
     files = (ROOT / "sim" / "heli_lab").rglob("*.py")
     assert not [path.name for path in files if len(path.read_text().splitlines()) > LONGEST_FILE]
 

@@ -162,7 +162,7 @@ class TrackingMonitor:
         end_tick : int
             Device tick of the end.
         piece : Piece
-            The piece.
+            Stretch that has ended; the way to the first elevation is not compared.
         is_last : bool
             Whether the route ends here. Then the arm must have arrived at the target of a step. Otherwise the
             board's setpoint must be there, or the arm.
