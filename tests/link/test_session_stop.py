@@ -15,8 +15,10 @@ from heli_host.declaration import (
     State,
 )
 from heli_host.errors import LinkError
+from heli_host.link.frames import FrameParser
+from heli_host.link.requests import RequestNumbers
 
-from tests.link.fake_board import FakeBoard, connected_session, ticks_of_received
+from tests.link.fake_board import FakeBoard, FakeLine, connected_session, ticks_of_received
 
 
 def test_stop_returns_before_its_answer_and_is_repeated_until_it_comes() -> None:
@@ -139,3 +141,50 @@ def test_many_threads_may_stop_at_once() -> None:
     session.wait(1.0)
     assert board.state == State.IDLE
     assert session.stops == 8
+
+
+def test_a_stop_passes_a_thread_that_keeps_the_lock_of_the_link() -> None:
+    board = FakeBoard()
+    session = connected_session(board)
+    session.command(ArmMessage(0))
+    line = session.transport
+    assert isinstance(line, FakeLine)
+    line.written.clear()
+    is_kept, may_release = threading.Event(), threading.Event()
+
+    def keep_the_lock() -> None:
+        with session._driver.lock:
+            # Half a frame, as of a thread that is interrupted while it writes.
+            line.write(b"\x05half")
+            is_kept.set()
+            may_release.wait()
+
+    keeper = threading.Thread(target=keep_the_lock)
+    stopper = threading.Thread(target=session.stop_now)
+    keeper.start()
+    is_kept.wait()
+    stopper.start()
+    try:
+        while MessageId.STOP not in [frame.id for frame in FrameParser().feed(b"\0" + bytes(line.written))]:
+            assert stopper.is_alive()
+        # Read by the board while the lock is still kept.
+        board.feed(bytes(line.written))
+        assert board.state == State.IDLE
+        assert keeper.is_alive() and session.stops == 0
+    finally:
+        may_release.set()
+        keeper.join()
+        stopper.join()
+    session.wait(0.5)
+    assert session.stops == 1
+    assert not session._engine.commands.preempted
+    with pytest.raises(LinkError, match="a stop cancelled this command"):
+        session.command(ArmMessage(0))
+
+
+def test_a_stop_past_the_lock_has_a_number_of_its_own() -> None:
+    numbers = RequestNumbers(7)
+    for _ in range(600):
+        recent = {numbers.take() for _ in range(100)}
+        assert numbers.distant() not in recent
+        assert 1 <= numbers.distant() <= 255

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Self
 
+from heli_host.page.limits import MESSAGES_PER_S, RateLimit
 from heli_host.page.serve import Address
 from heli_host.page.wire import Rows, unpack
 from websockets.exceptions import WebSocketException
@@ -33,6 +34,7 @@ class SocketPage:
         self.answers = threading.Event()
         self.answers.set()
         self.number = 0
+        self._requests = RateLimit(MESSAGES_PER_S / 2, MESSAGES_PER_S / 2)
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
         self.until(lambda: "control" in self.known)
@@ -80,9 +82,15 @@ class SocketPage:
         return self.state
 
     def send(self, name: str, /, **arguments: Any) -> int:
+        self.wait_for_turn()
         self.number += 1
         self.socket.send(json.dumps({"do": name, "id": self.number, **arguments}))
         return self.number
+
+    def wait_for_turn(self) -> None:
+        """Wait until the server's limit permits one more request, as a hand does without thinking of it."""
+        while not self._requests.take():
+            time.sleep(self._requests.wait_s())
 
     def ask(self, name: str, /, **arguments: Any) -> dict[str, Any]:
         return self.answer(self.send(name, **arguments))

@@ -65,6 +65,7 @@ def test_every_action_refuses_what_is_no_finite_number(served: Served) -> None:
         for action, arguments in ARGUMENTS.items():
             for argument in arguments or ("extra",):
                 for text in NOT_FINITE:
+                    page.wait_for_turn()
                     page.number += 1
                     named = "".join(f'"{name}": "kp", ' for name in arguments if name != argument)
                     page.socket.send(

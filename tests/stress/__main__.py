@@ -1,10 +1,11 @@
-"""``python -m tests.stress soak|attack``: campaigns that anybody can repeat from their printed seeds."""
+"""``python -m tests.stress soak|attack|flood``: campaigns that anybody can repeat from a seed."""
 
 from __future__ import annotations
 
 import argparse
 
 from tests.stress.attack import ATTACKS, attack
+from tests.stress.flood import KINDS, floods
 from tests.stress.soak import soak
 
 
@@ -19,7 +20,14 @@ def main(words: list[str] | None = None) -> int:
     hostile.add_argument("--seed", type=int, default=1, help="which ones [default: 1]")
     hostile.add_argument("--count", type=int, default=50, help="flights of each kind [default: 50]")
     hostile.add_argument("--only", choices=ATTACKS, nargs="*", help="only these kinds")
+    flooded = campaigns.add_parser("flood", help="stops of a dashboard that other clients flood")
+    flooded.add_argument("--clients", type=int, default=60, help="how many [default: 60]")
+    flooded.add_argument("--seconds", type=float, default=8.0, help="how long each kind [default: 8]")
+    flooded.add_argument("--only", choices=KINDS, nargs="*", help="only these kinds")
     options = parser.parse_args(words)
+    if options.campaign == "flood":
+        kinds = tuple(options.only or KINDS)
+        return floods(options.clients, options.seconds, kinds, lambda line: print(line, flush=True))
     if options.campaign == "attack" and options.count < 1:
         parser.error(f"--count is {options.count}; give 1 or more")
     print(f"seed {options.seed}", flush=True)

@@ -6,12 +6,19 @@ import contextlib
 import threading
 from collections.abc import Callable
 
+from heli_host.declaration import StopMessage
 from heli_host.errors import HeliError, LinkError, LinkLost
 from heli_host.link.engine import Engine, Received
 from heli_host.link.subscribers import Subscribers
 from heli_host.link.transport import READ_INTERVAL_S, Transport, set_read_interval
 
 READ_TIMEOUT_S = 0.02
+
+LOCK_PATIENCE_S = 0.005
+"""Longest wait of a stop for the link's lock [s].
+
+A thread keeps the lock while it decodes one reading, or while it writes frames. Shorter: stops are sent twice
+for no reason. Longer: the stop comes later by as much."""
 
 _BACKOFF_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 # In lockstep a board that does not come back may take no time to say so.
@@ -98,6 +105,23 @@ class Driver:
         with self.lock, contextlib.suppress(LinkLost):
             if due := self._engine.outgoing(self.transport.now_s()):
                 self.transport.write(due)
+
+    def send_past_lock(self, command: type[StopMessage]) -> None:
+        """Send a command without the lock if another thread keeps it; do nothing if the lock is free.
+
+        Only for a stop: the frame may damage a frame that the other thread writes at the same moment. Both
+        senders then repeat theirs, because neither gets an answer.
+
+        Parameters
+        ----------
+        command : type of StopMessage
+            Message to send.
+        """
+        if self.lock.acquire(timeout=LOCK_PATIENCE_S):
+            self.lock.release()
+            return
+        with contextlib.suppress(LinkLost):
+            self.transport.write(self._engine.frame_past_lock(command))
 
     def wait_for(self, predicate: Callable[[], bool], timeout_s: float | None, step_s: float) -> bool:
         """Wait until a condition holds; see `heli_host.link.session.Session.wait_for`.

@@ -22,6 +22,7 @@ from heli_host.declaration import (
     Result,
     State,
     StatusMessage,
+    StopMessage,
     WelcomeMessage,
 )
 from heli_host.errors import LinkLost, fault_text
@@ -199,6 +200,18 @@ class Engine:
                 PingMessage(self._numbers.take(), round(now_s * 1e6)), now_s
             )
         return frames_out
+
+    def frame_past_lock(self, command: type[StopMessage]) -> bytes:
+        """Return the frame of a command that any thread may send without the callers' lock. Nothing changes.
+
+        The leading delimiter ends a frame that another thread has sent only in part.
+
+        Parameters
+        ----------
+        command : type of StopMessage
+            Message to send.
+        """
+        return b"\0" + encode_frame(command.ID, self._seq + 1, command(self._numbers.distant()).pack())
 
     def cut(self, now_s: float, wall_ns: int, reason: str) -> LinkEvent:
         """Record that the connection is lost; the handshake starts again after a reconnect.

@@ -33,6 +33,10 @@ class RequestNumbers:
         self._number = self._number % 255 + 1
         return self._number
 
+    def distant(self) -> int:
+        """Return a number that no request of the last 100 has had, and take none."""
+        return (self._number + 126) % 255 + 1
+
 
 class Command(Protocol):
     """A message that the board answers; every class of the declaration with a ``REPLY`` is one."""

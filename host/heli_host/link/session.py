@@ -291,8 +291,9 @@ class Session:
     def stop_now(self) -> None:
         """Switch both motors off: send the stop immediately and return without waiting for the answer.
 
-        May be called from any thread, also from a callback. The stop is repeated until the board answers, for
-        at most 2 s. A command that waits for its answer is cancelled, and setpoints are no longer repeated.
+        May be called from any thread, also from a callback. If another thread keeps the link's lock for more
+        than 5 ms, the first stop is sent without it. The stop is repeated until the board answers, for at
+        most 2 s. A command that waits for its answer is cancelled, and setpoints are no longer repeated.
         Until `release_stop` the session refuses commands that can start the motors (arm, control, excite,
         stream), because another thread may be about to send one. An arm in the air falls.
 
@@ -301,6 +302,7 @@ class Session:
         LinkError
             The session has ended. Use the rig's own stop switch.
         """
+        self._driver.send_past_lock(StopMessage)
         with self._driver.lock:
             self._stop_latched = True
             self._engine.streams.kept = None

@@ -21,6 +21,7 @@ from websockets.sync.client import ClientConnection, connect
 from heli_host.declaration import State
 from heli_host.errors import HeliError, LinkError, PortError, printable
 from heli_host.link.clock import TICK_S
+from heli_host.page.limits import MESSAGES_PER_S, POLICY_VIOLATION, RateLimit
 from heli_host.page.request import LONGEST_REQUEST
 from heli_host.page.source import KEPT_S, finite
 from heli_host.page.telemetry_buffer import TelemetryBuffer
@@ -29,6 +30,9 @@ from heli_host.samples import Samples, Scales
 
 SCHEME: Final = "page://"
 
+_REQUESTS_PER_S = MESSAGES_PER_S / 2
+"""Requests that a program sends per second [1/s]: the server disconnects faster ones. The other half is for
+the acknowledgements of telemetry, which the background thread sends."""
 _ANSWER_S = 10.0
 _OPEN_S = 5.0
 # The system refuses to wait for infinity.
@@ -67,6 +71,7 @@ class PageClient:
         self._values: dict[str, float] = {}
         self._answers: dict[int, Mapping[str, Any]] = {}
         self._number = 0
+        self._requests = RateLimit(_REQUESTS_PER_S, _REQUESTS_PER_S)
         self._is_closed = False
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._read_until_closed, name="heli-host joined", daemon=True)
@@ -195,8 +200,8 @@ class PageClient:
     def stop(self) -> None:
         """Switch both motors off, ahead of all other commands. Every client may. An arm in the air falls.
 
-        Opens a separate socket, so it waits for no other request; it returns after the server has sent the
-        stop to the board. May be called from any thread.
+        Opens a separate socket, which the server handles in a separate thread. The call returns after the
+        server has sent the stop to the board. May be called from any thread.
 
         Raises
         ------
@@ -214,6 +219,8 @@ class PageClient:
 
     def ask(self, name: str, /, *, timeout_s: float = _ANSWER_S, **arguments: Any) -> Mapping[str, Any]:
         """Send a request of the table in docs/how-to/dashboard.md and wait for the answer.
+
+        At most 50 requests are sent per second; a further one waits for its turn.
 
         Parameters
         ----------
@@ -239,9 +246,15 @@ class PageClient:
         with self._changed:
             self._number += 1
             number = self._number
+        text = _as_json({**arguments, "do": name, "id": number})
+        while not self._requests.take():
+            time.sleep(self._requests.wait_s())
         try:
-            self._socket.send(_as_json({**arguments, "do": name, "id": number}))
+            self._socket.send(text)
         except WebSocketException as error:
+            if self._socket.close_code == POLICY_VIOLATION:
+                cause = f"the dashboard disconnected this program: {self._socket.close_reason}"
+                raise LinkError(cause, "then join again") from error
             raise LinkError("the dashboard has ended", "start it again") from error
         if not self._wait_until(lambda: number in self._answers, timeout_s):
             raise LinkError(

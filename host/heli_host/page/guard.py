@@ -10,12 +10,12 @@ from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, Response
 from starlette.websockets import WebSocket
 
+from heli_host.page.limits import POLICY_VIOLATION
 from heli_host.page.notes import Notes
 
 LOCAL_HOSTS = frozenset(("127.0.0.1", "localhost", "::1"))
 
 _LONGEST_PATH = 200
-_POLICY_VIOLATION = 1008
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Guard:
             True if it was accepted.
         """
         if self.refusal(socket) is not None:
-            await socket.close(_POLICY_VIOLATION)
+            await socket.close(POLICY_VIOLATION)
             return False
         await socket.accept()
         return True

@@ -9,6 +9,7 @@ import time
 from starlette.websockets import WebSocket
 
 from heli_host.page.source import Source
+from heli_host.page.telemetry_buffer import NO_ROWS
 from heli_host.page.wire import pack
 
 FRAME_S = 0.05
@@ -43,6 +44,8 @@ class Outbox:
         Set by an acknowledgement.
     wants_rows : bool
         True if the client gets telemetry.
+    pending : int
+        Number of its requests that wait for their answers.
     """
 
     def __init__(self, socket: WebSocket, key: str, name: str) -> None:
@@ -53,6 +56,7 @@ class Outbox:
         self.acknowledged = 0
         self.may_send = asyncio.Event()
         self.wants_rows = True
+        self.pending = 0
         self._words: asyncio.Queue[str | None] = asyncio.Queue(_QUEUED)
         self._status = ""
 
@@ -99,8 +103,11 @@ class Outbox:
             Source of the telemetry and of the board's state.
         """
         position, sent_s = 0, 0.0
+        # The history takes half a megabyte: only a client that has answered an empty frame gets it.
+        self.sent = 1
+        await self.socket.send_bytes(pack(NO_ROWS, self.sent, source.state()))
         while True:
-            while self.sent - self.acknowledged >= UNACKNOWLEDGED:
+            while self.acknowledged == 0 or self.sent - self.acknowledged >= UNACKNOWLEDGED:
                 self.may_send.clear()
                 await self.may_send.wait()
             cut = source.buffer.rows_since(position, MAX_MESSAGE_ROWS)

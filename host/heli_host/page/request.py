@@ -12,7 +12,7 @@ from heli_host.page.source import finite
 
 LONGEST_REQUEST = 4096
 """Largest length of a request in characters. A mark of 200 escaped characters must fit. A much longer message
-could keep the event loop busy, and so delay the stop."""
+could keep the event loop busy, and so delay other clients."""
 
 _LONGEST_ID = 100
 

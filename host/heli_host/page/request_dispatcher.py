@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, Final
 
 from heli_host.errors import HeliError, file_remedy
 from heli_host.page.broadcast import Broadcast
@@ -15,7 +15,11 @@ from heli_host.page.notes import Notes
 from heli_host.page.outbox import Outbox
 from heli_host.page.request import BadRequest, read_request
 from heli_host.page.source import Action, CommandQueue, Role, Source
-from heli_host.page.stop_endpoint import StopEndpoint
+from heli_host.page.stop_endpoint import stop_motors
+
+MAX_PENDING: Final = 32
+"""Requests of a client that may wait for their answers at a time; more are refused. A page sends a setpoint
+every 50 ms, and its answer takes at most about 1 s."""
 
 _REPORT = "report it with the line in the server's log"
 
@@ -32,20 +36,15 @@ class RequestDispatcher:
         Runs the actions.
     lease : ControlLease
         Says who is the pilot.
-    stop : StopEndpoint
-        Way of a stop.
     broadcast : Broadcast
         Takes answers to the clients.
     notes : Notes
         The server's log.
     """
 
-    def __init__(
-        self, source: Source, lease: ControlLease, stop: StopEndpoint, broadcast: Broadcast, notes: Notes
-    ) -> None:
+    def __init__(self, source: Source, lease: ControlLease, broadcast: Broadcast, notes: Notes) -> None:
         self._source = source
         self._lease = lease
-        self._stop = stop
         self._broadcast = broadcast
         self._notes = notes
         self._tasks: set[asyncio.Task[None]] = set()
@@ -74,19 +73,28 @@ class RequestDispatcher:
             return
         name, message = request.name, request.message
         if name == "stop":
-            trouble = self._stop.stop()
+            trouble = stop_motors(self._source, self._notes)
             answer = {"answer": message.get("id"), "do": name}
             self._broadcast.tell(client, _refusal(message, trouble, "") if trouble else answer)
         elif name in ("ask", "grant", "keep", "share"):
             self._change_lease(client, name, message)
         elif name in self._source.actions:
+            if client.pending >= MAX_PENDING:
+                cause = f"{MAX_PENDING} of your requests wait for their answers"
+                self._broadcast.tell(client, _refusal(message, cause, "wait for an answer, then ask again"))
+                return
+            client.pending += 1
             # Not awaited: the next words of this client may be more urgent.
             task = asyncio.create_task(self._run_action(client, name, self._source.actions[name], message))
             self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            task.add_done_callback(lambda done: self._finish(client, done))
         else:
             cause = f"unknown request {name[:40]!r}"
             self._broadcast.tell(client, _refusal(message, cause, "see docs/reference/dashboard-protocol.md"))
+
+    def _finish(self, client: Outbox, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        client.pending -= 1
 
     def _change_lease(self, client: Outbox, name: str, message: Mapping[str, Any]) -> None:
         """Ask for control of the board, grant, refuse or share it; only the pilot decides."""

@@ -1,20 +1,27 @@
-"""Runs the page's web server in a separate thread."""
+"""Runs the page's web server: one thread accepts connections and serves the stop, another serves clients."""
 
 from __future__ import annotations
 
 import contextlib
 import socket
+import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import uvicorn
-
 from heli_host.errors import PortError, listening_remedy
+from heli_host.page.gate import Gate
 from heli_host.page.guard import LOCAL_HOSTS, Guard, new_token
+from heli_host.page.notes import Notes
+from heli_host.page.server import PageServer
 from heli_host.page.service import Service
 from heli_host.page.source import Source
+from heli_host.page.stop_endpoint import StopEndpoint
 
+_SWITCH_S = 0.001
+"""Time after which a thread that computes lets another one run [s]. A stop needs about eight turns, from the
+accepted connection to the port. With Python's 0.005 s and two busy threads, these take 80 ms."""
+_RECEIVE_BUFFER_BYTES = 65536
 _START_S = 10.0
 _END_S = 3.0
 
@@ -80,23 +87,13 @@ def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str =
     PortError
         The port is in use, or the address does not belong to this machine.
     """
-    guard = Guard(token or new_token(), host)
+    guard, notes = Guard(token or new_token(), host), Notes()
     listening = _open_socket(host, port)
-    config = uvicorn.Config(
-        Service(source, guard).application(),
-        log_level="warning",
-        access_log=False,
-        lifespan="on",
-        ws="websockets-sansio",
-        ws_max_size=65536,
-        ws_per_message_deflate=False,
-        timeout_graceful_shutdown=1,
-        server_header=False,
-    )
-    server = uvicorn.Server(config)
-    thread = threading.Thread(
-        target=server.run, kwargs={"sockets": [listening]}, name="heli-host page", daemon=True
-    )
+    server = PageServer(Service(source, guard, notes).application())
+    gate = Gate(listening, StopEndpoint(source, guard, notes), server.take, notes)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": []}, name="heli-host page", daemon=True)
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_S)
     thread.start()
     started = threading.Event()
     try:
@@ -108,11 +105,14 @@ def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str =
             raise PortError(
                 "the server of the dashboard did not start", "report this with the output of the server"
             )
+        gate.start()
         yield Address(host, listening.getsockname()[1], guard.token)
     finally:
+        gate.close()
         server.should_exit = True
         thread.join(_END_S)
         listening.close()
+        sys.setswitchinterval(before_s)
 
 
 def _open_socket(host: str, port: int) -> socket.socket:
@@ -120,6 +120,8 @@ def _open_socket(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    # Accepted connections inherit it: a client cannot make the system keep megabytes that nobody reads.
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
     # A stop is only a few bytes, which the system must send immediately instead of collecting more.
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     try:

@@ -1,4 +1,4 @@
-"""The page's web server: files, one WebSocket per client, and a separate WebSocket for the stop.
+"""The page's web server: files, and one WebSocket per client. `heli_host.page.gate` serves the stop.
 
 Every request needs the token, and pages of other origins are refused. A separate task serves each client at
 the rate at which the client acknowledges frames: a slow client gets fewer rows and delays no other client.
@@ -24,11 +24,11 @@ from heli_host.page.broadcast import Broadcast
 from heli_host.page.control_lease import ControlLease
 from heli_host.page.files import page_file
 from heli_host.page.guard import Guard
+from heli_host.page.limits import POLICY_VIOLATION, WATCHERS_PER_S, RateLimit
 from heli_host.page.notes import Notes
 from heli_host.page.outbox import Outbox
 from heli_host.page.request_dispatcher import RequestDispatcher, lease_news
 from heli_host.page.source import Source
-from heli_host.page.stop_endpoint import StopEndpoint
 
 STATUS_S = 0.1
 PRESENCE_S = 0.2
@@ -42,8 +42,8 @@ class Service:
     """Serves one source to any number of clients.
 
     It owns the connections: it accepts clients, reads what they send, and sends them status and telemetry.
-    Everything here runs in the event loop's thread. A stop goes through `StopEndpoint`, in the same thread,
-    as soon as its message is read. All other requests go through `RequestDispatcher`, which has the queues.
+    Everything here runs in the event loop's thread. All requests go through `RequestDispatcher`, which has
+    the queues. The stop has its own thread: see `heli_host.page.gate.Gate`.
 
     Parameters
     ----------
@@ -51,6 +51,8 @@ class Service:
         Board or replay that clients see and command.
     guard : Guard
         Decides which connections are accepted.
+    notes : Notes
+        The server's log.
 
     Attributes
     ----------
@@ -58,14 +60,15 @@ class Service:
         The connected clients and the pilot.
     """
 
-    def __init__(self, source: Source, guard: Guard) -> None:
+    def __init__(self, source: Source, guard: Guard, notes: Notes) -> None:
         self.lease = ControlLease()
         self._source = source
         self._guard = guard
-        self._notes = Notes()
+        self._notes = notes
         self._broadcast = Broadcast(self._notes)
-        self._stop = StopEndpoint(source, guard, self._notes)
-        self._dispatcher = RequestDispatcher(source, self.lease, self._stop, self._broadcast, self._notes)
+        self._dispatcher = RequestDispatcher(source, self.lease, self._broadcast, self._notes)
+        self._watchers = RateLimit(WATCHERS_PER_S, WATCHERS_PER_S)
+        self._watchers_turn = asyncio.Lock()
         self._status: Mapping[str, Any] = {}
         self._status_s = 0.0
         self._lease_status: Mapping[str, Any] = {}
@@ -80,8 +83,6 @@ class Service:
         return Starlette(
             routes=[
                 WebSocketRoute("/ws", self._serve_client),
-                WebSocketRoute("/stop", self._stop.serve_socket),
-                Route("/stop", self._stop.serve_post, methods=["POST"]),
                 Route("/{path:path}", self._serve_file, methods=["GET"]),
             ],
             lifespan=self._while_server_runs,
@@ -178,12 +179,24 @@ class Service:
         while True:
             message = await client.socket.receive()
             if message["type"] == "websocket.disconnect":
+                if message.get("code") == POLICY_VIOLATION:
+                    self._notes.warn(f"{client.name} is disconnected: {message.get('reason')}")
                 return
             data, text = message.get("bytes"), message.get("text")
             if data is not None:
                 self._take_acknowledgement(client, data)
             elif text is not None:
+                if client.key != self.lease.pilot:
+                    await self._wait_for_turn()
                 self._dispatcher.take(client, text)
+
+    async def _wait_for_turn(self) -> None:
+        """Wait until all clients but the pilot may send one more request. Meanwhile nothing of this client is
+        read, and the next ones wait in the order of their requests.
+        """
+        async with self._watchers_turn:
+            while not self._watchers.take():
+                await asyncio.sleep(self._watchers.wait_s())
 
     def _take_acknowledgement(self, client: Outbox, data: bytes) -> None:
         """Process an acknowledgement, which is also a sign of life of the client.

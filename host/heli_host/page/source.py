@@ -69,7 +69,8 @@ class Action:
 class Source(Protocol):
     """Subject of a page: a connected board (`Cockpit`) or a replayed log (`Replay`).
 
-    The server calls all methods from its event-loop thread, except `clear_stop`, which it calls in the thread
+    The server calls all methods from its event-loop thread, except `stop`, which it
+    calls in the thread of the stop, and `clear_stop`, which it calls in the thread
     of a `CommandQueue`. No method may block.
 
     Attributes

@@ -38,6 +38,15 @@ class BufferRows:
     thinned: bool
 
 
+NO_ROWS = BufferRows(
+    tick=np.empty(0, np.int64),
+    raw=np.empty((0, CHANNEL_COUNT), np.int32),
+    end=0,
+    reset=False,
+    thinned=False,
+)
+
+
 class TelemetryBuffer:
     """Keeps the newest `capacity` rows. One thread may append; any number of threads may read."""
 
