@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import socket
 import termios
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, cast
 
 import heli_host
 import pytest
@@ -23,10 +26,13 @@ from heli_sim.sil.endpoint import LineChange
 from heli_sim.sil.options import parse_options
 from heli_sim.sil.process import SilProcess
 from heli_sim.sil.pty import PtyEndpoint
-from heli_sim.sil.rfc2217 import Lines, Rfc2217Endpoint
+from heli_sim.sil.rfc2217 import Lines, Protocol, Rfc2217Endpoint
 from heli_sim.sil.server import serve
 from heli_sim.sil.world import SilWorld
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
+from tests.running.long import samples
 from tests.sil.harness import world
 from tests.sil.patient import PATIENT
 from tests.sil.ports import Bench, PtyHost
@@ -235,3 +241,82 @@ def test_bytes_that_mean_something_to_telnet_pass_unchanged() -> None:
         thread.join()
         endpoint.close()
     assert bytes(received) == everything
+
+
+class Wire:
+    """The network side of a server of the protocol: it keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.sent = bytearray()
+
+    def write(self, data: bytes) -> None:
+        self.sent += data
+
+
+def protocol_server() -> tuple[Protocol, Lines, Wire]:
+    lines, wire = Lines([]), Wire()
+    return Protocol(cast(Any, lines), cast(Any, wire)), lines, wire
+
+
+IAC, SB, SE, COM_PORT = b"\xff", b"\xfa", b"\xf0", b"\x2c"
+BYTE = st.integers(0, 255).map(lambda number: bytes((number,)))
+REQUEST = st.builds(
+    lambda option, value, end: IAC + SB + COM_PORT + option + value.replace(IAC, IAC + IAC) + end,
+    st.integers(0, 13).map(lambda number: bytes((number,))),
+    st.binary(max_size=6),
+    st.sampled_from((IAC + SE, IAC + SE, b"", IAC, SE, IAC + SB)),
+)
+NEGOTIATION = st.builds(
+    lambda command, option: IAC + command + option,
+    st.sampled_from((b"\xfb", b"\xfc", b"\xfd", b"\xfe")),
+    BYTE,
+)
+TRAFFIC = st.lists(st.one_of(st.binary(max_size=20), BYTE.map(lambda byte: IAC + byte), REQUEST, NEGOTIATION))
+
+
+@settings(max_examples=samples(5000, 300), deadline=None)
+@given(pieces=TRAFFIC, cuts=st.lists(st.integers(1, 7), min_size=1, max_size=5))
+@example(pieces=[IAC + SE], cuts=[1])
+@example(pieces=[IAC + SB + COM_PORT + b"\x01\x00" + IAC + SE], cuts=[9])
+@example(pieces=[IAC + SB + COM_PORT + b"\x03\x09" + IAC + SE], cuts=[9])
+@example(pieces=[IAC + SB + COM_PORT + b"\x0a" + IAC + SE], cuts=[9])
+def test_no_bytes_of_a_host_end_the_server_or_fill_its_memory(pieces: list[bytes], cuts: list[int]) -> None:
+    server, lines, wire = protocol_server()
+    traffic = b"".join(pieces)
+    at, passed = 0, b""
+    while at < len(traffic):
+        size = cuts[at % len(cuts)]
+        passed += b"".join(server.filter(traffic[at : at + size]))
+        at += size
+    assert len(passed) <= len(traffic)
+    assert len(server.suboption or b"") <= 64
+    # Whatever came before, a host that ends it and asks for a rate gets it.
+    request = IAC + SE + IAC + SE + IAC + SB + COM_PORT + b"\x01" + (250_000).to_bytes(4) + IAC + SE
+    assert len(b"".join(server.filter(request))) <= 2
+    assert lines.baudrate == 250_000
+    assert wire.sent.endswith(IAC + SB + COM_PORT + b"\x65" + (250_000).to_bytes(4) + IAC + SE)
+
+
+def test_a_request_without_end_keeps_a_few_bytes_only() -> None:
+    server, _, _ = protocol_server()
+    assert b"".join(server.filter(IAC + SB + bytes(1_000_000))) == b""
+    assert len(server.suboption or b"") == 64
+
+
+def test_a_host_that_asks_and_never_reads_is_disconnected() -> None:
+    endpoint = Rfc2217Endpoint()
+    ask = (IAC + SB + COM_PORT + b"\x07" + IAC + SE) * 5000
+    with socket.socket() as host:
+        host.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        host.connect(("127.0.0.1", int(endpoint.url.rpartition(":")[2])))
+        host.setblocking(False)
+        while endpoint._peer is None:
+            endpoint.receive()
+        try:
+            while endpoint._peer is not None:
+                with contextlib.suppress(BlockingIOError, ConnectionError):
+                    host.send(ask)
+                endpoint.receive()
+                assert len(endpoint._unsent) < 100_000
+        finally:
+            endpoint.close()
