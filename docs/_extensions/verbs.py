@@ -11,7 +11,7 @@ from docutils import nodes
 from docutils.parsers.rst import Directive
 from heli_host.cli import app
 
-EVERYWHERE = {"--help", "--quiet"}
+EVERYWHERE = {"--help", "--quiet", "--force"}
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Sequence[nodes.Node]]]) -> nodes.table:

@@ -47,6 +47,19 @@ MAX_CHARACTERS = 2000
 """Longest cause and longest instruction: a file may hold a name of a megabyte."""
 
 
+def install_remedy(extra: str) -> str:
+    """Return the command that installs an optional part of the package.
+
+    The package is on no index: an installation by its name could bring a foreign package.
+
+    Parameters
+    ----------
+    extra : str
+        Name of the part, such as ``page``.
+    """
+    return f"in your checkout of heli-lab, run: pip install -e '.[{extra}]'"
+
+
 def listening_remedy(error: Exception, option: str) -> str:
     """Return what to do when a program cannot listen on an address, by the reason of the `error`.
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from heli_host.errors import HeliError, PortError
+from heli_host.errors import HeliError, PortError, install_remedy
 from heli_host.foxglove_server import EVENT, HEADER, HOST, SETTINGS, TICKS
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED
@@ -64,7 +64,7 @@ class FoxgloveFeed:
 
     def __init__(self, heli: Vehicle, port: int = 0, *, hidden: bool = False) -> None:
         if importlib.util.find_spec("foxglove") is None:
-            raise HeliError("--foxglove needs foxglove-sdk", "pip install 'heli-host[foxglove]'")
+            raise HeliError("--foxglove needs foxglove-sdk", install_remedy("foxglove"))
         self.dropped = 0
         self._hidden = hidden
         self._transport = heli.session.transport

@@ -112,7 +112,7 @@ def test_a_missing_package_names_the_extra_of_campaigns(
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(CampaignError, match=package) as caught:
         Store(tmp_path / "out")
-    assert caught.value.remedy == "run: pip install 'heli-host[campaign]'"
+    assert caught.value.remedy == "in your checkout of heli-lab, run: pip install -e '.[campaign]'"
     assert not (tmp_path / "out").exists()
 
 

@@ -9,11 +9,11 @@ from heli_host.cli.entry import _line_and_exit_code
 @pytest.mark.parametrize(
     ("package", "remedy"),
     [
-        ("uvicorn", "pip install 'heli-host[page]'"),
-        ("rosbags.highlevel", "pip install 'heli-host[import]'"),
-        ("gymnasium", "pip install 'heli-host[gym]'"),
-        ("numpy", "pip install numpy"),
-        ("my_laws", "pip install my_laws"),
+        ("uvicorn", "pip install -e '.[page]'"),
+        ("rosbags.highlevel", "pip install -e '.[import]'"),
+        ("gymnasium", "pip install -e '.[gym]'"),
+        ("numpy", "pip install -e ."),
+        ("my_laws", "or install the package that contains it"),
     ],
 )
 def test_the_remedy_installs_the_extra(package: str, remedy: str) -> None:

@@ -148,7 +148,7 @@ def test_doctor_lists_optional_parts_and_how_to_add_them() -> None:
     lacking = next(finding for what, finding in notes.items() if "logs as Parquet" in what)
     assert lacking.verdict is Verdict.NOTE
     assert lacking.what == "not installed: logs as Parquet (needs pyarrow)"
-    assert lacking.remedy.endswith("pip install 'heli-host[export]'")
+    assert lacking.remedy.endswith("pip install -e '.[export]'")
     complete = next(what for what in notes if what.startswith("optional: "))
     assert "the Gymnasium environment" in complete and "logs as Parquet" not in complete
 

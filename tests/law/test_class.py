@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,15 +17,19 @@ from typing import Any
 
 import pytest
 from heli_host.cli import run
+from heli_host.cli.flight_command import FlightOptions
 from heli_host.errors import HeliError
+from heli_host.fly.plan import load_plan
 from heli_lab.classroom.grade import FlightScore
-from heli_lab.classroom.mark import WEIGHTS, Mark, mark_of, points_of
+from heli_lab.classroom.mark import FLOORS, POINTS, WEIGHTS, Mark, MIN_MOTION_deg, mark_of, points_of
+from heli_lab.classroom.marking import Marking
 from heli_lab.classroom.submission import MARKED, new_rig_log, read_submission, returned_files
 from heli_lab.law.limits import FileLimits
 from heli_lab.verbs.class_ import _write_marks
 
 from tests.law.class_of_thirty import HOSTILE, digest, make_class, mark_class, problems
 
+ROOT = Path(__file__).resolve().parents[2]
 REFERENCE = FlightScore(3.0, 10.0, 0.05, 0.8, 0.1)
 LIMITS = FileLimits(1.0)
 
@@ -58,11 +63,16 @@ def test_each_submission_is_answered_and_marked_the_same_again(tmp_path: Path, i
     names = {file.name for file in (student / MARKED).iterdir()}
     assert names == {"mark.json", "flight.mcap", "figure.png", "rig.mcap", "rig.png"}
     lines = (folder / "marks.csv").read_text().splitlines()
-    head = "submission,points,of,rms_deg,settling_s,overshoot_percent,effort_V,reason,rig"
-    assert len(lines) == 5 and lines[0] == head
+    head = "submission,points,of,rms_points,settling_points,overshoot_points,effort_points,"
+    assert len(lines) == 5
+    assert lines[0] == head + "rms_deg,settling_s,overshoot_percent,effort_V,reason,rig"
     (row,) = [row for row in csv.DictReader(lines) if row["submission"] == student.name]
-    parts = [float(row[name]) for name in WEIGHTS if row[name]]
+    parts = [float(row[name]) for name in POINTS.values() if row[name]]
     assert parts and sum(parts) == pytest.approx(float(row["points"]), abs=0.1)
+    # A column with a unit has the values of the flights, as they are in the mark.
+    mark = json.loads((student / MARKED / "mark.json").read_text())
+    efforts_V = [score["effort_V"] for score in mark["flights"]]
+    assert float(row["effort_V"]) == pytest.approx(sum(efforts_V) / len(efforts_V), rel=0.01)
 
 
 def test_a_flight_on_the_rig_is_kept_when_a_submission_is_marked_again(tmp_path: Path) -> None:
@@ -119,9 +129,41 @@ def test_the_points_of_each_number_add_up_to_the_mark() -> None:
     slow = replace(REFERENCE, settling_s=6.0, effort_V=0.2)
     mark = mark_of("ann", [slow, REFERENCE], [REFERENCE, REFERENCE])
     assert sum(mark.parts.values()) == pytest.approx(mark.points, abs=0.06)
-    assert {name for name in WEIGHTS if mark.parts[name] < WEIGHTS[name]} == {"settling_s", "effort_V"}
+    assert {name for name in WEIGHTS if mark.parts[POINTS[name]] < WEIGHTS[name]} == {
+        "settling_s",
+        "effort_V",
+    }
     without_step = replace(REFERENCE, settling_s=math.nan, overshoot_percent=math.nan)
-    assert set(mark_of("bob", [slow], [without_step]).parts) == {"rms_deg", "effort_V"}
+    assert set(mark_of("bob", [slow], [without_step]).parts) == {"rms_points", "effort_points"}
+
+
+def test_a_plan_that_only_holds_has_no_points(tmp_path: Path) -> None:
+    marking = Marking(FlightOptions(sil=True), load_plan("step"), (1,), LIMITS)
+    for number, segments in enumerate(
+        (
+            'kind = "hold"\nduration_s = 2',
+            'kind = "sine"\nelevation_amplitude_deg = 0.5\nelevation_period_s = 4\nduration_s = 8',
+        )
+    ):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (folder / "plan.toml").write_text(f'title = "Still"\n[[segment]]\n{segments}\n')
+        marked = marking.mark_submission(folder)
+        assert marked.mark.points == 0.0
+        assert marked.mark.reason.startswith("the plan only holds: its setpoints move by ")
+        assert not marked.may_fly
+    assert load_plan("hover").setpoint_range_deg == 0.0
+    assert load_plan("step").setpoint_range_deg > 2.0
+
+
+def test_the_page_states_every_number_that_limits_the_points() -> None:
+    page = (ROOT / "docs" / "tutorials" / "teaching.md").read_text()
+    for measure, weight in WEIGHTS.items():
+        (row,) = [line for line in page.splitlines() if f"| `{measure}` |" in line]
+        cells = [cell.strip() for cell in row.split("|")]
+        assert float(cells[3]) == weight
+        assert float(cells[4].split()[0]) == FLOORS[measure]
+    assert f"less than {MIN_MOTION_deg:g} degrees is refused" in page
 
 
 @pytest.mark.parametrize(

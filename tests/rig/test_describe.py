@@ -122,5 +122,9 @@ def test_the_impossible_is_one_line(terminal: Terminal, arguments: tuple[str, ..
 
 def test_rig_that_is_there_is_not_overwritten(terminal: Terminal) -> None:
     Path("mine.toml").write_text("mine")
-    assert "exists already" in refusal(terminal("rig", "new", "mine.toml", "--set", "M_f=1"), code=2)
+    line = refusal(terminal("rig", "new", "mine.toml", "--set", "M_f=1"), code=5)
+    assert "mine.toml exists, and heli-host did not write it" in line
     assert Path("mine.toml").read_text() == "mine"
+    Path("mine.toml").unlink()
+    assert terminal("rig", "new", "mine.toml", "--set", "M_f=355 g").code == 0
+    assert "exists already" in refusal(terminal("rig", "new", "mine.toml", "--set", "M_f=1"), code=2)

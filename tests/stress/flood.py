@@ -34,7 +34,7 @@ MESSAGES: Final = {
     "mark": json.dumps({"do": "mark", "id": 3, "text": "y" * 150}),
     "ask": json.dumps({"do": "ask", "id": 1}),
 }
-"""What a client of each kind repeats. It never reads."""
+"""Message that a client of each kind repeats. It never reads."""
 PACED: Final = "paced"
 """Clients that stay just below the limit of messages, with ``signal``."""
 CONNECT: Final = "connect"

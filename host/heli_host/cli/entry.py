@@ -18,12 +18,12 @@ import os
 import signal
 import stat
 import sys
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 import typer.main
 
-from heli_host.cli.verb import DISTRIBUTION, installed_verbs
+from heli_host.cli.verb import installed_verbs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,6 +60,14 @@ def _suppress_progress(wanted: bool) -> None:
         QUIET.set(True)
 
 
+def _replace_any_file(wanted: bool) -> None:
+    """Permit the replacement of files that the program did not write, for the option --force."""
+    if wanted:
+        from heli_host.output_files import FORCE
+
+        FORCE.set(True)
+
+
 @app.callback()
 def _common_options(
     version: Annotated[
@@ -72,6 +80,15 @@ def _common_options(
             "--quiet", "-q", callback=_suppress_progress, help="Print results and errors only, no progress."
         ),
     ] = False,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force",
+            callback=_replace_any_file,
+            is_eager=True,
+            help="Replace files that heli-host did not write, or that were edited.",
+        ),
+    ] = False,
 ) -> None:
     """Options that come before any verb."""
 
@@ -81,6 +98,19 @@ for _name, _verb in installed_verbs().items():
 
 # Typer raises its errors from click, or from its own copy of click since 0.25; this class is in both.
 _UsageError = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
+
+_OUTPUT_OPTIONS = {
+    "--figure",
+    "--json",
+    "--learn",
+    "--log",
+    "--output",
+    "--report",
+    "--save-params",
+    "--save-rig",
+    "--template",
+}
+"""Options of all verbs that name a file or folder to write."""
 
 EXIT_ASKED, EXIT_FILE, EXIT_BUG, EXIT_INTERRUPTED = 2, 5, 70, 130
 
@@ -120,9 +150,22 @@ def run(arguments: list[str] | None = None) -> int:
     return code if isinstance(code, int) else 0
 
 
+def _check_output(_context: object, parameter: Any, value: Any) -> Any:
+    """Refuse a place for a result that has a foreign file, before any work begins; return `value`."""
+    from pathlib import Path
+
+    from heli_host.output_files import check_replaceable
+
+    if value is not None and str(value) != "-":
+        is_report = "--report" in parameter.opts
+        for name in ("index.html", "result.json") if is_report else ("",):
+            check_replaceable(Path(value, name))
+    return value
+
+
 @functools.cache
 def command_line(verb: str | None = None) -> Callable[..., object]:
-    """Build the command line, and let each verb accept ``--quiet``, too.
+    """Build the command line, and let each verb accept ``--quiet`` and ``--force``, too.
 
     Parameters
     ----------
@@ -135,15 +178,18 @@ def command_line(verb: str | None = None) -> Callable[..., object]:
     reduced_app.registered_groups = [info for info in app.registered_groups if info.name == verb]
     is_verb = bool(reduced_app.registered_commands or reduced_app.registered_groups)
     command_group = typer.main.get_command(reduced_app if is_verb else app)
-    quiet = next(option for option in command_group.params if option.name == "quiet")
-    copied_option = copy.copy(quiet)
-    copied_option.expose_value = False
+    common = [copy.copy(option) for option in command_group.params if option.name in ("quiet", "force")]
+    for option in common:
+        option.expose_value = False
     commands = list(getattr(command_group, "commands", {}).values())
     while commands:
         command = commands.pop()
         commands += getattr(command, "commands", {}).values()
-        if not any("--quiet" in known.opts or "-q" in known.opts for known in command.params):
-            command.params.append(copied_option)
+        names = {name for known in command.params for name in known.opts}
+        command.params += [option for option in common if not names & set(option.opts)]
+        for parameter in command.params:
+            if _OUTPUT_OPTIONS & set(parameter.opts) and parameter.callback is None:
+                parameter.callback = _check_output
     return command_group
 
 
@@ -192,20 +238,24 @@ def _line_and_exit_code(error: Exception) -> tuple[str, int]:
         name = f"{error.filename}: " if error.filename else ""
         return f"{name}{error.strerror or error}; {file_remedy(error)}", EXIT_FILE
     if isinstance(error, ModuleNotFoundError):
-        return (
-            f"the Python package {error.name} is missing; run: {_install_command(error.name or '')}",
-            EXIT_ASKED,
-        )
+        return f"the Python package {error.name} is missing; {_module_remedy(error.name or '')}", EXIT_ASKED
     summary = " ".join(f"{type(error).__name__}: {error}".split())
     return f"unexpected {summary}; please report it with what HELI_DEBUG=1 prints", EXIT_BUG
 
 
-def _install_command(package: str) -> str:
-    """Return the command that installs a package, together with the others of its extra if it has one."""
-    from heli_host.cli.extras import extra_with
+def _module_remedy(package: str) -> str:
+    """Return how to get a missing package: by an extra, by a new installation, or from its author.
 
-    extra = extra_with(package)
-    return f"pip install '{DISTRIBUTION}[{extra}]'" if extra else f"pip install {package}"
+    The name of an unknown module is no command to install it: a stranger may offer a package of that name.
+    """
+    from heli_host.cli.extras import extra_with, needs
+    from heli_host.errors import install_remedy
+
+    if extra := extra_with(package):
+        return install_remedy(extra)
+    if needs(package):
+        return "in your checkout of heli-lab, run: pip install -e ."
+    return "correct its name in the file that imports it, or install the package that contains it"
 
 
 def _usage_text(error: Exception) -> tuple[str, int]:

@@ -34,6 +34,19 @@ def packages_of(extra: str) -> tuple[str, ...]:
     return tuple(re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in lines if marker.search(line))
 
 
+def needs(package: str) -> bool:
+    """Return whether heli-host itself needs a package.
+
+    Parameters
+    ----------
+    package : str
+        Import name of the package.
+    """
+    lines = importlib.metadata.requires(DISTRIBUTION) or []
+    names = {re.split(r"[^\w.-]", line, maxsplit=1)[0].lower() for line in lines if "extra ==" not in line}
+    return package.partition(".")[0].lower() in names
+
+
 def extra_with(package: str) -> str | None:
     """Return the users' extra that installs a package, or None.
 

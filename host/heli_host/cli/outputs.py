@@ -9,6 +9,7 @@ from typing import Final
 import typer
 
 from heli_host.cli.say import STDOUT
+from heli_host.output_files import check_replaceable
 
 FIGURE_ENDS: Final = (".png", ".pdf", ".svg")
 
@@ -18,6 +19,8 @@ def check_place(path: Path) -> None:
 
     Raises
     ------
+    ForeignFile
+        A file that the program did not write is there; see `heli_host.output_files`.
     typer.BadParameter
         If `path` is a folder, is below a file, may not be written, or is an option: then the option before it
         lacks its file.
@@ -32,6 +35,7 @@ def check_place(path: Path) -> None:
     if path.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
         reason = "it is a folder" if path.is_dir() else "you have no permission to write there"
         raise typer.BadParameter(f"cannot write {path}: {reason}; give another file")
+    check_replaceable(path)
 
 
 def check_parameters_place(path: Path | None) -> None:
@@ -44,6 +48,8 @@ def check_parameters_place(path: Path | None) -> None:
 
     Raises
     ------
+    ForeignFile
+        As `check_place` does.
     typer.BadParameter
         As `check_place` does, and for another file at this place.
     """
@@ -81,4 +87,5 @@ def check_result_places(*files: Path | None, figure: Path | None = None, report:
         if target is not None and str(target) != STDOUT:
             check_place(target)
     if report is not None:
-        check_place(report / "index.html")
+        for name in ("index.html", "result.json"):
+            check_place(report / name)

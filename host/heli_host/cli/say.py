@@ -68,6 +68,7 @@ def write_result(file: Path | None, content: Mapping[str, Any]) -> bool:
     import json
 
     from heli_host.files import RESULT_SCHEMA
+    from heli_host.output_files import write_text
 
     if file is None:
         return False
@@ -80,7 +81,7 @@ def write_result(file: Path | None, content: Mapping[str, Any]) -> bool:
         say_data(text)
         return True
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(text, encoding="utf-8")
+    write_text(file, text)
     return False
 
 

@@ -98,6 +98,22 @@ class Plan:
     text: str
     tolerance: Tolerance
 
+    @cached_property
+    def setpoint_range_deg(self) -> float:
+        """Range of the setpoints after the take-off, the largest of all axes [deg]; 0 if the plan only holds.
+
+        The landing does not count.
+        """
+        at_deg = np.array([self.start.elevation_deg, 0.0, 0.0])
+        low_deg = high_deg = at_deg
+        for segment in self.segments:
+            if segment.kind != "land":
+                motion = segment.motion(at_deg)
+                low_deg = np.minimum(low_deg, motion.low_deg)
+                high_deg = np.maximum(high_deg, motion.high_deg)
+                at_deg = motion.shape(np.array([motion.duration_s]))[0]
+        return float((high_deg - low_deg).max())
+
     @staticmethod
     def parse(text: str, source: str, name: str = "") -> Plan:
         """Read a plan.

@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_host.errors import LogError, LogWriteError, file_remedy
-from heli_host.files import file_digest, read_file
+from heli_host.files import RESULT_SCHEMA, file_digest, read_file
 from heli_host.flight import Flight
+from heli_host.output_files import replacing
 
 SEALED: Final = "sealed"
 """Name of the digest in a log's session and in the notes of an export."""
@@ -74,12 +75,13 @@ class Truth:
         LogWriteError
             If it cannot be written.
         """
-        content = {"sealed": self.digest, "salt": self.salt, "flown": self.flown}
+        content = {"schema": RESULT_SCHEMA, "sealed": self.digest, "salt": self.salt, "flown": self.flown}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.touch(mode=0o600)
+            with replacing(path) as unfinished:
+                unfinished.touch(mode=0o600)
+                unfinished.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
             path.chmod(0o600)
-            path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
         except OSError as error:
             raise LogWriteError(
                 f"cannot write {path}: {error.strerror or error}", "choose another folder"

@@ -14,6 +14,7 @@ from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
 from heli_host.flight.flown import flown_rows, led_rows
 from heli_host.flight.response import effort_V, responses
+from heli_host.output_files import save_figure
 from heli_host.text_table import table_lines
 
 if TYPE_CHECKING:
@@ -170,7 +171,7 @@ def write_comparison(flights: Mapping[str, Flight], path: str | Path) -> None:
     figure = figure_of_flights(flights)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=_DPI, facecolor="white")
+        save_figure(figure, path, dpi=_DPI, facecolor="white")
     except (OSError, ValueError) as error:
         raise LogWriteError(f"cannot write {path}: {error}", "give a .png, .pdf or .svg file") from error
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from heli_host.errors import LogWriteError
+from heli_host.errors import LogWriteError, install_remedy
 from heli_host.flight import Flight
+from heli_host.output_files import WRITER, replacing, write_bytes
 
 
 def export_mat(flight: Flight, path: str | Path) -> None:
@@ -40,7 +41,7 @@ def export_mat(flight: Flight, path: str | Path) -> None:
     # The first 116 bytes contain the date. Without the date, the same flight gives the same bytes.
     data = b"MATLAB 5.0 MAT-file, written by heli_host".ljust(116) + buffer.getvalue()[116:]
     try:
-        Path(path).write_bytes(data)
+        write_bytes(path, data)
     except OSError as error:
         raise LogWriteError(
             f"cannot write {path}: {error.strerror or error}", "choose another folder"
@@ -64,13 +65,14 @@ def export_parquet(flight: Flight, path: str | Path) -> None:
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise LogWriteError("writing Parquet needs pyarrow", "pip install 'heli-host[export]'") from error
+        raise LogWriteError("writing Parquet needs pyarrow", install_remedy("export")) from error
     table = pyarrow.table({name: np.ascontiguousarray(column) for name, column in flight.columns().items()})
     notes = {f"parameter.{name}": repr(value) for name, value in flight.parameters.items()}
-    notes |= {"plan": flight.plan, **flight.meta}
+    notes |= {"plan": flight.plan, **flight.meta, "writer": WRITER}
     table = table.replace_schema_metadata(notes)
     try:
-        pyarrow.parquet.write_table(table, str(path))
+        with replacing(path) as unfinished:
+            pyarrow.parquet.write_table(table, str(unfinished))
     except OSError as error:
         raise LogWriteError(
             f"cannot write {path}: {error.strerror or error}", "choose another folder"

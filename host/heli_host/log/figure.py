@@ -15,6 +15,7 @@ from heli_host.errors import LogWriteError
 from heli_host.flight import Flight, FlightEvent
 from heli_host.flight.flown import LANDING, PHASE_EVENT, TAKE_OFF
 from heli_host.log.summary import FlightSummary
+from heli_host.output_files import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,9 +71,7 @@ def write_figure(flight: Flight, summary: FlightSummary, path: str | Path) -> No
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(
-            path, dpi=_DPI, facecolor="white", metadata={"Software": None} if path.suffix == ".png" else None
-        )
+        save_figure(figure, path, dpi=_DPI, facecolor="white")
     except (OSError, ValueError) as error:
         raise LogWriteError(f"cannot write {path}: {error}", "give a .png, .pdf or .svg file") from error
 

@@ -24,6 +24,7 @@ from heli_host.errors import LogWriteError
 from heli_host.flight import Flight, FlightEvent
 from heli_host.link.channels import is_whole
 from heli_host.log.schema import EVENT_TOPIC, TICK_TOPIC
+from heli_host.output_files import replacing
 
 PROFILE: Final = "ros2"
 PARAMETER_TOPIC: Final = "/heli/parameter"
@@ -92,7 +93,7 @@ def export_ros2(flight: Flight, path: str | Path) -> None:
     fields = _field_names(name for name, _ in columns_by_size)
     columns = {fields[name]: column for name, column in columns_by_size}
     try:
-        with Path(path).open("wb") as file:
+        with replacing(path) as unfinished, unfinished.open("wb") as file:
             writer = Writer(file, compression=CompressionType.ZSTD)
             writer.start(profile=PROFILE, library="heli_host")
 

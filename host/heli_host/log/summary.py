@@ -26,6 +26,7 @@ from heli_host.flight.response import rms
 from heli_host.flight_checks import FlightFinding
 from heli_host.log.reader import Log
 from heli_host.log.writer import DISK_BLOCKED, TICKS_DROPPED
+from heli_host.output_files import write_text
 
 _MAX_COUNT = 2**63
 _LONGEST_COUNT = 24
@@ -117,9 +118,9 @@ class FlightSummary:
         """
         path = Path(path)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             content = {"schema": RESULT_SCHEMA, **self.as_dict()}
-            path.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
         except OSError as error:
             raise LogWriteError(
                 f"cannot write {path}: {error.strerror or error}", "choose another path with --json"

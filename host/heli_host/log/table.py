@@ -31,6 +31,7 @@ from heli_host.flight import (
     FlightEvent,
     check,
 )
+from heli_host.output_files import replacing, write_text
 
 _FORMATS = {"t_s": "%.6f", "front_V": "%.6f", "back_V": "%.6f"} | dict.fromkeys(STATUS_COLUMNS, "%d")
 # Ten digits distinguish all numbers of 32 bits at any scale.
@@ -135,7 +136,7 @@ def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -
     inside = [f"# {line}" for line in notes] if notes_inside else []
     table = np.column_stack([column.astype(np.float64) for column in columns.values()])
     try:
-        with path.open("wb") as file:
+        with replacing(path) as unfinished, unfinished.open("wb") as file:
             if path.name.lower().endswith(".gz"):
                 # Without name and date in its header, the same flight compresses to the same bytes.
                 with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0) as packed:
@@ -144,7 +145,7 @@ def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -
                 _write_rows(file, inside, list(columns), row_format, table)
         notes_file = notes_path(path)
         if notes and not notes_inside:
-            notes_file.write_text("".join(line + "\n" for line in notes), encoding="utf-8", newline="\n")
+            write_text(notes_file, "".join(line + "\n" for line in notes))
         else:
             # The notes of an older table would describe another flight.
             notes_file.unlink(missing_ok=True)

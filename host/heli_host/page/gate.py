@@ -23,15 +23,15 @@ HandOver = Callable[[socket.socket, bytes], bool]
 REQUESTS_PER_S: Final = 100.0
 """New connections that are passed on per second [1/s]; more are refused. A page needs about 20."""
 REQUEST_BURST: Final = 400.0
-"""New connections that are passed on at once: twenty pages that are opened together."""
+"""New connections that are passed on together, after a pause: twenty pages that are opened together."""
 CLIENTS_PER_S: Final = 10.0
 """New clients (WebSockets) that are passed on per second [1/s]; more are refused. Each costs the server about
 1 ms. Higher: clients that connect again and again keep the server busy."""
 CLIENT_BURST: Final = 60.0
-"""New clients that are passed on at once: two for each of thirty students."""
+"""New clients that are passed on together, after a pause: two for each of thirty students."""
 MAX_ARRIVALS: Final = 128
-"""Connections whose request is incomplete. A new one ends the oldest: clients that send nothing must keep
-nobody out."""
+"""Connections whose request is incomplete. A new one ends the oldest: clients that send nothing must not
+keep others out."""
 MAX_STOP_SOCKETS: Final = 256
 """Open sockets for the stop. A new one ends the one that was silent for longest."""
 

@@ -14,11 +14,11 @@ MESSAGES_PER_S: Final = 100.0
 A page sends 30 per second: 20 acknowledgements of frames and 10 signs of life; a stick or slider adds 20.
 Below that, a page would be disconnected. Above 300, sixty clients keep the server's thread busy."""
 MESSAGE_BURST: Final = 100.0
-"""Messages that a client may send at once after a pause."""
+"""Messages that a client may send together after a pause."""
 BYTES_PER_S: Final = 131_072.0
 """Bytes that a client may send per second [B/s]: 32 requests of the greatest length."""
 BYTE_BURST: Final = 262_144.0
-"""Bytes that a client may send at once after a pause [B]. It must exceed the greatest WebSocket message,
+"""Bytes that a client may send together after a pause [B]. It must exceed the greatest WebSocket message,
 65,536 bytes, because a single message must never exceed the limit."""
 WATCHERS_PER_S: Final = 200.0
 """Requests per second that are read from all clients but the pilot together [1/s]. The others wait in the

@@ -29,7 +29,13 @@ class MeteredWebSocket(WebSocketsSansIOProtocol):
     """
 
     def data_received(self, data: bytes) -> None:
-        """Process received bytes, unless they exceed the limit."""
+        """Process received bytes, unless they exceed the limit.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes as they arrived, not decoded.
+        """
         if not self.handshake_initiated:
             self._meter = Meter()
         elif excess := self._meter.excess(data):
@@ -100,7 +106,13 @@ class PageServer(uvicorn.Server):
         self._arriving: set[socket.socket] = set()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start, and note the event loop in which connections are served."""
+        """Start, and note the event loop in which connections are served.
+
+        Parameters
+        ----------
+        sockets : list of socket.socket, optional
+            Sockets on which the server listens itself; none here.
+        """
         self._loop = asyncio.get_running_loop()
         await super().startup(sockets=sockets)
 

@@ -69,12 +69,14 @@ class StopEndpoint:
         StopSocket or None
             The open WebSocket, to be read whenever bytes arrive; None if the connection is closed.
         """
-        method, asked = _parse_head(head, connection)
-        refusal = self._guard.refusal(asked)
+        method, request = _parse_head(head, connection)
+        refusal = self._guard.refusal(request)
         if refusal is None and method == "POST":
             trouble = stop_motors(self._source, self._notes)
             refusal = PlainTextResponse(f"{trouble or 'stopped'}\n", 503 if trouble else 200)
-        elif refusal is None and method == "GET" and asked.headers.get("upgrade", "").lower() == "websocket":
+        elif (
+            refusal is None and method == "GET" and request.headers.get("upgrade", "").lower() == "websocket"
+        ):
             opened = StopSocket(connection, lambda: stop_motors(self._source, self._notes))
             if opened.begin(head):
                 return opened

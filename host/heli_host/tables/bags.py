@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from heli_host.errors import FlightDataError
+from heli_host.errors import FlightDataError, install_remedy
 from heli_host.files import LOG_WRITER
 from heli_host.tables.limits import MAX_NUMBERS, MAX_ROWS, too_large, within_memory
 from heli_host.tables.sizes import check_bag
@@ -34,7 +34,7 @@ def read_bag(path: Path) -> Table:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise FlightDataError(f"reading {path} needs rosbags", "pip install 'heli-host[import]'") from error
+        raise FlightDataError(f"reading {path} needs rosbags", install_remedy("import")) from error
     if _is_log(path):
         raise FlightDataError(
             f"{path} is a log of heli-host and needs no import", "give the log itself to the other commands"

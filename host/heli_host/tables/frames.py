@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heli_host.errors import FlightDataError
+from heli_host.errors import FlightDataError, install_remedy
 from heli_host.tables.clocks import seconds_of
 from heli_host.tables.limits import MAX_BYTES, check_columns, check_numbers, too_large, within_memory
 from heli_host.tables.sizes import MAX_CELLS, check_parquet, check_workbook
@@ -165,9 +165,7 @@ def _read_translating_errors(path: Path, reader: Callable[[Path], pandas.DataFra
             raise
         except ImportError as error:
             name = getattr(error, "name", None) or "pyarrow and openpyxl"
-            raise FlightDataError(
-                f"reading {path} needs {name}", "pip install 'heli-host[import]'"
-            ) from error
+            raise FlightDataError(f"reading {path} needs {name}", install_remedy("import")) from error
         except Exception as error:  # the reader raises whatever a damaged file makes it trip over
             raise FlightDataError(f"{path}: not a {kind} file, or damaged", "save it again") from error
         return _numeric_table(path, frame)

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from heli_host.output_files import save_figure
+
 _COLUMNS: Final = (
     ("skill", "skill", "{:.2f}"),
     ("first_right", "first name right", "{:.0%}"),
@@ -117,7 +119,7 @@ def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
     for axis in axes[1:]:
         axis.set_xlim(-0.04, 1.04)
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, dpi=110)
     plt.close(figure)
 
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from heli_host.output_files import save_figure
 from scipy.special import bdtr
 
 from heli_benchmark.scoring.judge import Row
@@ -93,4 +94,4 @@ def draw(curve: Sequence[dict[str, float]], path: Path) -> None:
         )
     axes.set(xlabel="confidence given", ylabel="share that is right", xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
     axes.set_title("grey: range of 95 % of calibrated bins; numbers: causes", fontsize=8)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, dpi=110)

@@ -9,6 +9,7 @@ import typer
 from heli_host.cli.options import JsonOption, SchedulerOption
 from heli_host.cli.say import data_on_stdout, say, say_files, say_progress, write_result
 from heli_host.cli.verb import Verb
+from heli_host.output_files import write_signed
 
 app = typer.Typer(
     help="Compare methods that find hidden causes.\n\n"
@@ -192,7 +193,7 @@ def report(
 
     summary = pooled_scores(scores)
     output.mkdir(parents=True, exist_ok=True)
-    (output / "table.md").write_text(report_text(summary), encoding="utf-8")
+    write_signed(output / "table.md", report_text(summary))
     draw_comparison(summary, output / "figure.png")
     write_result(output / "scores.json", summary)
     say_files([output / name for name in ("table.md", "figure.png", "scores.json")])

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final
 
+from heli_host.errors import install_remedy
+
 from heli_lab.campaign.worker import code_difference
 from heli_lab.errors import CampaignError
 
@@ -42,7 +44,7 @@ def campaign_client(scheduler: str | None, processes: int) -> Iterator[Client]:
         import dask
         import distributed
     except ImportError as error:
-        raise CampaignError(f"a campaign needs {error.name}", "pip install 'heli-host[campaign]'") from None
+        raise CampaignError(f"a campaign needs {error.name}", install_remedy("campaign")) from None
     # Dask logs each lost worker; the campaign reports those that matter.
     logging.getLogger(distributed.__name__).setLevel(logging.CRITICAL)
     settings: dict[str, Any] = {

@@ -18,6 +18,8 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from heli_host.errors import install_remedy
+
 from heli_lab.campaign.case import Case, Cell, JobResult, natural_order
 from heli_lab.errors import CampaignError
 
@@ -143,7 +145,7 @@ def _check_packages() -> None:
         if spec is None:
             raise CampaignError(
                 f"a campaign needs the Python package {name}, which is not installed",
-                "run: pip install 'heli-host[campaign]'",
+                install_remedy("campaign"),
             )
 
 

@@ -17,6 +17,18 @@ FLOORS: Final = {"rms_deg": 0.2, "settling_s": 1.0, "overshoot_percent": 5.0, "e
 """Values of the measures below which a better flight earns no more points: two encoder counts, or the
 difference between flights with other seeds. With lower values, noise decides the mark; with higher ones,
 a better law gets no better mark."""
+POINTS: Final = {
+    "rms_deg": "rms_points",
+    "settling_s": "settling_points",
+    "overshoot_percent": "overshoot_points",
+    "effort_V": "effort_points",
+}
+"""Names of the points for each measure, in tables and in JSON."""
+MIN_MOTION_deg: Final = 2.0
+"""Smallest range of the setpoints of a submitted plan [deg].
+
+The reference flies the same plan. A plan that only holds would therefore earn all points. Lower: such plans
+pass. Higher: plans with small steps are refused."""
 _GOOD_WITHOUT_MOTION: Final = ("overshoot_percent", "effort_V")
 """Measures that are best if the motors do nothing."""
 NO_POINTS: Final = 10.0
@@ -40,8 +52,8 @@ class Mark:
     scores : tuple of FlightScore
         One per flight; empty if the submission was refused.
     parts : dict of str to float
-        Points for each measure in `WEIGHTS` that the reference has, mean over the flights; they add up to
-        `points`.
+        Points for each measure that the reference has, by the names in `POINTS`, mean over the flights; they
+        add up to `points`.
     references : tuple of FlightScore
         Flights of the board's own law, with which `scores` are compared.
     rig : str
@@ -60,6 +72,17 @@ class Mark:
     def refused(self) -> bool:
         """Whether the submission did not fly at all."""
         return not self.scores
+
+    def mean(self, measure: str) -> float:
+        """Return the mean of a measure over the flights; nan if a flight lacks it.
+
+        Parameters
+        ----------
+        measure : str
+            One of `WEIGHTS`.
+        """
+        values = [getattr(score, measure) for score in self.scores]
+        return sum(values) / len(values) if values else math.nan
 
     def as_dict(self) -> dict[str, Any]:
         """Return the mark for JSON."""
@@ -107,11 +130,8 @@ def points_by_measure(score: FlightScore, reference: FlightScore) -> dict[str, f
 
 
 def points_of(score: FlightScore, reference: FlightScore) -> float:
-    """Return the points of a flight: the sum of `points_by_measure`; full points if no measure counts."""
-    points = points_by_measure(score, reference)
-    if not points:
-        return 0.0 if score.ended else FULL
-    return sum(points.values())
+    """Return the points of a flight: the sum of `points_by_measure`."""
+    return sum(points_by_measure(score, reference).values())
 
 
 def _points_share(name: str, score: FlightScore, reference: FlightScore) -> float:
@@ -142,7 +162,7 @@ def mark_of(name: str, scores: Sequence[FlightScore], references: Sequence[Fligh
     flights = list(zip(scores, references, strict=True))
     by_flight = [points_by_measure(score, reference) for score, reference in flights]
     mean_by_measure = {
-        measure: round(sum(points.get(measure, 0.0) for points in by_flight) / len(by_flight), 2)
+        POINTS[measure]: round(sum(points.get(measure, 0.0) for points in by_flight) / len(by_flight), 2)
         for measure in by_flight[0]
     }
     flight_points = [points_of(score, reference) for score, reference in flights]

@@ -14,7 +14,7 @@ from heli_host.errors import FlightAborted, FlightDataError, HeliError
 from heli_host.parameter_file import parameters_text
 
 from heli_lab.classroom.grade import FlightScore, score_of_trial, with_plan_setpoints
-from heli_lab.classroom.mark import Mark, mark_of
+from heli_lab.classroom.mark import Mark, MIN_MOTION_deg, mark_of
 from heli_lab.classroom.submission import Submission, read_submission, returned_files
 from heli_lab.law.limits import FileLimits
 from heli_lab.law.trial import LawTrial
@@ -111,6 +111,7 @@ class Marking:
     def _mark_submission(self, submission: Submission, output_folder: Path) -> Mark:
         """Fly a submission once per seed, and write log and figure of the first flight."""
         plan = submission.plan or self.plan
+        _check_that_it_moves(submission)
         scores = []
         for seed in self.seeds:
             folder = output_folder if seed == self.seeds[0] else None
@@ -137,6 +138,24 @@ class Marking:
                 figure=output_folder / FIGURE if output_folder is not None else None,
             )
             return scored_flight(submission, options, plan, {**_SIMULATED, **submission.gains})
+
+
+def _check_that_it_moves(submission: Submission) -> None:
+    """Refuse a submitted plan that only holds.
+
+    Raises
+    ------
+    HeliError
+        Its setpoints move less than `MIN_MOTION_deg`, and it excites no motor.
+    """
+    plan = submission.plan
+    if plan is None or any(segment.kind == "excite" for segment in plan.segments):
+        return
+    if plan.setpoint_range_deg < MIN_MOTION_deg:
+        raise HeliError(
+            f"the plan only holds: its setpoints move by {plan.setpoint_range_deg:.1f} deg",
+            f"move one by at least {MIN_MOTION_deg:g} deg",
+        )
 
 
 def scored_flight(

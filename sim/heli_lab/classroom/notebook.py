@@ -22,6 +22,7 @@ from typing import Any, Final
 
 from heli_host.errors import HeliError, file_remedy
 from heli_host.files import read_file
+from heli_host.output_files import notebook_digest, write_signed, write_text
 
 # Written in two parts, because a test of this repository takes the whole word for unfinished work.
 CODE_STUB: Final = "# YOUR CODE HERE\nraise Not" + "ImplementedError()"
@@ -201,7 +202,12 @@ def notebook_json(cells: Sequence[NotebookCell], points: dict[str, int]) -> str:
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     notebook = {
         "cells": cell_objects,
-        "metadata": {"kernelspec": kernel, "language_info": {"name": "python"}},
+        "metadata": {
+            "kernelspec": kernel,
+            "language_info": {"name": "python"},
+            # By it the program recognises an edition that nobody has edited.
+            "heli_host": {"digest": notebook_digest(cell_objects)},
+        },
         "nbformat": 4,
         "nbformat_minor": 5,
     }
@@ -218,7 +224,8 @@ def write_editions(sources: Sequence[Path], output: Path) -> list[Path]:
     sources : sequence of Path
         Python files with cells.
     output : Path
-        Folder of the editions, created if it is missing; existing editions are replaced.
+        Folder of the editions, created if it is missing. Existing editions are replaced, unless they were
+        edited.
 
     Returns
     -------
@@ -246,7 +253,7 @@ def write_editions(sources: Sequence[Path], output: Path) -> list[Path]:
     for path, text in text_by_path.items():
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8", newline="\n")
+            (write_text if path.suffix == ".ipynb" else write_signed)(path, text)
         except OSError as error:
             raise NotebookError(f"cannot write {path}: {error.strerror}", file_remedy(error)) from error
     return list(text_by_path)

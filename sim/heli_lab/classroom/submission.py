@@ -16,6 +16,7 @@ from heli_host.errors import BadLaw, HeliError, ParameterError, PlanError, file_
 from heli_host.files import TOML_BYTES, parse_toml, read_file
 from heli_host.fly.plan import Plan
 from heli_host.law_program import LawProgram
+from heli_host.output_files import FORCE, ForeignFile, is_own_file
 from heli_host.parameter_file import TABLE, parameter_set
 
 from heli_lab.law.files import load_limited
@@ -27,6 +28,7 @@ LAW_FILE: Final = "law.py"
 RIG_LOG: Final = "rig.mcap"
 _RIG_FILES: Final = re.compile(r"rig(-\d+)?\.(mcap|png)")
 """Files of flights on the rig in `MARKED`; they are kept when a submission is marked again."""
+_MARKED_FILES: Final = re.compile(r"mark\.json|flight\.mcap|figure\.png|rig(-\d+)?\.(mcap|png)")
 LONGEST_PLAN_s: Final = 120.0
 """Longest plan of a submission [s]. The built-in plans take up to 80 s; thirty plans of an hour would occupy
 the rig for a day."""
@@ -206,6 +208,7 @@ def returned_files(folder: Path) -> Iterator[Path]:
         The folder cannot be written.
     """
     marked_folder = folder / MARKED
+    _check_marked_folder(marked_folder)
     try:
         with tempfile.TemporaryDirectory(dir=folder, prefix=".marked-") as temporary_folder:
             yield Path(temporary_folder)
@@ -224,3 +227,24 @@ def returned_files(folder: Path) -> Iterator[Path]:
         raise HeliError(
             f"cannot write {marked_folder}: {error.strerror or error}", file_remedy(error)
         ) from error
+
+
+def _check_marked_folder(marked_folder: Path) -> None:
+    """Refuse to replace a folder or a file that no earlier mark has written.
+
+    Raises
+    ------
+    ForeignFile
+        It has something else.
+    """
+    # A link is replaced without what it leads to, so that no link of a student leads the marks elsewhere.
+    if marked_folder.is_symlink() or not marked_folder.exists() or FORCE.get():
+        return
+    is_own = marked_folder.is_dir() and all(
+        _MARKED_FILES.fullmatch(path.name) and (path.name != "mark.json" or is_own_file(path))
+        for path in marked_folder.iterdir()
+    )
+    if not is_own:
+        raise ForeignFile(
+            f"{marked_folder} exists, and heli-host did not write it", "rename it, or replace it with --force"
+        )

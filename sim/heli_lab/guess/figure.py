@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from heli_host.arrays import Booleans, Floats, Integers
 from heli_host.flight import Flight
+from heli_host.output_files import save_figure
 
 from heli_lab.guess.regression.signals import Signal, delay, filtered_signal
 from heli_lab.guess.result import Guess
@@ -49,7 +50,7 @@ def draw(guess: Guess, flight: Flight, path: Path) -> Path:
     else:
         verdict = f"unsure of {', '.join(ambiguity.subject for ambiguity in guess.ambiguities)}"
     figure.suptitle(f"{flight.meta.get('imported from', 'flight')}: {verdict}", fontsize=11)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, dpi=110)
     plt.close(figure)
     return path
 

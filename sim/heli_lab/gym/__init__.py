@@ -5,12 +5,14 @@ Importing it registers ``HeliHover-v0``, so ``gymnasium.make("heli_lab.gym:HeliH
 
 from __future__ import annotations
 
+from heli_host.errors import install_remedy
+
 from heli_lab.errors import LearningError
 
 try:
     import gymnasium
 except ImportError as missing:
-    raise LearningError("heli_lab.gym needs gymnasium", "pip install 'heli-host[gym]'") from missing
+    raise LearningError("heli_lab.gym needs gymnasium", install_remedy("gym")) from missing
 
 from heli_lab.gym.domain import Domain
 from heli_lab.gym.environment import EPISODE_S, ACTION_STEP_s, HoverEnv

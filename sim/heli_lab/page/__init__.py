@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_host.files import RESULT_SCHEMA
+from heli_host.output_files import write_signed, write_text
 
 _HERE: Final = Path(__file__).parent
 
@@ -23,7 +24,7 @@ def folder_with(numbers: Mapping[str, Any], folder: str | Path) -> Path:
 
 def write_json(path: Path, numbers: Any) -> None:
     """Write `numbers` as JSON to `path`; infinite values and NaN become null, because JSON has neither."""
-    path.write_text(json.dumps(_finite(numbers), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(_finite(numbers), indent=2, allow_nan=False) + "\n")
 
 
 def _finite(value: Any) -> Any:
@@ -55,5 +56,5 @@ def write_page(folder: Path, template: Path, **content: Any) -> Path:
         lstrip_blocks=True,
     )
     page = folder / "index.html"
-    page.write_text(environment.get_template(template.name).render(content), encoding="utf-8")
+    write_signed(page, environment.get_template(template.name).render(content))
     return page

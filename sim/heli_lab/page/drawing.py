@@ -21,6 +21,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Final, Self
 
+from heli_host.output_files import check_replaceable, figure_metadata, write_bytes
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -44,12 +46,14 @@ class Picture:
     """
 
     def __init__(self, drawing: Drawing, figure: Figure, path: Path) -> None:
+        check_replaceable(path)
         self._drawing, self.figure, self.path = drawing, figure, path
         self._png = b""
 
     def store(self, png: bytes) -> None:
         """Write the rendered image, `png`, into its file, and keep it in memory."""
-        self.path.write_bytes(png)
+        # `__init__` has checked the place, in the thread that knows whether --force was given.
+        write_bytes(self.path, png, force=True)
         self._png = png
 
     def __str__(self) -> str:
@@ -171,7 +175,7 @@ class Drawing:
 def png_of(figure: Figure) -> bytes:
     """Render a `figure` as PNG with 110 dots per inch."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI)
+    figure.savefig(buffer, format="png", dpi=_DPI, metadata=figure_metadata(".png"))
     return buffer.getvalue()
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from heli_host.arrays import Floats
 from heli_host.files import toml_string
+from heli_host.output_files import write_signed
 
 from heli_lab.errors import TwinError
 from heli_lab.estimation import DisturbanceModel
@@ -97,7 +98,7 @@ def _uncertainty_text(uncertainty: ParameterUncertainty) -> str:
 
 def write_calibration(path: Path, calibration: Calibration, rig: str) -> None:
     """Write a twin file to `path`; `rig` is the name or the path of the rig."""
-    path.write_text(calibration_text(calibration, rig), encoding="utf-8")
+    write_signed(path, calibration_text(calibration, rig))
 
 
 def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from heli_host.output_files import save_figure
 
 if TYPE_CHECKING:
     from heli_lab.twin.monitor import TwinReport
@@ -37,4 +38,4 @@ def draw_evidence(flights: Sequence[TwinReport], path: Path) -> None:
         ax.set_ylabel("evidence, nats")
         ax.legend(loc="upper left", fontsize=7)
     axes[-1].set_xlabel("time, s")
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path, dpi=130)

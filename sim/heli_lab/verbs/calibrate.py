@@ -13,6 +13,7 @@ from heli_host.cli.options import ClearFaultOption, JsonOption, PortOption, flig
 from heli_host.cli.say import data_on_stdout, say, say_files, say_progress, write_result
 from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SilOption, refuse_without_sil, sil_address
 from heli_host.cli.verb import Verb
+from heli_host.output_files import write_signed
 
 if TYPE_CHECKING:
     from heli_host.heli import Heli
@@ -244,7 +245,7 @@ def _write_files(result: BenchCalibration, base: Rig, new_rig: Path, save_params
     write_rig(result.rig, new_rig, f"Written by heli-host calibrate: the rest as {base.name}.")
     if save_params is not None:
         text = parameters_text(result.parameters, "heli-host calibrate: measured on the bench")
-        save_params.write_text(text, encoding="utf-8")
+        write_signed(save_params, text)
 
 
 def _say_result(result: BenchCalibration, base: Rig, before: dict[str, float]) -> None:

@@ -163,30 +163,37 @@ def _ask_yes_or_no(question: str) -> bool | None:
 
 
 def _write_marks(marks: Sequence[Mark], path: Path) -> None:
-    """Write a CSV table of all marks to `path`. An existing file is replaced only by the complete table."""
+    """Write a CSV table of all marks to `path`: the points of each measure, then its mean value."""
     import csv
-    import tempfile
+    import io
 
-    from heli_lab.classroom.mark import FULL, WEIGHTS
+    from heli_host.output_files import write_text
 
-    with tempfile.NamedTemporaryFile(
-        "w", dir=path.parent, prefix=".marks-", delete=False, newline="", encoding="utf-8"
-    ) as file:
-        table = csv.writer(file)
-        table.writerow(["submission", "points", "of", *WEIGHTS, "reason", "rig"])
-        table.writerows(
-            [
-                _without_formula(mark.name),
-                mark.points,
-                FULL,
-                *(mark.parts.get(name, "") for name in WEIGHTS),
-                _without_formula(mark.reason),
-                _without_formula(mark.rig),
-            ]
-            for mark in marks
-        )
-    Path(file.name).chmod(0o644)
-    Path(file.name).replace(path)
+    from heli_lab.classroom.mark import FULL, POINTS
+
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["submission", "points", "of", *POINTS.values(), *POINTS, "reason", "rig"])
+    table.writerows(
+        [
+            _without_formula(mark.name),
+            mark.points,
+            FULL,
+            *(mark.parts.get(name, "") for name in POINTS.values()),
+            *(_number_text(mark.mean(measure)) for measure in POINTS),
+            _without_formula(mark.reason),
+            _without_formula(mark.rig),
+        ]
+        for mark in marks
+    )
+    write_text(path, text.getvalue())
+
+
+def _number_text(value: float) -> str:
+    """Return a value for a table: empty if there is none, ``never`` for a motion that did not settle."""
+    import math
+
+    return "" if math.isnan(value) else "never" if math.isinf(value) else f"{value:.3g}"
 
 
 def _without_formula(text: str) -> str:

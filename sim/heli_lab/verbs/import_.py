@@ -11,6 +11,7 @@ import typer
 from heli_host.cli.options import JsonOption
 from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.verb import Verb
+from heli_host.output_files import FORCE, write_signed
 
 if TYPE_CHECKING:
     from heli_host.tables import Profile, Table
@@ -61,7 +62,10 @@ def import_(
         typer.Option("--one-flight", help="Merge all files into one flight, such as angles and voltages."),
     ] = False,
     force: Annotated[
-        bool, typer.Option("--force", help="Write the flights even if the guess is unsure.")
+        bool,
+        typer.Option(
+            "--force", help="Write the flights even if the guess is unsure, and replace files of others."
+        ),
     ] = False,
     json: JsonOption = None,
 ) -> None:
@@ -79,6 +83,8 @@ def import_(
     if profile is None and not guess:
         raise typer.BadParameter("import needs --profile or --guess; give one of them")
     data_on_stdout(json)
+    if force:
+        FORCE.set(True)
     known_rig = load_rig(rig) if rig is not None else None
     sources = _read_sources(files, output, one_flight=one_flight)
     if not guess and profile is not None:
@@ -189,7 +195,7 @@ def _write_profile(
     warnings = [f"UNSURE: {ambiguity.sentence()}" for ambiguity in ambiguities]
     comments = [f"# {line}" for line in (*warnings, *best.evidence)]
     text = "\n".join([*comments, "", profile_text(best.profile)])
-    path.write_text(text, encoding="utf-8")
+    write_signed(path, text)
     return path, entry_lines(text)
 
 

@@ -16,6 +16,7 @@ from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SeedOption
 from heli_host.cli.verb import Verb
 from heli_host.laws import FILE_LIMIT_s
+from heli_host.output_files import write_signed
 
 from heli_lab.fit_options import ReportOption, SeedsOption
 
@@ -326,14 +327,14 @@ def export(
 ) -> None:
     """Export a control law as a C file in single precision.
 
-    An existing file is replaced. The C code needs no library. The code of LAW.py is run.
+    The C code needs no library. The code of LAW.py is run.
 
     Example: `heli-host law export lqi.py -o lqi.c`
     """
     from heli_lab.law.export_c import c_source
     from heli_lab.law.files import load_law
 
-    output.write_text(c_source(load_law(law, load_timeout, rig)), encoding="utf-8")
+    write_signed(output, c_source(load_law(law, load_timeout, rig)))
     say_files((output,))
 
 

@@ -12,6 +12,7 @@ from heli_host.cli.options import JsonOption
 from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG, SeedOption
 from heli_host.cli.verb import Verb
+from heli_host.output_files import save_figure
 
 if TYPE_CHECKING:
     from heli_sim.plant import Plant
@@ -176,7 +177,7 @@ def figures(
     figure_names = []
 
     def write(name: str, figure: Figure) -> None:
-        figure.savefig(folder / name, dpi=_DPI)
+        save_figure(figure, folder / name, dpi=_DPI)
         figure_names.append(name)
 
     with WorkBar() as bar:

@@ -13,6 +13,7 @@ from heli_host.cli.options import FigureOption, JsonOption
 from heli_host.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.cli.simulated import DEFAULT_RIG, EffectFilesOption, SeedOption
 from heli_host.cli.verb import Verb
+from heli_host.output_files import save_figure, write_signed
 
 from heli_lab.fit_options import DEFAULT_MODEL, EquationsOption
 
@@ -118,13 +119,13 @@ def tune(
             (f"rig {base_rig.name}", f"model {name}", *(effect.name for effect in all_effects))
         )
         text = parameters_text(parameters, f"heli-host tune: gains for {design_text}")
-        save_params.write_text(text, encoding="utf-8")
+        write_signed(save_params, text)
     write_result(json, _json_object(base_rig, name, design, loop_effects, parameters, trials))
     if figure is not None:
         from heli_lab.tune.figures import figure_of_design
 
         flights = [(trial.label, trial.flight) for trial in trials]
-        figure_of_design(design, flights).savefig(figure, dpi=120)
+        save_figure(figure_of_design(design, flights), figure, dpi=120)
     say_files((None if failures else save_params, json, figure))
     if failures:
         not_written = f"; {save_params} was not written" if save_params is not None else ""

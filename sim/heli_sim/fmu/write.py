@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
 
+from heli_host.output_files import WRITER, replacing
+
 from heli_sim.compiled import FLAGS, LIBRARIES, compiler
 from heli_sim.errors import PlantError
 from heli_sim.fmu.description import describe, variables
@@ -62,7 +64,8 @@ def write_fmu(plant: Plant, path: str | Path) -> str:
     if binary is not None:
         files[f"binaries/{machine}-{system}/{identifier}{suffix}"] = binary
     try:
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        with replacing(path) as unfinished, zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.comment = WRITER.encode()
             for name, data in files.items():
                 archive.writestr(zipfile.ZipInfo(name, _DATE), data, zipfile.ZIP_DEFLATED)
     except OSError as error:

@@ -6,6 +6,7 @@ import textwrap
 from pathlib import Path
 
 from heli_host.files import toml_string
+from heli_host.output_files import write_signed
 
 from heli_sim.rig.rig import Number, Rig
 
@@ -42,4 +43,4 @@ def _lines_of_number(name: str, number: Number, digits: int) -> list[str]:
 
 def write_rig(rig: Rig, path: str | Path, comment: str = "") -> None:
     """Write a rig into the file at `path`, under a `comment`."""
-    Path(path).write_text(rig_text(rig, comment), encoding="utf-8")
+    write_signed(path, rig_text(rig, comment))

@@ -10,6 +10,7 @@ import typer
 from heli_host.cli.options import JsonOption
 from heli_host.cli.say import STDOUT, data_on_stdout, say, say_data, say_files, write_result
 from heli_host.cli.verb import Verb
+from heli_host.output_files import write_signed
 
 from heli_sim.formatting import half_width, plain, rig_findings, signed, with_tolerance
 
@@ -257,13 +258,10 @@ def to_board(
     from heli_sim.rig.board import board_settings
 
     loaded = load_rig(rig)
-    board = _board_parameters(params)
     check_parameters_place(out)
+    board = _board_parameters(params)
     settings = board_settings(loaded, board)
-    out.write_text(
-        parameters_text(settings, f"heli-host rig to-board: parameters of rig {loaded.name}"),
-        encoding="utf-8",
-    )
+    write_signed(out, parameters_text(settings, f"heli-host rig to-board: parameters of rig {loaded.name}"))
     say(f"{len(settings)} parameters; to set them on a board: heli-host params restore {out} --port PORT")
     say_files([out])
 
@@ -439,7 +437,7 @@ def weigh_rig(
     before = load_rig(rig)
     if template is not None:
         check_place(template)
-        template.write_text(TEMPLATE, encoding="utf-8")
+        write_signed(template, TEMPLATE)
         say(f"fill in {template}, then: heli-host rig weigh {rig} {template} --save-rig weighed.toml")
         return
     if tests is None:
@@ -550,7 +548,7 @@ def _export_mjcf(rig: str, output: Path | None) -> None:
         say_data(mjcf(loaded))
     else:
         check_place(target)
-        target.write_text(mjcf(loaded), encoding="utf-8")
+        write_signed(target, mjcf(loaded))
     say("the model leaves out:", *(f"  {line}" for line in left_out(loaded)))
     say_files([target])
 

@@ -18,7 +18,7 @@ from heli_host.cli.finding import ENTRY_POINT_GROUP, Finding, Verdict
 from heli_host.cli.modem_manager import check_modem_manager
 from heli_host.cli.options import JsonOption
 from heli_host.cli.say import write_result
-from heli_host.cli.verb import DISTRIBUTION, Verb
+from heli_host.cli.verb import Verb
 from heli_host.plugins import plugins
 
 if TYPE_CHECKING:
@@ -106,6 +106,8 @@ def check_extras(is_installed: Callable[[str], bool] | None = None) -> Iterator[
     is_installed : callable, optional
         Whether the distribution of a name is installed; by default, whether it is here.
     """
+    from heli_host.errors import install_remedy
+
     is_installed = is_installed or _is_installed
     complete = []
     for extra, purpose in USERS_EXTRAS.items():
@@ -114,7 +116,7 @@ def check_extras(is_installed: Callable[[str], bool] | None = None) -> Iterator[
             yield Finding(
                 Verdict.NOTE,
                 f"not installed: {purpose} (needs {', '.join(missing)})",
-                f"if you want it, run: pip install '{DISTRIBUTION}[{extra}]'",
+                f"if you want it, {install_remedy(extra)}",
             )
         else:
             complete.append(purpose)

@@ -12,6 +12,7 @@ import typer
 from heli_host.cli.options import PortOption
 from heli_host.cli.say import say
 from heli_host.cli.verb import Verb
+from heli_host.output_files import write_signed
 
 if TYPE_CHECKING:
     from heli_host.errors import LinkVersionMismatch
@@ -159,7 +160,7 @@ def _write_parameters(values: dict[str, float], origin: str) -> Path | None:
         print("its parameters are the defaults: there is nothing to keep")
         return None
     file = Path(time.strftime("parameters-%Y-%m-%d_%H-%M-%S.toml"))
-    file.write_text(parameters_text(values, origin), encoding="utf-8")
+    write_signed(file, parameters_text(values, origin))
     say(f"its {len(values)} parameters -> {file}")
     return file
 

@@ -13,6 +13,7 @@ from heli_host.cli.options import JsonOption, PortOption
 from heli_host.cli.say import data_on_stdout, say, say_dropped, write_result
 from heli_host.cli.simulated import MAX_SPEED, SilOption, sil_address
 from heli_host.cli.verb import Verb
+from heli_host.output_files import write_signed
 
 if TYPE_CHECKING:
     from heli_host.declaration import ParamSpec
@@ -207,7 +208,7 @@ def dump(
     with _open_board(port, sil) as heli:
         values = heli.params.dump()
         comment = board_versions(heli.info)
-    file.write_text(parameters_text(values, comment), encoding="utf-8")
+    write_signed(file, parameters_text(values, comment))
     say(f"{len(values)} parameters -> {file}")
 
 

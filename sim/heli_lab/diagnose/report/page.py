@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from heli_host.output_files import write_signed
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.discover import MissingTerm, missing_term
@@ -156,7 +157,7 @@ def write_effect_file(diagnosis: Diagnosis, folder: str | Path) -> Path:
     head = f"Equation proposed by heli-host diagnose from {labels} for what no effect explains."
     path = Path(folder) / "proposed.py"
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(diagnosis.proposed_term.effect_file(head), encoding="utf-8")
+    write_signed(path, diagnosis.proposed_term.effect_file(head))
     return path
 
 

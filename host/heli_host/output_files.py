@@ -1,0 +1,299 @@
+"""Files that the program writes: complete or not at all, and never in the place of a foreign file.
+
+A file is replaced only if the program itself wrote it, or with ``--force``. The program recognises its files
+by their content. A text that people may edit ends with a line that holds the digest of the text before it: an
+edited file is not the program's file any more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import hashlib
+import json
+import os
+import re
+import secrets
+import stat
+from collections.abc import Iterator
+from contextvars import ContextVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from heli_host.errors import HeliError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WRITER: Final = "written by heli-host"
+"""Text by which the program recognises its figures and tables."""
+FORCE: Final[ContextVar[bool]] = ContextVar("force", default=False)
+"""Whether any file may be replaced; `heli_host.cli.entry` runs each command line in a separate context."""
+
+_HEAD_BYTES: Final = 8192
+_TAIL_BYTES: Final = 1 << 18
+_LONGEST_TEXT_BYTES: Final = 1 << 26
+_DIGEST_LINE: Final = re.compile(rb"[^\n]*\bwritten by heli-host, digest ([0-9a-f]{16})\b[^\n]*\n?\Z")
+_JSON_HEAD: Final = re.compile(rb'\{\s*"schema":\s*\d+\s*,')
+_COMMENTS: Final = {".c": ("// ", ""), **dict.fromkeys((".xml", ".html", ".md"), ("<!-- ", " -->"))}
+_FIGURE_KEYS: Final = {".png": "Software", ".pdf": "Creator", ".svg": "Creator"}
+_TABLE_HEADS: Final = (b"t_s,front_V,back_V,elevation_rad,", b"submission,points,of,")
+"""Begins of the first line of tables, after lines of notes."""
+_NOTES: Final = ".csv.notes.txt", ".csv.gz.notes.txt"
+_NOTE_LINE: Final = re.compile(rb"[\w .-]+: ")
+
+
+class ForeignFile(HeliError):
+    """A file that the program did not write is in the place of a result; it was not changed."""
+
+    exit_code = 5
+
+
+def check_replaceable(path: str | Path) -> None:
+    """Check that a file may be written: there is none, the program itself wrote it, or ``--force`` was given.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to write later.
+
+    Raises
+    ------
+    ForeignFile
+        A foreign file, or an edited one, is there.
+    """
+    path = Path(path)
+    try:
+        is_foreign = path.is_file() and not FORCE.get() and not is_own_file(path)
+    except OSError as error:
+        raise ForeignFile(f"cannot read {path}: {error.strerror or error}", "give another name") from error
+    if is_foreign:
+        raise ForeignFile(
+            f"{path} exists, and heli-host did not write it, or it was edited since",
+            "give another name, or replace it with --force",
+        )
+
+
+def is_own_file(path: Path) -> bool:
+    """Return whether the program wrote a file, and, if it is a text for editing, it is unchanged.
+
+    Parameters
+    ----------
+    path : Path
+        An existing file. An empty file counts as the program's.
+
+    Raises
+    ------
+    OSError
+        It cannot be read.
+    """
+    size = path.stat().st_size
+    if size == 0:
+        return True
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+        file.seek(max(0, size - _TAIL_BYTES))
+        tail = file.read()
+        whole = b""
+        if b"written by heli-host, digest " in tail[-200:] and size <= _LONGEST_TEXT_BYTES:
+            file.seek(0)
+            whole = file.read()
+    if whole:
+        return _has_own_digest(whole)
+    if head.startswith(b"\x1f\x8b"):
+        head = _unpacked_head(path)
+    if head.startswith((b"\x89PNG", b"%PDF", b"<?xml", b"PAR1", b"PK")):
+        return WRITER.encode() in head or WRITER.encode() in tail
+    if head.startswith(b"\x89MCAP0"):
+        return b"heli_host" in head[:200]
+    if head.startswith(b"MATLAB 5.0"):
+        return b"written by heli_host" in head[:116]
+    if path.name.endswith(_NOTES):
+        return bool(_NOTE_LINE.match(head))
+    if path.suffix == ".ipynb":
+        return _is_own_notebook(path)
+    lines = [line for line in head.splitlines() if not line.startswith(b"#")]
+    is_table = bool(lines) and lines[0].startswith(_TABLE_HEADS)
+    return is_table or bool(_JSON_HEAD.match(head))
+
+
+@contextlib.contextmanager
+def replacing(path: str | Path, *, force: bool = False) -> Iterator[Path]:
+    """Write a file next to its place, and move it there when the ``with`` block has ended without an error.
+
+    A full disk, an interrupt or any other error leaves the place as it was.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to write, in an existing folder.
+    force : bool
+        Replace any file; only after `check_replaceable` has permitted it.
+
+    Yields
+    ------
+    Path
+        File to write in the block, with the same ending.
+
+    Raises
+    ------
+    ForeignFile
+        See `check_replaceable`.
+    OSError
+        It cannot be written.
+    """
+    path = Path(path)
+    if not force:
+        check_replaceable(path)
+    # A link stays a link: its file is replaced.
+    target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        # Such as /dev/null, or a folder, for which the writer gives the reason.
+        yield target
+        return
+    unfinished = target.with_name(f".{secrets.token_hex(4)}.{target.name}")
+    try:
+        yield unfinished
+        if target.exists():
+            unfinished.chmod(stat.S_IMODE(target.stat().st_mode))
+        unfinished.replace(target)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def write_bytes(path: str | Path, content: bytes, *, force: bool = False) -> None:
+    """Write a file as `replacing` does.
+
+    Parameters
+    ----------
+    content : bytes
+        Content of the file.
+    force : bool
+        See `replacing`.
+
+    Raises
+    ------
+    ForeignFile, OSError
+        See `replacing`.
+    """
+    with replacing(path, force=force) as unfinished:
+        unfinished.write_bytes(content)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text without a digest, which the program recognises by its first line, as `replacing` does.
+
+    Parameters
+    ----------
+    text : str
+        Content of the file.
+
+    Raises
+    ------
+    ForeignFile, OSError
+        See `replacing`.
+    """
+    write_bytes(path, text.encode())
+
+
+def write_signed(path: str | Path, text: str) -> None:
+    """Write a text that people may edit, and a last line with its digest, as `replacing` does.
+
+    Parameters
+    ----------
+    text : str
+        Content of the file. The last line is a comment, in the language of the file's ending.
+
+    Raises
+    ------
+    ForeignFile, OSError
+        See `replacing`.
+    """
+    write_bytes(path, signed(text, Path(path).suffix).encode())
+
+
+def signed(text: str, suffix: str) -> str:
+    """Return a text with a last line that holds the digest of the text.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+    suffix : str
+        Ending of the file, such as ``.toml``; it determines how a comment is written.
+    """
+    begin, end = _COMMENTS.get(suffix.lower(), ("# ", ""))
+    text = text if text.endswith("\n") else text + "\n"
+    return f"{text}{begin}{WRITER}, digest {_digest(text.encode())}{end}\n"
+
+
+def save_figure(figure: Figure, path: str | Path, **options: Any) -> None:
+    """Save a figure as `replacing` does, with the text by which the program recognises it.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Drawn completely; pyplot need not know it.
+    path : str or Path
+        ``.png``, ``.pdf`` or ``.svg`` file.
+    **options : object
+        Further arguments of ``Figure.savefig``.
+
+    Raises
+    ------
+    ForeignFile, OSError
+        See `replacing`.
+    ValueError
+        matplotlib does not know the ending.
+    """
+    with replacing(path) as unfinished:
+        figure.savefig(unfinished, metadata=figure_metadata(Path(path).suffix), **options)
+
+
+def figure_metadata(suffix: str) -> dict[str, str] | None:
+    """Return the metadata of a figure's file; None for an ending that is no figure's.
+
+    Parameters
+    ----------
+    suffix : str
+        Ending of the file, such as ``.png``.
+    """
+    key = _FIGURE_KEYS.get(suffix.lower())
+    return {key: WRITER} if key is not None else None
+
+
+def notebook_digest(cells: Any) -> str:
+    """Return the digest of the sources of a notebook's cells, without outputs and numbers.
+
+    Parameters
+    ----------
+    cells : list of dict
+        Cells as in the notebook's JSON.
+    """
+    sources = [[cell["cell_type"], "".join(cell["source"])] for cell in cells]
+    return _digest(json.dumps(sources).encode())
+
+
+def _is_own_notebook(path: Path) -> bool:
+    try:
+        content = json.loads(path.read_bytes())
+        return bool(content["metadata"]["heli_host"]["digest"] == notebook_digest(content["cells"]))
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return False
+
+
+def _has_own_digest(content: bytes) -> bool:
+    found = _DIGEST_LINE.search(content)
+    return found is not None and found[1].decode() == _digest(content[: found.start()])
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def _unpacked_head(path: Path) -> bytes:
+    try:
+        with gzip.open(path) as file:
+            return file.read(_HEAD_BYTES)
+    except (OSError, EOFError):
+        return b""
