@@ -11,9 +11,17 @@ from heli_lab.campaign.worker_process import Limits
 CODE = "the code of a test"
 
 
+def gate_of(log: str | Path) -> Path:
+    """File that the last case waits for: no campaign ends before a test wants that."""
+    return Path(f"{log}.gate")
+
+
 def cases(count: int, nap_s: float, log: str) -> tuple[Case, ...]:
     work = "tests.campaign.works:count"
-    settings = [{"number": number, "nap_s": nap_s, "log": log} for number in range(count)]
+    gates = [*("" for _ in range(count - 1)), str(gate_of(log))]
+    settings = [
+        {"number": number, "nap_s": nap_s, "log": log, "gate": gate} for number, gate in enumerate(gates)
+    ]
     return tuple(Case(f"case {values['number']:03d}", work, values) for values in settings)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from heli_lab.campaign import Store
 
-from tests.campaign.driver import CODE, cases
+from tests.campaign.driver import CODE, cases, gate_of
 from tests.campaign.killer import Cluster, children, kill_all, start_program, wait_until
 from tests.running.long import samples
 
@@ -57,6 +57,7 @@ def expected(folder: Path, log: Path) -> list[dict[str, Any]]:
 def test_killed_at_random_it_ends_with_the_same_table_and_nothing_is_done_twice(tmp_path: Path) -> None:
     chance = random.Random(5)
     folder, log = tmp_path / "out", tmp_path / "begun.txt"
+    gate_of(log).touch()
     arguments = ("-m", "tests.campaign.driver", str(folder), str(log), str(COUNT), str(NAP_s))
     for number in range(KILLS):
         done, before = ended(folder), begun(log)
@@ -93,6 +94,7 @@ def test_a_cluster_loses_workers_and_its_scheduler_and_the_campaign_goes_on(tmp_
         assert b"the scheduler has stopped" in output and b"run the same command again" in output
     done, before = ended(folder), begun(log)
     assert 15 <= len(done) < COUNT
+    gate_of(log).touch()
     again = start_program(*arguments)
     assert again.wait(300) == 0
     kill_all(again)

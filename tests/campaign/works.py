@@ -13,11 +13,13 @@ from heli_lab.errors import CampaignError
 
 
 def count(settings: Mapping[str, Any]) -> tuple[dict[str, float], dict[str, int]]:
-    """Square a number after a nap, and write down that this was begun."""
+    """Square a number after a nap and once the file `gate` exists, and write down that this was begun."""
     if "log" in settings:
         with Path(settings["log"]).open("a") as log:
             log.write(f"{settings['number']}\n")
     time.sleep(settings.get("nap_s", 0.0))
+    while settings.get("gate") and not Path(settings["gate"]).exists():
+        time.sleep(0.01)
     return {"square": settings["number"] ** 2}, {"pid": os.getpid()}
 
 

@@ -453,7 +453,7 @@ def test_a_board_that_flies_is_not_flashed(
 
     monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
     uploader = Uploader(tmp_path / "bin")
-    with SilProcess(speed=5.0) as board:
+    with SilProcess(speed=None) as board:
         heli = heli_host.connect(board.url)
         heli.params.restore(PATIENT)
         heli.take_off()

@@ -132,7 +132,7 @@ def test_over_a_port_a_full_disk_lands_the_rig_and_is_reported_first(
             return super().write(data)  # type: ignore[arg-type]
 
     monkeypatch.setattr("heli_host.log.disk.io.FileIO", FullDisk)
-    with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
+    with process.SilProcess(speed=None) as sil, connect(sil.url) as heli:
         heli.params.restore(PATIENT)
         summary = fly(heli, short(), log_path=tmp_path / "a.mcap")
         assert heli.state is State.IDLE
@@ -186,7 +186,7 @@ def test_a_disk_that_takes_not_even_the_beginning_is_reported(
             raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("heli_host.log.disk.io.FileIO", FullDisk)
-    with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
+    with process.SilProcess(speed=None) as sil, connect(sil.url) as heli:
         heli.params.restore(PATIENT)
         try:
             outcome = fly(heli, short(), log_path=tmp_path / "a.mcap").outcome

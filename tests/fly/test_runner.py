@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -452,7 +451,7 @@ def test_a_recorder_without_a_plan_takes_what_comes(tmp_path: Path) -> None:
 
 def test_over_a_pseudo_terminal_it_flies_the_same(tmp_path: Path) -> None:
     process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
-    with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
+    with process.SilProcess(speed=None) as sil, connect(sil.url) as heli:
         heli.params.restore(PATIENT)
         received: list[Progress] = []
         summary = fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=received.append)
@@ -474,7 +473,7 @@ def test_after_kill_9_of_the_host_the_board_lands_and_the_log_opens(tmp_path: Pa
         f"    heli.params.restore({SOON_LANDING})\n"
         "    fly(heli, 'hover', log_path=sys.argv[2], on_progress=lambda p: print(p.t_s, flush=True))\n"
     )
-    with process.SilProcess(speed=5.0) as sil:
+    with process.SilProcess(speed=None) as sil:
         host = subprocess.Popen(
             [sys.executable, "-c", script, sil.url, str(path)], stdout=subprocess.PIPE, text=True
         )
@@ -482,12 +481,11 @@ def test_after_kill_9_of_the_host_the_board_lands_and_the_log_opens(tmp_path: Pa
         while float(host.stdout.readline()) < 8.0:
             pass
         host.send_signal(signal.SIGKILL)
-        host.wait(timeout=30)
+        host.wait()
         with connect(sil.url) as heli:
-            deadline_s = time.monotonic() + 60.0
-            while heli.state is not State.IDLE and time.monotonic() < deadline_s:
-                heli.wait(0.2)
-            assert heli.state is State.IDLE
+            # Each answer lets some simulated time pass: this is faster than to wait in real time.
+            while heli.state is not State.IDLE:
+                assert heli.session.status().tick < 120_000, heli.state
             assert heli.latest.elevation_deg < -20.0
     log = read_log(path)
     assert not log.complete and log.notes

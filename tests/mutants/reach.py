@@ -161,7 +161,7 @@ class Watch:
         self._shared: dict[tuple[str, str], set[int]] = {}
         self._shared_s: dict[tuple[str, str], float] = defaultdict(float)
         self._not_passed: set[str] = set()
-        self._failed: set[str] = set()
+        self._failed: dict[str, str] = {}
         self._ran: list[pytest.Item] = []
         self._outer: list[set[int]] = []
         self._start_s = self._set_up_s = 0.0
@@ -200,13 +200,17 @@ class Watch:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if not report.passed:
             self._not_passed.add(report.nodeid)
-        if report.failed:
-            self._failed.add(report.nodeid)
+        self._note_failure(report)
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         # A file that cannot be imported ends the run before the first test: no line would be reached.
+        self._note_failure(report)
+
+    def _note_failure(self, report: pytest.TestReport | pytest.CollectReport) -> None:
         if report.failed:
-            self._failed.add(report.nodeid)
+            crash = getattr(report.longrepr, "reprcrash", None)
+            text = str(crash.message if crash is not None else report.longrepr).strip()
+            self._failed.setdefault(report.nodeid, text.splitlines()[0 if crash is not None else -1])
 
     def result(self) -> dict[str, Any]:
         """Costs and entered functions of the tests that passed and are not too expensive."""
@@ -225,7 +229,7 @@ class Watch:
         return {
             "costs_s": costs_s,
             "entered": {name: sorted(self.entered[name]) for name in costs_s},
-            "failed": sorted(self._failed),
+            "failed": self._failed,
         }
 
 
@@ -237,10 +241,12 @@ def require_passed(result: dict[str, Any]) -> None:
     BuildError
         It names the first tests that failed.
     """
-    failed = result["failed"]
+    failed = [f"{name} ({reason})" for name, reason in result["failed"].items()]
     if failed:
-        more = f" and {len(failed) - 3} more" if len(failed) > 3 else ""
-        raise BuildError(f"{', '.join(failed[:3])}{more} failed without a mutant; make them pass first")
+        more = f", and {len(failed) - 3} more" if len(failed) > 3 else ""
+        raise BuildError(
+            f"tests failed without a mutant: {', '.join(failed[:3])}{more}; make them pass first"
+        )
 
 
 def reach_of(result: dict[str, Any], lines_of_block: dict[int, set[tuple[str, int]]]) -> Reach:

@@ -183,6 +183,7 @@ def test_what_a_page_shows_is_what_the_log_holds(served: Served) -> None:
 def test_a_client_that_does_not_keep_up_gets_fewer_rows_and_holds_nobody_up(served: Served) -> None:
     with SocketPage(served.address) as quick, SocketPage(served.address) as slow:
         slow.answers.clear()
+        quick.until(lambda: bool(quick.rows))
         start = quick.rows[-1].number
         begin = len(slow.rows)
         quick.until(lambda: quick.rows[-1].number > start + 100)

@@ -10,7 +10,6 @@ import shlex
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import ModuleType
 
@@ -175,7 +174,8 @@ def test_what_is_to_be_rehearsed_ends_as_the_checklist_says(
         for typed, given, end in rows:
             if typed.startswith("plug"):
                 # An encoder that is plugged in while the arm falls knows a part of the way only.
-                time.sleep(FALL_s)
+                with heli_host.connect(str(tmp_path / "due")) as heli:
+                    heli.wait(FALL_s)
             os.write(keyboard, f"{typed}\n".encode())
             server.stdout.readline()
             run(shlex.split(given))

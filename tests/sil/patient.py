@@ -1,7 +1,8 @@
 """Boards whose time goes on with the machine's, flown on a machine that may stall.
 
-A board holds after half a second, and lands after two. At ten times real time these are 50 ms and 200 ms.
-A machine that stalls for a second must not end the flight of a test.
+A board holds after half a second, and lands after two. A machine that stalls for a second must not end the
+flight of a test. A test that flies over a port takes `SilProcess(speed=None)`: time runs ahead of the host by
+40 ms only, or as in reality. At five times real time a stall costs five times as much, and samples are lost.
 """
 
 from __future__ import annotations

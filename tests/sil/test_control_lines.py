@@ -128,7 +128,7 @@ def test_an_erased_native_board_is_silent_too() -> None:
 
 def test_a_flight_survives_a_host_that_dies_where_opening_resets_nothing(elf: Path) -> None:
     options = {"board": "due", "elf": str(elf), "reset_on_open": "0"}
-    with SilProcess(speed=2.0, options=options) as board:
+    with SilProcess(speed=None, options=options) as board:
         first = heli_host.connect(board.url, land_on_exit=False)
         first.params.restore(PATIENT)
         first.take_off(0.0)
