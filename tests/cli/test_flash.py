@@ -15,7 +15,7 @@ import pytest
 import serial
 from heli_host.cli.verbs import flash as flash_verb
 from heli_host.cli.verbs.flash import ANSWER_TIMEOUT_S
-from heli_host.declaration import BAUD, LINK_HASH, PARAMS_HASH
+from heli_host.declaration import BAUD, LINK_HASH, PARAMS_HASH, State
 from heli_host.errors import FlashError, ImageError, UploaderError
 from heli_host.flash import bossac as uploading
 from heli_host.flash.bossac import Bossac, find_bossac, write_image
@@ -446,7 +446,7 @@ def test_options_of_platformio_are_not_those_of_the_new_uploader(image: Path) ->
 
 
 @pytest.mark.slow
-def test_a_board_that_flies_is_not_flashed(
+def test_a_board_that_flies_is_neither_flashed_nor_landed(
     terminal: Terminal, image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import heli_host
@@ -460,6 +460,8 @@ def test_a_board_that_flies_is_not_flashed(
         # Ends the session but not the flight: the board holds level for a while.
         heli.session.close()
         result = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
+        with heli_host.connect(board.url, land_on_exit=False) as again:
+            assert again.state in (State.CLOSED_LOOP, State.HOLD)
     assert "land first, or stop the motors" in refusal(result, code=LINK)
     assert uploader.calls == []
 

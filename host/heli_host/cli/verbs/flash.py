@@ -119,11 +119,12 @@ def _keep_parameters(port: str, discard: bool) -> Path | None:
     except (LinkError, WaitTimeout) as error:
         say(f"no parameters could be read: {error.cause}")
         return None
+    if heli.motors_may_run:
+        # Another program flies it. The end of a `with` block would land it.
+        state = heli.state.name.lower()
+        heli.session.close()
+        raise FlashError(f"the board on {port} is {state}", "land first, or stop the motors")
     with heli:
-        if heli.motors_may_run:
-            raise FlashError(
-                f"the board on {port} is {heli.state.name.lower()}", "land first, or stop the motors"
-            )
         say(f"found: {board_text(heli)}")
         return _write_parameters(heli.params.dump(), board_versions(heli.info))
 
