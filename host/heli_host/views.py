@@ -154,10 +154,9 @@ def rate(t_s: Floats, angle_rad: Floats, window_s: float = RATE_WINDOW_S) -> Flo
     rate_rad_s = np.full(t_s.shape, np.nan)
     if t_s.size < _MIN_ROWS:
         return rate_rad_s
-    steps_s = np.diff(t_s)
-    step_s = float(np.median(steps_s))
+    step_s = float(np.median(np.diff(t_s)))
     rows = max(_MIN_ROWS, 2 * round(window_s / step_s / 2) + 1)
-    cuts = [0, *(np.flatnonzero(steps_s > _GAP_RATIO * step_s) + 1), t_s.size]
+    cuts = [0, *(find_gaps(t_s) + 1), t_s.size]
     for start, stop in itertools.pairwise(cuts):
         if stop - start >= _MIN_ROWS:
             window_rows = min(rows, stop - start - (stop - start + 1) % 2)
@@ -165,6 +164,32 @@ def rate(t_s: Floats, angle_rad: Floats, window_s: float = RATE_WINDOW_S) -> Flo
                 angle_rad[start:stop], window_rows, 2, deriv=1, delta=step_s
             )
     return rate_rad_s
+
+
+def find_gaps(t_s: Floats) -> NDArray[np.intp]:
+    """Return the rows of rising times `t_s`, shape (n,), after which time is missing.
+
+    Row ``k`` is one when ``t_s[k + 1] - t_s[k]`` exceeds 1.75 median steps.
+    """
+    if t_s.size < 3:
+        return np.zeros(0, np.intp)
+    step_s = np.diff(t_s)
+    return np.flatnonzero(step_s > _GAP_RATIO * float(np.median(step_s)))
+
+
+def broken_at_gaps(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return times and values with NaN in each gap, so that no line is drawn through missing data.
+
+    Parameters
+    ----------
+    t_s : ndarray (n,)
+        Rising times.
+    values : ndarray (n,) or (n, k)
+        One value or row per time.
+    """
+    rows_after_gap = find_gaps(t_s) + 1
+    values = np.asarray(values, np.float64)
+    return np.insert(t_s, rows_after_gap, np.nan), np.insert(values, rows_after_gap, np.nan, axis=0)
 
 
 def small_figure(of: Recorded) -> bytes:
@@ -187,10 +212,12 @@ def small_figure(of: Recorded) -> bytes:
     for axis, colour in _COLOURS.items():
         setpoint_rad = columns.get(f"{axis}_setpoint_rad")
         if setpoint_rad is not None:
-            angles.plot(t_s, np.rad2deg(setpoint_rad[::step]), color=colour, lw=0.8, ls="--", alpha=0.6)
-        angles.plot(t_s, np.rad2deg(columns[f"{axis}_rad"][::step]), color=colour, lw=1.2, label=axis)
-    volts.plot(t_s, of.front_V[::step], color="#6b3fa0", lw=0.9, label="front")
-    volts.plot(t_s, of.back_V[::step], color="#c98a00", lw=0.9, label="back")
+            setpoint_deg = np.rad2deg(setpoint_rad[::step])
+            angles.plot(*broken_at_gaps(t_s, setpoint_deg), color=colour, lw=0.8, ls="--", alpha=0.6)
+        angle_deg = np.rad2deg(columns[f"{axis}_rad"][::step])
+        angles.plot(*broken_at_gaps(t_s, angle_deg), color=colour, lw=1.2, label=axis)
+    volts.plot(*broken_at_gaps(t_s, of.front_V[::step]), color="#6b3fa0", lw=0.9, label="front")
+    volts.plot(*broken_at_gaps(t_s, of.back_V[::step]), color="#c98a00", lw=0.9, label="back")
     for axes, unit in ((angles, "deg"), (volts, "V")):
         axes.set_ylabel(unit)
         axes.grid(alpha=0.25)

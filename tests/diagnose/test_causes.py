@@ -9,17 +9,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from heli_host.arrays import Booleans, Floats
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
+from heli_lab.diagnose.discover.effect_contribution import accelerations
 from heli_lab.diagnose.evaluate import compare_free_runs
-from heli_lab.diagnose.report import missing_terms, title, write_report
+from heli_lab.diagnose.report import figures, missing_terms, title, write_report
 from heli_lab.diagnose.report.cautions import cautions
 from heli_lab.diagnose.report.figures import figure_of_flight, figure_of_torque, figure_of_windows
 from heli_lab.diagnose.report.regions_section import regions_section
 from heli_lab.diagnose.report.result_figures import figure_of_prediction
-from heli_lab.identify import trace
+from heli_lab.identify import Fit, Trace, trace
+from heli_lab.identify.html_report.figures import identification_figure
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig
@@ -220,6 +224,44 @@ def test_models_that_are_the_same_are_drawn_once() -> None:
     for figure in (figure_of_torque(explained), figure_of_windows(fit, fit), figure_of_flight(fit, fit)):
         labels = [label for panel in figure.axes for label in panel.get_legend_handles_labels()[1]]
         assert not any("after" in label or "extended" in label or "causes" in label for label in labels)
+
+
+def test_no_figure_draws_a_line_through_a_part_that_was_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    diagnosis = diagnosed("rotor_lag=0.06")
+    before, after = (
+        runs[0].fit for runs in (diagnosis.held_out.extension.before, diagnosis.held_out.extension.after)
+    )
+    border = trace(before).windows[2].start
+    begin_s = float(trace(before).t_s[border - 1])
+
+    def with_gap(t_s: Floats, is_after: Booleans) -> Floats:
+        """Return times with 2.5 s left out before the rows of a mask."""
+        return np.where(is_after, t_s + 2.5, t_s)
+
+    def trace_with_gap(fit: Fit) -> Trace:
+        run = trace(fit)
+        return replace(run, t_s=with_gap(run.t_s, np.arange(len(run.t_s)) >= border))
+
+    def accelerations_with_gap(*of: Any) -> tuple[Floats, Floats]:
+        t_s, change_rad_s2 = accelerations(*of)
+        return with_gap(t_s, t_s > begin_s), change_rad_s2
+
+    monkeypatch.setattr(figures, "trace", trace_with_gap)
+    monkeypatch.setattr(figures, "accelerations", accelerations_with_gap)
+    drawn = (
+        figures.figure_of_flight(before, after),
+        figures.figure_of_size(diagnosis),
+        identification_figure(trace_with_gap(after), "validation"),
+    )
+    for figure in drawn:
+        assert figure is not None
+        lines = [
+            line for panel in figure.axes for line in panel.get_lines() if line.get_linestyle() != "None"
+        ]
+        points = [np.asarray(line.get_xydata()) for line in lines]
+        # A line is interrupted where either coordinate is nan.
+        spans_s = [np.abs(np.diff(np.where(np.isnan(xy).any(axis=1), np.nan, xy[:, 0]))) for xy in points]
+        assert len(lines) >= 3 and max(float(np.nanmax(span_s, initial=0.0)) for span_s in spans_s) < 1.0
 
 
 def test_each_run_of_a_prediction_shows_where_it_starts() -> None:

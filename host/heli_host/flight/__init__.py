@@ -9,8 +9,8 @@ from heli_host.flight.flight import (
     STATUS_COLUMNS,
     Flight,
     FlightEvent,
-    find_gaps,
 )
+from heli_host.views import broken_at_gaps, find_gaps
 
 __all__ = [
     "ANGLE_COLUMNS",
@@ -20,6 +20,7 @@ __all__ = [
     "STATUS_COLUMNS",
     "Flight",
     "FlightEvent",
+    "broken_at_gaps",
     "check",
     "find_gaps",
 ]

@@ -9,7 +9,8 @@ import numpy as np
 from heli_host.arrays import Floats
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
-from heli_host.flight.flight import MIN_ROWS, Flight, find_gaps
+from heli_host.flight.flight import MIN_ROWS, Flight
+from heli_host.views import find_gaps
 
 _MAX_ANGLE_RAD = {"elevation_rad": 1.6, "pitch_rad": 3.2}
 """Largest possible angles: the arm cannot pass the vertical, and the short arm cannot turn over."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from heli_host.arrays import Floats
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
-from heli_host.views import AngleViews, shares
+from heli_host.views import AngleViews, find_gaps, shares
 
 Bytes = NDArray[np.uint8]
 
@@ -35,8 +35,6 @@ OWN_COLUMNS = (*REQUIRED_COLUMNS, *SETPOINT_COLUMNS, *STATUS_COLUMNS)
 
 MIN_ROWS = 10
 """Fewer rows than this are no flight."""
-
-_GAP_RATIO = 1.75
 
 
 @dataclass(frozen=True)
@@ -206,14 +204,3 @@ class Flight(AngleViews):
             extra={name: column[keep] for name, column in self.extra.items()},
             events=tuple(event for event in self.events if start_s <= event.t_s < stop_s),
         )
-
-
-def find_gaps(t_s: Floats) -> NDArray[np.intp]:
-    """Return the rows of rising times `t_s`, shape (n,), after which time is missing.
-
-    Row ``k`` is one when ``t_s[k + 1] - t_s[k]`` exceeds 1.75 median steps.
-    """
-    if t_s.size < 3:
-        return np.zeros(0, np.intp)
-    step_s = np.diff(t_s)
-    return np.flatnonzero(step_s > _GAP_RATIO * float(np.median(step_s)))

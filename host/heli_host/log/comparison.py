@@ -11,7 +11,7 @@ import numpy as np
 
 from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
-from heli_host.flight import Flight
+from heli_host.flight import Flight, broken_at_gaps
 from heli_host.flight.flown import flown_rows, led_rows
 from heli_host.flight.response import effort_V, responses
 from heli_host.output_files import save_figure
@@ -194,11 +194,12 @@ def figure_of_flights(flights: Mapping[str, Flight]) -> Figure:
             setpoint = getattr(flight, f"{axis}_setpoint_rad")
             if setpoint is not None:
                 setpoint_deg = np.where(led_rows(flight, axis), np.rad2deg(setpoint), np.nan)
-                panel.plot(t_s[keep], setpoint_deg[keep], "--", color=colour, lw=0.9, alpha=0.6)
-            panel.plot(
-                t_s[keep], np.rad2deg(getattr(flight, f"{axis}_rad"))[keep], color=colour, lw=1.3, label=label
-            )
-        panels[3].plot(t_s[keep], flight.voltages_V.mean(axis=1)[keep], color=colour, lw=0.8)
+                dashes = broken_at_gaps(t_s[keep], setpoint_deg[keep])
+                panel.plot(*dashes, "--", color=colour, lw=0.9, alpha=0.6)
+            angle_deg = np.rad2deg(getattr(flight, f"{axis}_rad"))[keep]
+            panel.plot(*broken_at_gaps(t_s[keep], angle_deg), color=colour, lw=1.3, label=label)
+        mean_V = flight.voltages_V.mean(axis=1)[keep]
+        panels[3].plot(*broken_at_gaps(t_s[keep], mean_V), color=colour, lw=0.8)
     for axis, panel in zip(AXES, panels, strict=False):
         panel.set_ylabel(f"{axis} [deg]")
     panels[3].set_ylabel("mean of both\nvoltages [V]")

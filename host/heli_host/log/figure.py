@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from heli_host.declaration import AXES, Takeover
 from heli_host.errors import LogWriteError
-from heli_host.flight import Flight, FlightEvent
+from heli_host.flight import Flight, FlightEvent, broken_at_gaps, find_gaps
 from heli_host.flight.flown import LANDING, PHASE_EVENT, TAKE_OFF
 from heli_host.log.summary import FlightSummary
 from heli_host.output_files import save_figure
@@ -329,12 +329,16 @@ def _envelope(t_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[An
     """
     rows_per_bucket = len(values) // _BUCKETS
     if rows_per_bucket < 3:
-        return t_s, values
+        return broken_at_gaps(t_s, values)
     bucket_count = len(values) // rows_per_bucket
     buckets = values[: bucket_count * rows_per_bucket].reshape(bucket_count, rows_per_bucket)
     first_rows = np.arange(bucket_count) * rows_per_bucket
     extreme_rows = np.sort(
         np.column_stack((first_rows + buckets.argmin(axis=1), first_rows + buckets.argmax(axis=1))), axis=1
     ).ravel()
-    keep = np.unique(np.append(extreme_rows, len(values) - 1))
-    return t_s[keep], values[keep]
+    # Both rows at a gap stay, so that the line ends and begins there.
+    gaps = find_gaps(t_s)
+    keep = np.unique(np.concatenate((extreme_rows, gaps, gaps + 1, [len(values) - 1])))
+    rows_after_gap = np.searchsorted(keep, gaps + 1)
+    kept_values = np.asarray(values[keep], np.float64)
+    return np.insert(t_s[keep], rows_after_gap, np.nan), np.insert(kept_values, rows_after_gap, np.nan)

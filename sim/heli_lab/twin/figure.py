@@ -21,10 +21,11 @@ def draw_evidence(flights: Sequence[TwinReport], path: Path) -> None:
     axes = figure.subplots(len(flights), 1, squeeze=False)[:, 0]
     for ax, flight in zip(axes, flights, strict=True):
         t_s, evidence_nats = np.array(flight.evidence_nats, float).reshape(-1, 2).T
+        # No line is drawn through times at which the evidence is unknown.
         is_known = np.isfinite(evidence_nats)
         ax.plot(
-            t_s[is_known],
-            np.maximum(evidence_nats[is_known], 0.0),
+            t_s,
+            np.where(is_known, np.maximum(evidence_nats, 0.0), np.nan),
             color="#0b5394",
             lw=1.2,
             label="most likely change",

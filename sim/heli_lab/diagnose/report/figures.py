@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from heli_host.arrays import Floats
+from heli_host.flight import broken_at_gaps
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.discover import SplineCurve, accelerations
@@ -57,15 +58,11 @@ def figure_of_flight(before: Fit, after: Fit) -> Figure:
         )
         angle_panel.set_ylabel(f"{AXES[axis]} [deg]")
         for run, color, label in runs:
-            angle_panel.plot(*_with_window_gaps(run, axis), color=color, lw=1.0, label=label)
+            predicted_deg = np.rad2deg(run.predicted_rad[:, axis])
+            angle_panel.plot(*_with_window_gaps(run, predicted_deg), color=color, lw=1.0, label=label)
             error_deg = np.rad2deg(run.residual[:, axis] * run.sigma_rad[axis])
-            error_panel.plot(
-                run.t_s[thinned_rows],
-                error_deg[thinned_rows],
-                color=color,
-                lw=0.7,
-                label=f"rms {_rms(error_deg):.3g}",
-            )
+            error_text = f"rms {_rms(error_deg):.3g}"
+            error_panel.plot(*_with_window_gaps(run, error_deg), color=color, lw=0.7, label=error_text)
         error_panel.set_ylabel("error [deg]")
         _legend_beside(error_panel)
         for panel in (angle_panel, error_panel):
@@ -143,7 +140,7 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
         for (t_s, torque_Nm), color, label in torques:
             value_mNm = 1e3 * torque_Nm[:, axis]
             legend_text = f"{label}: rms {_rms(value_mNm):.3g} mN m"
-            panels[axis, 0].plot(*_with_sample_gaps(t_s, value_mNm), color=color, lw=0.7, label=legend_text)
+            panels[axis, 0].plot(*broken_at_gaps(t_s, value_mNm), color=color, lw=0.7, label=legend_text)
             panels[axis, 1].loglog(*_amplitude_spectrum(t_s, value_mNm), color=color, lw=0.9)
         panels[axis, 0].set_ylabel(f"{AXES[axis]} [mN m]")
         _legend_above(panels[axis, 0])
@@ -217,7 +214,9 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
                 f"rms {_rms(change_deg_s2):.3g} deg/s$^2$" if change_deg_s2.any() else "no acceleration"
             )
             legend_text = f"{cause.candidate.id}: {size_text}"
-            panel.plot(t_s, change_deg_s2, lw=0.7, color=f"C{number}", label=legend_text)
+            # The parts of a flight that were left out have no acceleration.
+            drawn = broken_at_gaps(t_s, change_deg_s2)
+            panel.plot(*drawn, lw=0.7, color=f"C{number}", label=legend_text)
     for axis, panel in enumerate(panels):
         panel.set_ylabel(f"{AXES[axis]} [deg/s$^2$]")
         panel.grid(alpha=0.25)
@@ -295,30 +294,23 @@ def _legend_above(panel: Axes) -> None:
     panel.legend(loc="lower right", bbox_to_anchor=position, ncols=4, fontsize=8, frameon=False)
 
 
-def _with_window_gaps(run: Trace, axis: int) -> tuple[Floats, Floats]:
-    """Return times [s] and predicted angle [deg] of an axis, thinned, with nan after each window."""
+def _with_window_gaps(run: Trace, values: Floats) -> tuple[Floats, Floats]:
+    """Return times [s] and `values` (m,) of a run, thinned, with nan after each window."""
     t_s: list[Floats] = []
-    angles_deg: list[Floats] = []
+    thinned_values: list[Floats] = []
     step = max(1, len(run.t_s) // _MAX_POINTS)
     for window in run.windows:
         thinned_rows = slice(window.start, window.stop, step)
         last_row = slice(window.stop - 1, window.stop)
         t_s += [run.t_s[thinned_rows], run.t_s[last_row]]
-        angles_deg += [np.rad2deg(run.predicted_rad[thinned_rows, axis]), np.array([np.nan])]
-    return np.concatenate(t_s), np.concatenate(angles_deg)
+        thinned_values += [values[thinned_rows], np.array([np.nan])]
+    return np.concatenate(t_s), np.concatenate(thinned_values)
 
 
 def _smoothed_torque(estimate: Estimate) -> tuple[Floats, Floats]:
     """Return times (k,) [s] and smoothed disturbance torques (k, 3) [N m] of the first fitted flight."""
     t_s, torque_Nm, _ = smoothed_disturbances(estimate.filtered(), estimate.disturbances)[0]
     return t_s, torque_Nm
-
-
-def _with_sample_gaps(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
-    """Return times and values with nan inserted wherever samples are missing."""
-    intervals_s = np.diff(t_s)
-    rows_after_gap = np.flatnonzero(intervals_s > 1.5 * np.median(intervals_s)) + 1
-    return np.insert(t_s, rows_after_gap, np.nan), np.insert(value, rows_after_gap, np.nan)
 
 
 def _amplitude_spectrum(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from heli_host.arrays import Floats
+from heli_host.flight import broken_at_gaps
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.discover import TIME, MissingTerm
@@ -65,7 +66,8 @@ def _draw_missing_term(term: MissingTerm, before: Axes, after: Axes) -> None:
     quantity, contribution = term.quantity, term.contribution
     if term.what == "torque" and term.on != TIME:
         quantity, contribution = bin_means(quantity, contribution, 4 * _BINS)
-    before.plot(quantity, contribution, color=AFTER, lw=1.4 if term.on == TIME else 2.2, label=label)
+    line = broken_at_gaps(quantity, contribution) if term.on == TIME else (quantity, contribution)
+    before.plot(*line, color=AFTER, lw=1.4 if term.on == TIME else 2.2, label=label)
     before.set_title(f"{name}\nbefore: {noun} that the model lacks", fontsize=10.5, color=BEFORE, loc="left")
     after.set_title(
         f"after: what remains with the {kind} in the model", fontsize=10.5, color=AFTER, loc="left"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from heli_host.flight import broken_at_gaps
 from heli_sim.model.parts import AXES
 
 from heli_lab.identify.results import Identification, Trace
@@ -39,13 +40,14 @@ def identification_figure(trace: Trace, role: str) -> Figure:
     label = "predicted freely, window by window"
     for index, axis in enumerate(AXES):
         above, below = panels[2 * index], panels[2 * index + 1]
-        above.plot(t_s, measured_deg[:, index], color=_MEASURED, lw=1.0, label="measured")
-        above.plot(t_s, predicted_deg[:, index], color=_PREDICTED, lw=0.8, label=label)
+        measured, predicted = measured_deg[:, index], predicted_deg[:, index]
+        above.plot(*broken_at_gaps(t_s, measured), color=_MEASURED, lw=1.0, label="measured")
+        above.plot(*broken_at_gaps(t_s, predicted), color=_PREDICTED, lw=0.8, label=label)
         above.set_ylabel(f"{axis} [deg]")
         error_deg = np.rad2deg(trace.residual[keep, index] * trace.sigma_rad[index])
         count_deg = np.rad2deg(trace.sigma_rad[index]) * np.sqrt(12.0)
         below.axhspan(-0.5 * count_deg, 0.5 * count_deg, color="#e5e5e5", label="half a count")
-        below.plot(t_s, error_deg, color=_RESIDUAL, lw=0.6)
+        below.plot(*broken_at_gaps(t_s, error_deg), color=_RESIDUAL, lw=0.6)
         below.set_ylabel("error [deg]")
         largest_deg = float(np.nanmax(np.abs(error_deg), initial=0.0))
         limit_deg = max(_MIN_AXIS_COUNTS * count_deg, largest_deg * 1.05)
