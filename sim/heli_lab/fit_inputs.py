@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from heli_host.cli.simulated import DEFAULT_RIG
 
 from heli_lab.errors import IdentifyError, NotExcited, WrongSigns
 from heli_lab.fit_options import DEFAULT_MODEL
@@ -77,6 +79,35 @@ def fit_inputs(
     return FitInputs(loaded_rig, model_with_effects, short_names([*flights, *validate]))
 
 
+def input_lines(inputs: FitInputs, rig: str) -> tuple[str, str]:
+    """State which rig and which model a fit uses, so that nobody takes a default for their own rig.
+
+    Parameters
+    ----------
+    rig : str
+        Name or file of the rig, as in `fit_inputs`.
+    """
+    source = " (the default of --rig)" if rig == DEFAULT_RIG else ""
+    name = f" ({inputs.rig.name})" if rig != inputs.rig.name else ""
+    effects = ", ".join(effect.name for effect in inputs.model.effects)
+    return f"rig: {rig}{name}{source}", f"model: {inputs.model.name}{f' with {effects}' if effects else ''}"
+
+
+def flights_line(flights: Iterable[Mapping[str, Any]]) -> str:
+    """State how many seconds of each flight were fitted, and validated on.
+
+    Parameters
+    ----------
+    flights : iterable of Mapping
+        Entries ``flights`` of the JSON of an identification or a diagnosis.
+    """
+    used: dict[bool, list[str]] = {True: [], False: []}
+    for flight in flights:
+        used[flight["role"] == "train"].append(f"{flight['flight']} ({flight['seconds_used']:.0f} s used)")
+    validated = f"; validated on {', '.join(used[False])}" if used[False] else "; validated on no flight"
+    return f"flights: fitted {', '.join(used[True])}{validated}"
+
+
 def parts(
     from_s: Sequence[float], to_s: Sequence[float], fitted: int, validated: int
 ) -> list[tuple[float | None, float | None]]:
@@ -85,7 +116,8 @@ def parts(
     Parameters
     ----------
     from_s, to_s : sequence of float
-        No times, one for all flights to fit, one per flight to fit, or one per flight to fit or validate.
+        No times, one for all flights to fit, one per flight to fit, or one per flight to fit or validate. A
+        single time never shortens a flight for validation.
     fitted, validated : int
         Number of flights to fit, and to validate.
 
@@ -104,7 +136,8 @@ def parts(
         if len(times) > 1 and len(times) not in (fitted, fitted + validated):
             raise IdentifyError(
                 f"{option} has {len(times)} times for {fitted} flights to fit and {validated} to validate",
-                "give one time for all flights, or one per flight",
+                "give one time for all flights to fit, one per flight to fit, or one per flight, those of "
+                "--validate last",
             )
         limits: list[float | None] = list(times) if len(times) != 1 else [*times] * fitted
         # Flights without a time are not limited.

@@ -79,6 +79,23 @@ def test_search_moves_along_a_bound() -> None:
     assert minimum.iterate.theta == pytest.approx([0.5, 0.25], abs=0.02)
 
 
+@pytest.mark.parametrize("max_steps", [0, 1, 3])
+def test_search_out_of_steps_has_not_converged(max_steps: int) -> None:
+    problem = Rosenbrock()
+    minimum = minimise(problem, problem.guess(problem.vector.start), damping=0.0, max_steps=max_steps)
+    assert not minimum.converged
+    # The end of the valley is not reached yet.
+    assert abs(minimum.iterate.theta[0] - 1.0) > 0.1
+
+
+def test_search_whose_steps_all_fail_has_not_converged() -> None:
+    """The model is a number at the start only, so that no step of any length succeeds."""
+    problem = Rosenbrock()
+    start = problem.guess(problem.vector.start)
+    problem.guess = lambda theta: Guess(theta, np.nan)  # type: ignore[method-assign]
+    assert not minimise(problem, start, damping=0.0, max_steps=50).converged
+
+
 def test_search_out_of_budget_has_not_converged() -> None:
     problem = Rosenbrock(max_evaluations=3)
     start = problem.guess(problem.vector.start)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import re
@@ -14,12 +15,15 @@ from heli_host.cli.variadic import spread
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
 from heli_host.log.table import write_csv
+from heli_lab.identify import thresholds
 from heli_lab.page import write_json
 from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal
 
 pytestmark = pytest.mark.slow
+# The package exports a function of the same name.
+solve = importlib.import_module("heli_lab.identify.shooting.solve")
 
 HIDDEN = {"thrust_gain": 0.63, "friction_travel": 0.055, "friction_pitch": 0.02}
 SHORT = """
@@ -103,6 +107,40 @@ def test_estimated_effect_is_in_the_rig_file_and_flies_with_it(terminal: Termina
     assert lag.value == pytest.approx(0.05, abs=2 * lag.tolerance)
     hover = terminal("fly", "hover", "--sil", "--rig", "new.toml", "--speed", "max", "--log", "hover.mcap")
     assert hover.code == 0, hover
+
+
+def test_fit_that_does_not_converge_says_so_in_every_output(
+    terminal: Terminal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fly_hidden(terminal, tmp_path, "a", 16, seed=1)
+    files = ("--save-rig", "new.toml", "--report", "page", "--json", "new.json")
+    monkeypatch.setattr(solve, "_ROUGH_STEPS", 1)
+    monkeypatch.setattr(solve, "_FINE_STEPS", 1)
+    monkeypatch.setattr(thresholds, "ROUNDS", 1)
+    monkeypatch.setattr(thresholds, "FINE_ROUNDS", 1)
+    result = terminal("identify", "a.mcap", *files)
+    assert result.code == 1
+    places = (result.out, *(Path(name).read_text() for name in ("new.toml", "page/index.html")))
+    assert all("The fit did not converge" in " ".join(place.replace("#", "").split()) for place in places)
+    assert json.loads(Path("new.json").read_text())["converged"] is False
+
+
+def test_rig_and_used_flights_come_first(terminal: Terminal, tmp_path: Path) -> None:
+    fly_hidden(terminal, tmp_path, "a", 16, seed=1)
+    fly_hidden(terminal, tmp_path, "b", 16, seed=2)
+    result = terminal("identify", "a.mcap", "--from", "12", "--validate", "b.mcap", "--free", "thrust_gain")
+    assert result.code == 0, result
+    rig, model, *more = result.out.splitlines()
+    (flights,) = (line for line in more if line.startswith("flights: "))
+    assert rig == "rig: makki2024 (the default of --rig)"
+    assert model == "model: multibody"
+    # One time is for the flights to fit: the validation flight stays whole.
+    used = re.fullmatch(
+        r"flights: fitted a.mcap \((\d+) s used\); validated on b.mcap \((\d+) s used\)", flights
+    )
+    assert used and int(used[1]) < int(used[2]) - 5
+    mine = terminal("identify", "a.mcap", "--rig", "hidden.toml", "--free", "thrust_gain")
+    assert mine.out.startswith("rig: hidden.toml (makki2024)\n")
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,11 @@ def test_a_verdict_says_which_axis_did_not_move_and_what_is_uninformed() -> None
     still = flight.measured_rad * [1.0, 0.0, 1.0]
     without_pitch = replace(moving, training_traces=(replace(flight, measured_rad=still),))
     assert "pitch did not move there, so the error shows nothing about pitch" in verdict(without_pitch)
+    # A slow turn of 25 degrees is nearly a line in each window.
+    turning = still + [[0.0, np.radians(25.0), 0.0]] * np.linspace(0.0, 1.0, len(still))[:, None]
+    turned = replace(moving, training_traces=(replace(flight, measured_rad=turning),))
+    assert "pitch moved there by 25 degrees so evenly that any model predicts it" in verdict(turned)
+    assert "did not move" not in verdict(turned)
     nothing = replace(
         moving,
         training=(replace(moving.training[0], normalised=0.9),),

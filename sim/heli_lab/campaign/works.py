@@ -108,7 +108,7 @@ def identify(settings: Settings) -> Result:
         "held_out_normalised": identification.validation[0].normalised,
         "within_2_std": float(np.mean([size < 2.0 for size in sizes])) if sizes else None,
         "most_std_off": max(sizes, default=None),
-        "converged": fit.converged,
+        "converged": identification.converged,
         **training.drawn.row,
     }
     return row, {"values": fit.values, "std": fit.std, "standard_errors_off": errors_in_std}

@@ -84,7 +84,8 @@ class Minimum(Generic[IterateT]):
     iterate : HasCost
         The iterate of the lowest cost.
     converged : bool
-        False if the budget ran out first.
+        Whether a further step would be small, or gain little. False if the steps or the budget ran out first,
+        or if the cost cannot be reduced by steps that are not small.
     damping : float
         Damping that a further step would have.
     """
@@ -147,9 +148,9 @@ def minimise(
         on_step(number, iterate.cost)
         step = problem.step(iterate, control.value)
         if problem.is_out_of_budget():
-            return Minimum(iterate, False, control.value)
-        if control.value == 0.0 and step.promised < SMALL_STEP**2:
             break
+        if control.value == 0.0 and step.promised < SMALL_STEP**2:
+            return Minimum(iterate, True, control.value)
         trial = step.evaluate()
         is_small = bool(np.all(np.abs(step.move) < SMALL_STEP * step.std))
         if trial.cost < iterate.cost * (1 + 1e-12):
@@ -159,13 +160,14 @@ def minimise(
             idle_steps = idle_steps + 1 if gain < idle_share * _IDLE_GAIN else 0
             converged = gain < _CONVERGED_GAIN or (is_small and gain < _IDLE_GAIN)
             if idle_steps == 2 or (control.value < 1.0 and converged):
-                break
+                return Minimum(iterate, True, control.value)
         elif not states_are_refined and (better := problem.with_states_refined(iterate)) is not None:
             iterate, states_are_refined = better, True
         elif control.value > _MAX_DAMPING or (is_small and len(step.move)):
-            break
+            # Without free parameters, every step is small.
+            return Minimum(iterate, is_small, control.value)
         else:
             control.increase()
             # The iterate stays the same, so that refining its states again would gain nothing.
             states_are_refined = True
-    return Minimum(iterate, True, control.value)
+    return Minimum(iterate, False, control.value)

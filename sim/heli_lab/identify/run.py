@@ -105,11 +105,15 @@ def identify(
     )
     report(FitProgress("checking", 0.85, fit.cost))
     training_traces, training = _free_runs(fit)
-    validation_traces, validation_errors = _free_runs(validate(fit, held_out)) if held_out else ((), ())
+    validated = validate(fit, held_out) if held_out else None
+    validation_traces, validation_errors = _free_runs(validated) if validated is not None else ((), ())
+    validation_converged = validated is None or validated.converged
     if not skip_sign_check:
         for flight in (*training_traces, *validation_traces):
             refuse_unexplained(flight)
-    return Identification(fit, training, validation_errors, training_traces, validation_traces)
+    return Identification(
+        fit, training, validation_errors, training_traces, validation_traces, validation_converged
+    )
 
 
 def _free_runs(fit: Fit) -> tuple[tuple[Trace, ...], tuple[FreeRunErrors, ...]]:

@@ -61,8 +61,8 @@ def identify(
     """Estimate a rig's parameters from flights, with standard errors.
 
     Each window of a flight is simulated open loop from its voltages. The estimates minimise the squared
-    errors, with the tolerances of the rig file as priors. Without --save-rig, --report and --json the result
-    is only printed.
+    errors, with the tolerances of the rig file as priors. If a fit does not converge, the result states this,
+    and the exit code is 1. Without --save-rig, --report and --json the result is only printed.
 
     Example: `heli-host identify a.mcap --validate b.mcap --save-rig mine.toml --report mine`
     """
@@ -70,7 +70,7 @@ def identify(
     from heli_host.cli.progress_bar import WorkBar
     from heli_sim.rig import write_rig
 
-    from heli_lab.fit_inputs import fit_inputs, parts, read_parts
+    from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, parts, read_parts
     from heli_lab.identify.html_report import verdict, write_identification_report
     from heli_lab.identify.run import identify as run_identification
     from heli_lab.page.drawing import Drawing
@@ -80,6 +80,7 @@ def identify(
     data_on_stdout(json)
     check_result_places(save_rig, json, report=report)
     inputs = fit_inputs(flights, validation_paths, rig, model, effect_file or (), effect or ())
+    say(*input_lines(inputs, rig))
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process) as drawing:
         spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
@@ -105,10 +106,14 @@ def identify(
         if report is not None:
             bar.show("drawing", 0.9)
             page = write_identification_report(identification, report, drawing)
-        write_result(json, identification.json())
+        numbers = identification.json()
+        write_result(json, numbers)
+    say(flights_line(numbers["flights"]))
     _print_estimates(identification)
     say(verdict(identification))
     say_files((save_rig, page, json))
+    if not identification.converged:
+        raise typer.Exit(1)
 
 
 def _print_estimates(identification: Identification) -> None:

@@ -74,7 +74,8 @@ class Fit:
     elapsed_s : float
         Time that the fit took [s].
     converged : bool
-        False when the budget ran out first.
+        Whether further steps would not change the estimates noticeably. False when the budget, or the largest
+        number of steps or rounds, ended the fit before.
     """
 
     problem: Problem

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from heli_lab.identify.html_report.figures import (
     figure_of_parameters,
     identification_figure,
 )
-from heli_lab.identify.results import Identification, axes_at_rest, rounded
+from heli_lab.identify.results import Identification, rounded, unexcited_axes
 from heli_lab.identify.thresholds import QUANTISATION_ONLY
 from heli_lab.page import folder_with, write_page
 from heli_lab.page.drawing import Drawing
@@ -46,7 +46,7 @@ def write_identification_report(
         for number, trace in enumerate(traces, 1)
     ]
     fit, problem = identification.fit, identification.fit.problem
-    end = "converged" if fit.converged else "stopped by its budget before it had converged"
+    end = "converged" if fit.converged else "ended before it had converged,"
     return write_page(
         folder,
         Path(__file__).with_name("report.html"),
@@ -75,35 +75,71 @@ def verdict(identification: Identification) -> str:
     which = "the fitted flights" if role == "train" else "the validation flights"
     window_s = identification.fit.problem.grids.window_s
     errors = ", ".join(f"{axis} {numbers['free_run_rms_deg'][axis]:.3g}" for axis in AXES)
-    at_rest = axes_at_rest(identification.validation_traces or identification.training_traces)
+    unexcited = unexcited_axes(identification.validation_traces or identification.training_traces)
     if normalised_error > QUANTISATION_ONLY:
         first_sentence = (
             f"The model has an error of {normalised_error:.3g} times the encoders' quantisation on {which}: "
             "it lacks something, and its parameters are biased."
         )
-    elif len(at_rest) == len(AXES):
+    elif len(unexcited) == len(AXES):
+        moves = "moves in a way that tests the model" if any(unexcited.values()) else "moves"
         first_sentence = (
-            f"No axis moves on {which}, so the small error, {normalised_error:.3f} when normalised, shows "
+            f"No axis {moves} on {which}, so the small error, {normalised_error:.3f} when normalised, shows "
             "nothing."
         )
     else:
         first_sentence = (
             f"Only the encoders' quantisation remains on {which}: normalised error {normalised_error:.3f}."
         )
-    not_shown = _sentences_on_axes_at_rest(identification, at_rest)
+    not_shown = _sentences_on_unexcited_axes(identification, unexcited, window_s)
     return " ".join(
-        [first_sentence, *not_shown, f"Free-run error over {window_s:g} s, rms in degrees: {errors}."]
+        [
+            *_sentences_on_convergence(identification),
+            first_sentence,
+            *not_shown,
+            f"Free-run error over {window_s:g} s, rms in degrees: {errors}.",
+        ]
     )
 
 
-def _sentences_on_axes_at_rest(identification: Identification, at_rest: Sequence[str]) -> list[str]:
-    """Write up to two sentences on what the flights do not show because the axes `at_rest` do not move."""
-    if not at_rest:
+def _sentences_on_convergence(identification: Identification) -> list[str]:
+    """Write a sentence if the limits of the work ended the fit before it had converged."""
+    if not identification.fit.converged:
+        return [
+            "The fit did not converge: its limits ended it first, so these estimates are not the best ones, "
+            "and their standard errors mean nothing; use a rig file that is closer to this rig, or estimate "
+            "fewer parameters with --free."
+        ]
+    if not identification.validation_converged:
+        return [
+            "The prediction of the validation flights did not converge, so its error is larger than that of "
+            "the model."
+        ]
+    return []
+
+
+def _sentences_on_unexcited_axes(
+    identification: Identification, unexcited: Mapping[str, float], window_s: float
+) -> list[str]:
+    """Write sentences on what the flights do not show, because axes rest or move too evenly.
+
+    `unexcited` has the range of these axes [deg], 0 for an axis at rest, and `window_s` is the length of the
+    free runs.
+    """
+    if not unexcited:
         return []
     sentences = []
-    if len(at_rest) < len(AXES):
-        axes = " and ".join(at_rest)
-        sentences.append(f"But {axes} did not move there, so the error shows nothing about {axes}.")
+    if len(unexcited) < len(AXES):
+        at_rest = [axis for axis, range_deg in unexcited.items() if not range_deg]
+        if at_rest:
+            axes = " and ".join(at_rest)
+            sentences.append(f"But {axes} did not move there, so the error shows nothing about {axes}.")
+        sentences += [
+            f"But {axis} moved there by {range_deg:.2g} degrees so evenly that any model predicts it over "
+            f"{window_s:g} s, so the error shows nothing about {axis}."
+            for axis, range_deg in unexcited.items()
+            if range_deg
+        ]
     uninformed = identification.uninformed_parameters
     if uninformed:
         sentences.append(

@@ -15,7 +15,7 @@ from heli_sim.model.parts import AXES
 
 from heli_lab.errors import NotExcited
 from heli_lab.identify.results.check import Trace
-from heli_lab.identify.thresholds import MIN_MOTION, UNEXPLAINED
+from heli_lab.identify.thresholds import MIN_MOTION, REST_COUNTS, UNEXPLAINED
 
 
 def unexplained_shares(flight: Trace) -> tuple[Floats, Floats]:
@@ -48,11 +48,24 @@ def unexplained_shares(flight: Trace) -> tuple[Floats, Floats]:
     return np.sqrt(1.0 - correlation**2), np.sqrt(measured_sum / len(flight.t_s)) / flight.sigma_rad
 
 
-def axes_at_rest(flights: Sequence[Trace]) -> list[str]:
-    """List the axes that move by no more than their encoder's quantisation in all flights."""
+def unexcited_axes(flights: Sequence[Trace]) -> dict[str, float]:
+    """Find the axes whose free runs show nothing about the model.
+
+    Within each window, such an axis rests, or follows a parabola to within its encoder's quantisation. Any
+    model predicts that.
+
+    Returns
+    -------
+    dict of float
+        Largest range of the axis in one flight [deg], by its name; 0 if the axis rests.
+    """
     motion = np.array([unexplained_shares(flight)[1] for flight in flights])
-    is_at_rest = np.all(motion <= MIN_MOTION, axis=0)
-    return [axis for axis, rests in zip(AXES, is_at_rest, strict=True) if rests]
+    range_rad = np.array([np.ptp(flight.measured_rad, axis=0) for flight in flights])
+    count_rad = np.array([flight.sigma_rad for flight in flights]) * np.sqrt(12.0)
+    range_rad[range_rad < (REST_COUNTS + 0.5) * count_rad] = 0.0
+    is_unexcited = np.all(motion <= MIN_MOTION, axis=0)
+    largest_deg = np.rad2deg(range_rad.max(axis=0))
+    return {axis: float(largest_deg[i]) for i, axis in enumerate(AXES) if is_unexcited[i]}
 
 
 def refuse_unexplained(flight: Trace) -> None:

@@ -30,6 +30,8 @@ class Identification:
         Errors of the free runs, one per fitted and per validation flight.
     training_traces, validation_traces : tuple of Trace
         Measured and predicted angles of the same flights.
+    validation_converged : bool
+        Whether the initial states and zeros of the validation flights are those with the smallest error.
     """
 
     fit: Fit
@@ -37,6 +39,12 @@ class Identification:
     validation: tuple[FreeRunErrors, ...]
     training_traces: tuple[Trace, ...]
     validation_traces: tuple[Trace, ...]
+    validation_converged: bool = True
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit has converged, and the initial states of the validation flights too."""
+        return self.fit.converged and self.validation_converged
 
     @property
     def combinations(self) -> list[Combination]:
@@ -174,7 +182,7 @@ class Identification:
             + [self._flight_json(check, "validation") for check in self.validation],
             "seconds_used": sum(check.seconds_used for check in self.training),
             "seconds_taken": fit.elapsed_s,
-            "converged": fit.converged,
+            "converged": self.converged,
         }
 
     def _flight_json(self, check: FreeRunErrors, role: str) -> dict[str, Any]:

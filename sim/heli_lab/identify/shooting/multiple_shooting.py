@@ -117,7 +117,7 @@ class MultipleShooting:
         iterate : Iterate
             The iterate with the lowest cost.
         converged : bool
-            False if the budget ran out first.
+            False if the budget or the steps ran out first.
         """
 
         def report(number: int, cost: float) -> None:

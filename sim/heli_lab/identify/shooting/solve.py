@@ -89,12 +89,16 @@ def solve(
         raise IdentifyError(
             "the model's free run diverges from the start values", "check the rig parameters and units"
         )
-    coarse = _fit_coarse_grid(shooting, iterate, warm_start)
-    iterate, converged = coarse.iterate, coarse.search_converged
-    if fine and not shooting.is_out_of_budget():
-        iterate, fine_converged = _fit_every_sample(shooting, iterate)
-        converged = converged and fine_converged
-    return _collect_fit(shooting, iterate, converged, scatter)
+    last = _fit_coarse_grid(shooting, iterate, warm_start)
+    # The single round of a warm start does not wait for its weights.
+    converged = last.search_converged if warm_start else last.converged
+    if fine:
+        # What the coarse grid left open does not matter if every sample is then fitted.
+        converged = False
+        if not shooting.is_out_of_budget():
+            last = _fit_every_sample(shooting, last.iterate)
+            converged = last.converged
+    return _collect_fit(shooting, last.iterate, converged, scatter)
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,7 @@ class _RoundResult:
     iterate : Iterate
         The best parameters and initial states.
     search_converged : bool
-        False if the budget ended the search.
+        False if the budget or the largest number of steps ended the search.
     weights_settled : bool
         Whether the weights changed so little that no further round is needed.
     """
@@ -114,6 +118,11 @@ class _RoundResult:
     iterate: Iterate
     search_converged: bool
     weights_settled: bool
+
+    @property
+    def converged(self) -> bool:
+        """Whether neither a further step nor a further round would change the estimates noticeably."""
+        return self.search_converged and self.weights_settled
 
 
 def _fit_coarse_grid(shooting: MultipleShooting, iterate: Iterate, warm_start: bool) -> _RoundResult:
@@ -139,14 +148,15 @@ def _fit_coarse_grid(shooting: MultipleShooting, iterate: Iterate, warm_start: b
         last = _fit_round(shooting, iterate, stage, work_done, max_steps, restart=number in _RESTART_ROUNDS)
         iterate = last.iterate
         shooting.damping = 0.0
-        if warm_start or not last.search_converged or (number + 1 >= min_rounds and last.weights_settled):
+        is_settled = number + 1 >= min_rounds and last.weights_settled
+        if warm_start or shooting.is_out_of_budget() or is_settled:
             break
     return last
 
 
-def _fit_every_sample(shooting: MultipleShooting, iterate: Iterate) -> tuple[Iterate, bool]:
-    """Fit on every sample from an `iterate` of the coarse grid; return the last iterate and whether all
-    searches converged.
+def _fit_every_sample(shooting: MultipleShooting, iterate: Iterate) -> _RoundResult:
+    """Fit on every sample from an `iterate` of the coarse grid, until the weights settle; return the last
+    round.
     """
     cost, round_count = shooting.cost, thresholds.FINE_ROUNDS
     cost.fine = True
@@ -156,9 +166,9 @@ def _fit_every_sample(shooting: MultipleShooting, iterate: Iterate) -> tuple[Ite
         work_done = (_COARSE_SHARE + (1.0 - _COARSE_SHARE) * number / round_count, 1.0)
         last = _fit_round(shooting, iterate, "every sample", work_done, _FINE_STEPS, restart=number < 2)
         iterate = last.iterate
-        if last.weights_settled or not last.search_converged:
+        if last.weights_settled or shooting.is_out_of_budget():
             break
-    return iterate, last.search_converged
+    return last
 
 
 def _fit_round(
@@ -181,7 +191,7 @@ def _fit_round(
     """
     cost = shooting.cost
     iterate, search_converged = shooting.descend(iterate, stage, work_done, max_steps)
-    restarted = restart and search_converged and restart_outliers(cost, iterate)
+    restarted = restart and not shooting.is_out_of_budget() and restart_outliers(cost, iterate)
     cost.update_state_prior(iterate)
     change = cost.reweight(iterate)
     return _RoundResult(iterate, search_converged, change < thresholds.SETTLED_CHANGE and not restarted)
@@ -231,7 +241,7 @@ def _collect_fit(shooting: MultipleShooting, iterate: Iterate, converged: bool, 
     iterate : Iterate
         The last parameters and initial states.
     converged : bool
-        False if the budget ended the fit.
+        Whether the fit ended because further steps would not change the estimates noticeably.
     scatter : bool
         Widen the standard errors by the effects of quantisation and of sample times.
     """
