@@ -91,7 +91,7 @@ def with_remainder(
     if not comparison.can_test_held_out:
         return None
     final, acceptance = search.final, Acceptance(comparison, kinds)
-    screenings = [search.screening, Screening(comparison.held_out_estimate(final))]
+    screenings = [search.screening, comparison.held_out_screening(final)]
     ranked = _on_all_flights(screenings, acceptance, final.ids)
     for screening in screenings:
         screening.release()

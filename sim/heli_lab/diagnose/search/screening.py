@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.arrays import Floats
@@ -37,6 +37,13 @@ _DIFFERENCE_STD: Final = 0.5
 effect, which is tried at several sizes."""
 
 
+class NormalDistribution(NamedTuple):
+    """Mean, shape (f,), and inverse covariance, shape (f, f), of normally distributed parameters."""
+
+    mean: Floats
+    precision: Floats
+
+
 class Screening:
     """Score tests of candidates about one estimated model.
 
@@ -47,6 +54,8 @@ class Screening:
     ----------
     estimate : Estimate
         The model, estimated on the flights.
+    prior : NormalDistribution, optional
+        Prior of the free parameters; by default that of the estimate.
 
     Attributes
     ----------
@@ -62,7 +71,7 @@ class Screening:
         Number of innovations of all flights.
     """
 
-    def __init__(self, estimate: Estimate) -> None:
+    def __init__(self, estimate: Estimate, prior: NormalDistribution | None = None) -> None:
         self.estimate = estimate
         self.filtered = filtered = estimate.filtered()
         disturbances = estimate.disturbances
@@ -78,13 +87,11 @@ class Screening:
         self._innovations = innovations = filtered.innovations(disturbances)
         parameter_vector = estimate.parameter_vector
         self.measurements = sum(len(flight) for flight in innovations.flights)
-        prior_precision = parameter_vector.std**-2.0
+        if prior is None:
+            prior = NormalDistribution(parameter_vector.mean, np.diag(parameter_vector.std**-2.0))
         # Normal equations of the free parameters: (parameters, parameters), and the columns of each flight.
-        self._normal_equations = (
-            innovations.information() + np.diag(prior_precision),
-            innovations.per_flight,
-        )
-        prior_score = prior_precision * (estimate.theta - parameter_vector.mean)
+        self._normal_equations = (innovations.information() + prior.precision, innovations.per_flight)
+        prior_score = prior.precision @ (estimate.theta - prior.mean)
         # Whitened innovations of each flight after a Gauss-Newton step of the free parameters, (m,).
         self._error = innovations.after(self._solve(innovations.score() - prior_score))
 
