@@ -22,6 +22,7 @@ def conforms(numbers: dict[str, Any], silent: bool = False) -> None:
     ids = [cause["effect"] for cause in numbers["causes"]]
     assert len(ids) == len(set(ids))
 
+    assert numbers["rig"]["name"] and numbers["rig"]["model"]
     if not silent:
         assert numbers["rig"].keys() == {"name", "model", "numbers", "constants"}
         for number in numbers["rig"]["constants"].values():

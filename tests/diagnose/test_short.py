@@ -92,7 +92,8 @@ def test_log_without_flight_gets_an_answer_and_no_rig_file(terminal: Terminal, w
     assert set(numbers["undetectable"]) < set(catalogue())
     assert "thrust_gain" in numbers["unidentifiable"]
     Plan.parse(numbers["next_flight"]["plan"], "plan").check()
-    assert ended.out.startswith("ambiguous: These flights do not show what the model lacks")
+    assert ended.out.startswith("rig: makki2024 (the default of --rig)\nmodel: multibody\n")
+    assert "\nambiguous: These flights do not show what the model lacks" in ended.out
     assert not Path("found.toml").exists()
 
 

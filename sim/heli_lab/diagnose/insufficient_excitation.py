@@ -31,12 +31,16 @@ class InsufficientExcitation:
         Names of all free parameters of the rig.
     next_flight : ExperimentDesign
         Proposed experiment.
+    rig, model : str
+        Names of the rig and of the equations.
     """
 
     why: str
     undetectable: tuple[str, ...]
     unidentifiable: tuple[str, ...]
     next_flight: ExperimentDesign
+    rig: str
+    model: str
 
     @property
     def label(self) -> str:
@@ -59,4 +63,6 @@ def insufficient_excitation(
         tuple(sorted(id_ for id_, kind in kinds.items() if kind.suits(model))),
         tuple(parameter.quantity for parameter in free_parameters(model, rig, None, {})),
         compose_experiment("A rig that does not fly shows nothing.", ()),
+        rig.name,
+        model.name,
     )

@@ -241,9 +241,10 @@ class Diagnosis:
         name : str
             Name of the rig.
         with_unconfirmed : bool
-            Whether to add the causes that do not hold in both directions.
+            Whether to add the causes that are not confirmed.
         with_term : bool
-            Whether to add the proposed equation, if there is one. The rig then needs its effect file.
+            Whether to add the proposed equation, if there is one. The rig then needs its effect file. It also
+            has all causes that the equation was estimated with, confirmed or not.
         """
         if with_term and self.proposal is not None:
             fit, term = self.proposal.evaluation.prediction.fit, self.proposal.term
@@ -254,7 +255,7 @@ class Diagnosis:
             return extended_rig(name, fit, self.kinds, named, term)
         if with_unconfirmed:
             fit = self.assessment.after.fit
-            causes = {cause.effect: cause.parameters for cause in self.verdict.causes}
+            causes = {cause.effect: dict(cause.parameters) for cause in self.verdict.causes}
         else:
             fit = self.replication.prediction.fit
             causes = {
@@ -262,4 +263,11 @@ class Diagnosis:
                 for candidate in self.replication.model.candidates
                 if candidate.id not in self.replication.unconfirmed
             }
-        return extended_rig(name, fit, self.kinds, {**causes, **self.random_torque}, None)
+        if with_unconfirmed or self.has_other_flight:
+            causes |= self.random_torque
+        return extended_rig(name, fit, self.kinds, causes, None)
+
+    @property
+    def has_other_flight(self) -> bool:
+        """Whether a flight was held out; without one, no cause is confirmed."""
+        return self.assessment.after.held_out_fit is not None

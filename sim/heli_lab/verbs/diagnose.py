@@ -73,8 +73,8 @@ def diagnose(
     verdict is `unexplained`. Then --report proposes an equation term as an effect file.
 
     --validate evaluates the error reduction and confirms causes: a confirmed cause also holds if the roles
-    of the flights are exchanged. The rig of --save-rig has confirmed causes only. Without --report, --json
-    and --save-rig the result is only printed.
+    of the flights are exchanged. Without --validate, nothing is confirmed. The rig of --save-rig has
+    confirmed causes only. Without --report, --json and --save-rig the result is only printed.
 
     Example: `heli-host diagnose a.mcap --validate b.mcap --report why --save-rig extended.toml`
     """
@@ -87,9 +87,14 @@ def diagnose(
 
     from heli_lab.diagnose import InsufficientExcitation, insufficient_excitation, summary, to_json
     from heli_lab.diagnose import diagnose as run_diagnosis
-    from heli_lab.diagnose.report import write_effect_file, write_insufficient_excitation, write_report
+    from heli_lab.diagnose.report import (
+        unconfirmed_in_rig,
+        write_effect_file,
+        write_insufficient_excitation,
+        write_report,
+    )
     from heli_lab.errors import NotExcited
-    from heli_lab.fit_inputs import fit_inputs, parts, read_parts
+    from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, parts, read_parts
     from heli_lab.page.drawing import Drawing
     from heli_lab.threads import default_thread_count, limit_malloc_arenas
 
@@ -100,9 +105,11 @@ def diagnose(
     data_on_stdout(json)
     check_result_places(save_rig, json, resume, report=report)
     inputs = fit_inputs(flights, validation_paths, rig, model, effect_file or ())
+    say(*input_lines(inputs, rig))
     kinds = catalogue(effect_file or ())
     result: Diagnosis | InsufficientExcitation
     output_files: list[Path | None] = []
+    rig_remark = ""
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process) as drawing:
         spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
@@ -131,7 +138,10 @@ def diagnose(
             if save_rig is not None:
                 extended_rig = result.rig(save_rig.stem, with_term, with_unconfirmed)
                 source = f"heli-host diagnose, model {inputs.model.name}"
-                write_rig(extended_rig, save_rig, f"Found by {source}. {summary(result)}")
+                rig_remark = unconfirmed_in_rig(result, with_term, with_unconfirmed)
+                write_rig(
+                    extended_rig, save_rig, f"Found by {source}. {summary(result)} {rig_remark}".strip()
+                )
                 output_files.append(save_rig)
             if report is not None:
                 bar.show("drawing", 0.95)
@@ -140,9 +150,14 @@ def diagnose(
             effect_folder = report or (save_rig.parent if save_rig is not None and with_term else None)
             if result.proposed_term is not None and effect_folder is not None:
                 output_files.append(write_effect_file(result, effect_folder))
-        write_result(json, to_json(result))
+        numbers = to_json(result)
+        write_result(json, numbers)
         output_files.append(json)
+    if numbers["flights"]:
+        say(flights_line(numbers["flights"]))
     _print_diagnosis(result)
+    if rig_remark:
+        say(f"{save_rig}: {rig_remark}")
     say_files(output_files)
 
 

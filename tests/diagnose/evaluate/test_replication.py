@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from heli_host.log.table import write_csv
 from heli_lab.diagnose import Diagnosis, to_json
 from heli_lab.diagnose.evaluate import (
     Replication,
@@ -20,7 +23,10 @@ from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction
 from heli_lab.diagnose.report import lines
 from heli_lab.diagnose.search import Direction
 from heli_lab.diagnose.search.folds import split, two_folds
+from heli_sim.rig import load_rig
 
+from tests.cli.terminal import Terminal
+from tests.diagnose.hidden import flights
 from tests.diagnose.test_causes import diagnosed
 
 pytestmark = pytest.mark.diagnosis
@@ -103,6 +109,27 @@ def test_worse_prediction_within_its_interval_does_not_refute_a_cause(
 ) -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     assert judged(monkeypatch, diagnosis, 50.0, (0.9, 1.5)).causes["rotor_lag"].confirmed
+
+
+def test_nothing_is_confirmed_and_saved_without_a_held_out_flight(terminal: Terminal, tmp_path: Path) -> None:
+    # Both halves of the flight show the lag clearly.
+    fit, _ = flights("rotor_lag=0.06", seconds=(34.0, 14.0))
+    write_csv(fit, tmp_path / "a.csv")
+    result = terminal("diagnose", "a.csv", "--json", "a.json", "--save-rig", "a.toml")
+    assert result.code == 0, result.err
+    (cause,) = json.loads(Path("a.json").read_text())["causes"]
+    ratios = cause["replication"]["log_likelihood_ratio"]
+    assert cause["effect"] == "rotor_lag" and min(ratios.values()) > 20.0
+    assert cause["confirmed"] is False and cause["confidence"] <= 0.88
+    why = cause["replication"]["why_not"]
+    assert why.startswith("no other flight was given")
+    assert load_rig("a.toml").effects == {}
+    remark = f"Not confirmed, and not in this rig: rotor_lag ({why})."
+    assert f"a.toml: {remark}" in result.out
+    assert remark in " ".join(Path("a.toml").read_text().replace("#", "").split())
+    assert "cause_found: Perhaps the rotors' thrust lags" in result.out
+    assert "what to do next: fly another plan, and give that flight to --validate" in result.out
+    assert "save the extended model" not in result.out
 
 
 def test_flight_is_divided_into_two_folds_of_the_same_length() -> None:

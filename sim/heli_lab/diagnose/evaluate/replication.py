@@ -1,10 +1,13 @@
 """Confirmation of causes: a cause must also improve the model on flights that did not fit it.
 
 The test uses two sets of flights, and repeats with the sets exchanged. If flights are held out, the sets are
-the fitted and the held-out flights; otherwise they are two folds of the fitted flights. A cause is confirmed
-if two conditions hold both times. First, its log-likelihood ratio is positive on the flights that did not fit
-it. Second, with the cause, no axis has an open-loop error at 1 s that is larger than the baseline's by more
-than the bootstrap interval.
+the fitted and the held-out flights; otherwise they are two folds of the fitted flights. A cause holds if two
+conditions are met both times. First, its log-likelihood ratio is positive on the flights that did not fit it.
+Second, with the cause, no axis has an open-loop error at 1 s that is larger than the baseline's by more than
+the bootstrap interval.
+
+A cause is confirmed if it holds, and if flights are held out. Folds can only contradict a cause, because the
+search has chosen it on these same flights.
 
 Only confirmed causes enter the extended rig, unless all are requested.
 """
@@ -27,6 +30,10 @@ from heli_lab.diagnose.search import Direction, Hypothesis, ModelComparison, Sea
 WORSE_HORIZON: Final = "1"
 """Horizon of the open-loop errors that decide, a key of `HORIZONS`: long enough to show a lag, and
 too short for constants and slow terms to dominate."""
+_TOO_SHORT: Final = "no other flight was given, and this one is too short to be divided into two folds"
+_NO_OTHER_FLIGHT: Final = (
+    "no other flight was given; it holds in both halves of the fitted flights, but the search has used both"
+)
 
 
 @dataclass(frozen=True)
@@ -129,8 +136,7 @@ def replicate(
         return Replication({}, assessment.extended, assessment.after, evaluation, ())
     models = _CauseSubsets(comparison, search, assessment, evaluation, calibrate_s)
     if models.directions is None:
-        why_not = "no other flight was given, and this one is too short to be divided into two folds"
-        causes = {id_: CauseReplication(None, None, why_not) for id_ in ids}
+        causes = {id_: CauseReplication(None, None, _TOO_SHORT) for id_ in ids}
         return _replication(models, causes, ())
     reasons = {id_: models.contradiction(id_) for id_ in ids}
     worse_with_all = models.worse_axes(ids)
@@ -143,6 +149,8 @@ def replicate(
         harmful_id = models.most_harmful(confirmed_ids, worse)
         confirmed_ids.remove(harmful_id)
         reasons[harmful_id] = worse_axis_sentence(worse[0], "the model with it")
+    if not comparison.held_out:
+        reasons = {id_: reason or _NO_OTHER_FLIGHT for id_, reason in reasons.items()}
     forward_ratios, reverse_ratios = models.ratios
     causes = {
         id_: CauseReplication(forward_ratios.get(id_), reverse_ratios.get(id_), reasons[id_]) for id_ in ids

@@ -6,7 +6,7 @@ from heli_lab.diagnose.report.page import (
     write_insufficient_excitation,
     write_report,
 )
-from heli_lab.diagnose.report.sentences import lines, summary, title
+from heli_lab.diagnose.report.sentences import lines, summary, title, unconfirmed_in_rig
 from heli_lab.diagnose.report.serialize import to_json
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "summary",
     "title",
     "to_json",
+    "unconfirmed_in_rig",
     "write_effect_file",
     "write_insufficient_excitation",
     "write_report",

@@ -171,6 +171,7 @@ def write_insufficient_excitation(result: InsufficientExcitation, folder: str | 
         folder_with(numbers, folder),
         _EXCITATION_PAGE,
         title="These flights excite nothing",
+        heading=f"Rig {result.rig}, model {result.model}.",
         sentence=summary(result),
         undetectable=result.undetectable,
         unidentifiable=result.unidentifiable,
@@ -216,7 +217,8 @@ def _heading_line(numbers: Mapping[str, Any]) -> str:
     for flight in numbers["flights"]:
         by_role[flight["role"]].append(f"{flight['flight']} ({flight['seconds_used']:.0f} s used)")
     validated = ", ".join(by_role["held_out"]) or "no flight"
-    return f"Rig {numbers['rig']['name']}. Fitted: {', '.join(by_role['train'])}. Validated on: {validated}."
+    rig = f"Rig {numbers['rig']['name']}, model {numbers['rig']['model']}"
+    return f"{rig}. Fitted: {', '.join(by_role['train'])}. Validated on: {validated}."
 
 
 def _uninformed_rows(

@@ -23,7 +23,7 @@ def title(result: Diagnosis) -> str:
     causes = findings.causes(result)
     effects = [cause["effect"] for cause in causes]
     plural = "s" * (len(effects) > 1)
-    is_certain = all(cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE for cause in causes)
+    is_certain = all(_is_certain(cause) for cause in causes)
     heading = f"Cause{plural} found" if is_certain else f"Probable cause{plural}"
     return {
         "explained": "The model explains these flights",
@@ -82,11 +82,17 @@ def _verdict_text(result: Diagnosis) -> str:
 def stated(cause: Mapping[str, Any], certain: bool = True) -> str:
     """Write the sentence of a `cause` as a fact, or with "perhaps" and its confidence.
 
-    It is a fact if the verdict is `certain` and the confidence in the cause is high.
+    It is a fact if the verdict is `certain`, the confidence in the cause is high, and the test by other
+    flights did not leave it unconfirmed.
     """
-    if certain and cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE:
+    if certain and _is_certain(cause):
         return str(cause["sentence"])
     return f"perhaps {cause['sentence']} (confidence {cause['confidence']:.2f})"
+
+
+def _is_certain(cause: Mapping[str, Any]) -> bool:
+    """Whether the confidence in a `cause` is high, and no test left it unconfirmed."""
+    return bool(cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE and cause.get("confirmed", True))
 
 
 def disturbances_in_words(result: Diagnosis) -> str:
@@ -174,11 +180,29 @@ def _confirmation_text(cause: Mapping[str, Any]) -> str:
     return "; confirmed" if cause["confirmed"] else f"; not confirmed: {cause['replication']['why_not']}"
 
 
+def unconfirmed_in_rig(result: Diagnosis, with_term: bool = False, with_unconfirmed: bool = False) -> str:
+    """State in a sentence which causes are not confirmed, and whether they are in the rig of `Diagnosis.rig`
+    with the same options; empty if there are none.
+    """
+    reasons = {id_: cause.why_not for id_, cause in result.replication.unconfirmed.items()}
+    if not result.has_other_flight:
+        reasons |= dict.fromkeys(result.random_torque, "no other flight was given")
+    if not reasons:
+        return ""
+    has_term = with_term and result.proposal is not None
+    place = "in this rig all the same" if with_unconfirmed or has_term else "not in this rig"
+    return f"Not confirmed, and {place}: {'; '.join(f'{id_} ({why})' for id_, why in reasons.items())}."
+
+
 def next_step(result: Diagnosis) -> str:
     """Return what to do after this verdict, in one or two sentences."""
     if result.label == "explained":
         return "use the refitted model; to find smaller effects, fly longer or with larger motions"
     if result.label == "cause_found":
+        if not result.has_other_flight:
+            return (
+                "fly another plan, and give that flight to --validate, which confirms the cause or refutes it"
+            )
         return "check the cause on the rig, and save the extended model with --save-rig"
     if result.label == "ambiguous":
         return "fly the proposed next flight, which distinguishes these causes, and diagnose both flights"

@@ -80,7 +80,7 @@ def _insufficient_excitation_json(result: InsufficientExcitation) -> dict[str, A
         "sentence": summary(result),
         "causes": [],
         "too_small": [],
-        "rig": None,
+        "rig": {"name": result.rig, "model": result.model},
         "residual": {"axis": dict.fromkeys(AXES, unknown), "normalised": unknown, "white": {}},
         "gain": {
             "metric": METRIC,
