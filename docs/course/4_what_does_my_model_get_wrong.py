@@ -114,6 +114,7 @@ for cause in result.verdict.causes:
         name: f"{size.value:.3g} ± {size.std:.1g} {size.unit}" for name, size in cause.parameters.items()
     }
     print(cause.effect, f"confidence {cause.confidence:.2f}", sizes, "ambiguous with", cause.ambiguous_with)
+assert result.label == "cause_found"
 assert [cause.effect for cause in result.verdict.causes] == ["cable_spring.travel"]
 
 # %% [markdown]

@@ -91,7 +91,7 @@ def opened(effect, salt, seal):
 
 
 print("the seal holds:", opened(SECRET, salt, sealed))
-assert answer == [SECRET.partition("=")[0]], "the neighbour found it"
+assert result.label == "cause_found" and answer == [SECRET.partition("=")[0]], "the neighbour found it"
 
 # %% [markdown]
 # **Check.**

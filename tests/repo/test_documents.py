@@ -24,6 +24,8 @@ from tests.running.long import LONG
 ROOT = Path(__file__).resolve().parents[2]
 AT_THE_ROOT = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
 DOCUMENTS = [*(ROOT / name for name in AT_THE_ROOT), *sorted((ROOT / "docs").rglob("*.md"))]
+VERDICT = re.compile(r"^(?:explained|cause_found|ambiguous|unexplained): ", re.MULTILINE)
+"""Begin of the line with which a diagnosis states its verdict."""
 FENCE = re.compile(r"^```(\w+)(?: (run|long))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -148,14 +150,34 @@ def parse(arguments: list[str]) -> None:
     ],
 )
 def test_what_a_document_says_to_run_runs(path: Path, typed: Typed, tmp_path: Path) -> None:
+    printed = ""
     for block in blocks(path):
+        if block.language == "text" and (verdicts := VERDICT.findall(block.text)):
+            assert VERDICT.findall(printed)[-1:] == verdicts, (
+                f"{name_of(path)} states another verdict:\n{printed}"
+            )
         if not block.runs:
             continue
+        printed = ""
         shorter = (PLANS, WORK) if block.is_long and not LONG else ()
         is_python = block.language == "python"
         for words in [["python", "-c", block.text]] if is_python else block.commands:
             code, output = typed.run(words, tmp_path, shorter)
             assert code == 0, f"{words[-1] if is_python else shlex.join(words)}\n{output[-4000:]}"
+            printed += output
+
+
+def test_verdict_in_a_console_block_that_is_not_run_is_that_of_the_how_to() -> None:
+    how_to = (ROOT / "docs" / "how-to" / "diagnosing.md").read_text()
+    stated = [
+        line
+        for path in DOCUMENTS
+        for block in blocks(path)
+        if block.language == "console" and not block.runs
+        for line in block.text.splitlines()
+        if VERDICT.match(line)
+    ]
+    assert stated and all(f"\n{line}\n" in how_to for line in stated)
 
 
 def anchors(path: Path) -> set[str]:

@@ -9,7 +9,7 @@ from heli_sim.model.effects import EffectSpec
 
 from heli_lab.diagnose.evaluate.absent_terms import AbsentTerm, absent_terms
 from heli_lab.diagnose.evaluate.prediction import Prediction, predict
-from heli_lab.diagnose.evaluate.relevance import prediction_changes
+from heli_lab.diagnose.evaluate.relevance import prediction_changes, spline_change
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis, residual_analysis
 from heli_lab.diagnose.evaluate.verdict import Verdict, judge, small_effects
 from heli_lab.diagnose.search import Hypothesis, ModelComparison, Search
@@ -65,6 +65,7 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
     after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
     absent = absent_terms(after.fit, comparison.rig, kinds)
     changes = prediction_changes(comparison, search, extended, before, after)
+    spline_counts = spline_change(comparison, search, extended, after)
     small_changes = {id_: counts for id_, counts in changes.items() if counts < MATTERS_COUNTS}
     small = small_effects(search, small_changes, kinds, after.fit)
     if small:
@@ -72,7 +73,7 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
         extended = without(comparison, search, extended, small_changes)
         after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
         absent = absent_terms(after.fit, comparison.rig, kinds)
-    verdict = judge(search, residual, after, kinds, bool(absent), small)
+    verdict = judge(search, residual, after, kinds, bool(absent), small, spline_counts)
     return Assessment(residual, extended=extended, before=before, after=after, absent=absent, verdict=verdict)
 
 

@@ -7,6 +7,7 @@ method. A cause is named only if it is significant and matters.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -64,6 +65,22 @@ def prediction_changes(
         added_error = np.maximum(reduced.held_out.axes**2 - after.held_out.axes**2, 0.0)
         changes[candidate.id] = max(map(_largest_counts, (np.mean(difference**2, axis=0), added_error)))
     return changes
+
+
+def spline_change(
+    comparison: ModelComparison, search: Search, extended: Hypothesis, after: Prediction
+) -> float:
+    """Compute by how much the spline terms of a search change the 2 s open-loop prediction, encoder counts.
+
+    The final model is compared with the `extended` model, which lacks only them, as `prediction_changes`
+    does; `after` is the prediction of the latter. Infinite without spline terms.
+    """
+    if extended is search.final or after.train.total > DISTURBED_STD:
+        return math.inf
+    final = predict(search.final.estimate, comparison.train, comparison.held_out)
+    difference = normalised_samples(final.fit) - normalised_samples(after.fit)
+    reduced_error = np.maximum(after.held_out.axes**2 - final.held_out.axes**2, 0.0)
+    return max(map(_largest_counts, (np.mean(difference**2, axis=0), reduced_error)))
 
 
 def _largest_counts(mean_squares: Floats) -> float:

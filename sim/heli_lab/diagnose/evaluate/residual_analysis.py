@@ -19,7 +19,9 @@ from heli_sim.model.parts import AXES
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.evaluate.dependence_functions import dependence_functions
 from heli_lab.diagnose.evaluate.kicks import Kicks, kicks
+from heli_lab.diagnose.evaluate.open_loop import open_loop_squares
 from heli_lab.diagnose.search import (
+    Candidate,
     ScoredCandidate,
     ScoreStatistics,
     Screening,
@@ -56,11 +58,25 @@ class Dependence:
         Log-likelihood ratio of the model with the regressor over the model without it, nats.
     penalty : float
         Gain above which the regressor is significant, nats.
+    change_counts : float
+        Root mean square change of the 2 s open-loop prediction by the regressor, encoder counts, on the axis
+        where it is largest; only for significant regressors.
     """
 
     what: str
     log_likelihood_gain: float
     penalty: float
+    change_counts: float = math.inf
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the gain exceeds the penalty."""
+        return self.log_likelihood_gain > self.penalty
+
+    @property
+    def matters(self) -> bool:
+        """Whether the regressor changes the prediction as much as an effect must that is named."""
+        return self.change_counts >= thresholds.MATTERS_COUNTS
 
 
 @dataclass(frozen=True)
@@ -82,7 +98,8 @@ class ResidualAnalysis:
     measurements : int
         Number of innovations of all axes.
     dependences : tuple of Dependence
-        Significant regressors of the innovations, the strongest first; empty if the innovations are white.
+        Significant regressors of the innovations; empty if the innovations are white. Regressors that matter
+        come first, and the strongest of them before the others.
     kicks : Mapping[str, Kicks]
         Kicks by axis; empty if there are none.
     thrust_gains : ndarray (g,)
@@ -122,11 +139,10 @@ def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
         on the held-out flights. Their memory is released.
     """
     first = screenings[0]
-    significant = [
-        dependence
-        for dependence in dependences(screenings)
-        if dependence.log_likelihood_gain > dependence.penalty
-    ]
+    significant = sorted(
+        (dependence for dependence in dependences(screenings) if dependence.is_significant),
+        key=lambda dependence: (not dependence.matters, -dependence.log_likelihood_gain),
+    )
     autocorrelation, bound = _autocorrelation(first)
     result = ResidualAnalysis(
         disturbances=first.estimate.disturbances,
@@ -240,9 +256,9 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
         if not candidate.dependence[0].startswith("measurement")
     ]
     functions = dependence_functions(linearised_flights)
-    tests = [_Test(" on ".join(spline.dependence), coefficient_std(spline)) for spline in splines]
+    tests = [_Test(" on ".join(spline.dependence), coefficient_std(spline), spline) for spline in splines]
     tests += [
-        _Test(f"torque.{axis} on {name}", np.full(curves[0].shape[1], std_Nm))
+        _Test(f"torque.{axis} on {name}", np.full(curves[0].shape[1], std_Nm), curves)
         for name, curves in functions.items()
         for axis, std_Nm in zip(AXES, _TORQUE_STD_Nm, strict=True)
     ]
@@ -258,27 +274,65 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
         )
         first = flights.stop
     result = [
-        _dependence(test, statistics)
+        _dependence(test, statistics, screenings)
         for test, *statistics in zip(tests, *statistics_by_screening, strict=True)
     ]
     return sorted(result, key=lambda dependence: -dependence.log_likelihood_gain)
 
 
 class _Test(NamedTuple):
-    """Name of a test and the prior standard deviations of its coefficients, shape (g,)."""
+    """A test of one function of states and inputs.
+
+    Parameters
+    ----------
+    name : str
+        ``CHANNEL on QUANTITY``.
+    prior_std : ndarray (g,)
+        Prior standard deviations of its coefficients.
+    source : Candidate or list of ndarray (n, g)
+        Spline term, or the curves of a torque in each flight.
+    """
 
     name: str
     prior_std: Floats
+    source: Candidate | list[Floats]
 
 
-def _dependence(test: _Test, statistics: Sequence[ScoreStatistics]) -> Dependence:
+def _dependence(
+    test: _Test, statistics: Sequence[ScoreStatistics], screenings: Sequence[Screening]
+) -> Dependence:
     """Carry out a test with one coefficient vector for all flights; `statistics` has one entry per set."""
     information = np.sum([of_set.information for of_set in statistics], axis=0)
     score = np.sum([of_set.score for of_set in statistics], axis=0)
-    gain = score_of(information, score, test.prior_std).log_likelihood_gain
+    gain, coefficients, _ = score_of(information, score, test.prior_std)
     is_near_rest = test.name.endswith("near rest") or _is_of_own_rate(test.name)
     near_rest_nats = thresholds.NEAR_REST_NATS if is_near_rest else 0.0
-    return Dependence(test.name, gain, penalty(len(test.prior_std)) + near_rest_nats)
+    result = Dependence(test.name, gain, penalty(len(test.prior_std)) + near_rest_nats)
+    if not result.is_significant:
+        return result
+    return replace(result, change_counts=_change_counts(test, coefficients, screenings))
+
+
+def _change_counts(test: _Test, coefficients: Floats, screenings: Sequence[Screening]) -> float:
+    """Return the change of the open-loop prediction by a regressor, encoder counts.
+
+    It is the root mean square over the set of flights, and on the axis, where it is largest.
+    """
+    changes, flight = [], 0
+    for screening in screenings:
+        squares, rows = np.zeros(len(AXES)), 0
+        for regressors in screening.regressors:
+            linear = regressors.linear
+            if isinstance(test.source, Candidate):
+                rates = regressors.spline_signals(test.source).rates @ coefficients
+            else:
+                axis = AXES.index(test.name.partition(" ")[0].rpartition(".")[2])
+                torque_Nm = test.source[flight] @ coefficients
+                rates = linear.steps.by_disturbance[:, :, axis] * torque_Nm[:, None]
+            of_flight, flight_rows = open_loop_squares(linear, rates)
+            squares, rows, flight = squares + of_flight, rows + flight_rows, flight + 1
+        changes.append(np.sqrt(squares / max(rows, 1)).max())
+    return float(max(changes))
 
 
 def _function_statistics(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,6 +63,25 @@ class SmallEffect:
 
 
 @dataclass(frozen=True)
+class SmallRemainder:
+    """A significant dependence that no effect of the catalogue explains, and that is too small to matter.
+
+    Parameters
+    ----------
+    what : str
+        ``CHANNEL on QUANTITY``.
+    change_counts : float
+        Root mean square change of the 2 s open-loop prediction, encoder counts.
+    log_likelihood_gain : float
+        Log-likelihood ratio of the model with it to the model without it, nats.
+    """
+
+    what: str
+    change_counts: float
+    log_likelihood_gain: float
+
+
+@dataclass(frozen=True)
 class Verdict:
     """Verdict of a diagnosis.
 
@@ -78,6 +97,8 @@ class Verdict:
         Whether a random torque acts about a single axis, unlike the disturbances that every rig has.
     small : tuple of SmallEffect
         Significant effects that are too small to matter.
+    remainder : tuple of SmallRemainder
+        Significant dependences that no effect explains, and that are too small to matter.
     """
 
     label: str
@@ -85,6 +106,7 @@ class Verdict:
     unlisted: tuple[Cause, ...]
     random_torque: bool
     small: tuple[SmallEffect, ...] = ()
+    remainder: tuple[SmallRemainder, ...] = ()
 
 
 def judge(
@@ -94,10 +116,12 @@ def judge(
     kinds: Mapping[str, EffectSpec],
     absent: bool,
     small: tuple[SmallEffect, ...] = (),
+    spline_counts: float = math.inf,
 ) -> Verdict:
     """Decide the verdict.
 
-    The label is ``unexplained`` if something remains that a better model could predict. Otherwise it is
+    The label is ``unexplained`` if something remains that a better model could predict, and that matters by
+    the measure of effects. Otherwise it is
     ``ambiguous`` if one of the causes has a close alternative, ``cause_found`` if there is a cause, and
     ``explained`` if the baseline needs none.
 
@@ -116,12 +140,15 @@ def judge(
         Whether the fit estimated a term of the baseline as zero, which is a cause too.
     small : tuple of SmallEffect
         Effects that are not causes, because they are too small to matter.
+    spline_counts : float
+        Change of the 2 s open-loop prediction by the spline terms together, encoder counts.
     """
     small_ids = {effect.cause.effect for effect in small}
     splines = tuple(cause for cause in search.causes if cause.candidate.is_spline)
     is_above_quantisation = max(after.train.total, after.held_out.total) > thresholds.NOISE_FLOOR
     is_predictable = bool(splines or residual.dependences)
-    is_unexplained = is_above_quantisation and is_predictable
+    remainder = _small_remainder(splines, spline_counts, residual, after)
+    is_unexplained = is_above_quantisation and len(remainder) < len(splines) + len(residual.dependences)
     random_torque = is_above_quantisation and not is_predictable and has_random_torque(residual, kinds)
     causes = tuple(
         _named_cause(cause, kinds, after.fit, is_unexplained)
@@ -130,13 +157,33 @@ def judge(
     )
     if is_unexplained:
         return Verdict("unexplained", causes, unlisted=splines, random_torque=False, small=small)
+    remainder = remainder if is_above_quantisation else ()
     if any(cause.ambiguous_with for cause in causes):
         label = "ambiguous"
     elif causes or random_torque or absent:
         label = "cause_found"
     else:
         label = "explained"
-    return Verdict(label, causes, unlisted=(), random_torque=random_torque, small=small)
+    return Verdict(label, causes, (), random_torque, small, remainder)
+
+
+def _small_remainder(
+    splines: Sequence[Cause], spline_counts: float, residual: ResidualAnalysis, after: Prediction
+) -> tuple[SmallRemainder, ...]:
+    """Return what remains significant but is too small to matter; empty in large disturbances, where every
+    significant effect matters.
+    """
+    if after.train.total > thresholds.DISTURBED_STD:
+        return ()
+    small_splines = splines if spline_counts < thresholds.MATTERS_COUNTS else ()
+    return (
+        *(SmallRemainder(" on ".join(s.candidate.dependence), spline_counts, s.train) for s in small_splines),
+        *(
+            SmallRemainder(dependence.what, dependence.change_counts, dependence.log_likelihood_gain)
+            for dependence in residual.dependences
+            if not dependence.matters
+        ),
+    )
 
 
 def with_confirmation(verdict: Verdict, unconfirmed: Collection[str]) -> Verdict:

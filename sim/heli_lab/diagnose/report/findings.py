@@ -19,6 +19,7 @@ from heli_lab.diagnose.evaluate import (
 )
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.thresholds import CONFIDENCE_FACTOR_UNEXPLAINED, CONFIDENCE_RANDOM_TORQUE
+from heli_lab.diagnose.wording import dependence_in_words
 
 
 def causes(result: Diagnosis) -> list[dict[str, Any]]:
@@ -67,6 +68,21 @@ def too_small_effects(result: Diagnosis) -> list[dict[str, Any]]:
             "log_likelihood_ratio": effect.cause.train,
         }
         for effect in result.verdict.small
+    ]
+
+
+def small_remainder(result: Diagnosis) -> list[dict[str, Any]]:
+    """List significant dependences that no effect explains and that are too small to matter, each as a JSON
+    object.
+    """
+    return [
+        {
+            "dependence": dependence.what,
+            "sentence": dependence_in_words(dependence.what),
+            "change_counts": dependence.change_counts,
+            "log_likelihood_gain": dependence.log_likelihood_gain,
+        }
+        for dependence in result.verdict.remainder
     ]
 
 

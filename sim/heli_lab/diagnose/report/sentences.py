@@ -165,11 +165,19 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
 
 
 def small_effect_lines(result: Diagnosis) -> list[str]:
-    """List significant effects that are too small to matter, one line each."""
-    return [
-        f"too small to matter: {effect['effect']}, {effect['sentence']}; it changes the 2 s open-loop "
-        f"prediction by {effect['change_counts']:.2f} encoder counts rms, less than {MATTERS_COUNTS:g}"
+    """List significant effects and dependences that are too small to matter, one line each."""
+    entries = [
+        (f"{effect['effect']}, {effect['sentence']}", effect["change_counts"])
         for effect in findings.too_small_effects(result)
+    ]
+    entries += [
+        (f"{entry['sentence']}, which no effect of the catalogue explains", entry["change_counts"])
+        for entry in findings.small_remainder(result)
+    ]
+    return [
+        f"too small to matter: {text}; it changes the 2 s open-loop prediction by {counts:.2f} encoder "
+        f"counts rms, less than {MATTERS_COUNTS:g}"
+        for text, counts in entries
     ]
 
 

@@ -23,6 +23,7 @@ from heli_lab.diagnose.report.findings import (
     causes,
     disturbances,
     reductions_json,
+    small_remainder,
     thrust_noise,
     too_small_effects,
     unexplained,
@@ -50,6 +51,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
         "sentence": summary(result),
         "causes": causes(result),
         "too_small": too_small_effects(result),
+        "small_remainder": small_remainder(result),
         "rig": rig_numbers(result),
         "residual": _residual_json(result),
         "disturbances": disturbances(result.assessment.residual_analysis),
@@ -80,6 +82,7 @@ def _insufficient_excitation_json(result: InsufficientExcitation) -> dict[str, A
         "sentence": summary(result),
         "causes": [],
         "too_small": [],
+        "small_remainder": [],
         "rig": {"name": result.rig, "model": result.model},
         "residual": {"axis": dict.fromkeys(AXES, unknown), "normalised": unknown, "white": {}},
         "gain": {
