@@ -1,7 +1,8 @@
 """Fly healthy rigs and rigs with a wrong encoder, and count warnings: ``python -m tests.fly.encoder_scale``.
 
 The rigs are drawn within the tolerances of makki2024, half of them with a lag of their rotors that its file
-does not state, under disturbances of three strengths. The judge uses the nominal rig.
+does not state, under disturbances of three strengths. The judge uses the nominal rig. Further flights of the
+nominal rig hide an effect of the catalogue or a wrong supply: their encoders are right.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import argparse
 import math
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,13 +23,14 @@ from heli_host.fly.runner import fly
 from heli_host.heli import Heli
 from heli_host.link.session import Session
 from heli_host.log.flight_file import read_flight
-from heli_lab.encoder_scale.estimate import ScaleEstimate, scales_of
-from heli_lab.encoder_scale.warning import MAX_SIGMAS, wrong_scale
+from heli_lab.encoder_scale.estimate import ScaleEstimate, ScaleTest
+from heli_lab.encoder_scale.flight_residuals import FlightInWeakForm
+from heli_lab.encoder_scale.warning import MAX_SIGMAS, finding_of, possible_effects, wrong_scale
 from heli_lab.tune.design import find_gains
 from heli_lab.twin.healthy_flights import with_process_noise
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
-from heli_sim.model.effects import effects_of
+from heli_sim.model.effects import catalogue, effects_of
 from heli_sim.model.linear import trim
 from heli_sim.model.named import model_named
 from heli_sim.model.parts import AXES
@@ -46,15 +48,38 @@ SCALES: Final = (0.5, 0.7, 0.9, 0.99, 1.1, 1.4, 2.0)
 HEALTHY_FROM: Final = 301
 WRONG_FROM: Final = 501
 """First seeds of the rigs; the estimator was set on the seeds 1 to 230."""
+HIDDEN_SEED: Final = 701
+WRONG_SUPPLY_V: Final = (15.0, 18.0, 24.0)
+"""Supplies that the board assumes; it has 12 V. Below 12 V, the board does not arm."""
 
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight of a drawn rig: its outcome, the estimates, and the axis that the warning names."""
+    """A flight: its outcome, the estimates, the axis of the warning, and what the warning blames.
+
+    Parameters
+    ----------
+    warned : ScaleEstimate or None
+        Scale that differs from 1; None without a warning.
+    names_encoder : bool
+        Whether the warning names the encoder; otherwise, something else explains the flight as well.
+    """
 
     outcome: str
     estimates: tuple[ScaleEstimate, ...]
     warned: ScaleEstimate | None
+    names_encoder: bool
+
+
+def judge(outcome: str, flight: Flight, rig: Rig, model: Model) -> Flown:
+    """Check a flight as `heli-host fly` does."""
+    test = ScaleTest(FlightInWeakForm(flight, rig, model))
+    warned = wrong_scale(test.estimates)
+    names_encoder = False
+    if warned is not None:
+        finding = finding_of(warned, test.explanations(possible_effects(model)))
+        names_encoder = finding.name == f"{warned.axis}_encoder_scale"
+    return Flown(outcome, test.estimates, warned, names_encoder)
 
 
 def fly_drawn(plan: str, seed: int, axis: int = 0, scale: float = 1.0) -> tuple[str, Flight]:
@@ -91,8 +116,7 @@ def judged(plan: str, seed: int, axis: int = 0, scale: float = 1.0) -> Flown | N
         return None
     if not np.any(flight.voltages_V):
         return None
-    estimates = scales_of(flight, load_rig(NOMINAL), MultibodyModel())
-    return Flown(outcome, estimates, wrong_scale(estimates))
+    return judge(outcome, flight, load_rig(NOMINAL), MultibodyModel())
 
 
 def distance_from_one(estimate: ScaleEstimate) -> float:
@@ -143,11 +167,14 @@ def wrong_lines(rigs: int) -> list[str]:
                     for seed in range(WRONG_FROM, WRONG_FROM + rigs)
                     if (flight := judged(plan, seed, place, scale))
                 ]
-                named = sum(flight.warned is not None and flight.warned.axis == axis for flight in flown)
-                other = sum(flight.warned is not None and flight.warned.axis != axis for flight in flown)
+                warned = [flight.warned.axis if flight.warned else "" for flight in flown]
+                named = [axis_ for flight, axis_ in zip(flown, warned, strict=True) if flight.names_encoder]
+                common = sum(map(bool, warned)) - len(named)
+                other = sum(other_axis != axis for other_axis in named)
                 faults = sum("fault" in flight.outcome for flight in flown)
                 cells.append(
-                    f"{named}/{len(flown)}"
+                    f"{named.count(axis)}/{len(flown)}"
+                    + (f", {common} common" if common else "")
                     + (f", {other} other" if other else "")
                     + (f", {faults} faults" if faults else "")
                 )
@@ -171,13 +198,37 @@ def other_lines(flights: int) -> list[str]:
                 disturbed_model = with_process_noise(model, true_rig(seed).disturbances)
                 outcome, flight = fly_one(disturbed_model, rig, plan, SilOptions(seed=seed), negative_text)
                 if np.any(flight.voltages_V):
-                    estimates = scales_of(flight, rig, model)
-                    flown.append(Flown(outcome, estimates, wrong_scale(estimates)))
+                    flown.append(judge(outcome, flight, rig, model))
         warned = sum(judged_flight.warned is not None for judged_flight in flown)
         estimates_of_rig = [estimate for judged_flight in flown for estimate in judged_flight.estimates]
         most = max(map(distance_from_one, estimates_of_rig), default=0.0)
         lines.append(
             f"{name}: {len(flown)} flights, {warned} warnings, at most {most:.1f} standard errors from 1"
+        )
+        print(lines[-1], flush=True)
+    return lines
+
+
+def hidden_lines(plans: Sequence[str] = ("sine", "identify")) -> list[str]:
+    """Warnings on flights of the nominal rig with right encoders, and an effect or a wrong supply."""
+    rig, model = load_rig(NOMINAL), MultibodyModel()
+    hidden: list[tuple[str, Model, dict[str, float]]] = [
+        (kind.id, MultibodyModel((kind.make(kind.typical),)), {})
+        for kind in catalogue().values()
+        if kind.suits(model) and not kind.baseline and not kind.noise_inputs
+    ]
+    hidden += [(f"supply_V {volts:g}", model, {"supply_V": volts}) for volts in WRONG_SUPPLY_V]
+    lines = []
+    for plan in plans:
+        flights = [
+            (name, judge(*fly_one(with_it, rig, plan, SilOptions(seed=HIDDEN_SEED), parameters), rig, model))
+            for name, with_it, parameters in hidden
+        ]
+        warned = [name for name, flown in flights if flown.warned is not None]
+        accused = [name for name, flown in flights if flown.names_encoder]
+        lines.append(
+            f"| {plan} | {len(flights)} | {len(accused)} {' '.join(accused)}| {len(warned) - len(accused)}: "
+            f"{', '.join(name for name in warned if name not in accused)} |"
         )
         print(lines[-1], flush=True)
     return lines
@@ -191,7 +242,12 @@ def main() -> None:
         "--others", type=int, default=3, help="flights of each plan on each other shipped rig"
     )
     parser.add_argument("--wrong", type=int, default=3, help="flights of each plan, axis and scale")
+    parser.add_argument("--hidden", action="store_true", help="only flights with an effect or a wrong supply")
     options = parser.parse_args()
+    if options.hidden:
+        print("| plan | flights | an encoder is named | something in common is named |")
+        hidden_lines()
+        return
     print(f"a warning needs {MAX_SIGMAS:g} standard errors; healthy flights:")
     healthy_lines(options.healthy)
     other_lines(options.others)

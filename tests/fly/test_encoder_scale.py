@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -14,8 +16,8 @@ import pytest
 from heli_host.cli import run
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
-from heli_lab.encoder_scale.estimate import ScaleEstimate, scales_of
-from heli_lab.encoder_scale.warning import warning_text, wrong_scale
+from heli_lab.encoder_scale.estimate import Explanation, ScaleEstimate, scales_of
+from heli_lab.encoder_scale.warning import finding_of, warning_text, wrong_scale
 from heli_lab.encoder_scale.weak_form import Part, TestFunctions
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
@@ -84,6 +86,51 @@ def test_flights_from_python_are_checked_too(tmp_path: Path) -> None:
     with heli_host.connect("sil://?encoder_scale=travel:0.6") as heli:
         summary = heli.fly(tmp_path / "short.toml")
     assert [finding.name for finding in summary.findings] == ["travel_encoder_scale"]
+
+
+def test_wrong_supply_accuses_no_encoder(tmp_path: Path) -> None:
+    """The motors get half the voltage that the board computes, so that axes move less than predicted."""
+    (tmp_path / "short.toml").write_text(PLAN)
+    with heli_host.connect("sil://?speed=max") as heli:
+        heli.params["supply_V"] = 24.0
+        (finding,) = heli.fly(tmp_path / "short.toml").findings
+    assert finding.name.endswith("_motion")
+    factor = re.search(r"a wrong supply_V \(the motors act as if they had ([\d.]+) times", finding.text)
+    assert factor and float(factor[1]) == pytest.approx(0.5, abs=0.05)
+    assert "check supply_V" in finding.text and "counts_per_rev" not in finding.text
+
+
+@pytest.mark.parametrize("out_s", [11.5, 12.0])
+def test_time_of_a_dead_encoder_tells_nothing_of_another(out_s: float) -> None:
+    with heli_host.connect(f"sil://?speed=max&encoder_out=pitch:{out_s:g}") as heli:
+        summary = heli.fly("sine")
+    assert "pitch_motionless" in summary.outcome
+    assert summary.findings == ()
+
+
+def test_encoder_is_named_only_if_nothing_else_is_as_likely() -> None:
+    wrong = ScaleEstimate("pitch", 0.8, 0.02, 50.0)
+    unlikely, close, better = (Explanation("supply_sag", nats) for nats in (43.0, 45.0, 57.0))
+    supply = Explanation("supply_V", 52.0, factor=0.75)
+    assert finding_of(wrong, [unlikely]).name == "pitch_encoder_scale"
+    both = finding_of(wrong, [close])
+    assert both.name == "pitch_motion" and (both.value, both.standard_error) == (0.8, 0.02)
+    assert both.text.startswith("pitch moves 0.80 ± 0.02 (1 standard error) times as far as the rig's model ")
+    assert "because of supply_sag or pitch_counts_per_rev" in both.text
+    # An encoder that is far less likely than something else is not mentioned.
+    text = finding_of(wrong, [better, supply]).text
+    assert "supply_sag or a wrong supply_V (the motors act as if they had 0.75 times the voltage)" in text
+    assert "counts_per_rev" not in text
+    others = [Explanation(f"effect_{number}", 50.0) for number in range(6)]
+    assert (
+        "effect_2, 3 other effects of the catalogue or pitch_counts_per_rev" in finding_of(wrong, others).text
+    )
+
+
+def test_scale_whose_search_has_not_converged_is_no_finding() -> None:
+    wrong = ScaleEstimate("pitch", 0.8, 0.02, 50.0)
+    assert wrong_scale([wrong]) is wrong
+    assert wrong_scale([replace(wrong, converged=False)]) is None
 
 
 def test_drawn_rigs_with_right_encoders_give_no_warning() -> None:

@@ -15,7 +15,8 @@ The standard error of s therefore includes their uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -23,10 +24,11 @@ import numpy as np
 from heli_host.arrays import Floats
 from heli_host.flight import Flight
 from heli_sim.model.base import Model
+from heli_sim.model.effects import EffectSpec
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.encoder_scale.flight_residuals import FlightInWeakForm
+from heli_lab.encoder_scale.flight_residuals import SCALES_AND_FACTOR, VOLTAGE_FACTOR, FlightInWeakForm
 from heli_lab.estimation.levenberg_marquardt import DampedStep, minimise
 
 MIN_s: Final = 5.0
@@ -48,6 +50,14 @@ _FIRST_DAMPING: Final = 1.0
 """Damping of the first step of a search: no scale then changes by more than its prior allows."""
 _MAX_STEPS: Final = 60
 """Largest number of steps of a search."""
+_EFFECT_STEPS: Final = 15
+"""The same for an effect in the place of a scale: even a search that ends early shows that it explains the
+flight."""
+_FITTED_EFFECTS: Final = 6
+"""Number of effects that are fitted in the place of a scale, of those that a first step predicts to be most
+likely. Fewer: the effect that explains the flight is not fitted. More: time, 0.2 s for each."""
+_MOMENTS: Final = (0.25, 0.5, 0.75)
+"""Moments from which a search for an effect with a moment starts, as shares of the free flight."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +74,15 @@ class ScaleEstimate:
         Standard error of the scale.
     nats : float
         Log-likelihood ratio of this scale to a scale of 1, nats (6 nats: 400 times as likely).
+    converged : bool
+        Whether the search for it has converged; otherwise its value means nothing.
     """
 
     axis: str
     scale: float
     standard_error: float
     nats: float
+    converged: bool = True
 
     @property
     def sigmas(self) -> float:
@@ -112,7 +125,7 @@ class _ScaleProblem:
     noise : ndarray (3,)
         Standard deviation of the residuals of each axis [rad/s2].
     axes : sequence of int
-        Axes whose scales are free.
+        Axes whose scales are free; `VOLTAGE_FACTOR` for the factor on the voltages.
     start : ndarray (unknowns,)
         Start values of all unknowns; those that are not free keep these values.
     """
@@ -121,7 +134,7 @@ class _ScaleProblem:
         self, weak_form: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats
     ) -> None:
         self._weak_form, self._noise, self._start = weak_form, noise, start
-        self._free = np.array([*axes, *range(3, len(weak_form.mean))], int)
+        self._free = np.array([*axes, *range(SCALES_AND_FACTOR, len(weak_form.mean))], int)
         self._mean, self._precision = weak_form.mean[self._free], weak_form.std[self._free] ** -2
 
     def unknowns(self, free: Floats) -> Floats:
@@ -182,12 +195,34 @@ class _Fit:
         Sum of squares, priors included.
     residuals : list of ndarray (k,)
         Residuals of each axis [rad/s^2].
+    converged : bool
+        Whether a further step would change the unknowns noticeably.
     """
 
     unknowns: Floats
     covariance: Floats
     cost: float
     residuals: list[Floats]
+    converged: bool
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Something other than an encoder's scale that explains a flight.
+
+    Parameters
+    ----------
+    name : str
+        ``supply_V``, or the id of an effect of the catalogue.
+    nats : float
+        Log-likelihood ratio to the rig's model without it, nats.
+    factor : float
+        Factor on the voltages, if it is a wrong supply; otherwise 1.
+    """
+
+    name: str
+    nats: float
+    factor: float = 1.0
 
 
 def scales_of(flight: Flight, rig: Rig, model: Model) -> tuple[ScaleEstimate, ...]:
@@ -207,12 +242,131 @@ def scales_of(flight: Flight, rig: Rig, model: Model) -> tuple[ScaleEstimate, ..
     tuple of ScaleEstimate
         For elevation, pitch and travel; empty if less than `MIN_s` of the flight is free flight.
     """
-    weak_form = FlightInWeakForm(flight, rig, model)
-    if weak_form.seconds < MIN_s:
-        return ()
-    noise, all_free = _noise_of_axes(weak_form)
-    all_one = _fit_scales(weak_form, noise, (), weak_form.mean)
-    return tuple(_estimate_scale_of_axis(weak_form, noise, axis, all_free, all_one) for axis in range(3))
+    return ScaleTest(FlightInWeakForm(flight, rig, model)).estimates
+
+
+class ScaleTest:
+    """Test of a flight for encoders with wrong scales, and for what else explains the same.
+
+    Parameters
+    ----------
+    weak_form : FlightInWeakForm
+        The flight.
+
+    Attributes
+    ----------
+    estimates : tuple of ScaleEstimate
+        As `scales_of` returns them.
+    """
+
+    def __init__(self, weak_form: FlightInWeakForm) -> None:
+        self._weak_form = weak_form
+        self.estimates: tuple[ScaleEstimate, ...] = ()
+        if weak_form.seconds < MIN_s:
+            return
+        self._noise, all_free = _noise_of_axes(weak_form)
+        self._all_one = _fit_scales(weak_form, self._noise, (), weak_form.mean)
+        self.estimates = tuple(
+            _estimate_scale_of_axis(weak_form, self._noise, axis, all_free, self._all_one)
+            for axis in range(len(AXES))
+        )
+
+    def explanations(self, kinds: Iterable[EffectSpec]) -> list[Explanation]:
+        """Fit a wrong supply, and the most likely of the effects `kinds`, in the place of a wrong scale.
+
+        Effects with states, such as a lag, are left out: the lag of the thrust is always fitted. A first
+        step of a fit predicts which effects are likely.
+
+        Returns
+        -------
+        list of Explanation
+            The most likely first.
+        """
+        effects = [_EffectFit(kind, self._weak_form, self._all_one) for kind in kinds if _is_static(kind)]
+        effects.sort(key=lambda effect: -effect.predicted_nats(self._noise))
+        fitted = [self._supply(), *(effect.explanation(self._noise) for effect in effects[:_FITTED_EFFECTS])]
+        return sorted(fitted, key=lambda explanation: -explanation.nats)
+
+    def _supply(self) -> Explanation:
+        """Fit a factor on the voltages, from several start values."""
+        fits = []
+        for factor in (0.5, 1.0, 2.0):
+            start = self._all_one.unknowns.copy()
+            start[VOLTAGE_FACTOR] = np.log(factor)
+            fits.append(_fit_scales(self._weak_form, self._noise, (VOLTAGE_FACTOR,), start))
+        best = min(fits, key=lambda fit: fit.cost)
+        return Explanation("supply_V", self._nats(best), float(np.exp(best.unknowns[VOLTAGE_FACTOR])))
+
+    def _nats(self, fit: _Fit) -> float:
+        """Log-likelihood ratio of a fit to the fit of the rig's model, nats; 0 if it is not a number."""
+        nats = 0.5 * (self._all_one.cost - fit.cost)
+        return nats if np.isfinite(nats) else 0.0
+
+
+class _EffectFit:
+    """An effect of the catalogue in the place of a wrong scale.
+
+    Parameters
+    ----------
+    kind : EffectSpec
+        The effect.
+    weak_form : FlightInWeakForm
+        The flight without it.
+    all_one : _Fit
+        Fit of the flight without it.
+    """
+
+    def __init__(self, kind: EffectSpec, weak_form: FlightInWeakForm, all_one: _Fit) -> None:
+        self._kind, self._effect, self._all_one = kind, kind.make(), all_one
+        self._weak_form = weak_form.with_effect(self._effect)
+        # Parameters of the model are the last unknowns.
+        self._first = len(all_one.unknowns) - len(weak_form.names)
+        self._common = self._weak_form.mean.copy()
+        self._common[: self._first] = all_one.unknowns[: self._first]
+        names = self._weak_form.names
+        for name, value in zip(weak_form.names, all_one.unknowns[self._first :], strict=True):
+            self._common[self._first + names.index(name)] = value
+
+    def _starts(self) -> Iterator[Floats]:
+        """Yield start values: its typical size with either sign, at several moments if it has one."""
+        kind, moment, names = self._kind, self._effect.moment, self._weak_form.names
+        moments_s = [self._weak_form.end_s - share * self._weak_form.duration_s for share in _MOMENTS]
+        signs = (1.0,) if kind.is_one_sided else (1.0, -1.0)
+        for sign, moment_s in itertools.product(signs, moments_s if moment else (0.0,)):
+            start = self._common.copy()
+            for name in kind.priors:
+                value = moment_s if name == moment else kind.typical[name]
+                start[self._first + names.index(name)] = sign * value if name in kind.size else value
+            yield start
+
+    def predicted_nats(self, noise: Floats) -> float:
+        """Predict the log-likelihood ratio from the first undamped step of a fit, nats."""
+        best = 0.0
+        for start in self._starts():
+            problem = _ScaleProblem(self._weak_form, noise, (), start)
+            first = problem.first()
+            cost = first.cost - problem.step(first, 0.0).promised
+            best = max(best, 0.5 * (self._all_one.cost - cost))
+        return best
+
+    def explanation(self, noise: Floats) -> Explanation:
+        """Fit the effect; a fit whose size is outside its bounds explains nothing."""
+        kind, best_nats = self._kind, 0.0
+        for start in self._starts():
+            fit = _fit_scales(self._weak_form, noise, (), start, _EFFECT_STEPS)
+            values = dict(zip(self._weak_form.names, fit.unknowns[self._first :], strict=True))
+            is_possible = all(
+                kind.priors[name].low <= values[name] <= kind.priors[name].high for name in kind.size
+            )
+            nats = 0.5 * (self._all_one.cost - fit.cost)
+            if is_possible and np.isfinite(nats):
+                best_nats = max(best_nats, nats)
+        return Explanation(kind.id, best_nats)
+
+
+def _is_static(kind: EffectSpec) -> bool:
+    """Whether an effect acts without states and without noise, and adds to the model."""
+    return not (kind.states or kind.noise_inputs or kind.baseline)
 
 
 def _estimate_scale_of_axis(
@@ -236,7 +390,8 @@ def _estimate_scale_of_axis(
     best = min(fits, key=lambda fit: fit.cost)
     scale = float(np.exp(best.unknowns[axis]))
     standard_error = scale * float(np.sqrt(best.covariance[0, 0]))
-    return ScaleEstimate(AXES[axis], scale, standard_error, nats=0.5 * (all_one.cost - best.cost))
+    nats = 0.5 * (all_one.cost - best.cost)
+    return ScaleEstimate(AXES[axis], scale, standard_error, nats, best.converged and all_one.converged)
 
 
 def _noise_of_axes(weak_form: FlightInWeakForm) -> tuple[Floats, _Fit]:
@@ -282,8 +437,16 @@ def _noise_of_axes(weak_form: FlightInWeakForm) -> tuple[Floats, _Fit]:
     return noise, fit
 
 
-def _fit_scales(weak_form: FlightInWeakForm, noise: Floats, axes: Sequence[int], start: Floats) -> _Fit:
+def _fit_scales(
+    weak_form: FlightInWeakForm,
+    noise: Floats,
+    axes: Sequence[int],
+    start: Floats,
+    max_steps: int = _MAX_STEPS,
+) -> _Fit:
     """Fit the scales of the given `axes` together with all other unknowns, from the values `start` on."""
     problem = _ScaleProblem(weak_form, noise, axes, start)
-    best = minimise(problem, problem.first(), damping=_FIRST_DAMPING, max_steps=_MAX_STEPS).iterate
-    return _Fit(problem.unknowns(best.free), problem.covariance(best), best.cost, best.residuals)
+    minimum = minimise(problem, problem.first(), damping=_FIRST_DAMPING, max_steps=max_steps)
+    best = minimum.iterate
+    covariance = problem.covariance(best)
+    return _Fit(problem.unknowns(best.free), covariance, best.cost, best.residuals, minimum.converged)

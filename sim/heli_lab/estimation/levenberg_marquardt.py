@@ -85,7 +85,7 @@ class Minimum(Generic[IterateT]):
         The iterate of the lowest cost.
     converged : bool
         Whether a further step would be small, or gain little. False if the steps or the budget ran out first,
-        or if the cost cannot be reduced by steps that are not small.
+        or if the model diverges after every step.
     damping : float
         Damping that a further step would have.
     """
@@ -164,8 +164,8 @@ def minimise(
         elif not states_are_refined and (better := problem.with_states_refined(iterate)) is not None:
             iterate, states_are_refined = better, True
         elif control.value > _MAX_DAMPING or (is_small and len(step.move)):
-            # Without free parameters, every step is small.
-            return Minimum(iterate, is_small, control.value)
+            # The smallest steps gain nothing, unless the model diverges at each of them.
+            return Minimum(iterate, bool(np.isfinite(trial.cost)), control.value)
         else:
             control.increase()
             # The iterate stays the same, so that refining its states again would gain nothing.
