@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.arrays import Floats, Integers
 
 from heli_lab.estimation import LinearisedFlight
 
@@ -58,7 +58,7 @@ def open_loop_squares(linear: LinearisedFlight, rates: Floats) -> tuple[Floats, 
     return squares, rows.size
 
 
-def _responses(linear: LinearisedFlight, rows: Floats, rates: Floats) -> Floats:
+def _responses(linear: LinearisedFlight, rows: Integers, rates: Floats) -> Floats:
     """Simulate the deviation of each window from 0, shape (windows, length, m, states + m + 1).
 
     The signals are: unit initial states, unit constant torques, and the additional rates.
