@@ -80,7 +80,7 @@ def fit_inputs(
 
 
 def input_lines(inputs: FitInputs, rig: str) -> tuple[str, str]:
-    """State which rig and which model a fit uses, so that nobody takes a default for their own rig.
+    """State which rig and which model a fit uses: the default may be another rig than the one that flew.
 
     Parameters
     ----------

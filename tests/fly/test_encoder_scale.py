@@ -101,7 +101,7 @@ def test_wrong_supply_accuses_no_encoder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("out_s", [11.5, 12.0])
-def test_time_of_a_dead_encoder_tells_nothing_of_another(out_s: float) -> None:
+def test_time_of_a_dead_encoder_accuses_no_other_encoder(out_s: float) -> None:
     with heli_host.connect(f"sil://?speed=max&encoder_out=pitch:{out_s:g}") as heli:
         summary = heli.fly("sine")
     assert "pitch_motionless" in summary.outcome

@@ -54,8 +54,8 @@ class _Prior(NamedTuple):
 class FlightInWeakForm:
     """Residuals of a rig's equations of motion along a flight, in weak form.
 
-    The unknowns are, in this order: the logarithms of three scales and of a factor on the voltages, the lag
-    of the thrust, the zeros of the elevation and the pitch encoder, rig parameters, parameters of effects,
+    The first unknowns are the logarithms of three scales and of a factor on the voltages, the lag of the
+    thrust, and the zeros of the elevation and the pitch encoder. Parameters of the rig and of effects follow,
     and a constant torque about each axis.
 
     Parameters

@@ -167,9 +167,9 @@ MIN_MOTION: Final = 1.7
 """Smallest RMS motion of an axis without its parabolas that is tested, in standard deviations of the
 quantisation: half a count. Quantisation alone has 1. Lower: an axis at rest decides by chance. Higher: slow
 axes are not tested."""
-REST_COUNTS: Final = 2
-"""Range of an axis in counts up to which it rests. Set by judgement: an axis at rest on the edge of a count
-alternates between two. Smaller: an axis at rest is said to move. Larger: slow motion is said to be rest."""
+REST_COUNTS: Final = 1
+"""Range of an axis in counts up to which it rests: on the edge of a count, an axis at rest alternates between
+two counts. Smaller: an axis at rest is said to move. Larger: slow motion is said to be rest."""
 QUANTISATION_ONLY: Final = 1.05
 """Up to this normalised error, only quantisation remains. Coverage has at most 1.01 on held-out flights; the
 difference allows for slightly uneven encoders."""

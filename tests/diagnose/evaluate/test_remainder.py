@@ -1,4 +1,4 @@
-"""What remains is unexplained only if it is no error of a parameter, and if it changes a prediction."""
+"""A remainder is unexplained only if it is no error of a parameter, and if it changes a prediction."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from heli_lab.diagnose.evaluate import verdict
 from heli_lab.diagnose.evaluate.open_loop import open_loop_squares
 from heli_lab.diagnose.evaluate.residual_analysis import Dependence, dependences
 from heli_lab.diagnose.report import lines, summary
-from heli_lab.diagnose.search import ModelComparison, Screening, quantity_values
+from heli_lab.diagnose.search import ModelComparison, Screening, held_out_screening, quantity_values
 from heli_lab.diagnose.thresholds import MATTERS_COUNTS
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
@@ -31,7 +31,7 @@ def significant(fit: Flight, held_out: Flight, *, uncertain: bool) -> list[Depen
     comparison = ModelComparison(MultibodyModel(), rig, *records)
     baseline = comparison.refit(())
     if uncertain:
-        screening = comparison.held_out_screening(baseline)
+        screening = held_out_screening(comparison, baseline)
     else:
         screening = Screening(comparison.held_out_estimate(baseline))
     return [dependence for dependence in dependences([screening]) if dependence.is_significant]
@@ -68,8 +68,8 @@ def judged(change_counts: float, total: float = 1.4) -> Diagnosis:
     """Judge a right cause again whose model leaves a significant dependence of this size."""
     diagnosis = diagnosed("rotor_lag=0.06")
     assessment = diagnosis.assessment
-    left = Dependence("torque.pitch on travel_rate", 24.0, 22.0, change_counts)
-    residual = replace(assessment.residual_analysis, dependences=(left,))
+    dependence = Dependence("torque.pitch on travel_rate", 24.0, 22.0, change_counts)
+    residual = replace(assessment.residual_analysis, dependences=(dependence,))
     after = replace(assessment.after, held_out=replace(assessment.after.held_out, total=total))
     new_verdict = verdict.judge(diagnosis.search, residual, after, diagnosis.kinds, absent=False)
     return replace(
@@ -83,8 +83,8 @@ def test_remainder_that_changes_no_prediction_is_listed_and_the_cause_stands() -
     assert diagnosis.label == "cause_found"
     assert summary(diagnosis).startswith("The rotors' thrust lags")
     numbers = to_json(diagnosis)
-    (left,) = numbers["small_remainder"]
-    assert (left["dependence"], left["change_counts"]) == (
+    (remaining,) = numbers["small_remainder"]
+    assert (remaining["dependence"], remaining["change_counts"]) == (
         "torque.pitch on travel_rate",
         0.9 * MATTERS_COUNTS,
     )

@@ -12,7 +12,7 @@ from heli_lab.diagnose.evaluate.prediction import Prediction, predict
 from heli_lab.diagnose.evaluate.relevance import prediction_changes, spline_change
 from heli_lab.diagnose.evaluate.residual_analysis import ResidualAnalysis, residual_analysis
 from heli_lab.diagnose.evaluate.verdict import Verdict, judge, small_effects
-from heli_lab.diagnose.search import Hypothesis, ModelComparison, Search
+from heli_lab.diagnose.search import Hypothesis, ModelComparison, Search, held_out_screening
 from heli_lab.diagnose.thresholds import MATTERS_COUNTS
 
 
@@ -58,7 +58,7 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
     train, held_out = comparison.train, comparison.held_out
     held_out_screenings = []
     if comparison.can_test_held_out:
-        held_out_screenings = [comparison.held_out_screening(search.final)]
+        held_out_screenings = [held_out_screening(comparison, search.final)]
     residual = residual_analysis([search.screening, *held_out_screenings])
     extended = without_splines(comparison, search)
     before = predict(search.baseline.estimate, train, held_out)

@@ -25,6 +25,7 @@ from heli_lab.diagnose.search import (
     Screening,
     Search,
     coefficient_std,
+    held_out_screening,
     may_join,
     min_margin,
     score_of,
@@ -91,7 +92,7 @@ def with_remainder(
     if not comparison.can_test_held_out:
         return None
     final, acceptance = search.final, Acceptance(comparison, kinds)
-    screenings = [search.screening, comparison.held_out_screening(final)]
+    screenings = [search.screening, held_out_screening(comparison, final)]
     ranked = _on_all_flights(screenings, acceptance, final.ids)
     for screening in screenings:
         screening.release()

@@ -189,8 +189,17 @@ def _confirmation_text(cause: Mapping[str, Any]) -> str:
 
 
 def unconfirmed_in_rig(result: Diagnosis, with_term: bool = False, with_unconfirmed: bool = False) -> str:
-    """State in a sentence which causes are not confirmed, and whether they are in the rig of `Diagnosis.rig`
-    with the same options; empty if there are none.
+    """State in a sentence which causes are not confirmed, and whether a saved rig has them.
+
+    Parameters
+    ----------
+    with_term, with_unconfirmed : bool
+        Options of the rig, as in `Diagnosis.rig`.
+
+    Returns
+    -------
+    str
+        Empty if every cause is confirmed.
     """
     reasons = {id_: cause.why_not for id_, cause in result.replication.unconfirmed.items()}
     if not result.has_other_flight:

@@ -7,7 +7,7 @@ from heli_lab.diagnose.search.folds import split
 from heli_lab.diagnose.search.hypothesis import Alternative, Cause, Hypothesis, Refit, Round
 from heli_lab.diagnose.search.model_comparison import ModelComparison
 from heli_lab.diagnose.search.regressors import ExtendedModel, spline_candidate, spline_candidates
-from heli_lab.diagnose.search.replication import Direction, direction
+from heli_lab.diagnose.search.replication import Direction, direction, held_out_screening
 from heli_lab.diagnose.search.resolution import limited_std
 from heli_lab.diagnose.search.score_test import ScoreStatistics, score_of
 from heli_lab.diagnose.search.screening import Screening, coefficient_std
@@ -45,6 +45,7 @@ __all__ = [
     "coefficient_std",
     "direction",
     "fingerprint",
+    "held_out_screening",
     "knot_span",
     "limited_std",
     "may_join",

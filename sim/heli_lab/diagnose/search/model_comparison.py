@@ -10,7 +10,6 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
-import numpy as np
 from heli_host.arrays import Floats
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig
@@ -20,7 +19,6 @@ from heli_lab.diagnose.search.estimate_cache import EstimateCache, cache_key
 from heli_lab.diagnose.search.filtered_flights import FilteredFlights, filter_with_baseline
 from heli_lab.diagnose.search.folds import two_folds
 from heli_lab.diagnose.search.hypothesis import Hypothesis
-from heli_lab.diagnose.search.screening import NormalDistribution, Screening
 from heli_lab.diagnose.thresholds import NEW_DISTURBANCES_NATS, EVENT_EDGE_s, SHORT_s
 from heli_lab.estimation import (
     BLOCK_s,
@@ -329,25 +327,6 @@ class ModelComparison:
             self.held_out_references,
             lambda functions: estimate(vector, self.held_out_references, functions, theta, disturbances),
         )
-
-    def held_out_screening(self, hypothesis: Hypothesis) -> Screening:
-        """Score candidates about a `hypothesis` on the held-out flights.
-
-        All parameters are free. The prior of those that all flights share is their estimate on the fitted
-        flights with its covariance, so that an error which their uncertainty explains is no missing effect.
-        """
-        fitted, held_out = hypothesis.estimate, self.held_out_estimate(hypothesis)
-        vector = RigParameters(fitted.parameter_vector.model, self.rig, self.held_out)
-        constants = held_out.parameter_vector.by_name(held_out.theta)
-        theta = vector.started_from({**fitted.parameter_vector.shared_by_name(fitted.theta), **constants})
-        # Shared parameters come first in both vectors.
-        shared = slice(sum(parameter.record is None for parameter in vector.free))
-        precision = np.diag(vector.std**-2.0)
-        precision[shared, shared] = np.linalg.inv(fitted.covariance[shared, shared])
-        mean = vector.mean.copy()
-        mean[shared] = theta[shared]
-        estimate_ = replace(held_out, parameter_vector=vector, theta=theta, functions=fitted.functions)
-        return Screening(estimate_, NormalDistribution(mean, precision))
 
 
 def event_is_inside(record: Record, moment_s: float) -> bool:

@@ -8,10 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
+
 from heli_lab.diagnose.search.candidate import Candidate
 from heli_lab.diagnose.search.hypothesis import Hypothesis
 from heli_lab.diagnose.search.model_comparison import ModelComparison
+from heli_lab.diagnose.search.screening import NormalDistribution, Screening
 from heli_lab.estimation import Estimate
+from heli_lab.identify.flight_model import RigParameters
 from heli_lab.threads import parallel_map
 
 _NO_FLIGHT: Final = "\0"
@@ -74,6 +78,26 @@ def direction(
     ratios = parallel_map(log_likelihood_ratio, candidates)
     ids = (candidate.id for candidate in candidates)
     return Direction(comparison, baseline, whole, dict(zip(ids, ratios, strict=True)))
+
+
+def held_out_screening(comparison: ModelComparison, hypothesis: Hypothesis) -> Screening:
+    """Score candidates about a `hypothesis` on the held-out flights of a comparison.
+
+    All parameters are free. The prior of those that all flights share is their estimate on the fitted flights
+    with its covariance, so that an error which their uncertainty explains is no missing effect.
+    """
+    fitted, held_out = hypothesis.estimate, comparison.held_out_estimate(hypothesis)
+    vector = RigParameters(fitted.parameter_vector.model, comparison.rig, comparison.held_out)
+    constants = held_out.parameter_vector.by_name(held_out.theta)
+    theta = vector.started_from({**fitted.parameter_vector.shared_by_name(fitted.theta), **constants})
+    # Shared parameters come first in both vectors.
+    shared = slice(sum(parameter.record is None for parameter in vector.free))
+    precision = np.diag(vector.std**-2.0)
+    precision[shared, shared] = np.linalg.inv(fitted.covariance[shared, shared])
+    mean = vector.mean.copy()
+    mean[shared] = theta[shared]
+    estimate = replace(held_out, parameter_vector=vector, theta=theta, functions=fitted.functions)
+    return Screening(estimate, NormalDistribution(mean, precision))
 
 
 def _refit(
