@@ -80,7 +80,9 @@ def explained(
     used_s : float
         Duration of the fitted flight.
     """
-    monkeypatch.setattr(listed_remainder, "Screening", lambda _: Scores(held_out))
+    # The screening of the refitted model is not used.
+    monkeypatch.setattr(listed_remainder, "Screening", lambda _: Scores({}))
+    monkeypatch.setattr(listed_remainder, "held_out_screening", lambda *_: Scores(held_out))
 
     def refit(candidates: Any, *_: object) -> Hypothesis:
         return hypothesis(*(candidate.id for candidate in candidates), nats=5.0)
