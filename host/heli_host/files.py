@@ -5,6 +5,7 @@ The functions refuse pipes, files above a given size, and TOML that would exhaus
 
 from __future__ import annotations
 
+import codecs
 import errno
 import hashlib
 import os
@@ -72,6 +73,26 @@ def file_digest(path: Path) -> str:
     """
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def decode_text(content: bytes) -> str:
+    """Return the text of a file that a user may have written with any editor.
+
+    A byte order mark, as some editors of Windows write it, is left out. A text in UTF-16 begins with one.
+
+    Parameters
+    ----------
+    content : bytes
+        Content of the file.
+
+    Raises
+    ------
+    UnicodeDecodeError
+        It is neither UTF-8 nor UTF-16 with a byte order mark.
+    """
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.decode("utf-16")
+    return content.decode("utf-8-sig")
 
 
 def parse_toml(text: str) -> dict[str, Any]:

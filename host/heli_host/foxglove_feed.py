@@ -1,7 +1,7 @@
 """Live samples over Foxglove's WebSocket protocol, for viewers such as Foxglove and PlotJuggler.
 
-The feed is read-only and listens on this computer only. A process of its own serves the viewers; see
-`heli_host.foxglove_server`.
+The feed is read-only, listens on this computer only, and refuses pages of other origins. A process of its own
+serves the viewers; see `heli_host.foxglove_server`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from heli_host.errors import HeliError, PortError, install_remedy
-from heli_host.foxglove_server import EVENT, HEADER, HOST, SETTINGS, TICKS
+from heli_host.foxglove_gate import HOST
+from heli_host.foxglove_server import EVENT, HEADER, SETTINGS, TICKS
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED
 from heli_host.log.blind import hide

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import struct
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, BinaryIO, Final
 
 import numpy as np
 
 from heli_host.declaration import Channel
+from heli_host.foxglove_gate import HOST, ViewerGate
 from heli_host.log.clock import TickClock
 from heli_host.log.records import json_bytes
 from heli_host.log.schema import (
@@ -33,7 +35,6 @@ from heli_host.log.schema import (
     fill_ticks,
 )
 
-HOST: Final = "127.0.0.1"
 SETTINGS, TICKS, EVENT = 1, 2, 3
 HEADER: Final = struct.Struct("<BI")
 _BACKLOG: Final = 20_000
@@ -81,15 +82,22 @@ class FoxgloveServer:
             message_encoding="json",
             context=context,
         )
-        self._server = foxglove.start_server(
+        # The SDK accepts pages of any origin. Viewers reach it through a gate only, because it listens on an
+        # address of this computer that no page can guess.
+        self._server, inner_host = _start_hidden(
+            foxglove.start_server,
             name="heli-lab",
-            host=HOST,
-            port=int(settings["port"]),
+            port=0,
             capabilities=[],
             context=context,
             message_backlog_size=_BACKLOG,
         )
-        self.port: int = self._server.port
+        try:
+            self._gate = ViewerGate(int(settings["port"]), (inner_host, self._server.port))
+        except OSError as error:
+            self._server.stop()
+            raise RuntimeError(error.strerror or str(error)) from error
+        self.port: int = self._gate.port
 
     def publish_ticks(self, content: bytes) -> None:
         """Publish a batch of ticks.
@@ -138,7 +146,20 @@ class FoxgloveServer:
 
     def close(self) -> None:
         """Disconnect all viewers."""
+        self._gate.close()
         self._server.stop()
+
+
+def _start_hidden(start_server: Callable[..., Any], **options: Any) -> tuple[Any, str]:
+    """Start a server on a random address of this computer; return it and the address.
+
+    All addresses 127.x.y.z are of this computer. A system that has 127.0.0.1 only gets that one.
+    """
+    host = f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(256)}.{secrets.randbelow(254) + 1}"
+    try:
+        return start_server(host=host, **options), host
+    except (OSError, RuntimeError):
+        return start_server(host=HOST, **options), HOST
 
 
 def read_parts(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:

@@ -39,7 +39,7 @@ _COMMENTS: Final = {".c": ("// ", ""), **dict.fromkeys((".xml", ".html", ".md"),
 _FIGURE_KEYS: Final = {".png": "Software", ".pdf": "Creator", ".svg": "Creator"}
 _TABLE_HEADS: Final = (b"t_s,front_V,back_V,elevation_rad,", b"submission,points,of,")
 """Begins of the first line of tables, after lines of notes."""
-_NOTES: Final = ".csv.notes.txt", ".csv.gz.notes.txt"
+_NOTES: Final = ".notes.txt"
 _NOTE_LINE: Final = re.compile(rb"[\w .-]+: ")
 
 

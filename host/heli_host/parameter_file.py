@@ -9,7 +9,7 @@ from pathlib import Path
 
 from heli_host.declaration import PARAMS, PARAMS_HASH
 from heli_host.errors import ParameterError, file_remedy
-from heli_host.files import TOML_BYTES, parse_toml, read_file
+from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file
 from heli_host.parameters import checked, spec_of
 
 TABLE = "parameters"
@@ -77,7 +77,7 @@ def read_parameter_set(file: Path) -> ParameterSet:
         The file cannot be read, holds anything but numbers, or breaks its own schema.
     """
     try:
-        content = parse_toml(read_file(file, TOML_BYTES).decode("utf-8"))
+        content = parse_toml(decode_text(read_file(file, TOML_BYTES)))
     except OSError as error:
         if error.errno == errno.EFBIG:
             raise ParameterError(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import serial
-from heli_host.cli.board import ARDUINO_VID, DUE_NATIVE_PID, DUE_PROGRAMMING_PID, check_target
+from heli_host.cli.board import ARDUINO_VIDS, DUE_NATIVE_PID, DUE_PROGRAMMING_PID, check_target
 from heli_host.cli.entry import command_line
 from heli_host.errors import PortError
 from serial.tools import list_ports
@@ -39,7 +39,7 @@ WORDS = {
 
 def due(device: str, product: int = DUE_PROGRAMMING_PID) -> ListPortInfo:
     port = ListPortInfo(device)
-    port.vid, port.pid = ARDUINO_VID, product
+    port.vid, port.pid = ARDUINO_VIDS[0], product
     return port
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import warnings
 from typing import Any
 
@@ -151,3 +153,21 @@ def test_what_there_is_not_is_refused_in_one_line() -> None:
     for wrong in ({"rigs": ()}, {"tolerances": -1.0}, {"effects": {"rotor_lag": (0.2, 0.1)}}):
         with pytest.raises(LearningError):
             Domain(**wrong)
+
+
+@pytest.mark.parametrize("through", ["plant", "board"])
+def test_a_copy_continues_the_same_episode(through: Any) -> None:
+    """A search over actions copies the environment, and tries each action in a copy."""
+    actions = np.random.default_rng(1).uniform(-0.2, 0.2, (12, 2)).astype(np.float32)
+    with contextlib.closing(HoverEnv(through=through)) as environment:
+        environment.reset(seed=3)
+        for action in actions[:6]:
+            environment.step(action)
+        with contextlib.closing(copy.deepcopy(environment)) as copied:
+            other = copied.step(np.ones(2, np.float32))[0]
+            original = [environment.step(action)[0] for action in actions[6:]]
+        with contextlib.closing(HoverEnv(through=through)) as again:
+            again.reset(seed=3)
+            repeated = [again.step(action)[0] for action in actions][6:]
+    np.testing.assert_array_equal(original, repeated)
+    assert (other != original[0]).any()

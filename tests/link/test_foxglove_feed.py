@@ -18,6 +18,7 @@ import pytest
 from heli_host import foxglove_feed as feeds
 from heli_host.declaration import CHANNELS
 from heli_host.errors import PortError
+from heli_host.foxglove_gate import is_permitted
 from heli_host.heli import Heli
 from heli_host.log.schema import EVENT_TOPIC, TICK_TOPIC, parse_layout, raw_ticks
 
@@ -29,7 +30,13 @@ __all__ = ["terminal"]
 pytest.importorskip("foxglove", reason="skipped: no foxglove-sdk")
 pytest.importorskip("websockets.sync.client", reason="skipped: no websockets")
 
+from websockets import Origin, Subprotocol
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
 from tests.link.foxglove_viewer import PATIENCE_S, Viewer
+
+PROTOCOL = Subprotocol("foxglove.sdk.v1")
 
 pytestmark = pytest.mark.medium
 
@@ -145,3 +152,40 @@ def test_record_and_fly_name_the_address_for_viewers(terminal: Terminal) -> None
         assert result.code == 0 and "viewers: ws://127.0.0.1:" in result.out + result.err
     refused = terminal("dashboard", "--replay", "a.mcap", "--foxglove", "0")
     assert refused.code == 2 and "viewers open a.mcap as a file" in refused.err
+
+
+@pytest.mark.parametrize(
+    ("headers", "is_served"),
+    [
+        ({}, True),
+        ({"Origin": "http://localhost:8080"}, True),
+        ({"Origin": "https://app.foxglove.dev"}, True),
+        ({"Origin": "file://"}, True),
+        ({"Origin": "https://evil.example"}, False),
+        ({"Origin": "https://app.foxglove.dev.evil.example"}, False),
+        ({"Origin": "http://localhost.evil.example"}, False),
+        ({"Origin": "null"}, False),
+        ({"Origin": "http://["}, False),
+        ({"Host": "evil.example"}, False),
+        ({"Host": "["}, False),
+    ],
+)
+def test_pages_of_other_origins_are_refused(headers: dict[str, str], is_served: bool) -> None:
+    lines = {"Host": "127.0.0.1:8765", **headers}
+    text = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
+    assert is_permitted(f"GET / HTTP/1.1\r\n{text}\r\n".encode()) == is_served
+
+
+def test_a_foreign_page_gets_no_sample_and_a_viewer_does(heli: Heli) -> None:
+    with feeds.foxglove_feed(heli, 0) as feed:
+        assert feed is not None
+        foreign = {"Origin": "https://evil.example"}
+        with (
+            pytest.raises(InvalidStatus) as refused,
+            connect(feed.address, additional_headers=foreign, subprotocols=[PROTOCOL], proxy=None),
+        ):
+            pass
+        assert refused.value.response.status_code == 403
+        local = Origin("http://localhost:1")
+        with connect(feed.address, origin=local, subprotocols=[PROTOCOL], proxy=None) as viewer:
+            assert json.loads(viewer.recv(PATIENCE_S))["op"] == "serverInfo"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from heli_host.cli import modem_manager
-from heli_host.cli.board import ARDUINO_VID
+from heli_host.cli.board import ARDUINO_VIDS
 
 ROOT = Path(__file__).resolve().parents[2]
 WITHOUT = Path(__file__).parent / "without"
@@ -108,10 +108,12 @@ def test_a_pseudo_terminal_is_refused_with_the_other_way(tmp_path: Path) -> None
 def test_the_udev_file_is_for_the_board_and_keeps_modem_manager_off(monkeypatch: pytest.MonkeyPatch) -> None:
     text = (ROOT / "docs" / "99-heli.rules").read_text()
     rules = [line for line in text.splitlines() if line and not line.startswith("#")]
-    assert all(f'ATTRS{{idVendor}}=="{ARDUINO_VID:04x}"' in rule for rule in rules)
+    for vendor in ARDUINO_VIDS:
+        of_vendor = [rule for rule in rules if f'ATTRS{{idVendor}}=="{vendor:04x}"' in rule]
+        assert len(of_vendor) == 3
+        assert sum('GROUP="dialout"' in rule for rule in of_vendor) == 2
     monkeypatch.setattr(modem_manager, "UDEV_FOLDERS", (ROOT / "docs",))
-    assert modem_manager._udev_ignores_arduino()
-    assert sum('GROUP="dialout"' in rule for rule in rules) == 2
+    assert all(modem_manager._udev_ignores(vendor) for vendor in ARDUINO_VIDS)
 
 
 def test_wheels_are_configured_for_every_python_that_the_project_takes() -> None:

@@ -14,19 +14,20 @@ if TYPE_CHECKING:
     from heli_host.link.transport import PortInfo
     from heli_host.telemetry_view import BoardInfo
 
-ARDUINO_VID = 0x2341
+ARDUINO_VIDS = (0x2341, 0x2A03)
+"""Vendors of a Due: arduino.cc and the former arduino.org."""
 DUE_PROGRAMMING_PID = 0x003D
 DUE_NATIVE_PID = 0x003E
 
 
 def is_due(port: PortInfo) -> bool:
     """Return whether a port is the programming port of a Due, which this link uses."""
-    return (port.vendor_id, port.product_id) == (ARDUINO_VID, DUE_PROGRAMMING_PID)
+    return port.vendor_id in ARDUINO_VIDS and port.product_id == DUE_PROGRAMMING_PID
 
 
 def is_due_native(port: PortInfo) -> bool:
     """Return whether a port is the native port of a Due, which this link does not use."""
-    return (port.vendor_id, port.product_id) == (ARDUINO_VID, DUE_NATIVE_PID)
+    return port.vendor_id in ARDUINO_VIDS and port.product_id == DUE_NATIVE_PID
 
 
 def check_target(port: str | None, sil: bool | None) -> None:

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
-from heli_host.cli.board import ARDUINO_VID
+from heli_host.cli.board import ARDUINO_VIDS
 from heli_host.cli.finding import Finding, Verdict
 
 UDEV_FOLDERS = (Path("/etc/udev/rules.d"), Path("/run/udev/rules.d"), Path("/usr/lib/udev/rules.d"))
 UDEV_REMEDY = (
-    'echo \'ATTRS{idVendor}=="2341", ENV{ID_MM_DEVICE_IGNORE}="1"\' | '
+    'echo \'ATTRS{idVendor}=="2341|2a03", ENV{ID_MM_DEVICE_IGNORE}="1"\' | '
     "sudo tee /etc/udev/rules.d/99-heli.rules; sudo udevadm control --reload; then plug the board in again"
 )
 
 
-def check_modem_manager(due_is_present: bool) -> Finding:
+def check_modem_manager(vendors: Collection[int]) -> Finding:
     """Check that ModemManager ignores the board; it may occupy a new port for half a minute. The verdict is
-    bad if ModemManager runs, may open a Due, and `due_is_present`.
+    bad if ModemManager runs, and may open one of the Dues present, which have the USB numbers `vendors`.
     """
     if not _process_runs("ModemManager"):
         return Finding(Verdict.GOOD, "ModemManager does not run")
-    if _udev_ignores_arduino():
+    if all(_udev_ignores(vendor) for vendor in vendors or ARDUINO_VIDS[:1]):
         return Finding(Verdict.GOOD, "ModemManager runs and is configured to ignore Arduinos")
-    verdict = Verdict.BAD if due_is_present else Verdict.NOTE
+    verdict = Verdict.BAD if vendors else Verdict.NOTE
     return Finding(verdict, "ModemManager runs and may grab the board when it is plugged in", UDEV_REMEDY)
 
 
@@ -37,9 +38,9 @@ def _process_runs(name: str) -> bool:
     return False
 
 
-def _udev_ignores_arduino() -> bool:
-    """Whether a udev rule tells ModemManager to ignore the ports of Arduino boards."""
-    vendor = f"{ARDUINO_VID:04x}"
+def _udev_ignores(vendor_id: int) -> bool:
+    """Whether a udev rule tells ModemManager to ignore the ports of a vendor's boards."""
+    vendor = f"{vendor_id:04x}"
     for folder in UDEV_FOLDERS:
         for rules in folder.glob("*.rules"):
             try:

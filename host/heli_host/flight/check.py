@@ -76,6 +76,12 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
     falling_rows = np.flatnonzero(step_s <= 0.0)
     if falling_rows.size:
         row = int(falling_rows[0]) + 1
+        if len(falling_rows) == 1 and t_s[row] - t_s[0] < 0.5 * (t_s[row - 1] - t_s[0]):
+            raise FlightDataError(
+                f"{source} holds two flights that were joined: t_s falls from {t_s[row - 1]:.9g} to "
+                f"{t_s[row]:.9g} s in {where(row)}",
+                "give each flight as a file of its own",
+            )
         raise FlightDataError(
             f"{source}: t_s does not increase in {where(row)}: {t_s[row]:.9g} after {t_s[row - 1]:.9g} s",
             "sort the rows by time, and remove duplicates",

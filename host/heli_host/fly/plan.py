@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from heli_host.arrays import Floats
 from heli_host.declaration import AXES, Axis
 from heli_host.errors import PlanError, file_remedy
-from heli_host.files import TOML_BYTES, parse_toml, read_file
+from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file
 from heli_host.flight.flown import TAKE_OFF
 from heli_host.fly import route as shapes
 from heli_host.fly.keys import ANGLE, PAUSE, RATE, PlanTable
@@ -282,7 +282,7 @@ def load_plan(name: str | Path) -> Plan:
             f"unknown plan {text!r}", f"{hint}give a TOML file, or one of: {', '.join(plan_names())}"
         )
     try:
-        return Plan.parse(read_file(path, TOML_BYTES).decode("utf-8"), str(path), path.stem)
+        return Plan.parse(decode_text(read_file(path, TOML_BYTES)), str(path), path.stem)
     except UnicodeDecodeError as error:
         raise PlanError(f"{path} is not text in UTF-8", "give a TOML file") from error
     except OSError as error:

@@ -40,6 +40,8 @@ from heli_host.log.schema import (
 )
 
 _MAGIC = bytes(MCAP0_MAGIC)
+_HEAD = re.compile(re.escape(_MAGIC) + rb"\x01")
+"""Begin of a log: the magic bytes and a header record."""
 _MESSAGE_HEADER = struct.Struct("<HIQQ")
 _MESSAGE_INDEX = struct.Struct("<HI")
 _INDEX_ENTRY_BYTES = 16
@@ -118,6 +120,7 @@ class Scan:
         LogError
             If it holds ticks that are not ours, or damage leaves open how its ticks are to be read.
         """
+        self._refuse_joined_logs()
         self._index = read_index(self.data)
         for schema in self._index.schemas if self._index else ():
             self._schemas[schema.id] = schema
@@ -139,6 +142,24 @@ class Scan:
         self._check_description()
         self._merge_intact_metadata()
         self._note_damage()
+
+    def _refuse_joined_logs(self) -> None:
+        """Refuse a file with the head of a second log: two flights would be read as one, or the second one
+        would be left out.
+
+        Raises
+        ------
+        LogError
+            There is a second head.
+        """
+        second = _HEAD.search(self.data, len(_MAGIC))
+        if second is not None:
+            at = second.start()
+            raise LogError(
+                f"{self.path} holds two logs that were joined; the second begins after {at} bytes",
+                f"give the logs themselves, or cut it: head -c {at} FILE > 1.mcap; "
+                f"tail -c +{at + 1} FILE > 2.mcap",
+            )
 
     def _read_record(self, position: int) -> int:
         """Read the record at ``position``; return the position of the next record."""

@@ -6,6 +6,7 @@ parameters, plan and events are in a text file next to it. Older tables hold the
 
 from __future__ import annotations
 
+import codecs
 import difflib
 import gzip
 import io
@@ -114,7 +115,7 @@ def notes_path(table: Path) -> Path:
     return table.with_name(table.name + ".notes.txt")
 
 
-def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -> None:
+def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -> int:
     """Write a flight as a table, and its notes next to it.
 
     Parameters
@@ -123,6 +124,11 @@ def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -
         ``.csv`` or ``.csv.gz``; the same flight gives the same bytes.
     notes_inside : bool
         Write the notes into the table, as lines that begin with ``#``, if there can be no second file.
+
+    Returns
+    -------
+    int
+        Size of the table, unpacked [byte]. `read_csv` refuses tables of more than `MAX_TABLE_BYTES`.
 
     Raises
     ------
@@ -141,14 +147,20 @@ def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -
                 # Without name and date in its header, the same flight compresses to the same bytes.
                 with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0) as packed:
                     _write_rows(packed, inside, list(columns), row_format, table)
+                    size = packed.tell()
             else:
                 _write_rows(file, inside, list(columns), row_format, table)
+                size = file.tell()
         notes_file = notes_path(path)
+        if not path.is_file():
+            # A device, such as /dev/null, has no file next to it.
+            return size
         if notes and not notes_inside:
             write_text(notes_file, "".join(line + "\n" for line in notes))
         else:
             # The notes of an older table would describe another flight.
             notes_file.unlink(missing_ok=True)
+        return size
     except OSError as error:
         raise LogWriteError(
             f"cannot write {path}: {error.strerror or error}", "choose another folder"
@@ -172,7 +184,7 @@ def _read_notes(path: Path) -> list[str]:
         return []
     except OSError as error:
         raise FlightDataError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
-    lines = data.decode("utf-8", errors="replace").splitlines()
+    lines = data.decode("utf-8-sig", errors="replace").splitlines()
     return [line for line in lines if line.strip()]
 
 
@@ -218,7 +230,9 @@ def _read_bytes(path: Path) -> bytes:
 
 def _split_lines(data: bytes, path: Path) -> _Lines:
     """Split a CSV file into notes (lines that begin with #), column names and rows of text."""
-    data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        data = data.decode("utf-16", errors="replace").encode()
+    data = data.removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if not data.strip():
         raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
     if data.count(b"\n") > MAX_LINES:
@@ -313,6 +327,12 @@ def _read_numbers(lines: _Lines, path: Path) -> tuple[NDArray[np.float64], tuple
                 raise FlightDataError(
                     f"{path}: {lines.where(row)} has {text} columns, the header {len(lines.names)}",
                     "complete or remove that line",
+                ) from error
+            if text == lines.names[column]:
+                raise FlightDataError(
+                    f"{path} holds two tables that were joined: {lines.where(row)} repeats the names of the "
+                    "columns",
+                    "give each table as a file of its own",
                 ) from error
             raise FlightDataError(
                 f"{path}: {lines.names[column]} is {text!r} in {lines.where(row)}, not a number",

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError, file_remedy
-from heli_host.files import TOML_BYTES, parse_toml, read_file, toml_string
+from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file, toml_string
 from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, TIME_UNITS, VOLTAGE_UNITS
 
 MOTORS: Final = ("front", "back")
@@ -164,7 +164,7 @@ def read_profile(path: Path) -> Profile:
 def read_entries(path: Path) -> Mapping[str, Any]:
     """Read the entries of the profile at `path`, which need not be complete."""
     try:
-        content = parse_toml(read_file(path, TOML_BYTES).decode("utf-8"))
+        content = parse_toml(decode_text(read_file(path, TOML_BYTES)))
     except OSError as error:
         raise FlightDataError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
     except ValueError as error:

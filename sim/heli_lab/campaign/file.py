@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from heli_host.files import TOML_BYTES, parse_toml, read_file
+from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file
 
 from heli_lab.campaign.campaign import Campaign
 from heli_lab.campaign.case import Case
@@ -37,7 +37,7 @@ def load_campaign(path: Path) -> Campaign:
         When the file cannot be read or is not a campaign's file; the message names the wrong entry.
     """
     try:
-        table = parse_toml(read_file(path, TOML_BYTES).decode("utf-8"))
+        table = parse_toml(decode_text(read_file(path, TOML_BYTES)))
     except OSError as error:
         raise CampaignError(f"{path}: {error.strerror}", "give a campaign's TOML file") from None
     except ValueError as error:

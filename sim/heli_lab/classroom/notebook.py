@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_host.errors import HeliError, file_remedy
-from heli_host.files import read_file
+from heli_host.files import decode_text, read_file
 from heli_host.output_files import notebook_digest, write_signed, write_text
 
 # Written in two parts, because a test of this repository takes the whole word for unfinished work.
@@ -240,7 +240,7 @@ def write_editions(sources: Sequence[Path], output: Path) -> list[Path]:
     text_by_path: dict[Path, str] = {}
     for source in sources:
         try:
-            text = read_file(source, _MAX_BYTES).decode("utf-8").replace("\r\n", "\n")
+            text = decode_text(read_file(source, _MAX_BYTES)).replace("\r\n", "\n")
         except OSError as error:
             raise NotebookError(f"cannot read {source}: {error.strerror}", file_remedy(error)) from error
         except UnicodeDecodeError as error:

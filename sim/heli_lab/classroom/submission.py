@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from heli_host.declaration import PARAMS
 from heli_host.errors import BadLaw, HeliError, ParameterError, PlanError, file_remedy
-from heli_host.files import TOML_BYTES, parse_toml, read_file
+from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file
 from heli_host.fly.plan import Plan
 from heli_host.law_program import LawProgram
 from heli_host.output_files import FORCE, ForeignFile, is_own_file
@@ -105,7 +105,7 @@ def read_submission(folder: Path, limits: FileLimits, rig: str | None = None) ->
     gains: list[dict[str, float]] = []
     for path in tables:
         try:
-            text = read_file(path, TOML_BYTES).decode("utf-8")
+            text = decode_text(read_file(path, TOML_BYTES))
             content = parse_toml(text)
         except OSError as error:
             raise PlanError(f"cannot read {path.name}: {error.strerror}", file_remedy(error)) from error

@@ -192,10 +192,26 @@ class BoardInLockstep(Simulator):
     def __init__(self) -> None:
         self._heli: heli_host.Heli | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="heli-gym-")
+        self._begin: tuple[EpisodeRig, Floats, Floats, int] | None = None
+        self._steps: list[tuple[Floats, int]] = []
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> BoardInLockstep:
+        """Return another board at the same moment of the same episode.
+
+        A running board cannot be copied. In lockstep the same voltages give the same samples, so that the
+        copy flies the episode again from its beginning.
+        """
+        copied = memo[id(self)] = BoardInLockstep()
+        if self._begin is not None and self._heli is not None:
+            copied.reset(*self._begin)
+            for volts_V, ticks in self._steps:
+                copied.step(volts_V, ticks)
+        return copied
 
     @override
     def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
         self._disconnect()
+        self._begin, self._steps = (drawn, state.copy(), hover_V.copy(), seed), []
         self._heli = heli = heli_host.connect(
             self._board_address(drawn, seed), history_s=1.0, land_on_exit=False
         )
@@ -214,6 +230,7 @@ class BoardInLockstep(Simulator):
     @override
     def step(self, volts_V: Floats, ticks: int) -> StepResult:
         heli = self._connected_board()
+        self._steps.append((np.array(volts_V), ticks))
         try:
             heli.voltages(*self._clip_to_limits(volts_V), valid_s=ticks * 2e-3)
             heli.wait(ticks * 1e-3)

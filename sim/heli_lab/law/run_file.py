@@ -7,6 +7,7 @@ JSON, which the reader checks.
 
 from __future__ import annotations
 
+import codecs
 import json
 import os
 import pickle
@@ -75,6 +76,10 @@ def run_law(path: Path) -> Law:
     except HeliError:
         raise
     except SyntaxError as error:
+        if path.read_bytes().startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise BadLaw(
+                f"{path.name} is text in UTF-16, which Python does not read", "save it as UTF-8"
+            ) from error
         raise BadLaw(
             f"{path.name} is not valid Python: {error.msg}{_line_number_text(error.lineno)}",
             "correct this line" if error.lineno else "give a Python file that ends with LAW = ...",

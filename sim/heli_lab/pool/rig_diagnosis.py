@@ -75,7 +75,7 @@ def read_rig_diagnosis(path: Path) -> RigDiagnosis:
     """
     remedy = "give files of heli-host diagnose --json"
     try:
-        return _rig_diagnosis_of_json(path, json.loads(path.read_text(encoding="utf-8")))
+        return _rig_diagnosis_of_json(path, json.loads(path.read_bytes()))
     except OSError as error:
         raise PoolError(f"{path}: {error.strerror}", remedy) from None
     except (json.JSONDecodeError, UnicodeDecodeError):

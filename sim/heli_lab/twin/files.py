@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_host.errors import file_remedy
-from heli_host.files import TOML_BYTES, parse_toml, read_file
+from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file
 from heli_sim.model.base import Model
 from heli_sim.model.effects import effects_of
 from heli_sim.model.named import model_named
@@ -78,7 +78,7 @@ def open_rig(name: str) -> TwinRig:
 def _parse_file(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file; a TwinError is raised if it cannot be read."""
     try:
-        return parse_toml(read_file(path, TOML_BYTES).decode("utf-8"))
+        return parse_toml(decode_text(read_file(path, TOML_BYTES)))
     except OSError as error:
         raise TwinError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
     except ValueError as error:

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from heli_host.errors import file_remedy
-from heli_host.files import TOML_BYTES, parse_toml, read_file
+from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file
 
 from heli_sim.errors import RigError
 from heli_sim.rig.inertia import STATED_INERTIAS, inertia_range_kg_m2
@@ -214,7 +214,7 @@ def load_rig(name_or_path: str | Path) -> Rig:
     if str(name_or_path) not in rig_names():
         path = Path(name_or_path)
     try:
-        text = read_file(path, TOML_BYTES).decode("utf-8")
+        text = decode_text(read_file(path, TOML_BYTES))
     except (OSError, UnicodeDecodeError) as error:
         if isinstance(error, OSError) and path.suffix == ".toml":
             raise RigError(f"cannot read rig file {path}: {error.strerror}", file_remedy(error)) from None

@@ -570,12 +570,12 @@ def _export_fmu(rig: str, effects: list[str], model: str, seed: int, out: Path |
 def read_text(path: Path) -> str:
     """Read the text at `path`, a RigError where there is none."""
     from heli_host.errors import file_remedy
-    from heli_host.files import TOML_BYTES, read_file
+    from heli_host.files import TOML_BYTES, decode_text, read_file
 
     from heli_sim.errors import RigError
 
     try:
-        return read_file(path, TOML_BYTES).decode("utf-8-sig")
+        return decode_text(read_file(path, TOML_BYTES))
     except OSError as error:
         raise RigError(f"cannot read {path}: {error.strerror}", file_remedy(error)) from None
     except UnicodeDecodeError:

@@ -76,7 +76,8 @@ def examine() -> Iterator[Finding]:
     ports = available_ports()
     yield from check_boards(ports)
     yield from check_permissions(ports)
-    yield check_modem_manager(any(is_due(port) for port in ports))
+    dues = [port for port in ports if is_due(port)]
+    yield check_modem_manager({port.vendor_id for port in dues if port.vendor_id is not None})
 
 
 def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:

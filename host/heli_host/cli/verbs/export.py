@@ -60,14 +60,10 @@ def export(
         )
     from heli_host.cli.outputs import check_place
     from heli_host.log.flight_file import read_flight
-    from heli_host.log.table import notes_path, write_csv
+    from heli_host.log.table import MAX_TABLE_BYTES, notes_path, write_csv
 
     write, suffix = _writer_and_ending(csv, mat, parquet)
-    ending = output.suffix if output is not None else ""
-    if ending and any(other.endswith(ending) for other in _SUFFIXES if other != suffix):
-        raise typer.BadParameter(
-            f"--output {output} has the ending of another format; give a name that ends in {suffix}"
-        )
+    _check_ending(output, suffix)
     flight = read_flight(log, allow_gaps=True)
     if blind:
         flight = _without_revealing_facts(flight, log)
@@ -78,14 +74,21 @@ def export(
     if target.exists() and target.samefile(log):
         raise typer.BadParameter(f"{target} is the log itself; name another file with --output")
     check_place(target)
-    write(flight, target)
+    size_bytes = write(flight, target)
     gaps = f", {len(flight.gaps)} gaps" if len(flight.gaps) else ""
     say(f"{len(flight)} rows{gaps} -> {target}")
     if write is write_csv and notes_path(target).exists():
         say(f"parameters, plan and events -> {notes_path(target)}")
+    if size_bytes is not None and size_bytes > MAX_TABLE_BYTES:
+        say(
+            f"note: the table has {size_bytes >> 20} MiB, and heli-host reads at most "
+            f"{MAX_TABLE_BYTES >> 20} MiB; give {log} itself to the other commands"
+        )
 
 
-def _writer_and_ending(csv: bool, mat: bool, parquet: bool) -> tuple[Callable[[Flight, Path], None], str]:
+def _writer_and_ending(
+    csv: bool, mat: bool, parquet: bool
+) -> tuple[Callable[[Flight, Path], int | None], str]:
     """Return the function that writes the requested format, and the ending of its files."""
     from heli_host.log.export import export_mat, export_parquet
     from heli_host.log.ros2 import export_ros2
@@ -94,6 +97,22 @@ def _writer_and_ending(csv: bool, mat: bool, parquet: bool) -> tuple[Callable[[F
     writers = (write_csv, export_mat, export_parquet, export_ros2)
     chosen = (csv, mat, parquet, True).index(True)
     return writers[chosen], _SUFFIXES[chosen]
+
+
+def _check_ending(output: Path | None, suffix: str) -> None:
+    """Refuse a name that makes other programs, and heli-host itself, take the file for another format.
+
+    Raises
+    ------
+    typer.BadParameter
+        The name has another ending than files of this format. A device, such as /dev/null, may have any.
+    """
+    endings = {".csv": (".csv", ".csv.gz"), ".ros2.mcap": (".mcap",)}.get(suffix, (suffix,))
+    is_file = output is not None and str(output) != "-" and (output.is_file() or not output.exists())
+    if output is not None and is_file and not output.name.lower().endswith(endings):
+        raise typer.BadParameter(
+            f"--output {output} has the ending of another format; give a name that ends in {suffix}"
+        )
 
 
 def _without_revealing_facts(flight: Flight, log: Path) -> Flight:
@@ -112,7 +131,7 @@ def _without_revealing_facts(flight: Flight, log: Path) -> Flight:
     return blind(flight, truth.digest)
 
 
-def _write_to_stdout(flight: Flight, write: Callable[[Flight, Path], None], suffix: str) -> None:
+def _write_to_stdout(flight: Flight, write: Callable[[Flight, Path], int | None], suffix: str) -> None:
     """Write the bytes of a table to standard output, for another program to read."""
     import sys
     import tempfile

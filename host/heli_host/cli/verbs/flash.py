@@ -68,7 +68,7 @@ def flash(
         )
     if uploader.doubtful:
         say(f"note: {_uploader_warning(uploader)}")
-    manager = check_modem_manager(due_is_present=True)
+    manager = check_modem_manager(_vendors(port))
     if manager.verdict is Verdict.BAD:
         say(f"note: {manager.what}; {manager.remedy}")
 
@@ -184,6 +184,19 @@ def _description_of_board(port: str, uploader: Bossac) -> str:
         raise FlashError(
             f"the flash was written and verified, but the board does not answer ({error.cause})", remedy
         ) from error
+
+
+def _vendors(port: str) -> set[int]:
+    """Return the USB number of the vendor of the board at `port`; that of most boards if it is unknown."""
+    from heli_host.cli.board import ARDUINO_VIDS
+    from heli_host.link.transport import available_ports
+
+    known = {
+        known.vendor_id
+        for known in available_ports()
+        if port in (known.device, known.stable_name) and known.vendor_id is not None
+    }
+    return known or {ARDUINO_VIDS[0]}
 
 
 VERB = Verb(flash, "Board")

@@ -15,7 +15,10 @@ from heli_host.cli.verb import Verb
 
 def plot(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Draw this .mcap log, or several logs and tables.")
+        list[Path],
+        typer.Argument(
+            metavar="LOG...", help="Draw this log or table, or compare several: .mcap, .csv, .csv.gz."
+        ),
     ],
     figure: Annotated[
         Path | None,
@@ -28,9 +31,10 @@ def plot(
     ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Draw a log, or compare several logs in one figure.
+    """Draw a log or a table, or compare several in one figure.
 
-    The figure shows setpoints, angles, voltages and events. For several logs it also prints metrics. For each
+    The figure of a log shows setpoints, angles, voltages and events. For a table, and for several flights, it
+    also prints metrics. For each
     axis with setpoints these are rise time, overshoot, settling time and RMS tracking error. The effort is
     the RMS deviation of the motor voltages from their mean.
 
@@ -40,7 +44,11 @@ def plot(
 
     check_result_places(json, figure=figure)
     data_on_stdout(json)
-    if len(logs) > 1 or json is not None:
+    is_table = logs[0].name.lower().endswith((".csv", ".csv.gz"))
+    if len(logs) == 1 and is_table and figure is None and json is None:
+        figure = logs[0].with_name("figure.png")
+        check_result_places(figure=figure)
+    if len(logs) > 1 or json is not None or is_table:
         _compare_flights(logs, figure, json)
         return
     from heli_host.log.figure import write_figure

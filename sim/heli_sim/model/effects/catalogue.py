@@ -17,6 +17,7 @@ from types import ModuleType
 
 import casadi as ca
 import numpy as np
+from heli_host.files import decode_text
 
 from heli_sim.errors import EffectError
 from heli_sim.model.base import Model
@@ -82,7 +83,8 @@ def _import_file(path: Path) -> ModuleType:
         raise EffectError(f"effect file {path} cannot be read", "give a Python file, FILE.py")
     module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
+        # Not by the loader, which reads UTF-8 only.
+        exec(compile(decode_text(path.read_bytes()), str(path), "exec"), module.__dict__)
     except SyntaxError as error:
         raise EffectError(
             f"effect file {path}, line {error.lineno}: {error.msg}", "correct this line"
