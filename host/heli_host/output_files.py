@@ -283,8 +283,8 @@ def _is_own_notebook(path: Path) -> bool:
 
 
 def _has_own_digest(content: bytes) -> bool:
-    found = _DIGEST_LINE.search(content)
-    return found is not None and found[1].decode() == _digest(content[: found.start()])
+    line = _DIGEST_LINE.search(content)
+    return line is not None and line[1].decode() == _digest(content[: line.start()])
 
 
 def _digest(content: bytes) -> str:

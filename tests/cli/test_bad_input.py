@@ -289,7 +289,7 @@ def test_a_used_port_asks_for_another_port(terminal: Terminal) -> None:
         (errno.ENOENT, "check the path"),
         (errno.EACCES, "change its permissions"),
         (errno.ENOSPC, "free disk space"),
-        (errno.EFBIG, "give a smaller file"),
+        (errno.EFBIG, "choose another disk"),
         (errno.EISDIR, "give the path of a file"),
         (errno.ENOTDIR, "a file has the name of a folder"),
         (errno.EEXIST, "a file has the name of a folder"),

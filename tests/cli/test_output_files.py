@@ -318,10 +318,10 @@ STATE = {
 
 def test_nothing_writes_a_result_past_the_rule() -> None:
     root = Path(__file__).resolve().parents[2]
-    found = {
+    writers = {
         str(path.relative_to(root))
         for package in ("host/heli_host", "sim/heli_sim", "sim/heli_lab")
         for path in (root / package).rglob("*.py")
         if DIRECT.search(path.read_text())
     }
-    assert found == set(STATE)
+    assert writers == set(STATE)

@@ -20,6 +20,9 @@ _MIN_MOVES = 20
 _MAX_RATE_RAD_S = 20.0
 """Over a tenth of a second, in one row of a hundred; the board's own limits are below 10."""
 _MAX_VOLTAGE_V = 100.0
+_MIN_ROWS_JOINED = 100
+"""Rows before and after a fall of time from which it counts as the begin of another flight. Fewer: a single bad
+time is taken for one. More: short flights that were joined are not recognised."""
 _MAX_STEP_S = 0.5
 
 
@@ -76,7 +79,8 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
     falling_rows = np.flatnonzero(step_s <= 0.0)
     if falling_rows.size:
         row = int(falling_rows[0]) + 1
-        if len(falling_rows) == 1 and t_s[row] - t_s[0] < 0.5 * (t_s[row - 1] - t_s[0]):
+        begins_again = len(falling_rows) == 1 and t_s[row] - t_s[0] < 0.5 * (t_s[row - 1] - t_s[0])
+        if begins_again and min(row, len(t_s) - row) >= _MIN_ROWS_JOINED:
             raise FlightDataError(
                 f"{source} holds two flights that were joined: t_s falls from {t_s[row - 1]:.9g} to "
                 f"{t_s[row]:.9g} s in {where(row)}",
