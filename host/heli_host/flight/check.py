@@ -21,8 +21,8 @@ _MAX_RATE_RAD_S = 20.0
 """Over a tenth of a second, in one row of a hundred; the board's own limits are below 10."""
 _MAX_VOLTAGE_V = 100.0
 _MIN_ROWS_JOINED = 100
-"""Rows before and after a fall of time from which it counts as the begin of another flight. Fewer: a single bad
-time is taken for one. More: short flights that were joined are not recognised."""
+"""Rows before and after a fall of time from which it counts as the begin of another flight. Fewer: a single
+bad time is taken for one. More: short flights that were joined are not recognised."""
 _MAX_STEP_S = 0.5
 
 
