@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import Any, Final
 
@@ -88,6 +89,8 @@ def test_a_module_in_the_present_folder_replaces_none_of_the_reader(
     (tmp_path / "student").mkdir()
     (tmp_path / "student" / "law.py").write_text(LAW)
     monkeypatch.chdir(tmp_path)
+    # As a program does that puts the folder in which it was started on its own path.
+    monkeypatch.setattr(sys, "path", ["", ".", *sys.path])
     assert load_limited(Path("student/law.py"), FileLimits(10.0)).name == "law"
     assert load_law(Path("student/law.py")).name == "law"
 

@@ -189,7 +189,8 @@ def _run_in_process(
         ],
         env={
             **os.environ,
-            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+            # A relative entry, as of `sys.path.insert(0, ".")`, would be the present folder too.
+            "PYTHONPATH": os.pathsep.join(filter(os.path.isabs, sys.path)),
             **rig_environment(rig),
             **(_FENCED_ENVIRONMENT if fenced else {}),
         },
