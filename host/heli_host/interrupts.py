@@ -14,6 +14,14 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 _INTERRUPTED = tuple(f"aborted: {name}" for name in (CTRL_C, *_NAMES))
 
 
+_interrupted = threading.Event()
+
+
+def flight_was_interrupted() -> bool:
+    """Whether a signal has ended a flight, or its landing, in this process."""
+    return _interrupted.is_set()
+
+
 def name_of(error: KeyboardInterrupt) -> str:
     """Return the name of the signal that caused an interrupt, ``Ctrl-C`` for SIGINT.
 
@@ -110,4 +118,5 @@ class Interrupts:
         if self._raises_left and self.remembered:
             self._raises_left -= 1
             self._raised += 1
+            _interrupted.set()
             raise KeyboardInterrupt(self._names[self._raised - 1])

@@ -329,6 +329,8 @@ def rate_problem(rate_Hz: float) -> tuple[str, str]:
         What is wrong, and what to do.
     """
     rates = [TICK_Hz / d for d in DIVISORS]
+    if math.isnan(rate_Hz):
+        return "rate_Hz is nan", f"give {min(rates):g} to {max(rates):g} Hz"
     above = [rate for rate in rates if rate >= rate_Hz]
     below = [rate for rate in rates if rate <= rate_Hz]
     nearest_rates = sorted({*above[-1:], *below[:1]})

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from heli_host.cli.flight_command import FlightOptions, FlownFlight, fly_plans
 from heli_host.cli.say import QUIET
 from heli_host.fly.flight_monitor import LAW_TAKEN_OVER
+from heli_host.interrupts import was_interrupted
 from heli_host.law_program import LawProgram
 
 from heli_lab.law.trial import LawTrial
@@ -73,6 +74,9 @@ def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) ->
         with tempfile.TemporaryDirectory() as folder:
             trial_options = replace(options, log=Path(folder) / "trial.mcap")
             flown, taken_over = flown_with(program, trial_options, plan)
+            if was_interrupted(flown.summary.outcome):
+                # The caller flies more than one flight, and would go on after the error of one.
+                raise KeyboardInterrupt
             if not taken_over:
                 flown.end()
             return LawTrial.of_log(flown.log, taken_over)

@@ -163,7 +163,7 @@ HOLD = '[[segment]]\nkind = "hold"\nduration_s = 5\n'
         ("title = 3\n" + HOLD, "title is 3, not a text"),
         ("start = 3\n" + HOLD, "[start] is not a table"),
         ("[start]\nrate = 3\n" + HOLD, "a.toml, start: unknown key 'rate'; name the unit: rate_deg_s"),
-        ('axes = ["elevation", "yaw"]\n' + HOLD, "axes is not a list of axes"),
+        ('axes = ["elevation", "yaw"]\n' + HOLD, "not a list of different axes"),
         ('axes = ["travel"]\n' + HOLD, "axes lacks elevation or pitch"),
         (
             HOLD.replace("duration_s", "duration"),

@@ -76,6 +76,32 @@ def test_a_board_that_lost_its_power_in_flight_ends_the_flight(tmp_path: Path, a
     assert landing_timeout_s == 12.0
 
 
+TILTED = Plan.parse(
+    'axes = ["elevation", "pitch"]\n[[segment]]\nkind = "step"\npitch_deg = 10\nduration_s = 4\n',
+    "tilted.toml",
+)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.3, 1.2, 3.5])
+def test_a_board_that_restarts_while_it_lands_after_a_fault_names_both(
+    tmp_path: Path, delay_s: float
+) -> None:
+    """The arm turns on in the landing, so that the board begins an emergency landing."""
+    with heli_host.connect("sil://?seed=5") as heli:
+        fault_s: list[float] = []
+        heli.on_event(lambda event: fault_s.append(heli.latest.t_s) if event.kind == "fault" else None)
+        cut = [world_of(heli).cycle_power]
+
+        def cycle_power(progress: Progress) -> None:
+            if fault_s and cut and progress.sample.t_s >= fault_s[0] + delay_s:
+                cut.pop()()
+
+        summary = fly(heli, TILTED, log_path=tmp_path / "a.mcap", on_progress=cycle_power)
+    assert fault_s, summary.outcome
+    assert summary.outcome.startswith("aborted: fault travel_"), summary.outcome
+    assert ("the board restarted" in summary.outcome) == (not cut)
+
+
 @pytest.mark.emulated
 def test_the_emulated_due_that_lost_its_power_in_flight_ends_the_flight(tmp_path: Path) -> None:
     if not firmware.candidates():

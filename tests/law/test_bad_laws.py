@@ -49,6 +49,15 @@ BAD: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "a state that is not there": (lambda: law(lambda n, s, p: Command(1.0, 1.0, states={"x": 0.0})), "name it"),
     "a gain of the wrong shape": (lambda: from_gain(np.eye(3), hover_V=1.4), "give 2 x 6"),
+    "a gain that is no number": (
+        lambda: from_gain(np.diag([1.0, np.nan]) @ np.ones((2, 6)), hover_V=1.4),
+        "the gain of differential on elevation_rad is nan",
+    ),
+    "gains in words": (lambda: from_gain("1 2 3", hover_V=1.4), "no array of numbers"),
+    "a rate that is no number": (
+        lambda: from_gain(np.ones((2, 6)), hover_V=1.4, rate_Hz=np.nan),
+        "rate_Hz is nan",
+    ),
     "a system of the wrong shape": (of_the_wrong_shape, "6 inputs"),
     "a function of the wrong shape": (
         lambda: from_function(ca.Function("f", [ca.SX.sym("x", 3)], [ca.SX(2, 1)])), "write it with [17",

@@ -130,6 +130,27 @@ def test_leaving_the_block_in_the_air_lands() -> None:
     assert executed(board)[-1] == MessageId.LAND
 
 
+def test_a_landing_of_the_board_is_waited_for_and_not_cut() -> None:
+    """An emergency landing after a landing lasts longer than ``landing_timeout_s``."""
+    board = FakeBoard()
+    with connected(board) as heli:
+        heli.arm()
+        heli.control()
+        board.state = State.EMERGENCY_LANDING
+        heli.wait(0.1)
+        landed_tick = heli.latest.tick + round(1.8e3 * heli.params["landing_timeout_s"])
+
+        def land(samples: Samples) -> None:
+            if len(samples) and samples.tick[-1] >= landed_tick:
+                board.state = State.FAULT
+
+        heli.on_ticks(land)
+        with pytest.raises(heli_host.HeliError, match="fault|no fault"):
+            heli.land()
+        assert heli.latest.tick >= landed_tick
+    assert MessageId.STOP not in executed(board)
+
+
 def test_leaving_the_block_while_idle_commands_nothing() -> None:
     board = FakeBoard()
     with connected(board):

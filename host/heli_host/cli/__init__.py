@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import sys
+from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
-    from heli_host.cli.entry import app, main, run
+    from heli_host.cli.entry import app, run
 
 __all__ = ["app", "main", "run"]
+
+_EXIT_INTERRUPTED = 130
+
+
+def main() -> NoReturn:
+    """Run the command line; ends the process. A Ctrl-C while the program still loads is no traceback."""
+    try:
+        from heli_host.cli import entry
+
+        entry.main()
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(_EXIT_INTERRUPTED)
 
 
 def __getattr__(name: str) -> Any:

@@ -112,13 +112,19 @@ _OUTPUT_OPTIONS = {
 }
 """Options of all verbs that name a file or folder to write."""
 
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 EXIT_ASKED, EXIT_FILE, EXIT_BUG, EXIT_INTERRUPTED = 2, 5, 70, 130
 
 
 def main() -> NoReturn:
     """Run the command line; ends the process."""
     _land_on_signals()
-    sys.exit(run())
+    code = run()
+    # All is written; while Python ends, a signal would only change the exit code.
+    for name in _SIGNALS:
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    sys.exit(code)
 
 
 def run(arguments: list[str] | None = None) -> int:
@@ -147,6 +153,9 @@ def run(arguments: list[str] | None = None) -> int:
         if message:
             print(f"error: {printable(message)}", file=sys.stderr)
         return exit_code
+    if code == EXIT_INTERRUPTED:
+        # typer has turned the KeyboardInterrupt of a verb into this code, without a word.
+        print("interrupted", file=sys.stderr)
     return code if isinstance(code, int) else 0
 
 
@@ -195,7 +204,7 @@ def command_line(verb: str | None = None) -> Callable[..., object]:
 
 def _land_on_signals() -> None:
     """Make SIGINT, SIGTERM and SIGHUP the same: the end of a flight is a landing."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+    for name in _SIGNALS:
         number = getattr(signal, name, None)
         # Started with & by a script, a program finds SIGINT ignored, and kill -INT would do nothing. Under
         # nohup it finds SIGHUP ignored, which is what its user wants.
@@ -204,11 +213,18 @@ def _land_on_signals() -> None:
             signal.signal(number, _raise_interrupt)
 
 
-def _raise_interrupt(number: int, _frame: FrameType | None) -> NoReturn:
-    """Raise KeyboardInterrupt for a signal; after SIGHUP the terminal is not used any more."""
+def _raise_interrupt(number: int, _frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt for a signal, unless one has ended a flight already; after SIGHUP the terminal
+    is not used any more.
+    """
+    from heli_host.interrupts import flight_was_interrupted
+
     name = signal.Signals(number).name
     if name == "SIGHUP":
         _leave_the_terminal()
+    if flight_was_interrupted():
+        # The motors are off, and the result of the flight is being written.
+        return
     raise KeyboardInterrupt(name)
 
 

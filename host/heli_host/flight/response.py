@@ -15,6 +15,7 @@ import numpy as np
 
 from heli_host.arrays import Booleans, Floats
 from heli_host.declaration import AXES
+from heli_host.errors import check_choice
 from heli_host.flight.counts import count_rad
 from heli_host.flight.flight import Flight
 from heli_host.flight.flown import flown_rows, led_rows
@@ -128,7 +129,13 @@ def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
     -------
     tuple of Step
         In their order; none of a flight without setpoints.
+
+    Raises
+    ------
+    ParameterError
+        There is no such axis.
     """
+    check_choice("axis", axis, AXES)
     setpoint_rad = getattr(flight, f"{axis}_setpoint_rad")
     if setpoint_rad is None:
         return ()

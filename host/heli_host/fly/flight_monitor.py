@@ -45,11 +45,14 @@ class FlightMonitor:
         Whether the control loops have been closed in this flight.
     takeover : str
         Why and when the board's own law took over from an uploaded one; empty if it did not.
+    board_fault : str
+        First fault that the board reported in this flight; empty without one.
     """
 
     def __init__(self, heli: Vehicle, recorder: Recorder, end_when: Callable[[], str]) -> None:
         self.was_closed = False
         self.takeover = ""
+        self.board_fault = ""
         self._law_engaged_tick = 0
         self._heli = heli
         self._session = heli.session
@@ -78,6 +81,8 @@ class FlightMonitor:
         """
         if event.message is not None:
             self._take_law_event(event.message)
+            if event.message.kind == Event.FAULT and self._hears and not self.board_fault:
+                self.board_fault = f"fault {fault_text(event.message.detail)}"
         # The first event with a state that is not flying gives the cause; later ones are its consequences.
         message = event.message
         if not self._hears or self._ended_by or message is None or message.kind != Event.STATE:

@@ -201,7 +201,8 @@ class Pilot:
             trouble = f"while landing: {error}"
         if trouble and (restarted := self._monitor.restarted()):
             trouble = "" if self.outcome == restarted else restarted.removeprefix("aborted: ")
-        self.outcome = _outcome_with(self.outcome, trouble)
+        # A fault whose landing a restart has ended is in no sample any more.
+        self.outcome = _outcome_with(_outcome_with(self.outcome, trouble), self._monitor.board_fault)
 
     def _note_interrupt(self, text: str) -> None:
         # Half a record would cost the log more than a moment costs here.

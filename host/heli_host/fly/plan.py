@@ -379,7 +379,10 @@ def _read_axes(table: PlanTable) -> tuple[str, ...]:
         or not all(axis in AXES for axis in stated_axes)
         or len(set(stated_axes)) != len(stated_axes)
     ):
-        table.fail("axes is not a list of axes", f"write axes = {list(AXES)}".replace("'", '"'))
+        table.fail(
+            f"axes is {stated_axes!r:.60}, not a list of different axes",
+            f"write axes = {list(AXES)}".replace("'", '"'),
+        )
     if "elevation" not in stated_axes or "pitch" not in stated_axes:
         table.fail(
             "axes lacks elevation or pitch",

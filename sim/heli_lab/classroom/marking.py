@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 from heli_host.cli.flight_command import FlightOptions
 from heli_host.cli.say import QUIET, write_result
 from heli_host.errors import FlightAborted, FlightDataError, HeliError
+from heli_host.interrupts import was_interrupted
 from heli_host.parameter_file import parameters_text
 
 from heli_lab.classroom.grade import FlightScore, score_of_trial, with_plan_setpoints
@@ -188,12 +189,14 @@ def scored_flight(
             flight_result, taken_over = flown_with(program, options, plan)
     finally:
         QUIET.reset(output_setting)
+    if was_interrupted(flight_result.summary.outcome):
+        raise KeyboardInterrupt
     outcome = ""
     try:
         flight_result.end()
     except FlightAborted as error:
         outcome = error.cause
     try:
-        return score_of_trial(LawTrial.of_log(flight_result.log, outcome or taken_over))
+        return score_of_trial(LawTrial.of_log(flight_result.log, taken_over or outcome))
     except FlightDataError as error:
         return FlightScore(ended=outcome or error.cause)

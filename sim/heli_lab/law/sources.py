@@ -56,12 +56,18 @@ def from_gain(
     BadLaw
         The matrix has another shape, or holds a value that is not finite.
     """
-    gains = np.asarray(K, float)
-    if gains.shape != (2, len(ERRORS)) or not np.isfinite(gains).all():
-        shape = " x ".join(str(size) for size in gains.shape)
+    shape_text = f"give 2 x {len(ERRORS)} numbers: collective and differential on {', '.join(ERRORS)}"
+    try:
+        gains = np.asarray(K, float)
+    except (TypeError, ValueError) as error:
+        raise BadLaw(f"the gain matrix is no array of numbers: {error}", shape_text) from error
+    if gains.shape != (2, len(ERRORS)):
+        raise BadLaw(f"the gain matrix is {' x '.join(map(str, gains.shape))}", shape_text)
+    if not np.isfinite(gains).all():
+        row, column = np.argwhere(~np.isfinite(gains))[0]
         raise BadLaw(
-            f"the gain matrix is {shape}, or contains an entry that is not a number",
-            f"give 2 x {len(ERRORS)}: collective and differential on {', '.join(ERRORS)}",
+            f"the gain of {('collective', 'differential')[row]} on {ERRORS[column]} is {gains[row, column]}",
+            "give a finite number; if it was computed, check the design of the gains",
         )
 
     @control_law(rate_Hz=rate_Hz, name=name, parameters={"hover_V": hover_V})
