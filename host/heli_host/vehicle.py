@@ -15,6 +15,7 @@ from heli_host.declaration import (
     ArmMessage,
     Axes,
     ControlMessage,
+    Fault,
     LandMessage,
     SetpointMessage,
     State,
@@ -61,6 +62,15 @@ _LANDING_TIMES = 3.0
 landings, an ordinary one and an emergency landing that follows it, within one."""
 _CLIMB_SPARE_S = 20.0
 """Time for which a climb may lag behind its setpoint [s]; the shipped rigs need less than 3 s."""
+_FLOAT_LOOK_S = 1.0
+_TURNING_DEG_S = 5.0
+"""Rate of travel above which an arm is stopped before its landing [deg/s]. Below it the tilt of the landing
+stays so small that the arm comes down."""
+_STOPPED_DEG_S = 2.0
+_LEVEL_DEG = 5.0
+_BRAKING_S = 1.5
+_BRAKING_TIMEOUT_S = 8.0
+_RATE_S = 0.2
 _REST_S = 0.5
 _REST_LOOK_S = 0.2
 _REACHED_DEG = 2.0
@@ -112,6 +122,7 @@ class Vehicle(OpenLoopCommands):
         self._target: SetpointMessage | None = None
         self._closed = False
         self._at_rest: RestAngles | None = None
+        self._axes = ALL_AXES
         super().__init__(session, history_s)
 
     def __enter__(self) -> Self:
@@ -198,7 +209,7 @@ class Vehicle(OpenLoopCommands):
         # A log ends with the arm at rest.
         self.wait(_REST_LOOK_S)
         if sample.state is State.FAULT:
-            return f"fault {fault_text(sample.fault)}"
+            return self._float_text() or f"fault {fault_text(sample.fault)}"
         if sample.state is not State.IDLE:
             limit_s = _LANDING_TIMES * self.params["landing_timeout_s"]
             return f"the board did not land within {limit_s:g} s, and still tries; switch its supply off"
@@ -304,6 +315,7 @@ class Vehicle(OpenLoopCommands):
         """
         was_flying = self.session.state is State.CLOSED_LOOP
         self.session.command(ControlMessage(0, int(axes), front_V, back_V))
+        self._axes = axes
         if not axes:
             self._forget_target()
             self._wait_for_state(State.OPEN_LOOP)
@@ -544,6 +556,7 @@ class Vehicle(OpenLoopCommands):
         """
         try:
             if self.is_in_the_air:
+                self._stop_turning(state)
                 self.session.command(LandMessage(0))
             else:
                 self.session.command(StopMessage(0))
@@ -554,6 +567,52 @@ class Vehicle(OpenLoopCommands):
                 raise
         else:
             self.session.wait_for(lambda: self.session.state is not state, 1.0)
+
+    def _float_text(self) -> str:
+        """Explain a landing that took too long although the motors gave no thrust; empty otherwise."""
+        if self.fault is not Fault.LANDING_TIMEOUT:
+            return ""
+        descent = self.samples(2.0 * _FLOAT_LOOK_S)
+        rows = np.flatnonzero(np.isin(descent.state, _DESCENDING))[-round(_FLOAT_LOOK_S / TICK_S) :]
+        if not len(rows):
+            return ""
+        volts_V = max(float(descent.front_V[rows].mean()), float(descent.back_V[rows].mean()))
+        elevation_deg = float(np.degrees(descent.elevation_rad[rows]).mean())
+        if volts_V > self.params["dead_zone_V"]:
+            return ""
+        return (
+            f"fault {Fault.LANDING_TIMEOUT}: the arm stayed at {elevation_deg:.1f} degrees, above the table "
+            f"at {self.params['elevation_rest_deg']:g}, although the motors gave no thrust: it floats; make "
+            "the counterweight lighter, or check what holds the arm"
+        )
+
+    def _stop_turning(self, state: State) -> None:
+        """Let the board brake an arm that turns, at the height of the flight.
+
+        A landing closes the loop of travel. If that loop was open, the board then brakes with a large tilt,
+        in which the rotors carry the arm badly, and it may lose the fall that brings it onto the table.
+        """
+        is_free = state is State.STREAMED or (state is State.CLOSED_LOOP and not self._axes & Axes.TRAVEL)
+        if not is_free or abs(self._turning_deg_s()) < _TURNING_DEG_S:
+            return
+        self.control()
+        # The arm needs this way to stop; a setpoint behind it would look like a following error.
+        ahead_deg = self.latest.travel_deg + _BRAKING_S * self._turning_deg_s()
+        self.setpoint(travel_deg=float(np.clip(ahead_deg, *self.setpoint_limits_deg()["travel"])))
+        end_tick = self.latest.tick + round(_BRAKING_TIMEOUT_S / TICK_S)
+        while self.state is State.CLOSED_LOOP and self.latest.tick < end_tick:
+            if abs(self._turning_deg_s()) < _STOPPED_DEG_S and abs(self.latest.pitch_deg) < _LEVEL_DEG:
+                break
+            self.wait(_LOOK_S)
+        self._forget_target()
+
+    def _turning_deg_s(self) -> float:
+        """Return the rate of travel in the newest samples [deg/s]."""
+        recent = self.samples(_RATE_S)
+        if len(recent) < 2:
+            return 0.0
+        turned_deg = float(np.degrees(recent.travel_rad[-1] - recent.travel_rad[0]))
+        return turned_deg / (float(recent.tick[-1] - recent.tick[0]) * TICK_S)
 
     def _shift_at_rest(self, sample: Sample) -> str:
         """Return the axes whose angles at rest differ from those before the take-off; empty if none does, or

@@ -115,4 +115,4 @@ def flown_with(
         on_taken_off=(lambda heli: engage(heli, program)) if program is not None else None,
     )
     outcome, _, reason = flown.summary.outcome.partition(": ")
-    return flown, reason.partition(";")[0] if outcome == LAW_TAKEN_OVER else ""
+    return flown, reason.partition(" ")[0] if outcome == LAW_TAKEN_OVER else ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from heli_host.errors import printable
 
@@ -21,11 +21,21 @@ class RigFindings:
     phrases : tuple of str
         Inertias, voltages at hover, and parameters that no rig on a table has; one phrase each.
     can_fly : bool
-        Whether the rig's supply is sufficient for a hover.
+        Whether the rig's supply is sufficient for a hover, and its arm comes down without voltage.
     """
 
     phrases: tuple[str, ...]
     can_fly: bool
+
+
+_ELEVATION_RATE: Final = 3
+"""Index of the derivative of the elevation rate among those of the states."""
+_TOUCHDOWN_deg: Final = 1.5
+"""Height above the table up to which the board takes an arm for landed [deg], as in supervisor.cpp."""
+_MAX_FLOAT_deg: Final = 7.0
+"""Greatest height of a floating arm that can land [deg]. The fall of the landing carries it onto the table.
+In flights of the paper's rig with heavier counterweights, all landed at 6.5, one of two at 8.3, and none at
+10.3 degrees."""
 
 
 def rig_findings(rig: Rig) -> RigFindings:
@@ -52,7 +62,34 @@ def rig_findings(rig: Rig) -> RigFindings:
     except PlantError as error:
         phrases.append(f"does not hover: {error}")
         can_fly = False
+    floating_deg = floating_elevation_deg(rig)
+    above_deg = floating_deg - rig["elevation_min"].value
+    if above_deg > _TOUCHDOWN_deg:
+        phrases.append(
+            f"floats without voltage at {floating_deg:.1f} degrees, {above_deg:.1f} above its table"
+            + (": it may rise after a landing" if above_deg <= _MAX_FLOAT_deg else ": it cannot land")
+        )
+        can_fly = can_fly and above_deg <= _MAX_FLOAT_deg
     return RigFindings((*phrases, *beyond_a_table(values)), can_fly)
+
+
+def floating_elevation_deg(rig: Rig) -> float:
+    """Return the elevation at which the arm of a `rig` comes to rest without voltage [deg]: that of its
+    table, or a higher one if its counterweight lifts it.
+    """
+    import numpy as np
+
+    from heli_sim.model import MultibodyModel
+    from heli_sim.model.linear import derivatives
+
+    model = MultibodyModel()
+    state = np.zeros(len(model.states))
+    elevations_deg = np.linspace(rig["elevation_min"].value, rig["elevation_max"].value, 101)
+    for elevation_deg in elevations_deg:
+        state[0] = np.radians(elevation_deg)
+        if derivatives(model, rig, state, [0.0, 0.0]).rates[_ELEVATION_RATE] <= 0.0:
+            return float(elevation_deg)
+    return float(elevations_deg[-1])
 
 
 def half_width(number: Number) -> str:

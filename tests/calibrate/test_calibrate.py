@@ -21,8 +21,8 @@ from heli_lab.calibrate.motors import PulseLimits
 from heli_lab.calibrate.operator import HandAction
 from heli_lab.calibrate.simulated_operator import SimulatedOperator
 from heli_lab.calibrate.terminal_operator import TerminalOperator
-from heli_lab.calibrate.thrust import Pulse, response_design, thrust_of
-from heli_sim.rig import load_rig
+from heli_lab.calibrate.thrust import Pulse, ThrustLine, response_design, thrust_of
+from heli_sim.rig import load_rig, write_rig
 from heli_sim.sil.faults import FaultPlan
 from heli_sim.sil.intervals import Span
 from heli_sim.sil.world import SilWorld
@@ -71,6 +71,20 @@ def test_thrust_and_dead_zone_are_within_their_tolerances(tmp_path: Path, name: 
         < gain.tolerance
         != load_rig(name)["thrust_gain"].tolerance
     )
+
+
+@pytest.mark.parametrize("difference_kg", [0.002, -0.005])
+def test_rotors_that_differ_by_some_grams_are_calibrated(tmp_path: Path, difference_kg: float) -> None:
+    """Such a short arm drifts away from level, and never comes to rest there."""
+    rig = load_rig("makki2024")
+    unequal = rig.replace(M_f=rig["M_f"].value + difference_kg / 2, M_b=rig["M_b"].value - difference_kg / 2)
+    write_rig(unequal, tmp_path / "unequal.toml")
+    with bench(tmp_path / "unequal.toml") as (heli, _, operator):
+        result = calibrate(heli, operator, unequal)
+    for motor in result.motors:
+        assert isinstance(motor.thrust, ThrustLine)
+        assert motor.thrust.gain_N_per_V == pytest.approx(rig["thrust_gain"].value, rel=0.05)
+        assert motor.thrust.dead_zone_V == pytest.approx(rig["dead_zone"].value, abs=0.05)
 
 
 def test_a_rig_with_all_signs_wrong_flies_after_its_calibration(tmp_path: Path) -> None:

@@ -56,9 +56,8 @@ def test_a_signal_after_the_end_of_a_flight_does_not_break_its_result(
     monkeypatch.setattr("heli_host.interrupts._interrupted", threading.Event())
     before = signal.signal(signal.SIGINT, entry._raise_interrupt)
     try:
-        with Interrupts():
-            with pytest.raises(KeyboardInterrupt):
-                signal.raise_signal(signal.SIGINT)
+        with Interrupts(), pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)

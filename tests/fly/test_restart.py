@@ -77,7 +77,7 @@ def test_a_board_that_lost_its_power_in_flight_ends_the_flight(tmp_path: Path, a
 
 
 TILTED = Plan.parse(
-    'axes = ["elevation", "pitch"]\n[[segment]]\nkind = "step"\npitch_deg = 10\nduration_s = 4\n',
+    'axes = ["elevation", "pitch"]\n[[segment]]\nkind = "step"\npitch_deg = 20\nduration_s = 4\n',
     "tilted.toml",
 )
 

@@ -137,3 +137,18 @@ def test_parameters_and_published_gains_are_not_flown_at_once(
     file.write_text("[parameters]\nhover_V = 150\n")
     assert run(["fly", "hover", "--sil", "--params", str(file)]) == 2
     assert "hover_V = 150 is out of range" in capsys.readouterr().err
+
+
+def test_gains_whose_test_flights_failed_are_not_offered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The arm floats without voltage, and no gains bring it down."""
+    rig = load_rig("makki2024")
+    write_rig(rig.replace(M_w=rig["M_w"].value + 0.05), tmp_path / "floats.toml")
+    save_params = tmp_path / "gains.toml"
+    code = run(["tune", "--rig", str(tmp_path / "floats.toml"), "--save-params", str(save_params)])
+    printed = capsys.readouterr()
+    assert code == 4
+    assert "2 of 2 test flights with these gains failed" in printed.err
+    assert "to fly with these gains" not in printed.out
+    assert not save_params.exists()

@@ -79,7 +79,7 @@ class Landing:
         else:
             wait_ticks(self._session, _AFTER_TICKS)
         newest = self._session.latest
-        if is_completed and newest is not None and not self._monitor.restarted():
+        if is_completed and not trouble and newest is not None and not self._monitor.restarted():
             # The board may have landed by itself, if the host was suspended between the end of the plan and
             # the landing.
             _, channels = newest

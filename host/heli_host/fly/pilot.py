@@ -220,7 +220,8 @@ def _outcome_with(outcome: str, trouble: str) -> str:
     trouble : str
         What went wrong from the landing on; empty if nothing did.
     """
-    if not trouble or trouble in outcome:
+    # A fault has one name, and may have several explanations.
+    if not trouble or (trouble.partition(":")[0] if trouble.startswith("fault ") else trouble) in outcome:
         return outcome
     if outcome == "completed":
         return trouble if trouble.startswith(ANGLE_SHIFTED) else f"aborted: {trouble}"

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.declaration import AXES, Axes, Excitation, Fault, State
 from heli_host.errors import CommandRefused, FlightAborted, HeliError, fault_text
 from heli_host.heli import Heli
@@ -43,13 +44,19 @@ _MOVED_counts: Final = 4.0
 """Change of pitch that counts as a movement. Less: a swing that is still decaying counts. More: the estimated
 dead zone is too high."""
 _MOVED_STDS: Final = 4.0
-"""The same in standard deviations of pitch before the pulse; the larger one of both applies."""
+"""The same in standard errors of the change; the larger one of both applies."""
 _MAX_ANGLE_SHARE: Final = 0.5
 """Share of the largest angle at which the voltage is not increased any more."""
 _STILL_counts: Final = 3.0
 _STILL_s: Final = 1.0
 """Time over which pitch must be still [s]. Shorter: the turning point of a slow swing counts as still."""
 _STILL_TIMEOUT_s: Final = 5.0
+_SMOOTH_counts: Final = 1.5
+"""Largest distance of a drifting pitch from a parabola. More: a hand or a draught looks like a drift. Less:
+the rounding of the encoder does not."""
+_MAX_DRIFT_SHARE: Final = 0.25
+"""Share of the largest angle within which pitch must stay by its drift alone until the pulse has ended. More:
+a pulse has too little room."""
 _POLL_s: Final = 0.02
 _MAX_ATTEMPTS: Final = 3
 _MAX_ARM_ATTEMPTS: Final = 20
@@ -153,7 +160,7 @@ def calibrate_motor(
     """
     sign_parameter = f"motor_{output}_sign"
     first_sign = int(heli.params[sign_parameter])
-    pulser = _Pulser(heli, operator, output, limits, check)
+    pulser = _Pulser(heli, operator, output, rig, limits, check)
     for sign in (first_sign, -first_sign):
         heli.params[sign_parameter] = sign
         series = pulser.series(limits.start_V)
@@ -179,8 +186,16 @@ class _Pulser:
     """Gives voltage pulses to one output, and checks state and angles of the board meanwhile."""
 
     def __init__(
-        self, heli: Heli, operator: Operator, output: str, limits: PulseLimits, check: Callable[[], None]
+        self,
+        heli: Heli,
+        operator: Operator,
+        output: str,
+        rig: Rig,
+        limits: PulseLimits,
+        check: Callable[[], None],
     ) -> None:
+        self._rig = rig
+        self._drifts = False
         self._heli, self._operator, self._output = heli, operator, output
         self._limits, self._check = limits, check
         self._confirmed = False
@@ -196,7 +211,9 @@ class _Pulser:
         peaks: list[tuple[float, float]] = []
         while volts_V <= self._limits.max_V + 1e-9 and len(series.pulses) < _MOVING_PULSES:
             pulse = self.pulse(volts_V)
-            change_counts, std_counts = response_counts(pulse, self._count_rad)
+            change_counts, std_counts = response_counts(
+                pulse, self._count_rad, self._rig if self._drifts else None
+            )
             if abs(change_counts) > max(_MOVED_counts, _MOVED_STDS * std_counts):
                 turn = int(np.sign(change_counts))
                 # First motion: its voltage is where the dead zone ends.
@@ -316,21 +333,41 @@ class _Pulser:
             heli.wait(_POLL_s)
         return heli.samples(BEFORE_s + PULSE_s + AFTER_s + 1.0)
 
+    def _drifts_slowly(self, pitch_deg: Floats, count_deg: float) -> bool:
+        """Whether the short arm drifts so smoothly and slowly that the model of a pulse includes the drift.
+
+        A short arm whose rotors differ by a few grams is nowhere at rest near level.
+        """
+        t_s = np.arange(len(pitch_deg)) * TICK_S
+        parabola = np.polynomial.Polynomial.fit(t_s, pitch_deg, 2)
+        is_smooth = np.abs(parabola(t_s) - pitch_deg).max() <= _SMOOTH_counts * count_deg
+        rate_deg_s = float(parabola.deriv()(t_s[-1]))
+        at_end_deg = pitch_deg[-1] + rate_deg_s * (PULSE_s + AFTER_s)
+        near_deg = _MAX_DRIFT_SHARE * self._limits.max_angle_deg
+        return bool(is_smooth and max(abs(pitch_deg[-1]), abs(at_end_deg)) < near_deg)
+
     def _wait_until_still(self) -> None:
-        """Wait until pitch is still and near level for a second; otherwise, ask the operator to steady it."""
-        for _ in range(_MAX_ATTEMPTS):
+        """Wait until pitch is near level, and still for a second or in a slow drift; otherwise, ask the
+        operator to steady it.
+        """
+        for attempt in range(_MAX_ATTEMPTS):
             end_s = self._heli.latest.t_s + _STILL_TIMEOUT_s
             while self._heli.latest.t_s < end_s:
                 self._heli.wait(_STILL_s)
-                recent = self._heli.samples(_STILL_s)
-                if np.ptp(recent.pitch_rad) <= _STILL_counts * self._count_rad:
-                    if abs(self._heli.latest.pitch_deg) < _MAX_ANGLE_SHARE * self._limits.max_angle_deg:
+                pitch_deg = np.degrees(self._heli.samples(_STILL_s).pitch_rad)
+                count_deg = float(np.degrees(self._count_rad))
+                if np.ptp(pitch_deg) <= _STILL_counts * count_deg:
+                    if abs(pitch_deg[-1]) < _MAX_ANGLE_SHARE * self._limits.max_angle_deg:
                         return
                     break
+                # A swing that a hand has left comes to rest, and a steady drift does not.
+                if (attempt > 0 or self._drifts) and self._drifts_slowly(pitch_deg, count_deg):
+                    self._drifts = True
+                    return
             self._operator.act(HandAction.STEADY)
         raise CalibrationError(
             "the short arm does not come to rest",
-            "keep draughts away, and check that the cables do not pull at the short arm",
+            "keep draughts away, check that the cables do not pull at the short arm, and balance its rotors",
         )
 
 

@@ -162,20 +162,35 @@ def _fit_pitch_dynamics(measured: Floats, start: _PitchDynamics) -> _PitchDynami
     return _PitchDynamics(*map(float, fit.x))
 
 
-def response_counts(pulse: Pulse, count_rad: float) -> tuple[float, float]:
+def response_counts(pulse: Pulse, count_rad: float, drifting: Rig | None = None) -> tuple[float, float]:
     """Measure how much a pulse moves pitch, in encoder counts of `count_rad` [rad].
+
+    If the short arm drifts, because its rotors differ by a few grams, the drift is estimated together with
+    the response, with the dynamics of the rig file `drifting`.
 
     Returns
     -------
     change_counts : float
-        Largest change of pitch after the beginning of the pulse, with its sign.
+        Largest change of pitch by the pulse, with its sign.
     std_counts : float
-        Standard deviation of pitch before the pulse.
+        Its standard error; of a still arm, the standard deviation of pitch before the pulse.
     """
     before, during = round(BEFORE_s / PULSE_GRID_s), round(PULSE_s / PULSE_GRID_s)
-    start_rad, std_rad = pulse.pitch_rad[:before].mean(), pulse.pitch_rad[:before].std()
-    change_rad = pulse.pitch_rad[before : before + 2 * during] - start_rad
-    return float(change_rad[np.argmax(np.abs(change_rad))] / count_rad), float(std_rad / count_rad)
+    before_rad = pulse.pitch_rad[:before]
+    if drifting is None:
+        change_rad = pulse.pitch_rad[before : before + 2 * during] - before_rad.mean()
+        largest_rad = change_rad[np.argmax(np.abs(change_rad))]
+        return float(largest_rad / count_rad), float(before_rad.std() / count_rad)
+    dynamics = _pitch_dynamics_of_rig(drifting)
+    design = response_design(dynamics.stiffness, dynamics.damping, dynamics.lag_s)
+    coefficients = _least_squares(design, pulse.pitch_rad)
+    residual_rad = pulse.pitch_rad - design @ coefficients
+    # Neighbouring residuals are alike, so that a fit has as many observations as the pulse has lengths.
+    observations = len(residual_rad) * PULSE_GRID_s / PULSE_s
+    covariance = np.linalg.pinv(design.T @ design) * len(residual_rad) / max(observations, 1.0)
+    std = float(np.sqrt(covariance[0, 0]) * residual_rad.std())
+    peak_counts = float(np.abs(design[:, 0]).max() / count_rad)
+    return float(coefficients[0]) * peak_counts, std * peak_counts
 
 
 def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> ThrustLine | str:
