@@ -12,8 +12,11 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heli_host.arrays import Floats
+from heli_host.declaration import Channel, State
+from heli_host.link.telemetry import Ticks
 from heli_host.samples import Sample, Samples
 
 ANGLE_SHIFTED: Final = "angle_shifted"
@@ -27,8 +30,63 @@ _SETTLED_TICKS: Final = 2000
 """Stretch in which an angle must stay to be settled; more than half a swing of the short arm."""
 _SETTLED_DEG: Final = 0.5
 _LONGEST_TICKS: Final = 15000
+_TURNED_SHARE: Final = 0.25
+"""Share of the shift by which a free short arm turns at least after the motors are off."""
+_HOVER_TICKS: Final = (4000, 5500)
+"""Ticks after the beginning of the flight between which the tilt of the hover is measured. Earlier, the loop
+of travel has not found it; later, more encoders have failed already."""
+_HOVER_DEG: Final = 2.0
+"""Largest difference between the tilt of the hover and that of the landing that the same torque explains
+[deg]. Lower: a rig with dry friction is accused. Higher: an encoder that is shifted by less passes."""
+_IN_THE_AIR: Final = (State.CLOSED_LOOP, State.STREAMED, State.OPEN_LOOP)
 _STILL_COUNTS: Final = 1.5
 """Largest change of a still angle. Less: an encoder between two counts seems to move."""
+
+
+class HoverTilt:
+    """Mean pitch of a hover some seconds after the take-off began.
+
+    A constant torque about travel, such as that of a cable, makes the arm hover with a tilt. Called in the
+    session's reading thread.
+
+    Parameters
+    ----------
+    count_deg : float
+        Angle of a count of the pitch encoder [deg].
+
+    Attributes
+    ----------
+    mean_deg : float
+        Mean pitch [deg]; nan before the end of the time.
+    """
+
+    def __init__(self, count_deg: float) -> None:
+        self.mean_deg = math.nan
+        self._count_deg = count_deg
+        self._start_tick: int | None = None
+        self._counts: list[NDArray[np.int32]] = []
+
+    def take(self, ticks: Ticks) -> None:
+        """Process new samples.
+
+        Parameters
+        ----------
+        ticks : Ticks
+            The next samples of the flight.
+        """
+        if not math.isnan(self.mean_deg) or not len(ticks):
+            return
+        newest_tick = int(ticks.tick[-1])
+        if self._start_tick is None:
+            if ticks.raw[-1, Channel.STATE] in _IN_THE_AIR:
+                self._start_tick = newest_tick
+            return
+        flown_ticks = (newest_tick - self._start_tick) & 0xFFFFFFFF
+        if flown_ticks >= _HOVER_TICKS[0]:
+            self._counts.append(ticks.raw[:, Channel.PITCH_COUNT])
+        if flown_ticks >= _HOVER_TICKS[1]:
+            self.mean_deg = float(np.concatenate(self._counts).mean()) * self._count_deg
+            self._counts.clear()
 
 
 @dataclass(frozen=True)
@@ -43,11 +101,14 @@ class RestAngles:
         Pitch [deg]; nan if the short arm was moving.
     pitch_count_deg : float
         Angle of a count of the pitch encoder [deg].
+    hover : HoverTilt
+        Tilt of the hover after the take-off.
     """
 
     elevation_deg: float
     pitch_deg: float
     pitch_count_deg: float
+    hover: HoverTilt
 
     @classmethod
     def of(cls, newest: Sample, samples: Samples, pitch_count_deg: float) -> Self:
@@ -64,7 +125,8 @@ class RestAngles:
         """
         span_deg = float(np.ptp(np.degrees(samples.pitch_rad))) if len(samples) else 0.0
         is_still = span_deg <= _STILL_COUNTS * pitch_count_deg
-        return cls(newest.elevation_deg, newest.pitch_deg if is_still else math.nan, pitch_count_deg)
+        pitch_deg = newest.pitch_deg if is_still else math.nan
+        return cls(newest.elevation_deg, pitch_deg, pitch_count_deg, HoverTilt(pitch_count_deg))
 
     def shift_after(self, samples: Samples) -> str | None:
         """Compare with the angles after the landing.
@@ -86,6 +148,8 @@ class RestAngles:
         elevation_deg = self._settled_elevation_deg(np.degrees(samples.elevation_rad))
         if pitch_deg is None or elevation_deg is None:
             return None
+        if self._is_held(float(np.degrees(samples.pitch_rad[0])), pitch_deg):
+            pitch_deg = self.pitch_deg
         compared = {
             "elevation": (self.elevation_deg, elevation_deg),
             "pitch": (self.pitch_deg, pitch_deg),
@@ -103,6 +167,20 @@ class RestAngles:
             f"angles of this flight: check plug and cable of the {' and '.join(shifted)} encoder, let the "
             "arm rest, then zero it"
         )
+
+    def _is_held(self, landed_deg: float, rest_deg: float) -> bool:
+        """Whether dry friction may hold the short arm at rest in the tilt of the hover.
+
+        A free arm turns from the tilt of the landing to its rest. One that stays may be held by friction, or
+        its encoder is shifted; then the tilt of the hover after the take-off differs from it.
+
+        Parameters
+        ----------
+        landed_deg, rest_deg : float
+            Pitch when the motors were switched off, and at rest after that [deg].
+        """
+        stayed = abs(rest_deg - landed_deg) < _TURNED_SHARE * abs(rest_deg - self.pitch_deg)
+        return stayed and abs(rest_deg - self.hover.mean_deg) <= _HOVER_DEG
 
     def _settled_elevation_deg(self, elevation_deg: Floats) -> float | None:
         """Return elevation on the table [deg]; None while it may change.

@@ -35,6 +35,7 @@ from heli_host.interrupts import Interrupts, name_of
 from heli_host.link.clock import TICK_S
 from heli_host.link.events import BOARD_RESTARTED
 from heli_host.link.session import Session
+from heli_host.link.telemetry import Ticks
 from heli_host.open_loop import ALL_AXES, OpenLoopCommands
 from heli_host.rest_check import RestAngles
 from heli_host.samples import Sample
@@ -124,6 +125,7 @@ class Vehicle(OpenLoopCommands):
         self._at_rest: RestAngles | None = None
         self._axes = ALL_AXES
         super().__init__(session, history_s)
+        session.subscribe_ticks(self._take_hover)
 
     def __enter__(self) -> Self:
         return self
@@ -567,6 +569,12 @@ class Vehicle(OpenLoopCommands):
                 raise
         else:
             self.session.wait_for(lambda: self.session.state is not state, 1.0)
+
+    def _take_hover(self, ticks: Ticks) -> None:
+        """Measure the tilt of the hover in the session's reading thread."""
+        at_rest = self._at_rest
+        if at_rest is not None:
+            at_rest.hover.take(ticks)
 
     def _float_text(self) -> str:
         """Explain a landing that took too long although the motors gave no thrust; empty otherwise."""

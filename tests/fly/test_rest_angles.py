@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,14 @@ from heli_host.declaration import State
 from heli_host.errors import FlightAborted
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
-from heli_host.rest_check import ANGLE_SHIFTED, RestAngles
+from heli_host.rest_check import ANGLE_SHIFTED, HoverTilt, RestAngles
 from heli_host.samples import Samples
 
 from tests.fly.slip import PITCH, slipping
 
 pytestmark = pytest.mark.medium
 
-PLAN = Plan.parse('[start]\nsettle_s = 2\n[[segment]]\nkind = "hold"\nduration_s = 6\n', "hold.toml")
+PLAN = Plan.parse('[start]\nsettle_s = 2\n[[segment]]\nkind = "hold"\nduration_s = 9\n', "hold.toml")
 COUNT_DEG = 0.1
 
 
@@ -32,7 +33,7 @@ def after(elevation_deg: object, pitch_deg: object, length_s: float = 20.0) -> S
     return Samples(**{**columns, "tick": tick})
 
 
-BEFORE = RestAngles(-25.0, 0.0, COUNT_DEG)
+BEFORE = RestAngles(-25.0, 0.0, COUNT_DEG, HoverTilt(COUNT_DEG))
 
 
 @pytest.mark.parametrize(
@@ -53,6 +54,15 @@ def test_an_axis_that_rests_more_than_a_degree_off_is_named(
     assert bool(text) == bool(axes)
     for axis in ("elevation", "pitch"):
         assert (f"{axis} at rest was" in text) == (axis in axes)
+
+
+@pytest.mark.parametrize(("hover_deg", "is_shifted"), [(-8.0, False), (0.0, True)])
+def test_a_tilt_of_the_hover_that_friction_holds_is_not_accused(hover_deg: float, is_shifted: bool) -> None:
+    hover = HoverTilt(COUNT_DEG)
+    hover.mean_deg = hover_deg
+    text = replace(BEFORE, hover=hover).shift_after(after(-25.0, -8.9))
+    assert text is not None
+    assert bool(text) is is_shifted
 
 
 def test_an_arm_that_floats_up_without_voltage_is_not_accused() -> None:
@@ -84,7 +94,7 @@ def test_a_flight_whose_pitch_encoder_slipped_is_not_completed(tmp_path: Path) -
     with heli_host.connect("sil://?seed=3") as heli:
         heli.wait(0.6)
         slip = slipping(heli, PITCH, 4.0)
-        summary = fly(heli, PLAN, on_progress=lambda progress: slip() if progress.t_s > 4.0 else None)
+        summary = fly(heli, PLAN, on_progress=lambda progress: slip() if progress.t_s > 6.0 else None)
     assert summary.outcome.startswith(f"{ANGLE_SHIFTED}: pitch at rest was 0.0 degrees")
     assert not summary.completed
 
@@ -94,6 +104,7 @@ def test_a_flight_by_hand_ends_with_the_same_error() -> None:
         heli.wait(0.6)
         heli.take_off()
         slip = slipping(heli, PITCH, -4.0)
+        heli.wait(3.0)
         for _ in heli.pace(0.05, 3.0):
             slip()
         with pytest.raises(FlightAborted, match=f"{ANGLE_SHIFTED}: pitch at rest"):

@@ -55,7 +55,7 @@ def test_a_law_that_is_stable_keeps_its_margins() -> None:
 def test_a_law_that_switches_is_not_linear() -> None:
     @control_law(rate_Hz=500)
     def switches(now: object, state: object, parameter: object) -> Command:
-        pushed_V = (now.elevation_rad < -0.01) * 3.0  # type: ignore[attr-defined]
+        pushed_V = (now.elevation_rad < -0.001) * 3.0  # type: ignore[attr-defined]
         return Command(1.7 + pushed_V, 1.7 + pushed_V)
 
     assert linearised(switches, PLANT).nonlinearity_V == pytest.approx(3.0)

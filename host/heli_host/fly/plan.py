@@ -359,9 +359,9 @@ def _with_way_to_start(route: Route, plan: Plan, phase: str, *, settle: bool) ->
     to_deg[Axis.ELEVATION] = plan.start.elevation_deg
     duration_s = float(np.abs(to_deg - from_deg).max()) / plan.start.rate_deg_s
     if duration_s > 0.0:
-        route = route.then(phase, shapes.RISE, duration_s, shapes.ramp(from_deg, to_deg, duration_s))
+        route = route.then(phase, "rise", duration_s, shapes.ramp(from_deg, to_deg, duration_s))
     if settle and plan.start.settle_s > 0.0:
-        route = route.then(phase, shapes.SETTLE, plan.start.settle_s, shapes.hold(to_deg))
+        route = route.then(phase, "settle", plan.start.settle_s, shapes.hold(to_deg))
     return route
 
 

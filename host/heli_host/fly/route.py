@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 
 from heli_host.arrays import Floats
 
-RISE: Final = "rise"
-SETTLE: Final = "settle"
-"""Names of the pieces on the way to the first elevation of a plan."""
 Shape = Callable[[Floats], Floats]
 """From times within a piece, seconds (n,), to elevation, pitch and travel in degrees (n, axes)."""
 

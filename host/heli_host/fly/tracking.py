@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from heli_host.declaration import AXES, CHANNELS, Channel, State
 from heli_host.fly.keys import Number, PlanTable
-from heli_host.fly.route import RISE, SETTLE, Piece
+from heli_host.fly.route import Piece
 from heli_host.link.channels import ENCODERS, numbers
 from heli_host.link.clock import TICK_S
 from heli_host.link.telemetry import Ticks
@@ -170,9 +170,8 @@ class TrackingMonitor:
         tick = ticks.tick.astype(np.int64)
         row = min(int(np.searchsorted(tick, end_tick & 0xFFFFFFFF)), len(tick) - 1)
         raw = ticks.raw[row]
-        # The way to the first elevation is no segment of the plan, and a hold may wait for its end.
-        is_segment = piece.name not in (RISE, SETTLE)
-        if self._unreached or not is_segment or raw[Channel.STATE] != State.CLOSED_LOOP:
+        # The rates of all other segments are checked before the flight.
+        if self._unreached or piece.name != "step" or raw[Channel.STATE] != State.CLOSED_LOOP:
             return
         for index, axis in enumerate(AXES):
             # The loop of travel makes the setpoint of pitch.
@@ -181,7 +180,7 @@ class TrackingMonitor:
             setpoint_deg = np.degrees(CHANNELS[_SETPOINTS[index]].scale) * raw[_SETPOINTS[index]]
             angle_deg = float(self._deg_per_raw[:, index] @ raw) + setpoint_deg
             demanded_deg = float(piece.end_deg[index])
-            reached_deg = [angle_deg] if is_last and piece.name == "step" else [angle_deg, setpoint_deg]
+            reached_deg = [angle_deg] if is_last else [angle_deg, setpoint_deg]
             if min(abs(reached - demanded_deg) for reached in reached_deg) > self._bound_deg[index]:
                 self._unreached = (
                     f"{NOT_TRACKED}: {axis} was at {angle_deg:.1f} degrees when its {piece.name} to "

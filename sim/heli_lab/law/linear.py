@@ -22,8 +22,10 @@ BODE_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
 _MIN_DECAY_per_s: Final = 1e-3
 """Slowest decay that counts as stable [1/s]. It takes a quarter of an hour, so that nobody would see it; the
 rounding of a pole at 0 is far smaller."""
-_PROBE_rad: Final = np.radians(1.0)
-_PROBE_rad_s: Final = np.radians(5.0)
+_UNSEEN: Final = 1e-6
+"""Largest share of a mode in angles and rates that counts as none; eigenvectors are rounded at 1e-12."""
+_PROBE_rad: Final = np.radians(0.2)
+_PROBE_rad_s: Final = np.radians(1.0)
 
 
 @dataclass(frozen=True)
@@ -70,10 +72,11 @@ def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
     ).sample(law.dt_s)
     # The rig gives elevation, its rate, pitch, travel and their rates; the law takes angles, then rates.
     order = np.eye(6)[[0, 2, 3, 1, 4, 5]]
-    loop = regulator * (order * rig)
-    closed = control.feedback(loop, control.ss([], [], [], np.eye(2), law.dt_s), sign=1)
+    measured = order * rig
+    loop = regulator * measured
     # A discrete pole z is that of a continuous system at log(z) / dt.
-    log_poles = np.log(np.maximum(np.abs(closed.poles()), 1e-12)) + 1j * np.angle(closed.poles())
+    discrete_poles = _poles_of_motion(control.feedback(measured, regulator, sign=1), law.dt_s)
+    log_poles = np.log(np.maximum(np.abs(discrete_poles), 1e-12)) + 1j * np.angle(discrete_poles)
     result = LinearisedLaw(log_poles / law.dt_s, (np.nan,) * 2, (np.nan,) * 2, _nonlinearity_V(law))
     if not result.stable:
         return result
@@ -84,6 +87,23 @@ def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
     return replace(
         result, gain_up=(collective_gain, differential_gain), phase_deg=(collective_deg, differential_deg)
     )
+
+
+def _poles_of_motion(closed: control.StateSpace, dt_s: float) -> npt.NDArray[np.complex128]:
+    """Return the discrete poles of a closed loop without those of states that stay and move no axis, such as
+    a clock of the law.
+
+    Parameters
+    ----------
+    closed : control.StateSpace
+        Closed loop whose outputs are the angles and rates of all axes.
+    dt_s : float
+        Time step [s].
+    """
+    poles, modes = np.linalg.eig(np.asarray(closed.A))
+    seen = np.linalg.norm(np.asarray(closed.C) @ modes, axis=0)
+    stays = np.abs(np.abs(poles) - 1.0) < _MIN_DECAY_per_s * dt_s
+    return np.asarray(poles[~(stays & (seen < _UNSEEN))])
 
 
 def _nonlinearity_V(law: Law) -> float:
