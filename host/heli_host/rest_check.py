@@ -36,8 +36,8 @@ _HOVER_TICKS: Final = (4000, 5500)
 """Ticks after the beginning of the flight between which the tilt of the hover is measured. Earlier, the loop
 of travel has not found it; later, more encoders have failed already."""
 _HOVER_DEG: Final = 2.0
-"""Largest difference between the tilt of the hover and that of the landing that the same torque explains
-[deg]. Lower: a rig with dry friction is accused. Higher: an encoder that is shifted by less passes."""
+"""Largest tilt of a landing beyond that of the hover that the same torque explains [deg]. Lower: a rig with dry
+friction is accused. Higher: an encoder that is shifted by less passes."""
 _IN_THE_AIR: Final = (State.CLOSED_LOOP, State.STREAMED, State.OPEN_LOOP)
 _STILL_COUNTS: Final = 1.5
 """Largest change of a still angle. Less: an encoder between two counts seems to move."""
@@ -172,7 +172,7 @@ class RestAngles:
         """Whether dry friction may hold the short arm at rest in the tilt of the hover.
 
         A free arm turns from the tilt of the landing to its rest. One that stays may be held by friction, or
-        its encoder is shifted; then the tilt of the hover after the take-off differs from it.
+        its encoder is shifted; then its tilt is beyond that of the hover after the take-off.
 
         Parameters
         ----------
@@ -180,7 +180,8 @@ class RestAngles:
             Pitch when the motors were switched off, and at rest after that [deg].
         """
         stayed = abs(rest_deg - landed_deg) < _TURNED_SHARE * abs(rest_deg - self.pitch_deg)
-        return stayed and abs(rest_deg - self.hover.mean_deg) <= _HOVER_DEG
+        least_deg, most_deg = sorted((0.0, self.hover.mean_deg))
+        return stayed and least_deg - _HOVER_DEG <= landed_deg <= most_deg + _HOVER_DEG
 
     def _settled_elevation_deg(self, elevation_deg: Floats) -> float | None:
         """Return elevation on the table [deg]; None while it may change.

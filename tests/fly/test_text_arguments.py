@@ -26,7 +26,7 @@ from heli_lab.law import Law, from_gain
 pytestmark = pytest.mark.medium
 
 API = Path(__file__).resolve().parents[2] / "docs" / "reference" / "api" / "heli_host.md"
-WRONG = "Land"
+WRONG: typing.Any = "Land"
 """A typing error in one of the arguments, which are written in small letters."""
 
 
@@ -35,8 +35,8 @@ def hold_still(_: Sample) -> tuple[float, float]:
 
 
 def still_flight() -> Flight:
-    nothing = np.zeros(10)
-    return Flight(np.arange(10) * 0.01, nothing, nothing, nothing, nothing, nothing)
+    t_s, nothing = np.linspace(0.0, 0.09, 10), np.zeros(10)
+    return Flight(t_s, nothing, nothing, nothing, nothing, nothing)
 
 
 def law() -> Law:
@@ -136,7 +136,7 @@ def test_a_wrong_text_in_the_air_calls_no_law_and_the_arm_lands() -> None:
         states: list[int] = []
         heli.on_ticks(lambda samples: states.extend(samples.state.tolist()))
         heli.take_off()
-        heli.run_controller(hold_still, duration_s=1.0, after=typing.cast(typing.Any, WRONG))
+        heli.run_controller(hold_still, duration_s=1.0, after=WRONG)
     assert State.STREAMED not in states
     assert states[-1] == State.IDLE
     assert State.LANDING in states
