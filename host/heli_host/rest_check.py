@@ -36,8 +36,8 @@ _HOVER_TICKS: Final = (4000, 5500)
 """Ticks after the beginning of the flight between which the tilt of the hover is measured. Earlier, the loop
 of travel has not found it; later, more encoders have failed already."""
 _HOVER_DEG: Final = 2.0
-"""Largest tilt of a landing beyond that of the hover that the same torque explains [deg]. Lower: a rig with dry
-friction is accused. Higher: an encoder that is shifted by less passes."""
+"""Largest tilt of a landing beyond that of the hover that the same torque explains [deg]. Lower: a rig with
+dry friction is accused. Higher: an encoder that is shifted by less passes."""
 _IN_THE_AIR: Final = (State.CLOSED_LOOP, State.STREAMED, State.OPEN_LOOP)
 _STILL_COUNTS: Final = 1.5
 """Largest change of a still angle. Less: an encoder between two counts seems to move."""

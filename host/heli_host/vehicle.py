@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from numbers import Real
 from types import TracebackType
@@ -38,7 +38,7 @@ from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks
 from heli_host.open_loop import ALL_AXES, OpenLoopCommands
 from heli_host.rest_check import RestAngles
-from heli_host.samples import Sample
+from heli_host.samples import Sample, Samples
 from heli_host.setpoints import check_setpoint, setpoint_bounds
 from heli_host.telemetry_view import HISTORY_S
 
@@ -211,7 +211,7 @@ class Vehicle(OpenLoopCommands):
         # A log ends with the arm at rest.
         self.wait(_REST_LOOK_S)
         if sample.state is State.FAULT:
-            return self._float_text() or f"fault {fault_text(sample.fault)}"
+            return self._text_of_fault(sample.fault)
         if sample.state is not State.IDLE:
             limit_s = _LANDING_TIMES * self.params["landing_timeout_s"]
             return f"the board did not land within {limit_s:g} s, and still tries; switch its supply off"
@@ -576,23 +576,12 @@ class Vehicle(OpenLoopCommands):
         if at_rest is not None:
             at_rest.hover.take(ticks)
 
-    def _float_text(self) -> str:
-        """Explain a landing that took too long although the motors gave no thrust; empty otherwise."""
-        if self.fault is not Fault.LANDING_TIMEOUT:
-            return ""
-        descent = self.samples(2.0 * _FLOAT_LOOK_S)
-        rows = np.flatnonzero(np.isin(descent.state, _DESCENDING))[-round(_FLOAT_LOOK_S / TICK_S) :]
-        if not len(rows):
-            return ""
-        volts_V = max(float(descent.front_V[rows].mean()), float(descent.back_V[rows].mean()))
-        elevation_deg = float(np.degrees(descent.elevation_rad[rows]).mean())
-        if volts_V > self.params["dead_zone_V"]:
-            return ""
-        return (
-            f"fault {Fault.LANDING_TIMEOUT}: the arm stayed at {elevation_deg:.1f} degrees, above the table "
-            f"at {self.params['elevation_rest_deg']:g}, although the motors gave no thrust: it floats; make "
-            "the counterweight lighter, or check what holds the arm"
-        )
+    def _text_of_fault(self, fault: Fault) -> str:
+        """Return the fault of a landing, with its reason if the host knows it better."""
+        floating = ""
+        if fault is Fault.LANDING_TIMEOUT:
+            floating = _float_text(self.samples(2.0 * _FLOAT_LOOK_S), self.params)
+        return floating or f"fault {fault_text(fault)}"
 
     def _stop_turning(self, state: State) -> None:
         """Let the board brake an arm that turns, at the height of the flight.
@@ -601,26 +590,21 @@ class Vehicle(OpenLoopCommands):
         in which the rotors carry the arm badly, and it may lose the fall that brings it onto the table.
         """
         is_free = state is State.STREAMED or (state is State.CLOSED_LOOP and not self._axes & Axes.TRAVEL)
-        if not is_free or abs(self._turning_deg_s()) < _TURNING_DEG_S:
+        if not is_free or abs(_turning_deg_s(self.samples(_RATE_S))) < _TURNING_DEG_S:
             return
         self.control()
         # The arm needs this way to stop; a setpoint behind it would look like a following error.
-        ahead_deg = self.latest.travel_deg + _BRAKING_S * self._turning_deg_s()
+        ahead_deg = self.latest.travel_deg + _BRAKING_S * _turning_deg_s(self.samples(_RATE_S))
         self.setpoint(travel_deg=float(np.clip(ahead_deg, *self.setpoint_limits_deg()["travel"])))
         end_tick = self.latest.tick + round(_BRAKING_TIMEOUT_S / TICK_S)
         while self.state is State.CLOSED_LOOP and self.latest.tick < end_tick:
-            if abs(self._turning_deg_s()) < _STOPPED_DEG_S and abs(self.latest.pitch_deg) < _LEVEL_DEG:
+            if (
+                abs(_turning_deg_s(self.samples(_RATE_S))) < _STOPPED_DEG_S
+                and abs(self.latest.pitch_deg) < _LEVEL_DEG
+            ):
                 break
             self.wait(_LOOK_S)
         self._forget_target()
-
-    def _turning_deg_s(self) -> float:
-        """Return the rate of travel in the newest samples [deg/s]."""
-        recent = self.samples(_RATE_S)
-        if len(recent) < 2:
-            return 0.0
-        turned_deg = float(np.degrees(recent.travel_rad[-1] - recent.travel_rad[0]))
-        return turned_deg / (float(recent.tick[-1] - recent.tick[0]) * TICK_S)
 
     def _shift_at_rest(self, sample: Sample) -> str:
         """Return the axes whose angles at rest differ from those before the take-off; empty if none does, or
@@ -640,3 +624,27 @@ class Vehicle(OpenLoopCommands):
     def _abort_on_fault(self, sample: Sample) -> None:
         if sample.state is State.FAULT:
             raise FlightAborted(f"the board switched the motors off: {fault_text(sample.fault)}")
+
+
+def _float_text(descent: Samples, parameters: Mapping[str, float]) -> str:
+    """Explain a landing that took too long although the motors gave no thrust; empty if they gave some."""
+    rows = np.flatnonzero(np.isin(descent.state, _DESCENDING))[-round(_FLOAT_LOOK_S / TICK_S) :]
+    if not len(rows):
+        return ""
+    volts_V = max(float(descent.front_V[rows].mean()), float(descent.back_V[rows].mean()))
+    if volts_V > parameters["dead_zone_V"]:
+        return ""
+    elevation_deg = float(np.degrees(descent.elevation_rad[rows]).mean())
+    return (
+        f"fault {Fault.LANDING_TIMEOUT}: the arm stayed at {elevation_deg:.1f} degrees, above the table at "
+        f"{parameters['elevation_rest_deg']:g}, although the motors gave no thrust: it floats; make the "
+        "counterweight lighter, or check what holds the arm"
+    )
+
+
+def _turning_deg_s(recent: Samples) -> float:
+    """Return the mean rate of travel [deg/s] of samples; 0 of fewer than two."""
+    if len(recent) < 2:
+        return 0.0
+    turned_deg = float(np.degrees(recent.travel_rad[-1] - recent.travel_rad[0]))
+    return turned_deg / (float(recent.tick[-1] - recent.tick[0]) * TICK_S)
