@@ -83,6 +83,14 @@ def test_the_landing_of_a_law_is_no_takeover(tmp_path: Path) -> None:
     assert not any(text.get_text() == "law taken over" for panel in figure.axes for text in panel.texts)
 
 
+def test_the_figure_says_which_part_of_the_flight_its_errors_count(tmp_path: Path) -> None:
+    with heli_host.connect("sil://?seed=1") as heli:
+        fly(heli, Plan.parse(HOLD, "plan.toml"), log_path=tmp_path / "flight.mcap")
+    read = read_log(tmp_path / "flight.mcap")
+    titles = [panel.get_title(loc="left") for panel in draw(read.flight(), summarise(read)).axes]
+    assert sum(title.endswith("at most, without take-off and landing") for title in titles) == 3
+
+
 @pytest.mark.parametrize(("pitch_deg", "duration_s"), [(5, 8), (-5, 8), (10, 4)])
 def test_an_arm_that_turns_is_stopped_before_it_lands(pitch_deg: float, duration_s: float) -> None:
     turn = f'[[segment]]\nkind = "step"\npitch_deg = {pitch_deg}\nduration_s = {duration_s}\n'

@@ -169,12 +169,19 @@ def _draw_axis(
     panel.set_ylabel(f"{axis} [°]")
     rms, largest_error = summary.rms_error_deg.get(axis), summary.max_error_deg.get(axis)
     error_text = (
-        f"error {rms:.2f}° rms, {largest_error:.2f}° at most"
+        f"error {rms:.2f}° rms, {largest_error:.2f}° at most{_counted_text(flight)}"
         if rms is not None and largest_error is not None
         else "no closed loop to judge"
     )
     panel.set_title(f"{axis}: {error_text}", fontsize=10, loc="left")
     _finish_panel(panel)
+
+
+def _counted_text(flight: Flight) -> str:
+    """Return which part of a flight its tracking error counts; the figure shows the whole flight."""
+    phases = {event.text for event in flight.events if event.name == PHASE_EVENT}
+    left_out = [phase for phase in (TAKE_OFF, LANDING) if phase in phases]
+    return f", without {' and '.join(left_out)}" if left_out else ""
 
 
 def _draw_voltages(panel: Axes, flight: Flight, t_s: NDArray[np.float64]) -> None:
