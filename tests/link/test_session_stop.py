@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 import pytest
 from heli_host.declaration import (
@@ -161,12 +162,13 @@ def test_a_stop_passes_a_thread_that_keeps_the_lock_of_the_link() -> None:
 
     keeper = threading.Thread(target=keep_the_lock)
     stopper = threading.Thread(target=session.stop_now)
+    end_s = time.monotonic() + 60.0
     keeper.start()
     is_kept.wait()
     stopper.start()
     try:
         while MessageId.STOP not in [frame.id for frame in FrameParser().feed(b"\0" + bytes(line.written))]:
-            assert stopper.is_alive()
+            assert stopper.is_alive() and time.monotonic() < end_s, "no stop is written"
         # Read by the board while the lock is still kept.
         board.feed(bytes(line.written))
         assert board.state == State.IDLE
