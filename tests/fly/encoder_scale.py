@@ -242,11 +242,11 @@ def main() -> None:
         "--others", type=int, default=3, help="flights of each plan on each other shipped rig"
     )
     parser.add_argument("--wrong", type=int, default=3, help="flights of each plan, axis and scale")
-    parser.add_argument("--hidden", action="store_true", help="only flights with an effect or a wrong supply")
+    parser.add_argument("--hidden", nargs="*", metavar="PLAN", help="only flights with hidden effects")
     options = parser.parse_args()
-    if options.hidden:
+    if options.hidden is not None:
         print("| plan | flights | an encoder is named | something in common is named |")
-        hidden_lines()
+        hidden_lines(options.hidden or ("sine", "identify"))
         return
     print(f"a warning needs {MAX_SIGMAS:g} standard errors; healthy flights:")
     healthy_lines(options.healthy)

@@ -112,15 +112,19 @@ def test_encoder_is_named_only_if_nothing_else_is_as_likely() -> None:
     wrong = ScaleEstimate("pitch", 0.8, 0.02, 50.0)
     unlikely, close, better = (Explanation("supply_sag", nats) for nats in (43.0, 45.0, 57.0))
     supply = Explanation("supply_V", 52.0, factor=0.75)
-    assert finding_of(wrong, [unlikely]).name == "pitch_encoder_scale"
+    assert finding_of(wrong, []).name == finding_of(wrong, [unlikely]).name == "pitch_encoder_scale"
     both = finding_of(wrong, [close])
     assert both.name == "pitch_motion" and (both.value, both.standard_error) == (0.8, 0.02)
     assert both.text.startswith("pitch moves 0.80 ± 0.02 (1 standard error) times as far as the rig's model ")
-    assert "because of supply_sag or pitch_counts_per_rev" in both.text
+    assert "because of supply_sag or pitch_counts_per_rev: this flight does not show which" in both.text
     # An encoder that is far less likely than something else is not mentioned.
     text = finding_of(wrong, [better, supply]).text
     assert "supply_sag or a wrong supply_V (the motors act as if they had 0.75 times the voltage)" in text
-    assert "counts_per_rev" not in text
+    assert "counts_per_rev" not in text and text.endswith("; check supply_V and the rig's file")
+    # Only the best explanations are listed.
+    assert finding_of(wrong, [better, close]).text.endswith(
+        "because of supply_sag: no encoder explains it as well; find the cause with heli-host diagnose"
+    )
     others = [Explanation(f"effect_{number}", 50.0) for number in range(6)]
     assert (
         "effect_2, 3 other effects of the catalogue or pitch_counts_per_rev" in finding_of(wrong, others).text

@@ -17,7 +17,7 @@ from heli_sim.model.effects import EffectSpec, catalogue, effects_of
 from heli_sim.model.named import model_named
 from heli_sim.rig import load_rig
 
-from heli_lab.encoder_scale.estimate import Explanation, ScaleEstimate, ScaleTest
+from heli_lab.encoder_scale.estimate import SUPPLY, Explanation, ScaleEstimate, ScaleTest
 from heli_lab.encoder_scale.flight_residuals import FlightInWeakForm
 
 MAX_SIGMAS: Final = 3.0
@@ -45,20 +45,24 @@ def wrong_scale(estimates: Sequence[ScaleEstimate]) -> ScaleEstimate | None:
     return max(significant, key=lambda estimate: estimate.nats, default=None)
 
 
-def rivals(wrong: ScaleEstimate, explanations: Sequence[Explanation]) -> list[Explanation]:
-    """Return the explanations that are as likely as a wrong scale, the most likely first."""
-    return [other for other in explanations if other.nats > wrong.nats - LEAD_NATS]
-
-
 def finding_of(wrong: ScaleEstimate, explanations: Sequence[Explanation]) -> FlightFinding:
     """Return the finding for an encoder that counts otherwise than the rig's model predicts.
 
     It names the encoder only if none of the other `explanations` is as likely.
+
+    Parameters
+    ----------
+    explanations : sequence of Explanation
+        Everything else that may explain the flight, the most likely first.
     """
-    others = rivals(wrong, explanations)
-    name = f"{wrong.axis}_motion" if others else f"{wrong.axis}_encoder_scale"
-    text = common_text(wrong, others) if others else warning_text(wrong)
-    return FlightFinding(name, wrong.scale, wrong.standard_error, text)
+    best_nats = max([wrong.nats, *(other.nats for other in explanations)])
+    others = [other for other in explanations if other.nats > best_nats - LEAD_NATS]
+    is_encoder_likely = wrong.nats > best_nats - LEAD_NATS
+    if not others:
+        name = f"{wrong.axis}_encoder_scale"
+        return FlightFinding(name, wrong.scale, wrong.standard_error, warning_text(wrong))
+    text = common_text(wrong, others, is_encoder_likely)
+    return FlightFinding(f"{wrong.axis}_motion", wrong.scale, wrong.standard_error, text)
 
 
 def warning_text(estimate: ScaleEstimate) -> str:
@@ -69,27 +73,34 @@ def warning_text(estimate: ScaleEstimate) -> str:
     )
 
 
-def common_text(wrong: ScaleEstimate, others: Sequence[Explanation]) -> str:
-    """Return the warning that a flight does not fit its rig, for one of several reasons."""
+def common_text(wrong: ScaleEstimate, others: Sequence[Explanation], is_encoder_likely: bool) -> str:
+    """Return the warning that a flight does not fit its rig, for a reason that may be no encoder.
+
+    Parameters
+    ----------
+    others : sequence of Explanation
+        The most likely reasons, the best first.
+    is_encoder_likely : bool
+        Whether the encoder's scale is as likely as these.
+    """
     names = [_explanation_text(other) for other in others]
     if len(names) > _MAX_NAMES:
         names = [*names[: _MAX_NAMES - 1], f"{len(names) - _MAX_NAMES + 1} other effects of the catalogue"]
-    if others[0].nats < wrong.nats + LEAD_NATS:
+    if is_encoder_likely:
         names.append(f"{wrong.axis}_counts_per_rev")
-    causes = f"{', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else names[0]
+    reasons = f"{', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else names[0]
+    certainty = "this flight does not show which" if len(names) > 1 else "no encoder explains it as well"
+    has_supply = any(other.name == SUPPLY for other in others)
+    remedy = "check supply_V and the rig's file" if has_supply else "find the cause with heli-host diagnose"
     return (
-        f"{wrong.axis} moves {_ratio_text(wrong)} times as far as the rig's model predicts, because of "
-        f"{causes}: this flight does not show which; check supply_V and the rig's file, or run heli-host "
-        "diagnose"
-        if len(names) > 1
-        else f"{wrong.axis} moves {_ratio_text(wrong)} times as far as the rig's model predicts, probably "
-        f"because of {causes}; check supply_V and the rig's file, or run heli-host diagnose"
+        f"{wrong.axis} moves {_ratio_text(wrong)} times as far as the rig's model predicts, probably because "
+        f"of {reasons}: {certainty}; {remedy}"
     )
 
 
 def _explanation_text(explanation: Explanation) -> str:
     """Name an explanation: an effect by its id, a supply with the factor on the voltages."""
-    if explanation.name == "supply_V":
+    if explanation.name == SUPPLY:
         return f"a wrong supply_V (the motors act as if they had {explanation.factor:.2g} times the voltage)"
     return explanation.name
 
