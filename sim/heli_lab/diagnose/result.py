@@ -268,6 +268,17 @@ class Diagnosis:
         return extended_rig(name, fit, self.kinds, causes, None)
 
     @property
+    def has_converged_estimate(self) -> bool:
+        """Whether the search for the parameters of the final model has converged."""
+        return self.search.final.estimate.converged
+
+    @property
+    def has_converged_prediction(self) -> bool:
+        """Whether the initial states of all free runs of the extended model have converged."""
+        after = self.assessment.after
+        return after.fit.converged and (after.held_out_fit is None or after.held_out_fit.converged)
+
+    @property
     def has_other_flight(self) -> bool:
         """Whether a flight was held out; without one, no cause is confirmed."""
         return self.assessment.after.held_out_fit is not None

@@ -96,6 +96,24 @@ def test_remainder_that_changes_no_prediction_is_listed_and_the_cause_stands() -
     ) in lines(diagnosis)
 
 
+def test_estimate_that_did_not_converge_is_stated() -> None:
+    diagnosis = diagnosed("rotor_lag=0.06")
+    assert to_json(diagnosis)["converged"] is True
+    final = diagnosis.search.final
+    rough = replace(final, estimate=replace(final.estimate, converged=False))
+    numbers = to_json(replace(diagnosis, search=replace(diagnosis.search, final=rough)))
+    assert numbers["converged"] is False
+    assert any(
+        "the estimate of the final model did not converge" in caution for caution in numbers["cautions"]
+    )
+    after = diagnosis.assessment.after
+    unfinished = replace(after, fit=replace(after.fit, converged=False))
+    assessment = replace(diagnosis.assessment, after=unfinished)
+    numbers = to_json(replace(diagnosis, assessment=assessment))
+    assert numbers["converged"] is False
+    assert any("the free runs of the extended model did not converge" in c for c in numbers["cautions"])
+
+
 def test_remainder_that_changes_the_prediction_stays_unexplained() -> None:
     diagnosis = judged(1.1 * MATTERS_COUNTS)
     assert diagnosis.label == "unexplained"

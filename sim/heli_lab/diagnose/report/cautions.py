@@ -31,6 +31,13 @@ def cautions(result: Diagnosis) -> list[str]:
         prior_conflict_sentence(conflict, meanings.get(conflict.name, ""))
         for conflict in result.prior_conflicts
     ]
+    if not result.has_converged_estimate:
+        lines.append(
+            "the estimate of the final model did not converge, as may happen with an axis that sticks: its "
+            "parameters may be less exact than their standard errors"
+        )
+    if not result.has_converged_prediction:
+        lines.append("the free runs of the extended model did not converge: their errors may be too large")
     if not result.search.complete:
         lines.append("the limit of refits ended the search before everything was tried; raise --budget")
     return lines

@@ -70,6 +70,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
         "refits": result.effort.refits,
         "seconds_taken": result.effort.seconds,
         "complete": result.search.complete,
+        "converged": result.has_converged_estimate and result.has_converged_prediction,
     }
 
 
@@ -105,6 +106,7 @@ def _insufficient_excitation_json(result: InsufficientExcitation) -> dict[str, A
         "flights": [],
         "ranking": [],
         "complete": True,
+        "converged": True,
     }
 
 
