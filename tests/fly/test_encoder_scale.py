@@ -110,8 +110,8 @@ def test_time_of_a_dead_encoder_accuses_no_other_encoder(out_s: float) -> None:
 
 def test_encoder_is_named_only_if_nothing_else_is_as_likely() -> None:
     wrong = ScaleEstimate("pitch", 0.8, 0.02, 50.0)
-    unlikely, close, better = (Explanation("supply_sag", nats) for nats in (43.0, 45.0, 57.0))
-    supply = Explanation("supply_V", 52.0, factor=0.75)
+    unlikely, close, better = (Explanation("supply_sag", nats) for nats in (45.0, 46.0, 57.0))
+    supply = Explanation("supply_V", 53.0, factor=0.75)
     assert finding_of(wrong, []).name == finding_of(wrong, [unlikely]).name == "pitch_encoder_scale"
     both = finding_of(wrong, [close])
     assert both.name == "pitch_motion" and (both.value, both.standard_error) == (0.8, 0.02)

@@ -27,10 +27,10 @@ MAX_NATS: Final = 0.5 * MAX_SIGMAS**2
 be small although a scale of 1 fits as well."""
 
 
-LEAD_NATS: Final = 6.0
+LEAD_NATS: Final = MAX_NATS
 """Log-likelihood ratio by which the scale of an encoder must be more likely than everything else that
-explains the flight, nats: 400 times. Lower: healthy encoders are named in the place of a supply that sags.
-Higher: wrong encoders are not named."""
+explains the flight, nats: what the scale adds to another explanation must be significant by itself. Lower:
+healthy encoders are named in the place of a supply that sags. Higher: wrong encoders are not named."""
 _MAX_NAMES: Final = 4
 """Most explanations that a text lists."""
 
