@@ -113,6 +113,9 @@ def test_encoder_is_named_only_if_nothing_else_is_as_likely() -> None:
     unlikely, close, better = (Explanation("supply_sag", nats) for nats in (45.0, 46.0, 57.0))
     supply = Explanation("supply_V", 53.0, factor=0.75)
     assert finding_of(wrong, []).name == finding_of(wrong, [unlikely]).name == "pitch_encoder_scale"
+    weak = replace(wrong, nats=6.0)
+    assert finding_of(weak, [Explanation("supply_sag", 3.0)]).name == "pitch_encoder_scale"
+    assert finding_of(weak, [Explanation("supply_sag", 5.0)]).name == "pitch_motion"
     both = finding_of(wrong, [close])
     assert both.name == "pitch_motion" and (both.value, both.standard_error) == (0.8, 0.02)
     assert both.text.startswith("pitch moves 0.80 ± 0.02 (1 standard error) times as far as the rig's model ")

@@ -56,7 +56,8 @@ def finding_of(wrong: ScaleEstimate, explanations: Sequence[Explanation]) -> Fli
         Everything else that may explain the flight, the most likely first.
     """
     best_nats = max([wrong.nats, *(other.nats for other in explanations)])
-    others = [other for other in explanations if other.nats > best_nats - LEAD_NATS]
+    # What is not significant by itself explains nothing, even if the scale is hardly significant either.
+    others = [other for other in explanations if other.nats > max(best_nats - LEAD_NATS, MAX_NATS)]
     is_encoder_likely = wrong.nats > best_nats - LEAD_NATS
     if not others:
         name = f"{wrong.axis}_encoder_scale"
