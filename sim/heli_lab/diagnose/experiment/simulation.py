@@ -9,6 +9,7 @@ from heli_host.errors import HeliError
 from heli_host.flight import Flight
 from heli_host.fly.plan import Plan
 from heli_host.fly.tracking import NOT_TRACKED
+from heli_host.rest_check import ANGLE_SHIFTED
 from heli_sim.errors import SimError
 from heli_sim.plant import Plant
 
@@ -54,8 +55,8 @@ def simulate_experiment(estimate: Estimate, plan: str) -> Record | None:
         with connected(world_of(plant, _SEED)) as heli:
             set_hover(heli, model, rig)
             flight, summary = fly_and_read(heli, Plan.parse(plan, "next flight"))
-        # The effect itself may keep an axis from its setpoint; such a flight is informative.
-        is_informative = summary.completed or summary.outcome.startswith(NOT_TRACKED)
+        # The effect itself may keep an axis from its setpoint or its rest; such a flight is informative.
+        is_informative = summary.completed or summary.outcome.startswith((NOT_TRACKED, ANGLE_SHIFTED))
         if not is_informative and "landing" not in summary.outcome:
             return None
         return prepare(_thinned(flight), rig, "simulated")
