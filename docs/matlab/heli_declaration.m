@@ -3,8 +3,8 @@ function d = heli_declaration()
 %
 % Written by firmware/generate.py from firmware/link.toml. Do not edit.
 
-d.link_version = '1.4';
-d.link_hash = uint32(3410462492);
+d.link_version = '1.5';
+d.link_hash = uint32(1449467265);
 d.protocol = 1;
 d.baud = 250000;
 d.tick_us = 1000;
@@ -154,7 +154,7 @@ d.enums.trigger.stale_land = 8;
 d.enums.trigger.touchdown = 9;
 d.enums.trigger.trip = 10;
 d.enums.trigger.clear = 11;
-d.enums.trigger.travel_lost = 12;
+d.enums.trigger.axis_lost = 12;
 d.enums.trigger.start = 13;
 d.enums.axes.elevation = 1;
 d.enums.axes.pitch = 2;
@@ -268,7 +268,7 @@ d.parameters = {
 
 % Faults: code, name, what it means and what to do.
 d.faults = {
-  1, 'elevation_limit', 'elevation above its limit', 'lower the setpoint, or check the gains and the elevation encoder''s sign'
+  1, 'elevation_limit', 'elevation above its limit', 'lower the setpoint, or check the gains and the elevation encoder'
   2, 'pitch_limit', 'pitch beyond its limit', 'check the gains, the motor order and the pitch encoder''s sign'
   3, 'travel_limit', 'travel beyond its limit, so that the cables wind up', 'bring the arm back by hand and zero it'
   4, 'elevation_rate', 'elevation moved faster than its limit', 'check the gains and the elevation encoder'
@@ -277,7 +277,7 @@ d.faults = {
   7, 'encoder_elevation', 'too many illegal transitions of the elevation encoder', 'check its wiring and pull-ups'
   8, 'encoder_pitch', 'too many illegal transitions of the pitch encoder', 'check its wiring and pull-ups'
   9, 'encoder_travel', 'too many illegal transitions of the travel encoder', 'check its wiring and pull-ups'
-  10, 'landing_timeout', 'the arm did not reach the table in time', 'check that nothing holds the arm; hover_V may be too high'
+  10, 'landing_timeout', 'the arm did not reach the table in time', 'check that nothing holds the arm, and that its weight brings it down without voltage'
   11, 'tick_overrun', 'too many control ticks ran late', 'report it with the log: the firmware missed its deadline'
   12, 'hardware_stop', 'the hardware stop input is active', 'release the stop, then clear the fault'
   13, 'elevation_following', 'elevation stayed too far from its setpoint for following_s', 'check thrust, hover_V and the elevation encoder; tune the gains for this rig'
@@ -292,6 +292,14 @@ d.faults = {
   22, 'link_not_alive', 'no recent frame from the host', 'keep the session open while arming'
   23, 'parameters_invalid', 'the stored parameters are damaged or contradict each other', 'restore or set them, then params save'
   24, 'pitch_not_level', 'the short arm is not level', 'level it, or zero it while level'
+  25, 'elevation_below_table', 'elevation read more than 1 degree plus this tolerance below the table, where the arm cannot be', 'check the elevation encoder''s plug; then let the arm rest on the table and zero it'
+  26, 'elevation_step', 'elevation changed in one tick by more than the arm can turn', 'check the elevation encoder''s plug and cable; then let the arm rest on the table and zero it'
+  27, 'pitch_step', 'pitch changed in one tick by more than the short arm can turn', 'check the pitch encoder''s plug and cable; then level the short arm and zero it'
+  28, 'travel_step', 'travel changed in one tick by more than the arm can turn', 'check the travel encoder''s plug and cable; then zero it'
+  29, 'elevation_rest', 'after landing, the arm rests without lift at another elevation than before take-off', 'check the elevation encoder''s plug; if the arm floats without voltage, shift its counterweight; then let it rest on the table and zero it'
+  33, 'elevation_sign', 'at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong', 'reverse the sign of elevation_counts_per_rev, or swap the encoder''s lines A and B'
+  34, 'pitch_sign', 'pitch turned against the difference of the voltages: the sign of the pitch encoder is wrong, the motors are exchanged, or one pushes down', 'tilt the short arm by hand: pitch must be positive with the front rotor up; then try each motor alone with heli-host motors'
+  35, 'travel_sign', 'travel turned against the tilt: the sign of the travel encoder is wrong', 'reverse the sign of travel_counts_per_rev, or swap the encoder''s lines A and B'
   30, 'watchdog', 'the watchdog reset the board, because control tick or idle loop hung', 'report it with the log'
   31, 'hard_fault', 'the processor faulted; bridges were switched off and the board reset', 'report it with the log'
   32, 'unexpected_interrupt', 'an interrupt without a handler; bridges were switched off and the board reset', 'report it with the log'

@@ -97,8 +97,11 @@ void Core::measure(const EncoderReading& reading, const Conversion& c) {
                                             static_cast<std::uint32_t>(zero_count_[axis]);
     const std::uint32_t zero =
         axis == kElevation ? static_cast<std::uint32_t>(c.elevation_rest_counts) : 0U;
-    observation_.count[axis] = static_cast<std::int32_t>(
-        (c.count_sign[axis] < 0 ? 0U - counts_since_zero : counts_since_zero) + zero);
+    const std::uint32_t count =
+        (c.count_sign[axis] < 0 ? 0U - counts_since_zero : counts_since_zero) + zero;
+    observation_.moved_counts[axis] =
+        static_cast<std::int32_t>(count - static_cast<std::uint32_t>(observation_.count[axis]));
+    observation_.count[axis] = static_cast<std::int32_t>(count);
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     observation_.angle_rad[axis] =
@@ -221,7 +224,11 @@ ControlOutput Core::compute_output(Bank bank) {
       excitation.front_V,
       excitation.back_V,
       travel_waits};
-  return laws_.update(in, bank);
+  ControlOutput out = laws_.update(in, bank);
+  const Quantity motor_max_V = supervisor_.motor_max_V();
+  out.front_V = out.front_V < motor_max_V ? out.front_V : motor_max_V;
+  out.back_V = out.back_V < motor_max_V ? out.back_V : motor_max_V;
+  return out;
 }
 
 // Writes the duties. The voltages that they give at the nominal supply are the applied ones.

@@ -79,6 +79,12 @@ def _head(d: Table) -> list[str]:
         f"inline constexpr std::size_t kMaxCommandPayload = {link['max_command_payload']};",
         f"inline constexpr std::size_t kMaxTelemetryPayload = {link['max_telemetry_payload']};",
         "",
+        "// Distances between the accepted setpoints and these parameters, in degrees.",
+        *(
+            f"inline constexpr float k{camel(name.removesuffix('_deg'))}Margin_deg = {cpp_float(value)};"
+            for name, value in d["setpoint_margin"].items()
+        ),
+        "",
     ]
 
 

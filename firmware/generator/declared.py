@@ -35,6 +35,8 @@ LAW_LIMITS = (
     "format", "cells", "words", "signals", "max_ticks", "max_terms", "tick_cost", "fixed_cost", "output_cost",
     "input_cost", "moving_cost", "term_cost", "state_cost", "signal_cost",
 )  # fmt: skip
+# Parameters to which the accepted setpoints keep a distance.
+SETPOINT_MARGINS = ("elevation_max_deg", "travel_max_deg", "elevation_rest_deg")
 MAX_OPERATIONS = 32
 MAX_CELLS = 512
 LONGEST_MATLAB_NAME = 63
@@ -156,6 +158,8 @@ def check(declaration: Table) -> None:
     check_laws(declaration)
     params = declaration["param"]
     names = [p["name"] for p in params]
+    if set(declaration["setpoint_margin"]) != set(SETPOINT_MARGINS):
+        raise DeclarationError(f"setpoint_margin: needs {', '.join(SETPOINT_MARGINS)}, and nothing else")
     if len(params) > MAX_PARAMS:
         raise DeclarationError(f"{len(params)} parameters; one stored set holds {MAX_PARAMS}")
     for p in params:

@@ -141,6 +141,9 @@ def _head(d: Table) -> list[str]:
         f"MAX_COMMAND_PAYLOAD = {link['max_command_payload']}",
         f"MAX_TELEMETRY_PAYLOAD = {link['max_telemetry_payload']}",
         "",
+        f"SETPOINT_MARGIN_DEG = {json.dumps(d['setpoint_margin'])}",
+        '"""Distances between the setpoints that the board accepts and these parameters, in degrees."""',
+        "",
     ]
 
 

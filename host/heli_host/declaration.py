@@ -14,15 +14,18 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LINK_HASH = 0xCB47871C
+LINK_HASH = 0x56651D81
 PARAMS_HASH = 0xF6FEF19E
-LINK_VERSION = "1.4"
+LINK_VERSION = "1.5"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
 BAUD = 250000
 TICK_US = 1000
 MAX_COMMAND_PAYLOAD = 64
 MAX_TELEMETRY_PAYLOAD = 480
+
+SETPOINT_MARGIN_DEG = {"elevation_max_deg": 2, "travel_max_deg": 5, "elevation_rest_deg": 1}
+"""Distances between the setpoints that the board accepts and these parameters, in degrees."""
 
 
 class Axis(IntEnum):
@@ -47,7 +50,7 @@ class State(IntEnum):
     HOLD = 5  # no recent setpoint: the board hovers level in place
     LANDING = 6  # controlled descent to the table, then motors off
     FAULT = 7  # motors off; the fault stays until clear_fault
-    EMERGENCY_LANDING = 8  # controlled descent after a fault, with elevation and pitch controlled and travel free; then motors off, and the fault stays until clear_fault
+    EMERGENCY_LANDING = 8  # descent after a fault without the axis whose reading is wrong: travel turns freely, the short arm hangs freely, or the lift of the last hover decreases steadily; then motors off, and the fault stays until clear_fault
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -217,7 +220,7 @@ class Trigger(IntEnum):
     TOUCHDOWN = 9  # at rest on the table while landing
     TRIP = 10  # a fault tripped
     CLEAR = 11  # clear_fault command
-    TRAVEL_LOST = 12  # a fault of travel alone tripped: elevation and pitch can still land the arm
+    AXIS_LOST = 12  # a fault of one axis tripped: the arm can still land without its reading
     START = 13  # the board has started; in telemetry only
 
     def __str__(self) -> str:
@@ -272,6 +275,14 @@ class Fault(IntEnum):
     LINK_NOT_ALIVE = 22  # no recent frame from the host
     PARAMETERS_INVALID = 23  # the stored parameters are damaged or contradict each other
     PITCH_NOT_LEVEL = 24  # the short arm is not level
+    ELEVATION_BELOW_TABLE = 25  # elevation read more than 1 degree plus this tolerance below the table, where the arm cannot be
+    ELEVATION_STEP = 26  # elevation changed in one tick by more than the arm can turn
+    PITCH_STEP = 27  # pitch changed in one tick by more than the short arm can turn
+    TRAVEL_STEP = 28  # travel changed in one tick by more than the arm can turn
+    ELEVATION_REST = 29  # after landing, the arm rests without lift at another elevation than before take-off
+    ELEVATION_SIGN = 33  # at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong
+    PITCH_SIGN = 34  # pitch turned against the difference of the voltages: the sign of the pitch encoder is wrong, the motors are exchanged, or one pushes down
+    TRAVEL_SIGN = 35  # travel turned against the tilt: the sign of the travel encoder is wrong
     WATCHDOG = 30  # the watchdog reset the board, because control tick or idle loop hung
     HARD_FAULT = 31  # the processor faulted; bridges were switched off and the board reset
     UNEXPECTED_INTERRUPT = 32  # an interrupt without a handler; bridges were switched off and the board reset
@@ -323,15 +334,15 @@ class Param(IntEnum):
     ELEVATION_ACCELERATION_DEG_S2 = 37  # deg/s2: fastest change of the elevation setpoint's rate, which makes a step a smooth ramp
     TRAVEL_ACCELERATION_DEG_S2 = 38  # deg/s2: fastest change of the travel setpoint's rate; travel can only accelerate by tilting
     BUMPLESS_S = 39  # s: time constant of the smooth change between modes
-    ELEVATION_MAX_DEG = 40  # deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
+    ELEVATION_MAX_DEG = 40  # deg: elevation above which the board lands without the encoder; setpoints are refused from 2 degrees below it
     PITCH_MAX_DEG = 41  # deg: pitch beyond which the motors are cut
     TRAVEL_MAX_DEG = 42  # deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
-    ELEVATION_RATE_MAX_DEG_S = 43  # deg/s: elevation rate beyond which the motors are cut
+    ELEVATION_RATE_MAX_DEG_S = 43  # deg/s: elevation rate beyond which the board lands without the encoder
     PITCH_RATE_MAX_DEG_S = 44  # deg/s: pitch rate beyond which the motors are cut
     TRAVEL_RATE_MAX_DEG_S = 45  # deg/s: travel rate beyond which the motors are cut
     ENCODER_ILLEGAL_MAX = 46  # : illegal transitions of one encoder since arming that are tolerated
     OVERRUN_MAX = 47  # : late ticks since arming that are tolerated
-    ELEVATION_FOLLOWING_MAX_DEG = 48  # deg: following error of elevation, from its shaped setpoint, beyond which the motors are cut after following_s
+    ELEVATION_FOLLOWING_MAX_DEG = 48  # deg: following error of elevation, from its shaped setpoint, beyond which the board lands without the encoder after following_s
     PITCH_FOLLOWING_MAX_DEG = 49  # deg: following error of pitch beyond which the motors are cut after following_s
     TRAVEL_FOLLOWING_MAX_DEG = 50  # deg: following error of travel, from its shaped setpoint, beyond which the board lands after following_s
     FOLLOWING_S = 51  # s: how long a following error beyond its limit is tolerated
@@ -352,7 +363,7 @@ class Param(IntEnum):
     SETPOINT_HOLD_S = 66  # s: time without a recent setpoint after which the board holds level
     SETPOINT_LAND_S = 67  # s: time without a recent setpoint after which the board lands
     LANDING_RATE_DEG_S = 68  # deg/s: descent of the elevation setpoint while landing
-    LANDING_TIMEOUT_S = 69  # s: longest landing; then the motors are switched off with a fault
+    LANDING_TIMEOUT_S = 69  # s: longest landing; then the motors are switched off with a fault. Also the duration of a landing without the elevation encoder
     VOLTAGE_VALID_MAX_MS = 70  # ms: longest time that a streamed voltage acts
     EXCITATION_MAX_V = 71  # V: largest amplitude that excite accepts
     EXCITATION_MAX_S = 72  # s: longest duration that excite accepts
@@ -543,15 +554,15 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(37, "elevation_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 29.0, False, False, False, 25307, "fastest change of the elevation setpoint's rate, which makes a step a smooth ramp"),
     ParamSpec(38, "travel_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 4.5, False, False, False, 54873, "fastest change of the travel setpoint's rate; travel can only accelerate by tilting"),
     ParamSpec(39, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, 5611, "time constant of the smooth change between modes"),
-    ParamSpec(40, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, 57010, "elevation above which the motors are cut; setpoints are refused from 2 degrees below it"),
+    ParamSpec(40, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, 57010, "elevation above which the board lands without the encoder; setpoints are refused from 2 degrees below it"),
     ParamSpec(41, "pitch_max_deg", "deg", 5.0, 80.0, 45.0, False, False, True, 32123, "pitch beyond which the motors are cut"),
     ParamSpec(42, "travel_max_deg", "deg", 10.0, 3600.0, 175.0, False, False, True, 23820, "travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it"),
-    ParamSpec(43, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, 38917, "elevation rate beyond which the motors are cut"),
+    ParamSpec(43, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, 38917, "elevation rate beyond which the board lands without the encoder"),
     ParamSpec(44, "pitch_rate_max_deg_s", "deg/s", 10.0, 2000.0, 400.0, False, False, True, 64419, "pitch rate beyond which the motors are cut"),
     ParamSpec(45, "travel_rate_max_deg_s", "deg/s", 10.0, 1000.0, 150.0, False, False, True, 42965, "travel rate beyond which the motors are cut"),
     ParamSpec(46, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, 7961, "illegal transitions of one encoder since arming that are tolerated"),
     ParamSpec(47, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, 61050, "late ticks since arming that are tolerated"),
-    ParamSpec(48, "elevation_following_max_deg", "deg", 1.0, 180.0, 15.0, False, False, True, 7603, "following error of elevation, from its shaped setpoint, beyond which the motors are cut after following_s"),
+    ParamSpec(48, "elevation_following_max_deg", "deg", 1.0, 180.0, 15.0, False, False, True, 7603, "following error of elevation, from its shaped setpoint, beyond which the board lands without the encoder after following_s"),
     ParamSpec(49, "pitch_following_max_deg", "deg", 1.0, 180.0, 20.0, False, False, True, 321, "following error of pitch beyond which the motors are cut after following_s"),
     ParamSpec(50, "travel_following_max_deg", "deg", 1.0, 3600.0, 30.0, False, False, True, 63735, "following error of travel, from its shaped setpoint, beyond which the board lands after following_s"),
     ParamSpec(51, "following_s", "s", 0.1, 10.0, 1.0, False, False, True, 14065, "how long a following error beyond its limit is tolerated"),
@@ -572,7 +583,7 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(66, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, 62867, "time without a recent setpoint after which the board holds level"),
     ParamSpec(67, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, 30307, "time without a recent setpoint after which the board lands"),
     ParamSpec(68, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, 47532, "descent of the elevation setpoint while landing"),
-    ParamSpec(69, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, 4700, "longest landing; then the motors are switched off with a fault"),
+    ParamSpec(69, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, 4700, "longest landing; then the motors are switched off with a fault. Also the duration of a landing without the elevation encoder"),
     ParamSpec(70, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, 46174, "longest time that a streamed voltage acts"),
     ParamSpec(71, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, 50530, "largest amplitude that excite accepts"),
     ParamSpec(72, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, 26314, "longest duration that excite accepts"),
@@ -581,30 +592,38 @@ PARAMS: tuple[ParamSpec, ...] = (
 )
 
 FAULTS: tuple[FaultSpec, ...] = (
-    FaultSpec(1, "elevation_limit", "trip", "elevation_max_deg", "elevation above its limit", "lower the setpoint, or check the gains and the elevation encoder's sign"),
+    FaultSpec(1, "elevation_limit", "land", "elevation_max_deg", "elevation above its limit", "lower the setpoint, or check the gains and the elevation encoder"),
     FaultSpec(2, "pitch_limit", "trip", "pitch_max_deg", "pitch beyond its limit", "check the gains, the motor order and the pitch encoder's sign"),
     FaultSpec(3, "travel_limit", "trip", "travel_max_deg", "travel beyond its limit, so that the cables wind up", "bring the arm back by hand and zero it"),
-    FaultSpec(4, "elevation_rate", "trip", "elevation_rate_max_deg_s", "elevation moved faster than its limit", "check the gains and the elevation encoder"),
+    FaultSpec(4, "elevation_rate", "land", "elevation_rate_max_deg_s", "elevation moved faster than its limit", "check the gains and the elevation encoder"),
     FaultSpec(5, "pitch_rate", "trip", "pitch_rate_max_deg_s", "pitch moved faster than its limit", "check the gains and the pitch encoder"),
     FaultSpec(6, "travel_rate", "trip", "travel_rate_max_deg_s", "travel moved faster than its limit", "check the gains and the travel encoder"),
-    FaultSpec(7, "encoder_elevation", "trip", "encoder_illegal_max", "too many illegal transitions of the elevation encoder", "check its wiring and pull-ups"),
-    FaultSpec(8, "encoder_pitch", "trip", "encoder_illegal_max", "too many illegal transitions of the pitch encoder", "check its wiring and pull-ups"),
-    FaultSpec(9, "encoder_travel", "trip", "encoder_illegal_max", "too many illegal transitions of the travel encoder", "check its wiring and pull-ups"),
-    FaultSpec(10, "landing_timeout", "trip", "landing_timeout_s", "the arm did not reach the table in time", "check that nothing holds the arm; hover_V may be too high"),
+    FaultSpec(7, "encoder_elevation", "land", "encoder_illegal_max", "too many illegal transitions of the elevation encoder", "check its wiring and pull-ups"),
+    FaultSpec(8, "encoder_pitch", "land", "encoder_illegal_max", "too many illegal transitions of the pitch encoder", "check its wiring and pull-ups"),
+    FaultSpec(9, "encoder_travel", "land", "encoder_illegal_max", "too many illegal transitions of the travel encoder", "check its wiring and pull-ups"),
+    FaultSpec(10, "landing_timeout", "trip", "landing_timeout_s", "the arm did not reach the table in time", "check that nothing holds the arm, and that its weight brings it down without voltage"),
     FaultSpec(11, "tick_overrun", "trip", "overrun_max", "too many control ticks ran late", "report it with the log: the firmware missed its deadline"),
     FaultSpec(12, "hardware_stop", "trip", None, "the hardware stop input is active", "release the stop, then clear the fault"),
-    FaultSpec(13, "elevation_following", "trip", "elevation_following_max_deg", "elevation stayed too far from its setpoint for following_s", "check thrust, hover_V and the elevation encoder; tune the gains for this rig"),
+    FaultSpec(13, "elevation_following", "land", "elevation_following_max_deg", "elevation stayed too far from its setpoint for following_s", "check thrust, hover_V and the elevation encoder; tune the gains for this rig"),
     FaultSpec(14, "pitch_following", "trip", "pitch_following_max_deg", "pitch stayed too far from its setpoint for following_s", "check that both rotors push, then the gains and the pitch encoder"),
     FaultSpec(15, "travel_following", "land", "travel_following_max_deg", "travel stayed too far from its setpoint for following_s", "check what holds or drives the arm round, the gains and the travel encoder"),
     FaultSpec(16, "encoder_overload", "trip", None, "encoder edges came faster than the board can count, so the angle is wrong", "look for noise on its lines, a missing ground or pull-up; then zero the axis"),
-    FaultSpec(17, "elevation_motionless", "trip", "elevation_motion_V", "the sum of both voltages changed enough to move the arm, but the elevation encoder did not count", "check the elevation encoder's plug, the motors' supply and enable lines; a heavier rig needs its own hover_V (tune)"),
-    FaultSpec(18, "pitch_motionless", "trip", "pitch_motion_V", "the difference of the voltages changed enough to tilt the short arm, but the pitch encoder did not count", "check the pitch encoder's plug, then that both rotors push"),
+    FaultSpec(17, "elevation_motionless", "land", "elevation_motion_V", "the sum of both voltages changed enough to move the arm, but the elevation encoder did not count", "check the elevation encoder's plug, the motors' supply and enable lines; a heavier rig needs its own hover_V (tune)"),
+    FaultSpec(18, "pitch_motionless", "land", "pitch_motion_V", "the difference of the voltages changed enough to tilt the short arm, but the pitch encoder did not count", "check the pitch encoder's plug, then that both rotors push"),
     FaultSpec(19, "travel_motionless", "land", "travel_motion_deg", "pitch tilted long enough to turn the arm, but the travel encoder did not count; value: predicted travel in deg", "check the travel encoder's plug, then what holds the arm"),
     FaultSpec(20, "not_at_rest", "check", "arm_elevation_tolerance_deg", "the arm does not rest on the table", "let it rest on the table and zero it"),
     FaultSpec(21, "moving", "check", "arm_rate_max_deg_s", "an axis is moving", "wait until everything is still"),
     FaultSpec(22, "link_not_alive", "check", "setpoint_hold_s", "no recent frame from the host", "keep the session open while arming"),
     FaultSpec(23, "parameters_invalid", "check", None, "the stored parameters are damaged or contradict each other", "restore or set them, then params save"),
     FaultSpec(24, "pitch_not_level", "check", "arm_pitch_tolerance_deg", "the short arm is not level", "level it, or zero it while level"),
+    FaultSpec(25, "elevation_below_table", "land", "arm_elevation_tolerance_deg", "elevation read more than 1 degree plus this tolerance below the table, where the arm cannot be", "check the elevation encoder's plug; then let the arm rest on the table and zero it"),
+    FaultSpec(26, "elevation_step", "land", "elevation_rate_max_deg_s", "elevation changed in one tick by more than the arm can turn", "check the elevation encoder's plug and cable; then let the arm rest on the table and zero it"),
+    FaultSpec(27, "pitch_step", "land", "pitch_rate_max_deg_s", "pitch changed in one tick by more than the short arm can turn", "check the pitch encoder's plug and cable; then level the short arm and zero it"),
+    FaultSpec(28, "travel_step", "land", "travel_rate_max_deg_s", "travel changed in one tick by more than the arm can turn", "check the travel encoder's plug and cable; then zero it"),
+    FaultSpec(29, "elevation_rest", "trip", "elevation_rest_deg", "after landing, the arm rests without lift at another elevation than before take-off", "check the elevation encoder's plug; if the arm floats without voltage, shift its counterweight; then let it rest on the table and zero it"),
+    FaultSpec(33, "elevation_sign", "trip", None, "at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong", "reverse the sign of elevation_counts_per_rev, or swap the encoder's lines A and B"),
+    FaultSpec(34, "pitch_sign", "land", "pitch_motion_V", "pitch turned against the difference of the voltages: the sign of the pitch encoder is wrong, the motors are exchanged, or one pushes down", "tilt the short arm by hand: pitch must be positive with the front rotor up; then try each motor alone with heli-host motors"),
+    FaultSpec(35, "travel_sign", "land", "travel_motion_deg", "travel turned against the tilt: the sign of the travel encoder is wrong", "reverse the sign of travel_counts_per_rev, or swap the encoder's lines A and B"),
     FaultSpec(30, "watchdog", "boot", None, "the watchdog reset the board, because control tick or idle loop hung", "report it with the log"),
     FaultSpec(31, "hard_fault", "boot", None, "the processor faulted; bridges were switched off and the board reset", "report it with the log"),
     FaultSpec(32, "unexpected_interrupt", "boot", None, "an interrupt without a handler; bridges were switched off and the board reset", "report it with the log"),

@@ -6,11 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
 
+from heli_host.declaration import SETPOINT_MARGIN_DEG
 from heli_host.errors import SetpointError
-
-# The board keeps these distances between setpoints and the limits that cut the motors.
-_ELEVATION_MARGIN_DEG = 2.0
-_TRAVEL_MARGIN_DEG = 5.0
 
 
 @dataclass(frozen=True)
@@ -33,15 +30,17 @@ class Bounds:
 
 def setpoint_bounds(parameters: Mapping[str, float]) -> dict[str, Bounds]:
     """Return what the board takes, by its `parameters`."""
+    margin_deg = SETPOINT_MARGIN_DEG
+    inside_deg = {name: parameters[name] - margin_deg[name] for name in margin_deg}
+    inside_name = {name: f"{name} - {margin_deg[name]:g}" for name in margin_deg}
     pitch_deg = parameters["pitch_setpoint_max_deg"]
-    travel_deg = parameters["travel_max_deg"] - _TRAVEL_MARGIN_DEG
-    travel_name = f"travel_max_deg - {_TRAVEL_MARGIN_DEG:g}"
+    travel_deg, travel_name = inside_deg["travel_max_deg"], inside_name["travel_max_deg"]
     return {
         "elevation": Bounds(
-            parameters["elevation_rest_deg"],
-            parameters["elevation_max_deg"] - _ELEVATION_MARGIN_DEG,
-            "elevation_rest_deg",
-            f"elevation_max_deg - {_ELEVATION_MARGIN_DEG:g}",
+            inside_deg["elevation_rest_deg"],
+            inside_deg["elevation_max_deg"],
+            inside_name["elevation_rest_deg"],
+            inside_name["elevation_max_deg"],
         ),
         "pitch": Bounds(-pitch_deg, pitch_deg, "-pitch_setpoint_max_deg", "pitch_setpoint_max_deg"),
         "travel": Bounds(-travel_deg, travel_deg, f"-({travel_name})", travel_name),

@@ -2,6 +2,8 @@
 // limits.hpp. The checks run in the tick, limits_of() in the idle loop.
 #include "flight/limits.hpp"
 
+#include <utility>
+
 #include "control/math.hpp"
 
 namespace heli::flight {
@@ -20,8 +22,22 @@ constexpr Fault kAngleFault[kAxisCount] = {Fault::elevation_limit, Fault::pitch_
                                            Fault::travel_limit};
 constexpr Fault kRateFault[kAxisCount] = {Fault::elevation_rate, Fault::pitch_rate,
                                           Fault::travel_rate};
+constexpr Fault kStepFault[kAxisCount] = {Fault::elevation_step, Fault::pitch_step,
+                                          Fault::travel_step};
 constexpr Fault kEncoderFault[kAxisCount] = {Fault::encoder_elevation, Fault::encoder_pitch,
                                              Fault::encoder_travel};
+
+// An elevation this far below the tolerance of arming is not that of an arm on a soft table.
+constexpr float kTable_deg = 1.0F;
+// Until elevation has risen by this since arming, the board does not know that its sign is right.
+constexpr Quantity kLiftOff_rad = Quantity::of(1.0F * kRadPerDeg);
+// An arm that lies on its table sinks by less than this when the rotors start. With twice as much,
+// a wrong sign raises the voltage beyond that of a hover before it is noticed.
+constexpr Quantity kWrongWay_rad = Quantity::of(0.25F * kRadPerDeg);
+// A reading may change in a tick by twice the highest rate, because a tick may be late, and by an
+// edge at either end.
+constexpr float kStepRates = 2.0F;
+constexpr std::int32_t kStepEdges_counts = 2;
 
 }  // namespace
 
@@ -34,6 +50,21 @@ Limits limits_of(const params::Params& params) {
   limits.rate_max_rad_s[kElevation] = rad(Param::elevation_rate_max_deg_s);
   limits.rate_max_rad_s[kPitch] = rad(Param::pitch_rate_max_deg_s);
   limits.rate_max_rad_s[kTravel] = rad(Param::travel_rate_max_deg_s);
+  const std::pair<Param, Param> of_rate[kAxisCount] = {
+      {Param::elevation_rate_max_deg_s, Param::elevation_counts_per_rev},
+      {Param::pitch_rate_max_deg_s, Param::pitch_counts_per_rev},
+      {Param::travel_rate_max_deg_s, Param::travel_counts_per_rev}};
+  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
+    const auto [rate, counts] = of_rate[axis];
+    const float counts_per_tick = params.get(rate) * control::kTick_s *
+                                  control::magnitude(params.get(counts)) * (1.0F / 360.0F);
+    limits.step_max_counts[axis] =
+        control::nearest(kStepRates * counts_per_tick) + kStepEdges_counts;
+  }
+  limits.below_table_rad =
+      Quantity::of((params.get(Param::elevation_rest_deg) -
+                    params.get(Param::arm_elevation_tolerance_deg) - kTable_deg) *
+                   kRadPerDeg);
   limits.encoder_illegal_max = static_cast<std::uint32_t>(params.get(Param::encoder_illegal_max));
   limits.overrun_max = static_cast<std::uint32_t>(params.get(Param::overrun_max));
   limits.arm_rate_max_rad_s = rad(Param::arm_rate_max_deg_s);
@@ -47,13 +78,20 @@ Limits limits_of(const params::Params& params) {
       static_cast<std::uint32_t>(params.get(Param::voltage_valid_max_ms));
   limits.excitation_max_V = params.get(Param::excitation_max_V);
   limits.excitation_max_s = params.get(Param::excitation_max_s);
+  limits.hover_motor_V =
+      Quantity::of(0.5F * params.get(Param::hover_V) + params.get(Param::dead_zone_V));
   limits.motor_min_V = params.get(Param::motor_min_V);
   limits.motor_max_V = params.get(Param::motor_max_V);
   limits.params_consistent = params.consistent();
   return limits;
 }
 
-Verdict check_flight(const Observation& observation, const AtArming& before, const Limits& limits) {
+bool has_lifted_off(const Observation& observation, const AtArming& before) {
+  return observation.angle_rad[kElevation] > before.elevation_rad + kLiftOff_rad;
+}
+
+Verdict check_flight(const Observation& observation, const AtArming& before, const Limits& limits,
+                     std::uint8_t trusted, bool flies) {
   if (observation.hardware_stop) {
     return {Fault::hardware_stop, 0.0F};
   }
@@ -61,8 +99,28 @@ Verdict check_flight(const Observation& observation, const AtArming& before, con
   if (observation.overload_edges > 0U) {
     return {Fault::encoder_overload, static_cast<float>(observation.overload_edges)};
   }
+  const Quantity elevation_rad = observation.angle_rad[kElevation];
+  if (flies && (trusted & link::axes::elevation) != 0U) {
+    const Quantity lowest_rad =
+        before.elevation_rad < limits.rest_rad ? before.elevation_rad : limits.rest_rad;
+    if (!before.lifted_off && elevation_rad < lowest_rad - kWrongWay_rad) {
+      return {Fault::elevation_sign, deg(elevation_rad)};
+    }
+    if (elevation_rad < limits.below_table_rad) {
+      return {Fault::elevation_below_table, deg(elevation_rad)};
+    }
+  }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    // Elevation has no lower limit: the table stops the arm.
+    if ((trusted & (1U << axis)) == 0U) {
+      continue;
+    }
+    // A step exceeds the other limits too.
+    const std::int32_t moved_counts = observation.moved_counts[axis];
+    if (moved_counts > limits.step_max_counts[axis] ||
+        moved_counts < -limits.step_max_counts[axis]) {
+      return {kStepFault[axis], static_cast<float>(moved_counts)};
+    }
+    // The lower limit of elevation is the table.
     const Quantity angle_rad =
         axis == kElevation ? observation.angle_rad[axis] : magnitude(observation.angle_rad[axis]);
     if (angle_rad > limits.angle_max_rad[axis]) {

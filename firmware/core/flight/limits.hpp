@@ -14,6 +14,8 @@ namespace heli::flight {
 // Derived from the parameters in the idle loop.
 struct Limits {
   Quantity angle_max_rad[kAxisCount];
+  Quantity below_table_rad;  // elevation beyond which the reading is wrong: the table is above
+  std::int32_t step_max_counts[kAxisCount] = {};  // in a tick
   Quantity rate_max_rad_s[kAxisCount];
   std::uint32_t encoder_illegal_max = 0;
   std::uint32_t overrun_max = 0;
@@ -27,6 +29,7 @@ struct Limits {
   std::uint32_t voltage_valid_max_ticks = 0;
   float excitation_max_V = 0.0F;
   float excitation_max_s = 0.0F;
+  Quantity hover_motor_V;  // of one motor, in a hover
   float motor_min_V = 0.0F;
   float motor_max_V = 0.0F;
   bool params_consistent = false;
@@ -34,10 +37,13 @@ struct Limits {
 
 Limits limits_of(const params::Params& params);
 
-// Counters since power-up, as they stood at arming.
+// What the checks in flight compare with: the counters since power-up and the elevation, as they
+// were at arming.
 struct AtArming {
   std::uint32_t illegal[kAxisCount] = {};
   std::uint32_t overruns = 0;
+  Quantity elevation_rad;
+  bool lifted_off = false;  // elevation has risen since
 };
 
 struct Verdict {
@@ -45,8 +51,41 @@ struct Verdict {
   float value;        // the offending quantity, in degrees, deg/s or a count
 };
 
-// Returns the first limit that is exceeded.
-Verdict check_flight(const Observation& observation, const AtArming& before, const Limits& limits);
+// Whether elevation has risen from the table since arming, in the direction of the rotors' lift.
+bool has_lifted_off(const Observation& observation, const AtArming& before);
+
+// Returns the first limit that is exceeded by an axis of `trusted` (link::axes bits), whose reading
+// no fault has shown to be wrong. `flies`: no person holds the arm.
+Verdict check_flight(const Observation& observation, const AtArming& before, const Limits& limits,
+                     std::uint8_t trusted, bool flies);
+
+// The axis (link::axes bits) whose reading a fault has shown to be wrong, so that the arm can land
+// without it; none if the fault concerns the whole arm.
+constexpr std::uint8_t axis_lost_by(link::Fault fault) {
+  switch (fault) {
+    case link::Fault::elevation_limit:
+    case link::Fault::elevation_rate:
+    case link::Fault::encoder_elevation:
+    case link::Fault::elevation_following:
+    case link::Fault::elevation_motionless:
+    case link::Fault::elevation_below_table:
+    case link::Fault::elevation_step:
+      return link::axes::elevation;
+    case link::Fault::encoder_pitch:
+    case link::Fault::pitch_motionless:
+    case link::Fault::pitch_sign:
+    case link::Fault::pitch_step:
+      return link::axes::pitch;
+    case link::Fault::encoder_travel:
+    case link::Fault::travel_following:
+    case link::Fault::travel_motionless:
+    case link::Fault::travel_step:
+    case link::Fault::travel_sign:
+      return link::axes::travel;
+    default:
+      return 0;
+  }
+}
 
 // Returns the first reason not to arm.
 Verdict check_before_arming(const Observation& observation, const Limits& limits);

@@ -21,12 +21,6 @@ using link::Param;
 
 namespace {
 
-// Room between the highest setpoint and the trip limit, for overshoot.
-constexpr float kElevationMargin_rad = 2.0F * kRadPerDeg;
-constexpr float kTravelMargin_rad = 5.0F * kRadPerDeg;
-// The rest angle is known to about one count only; a setpoint slightly below it is harmless.
-constexpr float kRestMargin_rad = 1.0F * kRadPerDeg;
-
 // Near the path, the setpoint covers this share of the remaining distance per tick (10/s).
 constexpr float kCloseIn = 0.01F;
 constexpr Step kCloseInShare = Step::of(kCloseIn);
@@ -82,7 +76,7 @@ Step approach(FineAngle from, FineAngle goal, Step step_change_max_rad, Quantity
 
 SetpointLimits setpoint_limits_of(const params::Params& params) {
   const auto rad = [&params](Param p) { return params.get(p) * kRadPerDeg; };
-  const float travel_rad = rad(Param::travel_max_deg) - kTravelMargin_rad;
+  const float travel_rad = rad(Param::travel_max_deg) - link::kTravelMaxMargin_deg * kRadPerDeg;
   const Quantity pitch_rad = Quantity::of(rad(Param::pitch_setpoint_max_deg));
   SetpointLimits limits{};
   limits.step_max_rad[kElevation] = Step::of(rad(Param::elevation_slew_deg_s) * kTick_s);
@@ -95,8 +89,10 @@ SetpointLimits setpoint_limits_of(const params::Params& params) {
   };
   set_acceleration(kElevation, Param::elevation_acceleration_deg_s2);
   set_acceleration(kTravel, Param::travel_acceleration_deg_s2);
-  limits.min_rad[kElevation] = Quantity::of(rad(Param::elevation_rest_deg) - kRestMargin_rad);
-  limits.max_rad[kElevation] = Quantity::of(rad(Param::elevation_max_deg) - kElevationMargin_rad);
+  limits.min_rad[kElevation] =
+      Quantity::of(rad(Param::elevation_rest_deg) - link::kElevationRestMargin_deg * kRadPerDeg);
+  limits.max_rad[kElevation] =
+      Quantity::of(rad(Param::elevation_max_deg) - link::kElevationMaxMargin_deg * kRadPerDeg);
   limits.min_rad[kPitch] = -pitch_rad;
   limits.max_rad[kPitch] = pitch_rad;
   limits.min_rad[kTravel] = Quantity::of(-travel_rad);

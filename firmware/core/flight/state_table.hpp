@@ -4,7 +4,7 @@
 //                       --open_loop---> open_loop   --stale_hold--> idle  (a bench, no flight)
 //                       --stream------> streamed    --stale_hold--> hold
 //   landing --touchdown--> idle; with motors: stop --> idle, trip --> fault --clear--> idle
-//   in the air --travel_lost--> emergency_landing --touchdown--> fault
+//   in the air --axis_lost--> emergency_landing --touchdown--> fault
 #pragma once
 
 #include <array>
@@ -44,7 +44,7 @@ inline constexpr Transition kTransitions[] = {
     {State::closed_loop, Trigger::land, State::landing},
     {State::closed_loop, Trigger::stale_hold, State::hold},
     {State::closed_loop, Trigger::trip, State::fault},
-    {State::closed_loop, Trigger::travel_lost, State::emergency_landing},
+    {State::closed_loop, Trigger::axis_lost, State::emergency_landing},
 
     {State::open_loop, Trigger::stop, State::idle},
     {State::open_loop, Trigger::close_loop, State::closed_loop},
@@ -61,7 +61,7 @@ inline constexpr Transition kTransitions[] = {
     {State::streamed, Trigger::land, State::landing},
     {State::streamed, Trigger::stale_hold, State::hold},
     {State::streamed, Trigger::trip, State::fault},
-    {State::streamed, Trigger::travel_lost, State::emergency_landing},
+    {State::streamed, Trigger::axis_lost, State::emergency_landing},
 
     {State::hold, Trigger::stop, State::idle},
     {State::hold, Trigger::close_loop, State::closed_loop},
@@ -70,19 +70,20 @@ inline constexpr Transition kTransitions[] = {
     {State::hold, Trigger::setpoint_fresh, State::closed_loop},
     {State::hold, Trigger::stale_land, State::landing},
     {State::hold, Trigger::trip, State::fault},
-    {State::hold, Trigger::travel_lost, State::emergency_landing},
+    {State::hold, Trigger::axis_lost, State::emergency_landing},
 
     {State::landing, Trigger::stop, State::idle},
     {State::landing, Trigger::close_loop, State::closed_loop},
     {State::landing, Trigger::land, State::landing},
     {State::landing, Trigger::touchdown, State::idle},
     {State::landing, Trigger::trip, State::fault},
-    {State::landing, Trigger::travel_lost, State::emergency_landing},
+    {State::landing, Trigger::axis_lost, State::emergency_landing},
 
     {State::emergency_landing, Trigger::stop, State::idle},
     {State::emergency_landing, Trigger::land, State::emergency_landing},
     {State::emergency_landing, Trigger::touchdown, State::fault},
     {State::emergency_landing, Trigger::trip, State::fault},
+    {State::emergency_landing, Trigger::axis_lost, State::emergency_landing},
 
     {State::fault, Trigger::stop, State::fault},
     {State::fault, Trigger::trip, State::fault},

@@ -8,6 +8,7 @@
 
 namespace heli::flight {
 
+using control::kDegPerRad;
 using control::kRadPerDeg;
 using control::magnitude;
 using link::Event;
@@ -26,6 +27,13 @@ constexpr Quantity kBelowRest_rad = Quantity::of(5.0F * kRadPerDeg);
 constexpr Quantity kTouchdown_rad = Quantity::of(1.5F * kRadPerDeg);
 constexpr Quantity kTouchdown_rad_s = Quantity::of(5.0F * kRadPerDeg);
 constexpr std::uint32_t kTouchdown_ticks = 300;
+// It rests elsewhere when it stays this slow for 1 s without lift. Faster, an arm that sinks slowly
+// would seem to rest.
+constexpr Quantity kHang_rad_s = Quantity::of(1.0F * kRadPerDeg);
+constexpr std::uint32_t kHang_ticks = 1000;
+// A landing arm that is this far above its sinking setpoint does not sink: the voltage that holds
+// its tilt lifts it. An arm that sinks stays within 1 degree.
+constexpr Quantity kLags_rad = Quantity::of(3.0F * kRadPerDeg);
 
 // A host that streams invalid values gets at most one event in this time.
 constexpr std::uint32_t kRejectEvery_ticks = 500;
@@ -67,7 +75,10 @@ std::uint8_t Supervisor::axes() const {
     case State::landing:
       return kAllAxes;
     case State::emergency_landing:
-      return link::axes::elevation | link::axes::pitch;
+      return blind_descent_idles_
+                 ? std::uint8_t{0}
+                 : static_cast<std::uint8_t>(trusted_axes_ &
+                                             (link::axes::elevation | link::axes::pitch));
     default:
       return 0;
   }
@@ -120,6 +131,8 @@ void Supervisor::enter(State next, Trigger cause) {
     setpoints_.hold_at(kPitch, Quantity{});
     landing_holds_pitch_level_ = tracking_.is_probing();
     rest_ticks_ = 0;
+    hang_ticks_ = 0;
+    blind_descent_idles_ = false;
   }
   // Only a fault and an emergency landing keep the fault's number.
   if (next == State::fault) {
@@ -144,9 +157,29 @@ void Supervisor::end_excitation() {
   }
 }
 
-void Supervisor::trip(Fault fault, float value, Trigger cause) {
+// A fault ends the flight: by a landing without the axis whose reading it has shown to be wrong, or
+// by cutting the motors. On the table and on a bench, nothing can fall.
+void Supervisor::trip(Fault fault, float value) {
+  const std::uint8_t lost_axis = axis_lost_by(fault);
+  // An arm that has not counted may have lifted off all the same.
+  const bool flies = at_arming_.lifted_off || fault == Fault::elevation_motionless;
+  const bool can_land =
+      lost_axis != 0U && flies && next_state(state_, Trigger::axis_lost) != kRefused;
+  const Trigger cause = can_land ? Trigger::axis_lost : Trigger::trip;
+  const bool is_first = state_ != State::emergency_landing;
+  if (can_land) {
+    trusted_axes_ = static_cast<std::uint8_t>(trusted_axes_ & ~lost_axis);
+  }
   trigger(cause);
-  fault_ = fault;
+  if (can_land) {
+    const std::uint32_t landing_ticks = observation_->tick - state_entered_tick_;
+    blind_descent_ = tracking_.blind_descent(
+        at_arming_.lifted_off, limits_->landing_timeout_ticks - landing_ticks, *tracking_limits_);
+  }
+  // The first fault is the reason of the landing.
+  if (is_first || !can_land) {
+    fault_ = fault;
+  }
   push_event(Event::fault, as_byte(fault), as_byte(cause), value);
 }
 
@@ -207,6 +240,9 @@ Reply Supervisor::arm() {
     at_arming_.illegal[axis] = observation_->illegal[axis];
   }
   at_arming_.overruns = observation_->overruns;
+  at_arming_.elevation_rad = observation_->angle_rad[kElevation];
+  at_arming_.lifted_off = false;
+  trusted_axes_ = kAllAxes;
   open_voltages_ = {};
   axes_ = 0;
   return reply_to_trigger(Trigger::arm);
@@ -344,7 +380,11 @@ void Supervisor::reject_stream(Result why) {
 }
 
 void Supervisor::check_limits() {
-  const Verdict verdict = check_flight(*observation_, at_arming_, *limits_);
+  at_arming_.lifted_off = at_arming_.lifted_off || has_lifted_off(*observation_, at_arming_);
+  const bool flies = state_ != State::open_loop && state_ != State::armed;
+  sinks_at_take_off_ = flies && !at_arming_.lifted_off &&
+                       observation_->angle_rad[kElevation] < at_arming_.elevation_rad;
+  const Verdict verdict = check_flight(*observation_, at_arming_, *limits_, trusted_axes_, flies);
   if (verdict.fault != Fault::none) {
     trip(verdict.fault, verdict.value);
   }
@@ -375,17 +415,14 @@ void Supervisor::check_tracking() {
     verdict = tracking_.probe_travel(input, *tracking_limits_);
     if (tracking_.probe_event() != link::Probe::none) {
       push_event(Event::travel_probe, as_byte(tracking_.probe_event()), 0,
-                 tracking_.probe().tilt_rad().to_float() * control::kDegPerRad);
+                 tracking_.probe().tilt_rad().to_float() * kDegPerRad);
     }
   } else {
     verdict = tracking_.check(input, *tracking_limits_);
   }
-  if (verdict.fault == Fault::none) {
-    return;
+  if (verdict.fault != Fault::none) {
+    trip(verdict.fault, verdict.value);
   }
-  const bool travel =
-      verdict.fault == Fault::travel_following || verdict.fault == Fault::travel_motionless;
-  trip(verdict.fault, verdict.value, travel ? Trigger::travel_lost : Trigger::trip);
 }
 
 // Ends or changes the flight when the host has been silent for too long. The bench states (armed,
@@ -425,12 +462,45 @@ void Supervisor::check_ages() {
   }
 }
 
-// True once the arm has been at rest on the table for kTouchdown_ticks; called once per tick.
-bool Supervisor::touched_down() {
-  const bool at_rest = observation_->angle_rad[kElevation] - limits_->rest_rad < kTouchdown_rad &&
-                       magnitude(observation_->rate_rad_s[kElevation]) < kTouchdown_rad_s;
-  rest_ticks_ = at_rest ? rest_ticks_ + 1U : 0U;
-  return rest_ticks_ >= kTouchdown_ticks;
+// One tick of a landing: the setpoint of elevation sinks until the arm rests. Without the elevation
+// encoder, the lift decreases until the time of a landing has passed.
+void Supervisor::descend() {
+  const std::uint32_t landing_ticks = observation_->tick - state_entered_tick_;
+  const std::uint32_t remaining_ticks = limits_->landing_timeout_ticks > landing_ticks
+                                            ? limits_->landing_timeout_ticks - landing_ticks
+                                            : 0U;
+  if (state_ == State::emergency_landing) {
+    open_voltages_ = blind_descent_.voltages(remaining_ticks, tracking_limits_->dead_zone);
+    if ((trusted_axes_ & link::axes::elevation) == 0U) {
+      blind_descent_idles_ = blind_descent_.idles(remaining_ticks);
+      if (remaining_ticks == 0U) {
+        trigger(Trigger::touchdown);
+      }
+      return;
+    }
+  }
+  setpoints_.descend(*setpoint_limits_, limits_->rest_rad - kBelowRest_rad);
+  const Quantity above_rest_rad = observation_->angle_rad[kElevation] - limits_->rest_rad;
+  const Quantity speed_rad_s = magnitude(observation_->rate_rad_s[kElevation]);
+  const bool lags =
+      observation_->angle_rad[kElevation] - setpoints_.angle_rad(kElevation) > kLags_rad &&
+      above_rest_rad > kLags_rad;
+  landing_holds_pitch_level_ = landing_holds_pitch_level_ || lags;
+  holds_pitch_level_ =
+      landing_holds_pitch_level_ || landing_ticks > limits_->landing_timeout_ticks / 2U;
+
+  const bool on_table = magnitude(above_rest_rad) < kTouchdown_rad;
+  rest_ticks_ = on_table && speed_rad_s < kTouchdown_rad_s ? rest_ticks_ + 1U : 0U;
+  const bool hangs =
+      !on_table && speed_rad_s < kHang_rad_s && !Tracking::lifts(*observation_, *tracking_limits_);
+  hang_ticks_ = hangs ? hang_ticks_ + 1U : 0U;
+  if (rest_ticks_ >= kTouchdown_ticks) {
+    trigger(Trigger::touchdown);
+  } else if (hang_ticks_ >= kHang_ticks) {
+    trip(Fault::elevation_rest, observation_->angle_rad[kElevation].to_float() * kDegPerRad);
+  } else if (landing_ticks > limits_->landing_timeout_ticks) {
+    trip(Fault::landing_timeout, static_cast<float>(landing_ticks) * control::kTick_s);
+  }
 }
 
 void Supervisor::advance() {
@@ -455,15 +525,7 @@ void Supervisor::advance() {
       break;
     case State::landing:
     case State::emergency_landing:
-      setpoints_.descend(*setpoint_limits_, limits_->rest_rad - kBelowRest_rad);
-      holds_pitch_level_ = landing_holds_pitch_level_ || observation_->tick - state_entered_tick_ >
-                                                             limits_->landing_timeout_ticks / 2U;
-      if (touched_down()) {
-        trigger(Trigger::touchdown);
-      } else if (observation_->tick - state_entered_tick_ > limits_->landing_timeout_ticks) {
-        trip(Fault::landing_timeout,
-             static_cast<float>(observation_->tick - state_entered_tick_) * control::kTick_s);
-      }
+      descend();
       break;
     default:
       setpoints_.start_at(observation_->angle_rad);

@@ -44,6 +44,11 @@ class Supervisor {
   void continue_from(std::size_t axis, Quantity angle_rad) {
     setpoints_.continue_from(axis, angle_rad);
   }
+  // The highest motor voltage. While elevation sinks at take-off, it is that of a hover, because
+  // its loop would add thrust until the wrong sign is certain.
+  Quantity motor_max_V() const {
+    return sinks_at_take_off_ ? limits_->hover_motor_V : Quantity::from_raw(INT32_MAX);
+  }
   // Travel's loop waits, and pitch follows waiting_pitch_rad(), in three cases: a probing tilt
   // tests travel's encoder; such a tilt had no result when the landing began; or a landing has used
   // half of its time. The last because holding a tilt takes so much voltage that the arm may not
@@ -70,14 +75,14 @@ class Supervisor {
   bool trigger(Trigger cause);
   void enter(State next, Trigger cause);
   void end_excitation();
-  void trip(link::Fault fault, float value, Trigger cause = Trigger::trip);
+  void trip(link::Fault fault, float value);
+  void descend();
   void count_accepted();
   void reject_stream(link::Result why);
   void push_event(link::Event kind, std::uint8_t detail, std::uint8_t cause, float value);
   void check_limits();
   void check_tracking();
   void check_ages();
-  bool touched_down();
   link::Reply bad_state() const;
 
   link::Reply arm();
@@ -100,6 +105,7 @@ class Supervisor {
   link::Fault fault_ = link::Fault::none;
   Trigger cause_ = Trigger::start;
   std::uint8_t axes_ = 0;
+  std::uint8_t trusted_axes_ = 0;  // whose readings no fault has shown to be wrong since arming
   OpenVoltages open_voltages_{};
   bool host_setpoints_known_ = false;
   Quantity host_setpoint_rad_[kAxisCount];
@@ -109,6 +115,10 @@ class Supervisor {
   bool holds_pitch_level_ = false;          // now, in a landing
   bool landing_holds_pitch_level_ = false;  // during the whole landing
   std::uint32_t rest_ticks_ = 0;            // at rest on the table while landing
+  std::uint32_t hang_ticks_ = 0;            // at rest elsewhere, without lift
+  BlindDescent blind_descent_;              // without the elevation or the pitch encoder
+  bool sinks_at_take_off_ = false;          // elevation, against the rotors' lift
+  bool blind_descent_idles_ = false;        // its rotors only turn, without lift
   AtArming at_arming_{};
   std::uint32_t refused_streams_ = 0;
   std::uint32_t next_reject_event_tick_ = 0;

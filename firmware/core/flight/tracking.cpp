@@ -18,6 +18,8 @@ namespace {
 
 constexpr Fault kFollowing[kAxisCount] = {Fault::elevation_following, Fault::pitch_following,
                                           Fault::travel_following};
+// Elevation's sign is checked at take-off, by the table; see check_flight().
+constexpr Fault kSign[kAxisCount] = {Fault::none, Fault::pitch_sign, Fault::travel_sign};
 constexpr Fault kMotionless[kAxisCount] = {Fault::elevation_motionless, Fault::pitch_motionless,
                                            Fault::travel_motionless};
 
@@ -67,6 +69,16 @@ constexpr float kFrictionTilt = 0.5F;
 constexpr float kSteadyTilt = 0.15F;
 // Travel by which the tilt must have turned the arm: the play of an encoder, and two counts.
 constexpr float kAnswer_rad = 0.8F * kRadPerDeg;
+
+// A sign is judged by drives that must move the axis, after the rate's filter has settled, and for
+// so long that they change the rate by more than two counts do. On the paper's rig these are 24
+// degrees per second of pitch and 2.5 of travel. A torque on the axis must exceed 1.5 times the
+// drive to be taken for a wrong sign.
+constexpr float kSignSettles_s[kAxisCount] = {0.0F, 0.04F, 0.15F};
+constexpr float kSignTime_s[kAxisCount] = {0.0F, 0.2F, 0.6F};
+// Pitch this far against a drive that must move it: the rotors' difference, which may be a third of
+// the lift of a hover, turns it by 3 degrees. Travel is turned farther by cables.
+constexpr float kSignAngle_rad[kAxisCount] = {0.0F, 5.0F * kRadPerDeg, 100.0F};
 
 // Returns `to` minus `from` in counts; counters may wrap.
 std::int32_t count_difference(std::int32_t from, std::int32_t to) {
@@ -123,6 +135,17 @@ BalanceLimits balance_limits_of(const params::Params& params, std::size_t axis) 
   return limits;
 }
 
+SignLimits sign_limits_of(const params::Params& params, std::size_t axis) {
+  const float drive_unit = axis == kTravel ? kRadPerDeg : 1.0F;
+  const float drive_min = params.get(kAxisParams[axis].motion) * drive_unit;
+  SignLimits limits{};
+  limits.drive_min = Quantity::of(drive_min);
+  limits.impulse_min = Quantity::of(drive_min * kSignTime_s[axis] / Balance::kTime_s);
+  limits.settle_updates = updates_of(kSignSettles_s[axis]);
+  limits.angle_max_rad = Quantity::of(kSignAngle_rad[axis]);
+  return limits;
+}
+
 // The tilts are shares of travel_motion_deg, the tilt that must move travel.
 ProbeLimits probe_limits_of(const params::Params& params) {
   const float pitch_max_rad = params.get(Param::travel_motion_deg) * kRadPerDeg;
@@ -175,12 +198,16 @@ TrackingLimits tracking_limits_of(const params::Params& params) {
   limits.motion_updates = updates_of(params.get(Param::motion_s));
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     limits.balance[axis] = balance_limits_of(params, axis);
+    limits.sign[axis] = sign_limits_of(params, axis);
   }
   limits.probe = probe_limits_of(params);
   limits.dead_zone = control::DeadZone::of(params.get(Param::dead_zone_V));
   limits.table_rad = rad(Param::elevation_rest_deg) + kTable_rad;
   limits.tilt_rad = rad(Param::elevation_rest_deg) + kTilt_rad;
   limits.hover_V = Quantity::of(params.get(Param::hover_V));
+  limits.lift_max_V =
+      Quantity::of(params.get(Param::hover_V) +
+                   params.get(Param::hover_slope) * params.get(Param::elevation_max_deg));
   limits.lift_per_rad =
       Gain::of(params.get(Param::hover_slope) * kDegPerRad / params.get(Param::hover_V));
   limits.hover_V_per_rad = Gain::of(params.get(Param::hover_slope) * kDegPerRad);
@@ -242,7 +269,9 @@ Verdict Tracking::check(const TrackingInput& input, const TrackingLimits& limits
     const Quantity judged_drive = i == kElevation && on_table ? drive : magnitude(drive_change);
     // An axis that is driven in alternating directions need not move.
     const bool driven_up = drive_change > Quantity{};
-    axis.driven_updates = still && judged_drive > limits.drive_max[i] && driven_up == axis.driven_up
+    // On the table the arm must rise, not only press: the table may be soft.
+    const bool stays = still || (i == kElevation && on_table && driven);
+    axis.driven_updates = stays && judged_drive > limits.drive_max[i] && driven_up == axis.driven_up
                               ? axis.driven_updates + 1U
                               : 0U;
     axis.driven_up = driven_up;
@@ -256,6 +285,11 @@ Verdict Tracking::check(const TrackingInput& input, const TrackingLimits& limits
   const bool error_is_large = (input.closed & bit) != 0U && error_rad > limits.error_max_rad[i];
   axis.error_updates = error_is_large && was_started ? axis.error_updates + 1U : 0U;
 
+  if (i != kElevation && driven && (i == kPitch || rotors_lift) && !is_probing() &&
+      axis.sign.is_wrong(drive, limits.balance[i].speed_per_rad_s * observation.rate_rad_s[i],
+                         observation.angle_rad[i] - input.setpoint_rad[i], limits.sign[i])) {
+    return {kSign[i], drive.to_float() * (i == kTravel ? kDegPerRad : 1.0F)};
+  }
   if (axis.driven_updates > limits.motion_updates || is_motionless(i, input, limits)) {
     return {kMotionless[i],
             event_value(i, drive, axis.balance.expected_motion(), limits.balance[i])};
@@ -264,6 +298,24 @@ Verdict Tracking::check(const TrackingInput& input, const TrackingLimits& limits
     return {kFollowing[i], error_rad.to_float() * kDegPerRad};
   }
   return {Fault::none, 0.0F};
+}
+
+// The drive when elevation last counted held the last hover; an arm that has never counted was
+// lifted by the present one. It is not more than the highest elevation needs: an arm that runs away
+// upwards is driven by more.
+BlindDescent Tracking::blind_descent(bool lifted_off, std::uint32_t duration_ticks,
+                                     const TrackingLimits& limits) const {
+  const Axis& elevation = axes_[kElevation];
+  const Quantity drive_V = lifted_off ? elevation.drive : elevation.drive_average;
+  const Quantity lift_V = control::clamp(limits.hover_V + drive_V, Quantity{}, limits.lift_max_V);
+  return {lift_V, axes_[kPitch].drive, duration_ticks};
+}
+
+// An eighth of a hover carries no arm that comes down by its weight.
+bool Tracking::lifts(const Observation& observation, const TrackingLimits& limits) {
+  return lift_from_motor_V(observation.applied.front_V, limits.dead_zone) +
+             lift_from_motor_V(observation.applied.back_V, limits.dead_zone) >
+         limits.hover_V.shifted(3);
 }
 
 bool Tracking::is_motionless(std::size_t i, const TrackingInput& input,

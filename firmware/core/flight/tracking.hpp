@@ -10,9 +10,11 @@
 #include "control/fixed.hpp"
 #include "control/mixer.hpp"
 #include "flight/balance.hpp"
+#include "flight/blind_descent.hpp"
 #include "flight/limits.hpp"
 #include "flight/observation.hpp"
 #include "flight/probe.hpp"
+#include "flight/sign_check.hpp"
 #include "params/params.hpp"
 
 namespace heli::flight {
@@ -24,6 +26,7 @@ struct TrackingLimits {
   // (front minus back). Unused for travel.
   Quantity drive_max[kAxisCount];
   BalanceLimits balance[kAxisCount];
+  SignLimits sign[kAxisCount];  // unused for elevation: the table shows its sign
   ProbeLimits probe{};
   // An update of one axis takes place every kTrackingSlots ticks, 4 ms.
   std::uint32_t motion_updates = 0;     // for so long a driven axis may stay still
@@ -35,6 +38,7 @@ struct TrackingLimits {
   Gain hover_V_per_rad;  // change of the hover lift with elevation
   Gain pitch_V_per_rad;  // front minus back that holds a tilt, per rad of pitch
   Quantity hover_V;      // lift of both rotors that carries the level arm
+  Quantity lift_max_V;   // and that carries it at its highest elevation
 };
 
 TrackingLimits tracking_limits_of(const params::Params& params);
@@ -63,6 +67,12 @@ class Tracking {
   Verdict probe_travel(const TrackingInput& input, const TrackingLimits& limits);
   link::Probe probe_event() const { return probe_event_; }
   const Probe& probe() const { return probe_; }
+  // The descent from the last hover of which the encoders knew, within this time.
+  // `lifted_off`: elevation has counted in this flight.
+  BlindDescent blind_descent(bool lifted_off, std::uint32_t duration_ticks,
+                             const TrackingLimits& limits) const;
+  // Whether the voltages lift the arm noticeably.
+  static bool lifts(const Observation& observation, const TrackingLimits& limits);
   bool is_probing() const { return (started_ & kProbeStarted) != 0U && probe_.is_tilting(); }
 
  private:
@@ -74,6 +84,7 @@ class Tracking {
     std::uint32_t driven_updates = 0;  // consecutive updates driven but still
     std::uint32_t error_updates = 0;   // consecutive updates with a following error too large
     Balance balance;
+    SignCheck sign;
   };
 
   static constexpr std::uint8_t kProbeStarted = 1U << kAxisCount;

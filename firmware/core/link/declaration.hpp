@@ -9,10 +9,10 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0xcb47871cU;
+inline constexpr std::uint32_t kLinkHash = 0x56651d81U;
 inline constexpr std::uint32_t kParamsHash = 0xf6fef19eU;
 inline constexpr std::uint8_t kLinkMajor = 1;
-inline constexpr std::uint8_t kLinkMinor = 4;
+inline constexpr std::uint8_t kLinkMinor = 5;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
 inline constexpr std::uint8_t kFirmwareMinor = 1;
 inline constexpr std::uint8_t kFirmwarePatch = 0;
@@ -21,6 +21,11 @@ inline constexpr std::uint32_t kBaud = 250000;
 inline constexpr std::uint32_t kTick_us = 1000;
 inline constexpr std::size_t kMaxCommandPayload = 64;
 inline constexpr std::size_t kMaxTelemetryPayload = 480;
+
+// Distances between the accepted setpoints and these parameters, in degrees.
+inline constexpr float kElevationMaxMargin_deg = 2.0F;
+inline constexpr float kTravelMaxMargin_deg = 5.0F;
+inline constexpr float kElevationRestMargin_deg = 1.0F;
 
 // Axes in the order used everywhere: in telemetry, masks and messages.
 enum class Axis : std::uint8_t {
@@ -40,7 +45,7 @@ enum class State : std::uint8_t {
   hold = 5,  // no recent setpoint: the board hovers level in place
   landing = 6,  // controlled descent to the table, then motors off
   fault = 7,  // motors off; the fault stays until clear_fault
-  emergency_landing = 8,  // controlled descent after a fault, with elevation and pitch controlled and travel free; then motors off, and the fault stays until clear_fault
+  emergency_landing = 8,  // descent after a fault without the axis whose reading is wrong: travel turns freely, the short arm hangs freely, or the lift of the last hover decreases steadily; then motors off, and the fault stays until clear_fault
 };
 inline constexpr std::size_t kStateCount = 9;
 
@@ -180,7 +185,7 @@ enum class Trigger : std::uint8_t {
   touchdown = 9,  // at rest on the table while landing
   trip = 10,  // a fault tripped
   clear = 11,  // clear_fault command
-  travel_lost = 12,  // a fault of travel alone tripped: elevation and pitch can still land the arm
+  axis_lost = 12,  // a fault of one axis tripped: the arm can still land without its reading
   start = 13,  // the board has started; in telemetry only
 };
 inline constexpr std::size_t kTriggerCount = 14;
@@ -205,30 +210,38 @@ inline constexpr std::uint8_t law = 1U << 6U;  // the voltages are those of a la
 
 enum class Fault : std::uint8_t {
   none = 0,
-  elevation_limit = 1,  // trip: elevation above its limit
+  elevation_limit = 1,  // land: elevation above its limit
   pitch_limit = 2,  // trip: pitch beyond its limit
   travel_limit = 3,  // trip: travel beyond its limit, so that the cables wind up
-  elevation_rate = 4,  // trip: elevation moved faster than its limit
+  elevation_rate = 4,  // land: elevation moved faster than its limit
   pitch_rate = 5,  // trip: pitch moved faster than its limit
   travel_rate = 6,  // trip: travel moved faster than its limit
-  encoder_elevation = 7,  // trip: too many illegal transitions of the elevation encoder
-  encoder_pitch = 8,  // trip: too many illegal transitions of the pitch encoder
-  encoder_travel = 9,  // trip: too many illegal transitions of the travel encoder
+  encoder_elevation = 7,  // land: too many illegal transitions of the elevation encoder
+  encoder_pitch = 8,  // land: too many illegal transitions of the pitch encoder
+  encoder_travel = 9,  // land: too many illegal transitions of the travel encoder
   landing_timeout = 10,  // trip: the arm did not reach the table in time
   tick_overrun = 11,  // trip: too many control ticks ran late
   hardware_stop = 12,  // trip: the hardware stop input is active
-  elevation_following = 13,  // trip: elevation stayed too far from its setpoint for following_s
+  elevation_following = 13,  // land: elevation stayed too far from its setpoint for following_s
   pitch_following = 14,  // trip: pitch stayed too far from its setpoint for following_s
   travel_following = 15,  // land: travel stayed too far from its setpoint for following_s
   encoder_overload = 16,  // trip: encoder edges came faster than the board can count, so the angle is wrong
-  elevation_motionless = 17,  // trip: the sum of both voltages changed enough to move the arm, but the elevation encoder did not count
-  pitch_motionless = 18,  // trip: the difference of the voltages changed enough to tilt the short arm, but the pitch encoder did not count
+  elevation_motionless = 17,  // land: the sum of both voltages changed enough to move the arm, but the elevation encoder did not count
+  pitch_motionless = 18,  // land: the difference of the voltages changed enough to tilt the short arm, but the pitch encoder did not count
   travel_motionless = 19,  // land: pitch tilted long enough to turn the arm, but the travel encoder did not count; value: predicted travel in deg
   not_at_rest = 20,  // check: the arm does not rest on the table
   moving = 21,  // check: an axis is moving
   link_not_alive = 22,  // check: no recent frame from the host
   parameters_invalid = 23,  // check: the stored parameters are damaged or contradict each other
   pitch_not_level = 24,  // check: the short arm is not level
+  elevation_below_table = 25,  // land: elevation read more than 1 degree plus this tolerance below the table, where the arm cannot be
+  elevation_step = 26,  // land: elevation changed in one tick by more than the arm can turn
+  pitch_step = 27,  // land: pitch changed in one tick by more than the short arm can turn
+  travel_step = 28,  // land: travel changed in one tick by more than the arm can turn
+  elevation_rest = 29,  // trip: after landing, the arm rests without lift at another elevation than before take-off
+  elevation_sign = 33,  // trip: at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong
+  pitch_sign = 34,  // land: pitch turned against the difference of the voltages: the sign of the pitch encoder is wrong, the motors are exchanged, or one pushes down
+  travel_sign = 35,  // land: travel turned against the tilt: the sign of the travel encoder is wrong
   watchdog = 30,  // boot: the watchdog reset the board, because control tick or idle loop hung
   hard_fault = 31,  // boot: the processor faulted; bridges were switched off and the board reset
   unexpected_interrupt = 32,  // boot: an interrupt without a handler; bridges were switched off and the board reset
@@ -275,15 +288,15 @@ enum class Param : std::uint8_t {
   elevation_acceleration_deg_s2 = 37,  // deg/s2: fastest change of the elevation setpoint's rate, which makes a step a smooth ramp
   travel_acceleration_deg_s2 = 38,  // deg/s2: fastest change of the travel setpoint's rate; travel can only accelerate by tilting
   bumpless_s = 39,  // s: time constant of the smooth change between modes
-  elevation_max_deg = 40,  // deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
+  elevation_max_deg = 40,  // deg: elevation above which the board lands without the encoder; setpoints are refused from 2 degrees below it
   pitch_max_deg = 41,  // deg: pitch beyond which the motors are cut
   travel_max_deg = 42,  // deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
-  elevation_rate_max_deg_s = 43,  // deg/s: elevation rate beyond which the motors are cut
+  elevation_rate_max_deg_s = 43,  // deg/s: elevation rate beyond which the board lands without the encoder
   pitch_rate_max_deg_s = 44,  // deg/s: pitch rate beyond which the motors are cut
   travel_rate_max_deg_s = 45,  // deg/s: travel rate beyond which the motors are cut
   encoder_illegal_max = 46,  // : illegal transitions of one encoder since arming that are tolerated
   overrun_max = 47,  // : late ticks since arming that are tolerated
-  elevation_following_max_deg = 48,  // deg: following error of elevation, from its shaped setpoint, beyond which the motors are cut after following_s
+  elevation_following_max_deg = 48,  // deg: following error of elevation, from its shaped setpoint, beyond which the board lands without the encoder after following_s
   pitch_following_max_deg = 49,  // deg: following error of pitch beyond which the motors are cut after following_s
   travel_following_max_deg = 50,  // deg: following error of travel, from its shaped setpoint, beyond which the board lands after following_s
   following_s = 51,  // s: how long a following error beyond its limit is tolerated
@@ -304,7 +317,7 @@ enum class Param : std::uint8_t {
   setpoint_hold_s = 66,  // s: time without a recent setpoint after which the board holds level
   setpoint_land_s = 67,  // s: time without a recent setpoint after which the board lands
   landing_rate_deg_s = 68,  // deg/s: descent of the elevation setpoint while landing
-  landing_timeout_s = 69,  // s: longest landing; then the motors are switched off with a fault
+  landing_timeout_s = 69,  // s: longest landing; then the motors are switched off with a fault. Also the duration of a landing without the elevation encoder
   voltage_valid_max_ms = 70,  // ms: longest time that a streamed voltage acts
   excitation_max_V = 71,  // V: largest amplitude that excite accepts
   excitation_max_s = 72,  // s: longest duration that excite accepts

@@ -21,11 +21,13 @@ using heli::proofs::holds;
 namespace heli::flight {
 
 // Contracts: what stops a flight or forbids arming, and any other limit that is broken.
-Verdict check_flight(const Observation& s, const AtArming&, const Limits&) {
+Verdict check_flight(const Observation& s, const AtArming&, const Limits&, std::uint8_t, bool) {
   Verdict verdict{any<Fault>(), 0.0F};
-  ASSUME((!s.hardware_stop && s.overload_edges == 0U) || verdict.fault != Fault::none);
+  ASSUME(!s.hardware_stop || verdict.fault == Fault::hardware_stop);
+  ASSUME(s.hardware_stop || s.overload_edges == 0U || verdict.fault == Fault::encoder_overload);
   return verdict;
 }
+bool has_lifted_off(const Observation&, const AtArming&) { return any<bool>(); }
 Verdict check_before_arming(const Observation& s, const Limits& l) {
   Verdict verdict{any<Fault>(), 0.0F};
   ASSUME((!s.hardware_stop && s.overload_edges == 0U && s.params_usable && l.params_consistent) ||
@@ -70,6 +72,12 @@ void put_in_any_state(Supervisor& s) {
   s.voltage_end_tick_ = any<std::uint32_t>();
   s.rest_ticks_ = any<std::uint32_t>();
   s.landing_holds_pitch_level_ = any<bool>();
+  s.hang_ticks_ = any<std::uint32_t>();
+  s.blind_descent_idles_ = any<bool>();
+  s.sinks_at_take_off_ = any<bool>();
+  s.trusted_axes_ = any<std::uint8_t>();
+  s.at_arming_.lifted_off = any<bool>();
+  s.blind_descent_ = any<heli::flight::BlindDescent>();
   s.bucket_ = any<std::uint32_t>();
   s.bucket_end_tick_ = any<std::uint32_t>();
   s.exciter_.kind_ = any<heli::link::Excitation>();
@@ -85,6 +93,7 @@ void step_tick() {
   const State before = s.state_;
   const Fault fault = s.fault_;
   const std::uint32_t entered_tick = s.state_entered_tick_;
+  const std::uint8_t trusted_axes = s.trusted_axes_;
   const std::uint32_t stream_age_ticks = seen.tick - s.last_stream_tick_;
   const bool voltages_end = static_cast<std::int32_t>(seen.tick - s.voltage_end_tick_) >= 0;
 
@@ -95,6 +104,9 @@ void step_tick() {
   CLAIM(motors_enabled(before) || after == before, "no tick starts a motor");
   CLAIM(after != State::armed || before == State::armed, "no tick arms");
   CLAIM(before != State::fault || (after == before && s.fault_ == fault), "a fault is latched");
+  CLAIM((s.trusted_axes_ & ~trusted_axes) == 0, "a lost axis is not trusted again in this flight");
+  CLAIM(after != State::emergency_landing || (s.axes() & ~s.trusted_axes_) == 0,
+        "no loop is closed over a lost axis");
   CLAIM(!motors_enabled(before) || (!seen.hardware_stop && seen.overload_edges == 0U) ||
             after == State::fault,
         "a stopped board or a blind one is off in the same tick");

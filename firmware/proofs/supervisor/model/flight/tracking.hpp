@@ -2,12 +2,16 @@
 #pragma once
 
 #include "any.hpp"
+#include "control/mixer.hpp"
+#include "flight/blind_descent.hpp"
 #include "flight/limits.hpp"
 #include "flight/observation.hpp"
 
 namespace heli::flight {
 
-struct TrackingLimits {};
+struct TrackingLimits {
+  control::DeadZone dead_zone;
+};
 
 struct TrackingInput {
   const Observation& seen;
@@ -31,6 +35,10 @@ class Tracking {
   Verdict probe_travel(const TrackingInput&, const TrackingLimits&) { return finding(); }
   link::Probe probe_event() const { return proofs::any<link::Probe>(); }
   Probe probe() const { return {}; }
+  BlindDescent blind_descent(bool, std::uint32_t, const TrackingLimits&) const {
+    return proofs::any<BlindDescent>();
+  }
+  static bool lifts(const Observation&, const TrackingLimits&) { return proofs::any<bool>(); }
   bool is_probing() const { return proofs::any<bool>(); }
 
  private:
