@@ -225,9 +225,10 @@ def test_edges_too_fast_to_count_switch_off_and_inform_the_host(
     # The flood goes on: the tick does too, and so does the link.
     elapsed_ms = 1e-3 * (board.due.now_us - start_us)
     assert abs(board.due.exception_stats(TICK_INTERRUPT)[0] - ticks - elapsed_ms) <= 1
-    assert heli.fault is Fault.ENCODER_OVERLOAD
+    # The flood may begin within a tick: then the first tick has only a step of hundreds of counts.
+    assert heli.fault in (Fault.ENCODER_OVERLOAD, Fault.TRAVEL_STEP)
     [event] = [event for event in heli.session.events if event.kind == "fault"]
-    assert "encoder_overload" in event.text
+    assert str(heli.fault) in event.text
     heli.clear_fault()
     with pytest.raises(HeliError, match="encoder_overload"):
         heli.arm()

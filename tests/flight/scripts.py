@@ -85,7 +85,7 @@ class Arm:
             self.angle[axis] += 0.001 * self.rate[axis]
         if self.angle[0] <= REST_DEG * RAD:
             self.angle[0], self.rate[0] = REST_DEG * RAD, max(0.0, self.rate[0])
-            self.angle[1], self.rate[1] = 0.9 * self.angle[1], 0.0
+            self.angle[1], self.rate[1] = 0.99 * self.angle[1], 0.0
             self.rate[2] *= 0.9
 
 

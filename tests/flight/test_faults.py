@@ -119,7 +119,9 @@ def test_the_time_of_a_landing_that_took_too_long_is_counted_from_its_beginning(
     harness.fly()
     harness.glide(0, 0, 60)
     harness.ask(d.LandMessage(0))
-    harness.tick(12_500)
+    for _ in range(157):
+        harness.glide(0, 2.0, 50.0)
+        harness.glide(0, 0.0, 50.0)
     fault = harness.last_event(Event.FAULT)
     assert fault.detail == Fault.LANDING_TIMEOUT
     assert fault.value == pytest.approx(12.0, abs=0.1)
@@ -157,7 +159,8 @@ def test_an_arm_has_landed_within_a_degree_and_a_half_of_its_rest(above_deg: flo
     harness.ask(d.LandMessage(0))
     harness.glide(0, REST_DEG + above_deg, 30)
     harness.tick(2000)
-    assert harness.state is (State.IDLE if landed else State.LANDING)
+    assert harness.state is (State.IDLE if landed else State.FAULT)
+    assert landed or harness.last_event(Event.FAULT).detail == Fault.ELEVATION_REST
 
 
 def test_a_host_that_has_been_silent_for_half_a_second_cannot_arm() -> None:

@@ -58,6 +58,8 @@ class Arm:
         self.pitch_deg = self.travel_deg = self.rate_deg_s = 0.0
         self.tilts_deg: list[float] = []
         self.follows = True
+        self.shown_deg = 0.0
+        self.elevation_setpoint_deg = 0.0
 
     def hover(self, seconds: float, *, swing_deg: float = 0.0) -> None:
         """Hold it there; with a swing, something moves travel to and fro all the time."""
@@ -66,15 +68,19 @@ class Arm:
             if k % 5 == 0:
                 harness.setpoint(travel_deg=0.0)
             self._turn(0.001 * STEP_ms)
-            shown_deg = 0.0 if self.dead else self.travel_deg + swing_deg * (k // 50 % 2)
+            if not self.dead:
+                self.shown_deg = self.travel_deg + swing_deg * (k // 50 % 2)
             stir_deg = self.stir_deg * (k // 75 % 2)
-            harness.move(pitch_deg=self.pitch_deg + stir_deg, travel_deg=shown_deg)
+            harness.move(pitch_deg=self.pitch_deg + stir_deg, travel_deg=self.shown_deg)
             before = len(harness.frames)
             harness.tick(STEP_ms)
             batches = [f.payload for f in harness.frames[before:] if f.id == d.MessageId.TELEMETRY]
             if batches:
-                raw = self.decoder.decode(batches).raw[-1, Channel.PITCH_SETPOINT]
-                self.pitch_setpoint_deg = math.degrees(raw * CHANNELS[Channel.PITCH_SETPOINT].scale)
+                raw = self.decoder.decode(batches).raw[-1]
+                self.pitch_setpoint_deg, self.elevation_setpoint_deg = (
+                    math.degrees(raw[channel] * CHANNELS[channel].scale)
+                    for channel in (Channel.PITCH_SETPOINT, Channel.ELEVATION_SETPOINT)
+                )
             self.tilts_deg.append(self.pitch_deg)
 
     def _turn(self, step_s: float) -> None:
@@ -106,7 +112,7 @@ def test_a_dead_travel_encoder_is_named_by_tilts_to_both_sides(friction_deg: flo
     assert arm.answers[-1][1] is Probe.SILENT
     assert arm.harness.state is State.EMERGENCY_LANDING
     event = arm.harness.last_event(Event.FAULT)
-    assert (Fault(event.detail), Trigger(event.cause)) == (Fault.TRAVEL_MOTIONLESS, Trigger.TRAVEL_LOST)
+    assert (Fault(event.detail), Trigger(event.cause)) == (Fault.TRAVEL_MOTIONLESS, Trigger.AXIS_LOST)
     assert max(arm.tilts_deg) > 8.0 and min(arm.tilts_deg) < -8.0
     # Without friction it drifts, but the tilts leave it little speed.
     assert abs(arm.travel_deg) < 15.0
@@ -177,7 +183,8 @@ def test_a_landing_without_an_answer_levels_pitch_and_does_not_close_travel() ->
     arm.harness.ask(d.LandMessage(0))
     arm.hover(1.5)
     assert arm.answers[-1][1] is Probe.STOPPED
-    arm.harness.move(travel_deg=10.0)
+    arm.harness.glide(2, 10.0, 100.0)
+    arm.shown_deg = 10.0
     arm.hover(1.0)
     assert arm.harness.state is State.LANDING
     assert abs(arm.pitch_setpoint_deg) < 0.2
@@ -185,13 +192,27 @@ def test_a_landing_without_an_answer_levels_pitch_and_does_not_close_travel() ->
 
 def test_a_landing_that_does_not_come_down_levels_pitch_after_half_its_time() -> None:
     arm = Arm(friction_deg=90.0, travel_silence_s=0.0, travel_motion_deg=90.0)
-    arm.travel_deg = 10.0
+    arm.harness.glide(2, 3.0, 100.0)
+    arm.travel_deg = 3.0
     arm.hover(4.0)
     arm.harness.ask(d.LandMessage(0))
     arm.hover(5.0)
     assert abs(arm.pitch_setpoint_deg) > 1.0
     arm.hover(2.5)
     assert abs(arm.pitch_setpoint_deg) < 0.2
+
+
+@pytest.mark.parametrize("tilt_deg, sinks_deg", [(9.0, 8.0), (11.0, 0.0)])
+def test_a_landing_waits_while_the_arm_brakes_its_turn(tilt_deg: float, sinks_deg: float) -> None:
+    arm = Arm(travel_silence_s=0.0, travel_motion_deg=90.0)
+    arm.hover(1.0)
+    arm.follows = False
+    arm.harness.glide(1, tilt_deg, 100.0)
+    arm.pitch_deg = tilt_deg
+    arm.harness.ask(d.LandMessage(0))
+    arm.hover(1.5)
+    # 8 degrees per second, after a ramp.
+    assert -arm.elevation_setpoint_deg == pytest.approx(sinks_deg, abs=3.0)
 
 
 def test_a_landing_begins_no_question() -> None:

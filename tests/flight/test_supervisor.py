@@ -40,9 +40,10 @@ PROMISED = {
 PROMISED |= {
     (State.EMERGENCY_LANDING, Trigger.TOUCHDOWN): State.FAULT,
     (State.EMERGENCY_LANDING, Trigger.LAND): State.EMERGENCY_LANDING,
+    (State.EMERGENCY_LANDING, Trigger.AXIS_LOST): State.EMERGENCY_LANDING,
 }
 for controlled in (State.CLOSED_LOOP, State.STREAMED, State.HOLD, State.LANDING):
-    PROMISED[controlled, Trigger.TRAVEL_LOST] = State.EMERGENCY_LANDING
+    PROMISED[controlled, Trigger.AXIS_LOST] = State.EMERGENCY_LANDING
 PROMISED |= {(s, Trigger.STOP): State.IDLE for s in State if s is not State.FAULT}
 PROMISED |= {(s, Trigger.TRIP): State.FAULT for s in State}
 for flying in (State.CLOSED_LOOP, State.OPEN_LOOP, State.STREAMED):
@@ -140,7 +141,7 @@ def test_arming_is_refused_in_flight() -> None:
         (2, 90, 300, Fault.TRAVEL_RATE),
     ],
 )
-def test_each_limit_cuts_the_motors_and_names_itself(
+def test_each_limit_ends_the_flight_and_names_itself(
     axis: int, angle_deg: float, rate_deg_s: float, fault: Fault
 ) -> None:
     harness = Harness()
@@ -149,8 +150,8 @@ def test_each_limit_cuts_the_motors_and_names_itself(
     harness.fly()
     harness.glide(axis, angle_deg, rate_deg_s)
     harness.tick(30)
-    assert harness.state is State.FAULT
-    assert harness.motors_off
+    assert harness.state is (State.EMERGENCY_LANDING if axis == 0 else State.FAULT)
+    assert harness.motors_off == (axis != 0)
     assert harness.last_event(Event.FAULT).detail == fault
 
 
@@ -307,7 +308,7 @@ def test_a_setpoint_that_comes_back_ends_the_hold_but_not_a_landing() -> None:
     harness.keep_flying(40, elevation_deg=REST_DEG)
     assert harness.state is State.CLOSED_LOOP
     harness.glide(0, -10, 20)
-    harness.tick(2600)
+    harness.tick(2100)
     assert harness.state is State.LANDING
     harness.keep_flying(40)
     assert harness.state is State.LANDING
@@ -318,11 +319,111 @@ def test_landing_that_never_reaches_the_table_times_out_with_a_fault() -> None:
     harness.fly()
     harness.glide(0, 0, 60)
     assert harness.ask(d.LandMessage(0)).result == Result.OK
-    harness.tick(11900)
+    for _ in range(149):
+        harness.glide(0, 2.0, 50.0)
+        harness.glide(0, 0.0, 50.0)
     assert harness.state is State.LANDING
     harness.tick(200)
     assert harness.motors_off
     assert harness.last_event(Event.FAULT).detail == Fault.LANDING_TIMEOUT
+
+
+@pytest.mark.parametrize("rest_deg", [REST_DEG - 2.5, REST_DEG + 2.0, -10.0])
+def test_an_arm_that_rests_elsewhere_than_before_take_off_has_not_landed(rest_deg: float) -> None:
+    """Its encoder has lost counts, or it floats without voltage."""
+    harness = Harness()
+    harness.fly()
+    harness.glide(0, 0, 60)
+    harness.ask(d.LandMessage(0))
+    harness.glide(0, rest_deg, 10)
+    harness.tick(1500)
+    assert harness.state is State.FAULT
+    assert harness.last_event(Event.FAULT).detail == Fault.ELEVATION_REST
+
+
+def test_an_elevation_below_the_table_is_landed_without_its_encoder() -> None:
+    harness = Harness()
+    harness.fly()
+    harness.glide(0, -5, 60)
+    harness.keep_flying(600, elevation_deg=-5.0)
+    harness.glide(0, REST_DEG - 2.9, 60)
+    assert harness.state is State.CLOSED_LOOP
+    harness.glide(0, REST_DEG - 3.2, 60)
+    assert harness.last_event(Event.FAULT).detail == Fault.ELEVATION_BELOW_TABLE
+    assert harness.state is State.EMERGENCY_LANDING
+    harness.tick(12_100)
+    assert harness.state is State.FAULT and harness.motors_off
+
+
+def test_on_a_bench_a_person_may_move_the_arm_anywhere() -> None:
+    harness = Harness()
+    harness.arm()
+    harness.ask(d.ControlMessage(0, 0, 1.5, 1.5))
+    for k in range(50):
+        harness.glide(0, REST_DEG - 0.1 * k, 20)
+        harness.ping()
+    assert harness.state is State.OPEN_LOOP
+
+
+@pytest.mark.parametrize("armed_deg", [REST_DEG, REST_DEG + 1.5])
+def test_an_elevation_that_decreases_at_take_off_has_the_wrong_sign(armed_deg: float) -> None:
+    """The voltage stays at that of a hover meanwhile, and the motors are cut, since the arm is on the table."""
+    harness = Harness()
+    harness.glide(0, armed_deg, 1.0)
+    harness.tick(300)
+    harness.ping()
+    harness.fly()
+    harness.keep_flying(250, elevation_deg=0.0)
+    lifted_duty = harness.motors[0]
+    hover_duty = round((0.5 * 1.4 + 1.0) / 12.0 * 2100)
+    most_duty = 0
+    for _ in range(200):
+        if harness.motors_off:
+            break
+        harness.glide(0, harness.angles_deg[0] - 360 / 4096, 30.0)
+        most_duty = max(most_duty, harness.motors[0])
+    assert lifted_duty > hover_duty
+    assert most_duty <= hover_duty + 1
+    assert harness.last_event(Event.FAULT).detail == Fault.ELEVATION_SIGN
+    assert harness.state is State.FAULT
+    assert REST_DEG - 0.5 < harness.angles_deg[0]
+
+
+STEPS = (Fault.ELEVATION_STEP, Fault.PITCH_STEP, Fault.TRAVEL_STEP)
+STEP_MAX_COUNTS = (5, 11, 5)
+"""Twice the highest rate in a tick, 0.24, 0.8 and 0.3 degrees, and two counts."""
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_step_that_no_arm_makes_is_landed_without_its_axis(axis: int, sign: int) -> None:
+    harness = Harness()
+    harness.fly()
+    harness.glide(0, -5, 60)
+    harness.keep_flying(600, elevation_deg=-5.0)
+    count_deg = 360 / 4096
+    for counts, state in ((STEP_MAX_COUNTS[axis], State.CLOSED_LOOP), (STEP_MAX_COUNTS[axis] + 1, State.EMERGENCY_LANDING)):
+        harness.angles_deg[axis] += sign * counts * count_deg
+        harness.move(harness.angles_deg[0])
+        harness.tick()
+        assert harness.state is state
+        harness.keep_flying(100, elevation_deg=-5.0)
+    assert harness.last_event(Event.FAULT).detail == STEPS[axis]
+
+
+def test_a_second_lost_axis_is_left_out_of_the_same_landing_and_the_first_fault_is_its_reason() -> None:
+    harness = Harness()
+    harness.fly()
+    harness.glide(0, -5, 60)
+    harness.keep_flying(600, elevation_deg=-5.0)
+    harness.move(travel_deg=3.0)
+    harness.tick()
+    harness.move(elevation_deg=0.0)
+    harness.tick()
+    assert [e.detail for e in harness.events if e.kind == Event.FAULT] == [Fault.TRAVEL_STEP, Fault.ELEVATION_STEP]
+    assert harness.state is State.EMERGENCY_LANDING
+    harness.tick(12_100)
+    assert harness.state is State.FAULT
 
 
 def test_stop_works_from_every_state_that_has_motors() -> None:

@@ -8,15 +8,18 @@ import heli_host.declaration as d
 import pytest
 from heli_host.declaration import Event, Fault, Result, State, Trigger
 
-from tests.flight.harness import Harness
+from tests.flight.harness import DUTY_FULL, Harness
 
 COUNT_DEG = 360.0 / 4096.0
+SUPPLY_V, DEAD_ZONE_V = 12.0, 1.0
 ELEVATION, PITCH, TRAVEL = range(3)
 
 
-def board_in_level_flight(axes: int = 7) -> Harness:
+def board_in_level_flight(axes: int = 7, **parameters: float) -> Harness:
     """A board that flies level, its arm moving a little all the time on every axis."""
     harness = Harness(tracked=True)
+    for name, value in parameters.items():
+        harness.set(name, value)
     assert harness.arm().result == Result.OK
     harness.glide(ELEVATION, 0.0, 100.0)
     assert harness.close_loops(axes).result == Result.OK
@@ -46,12 +49,27 @@ def test_an_arm_that_moves_and_is_where_it_should_be_flies_on() -> None:
     assert harness.state is State.CLOSED_LOOP
 
 
-def test_without_counts_at_take_off_the_motors_are_cut_half_a_second_after_they_could_lift_the_arm() -> None:
+def lift_V(harness: Harness) -> float:
+    """Sum of both motors' voltages above the dead zone."""
+    front, back, _ = harness.motors
+    return sum(max(0.0, duty * SUPPLY_V / DUTY_FULL - DEAD_ZONE_V) for duty in (front, back))
+
+
+def test_without_counts_at_take_off_the_lift_ends_within_a_landing_half_a_second_after_it_could_lift_the_arm() -> (
+    None
+):
     harness = Harness(tracked=True)
     harness.fly()
-    harness.keep_flying(3000, elevation_deg=0.0)
-    assert harness.motors_off
-    assert tripped(harness) == (Fault.ELEVATION_MOTIONLESS, Trigger.TRIP)
+    harness.keep_flying(1000, elevation_deg=0.0)
+    assert harness.state is State.EMERGENCY_LANDING
+    assert tripped(harness) == (Fault.ELEVATION_MOTIONLESS, Trigger.AXIS_LOST)
+    lifts_V = [lift_V(harness)]
+    for _ in range(12):
+        harness.tick(1000)
+        lifts_V.append(lift_V(harness))
+    assert lifts_V == sorted(lifts_V, reverse=True)
+    assert lifts_V[0] > 1.0 and lifts_V[8] == 0.0
+    assert harness.state is State.FAULT and harness.motors_off
 
 
 def test_an_arm_within_two_degrees_of_its_rest_may_lie_on_the_table() -> None:
@@ -79,13 +97,17 @@ def test_an_arm_on_the_table_may_rest_while_the_motors_push_too_little() -> None
 
 
 @pytest.mark.parametrize("still", [(), (PITCH,)], ids=["counting", "silent"])
-def test_a_pitch_that_is_driven_and_does_not_count_cuts_the_motors(still: tuple[int, ...]) -> None:
+def test_a_pitch_that_is_driven_and_does_not_count_is_landed_without_it(still: tuple[int, ...]) -> None:
     harness = board_in_level_flight(axes=3)
     hover(harness, 1000)
     hover(harness, 1500, still=still, pitch_deg=12.0)
-    assert harness.motors_off == bool(still)
+    assert harness.state is (State.EMERGENCY_LANDING if still else State.CLOSED_LOOP)
     if still:
-        assert tripped(harness) == (Fault.PITCH_MOTIONLESS, Trigger.TRIP)
+        assert tripped(harness) == (Fault.PITCH_MOTIONLESS, Trigger.AXIS_LOST)
+        front, back, _ = harness.motors
+        harness.move(pitch_deg=harness.angles_deg[PITCH] + 5 * COUNT_DEG)
+        harness.tick()
+        assert harness.motors[0] - harness.motors[1] == pytest.approx(front - back, abs=1)
 
 
 @pytest.mark.parametrize("step_counts", [1, 2])
@@ -98,7 +120,7 @@ def test_a_single_count_to_and_fro_is_no_motion(step_counts: int) -> None:
         swing = 4 * COUNT_DEG * (k // 10 % 2)
         harness.move(elevation_deg=swing, pitch_deg=COUNT_DEG * step_counts * (k // 3 % 2))
         harness.tick()
-    assert harness.motors_off == (step_counts == 1)
+    assert harness.state is (State.EMERGENCY_LANDING if step_counts == 1 else State.CLOSED_LOOP)
 
 
 def test_a_travel_that_does_not_count_while_the_arm_tilts_is_landed_without_it_and_latched() -> None:
@@ -109,10 +131,10 @@ def test_a_travel_that_does_not_count_while_the_arm_tilts_is_landed_without_it_a
     assert harness.state is State.CLOSED_LOOP
     hover(harness, 400, still=(TRAVEL,))
     assert harness.state is State.EMERGENCY_LANDING
-    assert tripped(harness) == (Fault.TRAVEL_MOTIONLESS, Trigger.TRAVEL_LOST)
+    assert tripped(harness) == (Fault.TRAVEL_MOTIONLESS, Trigger.AXIS_LOST)
     assert harness.motors[2]
     assert harness.close_loops().result == Result.BAD_STATE
-    harness.move(pitch_deg=0.0)
+    harness.glide(PITCH, 0.0, 100.0)
     harness.glide(ELEVATION, -25.0, 20.0)
     harness.tick(1000)
     assert harness.state is State.FAULT and harness.motors_off
@@ -151,7 +173,7 @@ def test_a_small_tilt_that_winds_up_slowly_must_turn_the_arm_too() -> None:
     for step in range(18):
         turn(harness, 400, pitch_deg=0.4 * step)
     assert harness.state is State.EMERGENCY_LANDING
-    assert tripped(harness) == (Fault.TRAVEL_MOTIONLESS, Trigger.TRAVEL_LOST)
+    assert tripped(harness) == (Fault.TRAVEL_MOTIONLESS, Trigger.AXIS_LOST)
 
 
 @pytest.mark.parametrize("pitch_deg", [-12.0, 5.0])
@@ -191,13 +213,13 @@ def test_a_landing_does_not_close_a_doubtful_travel(doubtful: bool) -> None:
     harness.tick(10)
     assert harness.state is (State.EMERGENCY_LANDING if doubtful else State.LANDING)
     if doubtful:
-        assert tripped(harness) == (Fault.TRAVEL_MOTIONLESS, Trigger.TRAVEL_LOST)
+        assert tripped(harness) == (Fault.TRAVEL_MOTIONLESS, Trigger.AXIS_LOST)
 
 
 @pytest.mark.parametrize(
     ("axis", "away_deg", "fault", "ends"),
     [
-        (ELEVATION, -16.0, Fault.ELEVATION_FOLLOWING, State.FAULT),
+        (ELEVATION, -16.0, Fault.ELEVATION_FOLLOWING, State.EMERGENCY_LANDING),
         (PITCH, 25.0, Fault.PITCH_FOLLOWING, State.FAULT),
         (TRAVEL, 35.0, Fault.TRAVEL_FOLLOWING, State.EMERGENCY_LANDING),
     ],
@@ -205,7 +227,8 @@ def test_a_landing_does_not_close_a_doubtful_travel(doubtful: bool) -> None:
 def test_an_axis_that_stays_away_from_its_setpoint_is_a_following_error(
     axis: int, away_deg: float, fault: Fault, ends: State
 ) -> None:
-    harness = board_in_level_flight(axes=3 if axis == PITCH else 7)
+    # Else a pitch that the test turns against the voltages would have the wrong sign.
+    harness = board_in_level_flight(axes=3 if axis == PITCH else 7, pitch_motion_V=48.0)
     # Else pitch, which the test holds, would not be where travel asks for it.
     for gain in ("travel_kp", "travel_ki", "travel_kd"):
         harness.set(gain, 0.0)
@@ -226,7 +249,7 @@ def test_nothing_of_this_applies_to_a_bench_in_open_loop_nor_to_an_axis_that_is_
         bench.ping()
         bench.tick(100)
     assert bench.state is State.OPEN_LOOP
-    tilted = board_in_level_flight(axes=3)
+    tilted = board_in_level_flight(axes=3, pitch_motion_V=48.0)
     tilted.glide(PITCH, 10.0, 60.0)
     hover(tilted, 3000, still=(TRAVEL,), pitch_deg=10.0)
     assert tilted.state is State.CLOSED_LOOP

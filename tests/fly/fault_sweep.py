@@ -157,9 +157,9 @@ class Seen:
 
     @property
     def tracking_fault(self) -> str:
-        """Name of a fault by a drive without motion or a following error; empty without."""
+        """Name of a fault by which the board knows that a reading or a sign is wrong; empty without."""
         names = (fault.name.lower() for fault in Fault)
-        ends = ("_motionless", "_following")
+        ends = ("_motionless", "_following", "_below_table", "_step", "_rest", "_sign")
         return next((n for n in names if n.endswith(ends) and n in self.outcome), "")
 
 

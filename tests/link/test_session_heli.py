@@ -213,7 +213,7 @@ def test_without_keep_alive_the_board_is_left_to_its_failsafe() -> None:
 @pytest.mark.parametrize(
     ("axis", "value_deg", "range_text"),
     [
-        ("elevation", 22.5, "-25 to 22"),
+        ("elevation", 22.5, "-26 to 22"),
         ("travel", -171.0, "-170 to 170"),
         ("pitch", 31.0, "-30 to 30"),
         ("travel", math.nan, "-170 to 170"),
@@ -235,7 +235,7 @@ def test_a_setpoint_outside_the_boards_limits_is_not_sent(
 def test_limits_are_those_of_the_boards_parameters() -> None:
     board = FakeBoard()
     board.params[Param.ELEVATION_MAX_DEG] = 12.0
-    with pytest.raises(SetpointError, match="-25 to 10 degrees"):
+    with pytest.raises(SetpointError, match="-26 to 10 degrees"):
         connected(board).setpoint(elevation_deg=11.0)
 
 

@@ -15,37 +15,48 @@ namespace heli::flight {
 struct SignLimits {
   Quantity drive_min;                // a weaker drive may lose against a torque on the axis
   Quantity impulse_min;              // drive times T that shows clearly in the rate
-  Quantity angle_max_rad;            // farther against its drive no torque turns a healthy axis
+  Quantity error_max_rad;            // farther from its setpoint no torque turns a healthy axis
+  Quantity turned_min_rad;           // an axis that is held turns by less
   std::uint32_t settle_updates = 0;  // until the filtered rate shows what the axis does
+};
+
+struct SignInput {
+  Quantity drive;
+  Quantity speed;  // as a drive times T
+  Quantity angle_rad;
+  Quantity error_rad;  // setpoint minus angle
 };
 
 class SignCheck {
  public:
-  // Once per update of the axis, with its speed as a drive times T, and its angle from the
-  // setpoint. True if the sign is wrong.
-  bool is_wrong(Quantity drive, Quantity speed, Quantity angle_rad, const SignLimits& limits) {
-    const bool drives_up = drive > Quantity{};
-    if (confirmed_ || control::magnitude(drive) < limits.drive_min || drives_up != drives_up_) {
+  // Once per update of the axis. True if the sign is wrong.
+  bool is_wrong(const SignInput& axis, const SignLimits& limits) {
+    const bool drives_up = axis.drive > Quantity{};
+    if (confirmed_ || control::magnitude(axis.drive) < limits.drive_min ||
+        drives_up != drives_up_) {
       drives_up_ = drives_up;
       driven_updates_ = 0;
       return false;
     }
     if (++driven_updates_ <= limits.settle_updates) {
-      first_speed_ = speed;
+      first_speed_ = axis.speed;
+      first_angle_rad_ = axis.angle_rad;
       impulse_ = {};
       return false;
     }
-    impulse_ += control::magnitude(drive).shifted(Balance::kShift);
+    impulse_ += control::magnitude(axis.drive).shifted(Balance::kShift);
     if (impulse_ < limits.impulse_min) {
       return false;
     }
-    const Quantity gained = drives_up ? speed - first_speed_ : first_speed_ - speed;
     driven_updates_ = 0;
+    const Quantity gained = drives_up ? axis.speed - first_speed_ : first_speed_ - axis.speed;
+    const Quantity turned_rad =
+        drives_up ? axis.angle_rad - first_angle_rad_ : first_angle_rad_ - axis.angle_rad;
     // Half of what the drive gives: a torque on the axis may take or give the other half.
     confirmed_ = gained > impulse_.half();
     // A motor that pushes down turns the axis slowly, as the lift increases.
-    const bool recedes = drives_up ? angle_rad < -limits.angle_max_rad && speed < Quantity{}
-                                   : angle_rad > limits.angle_max_rad && speed > Quantity{};
+    const bool recedes = control::magnitude(axis.error_rad) > limits.error_max_rad &&
+                         turned_rad < -limits.turned_min_rad;
     return gained < -impulse_.half() || (recedes && gained < impulse_.half().half());
   }
 
@@ -54,6 +65,7 @@ class SignCheck {
   bool drives_up_ = false;
   std::uint32_t driven_updates_ = 0;  // in one direction
   Quantity first_speed_;
+  Quantity first_angle_rad_;
   Quantity impulse_;
 };
 

@@ -31,9 +31,9 @@ constexpr std::uint32_t kTouchdown_ticks = 300;
 // would seem to rest.
 constexpr Quantity kHang_rad_s = Quantity::of(1.0F * kRadPerDeg);
 constexpr std::uint32_t kHang_ticks = 1000;
-// A landing arm that is this far above its sinking setpoint does not sink: the voltage that holds
-// its tilt lifts it. An arm that sinks stays within 1 degree.
-constexpr Quantity kLags_rad = Quantity::of(3.0F * kRadPerDeg);
+// While the arm tilts by more than this, it brakes its turn and waits with its descent: the voltage
+// that holds the tilt would let it sink so slowly that it floats above the table.
+constexpr Quantity kBraking_rad = Quantity::of(10.0F * kRadPerDeg);
 
 // A host that streams invalid values gets at most one event in this time.
 constexpr std::uint32_t kRejectEvery_ticks = 500;
@@ -479,15 +479,18 @@ void Supervisor::descend() {
       return;
     }
   }
-  setpoints_.descend(*setpoint_limits_, limits_->rest_rad - kBelowRest_rad);
   const Quantity above_rest_rad = observation_->angle_rad[kElevation] - limits_->rest_rad;
   const Quantity speed_rad_s = magnitude(observation_->rate_rad_s[kElevation]);
-  const bool lags =
-      observation_->angle_rad[kElevation] - setpoints_.angle_rad(kElevation) > kLags_rad &&
-      above_rest_rad > kLags_rad;
-  landing_holds_pitch_level_ = landing_holds_pitch_level_ || lags;
   holds_pitch_level_ =
       landing_holds_pitch_level_ || landing_ticks > limits_->landing_timeout_ticks / 2U;
+  const bool brakes = state_ == State::landing && !holds_pitch_level_ &&
+                      magnitude(observation_->angle_rad[kPitch]) > kBraking_rad;
+  if (brakes) {
+    // The arm is only braked: returning to where the landing began would take longer.
+    setpoints_.hold_at(kTravel, observation_->angle_rad[kTravel]);
+  } else {
+    setpoints_.descend(*setpoint_limits_, limits_->rest_rad - kBelowRest_rad);
+  }
 
   const bool on_table = magnitude(above_rest_rad) < kTouchdown_rad;
   rest_ticks_ = on_table && speed_rad_s < kTouchdown_rad_s ? rest_ticks_ + 1U : 0U;

@@ -74,11 +74,12 @@ constexpr float kAnswer_rad = 0.8F * kRadPerDeg;
 // so long that they change the rate by more than two counts do. On the paper's rig these are 24
 // degrees per second of pitch and 2.5 of travel. A torque on the axis must exceed 1.5 times the
 // drive to be taken for a wrong sign.
-constexpr float kSignSettles_s[kAxisCount] = {0.0F, 0.04F, 0.15F};
+constexpr float kSignSettles_s[kAxisCount] = {0.0F, 0.04F, 0.25F};
 constexpr float kSignTime_s[kAxisCount] = {0.0F, 0.2F, 0.6F};
 // Pitch this far against a drive that must move it: the rotors' difference, which may be a third of
 // the lift of a hover, turns it by 3 degrees. Travel is turned farther by cables.
-constexpr float kSignAngle_rad[kAxisCount] = {0.0F, 5.0F * kRadPerDeg, 100.0F};
+constexpr float kSignError_rad[kAxisCount] = {0.0F, 5.0F * kRadPerDeg, 100.0F};
+constexpr Quantity kSignTurned_rad = Quantity::of(1.0F * kRadPerDeg);
 
 // Returns `to` minus `from` in counts; counters may wrap.
 std::int32_t count_difference(std::int32_t from, std::int32_t to) {
@@ -142,7 +143,8 @@ SignLimits sign_limits_of(const params::Params& params, std::size_t axis) {
   limits.drive_min = Quantity::of(drive_min);
   limits.impulse_min = Quantity::of(drive_min * kSignTime_s[axis] / Balance::kTime_s);
   limits.settle_updates = updates_of(kSignSettles_s[axis]);
-  limits.angle_max_rad = Quantity::of(kSignAngle_rad[axis]);
+  limits.error_max_rad = Quantity::of(kSignError_rad[axis]);
+  limits.turned_min_rad = kSignTurned_rad;
   return limits;
 }
 
@@ -286,8 +288,10 @@ Verdict Tracking::check(const TrackingInput& input, const TrackingLimits& limits
   axis.error_updates = error_is_large && was_started ? axis.error_updates + 1U : 0U;
 
   if (i != kElevation && driven && (i == kPitch || rotors_lift) && !is_probing() &&
-      axis.sign.is_wrong(drive, limits.balance[i].speed_per_rad_s * observation.rate_rad_s[i],
-                         observation.angle_rad[i] - input.setpoint_rad[i], limits.sign[i])) {
+      axis.sign.is_wrong(
+          {drive, limits.balance[i].speed_per_rad_s * observation.rate_rad_s[i],
+           observation.angle_rad[i], input.setpoint_rad[i] - observation.angle_rad[i]},
+          limits.sign[i])) {
     return {kSign[i], drive.to_float() * (i == kTravel ? kDegPerRad : 1.0F)};
   }
   if (axis.driven_updates > limits.motion_updates || is_motionless(i, input, limits)) {

@@ -19,7 +19,7 @@ CAUSE_WORDS: dict[Trigger, str] = {
     Trigger.TOUCHDOWN: "the arm rests on the table",
     Trigger.TRIP: "a fault",
     Trigger.CLEAR: "the fault was cleared",
-    Trigger.TRAVEL_LOST: "a fault of travel alone",
+    Trigger.AXIS_LOST: "a fault of travel alone",
     Trigger.START: "the board has started",
 }
 _WITHOUT_SETPOINTS = frozenset((Trigger.STALE_HOLD, Trigger.STALE_LAND))
