@@ -402,7 +402,10 @@ def test_a_step_that_no_arm_makes_is_landed_without_its_axis(axis: int, sign: in
     harness.glide(0, -5, 60)
     harness.keep_flying(600, elevation_deg=-5.0)
     count_deg = 360 / 4096
-    for counts, state in ((STEP_MAX_COUNTS[axis], State.CLOSED_LOOP), (STEP_MAX_COUNTS[axis] + 1, State.EMERGENCY_LANDING)):
+    for counts, state in (
+        (STEP_MAX_COUNTS[axis], State.CLOSED_LOOP),
+        (STEP_MAX_COUNTS[axis] + 1, State.EMERGENCY_LANDING),
+    ):
         harness.angles_deg[axis] += sign * counts * count_deg
         harness.move(harness.angles_deg[0])
         harness.tick()
@@ -420,7 +423,10 @@ def test_a_second_lost_axis_is_left_out_of_the_same_landing_and_the_first_fault_
     harness.tick()
     harness.move(elevation_deg=0.0)
     harness.tick()
-    assert [e.detail for e in harness.events if e.kind == Event.FAULT] == [Fault.TRAVEL_STEP, Fault.ELEVATION_STEP]
+    assert [e.detail for e in harness.events if e.kind == Event.FAULT] == [
+        Fault.TRAVEL_STEP,
+        Fault.ELEVATION_STEP,
+    ]
     assert harness.state is State.EMERGENCY_LANDING
     harness.tick(12_100)
     assert harness.state is State.FAULT

@@ -241,7 +241,7 @@ def _deeds(
     does: list[str] = []
     acted_s = 0.0
     for event in events:
-        after_s = 1e-3 * (event.tick - begin_tick)
+        after_s = 1e-3 * max(1, event.tick - begin_tick)
         if event.detail in _DOWN:
             break
         if event.detail in _FLYING and not does:

@@ -7,6 +7,7 @@ moment of a flight are in `fault_sweep`.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -30,6 +31,7 @@ _FLOOD_EDGES_PER_MS: Final = 500
 _TRAVEL: Final = 2
 _LINE_BYTES_PER_MS: Final = 25
 _BLOW_DEG_S: Final = 500.0
+_JUMP_DEG: Final = 10.0
 _STALLS_MS: Final = 1200
 _DOWN_MS: Final = 15_000
 _KILLED: Final = "as if the host were killed"
@@ -57,6 +59,27 @@ def noise(struck: Struck, ms: int) -> None:
     if ms < _FLOOD_MS:
         for k in range(_FLOOD_EDGES_PER_MS):
             due.schedule_step(_TRAVEL, (1, -1)[k % 2], due.now_us + 1.0 + 1e3 * k / _FLOOD_EDGES_PER_MS)
+
+
+def _jump(axis: int) -> Callable[[Struck, int], None]:
+    """Return a blow after which an encoder counts from another angle, while the arm has not moved."""
+
+    def blow(struck: Struck, ms: int) -> None:
+        world = struck.world
+        if ms > 1:
+            return
+        # The arm turns while the plug is out, and returns while the encoder counts.
+        state = world.state
+        state[axis] += np.deg2rad(_JUMP_DEG) * (1 if ms == 0 else -1)
+        world.state = state
+        out = [False] * 3
+        out[axis] = ms == 0
+        world.native.encoders_out = out
+
+    return blow
+
+
+elevation_jump, pitch_jump, travel_jump = (_jump(axis) for axis in range(3))
 
 
 def struck_by_a_hand(struck: Struck, ms: int) -> None:
@@ -150,12 +173,38 @@ def _sine(what: str, options: str, says: str, within_s: float) -> Case:
     return Case(what, says, within_s, 0.0, options, plan="sine")
 
 
+def _wiring(what: str, options: str, says: str, within_s: float) -> Case:
+    """A wrong sign, from the start; `within_s` begins when the control loops close."""
+    return Case(what, f"fault {says}", within_s, 0.0, options, plan="step")
+
+
 CASES: Final = (
     _sine("no encoder counts from the start", "encoder_out=elevation,pitch,travel", _ELEVATION, 1.5),
     _sine("the elevation encoder is out from the start", "encoder_out=elevation", _ELEVATION, 1.5),
     _sine("the pitch encoder is out from the start", "encoder_out=pitch", _PITCH, 12.0),
     _sine("the travel encoder is out from the start", "encoder_out=travel", _TRAVEL_DEAD, 12.0),
     _sine("no motor has a supply", "supply_out=0", _ELEVATION, 1.5),
+    _wiring("the elevation encoder counts backwards", "encoder_scale=elevation:-1", "elevation_sign", 0.3),
+    _wiring("the pitch encoder counts backwards", "encoder_scale=pitch:-1", "pitch_sign", 12.0),
+    _wiring("the travel encoder counts backwards", "encoder_scale=travel:-1", "travel_sign", 13.0),
+    _wiring("the front motor turns backwards", "motor_sign=front:-1", "pitch_sign", 0.6),
+    _wiring("the back motor turns backwards", "motor_sign=back:-1", "pitch_sign", 0.6),
+    _wiring("both motors turn backwards", "motor_sign=front:-1,back:-1", "elevation_motionless", 1.0),
+    _wiring("the motors are exchanged", "motors_swapped=1", "pitch_sign", 12.0),
+    Case(
+        "the plug of the elevation encoder falls off for 1 s in flight",
+        "fault elevation_motionless",
+        1.0,
+        options="encoder_out=elevation:6:1",
+    ),
+    Case(
+        "the count of the elevation encoder jumps by 10 degrees",
+        "fault elevation_step",
+        0.005,
+        blow=elevation_jump,
+    ),
+    Case("the count of the pitch encoder jumps by 10 degrees", "fault pitch_step", 0.005, blow=pitch_jump),
+    Case("the count of the travel encoder jumps by 10 degrees", "fault travel_step", 0.005, blow=travel_jump),
     Case(
         "the stop switch is pressed, or its wire breaks",
         "fault hardware_stop",
