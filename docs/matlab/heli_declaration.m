@@ -296,7 +296,7 @@ d.faults = {
   26, 'elevation_step', 'elevation changed in one tick by more than the arm can turn', 'check the elevation encoder''s plug and cable; then let the arm rest on the table and zero it'
   27, 'pitch_step', 'pitch changed in one tick by more than the short arm can turn', 'check the pitch encoder''s plug and cable; then level the short arm and zero it'
   28, 'travel_step', 'travel changed in one tick by more than the arm can turn', 'check the travel encoder''s plug and cable; then zero it'
-  29, 'elevation_rest', 'after landing, the arm rests without lift at another elevation than before take-off', 'check the elevation encoder''s plug; if the arm floats without voltage, shift its counterweight; then let it rest on the table and zero it'
+  29, 'elevation_rest', 'after landing, the arm rests without lift at another elevation than before take-off', 'check the elevation encoder''s plug; if the arm floats or sticks above the table without voltage, shift its counterweight or free its bearing; then let it rest on the table and zero it'
   33, 'elevation_sign', 'at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong', 'reverse the sign of elevation_counts_per_rev, or swap the encoder''s lines A and B'
   34, 'pitch_sign', 'pitch turned against the difference of the voltages: the sign of the pitch encoder is wrong, the motors are exchanged, or one pushes down', 'tilt the short arm by hand: pitch must be positive with the front rotor up; then try each motor alone with heli-host motors'
   35, 'travel_sign', 'travel turned against the tilt: the sign of the travel encoder is wrong', 'reverse the sign of travel_counts_per_rev, or swap the encoder''s lines A and B'

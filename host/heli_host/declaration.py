@@ -363,7 +363,7 @@ class Param(IntEnum):
     SETPOINT_HOLD_S = 66  # s: time without a recent setpoint after which the board holds level
     SETPOINT_LAND_S = 67  # s: time without a recent setpoint after which the board lands
     LANDING_RATE_DEG_S = 68  # deg/s: descent of the elevation setpoint while landing
-    LANDING_TIMEOUT_S = 69  # s: longest landing; then the motors are switched off with a fault. Also the duration of a landing without the elevation encoder
+    LANDING_TIMEOUT_S = 69  # s: longest landing; then the motors are switched off with a fault. A landing without the elevation encoder takes 1.5 times as long
     VOLTAGE_VALID_MAX_MS = 70  # ms: longest time that a streamed voltage acts
     EXCITATION_MAX_V = 71  # V: largest amplitude that excite accepts
     EXCITATION_MAX_S = 72  # s: longest duration that excite accepts
@@ -583,7 +583,7 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(66, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, 62867, "time without a recent setpoint after which the board holds level"),
     ParamSpec(67, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, 30307, "time without a recent setpoint after which the board lands"),
     ParamSpec(68, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, 47532, "descent of the elevation setpoint while landing"),
-    ParamSpec(69, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, 4700, "longest landing; then the motors are switched off with a fault. Also the duration of a landing without the elevation encoder"),
+    ParamSpec(69, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, 4700, "longest landing; then the motors are switched off with a fault. A landing without the elevation encoder takes 1.5 times as long"),
     ParamSpec(70, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, 46174, "longest time that a streamed voltage acts"),
     ParamSpec(71, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, 50530, "largest amplitude that excite accepts"),
     ParamSpec(72, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, 26314, "longest duration that excite accepts"),
@@ -620,7 +620,7 @@ FAULTS: tuple[FaultSpec, ...] = (
     FaultSpec(26, "elevation_step", "land", "elevation_rate_max_deg_s", "elevation changed in one tick by more than the arm can turn", "check the elevation encoder's plug and cable; then let the arm rest on the table and zero it"),
     FaultSpec(27, "pitch_step", "land", "pitch_rate_max_deg_s", "pitch changed in one tick by more than the short arm can turn", "check the pitch encoder's plug and cable; then level the short arm and zero it"),
     FaultSpec(28, "travel_step", "land", "travel_rate_max_deg_s", "travel changed in one tick by more than the arm can turn", "check the travel encoder's plug and cable; then zero it"),
-    FaultSpec(29, "elevation_rest", "trip", "elevation_rest_deg", "after landing, the arm rests without lift at another elevation than before take-off", "check the elevation encoder's plug; if the arm floats without voltage, shift its counterweight; then let it rest on the table and zero it"),
+    FaultSpec(29, "elevation_rest", "trip", "elevation_rest_deg", "after landing, the arm rests without lift at another elevation than before take-off", "check the elevation encoder's plug; if the arm floats or sticks above the table without voltage, shift its counterweight or free its bearing; then let it rest on the table and zero it"),
     FaultSpec(33, "elevation_sign", "trip", None, "at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong", "reverse the sign of elevation_counts_per_rev, or swap the encoder's lines A and B"),
     FaultSpec(34, "pitch_sign", "land", "pitch_motion_V", "pitch turned against the difference of the voltages: the sign of the pitch encoder is wrong, the motors are exchanged, or one pushes down", "tilt the short arm by hand: pitch must be positive with the front rotor up; then try each motor alone with heli-host motors"),
     FaultSpec(35, "travel_sign", "land", "travel_motion_deg", "travel turned against the tilt: the sign of the travel encoder is wrong", "reverse the sign of travel_counts_per_rev, or swap the encoder's lines A and B"),

@@ -209,7 +209,9 @@ class RestAngles:
         if len(pitch_deg) < _SETTLED_TICKS:
             return None
         newest_deg = pitch_deg[-_SETTLED_TICKS:]
-        if self._is_near(newest_deg) or np.ptp(newest_deg) <= _SETTLED_DEG:
+        # A short arm that returns slowly, by less than 0.1 degrees per second, is not at rest either.
+        is_still = np.ptp(newest_deg) <= _STILL_COUNTS * self.pitch_count_deg
+        if self._is_near(newest_deg) or is_still:
             return float(np.mean(newest_deg))
         if len(pitch_deg) < _LONGEST_TICKS:
             return None

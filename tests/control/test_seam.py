@@ -45,7 +45,11 @@ def test_a_law_is_asked_once_a_tick() -> None:
 
 def test_a_law_is_given_the_measured_state_the_setpoints_and_the_axes() -> None:
     # At these rates the test may move the arm in one tick.
-    rates = {"elevation_rate_max_deg_s": 1000.0, "pitch_rate_max_deg_s": 2000.0, "travel_rate_max_deg_s": 1000.0}
+    rates = {
+        "elevation_rate_max_deg_s": 1000.0,
+        "pitch_rate_max_deg_s": 2000.0,
+        "travel_rate_max_deg_s": 1000.0,
+    }
     harness, law = flown(elevation_slew_deg_s=45.0, elevation_acceleration_deg_s2=200.0, **rates)
     harness.keep_flying(3000, elevation_deg=-20.0, travel_deg=3.0)
     assert law.setpoint_rad == pytest.approx([math.radians(-20.0), 0.0, math.radians(3.0)], abs=1e-5)

@@ -164,7 +164,7 @@ def _tripped(flight: Flight) -> None:
     for axis in range(3):
         for k in range(190):
             flight.board.due.schedule_step(axis, 1, flight.board.due.now_us + 10.0 + 5.0 * k)
-    heli.session.wait_for(lambda: heli.session.state is State.FAULT, 15.0)
+    heli.session.wait_for(lambda: heli.session.state is State.FAULT, 25.0)
     heli.clear_fault()
 
 

@@ -159,7 +159,7 @@ class Seen:
     def tracking_fault(self) -> str:
         """Name of a fault by which the board knows that a reading or a sign is wrong; empty without."""
         names = (fault.name.lower() for fault in Fault)
-        ends = ("_motionless", "_following", "_below_table", "_step", "_rest", "_sign")
+        ends = ("_motionless", "_following", "_below_table", "_step", "_sign")
         return next((n for n in names if n.endswith(ends) and n in self.outcome), "")
 
 

@@ -13,10 +13,9 @@ from heli_host.fly.runner import fly
 from heli_host.fly.tracking import NOT_TRACKED
 from heli_host.heli import connect
 from heli_host.published_gains import load_gains
-from heli_sim.errors import SimError
-from heli_sim.rig import Rig, load_rig, write_rig
-from heli_sim.rig.schema import ENCODER_COUNTS
+from heli_sim.rig import write_rig
 
+from tests.fly.plug_sweep import random_rig
 from tests.running.long import samples
 
 pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
@@ -38,9 +37,9 @@ settle_s = 2
 kind = "sine"
 elevation_amplitude_deg = 6
 elevation_period_s = 7
-travel_amplitude_deg = 20
-travel_period_s = 10
-duration_s = 10
+travel_amplitude_deg = 15
+travel_period_s = 14
+duration_s = 14
 [[segment]]
 kind = "step"
 travel_deg = 15
@@ -63,21 +62,6 @@ def test_an_emergency_landing_is_left_by_stop_only_and_nothing_is_flown_on(tmp_p
             heli.control()
         heli.wait_until(lambda sample: sample.state is State.FAULT, 20.0)
         assert heli.latest.fault is Fault.TRAVEL_MOTIONLESS
-
-
-def random_rig(name: str, chance: np.random.Generator) -> Rig | None:
-    """A rig whose numbers lie within half of their tolerances, as most do; None where there can be none."""
-    rig = load_rig(name)
-    fixed = ("g", "elevation_min", "elevation_max", "supply", *ENCODER_COUNTS)
-    values = {
-        key: number.value * (1.0 + 0.5 * number.tolerance * chance.uniform(-1.0, 1.0))
-        for key, number in rig.items()
-        if key not in fixed and 0.0 < number.tolerance < 1.0
-    }
-    try:
-        return rig.replace(**values)
-    except SimError:
-        return None
 
 
 def outcome(

@@ -49,10 +49,11 @@ class BlindDescent {
   }
 
  private:
-  // In the last share of the time, 5 of 12 s, the rotors turn without lift: so long the paper's rig
-  // takes to swing down once, and the table takes its speed. With a shorter part the motors end
-  // while the arm swings; with a longer one it sinks too fast before.
-  static constexpr float kIdlePart = 0.42F;
+  // In the last share of the time, 10 of 18 s, the rotors turn without lift. The table takes the
+  // speed of an arm that swings down, which the paper's rig does every 5 s; an arm that floats
+  // comes to rest. With 5 s, it swung by up to 10 degrees when the motors ended. A faster descent
+  // before leaves more swing.
+  static constexpr float kIdlePart = 10.0F / 18.0F;
   static constexpr Quantity kIdleTime = Quantity::of(kIdlePart);
   static constexpr Quantity kSlope = Quantity::of(1.0F / (1.0F - kIdlePart));
 

@@ -74,6 +74,7 @@ Limits limits_of(const params::Params& params) {
   limits.hold_ticks = ticks_of(params.get(Param::setpoint_hold_s));
   limits.land_ticks = ticks_of(params.get(Param::setpoint_land_s));
   limits.landing_timeout_ticks = ticks_of(params.get(Param::landing_timeout_s));
+  limits.blind_landing_ticks = ticks_of(1.5F * params.get(Param::landing_timeout_s));
   limits.voltage_valid_max_ticks =
       static_cast<std::uint32_t>(params.get(Param::voltage_valid_max_ms));
   limits.excitation_max_V = params.get(Param::excitation_max_V);

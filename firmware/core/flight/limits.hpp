@@ -26,6 +26,7 @@ struct Limits {
   std::uint32_t hold_ticks = 0;
   std::uint32_t land_ticks = 0;
   std::uint32_t landing_timeout_ticks = 0;
+  std::uint32_t blind_landing_ticks = 0;  // without the elevation encoder
   std::uint32_t voltage_valid_max_ticks = 0;
   float excitation_max_V = 0.0F;
   float excitation_max_s = 0.0F;

@@ -13,10 +13,10 @@ namespace heli::flight {
 
 // A drive is in volts for pitch and in rad of pitch for travel, as in BalanceLimits.
 struct SignLimits {
-  Quantity drive_min;                // a weaker drive may lose against a torque on the axis
-  Quantity impulse_min;              // drive times T that shows clearly in the rate
-  Quantity error_max_rad;            // farther from its setpoint no torque turns a healthy axis
-  Quantity turned_min_rad;           // an axis that is held turns by less
+  Quantity drive_min;       // a weaker drive may lose against a torque on the axis
+  Quantity impulse_min;     // drive times T that shows clearly in the rate
+  Quantity error_max_rad;   // farther from its setpoint no torque turns a healthy axis
+  Quantity turned_min_rad;  // an axis that is held, or whose encoder is dead, turns by less
   std::uint32_t settle_updates = 0;  // until the filtered rate shows what the axis does
 };
 
@@ -54,10 +54,12 @@ class SignCheck {
         drives_up ? axis.angle_rad - first_angle_rad_ : first_angle_rad_ - axis.angle_rad;
     // Half of what the drive gives: a torque on the axis may take or give the other half.
     confirmed_ = gained > impulse_.half();
+    if (turned_rad > -limits.turned_min_rad) {
+      return false;
+    }
     // A motor that pushes down turns the axis slowly, as the lift increases.
-    const bool recedes = control::magnitude(axis.error_rad) > limits.error_max_rad &&
-                         turned_rad < -limits.turned_min_rad;
-    return gained < -impulse_.half() || (recedes && gained < impulse_.half().half());
+    const bool is_far = control::magnitude(axis.error_rad) > limits.error_max_rad;
+    return gained < -impulse_.half() || (is_far && gained < impulse_.half().half());
   }
 
  private:

@@ -174,7 +174,7 @@ void Supervisor::trip(Fault fault, float value) {
   if (can_land) {
     const std::uint32_t landing_ticks = observation_->tick - state_entered_tick_;
     blind_descent_ = tracking_.blind_descent(
-        at_arming_.lifted_off, limits_->landing_timeout_ticks - landing_ticks, *tracking_limits_);
+        at_arming_.lifted_off, limits_->blind_landing_ticks - landing_ticks, *tracking_limits_);
   }
   // The first fault is the reason of the landing.
   if (is_first || !can_land) {
@@ -463,11 +463,11 @@ void Supervisor::check_ages() {
 }
 
 // One tick of a landing: the setpoint of elevation sinks until the arm rests. Without the elevation
-// encoder, the lift decreases until the time of a landing has passed.
+// encoder, the lift decreases until the time of such a landing has passed.
 void Supervisor::descend() {
   const std::uint32_t landing_ticks = observation_->tick - state_entered_tick_;
-  const std::uint32_t remaining_ticks = limits_->landing_timeout_ticks > landing_ticks
-                                            ? limits_->landing_timeout_ticks - landing_ticks
+  const std::uint32_t remaining_ticks = limits_->blind_landing_ticks > landing_ticks
+                                            ? limits_->blind_landing_ticks - landing_ticks
                                             : 0U;
   if (state_ == State::emergency_landing) {
     open_voltages_ = blind_descent_.voltages(remaining_ticks, tracking_limits_->dead_zone);

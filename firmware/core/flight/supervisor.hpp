@@ -110,15 +110,15 @@ class Supervisor {
   bool host_setpoints_known_ = false;
   Quantity host_setpoint_rad_[kAxisCount];
   std::uint32_t state_entered_tick_ = 0;
-  std::uint32_t last_stream_tick_ = 0;  // of the last accepted stream value
-  std::uint32_t voltage_end_tick_ = 0;  // streamed voltage acts until then
+  std::uint32_t last_stream_tick_ = 0;      // of the last accepted stream value
+  std::uint32_t voltage_end_tick_ = 0;      // streamed voltage acts until then
   bool holds_pitch_level_ = false;          // now, in a landing
   bool landing_holds_pitch_level_ = false;  // during the whole landing
-  std::uint32_t rest_ticks_ = 0;        // at rest on the table while landing
-  std::uint32_t hang_ticks_ = 0;        // at rest elsewhere, without lift
-  BlindDescent blind_descent_;          // without the elevation or the pitch encoder
-  bool sinks_at_take_off_ = false;      // elevation, against the rotors' lift
-  bool blind_descent_idles_ = false;    // its rotors only turn, without lift
+  std::uint32_t rest_ticks_ = 0;            // at rest on the table while landing
+  std::uint32_t hang_ticks_ = 0;            // at rest elsewhere, without lift
+  BlindDescent blind_descent_;              // without the elevation or the pitch encoder
+  bool sinks_at_take_off_ = false;          // elevation, against the rotors' lift
+  bool blind_descent_idles_ = false;        // its rotors only turn, without lift
   AtArming at_arming_{};
   std::uint32_t refused_streams_ = 0;
   std::uint32_t next_reject_event_tick_ = 0;

@@ -317,7 +317,7 @@ enum class Param : std::uint8_t {
   setpoint_hold_s = 66,  // s: time without a recent setpoint after which the board holds level
   setpoint_land_s = 67,  // s: time without a recent setpoint after which the board lands
   landing_rate_deg_s = 68,  // deg/s: descent of the elevation setpoint while landing
-  landing_timeout_s = 69,  // s: longest landing; then the motors are switched off with a fault. Also the duration of a landing without the elevation encoder
+  landing_timeout_s = 69,  // s: longest landing; then the motors are switched off with a fault. A landing without the elevation encoder takes 1.5 times as long
   voltage_valid_max_ms = 70,  // ms: longest time that a streamed voltage acts
   excitation_max_V = 71,  // V: largest amplitude that excite accepts
   excitation_max_s = 72,  // s: longest duration that excite accepts

@@ -59,6 +59,7 @@ void put_in_any_state(Supervisor& s) {
   limits.hold_ticks = any<std::uint32_t>();
   limits.land_ticks = any<std::uint32_t>();
   limits.landing_timeout_ticks = any<std::uint32_t>();
+  limits.blind_landing_ticks = any<std::uint32_t>();
   limits.voltage_valid_max_ticks = any<std::uint32_t>();
   limits.params_consistent = any<bool>();
   s.observe(seen, limits, bounds, tracking);
@@ -126,7 +127,8 @@ void step_tick() {
   CLAIM(!descends(before) || before != after || s.state_entered_tick_ == entered_tick,
         "a landing does not begin again");
   CLAIM(!descends(before) || !descends(after) || before != after ||
-            seen.tick - entered_tick <= limits.landing_timeout_ticks,
+            seen.tick - entered_tick <= limits.landing_timeout_ticks ||
+            seen.tick - entered_tick <= limits.blind_landing_ticks,
         "a landing is bounded in time");
 }
 

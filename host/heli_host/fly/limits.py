@@ -56,9 +56,9 @@ class Limits:
         values.update(parameters or {})
         bounds = setpoint_bounds(values)
         low_deg = np.array([bounds[axis].least_deg for axis in AXES])
-        low_deg[Axis.ELEVATION] += _TABLE_MARGIN_DEG
+        low_deg[Axis.ELEVATION] = values["elevation_rest_deg"] + _TABLE_MARGIN_DEG
         low_names = [bounds[axis].least_name for axis in AXES]
-        low_names[Axis.ELEVATION] += f" + {_TABLE_MARGIN_DEG:g}"
+        low_names[Axis.ELEVATION] = f"elevation_rest_deg + {_TABLE_MARGIN_DEG:g}"
         return Limits(
             low_deg=low_deg,
             high_deg=np.array([bounds[axis].most_deg for axis in AXES]),
