@@ -1,7 +1,7 @@
 """Plugs that return, counts that jump, encoders that stay dead, and wrong signs: what the arm truly did.
 
-``python -m tests.fly.plug_sweep`` flies them and prints the tables of docs/validation/faults.md. How soon a dead
-encoder is noticed is measured in `fault_sweep`.
+``python -m tests.fly.plug_sweep`` flies them and prints tables of docs/validation/faults.md. `fault_sweep`
+measures how soon a dead encoder is noticed.
 """
 
 from __future__ import annotations

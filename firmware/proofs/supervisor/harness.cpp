@@ -78,7 +78,6 @@ void put_in_any_state(Supervisor& s) {
   s.sinks_at_take_off_ = any<bool>();
   s.trusted_axes_ = any<std::uint8_t>();
   s.at_arming_.lifted_off = any<bool>();
-  s.blind_descent_ = any<heli::flight::BlindDescent>();
   s.bucket_ = any<std::uint32_t>();
   s.bucket_end_tick_ = any<std::uint32_t>();
   s.exciter_.kind_ = any<heli::link::Excitation>();
