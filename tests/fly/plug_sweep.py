@@ -79,7 +79,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Flown:
-    """What such a flight showed.
+    """Outcome and true motion of such a flight.
 
     Parameters
     ----------
