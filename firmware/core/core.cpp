@@ -86,22 +86,34 @@ void Core::zero(const EncoderReading& reading, std::uint8_t axes) {
       filters_[axis].restart();
     }
   }
+  supervisor_.forget_steps(axes);
   link_.push_event({observation_.tick, static_cast<std::uint8_t>(Event::zeroed), axes, 0, 0.0F});
 }
 
 // Counts to angles and rates of this tick.
-void Core::measure(const EncoderReading& reading, const Conversion& c) {
+void Core::measure(const EncoderReading& reading, const Conversion& c,
+                   const std::uint32_t (&step_max_counts)[kAxisCount]) {
+  observation_.steps = 0;
+  // One axis per tick, in turn: this spreads the work.
+  const std::size_t turn = observation_.tick % flight::kTrackingSlots;
+  if (turn < kAxisCount) {
+    const std::uint32_t moved_counts = static_cast<std::uint32_t>(reading.count[turn]) -
+                                       static_cast<std::uint32_t>(raw_count_[turn]);
+    raw_count_[turn] = reading.count[turn];
+    // Both directions in one comparison: a negative number is a large one without sign.
+    if (moved_counts + step_max_counts[turn] > 2U * step_max_counts[turn]) {
+      observation_.steps = static_cast<std::uint8_t>(1U << turn);
+      observation_.step_counts = static_cast<std::int32_t>(moved_counts);
+    }
+  }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     // Unsigned, because a free-running counter may wrap.
     const std::uint32_t counts_since_zero = static_cast<std::uint32_t>(reading.count[axis]) -
                                             static_cast<std::uint32_t>(zero_count_[axis]);
     const std::uint32_t zero =
         axis == kElevation ? static_cast<std::uint32_t>(c.elevation_rest_counts) : 0U;
-    const std::uint32_t count =
-        (c.count_sign[axis] < 0 ? 0U - counts_since_zero : counts_since_zero) + zero;
-    observation_.moved_counts[axis] =
-        static_cast<std::int32_t>(count - static_cast<std::uint32_t>(observation_.count[axis]));
-    observation_.count[axis] = static_cast<std::int32_t>(count);
+    observation_.count[axis] = static_cast<std::int32_t>(
+        (c.count_sign[axis] < 0 ? 0U - counts_since_zero : counts_since_zero) + zero);
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     observation_.angle_rad[axis] =
@@ -225,9 +237,12 @@ ControlOutput Core::compute_output(Bank bank) {
       excitation.back_V,
       travel_waits};
   ControlOutput out = laws_.update(in, bank);
-  const Quantity motor_max_V = supervisor_.motor_max_V();
-  out.front_V = out.front_V < motor_max_V ? out.front_V : motor_max_V;
-  out.back_V = out.back_V < motor_max_V ? out.back_V : motor_max_V;
+  if (supervisor_.sinks_at_take_off()) {
+    // The loop of elevation would add thrust until the wrong sign is certain.
+    const Quantity hover_V = supervisor_.hover_motor_V();
+    out.front_V = out.front_V < hover_V ? out.front_V : hover_V;
+    out.back_V = out.back_V < hover_V ? out.back_V : hover_V;
+  }
   return out;
 }
 
@@ -348,10 +363,13 @@ void Core::tick(TickTiming timing) {
   if (!zeroed_) {
     zeroed_ = true;
     zero(reading, kAllAxes);
+    for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
+      raw_count_[axis] = reading.count[axis];
+    }
   }
   const Bank bank = active_.load(std::memory_order_acquire);
   const Derived& derived = derived_[bank];
-  measure(reading, derived.conversion);
+  measure(reading, derived.conversion, derived.limits.step_max_counts);
 
   // Motor voltages and pitch setpoint are those of the previous tick.
   observation_.overload_edges = reading.overload_edges;

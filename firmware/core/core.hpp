@@ -56,7 +56,8 @@ class Core {
 
   void refresh_derived();  // idle loop
   // All that follows runs in the tick.
-  void measure(const EncoderReading& reading, const Conversion& c);
+  void measure(const EncoderReading& reading, const Conversion& c,
+               const std::uint32_t (&step_max_counts)[kAxisCount]);
   void zero(const EncoderReading& reading, std::uint8_t axes);
   link::Reply execute(const link::Request& request, const EncoderReading& reading);
   link::Reply set_parameter(const link::ParamSetMessage& message, bool idle);
@@ -84,6 +85,7 @@ class Core {
 
   bool zeroed_ = false;                       // the first tick has set the zero
   std::int32_t zero_count_[kAxisCount] = {};  // board's counts at the zero of each axis
+  std::int32_t raw_count_[kAxisCount] = {};   // board's counts when steps were last looked for
   flight::Observation observation_{};
   bool excited_ = false;
   link::TickCounters counters_;

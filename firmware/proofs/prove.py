@@ -307,7 +307,7 @@ def main(words: list[str]) -> int:
     prover = find_prover()
     if prover is None:
         print(
-            "error: the prover is missing; on Linux x86-64: pip install 'heli-host[prove]'", file=sys.stderr
+            "error: the prover is missing; on Linux x86-64: pip install -e '.[prove]'", file=sys.stderr
         )
         return 2
     failed_claims = 0

@@ -276,9 +276,9 @@ class Fault(IntEnum):
     PARAMETERS_INVALID = 23  # the stored parameters are damaged or contradict each other
     PITCH_NOT_LEVEL = 24  # the short arm is not level
     ELEVATION_BELOW_TABLE = 25  # elevation read more than 1 degree plus this tolerance below the table, where the arm cannot be
-    ELEVATION_STEP = 26  # elevation changed in one tick by more than the arm can turn
-    PITCH_STEP = 27  # pitch changed in one tick by more than the short arm can turn
-    TRAVEL_STEP = 28  # travel changed in one tick by more than the arm can turn
+    ELEVATION_STEP = 26  # elevation changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed
+    PITCH_STEP = 27  # pitch changed within 4 ms by more than the short arm can turn; until it is zeroed, nothing is armed
+    TRAVEL_STEP = 28  # travel changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed
     ELEVATION_REST = 29  # after landing, the arm rests without lift at another elevation than before take-off
     ELEVATION_SIGN = 33  # at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong
     PITCH_SIGN = 34  # pitch turned against the difference of the voltages: the sign of the pitch encoder is wrong, the motors are exchanged, or one pushes down
@@ -617,9 +617,9 @@ FAULTS: tuple[FaultSpec, ...] = (
     FaultSpec(23, "parameters_invalid", "check", None, "the stored parameters are damaged or contradict each other", "restore or set them, then params save"),
     FaultSpec(24, "pitch_not_level", "check", "arm_pitch_tolerance_deg", "the short arm is not level", "level it, or zero it while level"),
     FaultSpec(25, "elevation_below_table", "land", "arm_elevation_tolerance_deg", "elevation read more than 1 degree plus this tolerance below the table, where the arm cannot be", "check the elevation encoder's plug; then let the arm rest on the table and zero it"),
-    FaultSpec(26, "elevation_step", "land", "elevation_rate_max_deg_s", "elevation changed in one tick by more than the arm can turn", "check the elevation encoder's plug and cable; then let the arm rest on the table and zero it"),
-    FaultSpec(27, "pitch_step", "land", "pitch_rate_max_deg_s", "pitch changed in one tick by more than the short arm can turn", "check the pitch encoder's plug and cable; then level the short arm and zero it"),
-    FaultSpec(28, "travel_step", "land", "travel_rate_max_deg_s", "travel changed in one tick by more than the arm can turn", "check the travel encoder's plug and cable; then zero it"),
+    FaultSpec(26, "elevation_step", "land", "elevation_rate_max_deg_s", "elevation changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed", "check the elevation encoder's plug and cable; then let the arm rest on the table and zero it"),
+    FaultSpec(27, "pitch_step", "land", "pitch_rate_max_deg_s", "pitch changed within 4 ms by more than the short arm can turn; until it is zeroed, nothing is armed", "check the pitch encoder's plug and cable; then level the short arm and zero it"),
+    FaultSpec(28, "travel_step", "land", "travel_rate_max_deg_s", "travel changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed", "check the travel encoder's plug and cable; then zero it"),
     FaultSpec(29, "elevation_rest", "trip", "elevation_rest_deg", "after landing, the arm rests without lift at another elevation than before take-off", "check the elevation encoder's plug; if the arm floats or sticks above the table without voltage, shift its counterweight or free its bearing; then let it rest on the table and zero it"),
     FaultSpec(33, "elevation_sign", "trip", None, "at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong", "reverse the sign of elevation_counts_per_rev, or swap the encoder's lines A and B"),
     FaultSpec(34, "pitch_sign", "land", "pitch_motion_V", "pitch turned against the difference of the voltages: the sign of the pitch encoder is wrong, the motors are exchanged, or one pushes down", "tilt the short arm by hand: pitch must be positive with the front rotor up; then try each motor alone with heli-host motors"),

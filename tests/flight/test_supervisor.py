@@ -137,7 +137,7 @@ def test_arming_is_refused_in_flight() -> None:
         (2, 176, 100, Fault.TRAVEL_LIMIT),
         (2, -176, 100, Fault.TRAVEL_LIMIT),
         (0, 0, 200, Fault.ELEVATION_RATE),
-        (1, 40, 900, Fault.PITCH_RATE),
+        (1, 40, 700, Fault.PITCH_RATE),
         (2, 90, 300, Fault.TRAVEL_RATE),
     ],
 )
@@ -390,8 +390,8 @@ def test_an_elevation_that_decreases_at_take_off_has_the_wrong_sign(armed_deg: f
 
 
 STEPS = (Fault.ELEVATION_STEP, Fault.PITCH_STEP, Fault.TRAVEL_STEP)
-STEP_MAX_COUNTS = (5, 11, 5)
-"""Twice the highest rate in a tick, 0.24, 0.8 and 0.3 degrees, and two counts."""
+STEP_MAX_COUNTS = (13, 38, 16)
+"""Twice what an axis turns by at its highest rate in the 4 ms between two looks, and two counts."""
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -402,16 +402,42 @@ def test_a_step_that_no_arm_makes_is_landed_without_its_axis(axis: int, sign: in
     harness.glide(0, -5, 60)
     harness.keep_flying(600, elevation_deg=-5.0)
     count_deg = 360 / 4096
-    for counts, state in (
-        (STEP_MAX_COUNTS[axis], State.CLOSED_LOOP),
-        (STEP_MAX_COUNTS[axis] + 1, State.EMERGENCY_LANDING),
-    ):
+    allowed = STEP_MAX_COUNTS[axis]
+    for counts, state in ((allowed, State.CLOSED_LOOP), (allowed + 1, State.EMERGENCY_LANDING)):
         harness.angles_deg[axis] += sign * counts * count_deg
         harness.move(harness.angles_deg[0])
-        harness.tick()
+        harness.tick(4)
         assert harness.state is state
         harness.keep_flying(100, elevation_deg=-5.0)
     assert harness.last_event(Event.FAULT).detail == STEPS[axis]
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_after_a_step_nothing_is_armed_until_the_axis_is_zeroed(axis: int) -> None:
+    """A plug that was loose before the flight: its reading is wrong by what it missed."""
+    harness = Harness()
+    harness.angles_deg[axis] += 1.9 if axis != 1 else 4.0
+    harness.move(harness.angles_deg[0])
+    harness.tick(500)
+    harness.ping()
+    refused_with(harness, STEPS[axis])
+    assert harness.ask(d.ZeroMessage(0, 7 & ~(1 << axis))).result == Result.OK
+    refused_with(harness, STEPS[axis])
+    assert harness.ask(d.ZeroMessage(0, 1 << axis)).result == Result.OK
+    harness.tick(500)
+    harness.ping()
+    assert harness.arm().result == Result.OK
+
+
+def test_a_new_sign_a_new_rest_and_a_new_zero_are_no_steps() -> None:
+    harness = Harness()
+    harness.glide(2, 60, 100.0)
+    harness.set("travel_counts_per_rev", -4096)
+    harness.set("elevation_rest_deg", -20)
+    harness.ask(d.ZeroMessage(0, 7))
+    harness.tick(500)
+    harness.ping()
+    assert harness.arm().result == Result.OK
 
 
 def test_a_second_lost_axis_is_left_out_of_the_same_landing_and_the_first_fault_is_its_reason() -> None:
@@ -420,9 +446,9 @@ def test_a_second_lost_axis_is_left_out_of_the_same_landing_and_the_first_fault_
     harness.glide(0, -5, 60)
     harness.keep_flying(600, elevation_deg=-5.0)
     harness.move(travel_deg=3.0)
-    harness.tick()
+    harness.tick(4)
     harness.move(elevation_deg=0.0)
-    harness.tick()
+    harness.tick(4)
     assert [e.detail for e in harness.events if e.kind == Event.FAULT] == [
         Fault.TRAVEL_STEP,
         Fault.ELEVATION_STEP,

@@ -208,7 +208,7 @@ void bind_flight(nb::module_& module) {
         seen.angle_rad[heli::kElevation] = limits.rest_rad;
         seen.params_usable = true;
         seen.link_age_ticks = link_age_ticks;
-        const heli::flight::Verdict verdict = heli::flight::check_before_arming(seen, limits);
+        const heli::flight::Verdict verdict = heli::flight::check_before_arming(seen, limits, 0);
         return std::tuple(static_cast<int>(verdict.fault), verdict.value);
       },
       "link_age_ticks"_a);

@@ -232,7 +232,7 @@ def reason(flight: Flown) -> str:
     if blow == "ctrl-c":
         return "aborted: Ctrl-C"
     end = flight.heard.end()
-    if end is not None and end.cause == Trigger.TRIP:
+    if end is not None and end.cause in (Trigger.TRIP, Trigger.AXIS_LOST):
         return f"fault {flight.heard.fault().name.lower()}"
     if end is not None:
         return f"because of {Trigger(end.cause).name.lower()}"

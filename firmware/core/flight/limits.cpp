@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "control/math.hpp"
+#include "flight/balance.hpp"
 
 namespace heli::flight {
 
@@ -34,10 +35,10 @@ constexpr Quantity kLiftOff_rad = Quantity::of(1.0F * kRadPerDeg);
 // An arm that lies on its table sinks by less than this when the rotors start. With twice as much,
 // a wrong sign raises the voltage beyond that of a hover before it is noticed.
 constexpr Quantity kWrongWay_rad = Quantity::of(0.25F * kRadPerDeg);
-// A reading may change in a tick by twice the highest rate, because a tick may be late, and by an
-// edge at either end.
-constexpr float kStepRates = 2.0F;
-constexpr std::int32_t kStepEdges_counts = 2;
+// A reading may change by twice as much as at the highest rate, and by an edge at either end. Less,
+// and an arm that is struck seems to have a loose plug; more, and the board misses larger steps.
+constexpr float kStepRates = 2.0F * static_cast<float>(kTrackingSlots);
+constexpr std::uint32_t kStepEdges_counts = 2;
 
 }  // namespace
 
@@ -59,7 +60,8 @@ Limits limits_of(const params::Params& params) {
     const float counts_per_tick = params.get(rate) * control::kTick_s *
                                   control::magnitude(params.get(counts)) * (1.0F / 360.0F);
     limits.step_max_counts[axis] =
-        control::nearest(kStepRates * counts_per_tick) + kStepEdges_counts;
+        static_cast<std::uint32_t>(control::nearest(kStepRates * counts_per_tick)) +
+        kStepEdges_counts;
   }
   limits.below_table_rad =
       Quantity::of((params.get(Param::elevation_rest_deg) -
@@ -87,12 +89,15 @@ Limits limits_of(const params::Params& params) {
   return limits;
 }
 
-bool has_lifted_off(const Observation& observation, const AtArming& before) {
-  return observation.angle_rad[kElevation] > before.elevation_rad + kLiftOff_rad;
+void update_floor(AtArming& before, const Observation& observation, const Limits& limits) {
+  before.lifted_off = observation.angle_rad[kElevation] > before.elevation_rad + kLiftOff_rad;
+  const Quantity lowest_rad =
+      before.elevation_rad < limits.rest_rad ? before.elevation_rad : limits.rest_rad;
+  before.floor_rad = before.lifted_off ? limits.below_table_rad : lowest_rad - kWrongWay_rad;
 }
 
 Verdict check_flight(const Observation& observation, const AtArming& before, const Limits& limits,
-                     std::uint8_t trusted, bool flies) {
+                     std::uint8_t trusted) {
   if (observation.hardware_stop) {
     return {Fault::hardware_stop, 0.0F};
   }
@@ -100,38 +105,24 @@ Verdict check_flight(const Observation& observation, const AtArming& before, con
   if (observation.overload_edges > 0U) {
     return {Fault::encoder_overload, static_cast<float>(observation.overload_edges)};
   }
-  const Quantity elevation_rad = observation.angle_rad[kElevation];
-  if (flies && (trusted & link::axes::elevation) != 0U) {
-    const Quantity lowest_rad =
-        before.elevation_rad < limits.rest_rad ? before.elevation_rad : limits.rest_rad;
-    if (!before.lifted_off && elevation_rad < lowest_rad - kWrongWay_rad) {
-      return {Fault::elevation_sign, deg(elevation_rad)};
-    }
-    if (elevation_rad < limits.below_table_rad) {
-      return {Fault::elevation_below_table, deg(elevation_rad)};
-    }
+  const auto is_trusted = [trusted](std::size_t axis) { return (trusted & (1U << axis)) != 0U; };
+  // A step exceeds the other limits too.
+  if ((observation.steps & trusted) != 0U) {
+    const std::size_t axis = observation.tick % kTrackingSlots;
+    return {kStepFault[axis], static_cast<float>(observation.step_counts)};
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    if ((trusted & (1U << axis)) == 0U) {
-      continue;
-    }
-    // A step exceeds the other limits too.
-    const std::int32_t moved_counts = observation.moved_counts[axis];
-    if (moved_counts > limits.step_max_counts[axis] ||
-        moved_counts < -limits.step_max_counts[axis]) {
-      return {kStepFault[axis], static_cast<float>(moved_counts)};
-    }
-    // The lower limit of elevation is the table.
+    // The lower limit of elevation is the table; see update_floor().
     const Quantity angle_rad =
         axis == kElevation ? observation.angle_rad[axis] : magnitude(observation.angle_rad[axis]);
-    if (angle_rad > limits.angle_max_rad[axis]) {
+    if (angle_rad > limits.angle_max_rad[axis] && is_trusted(axis)) {
       return {kAngleFault[axis], deg(observation.angle_rad[axis])};
     }
-    if (magnitude(observation.rate_rad_s[axis]) > limits.rate_max_rad_s[axis]) {
+    if (magnitude(observation.rate_rad_s[axis]) > limits.rate_max_rad_s[axis] && is_trusted(axis)) {
       return {kRateFault[axis], deg(observation.rate_rad_s[axis])};
     }
     const std::uint32_t illegal = observation.illegal[axis] - before.illegal[axis];
-    if (illegal > limits.encoder_illegal_max) {
+    if (illegal > limits.encoder_illegal_max && is_trusted(axis)) {
       return {kEncoderFault[axis], static_cast<float>(illegal)};
     }
   }
@@ -142,7 +133,8 @@ Verdict check_flight(const Observation& observation, const AtArming& before, con
   return {Fault::none, 0.0F};
 }
 
-Verdict check_before_arming(const Observation& observation, const Limits& limits) {
+Verdict check_before_arming(const Observation& observation, const Limits& limits,
+                            std::uint8_t stepped_axes) {
   if (observation.hardware_stop) {
     return {Fault::hardware_stop, 0.0F};
   }
@@ -151,6 +143,11 @@ Verdict check_before_arming(const Observation& observation, const Limits& limits
   }
   if (!observation.params_usable || !limits.params_consistent) {
     return {Fault::parameters_invalid, 0.0F};
+  }
+  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
+    if ((stepped_axes & (1U << axis)) != 0U) {
+      return {kStepFault[axis], deg(observation.angle_rad[axis])};
+    }
   }
   if (observation.link_age_ticks > limits.hold_ticks) {
     return {Fault::link_not_alive,

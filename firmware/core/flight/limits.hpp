@@ -15,7 +15,7 @@ namespace heli::flight {
 struct Limits {
   Quantity angle_max_rad[kAxisCount];
   Quantity below_table_rad;  // elevation beyond which the reading is wrong: the table is above
-  std::int32_t step_max_counts[kAxisCount] = {};  // in a tick
+  std::uint32_t step_max_counts[kAxisCount] = {};  // in kTrackingSlots ticks
   Quantity rate_max_rad_s[kAxisCount];
   std::uint32_t encoder_illegal_max = 0;
   std::uint32_t overrun_max = 0;
@@ -44,6 +44,7 @@ struct AtArming {
   std::uint32_t illegal[kAxisCount] = {};
   std::uint32_t overruns = 0;
   Quantity elevation_rad;
+  Quantity floor_rad;       // elevation below which its reading or its sign is wrong
   bool lifted_off = false;  // elevation has risen since
 };
 
@@ -52,13 +53,13 @@ struct Verdict {
   float value;        // the offending quantity, in degrees, deg/s or a count
 };
 
-// Whether elevation has risen from the table since arming, in the direction of the rotors' lift.
-bool has_lifted_off(const Observation& observation, const AtArming& before);
+// Sets the floor of a flight that begins, or that has lifted off if elevation has risen.
+void update_floor(AtArming& before, const Observation& observation, const Limits& limits);
 
 // Returns the first limit that is exceeded by an axis of `trusted` (link::axes bits), whose reading
-// no fault has shown to be wrong. `flies`: no person holds the arm.
+// no fault has shown to be wrong.
 Verdict check_flight(const Observation& observation, const AtArming& before, const Limits& limits,
-                     std::uint8_t trusted, bool flies);
+                     std::uint8_t trusted);
 
 // The axis (link::axes bits) whose reading a fault has shown to be wrong, so that the arm can land
 // without it; none if the fault concerns the whole arm.
@@ -88,7 +89,9 @@ constexpr std::uint8_t axis_lost_by(link::Fault fault) {
   }
 }
 
-// Returns the first reason not to arm.
-Verdict check_before_arming(const Observation& observation, const Limits& limits);
+// Returns the first reason not to arm. `stepped_axes`: readings that have stepped since they were
+// zeroed.
+Verdict check_before_arming(const Observation& observation, const Limits& limits,
+                            std::uint8_t stepped_axes);
 
 }  // namespace heli::flight

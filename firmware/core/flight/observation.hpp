@@ -21,8 +21,9 @@ struct Observation {
   std::uint32_t tick = 0;
   Quantity angle_rad[kAxisCount];
   Quantity rate_rad_s[kAxisCount];
-  std::int32_t count[kAxisCount] = {};         // of the encoder, wraps
-  std::int32_t moved_counts[kAxisCount] = {};  // since the previous tick
+  std::int32_t count[kAxisCount] = {};  // of the encoder, wraps
+  std::uint8_t steps = 0;  // link::axes bits: readings that changed faster than the arm can turn
+  std::int32_t step_counts = 0;  // of the last such step
   std::uint32_t illegal[kAxisCount] =
       {};                            // encoder transitions that cannot be, since power-up; wraps
   std::uint32_t overload_edges = 0;  // of this tick, see EncoderReading

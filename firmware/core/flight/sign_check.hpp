@@ -22,24 +22,27 @@ struct SignLimits {
 
 struct SignInput {
   Quantity drive;
-  Quantity speed;  // as a drive times T
+  Quantity rate_rad_s;
+  Gain speed_per_rad_s;  // converts the rate to a drive times T
   Quantity angle_rad;
   Quantity error_rad;  // setpoint minus angle
 };
 
 class SignCheck {
  public:
-  // Once per update of the axis. True if the sign is wrong.
+  // The sign is right.
+  bool is_confirmed() const { return confirmed_; }
+  // Once per update of the axis until then. True if the sign is wrong.
   bool is_wrong(const SignInput& axis, const SignLimits& limits) {
     const bool drives_up = axis.drive > Quantity{};
-    if (confirmed_ || control::magnitude(axis.drive) < limits.drive_min ||
-        drives_up != drives_up_) {
+    if (control::magnitude(axis.drive) < limits.drive_min || drives_up != drives_up_) {
       drives_up_ = drives_up;
       driven_updates_ = 0;
       return false;
     }
+    const Quantity speed = axis.speed_per_rad_s * axis.rate_rad_s;
     if (++driven_updates_ <= limits.settle_updates) {
-      first_speed_ = axis.speed;
+      first_speed_ = speed;
       first_angle_rad_ = axis.angle_rad;
       impulse_ = {};
       return false;
@@ -49,7 +52,7 @@ class SignCheck {
       return false;
     }
     driven_updates_ = 0;
-    const Quantity gained = drives_up ? axis.speed - first_speed_ : first_speed_ - axis.speed;
+    const Quantity gained = drives_up ? speed - first_speed_ : first_speed_ - speed;
     const Quantity turned_rad =
         drives_up ? axis.angle_rad - first_angle_rad_ : first_angle_rad_ - axis.angle_rad;
     // Half of what the drive gives: a torque on the axis may take or give the other half.

@@ -232,7 +232,7 @@ Reply Supervisor::arm() {
   if (next_state(state_, Trigger::arm) == kRefused) {
     return bad_state();
   }
-  const Verdict verdict = check_before_arming(*observation_, *limits_);
+  const Verdict verdict = check_before_arming(*observation_, *limits_, stepped_axes_);
   if (verdict.fault != Fault::none) {
     return {Result::check_failed, as_byte(verdict.fault), verdict.value};
   }
@@ -380,13 +380,17 @@ void Supervisor::reject_stream(Result why) {
 }
 
 void Supervisor::check_limits() {
-  at_arming_.lifted_off = at_arming_.lifted_off || has_lifted_off(*observation_, at_arming_);
-  const bool flies = state_ != State::open_loop && state_ != State::armed;
-  sinks_at_take_off_ = flies && !at_arming_.lifted_off &&
-                       observation_->angle_rad[kElevation] < at_arming_.elevation_rad;
-  const Verdict verdict = check_flight(*observation_, at_arming_, *limits_, trusted_axes_, flies);
+  if (!at_arming_.lifted_off) {
+    update_floor(at_arming_, *observation_, *limits_);
+    sinks_at_take_off_ = flies() && observation_->angle_rad[kElevation] < at_arming_.elevation_rad;
+  }
+  const Verdict verdict = check_flight(*observation_, at_arming_, *limits_, trusted_axes_);
   if (verdict.fault != Fault::none) {
     trip(verdict.fault, verdict.value);
+  } else if (observation_->angle_rad[kElevation] < at_arming_.floor_rad && flies() &&
+             (trusted_axes_ & link::axes::elevation) != 0U) {
+    trip(at_arming_.lifted_off ? Fault::elevation_below_table : Fault::elevation_sign,
+         observation_->angle_rad[kElevation].to_float() * kDegPerRad);
   }
 }
 
@@ -513,6 +517,8 @@ void Supervisor::advance() {
     bucket_ = bucket_ + 1U < kRateBuckets ? bucket_ + 1U : 0U;
     accepted_values_[bucket_] = 0;
   }
+  // Until they are zeroed, readings that have stepped forbid to arm.
+  stepped_axes_ = static_cast<std::uint8_t>(stepped_axes_ | observation_->steps);
   if (motors_enabled()) {
     check_limits();
   }

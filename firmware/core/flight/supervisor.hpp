@@ -44,11 +44,9 @@ class Supervisor {
   void continue_from(std::size_t axis, Quantity angle_rad) {
     setpoints_.continue_from(axis, angle_rad);
   }
-  // The highest motor voltage. While elevation sinks at take-off, it is that of a hover, because
-  // its loop would add thrust until the wrong sign is certain.
-  Quantity motor_max_V() const {
-    return sinks_at_take_off_ ? limits_->hover_motor_V : Quantity::from_raw(INT32_MAX);
-  }
+  // Elevation sinks at take-off, against the rotors' lift: no motor gets more than in a hover.
+  bool sinks_at_take_off() const { return sinks_at_take_off_; }
+  Quantity hover_motor_V() const { return limits_->hover_motor_V; }
   // Travel's loop waits, and pitch follows waiting_pitch_rad(), in three cases: a probing tilt
   // tests travel's encoder; such a tilt had no result when the landing began; or a landing has used
   // half of its time. The last because holding a tilt takes so much voltage that the arm may not
@@ -56,6 +54,10 @@ class Supervisor {
   bool travel_waits() const { return holds_pitch_level_ || tracking_.is_probing(); }
   Quantity waiting_pitch_rad() const {
     return holds_pitch_level_ ? Quantity{} : tracking_.probe().pitch_rad();
+  }
+  // These axes have a new zero: what their readings did before no longer matters.
+  void forget_steps(std::uint8_t axes) {
+    stepped_axes_ = static_cast<std::uint8_t>(stepped_axes_ & ~axes);
   }
   // Forgets the motion of the axes until now.
   void restart_tracking() { tracking_.restart(); }
@@ -80,6 +82,8 @@ class Supervisor {
   void count_accepted();
   void reject_stream(link::Result why);
   void push_event(link::Event kind, std::uint8_t detail, std::uint8_t cause, float value);
+  // Not in open loop: on a bench, people may hold the arm.
+  bool flies() const { return state_ != State::open_loop && state_ != State::armed; }
   void check_limits();
   void check_tracking();
   void check_ages();
@@ -106,6 +110,7 @@ class Supervisor {
   Trigger cause_ = Trigger::start;
   std::uint8_t axes_ = 0;
   std::uint8_t trusted_axes_ = 0;  // whose readings no fault has shown to be wrong since arming
+  std::uint8_t stepped_axes_ = 0;  // whose readings have stepped since they were zeroed
   OpenVoltages open_voltages_{};
   bool host_setpoints_known_ = false;
   Quantity host_setpoint_rad_[kAxisCount];

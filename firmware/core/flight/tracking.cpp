@@ -287,9 +287,9 @@ Verdict Tracking::check(const TrackingInput& input, const TrackingLimits& limits
   const bool error_is_large = (input.closed & bit) != 0U && error_rad > limits.error_max_rad[i];
   axis.error_updates = error_is_large && was_started ? axis.error_updates + 1U : 0U;
 
-  if (i != kElevation && driven && (i == kPitch || rotors_lift) && !is_probing() &&
+  if (i != kElevation && !axis.sign.is_confirmed() && driven && (i == kPitch || rotors_lift) &&
       axis.sign.is_wrong(
-          {drive, limits.balance[i].speed_per_rad_s * observation.rate_rad_s[i],
+          {drive, observation.rate_rad_s[i], limits.balance[i].speed_per_rad_s,
            observation.angle_rad[i], input.setpoint_rad[i] - observation.angle_rad[i]},
           limits.sign[i])) {
     return {kSign[i], drive.to_float() * (i == kTravel ? kDegPerRad : 1.0F)};

@@ -235,9 +235,9 @@ enum class Fault : std::uint8_t {
   parameters_invalid = 23,  // check: the stored parameters are damaged or contradict each other
   pitch_not_level = 24,  // check: the short arm is not level
   elevation_below_table = 25,  // land: elevation read more than 1 degree plus this tolerance below the table, where the arm cannot be
-  elevation_step = 26,  // land: elevation changed in one tick by more than the arm can turn
-  pitch_step = 27,  // land: pitch changed in one tick by more than the short arm can turn
-  travel_step = 28,  // land: travel changed in one tick by more than the arm can turn
+  elevation_step = 26,  // land: elevation changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed
+  pitch_step = 27,  // land: pitch changed within 4 ms by more than the short arm can turn; until it is zeroed, nothing is armed
+  travel_step = 28,  // land: travel changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed
   elevation_rest = 29,  // trip: after landing, the arm rests without lift at another elevation than before take-off
   elevation_sign = 33,  // trip: at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong
   pitch_sign = 34,  // land: pitch turned against the difference of the voltages: the sign of the pitch encoder is wrong, the motors are exchanged, or one pushes down

@@ -21,14 +21,17 @@ using heli::proofs::holds;
 namespace heli::flight {
 
 // Contracts: what stops a flight or forbids arming, and any other limit that is broken.
-Verdict check_flight(const Observation& s, const AtArming&, const Limits&, std::uint8_t, bool) {
+Verdict check_flight(const Observation& s, const AtArming&, const Limits&, std::uint8_t) {
   Verdict verdict{any<Fault>(), 0.0F};
   ASSUME(!s.hardware_stop || verdict.fault == Fault::hardware_stop);
   ASSUME(s.hardware_stop || s.overload_edges == 0U || verdict.fault == Fault::encoder_overload);
   return verdict;
 }
-bool has_lifted_off(const Observation&, const AtArming&) { return any<bool>(); }
-Verdict check_before_arming(const Observation& s, const Limits& l) {
+void update_floor(AtArming& before, const Observation&, const Limits&) {
+  before.lifted_off = any<bool>();
+  before.floor_rad = any<Quantity>();
+}
+Verdict check_before_arming(const Observation& s, const Limits& l, std::uint8_t) {
   Verdict verdict{any<Fault>(), 0.0F};
   ASSUME((!s.hardware_stop && s.overload_edges == 0U && s.params_usable && l.params_consistent) ||
          verdict.fault != Fault::none);
