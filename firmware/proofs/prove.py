@@ -306,9 +306,7 @@ def main(words: list[str]) -> int:
         return 0
     prover = find_prover()
     if prover is None:
-        print(
-            "error: the prover is missing; on Linux x86-64: pip install -e '.[prove]'", file=sys.stderr
-        )
+        print("error: the prover is missing; on Linux x86-64: pip install -e '.[prove]'", file=sys.stderr)
         return 2
     failed_claims = 0
     for name in options.claims or by_name:

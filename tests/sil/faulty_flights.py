@@ -31,7 +31,7 @@ _FLYING = (State.ARMED, State.CLOSED_LOOP, State.HOLD)
 # Commands of the host, and what follows a landing whose beginning was not heard: no reasons.
 _NO_REASONS = (Trigger.LAND, Trigger.STOP, Trigger.TOUCHDOWN)
 # The longest landing, and the time after which the board begins it by itself.
-_DOWN_S = 15.0
+_DOWN_S = 20.0
 
 Row = tuple[int, bytes]
 
