@@ -242,12 +242,12 @@ class Vehicle(OpenLoopCommands):
         Parameters
         ----------
         cause : str
-            What ended the landing.
+            Reason for which the landing was ended.
 
         Returns
         -------
         str
-            What happened, in one line.
+            One line for the outcome.
         """
         # A pending error of a callback must not delay the stop.
         for _ in range(_TRIES):

@@ -72,7 +72,7 @@ def test_pooled_scores_equal_those_of_one_split_with_all_cases(
 def test_a_pooled_report_can_be_pooled_again(splits: tuple[Split, Split, Split], tmp_path: Path) -> None:
     _, first, second = (written(split, tmp_path) for split in splits)
     assert run(["benchmark", "report", str(first), str(second), "-o", str(tmp_path / "report")]) == 0
-    assert (tmp_path / "report" / "table.md").read_text().endswith("\nCases: 6, of 2 splits.\n")
+    assert "\nCases: 6, of 2 splits.\n" in (tmp_path / "report" / "table.md").read_text()
     assert pooled_scores([tmp_path / "report" / "scores.json"]) == pooled_scores([first, second])
 
 

@@ -193,8 +193,8 @@ CASES: Final = (
     _wiring("the motors are exchanged", "motors_swapped=1", "pitch_sign", 12.0),
     Case(
         "the plug of the elevation encoder falls off for 1 s in flight",
-        "fault elevation_motionless",
-        1.0,
+        "fault elevation_rest",
+        6.0,
         options="encoder_out=elevation:6:1",
     ),
     Case(

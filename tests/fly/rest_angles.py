@@ -50,7 +50,7 @@ def main() -> None:
     names = list(catalogue())
     if options.pairs:
         frictions = [name for name in names if name.startswith("coulomb_friction")]
-        names = [f"{one};{other}" for one in frictions for other in names if one != other]
+        names = [f"{friction};{other}" for friction in frictions for other in names if friction != other]
     for name in names:
         for seed in range(1, options.seeds + 1):
             outcome, before, after = flown(name, seed)

@@ -269,7 +269,7 @@ def test_a_plan_is_found_by_name_or_file(tmp_path: Path) -> None:
     assert load_plan(tmp_path / "mine.toml").name == "mine"
     with pytest.raises(PlanError, match="did you mean hover"):
         load_plan("hovr")
-    (tmp_path / "bad.toml").write_bytes(b"\xff\xfe")
+    (tmp_path / "bad.toml").write_bytes(b"\xff\xfa")
     with pytest.raises(PlanError, match="UTF-8"):
         load_plan(tmp_path / "bad.toml")
     with pytest.raises(PlanError, match="cannot read"):

@@ -123,7 +123,7 @@ def test_a_wrong_text_is_refused_and_nothing_flies(argument: str) -> None:
 
 
 def test_literals_are_in_the_table() -> None:
-    """What a type checker knows as a set of values must not depend on a type checker."""
+    """The values of a Literal type are also checked when the program runs."""
     hints = typing.get_type_hints(Heli.run_controller)
     assert typing.get_args(hints["after"]) == ("hold", "land", "stop")
 

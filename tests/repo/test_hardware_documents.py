@@ -176,6 +176,11 @@ def test_what_is_to_be_rehearsed_ends_as_the_checklist_says(
                 # An encoder that is plugged in while the arm falls knows a part of the way only.
                 with heli_host.connect(str(tmp_path / "due")) as heli:
                     heli.wait(FALL_s)
+                for hand in ("turn elevation -25", "let elevation"):
+                    os.write(keyboard, f"{hand}\n".encode())
+                    server.stdout.readline()
+                    with heli_host.connect(str(tmp_path / "due")) as heli:
+                        heli.wait(FALL_s)
             os.write(keyboard, f"{typed}\n".encode())
             server.stdout.readline()
             run(shlex.split(given))

@@ -45,12 +45,14 @@ using heli::link::VoltagesMessage;
 using heli::proofs::any;
 
 // Contracts: limits find anything. No step here comes to them.
-Verdict heli::flight::check_flight(const Observation&, const AtArming&, const Limits&) {
+Verdict heli::flight::check_flight(const Observation&, const AtArming&, const Limits&,
+                                   std::uint8_t) {
   return {any<link::Fault>(), 0.0F};
 }
-Verdict heli::flight::check_before_arming(const Observation&, const Limits&) {
+Verdict heli::flight::check_before_arming(const Observation&, const Limits&, std::uint8_t) {
   return {any<link::Fault>(), 0.0F};
 }
+void heli::flight::update_floor(AtArming&, const Observation&, const Limits&) {}
 
 namespace {
 

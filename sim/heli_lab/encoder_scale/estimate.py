@@ -31,7 +31,7 @@ from heli_sim.rig import Rig
 from heli_lab.encoder_scale.flight_residuals import SCALES_AND_FACTOR, VOLTAGE_FACTOR, FlightInWeakForm
 from heli_lab.estimation.levenberg_marquardt import DampedStep, minimise
 
-SUPPLY: Final = "supply_V"
+WRONG_SUPPLY: Final = "supply_V"
 """Name of a wrong supply among the explanations: the board's parameter."""
 MIN_s: Final = 5.0
 """Shortest free flight that gives an estimate [s]: almost twice the longest test function."""
@@ -297,7 +297,7 @@ class ScaleTest:
             start[VOLTAGE_FACTOR] = np.log(factor)
             fits.append(_fit_scales(self._weak_form, self._noise, (VOLTAGE_FACTOR,), start))
         best = min(fits, key=lambda fit: fit.cost)
-        return Explanation(SUPPLY, self._nats(best), float(np.exp(best.unknowns[VOLTAGE_FACTOR])))
+        return Explanation(WRONG_SUPPLY, self._nats(best), float(np.exp(best.unknowns[VOLTAGE_FACTOR])))
 
     def _nats(self, fit: _Fit) -> float:
         """Log-likelihood ratio of a fit to the fit of the rig's model, nats; 0 if it is not a number."""

@@ -17,7 +17,7 @@ from heli_sim.model.effects import EffectSpec, catalogue, effects_of
 from heli_sim.model.named import model_named
 from heli_sim.rig import load_rig
 
-from heli_lab.encoder_scale.estimate import SUPPLY, Explanation, ScaleEstimate, ScaleTest
+from heli_lab.encoder_scale.estimate import WRONG_SUPPLY, Explanation, ScaleEstimate, ScaleTest
 from heli_lab.encoder_scale.flight_residuals import FlightInWeakForm
 
 MAX_SIGMAS: Final = 3.0
@@ -91,7 +91,7 @@ def common_text(wrong: ScaleEstimate, others: Sequence[Explanation], is_encoder_
         names.append(f"{wrong.axis}_counts_per_rev")
     reasons = f"{', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else names[0]
     certainty = "this flight does not show which" if len(names) > 1 else "no encoder explains it as well"
-    has_supply = any(other.name == SUPPLY for other in others)
+    has_supply = any(other.name == WRONG_SUPPLY for other in others)
     remedy = "check supply_V and the rig's file" if has_supply else "find the cause with heli-host diagnose"
     return (
         f"{wrong.axis} moves {_ratio_text(wrong)} times as far as the rig's model predicts, probably because "
@@ -101,7 +101,7 @@ def common_text(wrong: ScaleEstimate, others: Sequence[Explanation], is_encoder_
 
 def _explanation_text(explanation: Explanation) -> str:
     """Name an explanation: an effect by its id, a supply with the factor on the voltages."""
-    if explanation.name == SUPPLY:
+    if explanation.name == WRONG_SUPPLY:
         return f"a wrong supply_V (the motors act as if they had {explanation.factor:.2g} times the voltage)"
     return explanation.name
 

@@ -13,7 +13,7 @@ from heli_host.arrays import Floats, Integers
 
 from heli_lab.estimation import LinearisedFlight
 
-WINDOW_s: Final = 2.0
+_WINDOW_s: Final = 2.0
 """Length of a prediction [s], as in the free runs of an evaluation."""
 _RIDGE: Final = 1e-9
 """Share of the largest diagonal element that is added, because an output may not depend on a state."""
@@ -36,7 +36,7 @@ def open_loop_squares(linear: LinearisedFlight, rates: Floats) -> tuple[Floats, 
     rows : int
         Number of rows of the windows.
     """
-    length = max(1, round(WINDOW_s / linear.reference.step_s))
+    length = max(1, round(_WINDOW_s / linear.reference.step_s))
     starts = np.array(
         [start for w in linear.windows for start in range(w.start, w.stop - length + 1, length)], int
     )
