@@ -294,7 +294,7 @@ d.faults = {
   24, 'pitch_not_level', 'the short arm is not level', 'level it, or zero it while level'
   25, 'elevation_below_table', 'elevation read more than 1 degree plus this tolerance below the table, where the arm cannot be', 'check the elevation encoder''s plug; then let the arm rest on the table and zero it'
   26, 'elevation_step', 'elevation changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed', 'check the elevation encoder''s plug and cable; then let the arm rest on the table and zero it'
-  27, 'pitch_step', 'pitch changed within 4 ms by more than the short arm can turn; until it is zeroed, nothing is armed', 'check the pitch encoder''s plug and cable; then level the short arm and zero it'
+  27, 'pitch_step', 'pitch changed within 4 ms by more than the short arm can turn; until it is zeroed, nothing is armed', 'check the pitch encoder''s plug and cable, and that nothing strikes the short arm; then level it and zero it'
   28, 'travel_step', 'travel changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed', 'check the travel encoder''s plug and cable; then zero it'
   29, 'elevation_rest', 'after landing, the arm rests without lift at another elevation than before take-off', 'check the elevation encoder''s plug; if the arm floats or sticks above the table without voltage, shift its counterweight or free its bearing; then let it rest on the table and zero it'
   33, 'elevation_sign', 'at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong', 'reverse the sign of elevation_counts_per_rev, or swap the encoder''s lines A and B'

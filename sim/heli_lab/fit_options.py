@@ -48,7 +48,7 @@ FromOption = Annotated[
         "--from",
         "--from-s",
         metavar="S...",
-        help="Ignore rows before this time in s: one for all fitted flights, or one per flight.",
+        help="Ignore rows before this time in s: one for all fitted flights, or one each.",
     ),
 ]
 ToOption = Annotated[

@@ -1,6 +1,6 @@
 """Leaves a ``with`` block while the helicopter flies: by its end, or by an exception (argument ``raise``).
 
-Prints as JSON what was seen in flight, how often ``stop`` was sent on leaving, and the motors' voltages a
+Prints as JSON what was seen in flight, how often ``land`` was sent on leaving, and the motors' voltages a
 moment later.
 """
 
@@ -41,7 +41,7 @@ def leave(*, by_exception: bool) -> dict[str, Any]:
                 raise Mishap
     except Mishap:
         seen["raised"] = True
-    seen["stops"] = sum(frame.id == MessageId.STOP for frame in FrameParser().feed(bytes(sent)))
+    seen["landings"] = sum(frame.id == MessageId.LAND for frame in FrameParser().feed(bytes(sent)))
     world.advance(2)
     seen["volts_V"] = world.native.volts_V
     return seen

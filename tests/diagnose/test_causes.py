@@ -343,7 +343,7 @@ def test_report_is_self_contained_and_states_the_cause(tmp_path: Path) -> None:
     page = write_report(diagnosis, tmp_path).read_text(encoding="utf-8")
     text = html.unescape(page)
     assert "The rotors' thrust lags their voltage by 0.0" in text
-    assert "Rig makki2024. Fitted: fit (" in text.partition('class="verdict')[0]
+    assert "Rig makki2024, model multibody. Fitted: fit (" in text.partition('class="verdict')[0]
     assert "<i>F</i><sub>i</sub> thrust of rotor i" in text
     assert "time constant T</td>" in text
     table = text.partition("Parameters that these flights do not determine")[2].partition("</table>")[0]

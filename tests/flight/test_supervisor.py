@@ -136,9 +136,9 @@ def test_arming_is_refused_in_flight() -> None:
         (1, -46, 200, Fault.PITCH_LIMIT),
         (2, 176, 100, Fault.TRAVEL_LIMIT),
         (2, -176, 100, Fault.TRAVEL_LIMIT),
-        (0, 0, 200, Fault.ELEVATION_RATE),
-        (1, 40, 700, Fault.PITCH_RATE),
-        (2, 90, 300, Fault.TRAVEL_RATE),
+        (0, 0, 140, Fault.ELEVATION_RATE),
+        (1, 40, 440, Fault.PITCH_RATE),
+        (2, 90, 180, Fault.TRAVEL_RATE),
     ],
 )
 def test_each_limit_ends_the_flight_and_names_itself(
@@ -390,8 +390,8 @@ def test_an_elevation_that_decreases_at_take_off_has_the_wrong_sign(armed_deg: f
 
 
 STEPS = (Fault.ELEVATION_STEP, Fault.PITCH_STEP, Fault.TRAVEL_STEP)
-STEP_MAX_COUNTS = (13, 38, 16)
-"""Twice what an axis turns by at its highest rate in the 4 ms between two looks, and two counts."""
+STEP_MAX_COUNTS = (7, 21, 9)
+"""What an axis turns by at its highest rate in the 4 ms between two looks, a tenth more, and a count."""
 
 
 @pytest.mark.parametrize("axis", range(3))

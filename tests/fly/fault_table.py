@@ -189,7 +189,7 @@ CASES: Final = (
     _wiring("the travel encoder counts backwards", "encoder_scale=travel:-1", "travel_sign", 13.0),
     _wiring("the front motor turns backwards", "motor_sign=front:-1", "pitch_sign", 0.6),
     _wiring("the back motor turns backwards", "motor_sign=back:-1", "pitch_sign", 0.6),
-    _wiring("both motors turn backwards", "motor_sign=front:-1,back:-1", "elevation_motionless", 1.0),
+    _wiring("both motors turn backwards", "motor_sign=front:-1,back:-1", "elevation_following", 4.0),
     _wiring("the motors are exchanged", "motors_swapped=1", "pitch_sign", 12.0),
     Case(
         "the plug of the elevation encoder falls off for 1 s in flight",
@@ -224,7 +224,7 @@ CASES: Final = (
         blow=noise,
         due_only=True,
     ),
-    Case("a hand strikes the short arm", "fault pitch_rate", 0.05, blow=struck_by_a_hand),
+    Case("a hand strikes the short arm", "fault pitch_step", 0.05, blow=struck_by_a_hand),
     Case("the control tick hangs", "restarted (watchdog)", 0.18, blow=hang, due_only=True),
     Case(
         "the program reaches an invalid instruction",

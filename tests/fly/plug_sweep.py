@@ -41,7 +41,7 @@ SIGNS: Final = {
     "the travel encoder counts backwards": ("encoder_scale=travel:-1", "travel_sign"),
     "the front motor turns backwards": ("motor_sign=front:-1", "pitch_sign"),
     "the back motor turns backwards": ("motor_sign=back:-1", "pitch_sign"),
-    "both motors turn backwards": ("motor_sign=front:-1,back:-1", "elevation_motionless"),
+    "both motors turn backwards": ("motor_sign=front:-1,back:-1", "elevation_following"),
     "the motors are exchanged": ("motors_swapped=1", "pitch_sign"),
 }
 

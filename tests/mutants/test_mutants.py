@@ -118,7 +118,7 @@ def test_a_constant_is_reached_by_the_tests_of_what_uses_it() -> None:
     declared = next(
         k for k, line in enumerate(lines, 1) if line.startswith("constexpr Quantity kTouchdown_rad ")
     )
-    used = next(k for k, line in enumerate(lines, 1) if "rest_rad < kTouchdown_rad" in line)
+    used = next(k for k, line in enumerate(lines, 1) if "magnitude(above_rest_rad) < kTouchdown_rad" in line)
     reach = Reach({"slow": 0.3, "quick": 0.01, "other": 0.01}, {file: {used: frozenset({"slow", "quick"})}})
     assert reach.tests_for(a_mutant(file, declared)) == ["quick", "slow"]
 

@@ -35,10 +35,10 @@ constexpr Quantity kLiftOff_rad = Quantity::of(1.0F * kRadPerDeg);
 // An arm that lies on its table sinks by less than this when the rotors start. With twice as much,
 // a wrong sign raises the voltage beyond that of a hover before it is noticed.
 constexpr Quantity kWrongWay_rad = Quantity::of(0.25F * kRadPerDeg);
-// A reading may change by twice as much as at the highest rate, and by an edge at either end. Less,
-// and an arm that is struck seems to have a loose plug; more, and the board misses larger steps.
-constexpr float kStepRates = 2.0F * static_cast<float>(kTrackingSlots);
-constexpr std::uint32_t kStepEdges_counts = 2;
+// A reading may change by a tenth more than at the highest rate, because a tick may be late, and by
+// an edge. With twice as much, steps of 2 degrees of pitch pass; with less, a fast motion is a step.
+constexpr float kStepRates = 1.1F * static_cast<float>(kTrackingSlots);
+constexpr std::uint32_t kStepEdges_counts = 1;
 
 }  // namespace
 

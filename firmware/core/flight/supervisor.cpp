@@ -35,6 +35,10 @@ constexpr std::uint32_t kHang_ticks = 1000;
 // that holds the tilt would let it sink so slowly that it floats above the table.
 constexpr Quantity kBraking_rad = Quantity::of(10.0F * kRadPerDeg);
 
+// Encoders may change their lines while their supply rises: 0.1 s after the start. The host zeroes
+// the axes, or the arm is at rest then.
+constexpr std::uint32_t kPowerUp_ticks = 100;
+
 // A host that streams invalid values gets at most one event in this time.
 constexpr std::uint32_t kRejectEvery_ticks = 500;
 
@@ -518,7 +522,9 @@ void Supervisor::advance() {
     accepted_values_[bucket_] = 0;
   }
   // Until they are zeroed, readings that have stepped forbid to arm.
-  stepped_axes_ = static_cast<std::uint8_t>(stepped_axes_ | observation_->steps);
+  if (observation_->tick > kPowerUp_ticks) {
+    stepped_axes_ = static_cast<std::uint8_t>(stepped_axes_ | observation_->steps);
+  }
   if (motors_enabled()) {
     check_limits();
   }

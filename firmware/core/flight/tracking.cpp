@@ -271,9 +271,7 @@ Verdict Tracking::check(const TrackingInput& input, const TrackingLimits& limits
     const Quantity judged_drive = i == kElevation && on_table ? drive : magnitude(drive_change);
     // An axis that is driven in alternating directions need not move.
     const bool driven_up = drive_change > Quantity{};
-    // On the table the arm must rise, not only press: the table may be soft.
-    const bool stays = still || (i == kElevation && on_table && driven);
-    axis.driven_updates = stays && judged_drive > limits.drive_max[i] && driven_up == axis.driven_up
+    axis.driven_updates = still && judged_drive > limits.drive_max[i] && driven_up == axis.driven_up
                               ? axis.driven_updates + 1U
                               : 0U;
     axis.driven_up = driven_up;
