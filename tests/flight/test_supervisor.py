@@ -391,7 +391,7 @@ def test_an_elevation_that_decreases_at_take_off_has_the_wrong_sign(armed_deg: f
 
 STEPS = (Fault.ELEVATION_STEP, Fault.PITCH_STEP, Fault.TRAVEL_STEP)
 STEP_MAX_COUNTS = (7, 21, 9)
-"""What an axis turns by at its highest rate in the 4 ms between two looks, a tenth more, and a count."""
+"""Turn of each axis at its highest rate in the 4 ms between two looks, a tenth more, and a count."""
 
 
 @pytest.mark.parametrize("axis", range(3))

@@ -36,7 +36,8 @@ constexpr Quantity kLiftOff_rad = Quantity::of(1.0F * kRadPerDeg);
 // a wrong sign raises the voltage beyond that of a hover before it is noticed.
 constexpr Quantity kWrongWay_rad = Quantity::of(0.25F * kRadPerDeg);
 // A reading may change by a tenth more than at the highest rate, because a tick may be late, and by
-// an edge. With twice as much, steps of 2 degrees of pitch pass; with less, a fast motion is a step.
+// an edge. With twice as much, steps of 2 degrees of pitch pass; with less, a fast motion is a
+// step.
 constexpr float kStepRates = 1.1F * static_cast<float>(kTrackingSlots);
 constexpr std::uint32_t kStepEdges_counts = 1;
 
