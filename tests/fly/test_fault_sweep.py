@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.firmware.built import built_elf
+from tests.fly import plug_sweep
 from tests.fly.fault_sweep import HEAD, LEFT_DEG, Case, flown, swept
 from tests.fly.travel_checks import hovers
 from tests.running.long import LONG, samples
@@ -87,3 +88,21 @@ def test_only_checks_of_its_encoder_move_a_healthy_arm_and_by_less_than_four_deg
     assert checks > 0
     assert none == 0
     assert unchecked_deg < 0.5 < checked_deg < 4.0
+
+
+@pytest.mark.slow
+def test_a_plug_that_returns_or_a_count_that_jumps_ends_no_completed_flight_with_a_wrong_angle() -> None:
+    for case in plug_sweep.loose(4, seed=5):
+        flight = plug_sweep.flown(case)
+        axes = range(2)
+        assert (
+            not flight.completed or max(abs(flight.wrong_deg[axis]) for axis in axes) <= plug_sweep.WRONG_DEG
+        )
+
+
+@pytest.mark.slow
+def test_without_the_elevation_encoder_the_arm_is_lowered_not_dropped() -> None:
+    [case] = plug_sweep.dead("elevation", 1, seed=5)
+    flight = plug_sweep.flown(case)
+    assert flight.name == "elevation_motionless"
+    assert flight.drop_deg <= plug_sweep.DROP_DEG
