@@ -91,7 +91,7 @@ def test_only_checks_of_its_encoder_move_a_healthy_arm_and_by_less_than_four_deg
 
 
 @pytest.mark.slow
-def test_a_plug_that_returns_or_a_count_that_jumps_ends_no_completed_flight_with_a_wrong_angle() -> None:
+def test_no_flight_with_a_loose_plug_is_completed_at_a_wrong_angle() -> None:
     for case in plug_sweep.loose(4, seed=5):
         flight = plug_sweep.flown(case)
         axes = range(2)
