@@ -3,7 +3,7 @@
 //
 // Without a reading, no loop can be closed. An arm whose weight grows with its elevation sinks with
 // its lift; another falls, but slower than without voltage. The arm may swing when its encoder
-// fails. It then touches the table while a little lift remains, which ends the swing.
+// fails. It then touches the table while the rotors idle, which ends the swing.
 #pragma once
 
 #include <cstdint>

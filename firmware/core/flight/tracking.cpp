@@ -18,7 +18,7 @@ namespace {
 
 constexpr Fault kFollowing[kAxisCount] = {Fault::elevation_following, Fault::pitch_following,
                                           Fault::travel_following};
-// Elevation's sign is checked at take-off, by the table; see check_flight().
+// Elevation's sign is checked at take-off, by the table; see update_floor().
 constexpr Fault kSign[kAxisCount] = {Fault::none, Fault::pitch_sign, Fault::travel_sign};
 constexpr Fault kMotionless[kAxisCount] = {Fault::elevation_motionless, Fault::pitch_motionless,
                                            Fault::travel_motionless};
@@ -71,8 +71,8 @@ constexpr float kSteadyTilt = 0.15F;
 constexpr float kAnswer_rad = 0.8F * kRadPerDeg;
 
 // A sign is judged by drives that must move the axis, after the rate's filter has settled, and for
-// so long that they change the rate by more than two counts do. On the paper's rig these are 24
-// degrees per second of pitch and 2.5 of travel. A torque on the axis must exceed 1.5 times the
+// so long that they change the rate by more than two counts do. On the paper's rig these are 17
+// degrees per second of pitch and 2.4 of travel. A torque on the axis must exceed 1.5 times the
 // drive to be taken for a wrong sign.
 constexpr float kSignSettles_s[kAxisCount] = {0.0F, 0.04F, 0.25F};
 constexpr float kSignTime_s[kAxisCount] = {0.0F, 0.2F, 0.6F};
