@@ -9,7 +9,7 @@ from typing import Any
 import typer.main
 from docutils import nodes
 from docutils.parsers.rst import Directive
-from heli_host.cli import app
+from heli_host.ui.cli import app
 
 EVERYWHERE = {"--help", "--quiet", "--force"}
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import heli_host
 import numpy as np
-from heli_host.flight import Flight
-from heli_host.log.table import write_csv
+from heli_host.data.flight import Flight
+from heli_host.data.log.table import write_csv
 from heli_lab.diagnose import diagnose, summary
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, parse_effects

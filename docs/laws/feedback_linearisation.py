@@ -1,7 +1,7 @@
 """Feedback linearisation: the travel that tilted thrust gives is inverted, sine and all."""
 
+from heli_lab.control.tune.plants import linear_plant
 from heli_lab.law import Command, atan2, control_law, cos, fmax, law_rig, motor_volts, saturated
-from heli_lab.tune.plants import linear_plant
 
 plant = linear_plant(law_rig())
 DT_s = 1e-3

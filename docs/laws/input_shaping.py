@@ -1,7 +1,7 @@
 """Input shaping: a step of travel in two parts; the swing of the second undoes that of the first."""
 
+from heli_lab.control.tune.plants import linear_plant
 from heli_lab.law import Command, control_law, law_rig, motor_volts, saturated
-from heli_lab.tune.plants import linear_plant
 
 plant = linear_plant(law_rig())
 RATE_Hz = 50

@@ -2,8 +2,8 @@
 
 import control
 import numpy as np
+from heli_lab.control.tune.plants import linear_plant
 from heli_lab.law import from_gain, law_rig
-from heli_lab.tune.plants import linear_plant
 
 plant = linear_plant(law_rig())
 

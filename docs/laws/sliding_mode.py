@@ -1,7 +1,7 @@
 """Sliding mode: each error is driven onto a line and kept there; tanh for the sign, against chattering."""
 
+from heli_lab.control.tune.plants import linear_plant
 from heli_lab.law import Command, control_law, law_rig, motor_volts, saturated, tanh
-from heli_lab.tune.plants import linear_plant
 
 plant = linear_plant(law_rig())
 

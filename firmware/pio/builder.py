@@ -22,7 +22,7 @@ env.Replace(
     PROGSUFFIX=".elf",
     LINKFLAGS=[],
     # The same Python as PlatformIO's: both are installed into one environment.
-    UPLOADER='"$PYTHONEXE" -c "from heli_host.cli import main; main()" flash',
+    UPLOADER='"$PYTHONEXE" -c "from heli_host.ui.cli import main; main()" flash',
     UPLOADERFLAGS=["--yes", "--port", '"$UPLOAD_PORT"'],
     UPLOADCMD="$UPLOADER $UPLOADERFLAGS $SOURCES",
 )

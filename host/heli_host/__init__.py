@@ -20,13 +20,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from heli_host.board.samples import Sample, Samples
+    from heli_host.data.flight import Flight
+    from heli_host.data.log.flight_file import read_flight
     from heli_host.declaration import Axes, Excitation, Fault, Flags, State
     from heli_host.errors import HeliError
-    from heli_host.flight import Flight
-    from heli_host.heli import Heli, connect
-    from heli_host.log.flight_file import read_flight
-    from heli_host.page.client import join
-    from heli_host.samples import Sample, Samples
+    from heli_host.fly.heli import Heli, connect
+    from heli_host.ui.page.client import join
 
     __version__: str
 
@@ -48,18 +48,18 @@ __all__ = [
 
 _WHERE = {
     "HeliError": "heli_host.errors",
-    "Heli": "heli_host.heli",
-    "connect": "heli_host.heli",
-    "join": "heli_host.page.client",
-    "Flight": "heli_host.flight",
-    "read_flight": "heli_host.log.flight_file",
+    "Heli": "heli_host.fly.heli",
+    "connect": "heli_host.fly.heli",
+    "join": "heli_host.ui.page.client",
+    "Flight": "heli_host.data.flight",
+    "read_flight": "heli_host.data.log.flight_file",
     "Axes": "heli_host.declaration",
     "Excitation": "heli_host.declaration",
     "Fault": "heli_host.declaration",
     "Flags": "heli_host.declaration",
     "State": "heli_host.declaration",
-    "Sample": "heli_host.samples",
-    "Samples": "heli_host.samples",
+    "Sample": "heli_host.board.samples",
+    "Samples": "heli_host.board.samples",
 }
 
 

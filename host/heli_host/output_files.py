@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 WRITER: Final = "written by heli-host"
 """Text by which the program recognises its figures and tables."""
 FORCE: Final[ContextVar[bool]] = ContextVar("force", default=False)
-"""Whether any file may be replaced; `heli_host.cli.entry` runs each command line in a separate context."""
+"""Whether any file may be replaced; `heli_host.ui.cli.entry` runs each command line in a separate context."""
 
 _HEAD_BYTES: Final = 8192
 _TAIL_BYTES: Final = 1 << 18

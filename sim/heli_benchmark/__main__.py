@@ -14,8 +14,8 @@ from itertools import zip_longest
 from multiprocessing import get_context
 from pathlib import Path
 
-from heli_lab.campaign import Campaign, Store, campaign_results
-from heli_lab.campaign import Case as CampaignCase
+from heli_lab.apps.campaign import Campaign, Store, campaign_results
+from heli_lab.apps.campaign import Case as CampaignCase
 
 from heli_benchmark.cases.clean import Case, clean_cases
 from heli_benchmark.cases.disturbed import disturbed_cases

@@ -4,12 +4,12 @@
 
     HeliError                   cause, remedy and exit code
     └── SimError                an error in the simulation
-        ├── CalibrationError    a calibration ended before its result; in heli_lab.calibrate.errors
+        ├── CalibrationError    a calibration ended before its result; in heli_lab.setup.calibrate.errors
         ├── CampaignError       a campaign cannot be read, started or continued
         ├── PoolError           diagnoses cannot be pooled
         ├── TwinError           a twin cannot be built, or cannot follow a flight
         ├── UnsureGuess         a guessed profile of a file is ambiguous
-        ├── LearningError       an invalid environment, domain or episode of heli_lab.gym
+        ├── LearningError       an invalid environment, domain or episode of heli_lab.apps.gym
         └── IdentifyError       parameters cannot be identified from a flight with a model
             ├── WrongSigns      a flight has wrong signs, zeros or units
             └── NotExcited      a valid flight without enough motion in the air
@@ -37,7 +37,7 @@ class UnsureGuess(SimError):
 
 
 class LearningError(SimError):
-    """An environment, domain or episode of `heli_lab.gym` is invalid."""
+    """An environment, domain or episode of `heli_lab.apps.gym` is invalid."""
 
 
 class IdentifyError(SimError):

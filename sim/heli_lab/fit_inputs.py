@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from heli_host.cli.simulated import DEFAULT_RIG
+from heli_host.ui.cli.simulated import DEFAULT_RIG
 
 from heli_lab.errors import IdentifyError, NotExcited, WrongSigns
 from heli_lab.fit_options import DEFAULT_MODEL
 
 if TYPE_CHECKING:
-    from heli_host.flight import Flight
+    from heli_host.data.flight import Flight
     from heli_sim.model.base import Model
     from heli_sim.rig import Rig
 
-    from heli_lab.identify.record import Record
+    from heli_lab.fit.identify.record import Record
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def fit_inputs(
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig
 
-    from heli_lab.identify.results import short_names
+    from heli_lab.fit.identify.results import short_names
 
     loaded_rig = load_rig(rig)
     all_effects = effects_with(loaded_rig, effects, effect_files)
@@ -164,8 +164,8 @@ def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Ri
     WrongSigns
         When a flight has wrong signs, zeros or units; the message states how to fix them.
     """
-    from heli_lab.guess.signs import wrong_signs
-    from heli_lab.identify.record import prepare
+    from heli_lab.fit.identify.record import prepare
+    from heli_lab.setup.guess.signs import wrong_signs
 
     for flight, label in zip(flights, labels, strict=True):
         try:
@@ -222,9 +222,9 @@ def read_parts(
     WrongSigns
         As `refuse_wrong_signs`.
     """
-    from heli_host.log.flight_file import read_flight
+    from heli_host.data.log.flight_file import read_flight
 
-    from heli_lab.identify.record import prepare
+    from heli_lab.fit.identify.record import prepare
 
     show("reading", 0.0)
     # Fits do not use the extra columns, which are 80 MB for ten minutes at 1 kHz.

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from heli_host.cli.simulated import DEFAULT_RIG
+from heli_host.ui.cli.simulated import DEFAULT_RIG
 
 DEFAULT_MODEL = "multibody"
 

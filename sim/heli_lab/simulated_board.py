@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.summary import FlightSummary
+from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import Progress, fly
-from heli_host.heli import Heli
 from heli_host.link.session import Session
-from heli_host.log.flight_file import read_flight
-from heli_host.log.summary import FlightSummary
 from heli_sim.model.base import Model
 from heli_sim.model.linear import trim
 from heli_sim.plant import Plant

@@ -94,7 +94,7 @@ def run_and_measure(command: Sequence[str], folder: Path, environment: dict[str,
 
 def run_heli_host(folder: Path) -> Run:
     """Run ``heli-host`` as it is."""
-    program = [sys.executable, "-c", "from heli_host.cli import main; main()"]
+    program = [sys.executable, "-c", "from heli_host.ui.cli import main; main()"]
     return lambda arguments: run_and_measure([*program, *arguments], folder, dict(os.environ))
 
 

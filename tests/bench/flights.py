@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan, load_plan
-from heli_host.heli import Heli
 from heli_host.link.session import Session
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions

@@ -12,8 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from heli_host.foxglove_feed import FoxgloveFeed, foxglove_feed
-from heli_host.heli import Heli
+from heli_host.fly.heli import Heli
+from heli_host.ui.foxglove_feed import FoxgloveFeed, foxglove_feed
 
 from tests.bench.page import stop_latencies_ms, tabs
 from tests.bench.result import Measured

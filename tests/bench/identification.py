@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from heli_lab.identify.run import identify
+from heli_lab.fit.identify.run import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

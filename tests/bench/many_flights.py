@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 
 from heli_lab.diagnose import diagnose
-from heli_lab.identify import Record, prepare
+from heli_lab.fit.identify import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig

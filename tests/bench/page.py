@@ -13,8 +13,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from heli_host.declaration import Axes, Channel, State
 from heli_host.errors import CommandRefused
+from heli_host.fly.heli import Heli
 from heli_host.fly.recorder import Recorder
-from heli_host.heli import Heli
 from heli_host.link.telemetry import Ticks
 
 from tests.bench.result import Measured

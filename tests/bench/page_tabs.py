@@ -11,7 +11,7 @@ import sys
 import time
 
 import numpy as np
-from heli_host.page.serve import Address
+from heli_host.ui.page.serve import Address
 
 from tests.page.socket_page import SocketPage
 

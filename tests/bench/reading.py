@@ -7,8 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import heli_host
+from heli_host.data.log.flight_file import read_flight
 from heli_host.fly.runner import fly
-from heli_host.log.flight_file import read_flight
 
 from tests.bench.flights import RIG, hover
 from tests.bench.result import Measured, repeat

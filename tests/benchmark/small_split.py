@@ -10,7 +10,7 @@ import numpy as np
 from heli_benchmark.splits.causes import causes_content
 from heli_benchmark.task import NOTHING, UNLISTED, Answer, Estimate, Split, read_split
 from heli_benchmark.task.case import write_case
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
 from heli_sim.rig import load_rig
 
 LAG = {"rotor_lag": {"visibility_std": 80.0, "parameters": {"rotor_lag_s": 0.1}}}

@@ -33,7 +33,7 @@ from heli_benchmark.task import (
 )
 from heli_benchmark.task.split import causes_of
 from heli_host.arrays import Floats
-from heli_host.cli.entry import run
+from heli_host.ui.cli.entry import run
 
 from tests.benchmark.small_split import TRUTHS, informed, make
 

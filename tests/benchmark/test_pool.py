@@ -11,7 +11,7 @@ import pytest
 from heli_benchmark.leaderboard import pooled_scores, score_run, scores_content
 from heli_benchmark.task import Answer, Split, read_split, write_answer
 from heli_benchmark.task.json_file import write_json
-from heli_host.cli.entry import run
+from heli_host.ui.cli.entry import run
 
 from tests.benchmark.small_split import informed, make
 

@@ -13,8 +13,8 @@ from heli_benchmark.cases.published import published_cases
 from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.splits import Seal, make, make_split, read_seal
 from heli_benchmark.task import read_split, write_answer
-from heli_host.cli.entry import run
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
+from heli_host.ui.cli.entry import run
 
 from tests.benchmark.small_split import LAG, informed
 

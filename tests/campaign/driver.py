@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from heli_lab.campaign import Campaign, Case, Store, run_campaign
-from heli_lab.campaign.worker_process import Limits
+from heli_lab.apps.campaign import Campaign, Case, Store, run_campaign
+from heli_lab.apps.campaign.worker_process import Limits
 
 CODE = "the code of a test"
 

@@ -7,8 +7,8 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from heli_lab.campaign import Case, JobResult
-from heli_lab.campaign.worker_process import Limits, WorkerProcess
+from heli_lab.apps.campaign import Case, JobResult
+from heli_lab.apps.campaign.worker_process import Limits, WorkerProcess
 
 from tests.campaign.killer import PATIENCE_s, kill_all, start_program
 
@@ -73,8 +73,8 @@ def test_good_cases_share_a_process(cage: WorkerProcess) -> None:
 def test_a_process_does_not_outlive_its_parent() -> None:
     program = """
 import sys, time
-from heli_lab.campaign import Case
-from heli_lab.campaign.worker_process import Limits, WorkerProcess
+from heli_lab.apps.campaign import Case
+from heli_lab.apps.campaign.worker_process import Limits, WorkerProcess
 case = Case("fine", "tests.campaign.works:count", {"number": 3})
 cage = WorkerProcess(Limits())
 print(cage.run(case, "key").detail["pid"], flush=True)

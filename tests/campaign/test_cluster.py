@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from heli_lab.campaign import Campaign, Case, Store, cluster, run_campaign
-from heli_lab.campaign.run import CampaignProgress
-from heli_lab.campaign.worker import CodeMismatch, Job, code_difference, run_job
-from heli_lab.campaign.worker_process import Limits
+from heli_lab.apps.campaign import Campaign, Case, Store, cluster, run_campaign
+from heli_lab.apps.campaign.run import CampaignProgress
+from heli_lab.apps.campaign.worker import CodeMismatch, Job, code_difference, run_job
+from heli_lab.apps.campaign.worker_process import Limits
 from heli_lab.code_digest import code_digest
 from heli_lab.errors import CampaignError
 

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from heli_lab.campaign.campaign import Campaign
-from heli_lab.campaign.draw import draw_rig
-from heli_lab.campaign.file import load_campaign
+from heli_lab.apps.campaign.campaign import Campaign
+from heli_lab.apps.campaign.draw import draw_rig
+from heli_lab.apps.campaign.file import load_campaign
 from heli_lab.code_digest import code_digest
 from heli_lab.errors import CampaignError
 from heli_sim.rig import load_rig
@@ -103,7 +103,7 @@ TABLES = st.dictionaries(
 @settings(max_examples=60, deadline=None)
 @given(TABLES, st.sampled_from(["fly", "diagnose", "a.b:c", None]))
 def test_any_table_is_a_campaign_or_refused(table: dict[str, Any], work: str | None) -> None:
-    from heli_lab.campaign.file import _campaign_of_table
+    from heli_lab.apps.campaign.file import _campaign_of_table
 
     try:
         campaign = _campaign_of_table(Path("c.toml"), {**table, **({"work": work} if work else {})})

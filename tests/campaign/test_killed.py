@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from heli_lab.campaign import Store
+from heli_lab.apps.campaign import Store
 
 from tests.campaign.driver import CODE, cases, gate_of
 from tests.campaign.killer import Cluster, children, kill_all, start_program, wait_until

@@ -9,10 +9,10 @@ from typing import TypeVar
 import numpy as np
 import pytest
 from heli_lab.diagnose import diagnose, to_json
-from heli_lab.identify import Problem, prepare, solve
-from heli_lab.identify.estimation_problem import Budget
-from heli_lab.identify.flight_model import model_functions
-from heli_lab.identify.run import identify
+from heli_lab.fit.identify import Problem, prepare, solve
+from heli_lab.fit.identify.estimation_problem import Budget
+from heli_lab.fit.identify.flight_model import model_functions
+from heli_lab.fit.identify.run import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig, rig_names

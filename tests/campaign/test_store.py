@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from heli_lab.campaign import Campaign, Case, JobResult, Store, campaign_results, run_campaign
-from heli_lab.campaign.store import row_of
-from heli_lab.campaign.worker_process import Limits
+from heli_lab.apps.campaign import Campaign, Case, JobResult, Store, campaign_results, run_campaign
+from heli_lab.apps.campaign.store import row_of
+from heli_lab.apps.campaign.worker_process import Limits
 from heli_lab.errors import CampaignError
 
 CASES = tuple(Case(f"case {n}", "tests.campaign.works:count", {"number": n}) for n in range(4))

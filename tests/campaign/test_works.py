@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from heli_lab.campaign import works
+from heli_lab.apps.campaign import works
 from heli_sim.rig import load_rig
 
 HOVER = "title = 'Short'\n[start]\nsettle_s = 3\n[[segment]]\nkind = 'hold'\nduration_s = 6\n"

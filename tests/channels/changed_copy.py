@@ -9,7 +9,7 @@ import sys
 import sysconfig
 from pathlib import Path
 
-from heli_lab.estimation import _expression_vm, _kalman
+from heli_lab.fit.estimation import _expression_vm, _kalman
 
 ROOT = Path(__file__).resolve().parents[2]
 CHANNEL = """\
@@ -21,7 +21,7 @@ scale = {scale}
 meaning = "{meaning}"
 """
 DECLARATION = "firmware/link.toml"
-_COMMAND_LINE = ("-c", "from heli_host.cli import main; main()")
+_COMMAND_LINE = ("-c", "from heli_host.ui.cli import main; main()")
 _SOURCES = ("firmware", "host", "sim")
 
 
@@ -89,7 +89,8 @@ class ChangedCopy:
         for module in (_kalman, _expression_vm):
             name = module.__name__.rpartition(".")[2]
             shutil.copy(
-                str(module.__file__), self.root / "sim" / "heli_lab" / "estimation" / f"{name}{suffix}"
+                str(module.__file__),
+                self.root / "sim" / "heli_lab" / "fit" / "estimation" / f"{name}{suffix}",
             )
 
     @property

@@ -12,6 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from heli_host.board.open_loop import ALL_AXES
+from heli_host.data.log.export import export_mat, export_parquet
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.table import write_csv
+from heli_host.data.log.writer import LogWriter
 from heli_host.declaration import (
     LINK_HASH,
     PARAMS,
@@ -30,11 +35,6 @@ from heli_host.declaration import (
 from heli_host.link.channels import numbers, rad_per_count
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.telemetry import TelemetryDecoder, Ticks
-from heli_host.log.export import export_mat, export_parquet
-from heli_host.log.flight_file import read_flight
-from heli_host.log.table import write_csv
-from heli_host.log.writer import LogWriter
-from heli_host.open_loop import ALL_AXES
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.data.log.flight_file import read_flight
 from heli_host.declaration import CHANNELS
-from heli_host.log.flight_file import read_flight
 
 from tests.channels import through_the_host
 from tests.channels.changed_copy import DECLARATION, ChangedCopy, channel

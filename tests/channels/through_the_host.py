@@ -10,15 +10,15 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from heli_host.board.samples import Scales
+from heli_host.data.log.export import export_mat, export_parquet
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_log
+from heli_host.data.log.table import write_csv
+from heli_host.data.log.writer import LogWriter
 from heli_host.declaration import CHANNELS, PARAMS, Channel
 from heli_host.link.channels import rad_per_count
 from heli_host.link.telemetry import TelemetryDecoder, Ticks
-from heli_host.log.export import export_mat, export_parquet
-from heli_host.log.flight_file import read_flight
-from heli_host.log.reader import read_log
-from heli_host.log.table import write_csv
-from heli_host.log.writer import LogWriter
-from heli_host.samples import Scales
 from numpy.typing import NDArray
 from scipy.io import loadmat
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 
 import pytest
-from heli_host.cli import run
+from heli_host.ui.cli import run
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def terminal(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: py
 
 def command(*arguments: str | Path) -> list[str]:
     """Return the command line of a process of its own."""
-    return [sys.executable, "-c", "from heli_host.cli import main; main()", *map(str, arguments)]
+    return [sys.executable, "-c", "from heli_host.ui.cli import main; main()", *map(str, arguments)]
 
 
 class Process(subprocess.Popen[str]):

@@ -9,10 +9,10 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
-from heli_host.cli import again
+from heli_host.data.log.reader import Log, read_log
 from heli_host.errors import LogError
 from heli_host.fly.plan import Plan
-from heli_host.log.reader import Log, read_log
+from heli_host.ui.cli import again
 from heli_sim.rig import Rig, load_rig
 from heli_sim.rig.write import rig_text
 

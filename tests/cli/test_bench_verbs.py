@@ -16,12 +16,12 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
-from heli_host.cli.verbs import motors
 from heli_host.declaration import State
 from heli_host.errors import CommandRefused
-from heli_host.heli import Heli
+from heli_host.fly.heli import Heli
 from heli_host.link.requests import Command
 from heli_host.link.session import Session
+from heli_host.ui.cli.verbs import motors
 from heli_sim.sil.process import SilProcess
 
 from tests.cli.terminal import Process, Terminal, command, process, refusal, until_open

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heli_host.log.blind import blind, hide
-from heli_host.log.flight_file import read_flight
-from heli_host.log.reader import read_log
-from heli_host.log.table import notes_path
-from heli_host.twins import EVENT
+from heli_host.board.twins import EVENT
+from heli_host.data.log.blind import blind, hide
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_log
+from heli_host.data.log.table import notes_path
 from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal, refusal, terminal

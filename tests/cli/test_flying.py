@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from heli_host.log.flight_file import read_flight
-from heli_host.log.reader import Log, read_log
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import Log, read_log
 
 from tests.cli.terminal import Terminal, command, process
 from tests.running.long import LONG, samples
@@ -164,7 +164,7 @@ def test_a_full_disk_lands_and_keeps_what_was_logged(terminal: Terminal, tmp_pat
     assert refused.returncode == 5 and "raise the limit (ulimit -f)" in refused.stderr
     assert not (tmp_path / "f.mcap").exists()
     # Quotas and file systems have limits that no program knows beforehand.
-    unknown = "import heli_host.log.disk as disk; disk.max_file_bytes = lambda: None; "
+    unknown = "import heli_host.data.log.disk as disk; disk.max_file_bytes = lambda: None; "
     done = fly([python, option, unknown + main, *words])
     assert done.returncode == 4, done.stderr
     assert done.stderr.startswith("error: ")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from heli_host.cli.entry import command_line
+from heli_host.ui.cli.entry import command_line
 
 from tests.cli.terminal import Terminal
 

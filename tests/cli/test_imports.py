@@ -12,9 +12,9 @@ SHORT = 'title = "Short"\n[[segment]]\nkind = "hold"\nduration_s = 6\n'
 # A flight without SciPy takes half of the time.
 FLY = """
 import sys
-from heli_host.cli import run
+from heli_host.ui.cli import run
 code = run(["fly", "short.toml", "--sil", "--speed", "max", "--board", "native", "--log", "flight.mcap"])
-assert "heli_lab.encoder_scale.estimate" in sys.modules
+assert "heli_lab.watch.encoder_scale.estimate" in sys.modules
 heavy = "matplotlib", "pandas", "scipy"
 sys.exit(code or next((name for name in sys.modules if name.startswith(heavy)), 0))
 """
@@ -22,7 +22,7 @@ sys.exit(code or next((name for name in sys.modules if name.startswith(heavy)), 
 
 @pytest.mark.medium
 def test_an_option_is_imported_without_the_verbs() -> None:
-    program = "import heli_lab.fit_inputs, sys; sys.exit('heli_host.cli.entry' in sys.modules)"
+    program = "import heli_lab.fit_inputs, sys; sys.exit('heli_host.ui.cli.entry' in sys.modules)"
     process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert (process.returncode, process.stdout, process.stderr) == (0, "", "")
 

@@ -8,8 +8,8 @@ import sys
 import threading
 
 import pytest
-from heli_host.cli import entry, run
 from heli_host.interrupts import Interrupts
+from heli_host.ui.cli import entry, run
 
 LOADING = """
 import importlib.abc, sys
@@ -21,7 +21,7 @@ class Interrupted(importlib.abc.MetaPathFinder):
         return None
 
 sys.meta_path.insert(0, Interrupted())
-from heli_host.cli import main
+from heli_host.ui.cli import main
 sys.argv = ["heli-host", "fly", "hover", "--sil"]
 main()
 """
@@ -29,7 +29,7 @@ main()
 
 @pytest.mark.medium
 @pytest.mark.parametrize(
-    "module", ["heli_host.cli.entry", "heli_host.cli.verbs.fly", "typer", "heli_host.heli"]
+    "module", ["heli_host.ui.cli.entry", "heli_host.ui.cli.verbs.fly", "typer", "heli_host.fly.heli"]
 )
 def test_an_interrupt_while_the_program_loads_is_one_word(module: str) -> None:
     ended = subprocess.run(

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from heli_host import output_files
-from heli_host.cli.entry import command_line
+from heli_host.ui.cli.entry import command_line
 
 from tests.cli.terminal import Terminal
 from tests.cli.test_machine_readable import leaves

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from heli_host.cli.verb import installed_verbs
+from heli_host.ui.cli.verb import installed_verbs
 
 from tests.cli.listeners import listeners
 from tests.cli.terminal import PATIENCE_S, command

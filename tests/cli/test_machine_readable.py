@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.cli.entry import command_line
-from heli_host.flight import Flight
-from heli_host.log.table import write_csv
+from heli_host.data.flight import Flight
+from heli_host.data.log.table import write_csv
+from heli_host.ui.cli.entry import command_line
 
 from tests.cli.terminal import Terminal, process, refusal
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_host.cli.entry import _line_and_exit_code
+from heli_host.ui.cli.entry import _line_and_exit_code
 
 
 @pytest.mark.parametrize(

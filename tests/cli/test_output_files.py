@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from heli_host.cli.entry import command_line, run
 from heli_host.output_files import (
     FORCE,
     ForeignFile,
@@ -21,6 +20,7 @@ from heli_host.output_files import (
     write_signed,
     write_text,
 )
+from heli_host.ui.cli.entry import command_line, run
 
 LAW = "# My own law; three evenings of work.\nimport heli_host  # written by me\n"
 
@@ -266,10 +266,10 @@ def test_a_folder_and_a_missing_file_are_no_foreign_files(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_every_writer_of_the_program_leaves_a_file_that_it_recognises(tmp_path: Path) -> None:
-    from heli_host.log.export import export_mat, export_parquet
-    from heli_host.log.flight_file import read_flight
-    from heli_host.log.ros2 import export_ros2
-    from heli_host.log.table import notes_path, write_csv
+    from heli_host.data.log.export import export_mat, export_parquet
+    from heli_host.data.log.flight_file import read_flight
+    from heli_host.data.log.ros2 import export_ros2
+    from heli_host.data.log.table import notes_path, write_csv
 
     log = tmp_path / "flight.mcap"
     assert run(["record", "--sil", "--speed", "max", "--duration", "1", "-o", str(log), "--quiet"]) == 0
@@ -297,21 +297,21 @@ DIRECT = re.compile(
 )
 STATE = {
     "host/heli_host/output_files.py": "the rule itself",
-    "host/heli_host/views.py": "a picture in memory",
-    "host/heli_host/log/blind.py": "within replacing",
-    "host/heli_host/log/ros2.py": "within replacing",
-    "host/heli_host/log/table.py": "within replacing",
-    "host/heli_host/cli/again.py": "a temporary folder",
+    "host/heli_host/data/views.py": "a picture in memory",
+    "host/heli_host/data/log/blind.py": "within replacing",
+    "host/heli_host/data/log/ros2.py": "within replacing",
+    "host/heli_host/data/log/table.py": "within replacing",
+    "host/heli_host/ui/cli/again.py": "a temporary folder",
     "sim/heli_sim/cache.py": "the cache",
     "sim/heli_sim/compiled.py": "the cache",
     "sim/heli_sim/checks.py": "a probe of the cache",
     "sim/heli_sim/fmu/write.py": "a temporary folder",
     "sim/heli_sim/model/effects/table.py": "a document of this repository",
     "sim/heli_sim/sil/boards.py": "the flash of a simulated board",
-    "sim/heli_lab/page/drawing.py": "a picture in memory",
-    "sim/heli_lab/campaign/store.py": "the state of a campaign, in a folder with its token",
-    "sim/heli_lab/classroom/marking.py": "a temporary folder",
-    "sim/heli_lab/diagnose/search/estimate_cache.py": "the file of --resume, which checks its first line",
+    "sim/heli_lab/report/page/drawing.py": "a picture in memory",
+    "sim/heli_lab/apps/campaign/store.py": "the state of a campaign, in a folder with its token",
+    "sim/heli_lab/apps/classroom/marking.py": "a temporary folder",
+    "sim/heli_lab/explain/search/estimate_cache.py": "the file of --resume, which checks its first line",
 }
 """Files of the packages that write without the rule, and why that loses nothing of a user."""
 

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 GREET = '''\
 """``heli-host greet``."""
 
-from heli_host.cli.verb import Verb
+from heli_host.ui.cli.verb import Verb
 
 
 def greet(name: str) -> None:
@@ -38,7 +38,7 @@ def install(folder: Path, package: str, modules: dict[str, str]) -> None:
 
 
 def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    program = "import sys; from heli_host.cli import main; main()"
+    program = "import sys; from heli_host.ui.cli import main; main()"
     environment = {**os.environ, "PYTHONPATH": str(folder), "NO_COLOR": "1", "COLUMNS": "100"}
     return subprocess.run(
         [sys.executable, "-c", program, *arguments],

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.log.reader import read_log
+from heli_host.data.log.reader import read_log
 from heli_sim.rig import load_rig, write_rig
 from heli_sim.sil.process import SilProcess
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 import serial
-from heli_host.cli.board import ARDUINO_VIDS, DUE_NATIVE_PID, DUE_PROGRAMMING_PID, check_target
-from heli_host.cli.entry import command_line
 from heli_host.errors import PortError
+from heli_host.ui.cli.board import ARDUINO_VIDS, DUE_NATIVE_PID, DUE_PROGRAMMING_PID, check_target
+from heli_host.ui.cli.entry import command_line
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 

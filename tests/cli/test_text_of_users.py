@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.cli.board import is_due, is_due_native
+from heli_host.board.parameter_file import read_parameter_set
+from heli_host.data.log import table
+from heli_host.data.log.reader import read_log
+from heli_host.data.log.table import read_csv
+from heli_host.data.tables import read_profile
 from heli_host.errors import FlightDataError, LogError
 from heli_host.files import decode_text
 from heli_host.fly.plan import load_plan
 from heli_host.link.transport import PortInfo
-from heli_host.log import table
-from heli_host.log.reader import read_log
-from heli_host.log.table import read_csv
-from heli_host.parameter_file import read_parameter_set
-from heli_host.tables import read_profile
+from heli_host.ui.cli.board import is_due, is_due_native
 from heli_sim.model.effects.catalogue import _effects_in_file
 from heli_sim.rig import load_rig, rig_text
 
@@ -83,7 +83,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("logs")
     for name in ("a", "b"):
         words = ["record", "--sil", "--speed", "max", "--duration", "0.5", "-o", f"{name}.mcap", "--quiet"]
-        command = [sys.executable, "-c", "from heli_host.cli import main; main()", *words]
+        command = [sys.executable, "-c", "from heli_host.ui.cli import main; main()", *words]
         subprocess.run(command, cwd=folder, check=True, capture_output=True)
     return folder
 

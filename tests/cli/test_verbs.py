@@ -10,14 +10,14 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from heli_host.cli.extras import USERS_EXTRAS, packages_of
-from heli_host.cli.finding import Verdict
-from heli_host.cli.flight_command import FlownFlight
-from heli_host.cli.verbs import doctor
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import State
 from heli_host.errors import FlightAborted
-from heli_host.log.flight_file import read_flight
-from heli_host.log.summary import FlightSummary
+from heli_host.ui.cli.extras import USERS_EXTRAS, packages_of
+from heli_host.ui.cli.finding import Verdict
+from heli_host.ui.cli.flight_command import FlownFlight
+from heli_host.ui.cli.verbs import doctor
 from heli_sim.checks import check_compiler
 from serial.tools import list_ports
 
@@ -162,8 +162,8 @@ def test_every_optional_part_of_the_documents_exists() -> None:
 
 def test_help_imports_nothing_heavy() -> None:
     code = (
-        "import sys; from heli_host.cli import run; run(['--help']); "
-        "heavy = {'numpy', 'matplotlib', 'casadi', 'scipy', 'serial', 'heli_sim.rig', 'heli_lab.identify'}; "
+        "import sys; from heli_host.ui.cli import run; run(['--help']); "
+        "heavy = {'numpy', 'matplotlib', 'casadi', 'scipy', 'serial', 'heli_sim.rig', 'heli_lab.fit.identify'}; "
         "heavy &= set(sys.modules); "
         "sys.exit(', '.join(sorted(heavy)) or 0)"
     )

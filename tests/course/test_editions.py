@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from heli_lab.classroom.notebook import (
+from heli_lab.apps.classroom.notebook import (
     BEGIN,
     CODE_STUB,
     END,

@@ -5,7 +5,7 @@ One or two effects of random size are hidden, or an effect that the catalogue la
 in the first flight only. Without a hidden effect, hardly any cause is named. Each seed is diagnosed with the
 second flight held out, and from the first flight alone; with ``--reverse`` also with the first held out.
 
-The limit for causes that are not confirmed, in `heli_lab.diagnose.thresholds`, comes from `DEVELOPMENT`; the
+The limit for causes that are not confirmed, in `heli_lab.explain.thresholds`, comes from `DEVELOPMENT`; the
 seeds `JUDGING` judge it. Results are appended to a file, and a run continues where the
 last one stopped.
 """
@@ -118,7 +118,7 @@ def case(seed: int) -> Case:
 
 def diagnosed(drawn: Case, reverse: bool) -> dict[str, Any]:
     """Simulate a case and diagnose it: by direction, the verdict and the causes with their evidence."""
-    from heli_lab.diagnose import diagnose, run
+    from heli_lab.explain import diagnose, run
     from heli_sim.model import MultibodyModel
     from heli_sim.model.effects import catalogue
     from heli_sim.rig import load_rig

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import casadi as ca
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
 from heli_host.fly.plan import Plan
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import Effect, Operands

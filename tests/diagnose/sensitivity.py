@@ -23,7 +23,7 @@ from typing import Any, Final
 from tests.running.alone import one_thread_each
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-MODULE: Final = "heli_lab.diagnose.thresholds"
+MODULE: Final = "heli_lab.explain.thresholds"
 FACTORS: Final = (0.5, 2.0)
 SMALL_s: Final = (18.0, 14.0)
 WHOLE_s: Final = (34.0, 26.0)
@@ -136,7 +136,7 @@ def in_a_process(changed: dict[str, float], names: Sequence[str]) -> dict[str, l
 
 def judged() -> Iterator[tuple[str, Any]]:
     """Yield name and value of the constants that are judgement."""
-    from heli_lab.diagnose import thresholds
+    from heli_lab.explain import thresholds
 
     for row in thresholds.table():
         if row.source is thresholds.JUDGEMENT:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from heli_host.log.table import write_csv
+from heli_host.data.log.table import write_csv
 from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal
@@ -34,7 +34,7 @@ def test_command_writes_numbers_rig_and_page(
     fit, held_out = tables
     diagnosis = diagnosed()
     # test_causes has done this diagnosis already; here only its files are tested.
-    monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: diagnosis)
+    monkeypatch.setattr("heli_lab.explain.diagnose", lambda *_args, **_more: diagnosis)
     files = ("--report", "why", "--json", "why.json", "--save-rig", "extended.toml")
     result = terminal("diagnose", fit, "--validate", held_out, "--rig", "makki2024", *files)
     assert result.code == 0, result.err

@@ -26,7 +26,7 @@ def test_a_constant_is_halved_or_doubled_as_its_type_allows(
 
 @pytest.mark.diagnosis
 def test_a_shortlist_of_one_effect_changes_the_answer_on_a_small_lag() -> None:
-    from heli_lab.diagnose import thresholds
+    from heli_lab.explain import thresholds
 
     answer = in_a_process({"SHORTLIST": 0.5}, ["small lag"])
     assert answer["small lag"] != ["ambiguous", "rotor_lag"]

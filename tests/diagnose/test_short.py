@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
+from heli_host.data.log.table import write_csv
 from heli_host.fly.plan import Plan
-from heli_host.log.table import write_csv
 from heli_sim.model.effects import catalogue
 
 from tests.cli.terminal import Ended, Terminal

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from heli_lab.diagnose import thresholds
+from heli_lab.explain import thresholds
 
 
 def test_every_threshold_has_a_unit_and_a_source_in_the_table() -> None:

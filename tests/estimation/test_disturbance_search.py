@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
-from heli_lab.estimation import DisturbanceModel, GainDisturbance
-from heli_lab.estimation.disturbance_search import maximise
+from heli_lab.fit.estimation import DisturbanceModel, GainDisturbance
+from heli_lab.fit.estimation.disturbance_search import maximise
 
 START = DisturbanceModel.start((0.01, 0.02), (0.001, 0.002)).with_gains(1)
 MAXIMUM = DisturbanceModel(

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.search import (
+from heli_lab.explain.search import (
     Candidate,
     Hypothesis,
     ModelComparison,

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
-from heli_lab.estimation import FreeParameter, NormalPrior, ParameterVector
-from heli_lab.estimation.levenberg_marquardt import DampedStep, minimise
-from heli_lab.estimation.posterior_step import posterior_step
+from heli_lab.fit.estimation import FreeParameter, NormalPrior, ParameterVector
+from heli_lab.fit.estimation.levenberg_marquardt import DampedStep, minimise
+from heli_lab.fit.estimation.posterior_step import posterior_step
 
 
 @dataclass(frozen=True)

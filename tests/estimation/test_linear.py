@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
-from heli_lab.estimation import (
+from heli_lab.fit.estimation import (
     BLOCK_s,
     Derivatives,
     InnovationsModel,
@@ -16,7 +16,12 @@ from heli_lab.estimation import (
     ModelFunctions,
     ReferenceTrajectory,
 )
-from heli_lab.identify.flight_model import DISTURBANCE_START, RigParameters, filter_record, model_functions
+from heli_lab.fit.identify.flight_model import (
+    DISTURBANCE_START,
+    RigParameters,
+    filter_record,
+    model_functions,
+)
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 

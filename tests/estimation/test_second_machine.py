@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_lab.estimation import (
+from heli_lab.fit.estimation import (
     FreeParameter,
     KinematicModel,
     ModelFunctions,

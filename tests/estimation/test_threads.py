@@ -12,11 +12,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
 from heli_lab.diagnose import diagnose
-from heli_lab.diagnose.discover.grammar import groups
-from heli_lab.diagnose.discover.scoring import TermSignals, score
-from heli_lab.diagnose.search import ModelComparison, Screening, spline_candidates
+from heli_lab.explain.discover.grammar import groups
+from heli_lab.explain.discover.scoring import TermSignals, score
+from heli_lab.explain.search import ModelComparison, Screening, spline_candidates
 from heli_lab.threads import batches, default_thread_count, parallel_map, using_threads
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 from due_emulator import new_due, read_image
-from heli_host.heli import Heli
+from heli_host.fly.heli import Heli
 from heli_host.link.session import Session
 from heli_sim.due._due_board import motor_duty, motor_enabled, wire
 from heli_sim.model import PaperModel

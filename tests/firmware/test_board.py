@@ -25,7 +25,7 @@ from heli_host.declaration import (
     PongMessage,
     Reset,
 )
-from heli_host.heli import Heli
+from heli_host.fly.heli import Heli
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.session import Session
 from heli_sim.due._due_board import motor_duty

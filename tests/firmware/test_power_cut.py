@@ -14,7 +14,7 @@ from heli_host.declaration import (
     ParamsSaveMessage,
     ParamsSource,
 )
-from heli_host.heli import Heli
+from heli_host.fly.heli import Heli
 from heli_host.link.frames import encode_frame
 from heli_host.link.session import Session
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_host.declaration import PARAMS, Channel, Fault, Param, State
-from heli_host.heli import Heli
+from heli_host.fly.heli import Heli
 
 from tests.firmware.desk import Board
 from tests.firmware.test_timing import tick_end

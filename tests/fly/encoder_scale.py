@@ -16,18 +16,18 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from heli_host.data.flight import Flight
+from heli_host.data.log.flight_file import read_flight
 from heli_host.errors import HeliError
-from heli_host.flight import Flight
+from heli_host.fly.heli import Heli
 from heli_host.fly.plan import plan_names
 from heli_host.fly.runner import fly
-from heli_host.heli import Heli
 from heli_host.link.session import Session
-from heli_host.log.flight_file import read_flight
-from heli_lab.encoder_scale.estimate import ScaleEstimate, ScaleTest
-from heli_lab.encoder_scale.flight_residuals import FlightInWeakForm
-from heli_lab.encoder_scale.warning import MAX_SIGMAS, finding_of, possible_effects, wrong_scale
-from heli_lab.tune.design import find_gains
-from heli_lab.twin.healthy_flights import with_process_noise
+from heli_lab.control.tune.design import find_gains
+from heli_lab.watch.encoder_scale.estimate import ScaleEstimate, ScaleTest
+from heli_lab.watch.encoder_scale.flight_residuals import FlightInWeakForm
+from heli_lab.watch.encoder_scale.warning import MAX_SIGMAS, finding_of, possible_effects, wrong_scale
+from heli_lab.watch.twin.healthy_flights import with_process_noise
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
 from heli_sim.model.effects import catalogue, effects_of

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 from typing import Final
 from unittest.mock import patch
 
+from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import Event, EventMessage, MessageId, State, Trigger
+from heli_host.fly.heli import Heli, connect
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
-from heli_host.heli import Heli, connect
 from heli_host.link.frames import FrameParser
-from heli_host.log.summary import FlightSummary
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.world import SilWorld
 
@@ -206,7 +206,7 @@ def flown(case: Case, board: str = "native", elf: str = "") -> Outcome:
                     raise OSError(errno.ENOSPC, "No space left on device")
                 return super().write(data)  # type: ignore[arg-type]
 
-        with patch("heli_host.log.disk.io.FileIO", Disk), contextlib.suppress(KilledError):
+        with patch("heli_host.data.log.disk.io.FileIO", Disk), contextlib.suppress(KilledError):
             summary = fly(heli, case.plan)
         struck.alone(0 if summary is None or summary.completed else _DOWN_MS)
     return outcome_of_case(case, struck, summary)

@@ -254,7 +254,7 @@ CASES: Final = (
     Case("Ctrl-C twice, a second apart", "Ctrl-C again, motors stopped in the air", 1.1, blow=ctrl_c_twice),
     Case("the disk is full", "aborted: cannot write the log", 1.5, blow=full_disk),
 )
-"""In the order of the table. A signal is here what `heli_host.cli.entry` makes of it."""
+"""In the order of the table. A signal is here what `heli_host.ui.cli.entry` makes of it."""
 
 ELSEWHERE: Final = {
     "the disk blocks for seconds": "test_a_disk_that_blocks_for_seconds_is_not_noticed_by_the_board",

@@ -16,10 +16,10 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.board.samples import Samples
 from heli_host.declaration import AXES, State
+from heli_host.fly.heli import connect
 from heli_host.fly.runner import fly
-from heli_host.heli import connect
-from heli_host.samples import Samples
 from heli_sim.errors import SimError
 from heli_sim.rig import Rig, load_rig, write_rig
 from heli_sim.rig.schema import ENCODER_COUNTS

@@ -7,9 +7,9 @@ from typing import Final
 from urllib.parse import quote
 
 import heli_host
+from heli_host.board.samples import Sample
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
-from heli_host.samples import Sample
 from heli_sim.model.effects.catalogue import catalogue
 
 PLAN: Final = Plan.parse(

@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from heli_host.data.log import disk
+from heli_host.data.log.disk import BackgroundFile
+from heli_host.data.log.reader import read_log
+from heli_host.data.log.writer import LogWriter
 from heli_host.declaration import State
 from heli_host.errors import LogWriteError
+from heli_host.fly.heli import Heli, connect
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import fly
-from heli_host.heli import Heli, connect
-from heli_host.log import disk
-from heli_host.log.disk import BackgroundFile
-from heli_host.log.reader import read_log
-from heli_host.log.writer import LogWriter
 
 from tests.fly.test_runner import SHORT, flown, short
 from tests.sil.patient import PATIENT
@@ -104,9 +104,9 @@ def test_a_disk_that_blocks_for_seconds_is_not_noticed_by_the_board(
             blocking.files.append(BackgroundFile(*arguments, **{**options, "now_s": device_s}))
             return blocking.files[-1]
 
-        monkeypatch.setattr("heli_host.log.disk.io.FileIO", Disk)
+        monkeypatch.setattr("heli_host.data.log.disk.io.FileIO", Disk)
         monkeypatch.setattr("heli_host.fly.recorder.LogWriter", in_a_thread)
-        monkeypatch.setattr("heli_host.log.writer.BackgroundFile", on_simulated_time)
+        monkeypatch.setattr("heli_host.data.log.writer.BackgroundFile", on_simulated_time)
         heli.session.subscribe_ticks(lambda _: blocking.catch_up())
         summary = fly(heli, plan, log_path=tmp_path / "a.mcap")
         assert heli.state is State.IDLE
@@ -131,7 +131,7 @@ def test_over_a_port_a_full_disk_lands_the_rig_and_is_reported_first(
                 raise OSError(errno.ENOSPC, "No space left on device")
             return super().write(data)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("heli_host.log.disk.io.FileIO", FullDisk)
+    monkeypatch.setattr("heli_host.data.log.disk.io.FileIO", FullDisk)
     with process.SilProcess(speed=None) as sil, connect(sil.url) as heli:
         heli.params.restore(PATIENT)
         summary = fly(heli, short(), log_path=tmp_path / "a.mcap")
@@ -185,7 +185,7 @@ def test_a_disk_that_takes_not_even_the_beginning_is_reported(
         def write(self, _: object) -> int:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("heli_host.log.disk.io.FileIO", FullDisk)
+    monkeypatch.setattr("heli_host.data.log.disk.io.FileIO", FullDisk)
     with process.SilProcess(speed=None) as sil, connect(sil.url) as heli:
         heli.params.restore(PATIENT)
         try:
@@ -205,7 +205,7 @@ def test_a_recording_by_hand_raises_at_its_end_what_stopped_it(
                 raise OSError(errno.ENOSPC, "No space left on device")
             return super().write(data)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("heli_host.log.disk.io.FileIO", FullDisk)
+    monkeypatch.setattr("heli_host.data.log.disk.io.FileIO", FullDisk)
 
     def record(heli: Heli) -> None:
         with Recorder(heli, tmp_path / "a.mcap"):

@@ -13,12 +13,12 @@ from tempfile import mkdtemp
 import heli_host
 import numpy as np
 import pytest
-from heli_host.cli import run
-from heli_host.flight import Flight
-from heli_host.log.flight_file import read_flight
-from heli_lab.encoder_scale.estimate import Explanation, ScaleEstimate, scales_of
-from heli_lab.encoder_scale.warning import finding_of, warning_text, wrong_scale
-from heli_lab.encoder_scale.weak_form import Part, TestFunctions
+from heli_host.data.flight import Flight
+from heli_host.data.log.flight_file import read_flight
+from heli_host.ui.cli import run
+from heli_lab.watch.encoder_scale.estimate import Explanation, ScaleEstimate, scales_of
+from heli_lab.watch.encoder_scale.warning import finding_of, warning_text, wrong_scale
+from heli_lab.watch.encoder_scale.weak_form import Part, TestFunctions
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.board.published_gains import load_gains
 from heli_host.declaration import PARAMS, Axes, Fault, State
 from heli_host.errors import HeliError
+from heli_host.fly.heli import connect
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.runner import fly
 from heli_host.fly.tracking import NOT_TRACKED
-from heli_host.heli import connect
-from heli_host.published_gains import load_gains
 from heli_sim.rig import write_rig
 
 from tests.fly.plug_sweep import random_rig

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import heli_host
 import pytest
+from heli_host.data.log.figure import draw
+from heli_host.data.log.reader import read_log
+from heli_host.data.log.summary import summarise
 from heli_host.fly.flight_monitor import LAW_TAKEN_OVER
+from heli_host.fly.guest_law import engage
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
-from heli_host.guest_law import engage
-from heli_host.log.figure import draw
-from heli_host.log.reader import read_log
-from heli_host.log.summary import summarise
-from heli_lab.law import from_gain
+from heli_lab.control.law import from_gain
 from heli_sim.formatting import rig_findings
 from heli_sim.rig import Rig, load_rig, write_rig
 

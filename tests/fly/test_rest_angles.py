@@ -9,12 +9,12 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.rest_check import ANGLE_SHIFTED, HoverTilt, RestAngles
+from heli_host.board.samples import Samples
 from heli_host.declaration import State
 from heli_host.errors import FlightAborted
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
-from heli_host.rest_check import ANGLE_SHIFTED, HoverTilt, RestAngles
-from heli_host.samples import Samples
 
 from tests.fly.slip import PITCH, slipping
 

@@ -13,18 +13,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import Log, read_log
+from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import Axes, Flags, State
 from heli_host.errors import LogWriteError, PlanError
+from heli_host.fly.heli import Heli, connect
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.route_stream import RouteStream
 from heli_host.fly.runner import Progress, fly
 from heli_host.fly.tracking import TrackingMonitor
-from heli_host.heli import Heli, connect
 from heli_host.link.telemetry import Ticks
-from heli_host.log.flight_file import read_flight
-from heli_host.log.reader import Log, read_log
-from heli_host.log.summary import FlightSummary
 
 from tests.fly.fault_flights import world_of
 from tests.running.pixels import coloured_share
@@ -402,7 +402,7 @@ def test_a_full_disk_lands_the_rig_and_keeps_what_was_written(
                 raise OSError(errno.ENOSPC, "No space left on device")
             return written(self, data)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("heli_host.log.disk.io.FileIO", FullDisk)
+    monkeypatch.setattr("heli_host.data.log.disk.io.FileIO", FullDisk)
     summary, log, state = flown(tmp_path / "a.mcap")
     assert summary.outcome.startswith("aborted: cannot write the log")
     assert "No space left" in summary.outcome and state is State.IDLE
@@ -467,7 +467,7 @@ def test_after_kill_9_of_the_host_the_board_lands_and_the_log_opens(tmp_path: Pa
     path = tmp_path / "killed.mcap"
     script = (
         "import sys\n"
-        "from heli_host.heli import connect\n"
+        "from heli_host.fly.heli import connect\n"
         "from heli_host.fly.runner import fly\n"
         "with connect(sys.argv[1]) as heli:\n"
         f"    heli.params.restore({SOON_LANDING})\n"

@@ -12,16 +12,16 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
-from heli_host.controller import run_controller
+from heli_host.board.samples import Sample
+from heli_host.data.flight import Flight
+from heli_host.data.flight.response import steps
 from heli_host.declaration import State
 from heli_host.errors import HeliError
-from heli_host.flight import Flight
-from heli_host.flight.response import steps
+from heli_host.fly.controller import run_controller
+from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.runner import fly
-from heli_host.heli import Heli
-from heli_host.samples import Sample
-from heli_lab.law import Law, from_gain
+from heli_lab.control.law import Law, from_gain
 
 pytestmark = pytest.mark.medium
 

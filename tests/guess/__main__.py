@@ -9,8 +9,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from heli_host.tables import read_table
-from heli_lab.guess import guess_by_rigs
+from heli_host.data.tables import read_table
+from heli_lab.setup.guess import guess_by_rigs
 from heli_sim.rig import load_rig
 
 from tests.guess.distort import draw_distortion, write

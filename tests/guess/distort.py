@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
 from heli_sim.rig import Rig
 
 NAMES: Final = {

@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_host.flight import Flight
-from heli_host.tables import Profile, Table, flights_of
-from heli_host.tables.convert import times_of
-from heli_lab.guess import Guess
+from heli_host.data.flight import Flight
+from heli_host.data.tables import Profile, Table, flights_of
+from heli_host.data.tables.convert import times_of
+from heli_lab.setup.guess import Guess
 
 from tests.guess.students import DEG, setpoint_rows, state_rows, voltage_rows, write_mat
 

@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_host.flight import Flight
-from heli_host.tables import Angle, Profile, Voltage
+from heli_host.data.flight import Flight
+from heli_host.data.tables import Angle, Profile, Voltage
 from heli_sim.rig import Rig, load_rig
 
 from tests.guess.pilots import PILOTS, PilotFlight, piloted

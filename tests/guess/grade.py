@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from heli_host.data.tables import Profile, read_table
 from heli_host.errors import HeliError
-from heli_host.tables import Profile, read_table
-from heli_lab.guess import Guess, guess_by_rigs, merge_tables
+from heli_lab.setup.guess import Guess, guess_by_rigs, merge_tables
 
 from tests.guess.exports import corrections
 from tests.guess.foreign import ForeignFile, write

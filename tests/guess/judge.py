@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from heli_host.data.flight import Flight
+from heli_host.data.tables import flights_of, read_table
 from heli_host.errors import HeliError
-from heli_host.flight import Flight
-from heli_host.tables import flights_of, read_table
-from heli_lab.guess import Guess, guess
+from heli_lab.setup.guess import Guess, guess
 from heli_sim.rig import Rig
 
 from tests.guess.distort import Distortion

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_host.flight import Flight
-from heli_lab.guess.regression.reference import Reference, reference_of
+from heli_host.data.flight import Flight
+from heli_lab.setup.guess.regression.reference import Reference, reference_of
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.plant import Plant

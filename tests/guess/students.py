@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
 
 BIAS_V = 7.3
 DEG = 180.0 / math.pi

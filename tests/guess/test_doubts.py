@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
-from heli_host.tables import Angle, Column, Profile, Table, Voltage
-from heli_lab.guess.evidence import pooled_fits
-from heli_lab.guess.lags import lag_ambiguities
-from heli_lab.guess.limits import limited, one_way_nats
-from heli_lab.guess.regression.acceleration_fit import RegressionFit
-from heli_lab.guess.regression.reference import Reference
-from heli_lab.guess.regression.scales import AXES
+from heli_host.data.tables import Angle, Column, Profile, Table, Voltage
+from heli_lab.setup.guess.evidence import pooled_fits
+from heli_lab.setup.guess.lags import lag_ambiguities
+from heli_lab.setup.guess.limits import limited, one_way_nats
+from heli_lab.setup.guess.regression.acceleration_fit import RegressionFit
+from heli_lab.setup.guess.regression.reference import Reference
+from heli_lab.setup.guess.regression.scales import AXES
 
 REVERSING = Reference({}, {}, 6.0, -25.0, 1.0, {}, 12.0, reverses=True)
 ONE_WAY = replace(REVERSING, reverses=False)

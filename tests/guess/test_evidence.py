@@ -9,22 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
+from heli_host.data.tables import Angle, Column, Profile, Table, Voltage
 from heli_host.errors import FlightDataError
-from heli_host.tables import Angle, Column, Profile, Table, Voltage
-from heli_lab.guess import merge_tables
-from heli_lab.guess.ambiguities import SignChanges
-from heli_lab.guess.evidence import pooled_fits, prepare_file, rank
-from heli_lab.guess.known import NOTHING_KNOWN, read_known
-from heli_lab.guess.mirror import prefers_mirror, travel_torque_nats
-from heli_lab.guess.refusals import too_few_columns
-from heli_lab.guess.regression.acceleration_fit import RegressionFit
-from heli_lab.guess.regression.assignment import ColumnAssignment
-from heli_lab.guess.regression.candidates import candidates
-from heli_lab.guess.regression.reference import reference_of
-from heli_lab.guess.regression.scales import AXES, scales
-from heli_lab.guess.result import Ambiguity
-from heli_lab.guess.run import fewest_sign_changes
-from heli_lab.guess.times import longest_run
+from heli_lab.setup.guess import merge_tables
+from heli_lab.setup.guess.ambiguities import SignChanges
+from heli_lab.setup.guess.evidence import pooled_fits, prepare_file, rank
+from heli_lab.setup.guess.known import NOTHING_KNOWN, read_known
+from heli_lab.setup.guess.mirror import prefers_mirror, travel_torque_nats
+from heli_lab.setup.guess.refusals import too_few_columns
+from heli_lab.setup.guess.regression.acceleration_fit import RegressionFit
+from heli_lab.setup.guess.regression.assignment import ColumnAssignment
+from heli_lab.setup.guess.regression.candidates import candidates
+from heli_lab.setup.guess.regression.reference import reference_of
+from heli_lab.setup.guess.regression.scales import AXES, scales
+from heli_lab.setup.guess.result import Ambiguity
+from heli_lab.setup.guess.run import fewest_sign_changes
+from heli_lab.setup.guess.times import longest_run
 from heli_sim.rig import load_rig
 
 from tests.guess.pilots import piloted

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from heli_host.data.tables import Column, Table, flights_of, read_table
 from heli_host.errors import FlightDataError
-from heli_host.tables import Column, Table, flights_of, read_table
-from heli_lab.guess import guess
+from heli_lab.setup.guess import guess
 
 from tests.guess.__main__ import judge_seed
 from tests.guess.distort import Distortion, draw_distortion, write

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.data.flight import Flight
+from heli_host.data.log.table import write_csv
 from heli_host.errors import FlightDataError
-from heli_host.flight import Flight
-from heli_host.log.table import write_csv
-from heli_lab.guess.import_targets import Target, digest, entry_lines, output_names
+from heli_lab.setup.guess.import_targets import Target, digest, entry_lines, output_names
 
 FLIGHT = Flight(np.arange(20.0, dtype=np.float64) * 0.01, *np.zeros((5, 20)))
 

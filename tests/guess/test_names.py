@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_lab.guess import names
+from heli_lab.setup.guess import names
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from heli_host.tables import Angle, Profile, Table, Voltage
-from heli_lab.guess import Guess, guess_by_rigs, rigs
+from heli_host.data.tables import Angle, Profile, Table, Voltage
+from heli_lab.setup.guess import Guess, guess_by_rigs, rigs
 from heli_sim.rig import Rig, load_rig
 
 PROFILE = Profile(

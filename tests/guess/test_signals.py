@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
-from heli_lab.guess.regression.signals import filtered_signal, unwrapped
-from heli_lab.guess.thresholds import CUTOFF_Hz, SAMPLE_STEP_s
+from heli_lab.setup.guess.regression.signals import filtered_signal, unwrapped
+from heli_lab.setup.guess.thresholds import CUTOFF_Hz, SAMPLE_STEP_s
 
 pytestmark = pytest.mark.medium
 

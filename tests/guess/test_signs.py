@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from heli_host.flight import Flight
-from heli_lab.guess.elevation_zero import RestElevation
-from heli_lab.guess.regression.reference import Reference
-from heli_lab.guess.signs import _zeroed_at_rest, wrong_signs
+from heli_host.data.flight import Flight
+from heli_lab.setup.guess.elevation_zero import RestElevation
+from heli_lab.setup.guess.regression.reference import Reference
+from heli_lab.setup.guess.signs import _zeroed_at_rest, wrong_signs
 
 from tests.guess.flights import EFFECTS, measured, measured_flight, simulated
 from tests.running.long import samples

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.flight import Flight
-from heli_host.tables import flights_of, read_table
-from heli_lab.guess import guess, merge_tables
+from heli_host.data.flight import Flight
+from heli_host.data.tables import flights_of, read_table
+from heli_lab.setup.guess import guess, merge_tables
 from heli_sim.rig import Rig
 
 from tests.guess.flights import measured, measured_flight, simulated

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_host.tables import Column, Table
-from heli_lab.guess.times import clock_of
+from heli_host.data.tables import Column, Table
+from heli_lab.setup.guess.times import clock_of
 
 
 def table(name: str, step: float, unit: str = "") -> Table:

@@ -9,7 +9,7 @@ from heli_sim.rig import load_rig, rig_names
 
 pytest.importorskip("gymnasium", reason="skipped: no gymnasium")
 
-from heli_lab.gym import Domain
+from heli_lab.apps.gym import Domain
 
 
 @pytest.mark.medium

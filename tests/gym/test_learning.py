@@ -10,7 +10,7 @@ import pytest
 
 gymnasium = pytest.importorskip("gymnasium", reason="skipped: no gymnasium")
 
-from heli_lab.gym import LinearPolicy, cross_entropy, mean_return  # noqa: E402
+from heli_lab.apps.gym import LinearPolicy, cross_entropy, mean_return  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

@@ -7,13 +7,13 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
+from heli_host.data.log.flight_file import read_flight
+from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import fly
-from heli_host.heli import Heli
 from heli_host.link.session import Session
-from heli_host.log.flight_file import read_flight
 from heli_sim.model import Model, MultibodyModel
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.flight import REQUIRED_COLUMNS, Flight
-from heli_host.log.table import write_csv
+from heli_host.data.flight import REQUIRED_COLUMNS, Flight
+from heli_host.data.log.table import write_csv
 
 from tests.cli.terminal import Terminal, refusal
 

@@ -10,20 +10,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.cli.progress_bar import WorkBar
-from heli_host.cli.variadic import spread
-from heli_host.flight import Flight
-from heli_host.log.flight_file import read_flight
-from heli_host.log.table import write_csv
-from heli_lab.identify import thresholds
-from heli_lab.page import write_json
+from heli_host.data.flight import Flight
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.table import write_csv
+from heli_host.ui.cli.progress_bar import WorkBar
+from heli_host.ui.cli.variadic import spread
+from heli_lab.fit.identify import thresholds
+from heli_lab.report.page import write_json
 from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal
 
 pytestmark = pytest.mark.slow
 # The package exports a function of the same name.
-solve = importlib.import_module("heli_lab.identify.shooting.solve")
+solve = importlib.import_module("heli_lab.fit.identify.shooting.solve")
 
 HIDDEN = {"thrust_gain": 0.63, "friction_travel": 0.055, "friction_pitch": 0.02}
 SHORT = """
@@ -187,7 +187,7 @@ def test_progress_lines_show_the_step_and_the_time_left(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = iter((0.0, 5.0, 10.0, 20.0))
-    monkeypatch.setattr("heli_host.cli.progress_bar.time.monotonic", lambda: next(now_s))
+    monkeypatch.setattr("heli_host.ui.cli.progress_bar.time.monotonic", lambda: next(now_s))
     with WorkBar(is_terminal=False) as bar:
         bar.show("reading", 0.0)
         bar.show("compiling the model", 0.1)

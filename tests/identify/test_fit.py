@@ -9,12 +9,12 @@ from pathlib import Path
 import heli_sim.compiled
 import numpy as np
 import pytest
-from heli_host.flight import Flight
-from heli_host.log.flight_file import read_flight
-from heli_lab.identify import Budget, Problem, check, prepare, solve
-from heli_lab.identify.free_run.interpreted import InterpretedKernel
-from heli_lab.identify.results import Identification
-from heli_lab.identify.run import identify
+from heli_host.data.flight import Flight
+from heli_host.data.log.flight_file import read_flight
+from heli_lab.fit.identify import Budget, Problem, check, prepare, solve
+from heli_lab.fit.identify.free_run.interpreted import InterpretedKernel
+from heli_lab.fit.identify.results import Identification
+from heli_lab.fit.identify.run import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import Rig, load_rig

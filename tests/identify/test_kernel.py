@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from heli_host.arrays import Floats
 from heli_lab.code_digest import package_digest
-from heli_lab.identify.free_run import Functions, Inputs, VoltageDerivative, kernel
-from heli_lab.identify.free_run.compiled import CompiledKernel
-from heli_lab.identify.free_run.interpreted import InterpretedKernel
+from heli_lab.fit.identify.free_run import Functions, Inputs, VoltageDerivative, kernel
+from heli_lab.fit.identify.free_run.compiled import CompiledKernel
+from heli_lab.fit.identify.free_run.interpreted import InterpretedKernel
 from heli_sim.model import Model, MultibodyModel, PaperModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

@@ -10,9 +10,9 @@ import heli_sim.compiled
 import numpy as np
 import pytest
 from heli_lab.errors import IdentifyError
-from heli_lab.identify.free_run import lanes
-from heli_lab.identify.free_run.compiled import LOOP
-from heli_lab.identify.free_run.lanes import c_function
+from heli_lab.fit.identify.free_run import lanes
+from heli_lab.fit.identify.free_run.compiled import LOOP
+from heli_lab.fit.identify.free_run.lanes import c_function
 
 pytestmark = pytest.mark.medium
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
+from heli_host.data.log.table import write_csv
 from heli_host.fly.plan import Plan
-from heli_host.log.table import write_csv
 from heli_lab.errors import NotExcited
-from heli_lab.identify.run import identify
+from heli_lab.fit.identify.run import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig

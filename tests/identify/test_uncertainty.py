@@ -9,17 +9,17 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
-from heli_lab.identify import Problem, combinations, prepare, solve, uninformed_parameters
-from heli_lab.identify.estimation_problem.residual_noise import (
+from heli_lab.fit.identify import Problem, combinations, prepare, solve, uninformed_parameters
+from heli_lab.fit.identify.estimation_problem.residual_noise import (
     correlation_at,
     floor_axes,
     long_run_variance,
     window_weights,
 )
-from heli_lab.identify.estimation_problem.uncertainty import timing_variance
-from heli_lab.identify.html_report.page import verdict
-from heli_lab.identify.results import Identification
-from heli_lab.identify.run import identify
+from heli_lab.fit.identify.estimation_problem.uncertainty import timing_variance
+from heli_lab.fit.identify.results import Identification
+from heli_lab.fit.identify.run import identify
+from heli_lab.report.identification.page import verdict
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.rig import load_rig

@@ -20,19 +20,19 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from heli_host.data.log.flight_file import read_flight
 from heli_host.declaration import PARAMS
-from heli_host.log.flight_file import read_flight
-from heli_lab.law.trial import trial_plan
+from heli_lab.control.law.trial import trial_plan
 
 from tests.law.hostile import PITCH_STOP_deg, STOP_deg
 
-HOST: Final = (sys.executable, "-c", "from heli_host.cli import main; main()")
+HOST: Final = (sys.executable, "-c", "from heli_host.ui.cli import main; main()")
 OUTSIDE: Final = "outside"
 """Folder next to the class; nothing in it may change."""
 LOAD_s: Final = 3.0
 
 GOOD_LAW: Final = """\
-from heli_lab.law import *
+from heli_lab.control.law import *
 
 @control_law(states={{"t_s": 0.0}})
 def law(now, state, parameter):

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from heli_host.board.law_program import Instruction, LawProgram, Term
 from heli_host.declaration import LAW_INPUTS, OPERATIONS
-from heli_host.law_program import Instruction, LawProgram, Term
 
 NAME: Final = {operation.code: operation.name for operation in OPERATIONS}
 CODE: Final = {operation.name: operation.code for operation in OPERATIONS}

@@ -10,10 +10,10 @@ from typing import Final
 
 import heli_host
 import pytest
+from heli_host.board.laws import read_law
 from heli_host.errors import BadLaw
-from heli_host.laws import read_law
-from heli_lab.law import files
-from heli_lab.law.files import load_law
+from heli_lab.control.law import files
+from heli_lab.control.law.files import load_law
 
 from tests.cli.terminal import Terminal, refusal, terminal
 from tests.law.flown import law_of
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.medium
 
 ASKED, FILE = 2, 5
 LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
-START: Final = "from heli_lab.law import *\nimport math, casadi\n"
+START: Final = "from heli_lab.control.law import *\nimport math, casadi\n"
 
 
 def law(body: str, options: str = "", end: str = "LAW = law") -> str:
@@ -114,7 +114,7 @@ def test_a_file_without_a_law_to_fly_is_one_line_with_its_remedy(name: str, term
     line = refusal(terminal("law", "check", file), code=ASKED)
     assert cause in line
     assert remedy in line
-    assert "heli_lab" not in line.replace("of heli_lab.law", "")
+    assert "heli_lab" not in line.replace("of heli_lab.control.law", "")
 
 
 @pytest.mark.usefixtures("nothing_sent")

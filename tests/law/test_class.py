@@ -16,15 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from heli_host.cli import run
-from heli_host.cli.flight_command import FlightOptions
 from heli_host.errors import HeliError
 from heli_host.fly.plan import load_plan
-from heli_lab.classroom.grade import FlightScore
-from heli_lab.classroom.mark import FLOORS, POINTS, WEIGHTS, Mark, MIN_MOTION_deg, mark_of, points_of
-from heli_lab.classroom.marking import Marking
-from heli_lab.classroom.submission import MARKED, new_rig_log, read_submission, returned_files
-from heli_lab.law.limits import FileLimits
+from heli_host.ui.cli import run
+from heli_host.ui.cli.flight_command import FlightOptions
+from heli_lab.apps.classroom.grade import FlightScore
+from heli_lab.apps.classroom.mark import FLOORS, POINTS, WEIGHTS, Mark, MIN_MOTION_deg, mark_of, points_of
+from heli_lab.apps.classroom.marking import Marking
+from heli_lab.apps.classroom.submission import MARKED, new_rig_log, read_submission, returned_files
+from heli_lab.control.law.limits import FileLimits
 from heli_lab.verbs.class_ import _write_marks
 
 from tests.law.class_of_thirty import HOSTILE, digest, make_class, mark_class, problems

@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
 
+from heli_host.board.law_program import LawProgram
 from heli_host.declaration import (
     LAW_INPUTS,
     LAW_SIGNAL_COST,
@@ -20,8 +21,7 @@ from heli_host.declaration import (
     LAW_TICK_COST,
     OPERATIONS,
 )
-from heli_host.law_program import LawProgram
-from heli_lab.law import Command, Law, control_law, motor_volts, sqrt
+from heli_lab.control.law import Command, Law, control_law, motor_volts, sqrt
 
 from firmware.due.report import read_image
 from tests.firmware.built import built_elf

@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from heli_host.board.law_program import LawProgram
+from heli_host.data.flight import Flight
+from heli_host.data.log.comparison import MAX_FLIGHTS, split_into_figures, write_comparisons
 from heli_host.errors import FlightAborted, HeliError
-from heli_host.flight import Flight
-from heli_host.law_program import LawProgram
-from heli_host.log.comparison import MAX_FLIGHTS, split_into_figures, write_comparisons
-from heli_lab.classroom.grade import (
+from heli_lab.apps.classroom.grade import (
     HEADS,
     LawGrade,
     grade,
     grade_lines,
     with_plan_setpoints,
 )
-from heli_lab.law import Command, Law, control_law
-from heli_lab.law.program_data import law_of_program
-from heli_lab.law.trial import LawTrial
+from heli_lab.control.law import Command, Law, control_law
+from heli_lab.control.law.program_data import law_of_program
+from heli_lab.control.law.trial import LawTrial
 
 from tests.cli.terminal import Terminal, terminal
 from tests.law.class_of_thirty import law_text
@@ -121,7 +121,7 @@ def test_any_number_of_flights_is_drawn_and_the_first_is_in_each_figure(
     assert all(len(part) <= MAX_FLIGHTS and next(iter(part)) == "law 0" for part in parts)
     drawn = [name for part in parts for name in list(part)[1:]]
     assert drawn == list(flights)[1:]
-    monkeypatch.setattr("heli_host.log.comparison.write_comparison", lambda part, path: path.touch())
+    monkeypatch.setattr("heli_host.data.log.comparison.write_comparison", lambda part, path: path.touch())
     files = write_comparisons(flights, tmp_path / "compare.png")
     assert [file.name for file in files] == ["compare.png", "compare-2.png", "compare-3.png"]
     assert all(file.exists() for file in files)

@@ -14,15 +14,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from heli_host.arrays import Floats
+from heli_host.data.flight.response import responses
+from heli_host.data.log.reader import read_log
+from heli_host.data.log.summary import summarise
 from heli_host.declaration import LAW_INPUTS
-from heli_host.flight.response import responses
 from heli_host.fly.recorder import Recorder
-from heli_host.log.reader import read_log
-from heli_host.log.summary import summarise
-from heli_lab.law import Command, Law, control_law
-from heli_lab.law.compare import flight_of_law
-from heli_lab.law.export_c import c_source
-from heli_lab.law.streamed import Streamed
+from heli_lab.control.law import Command, Law, control_law
+from heli_lab.control.law.compare import flight_of_law
+from heli_lab.control.law.export_c import c_source
+from heli_lab.control.law.streamed import Streamed
 from heli_test_native import law as native_law
 
 from tests.law.flown import law_of
@@ -33,7 +33,7 @@ NAMES = tuple(sorted(path.stem for path in LAWS.glob("*.py")))
 
 
 class Compiled:
-    """A law's C, called step by step as `heli_lab.law.law.Runner` is."""
+    """A law's C, called step by step as `heli_lab.control.law.law.Runner` is."""
 
     def __init__(self, law: Law, folder: Path) -> None:
         compiler = shutil.which("cc")
@@ -103,10 +103,10 @@ def test_a_law_flies_over_the_link_and_its_errors_are_reported(name: str, place:
 
 @pytest.mark.medium
 def test_the_names_of_signals_travel_into_log_tables_and_figures(tmp_path: Path) -> None:
-    from heli_host.log.export import export_mat, export_parquet
-    from heli_host.log.figure import draw
-    from heli_host.log.flight_file import read_flight
-    from heli_host.log.table import write_csv
+    from heli_host.data.log.export import export_mat, export_parquet
+    from heli_host.data.log.figure import draw
+    from heli_host.data.log.flight_file import read_flight
+    from heli_host.data.log.table import write_csv
     from scipy.io import loadmat
 
     law = law_of(LAWS / "sliding_mode.py")
@@ -156,7 +156,7 @@ def test_a_law_flies_where_no_compiler_is_on_the_path(board: str, tmp_path: Path
     if board == "due":
         pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
     (tmp_path / "bin").mkdir()
-    start = "from heli_host.cli.entry import main; main()"
+    start = "from heli_host.ui.cli.entry import main; main()"
     command = [
         "law",
         "fly",

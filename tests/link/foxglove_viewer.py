@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
-from heli_host.log.schema import EVENT_TOPIC, TICK_TOPIC, parse_layout
+from heli_host.data.log.schema import EVENT_TOPIC, TICK_TOPIC, parse_layout
 from websockets import Subprotocol
 from websockets.sync import client
 

@@ -15,12 +15,12 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
-from heli_host import foxglove_feed as feeds
+from heli_host.data.log.schema import EVENT_TOPIC, TICK_TOPIC, parse_layout, raw_ticks
 from heli_host.declaration import CHANNELS
 from heli_host.errors import PortError
-from heli_host.foxglove_gate import is_permitted
-from heli_host.heli import Heli
-from heli_host.log.schema import EVENT_TOPIC, TICK_TOPIC, parse_layout, raw_ticks
+from heli_host.fly.heli import Heli
+from heli_host.ui import foxglove_feed as feeds
+from heli_host.ui.foxglove_gate import is_permitted
 
 from tests.cli.terminal import Terminal, terminal
 from tests.page.page_server import SHORT_PLAN

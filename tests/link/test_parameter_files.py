@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from heli_host.cli import run
-from heli_host.cli.gains import chosen_parameters
+from heli_host.board.parameter_file import parameters_text, read_parameter_set
 from heli_host.declaration import PARAMS, PARAMS_HASH
 from heli_host.errors import ParameterError
-from heli_host.parameter_file import parameters_text, read_parameter_set
-from heli_lab.campaign import works
-from heli_lab.campaign.campaign import Campaign
+from heli_host.ui.cli import run
+from heli_host.ui.cli.gains import chosen_parameters
+from heli_lab.apps.campaign import works
+from heli_lab.apps.campaign.campaign import Campaign
 
 DEFAULTS = {spec.name: spec.default for spec in PARAMS}
 
@@ -80,8 +80,8 @@ def test_a_campaign_takes_known_values_of_another_schema_and_lists_the_others(
         tried_parameters.append(parameters)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("heli_lab.tune.flights.try_gains", tried)
-    monkeypatch.setattr("heli_lab.campaign.run.run_campaign", first_case)
+    monkeypatch.setattr("heli_lab.control.tune.flights.try_gains", tried)
+    monkeypatch.setattr("heli_lab.apps.campaign.run.run_campaign", first_case)
     assert run(["campaign", str(campaign), "-o", str(tmp_path / "out")]) == 2
     assert f"{file}: dropped: unknown parameter hover_curve\n" in capsys.readouterr().out
     assert tried_parameters[0]["hover_V"] == 1.75

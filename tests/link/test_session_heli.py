@@ -8,6 +8,7 @@ from collections.abc import Callable
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.samples import Sample, SampleRing, Samples
 from heli_host.declaration import (
     AXES,
     PARAMS,
@@ -22,10 +23,9 @@ from heli_host.declaration import (
     VoltagesMessage,
 )
 from heli_host.errors import CommandRefused, ControllerError, ParameterError, SetpointError, WaitTimeout
-from heli_host.heli import Heli
+from heli_host.fly.heli import Heli
 from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks
-from heli_host.samples import Sample, SampleRing, Samples
 
 from tests.link.fake_board import FakeBoard, FakeLine, truth
 

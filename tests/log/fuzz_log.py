@@ -14,9 +14,9 @@ import warnings
 from collections import Counter
 from pathlib import Path
 
+from heli_host.data.log.reader import read_log
+from heli_host.data.log.summary import summarise
 from heli_host.errors import HeliError
-from heli_host.log.reader import read_log
-from heli_host.log.summary import summarise
 
 from tests.log.made import write_made_log
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from heli_host.data.log.writer import LogWriter
 from heli_host.declaration import PARAMS, Axis, Channel, Flags, State
 from heli_host.link.channels import rad_per_count
-from heli_host.log.writer import LogWriter
 from numpy.typing import NDArray
 
 from tests.channels.groups import COUNTS, SETPOINTS

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.data.log.reader import Log, read_log
 from heli_host.declaration import AXES
 from heli_host.errors import HeliError, LogError
-from heli_host.log.reader import Log, read_log
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 from mcap.records import DataEnd, Footer, Metadata

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.data.log import disk
+from heli_host.data.log.disk import BackgroundFile, DirectFile, check_free_space, check_new
+from heli_host.data.log.reader import read_log
+from heli_host.data.log.records import last_record
+from heli_host.data.log.summary import summarise
+from heli_host.data.log.writer import CHUNK_TICKS, LogWriter
 from heli_host.errors import LogWriteError
-from heli_host.log import disk
-from heli_host.log.disk import BackgroundFile, DirectFile, check_free_space, check_new
-from heli_host.log.reader import read_log
-from heli_host.log.records import last_record
-from heli_host.log.summary import summarise
-from heli_host.log.writer import CHUNK_TICKS, LogWriter
 
 from tests.log.made import RAD_PER_COUNT, WALL_NS, make_samples
 
@@ -55,7 +55,7 @@ def on_disk(monkeypatch: pytest.MonkeyPatch, before_write: Callable[[int], None]
             Disk.writes += 1
             return super().write(data)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("heli_host.log.disk.io.FileIO", Disk)
+    monkeypatch.setattr("heli_host.data.log.disk.io.FileIO", Disk)
 
 
 def blocked_until(gate: threading.Event) -> Callable[[int], None]:
@@ -66,7 +66,7 @@ def blocked_until(gate: threading.Event) -> Callable[[int], None]:
 
 
 def with_file(monkeypatch: pytest.MonkeyPatch, **options: object) -> None:
-    monkeypatch.setattr("heli_host.log.writer.BackgroundFile", partial(BackgroundFile, **options))  # type: ignore[arg-type]
+    monkeypatch.setattr("heli_host.data.log.writer.BackgroundFile", partial(BackgroundFile, **options))  # type: ignore[arg-type]
 
 
 def open_log(path: Path, *, background: bool = True, overwrite: bool = False) -> LogWriter:

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.data.log.clock import TickClock
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_log
+from heli_host.data.log.schema import TICK_LAYOUT, TICK_SCHEMA, TICK_TOPIC, parse_layout
+from heli_host.data.log.writer import CHUNK_TICKS, LogWriter
 from heli_host.declaration import Channel
 from heli_host.errors import HeliError, LogError, LogWriteError, TruncatedLog
-from heli_host.log.clock import TickClock
-from heli_host.log.flight_file import read_flight
-from heli_host.log.reader import read_log
-from heli_host.log.schema import TICK_LAYOUT, TICK_SCHEMA, TICK_TOPIC, parse_layout
-from heli_host.log.writer import CHUNK_TICKS, LogWriter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader

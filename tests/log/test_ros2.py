@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.data.flight import Flight
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.ros2 import export_ros2
 from heli_host.errors import LogWriteError
-from heli_host.flight import Flight
-from heli_host.log.flight_file import read_flight
-from heli_host.log.ros2 import export_ros2
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader

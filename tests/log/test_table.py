@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.data.flight import REQUIRED_COLUMNS, Flight
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.table import notes_path, write_csv
 from heli_host.errors import FlightDataError, HeliError, LogWriteError
-from heli_host.flight import REQUIRED_COLUMNS, Flight
-from heli_host.log.flight_file import read_flight
-from heli_host.log.table import notes_path, write_csv
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -265,12 +265,17 @@ def test_studying_a_flight_imports_no_session_and_no_port(tmp_path: Path) -> Non
     write_made_log(tmp_path / "a.mcap", 2000)
     script = (
         "import sys\n"
-        "from heli_host.log.flight_file import read_flight\n"
-        "from heli_host.log.table import write_csv\n"
+        "from heli_host.data.log.flight_file import read_flight\n"
+        "from heli_host.data.log.table import write_csv\n"
         f"write_csv(read_flight({str(tmp_path / 'a.mcap')!r}), {str(tmp_path / 'a.csv')!r})\n"
         "print(*sorted(sys.modules))\n"
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     loaded = set(run.stdout.split())
-    assert "heli_host.log.reader" in loaded
-    assert not loaded & {"serial", "heli_host.link.session", "heli_host.link.transport", "heli_host.heli"}
+    assert "heli_host.data.log.reader" in loaded
+    assert not loaded & {
+        "serial",
+        "heli_host.link.session",
+        "heli_host.link.transport",
+        "heli_host.fly.heli",
+    }

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.flight import Flight
-from heli_host.log.flight_file import read_flight
-from heli_host.views import rate
+from heli_host.data.flight import Flight
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.views import rate
 
 from tests.log.made import write_made_log
 

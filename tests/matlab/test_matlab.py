@@ -19,7 +19,7 @@ HERE = Path(__file__).resolve().parent
 TELEMETRY = int(MessageId.TELEMETRY)
 """The longest message of the board."""
 CLASS = HERE.parents[1] / "docs" / "matlab"
-HELI_HOST = "import sys; from heli_host.cli import main; sys.exit(main())"
+HELI_HOST = "import sys; from heli_host.ui.cli import main; sys.exit(main())"
 SLOW = "0.25"
 """Simulated seconds a second: a computer that stalls for a second does not make the board land."""
 

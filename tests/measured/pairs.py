@@ -10,15 +10,15 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from heli_host.flight import Flight
-from heli_host.log.flight_file import read_flight
-from heli_lab.diagnose.evaluate import HORIZONS, ErrorReduction, FreeRun, compare_free_runs, free_runs
-from heli_lab.diagnose.evaluate.error_reduction import error_reduction
-from heli_lab.diagnose.evaluate.free_run import free_run
-from heli_lab.identify import Fit, Problem, Record, prepare, solve, trace
-from heli_lab.identify.estimation_problem.residual_noise import floor_axes
-from heli_lab.identify.free import flight_constants
-from heli_lab.identify.thresholds import BLOCK_S
+from heli_host.data.flight import Flight
+from heli_host.data.log.flight_file import read_flight
+from heli_lab.explain.evaluate import HORIZONS, ErrorReduction, FreeRun, compare_free_runs, free_runs
+from heli_lab.explain.evaluate.error_reduction import error_reduction
+from heli_lab.explain.evaluate.free_run import free_run
+from heli_lab.fit.identify import Fit, Problem, Record, prepare, solve, trace
+from heli_lab.fit.identify.estimation_problem.residual_noise import floor_axes
+from heli_lab.fit.identify.free import flight_constants
+from heli_lab.fit.identify.thresholds import BLOCK_S
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

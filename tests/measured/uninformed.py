@@ -17,9 +17,9 @@ from dataclasses import replace
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_lab.diagnose.evaluate import compare_free_runs, free_runs
-from heli_lab.identify import Fit
-from heli_lab.identify.thresholds import UNINFORMED
+from heli_lab.explain.evaluate import compare_free_runs, free_runs
+from heli_lab.fit.identify import Fit
+from heli_lab.fit.identify.thresholds import UNINFORMED
 from heli_sim.model.parts import AXES
 
 from tests.field.cases import NO_DATA

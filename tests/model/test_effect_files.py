@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from heli_lab.diagnose.experiment.design import segment_for
-from heli_lab.tune.plants import loop_effects_of
-from heli_lab.twin import changes
+from heli_lab.control.tune.plants import loop_effects_of
+from heli_lab.explain.experiment.design import segment_for
+from heli_lab.watch.twin import changes
 from heli_sim.errors import EffectError, RigError
 from heli_sim.model import MultibodyModel, effects
 from heli_sim.model.effects import catalogue, effect_numbers, parse_effects

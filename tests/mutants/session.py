@@ -30,7 +30,7 @@ from tests.mutants.generate import ROOT
 _PRELOADED: Final = (
     "numpy", "scipy.signal", "casadi", "hypothesis", "hypothesis.strategies", "serial", "cobs", "mcap.reader",
     "control", "matplotlib.pyplot", "typer", "ssl", "asyncio", "unittest.mock", "elftools.elf.elffile",
-    "heli_host.heli", "heli_host.link.session", "heli_host.fly.runner", "tests.running.cost",
+    "heli_host.fly.heli", "heli_host.link.session", "heli_host.fly.runner", "tests.running.cost",
     "tests.running.order", "tests.running.quick",
 )  # fmt: skip
 EXTENSIONS: Final = ("heli_sim._native", "heli_test_native")

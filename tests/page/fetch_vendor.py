@@ -16,7 +16,7 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
-FOLDER = Path(__file__).resolve().parents[2] / "host" / "heli_host" / "page" / "static" / "vendor"
+FOLDER = Path(__file__).resolve().parents[2] / "host" / "heli_host" / "ui" / "page" / "static" / "vendor"
 
 
 def pinned() -> dict[str, Any]:

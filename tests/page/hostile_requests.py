@@ -7,7 +7,7 @@ import random
 import socket
 from typing import Any, Final
 
-from heli_host.page.serve import Address
+from heli_host.ui.page.serve import Address
 
 from tests.page.socket_page import PATIENCE_S
 

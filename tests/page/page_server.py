@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import heli_host
+from heli_host.board.law_program import LawProgram
+from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan, load_plan, plan_names
 from heli_host.fly.recorder import Recorder
-from heli_host.heli import Heli
-from heli_host.law_program import LawProgram
-from heli_host.page.cockpit import Cockpit
-from heli_host.page.rigs import outline
-from heli_host.page.serve import Address, serving
+from heli_host.ui.page.cockpit import Cockpit
+from heli_host.ui.page.rigs import outline
+from heli_host.ui.page.serve import Address, serving
 
 from tests.sil.patient import SOON_HOLDING
 
@@ -81,7 +81,7 @@ def patient_page(folder: Path, laws: Sequence[LawProgram] = ()) -> Iterator[Serv
 @contextlib.contextmanager
 def page_process(*arguments: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Run ``heli-host dashboard`` as a person does; yields the process and the page's address."""
-    command = [sys.executable, "-c", "from heli_host.cli import main; main()", "dashboard", *arguments]
+    command = [sys.executable, "-c", "from heli_host.ui.cli import main; main()", "dashboard", *arguments]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=folder, env={**os.environ}
     )

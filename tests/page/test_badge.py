@@ -6,8 +6,8 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from heli_host.heli import Heli
-from heli_host.page.cockpit import is_simulated
+from heli_host.fly.heli import Heli
+from heli_host.ui.page.cockpit import is_simulated
 
 
 @pytest.mark.parametrize(

@@ -12,16 +12,16 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
+from heli_host.data.log.reader import read_log
 from heli_host.declaration import Axes, State
 from heli_host.errors import CommandRefused, HeliError
 from heli_host.fly.plan import Plan
-from heli_host.log.reader import read_log
-from heli_host.page import service
-from heli_host.page.cockpit import Cockpit
-from heli_host.page.control_lease import ControlLease
-from heli_host.page.replay import Replay
-from heli_host.page.serve import serving
-from heli_host.page.source import UNKNOWN
+from heli_host.ui.page import service
+from heli_host.ui.page.cockpit import Cockpit
+from heli_host.ui.page.control_lease import ControlLease
+from heli_host.ui.page.replay import Replay
+from heli_host.ui.page.serve import serving
+from heli_host.ui.page.source import UNKNOWN
 
 from tests.page import browser as browsers
 

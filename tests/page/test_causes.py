@@ -6,13 +6,13 @@ from pathlib import Path
 
 import heli_host
 import pytest
+from heli_host.data.log.reader import read_log
 from heli_host.declaration import Event, EventMessage, State, Trigger
 from heli_host.fly.recorder import Recorder
 from heli_host.link.events import event_text
-from heli_host.log.reader import read_log
-from heli_host.page.causes import CAUSE_WORDS, cause, in_words
-from heli_host.page.cockpit import Cockpit
-from heli_host.page.control_lease import PRESENT_S, ControlLease
+from heli_host.ui.page.causes import CAUSE_WORDS, cause, in_words
+from heli_host.ui.page.cockpit import Cockpit
+from heli_host.ui.page.control_lease import PRESENT_S, ControlLease
 
 CLOSED = "the pilot's page was closed"
 

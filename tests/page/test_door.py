@@ -10,19 +10,19 @@ from typing import Any
 import heli_host
 import pytest
 from heli_host.fly.plan import Plan
-from heli_host.page import outbox
-from heli_host.page.cockpit import Cockpit
-from heli_host.page.replay import Replay
-from heli_host.page.request import BadRequest, read_request
-from heli_host.page.serve import Address, serving
-from heli_host.page.wire import pack
+from heli_host.ui.page import outbox
+from heli_host.ui.page.cockpit import Cockpit
+from heli_host.ui.page.replay import Replay
+from heli_host.ui.page.request import BadRequest, read_request
+from heli_host.ui.page.serve import Address, serving
+from heli_host.ui.page.wire import pack
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 pytest.importorskip("starlette", reason="the extra 'page' is not installed: make setup")
 
-from heli_host.log.reader import read_log
-from heli_host.page.client import PageError
+from heli_host.data.log.reader import read_log
+from heli_host.ui.page.client import PageError
 
 from tests.page.hostile_requests import ARGUMENTS, FAR, UPGRADE, status_of_request
 from tests.page.laws import steady

@@ -13,13 +13,13 @@ import pytest
 
 pytest.importorskip("starlette", reason="the extra 'page' is not installed: make setup")
 
-from heli_host.page import gate as gates
-from heli_host.page import limits, server, service
-from heli_host.page import stop_endpoint as stops
-from heli_host.page.guard import Guard
-from heli_host.page.limits import FrameCounter, Meter, RateLimit
-from heli_host.page.notes import Notes
-from heli_host.page.serve import Address, serving
+from heli_host.ui.page import gate as gates
+from heli_host.ui.page import limits, server, service
+from heli_host.ui.page import stop_endpoint as stops
+from heli_host.ui.page.guard import Guard
+from heli_host.ui.page.limits import FrameCounter, Meter, RateLimit
+from heli_host.ui.page.notes import Notes
+from heli_host.ui.page.serve import Address, serving
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
@@ -140,7 +140,7 @@ def test_a_client_that_is_a_little_too_fast_reads_why_it_is_disconnected(
 
 
 def test_requests_that_wait_are_bounded(desk: Desk, address: Address) -> None:
-    from heli_host.page.request_dispatcher import MAX_PENDING
+    from heli_host.ui.page.request_dispatcher import MAX_PENDING
 
     desk.action_may_return.clear()
     with opened(address, rows="0") as client:

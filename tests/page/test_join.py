@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("starlette", reason="skipped: the extra 'page' is not installed")
 
-from heli_host.page.client import PageClient, PageError
+from heli_host.ui.page.client import PageClient, PageError
 
 from tests.page.hostile_requests import ARGUMENTS, ODD
 from tests.page.log_lines import log_lines, traces

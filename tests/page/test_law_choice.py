@@ -8,9 +8,9 @@ import heli_host
 import pytest
 from heli_host.declaration import Flags
 from heli_host.errors import BadLaw, ParameterError, SetpointError
-from heli_host.guest_law import loaded
-from heli_host.heli import Heli
-from heli_host.page.law_choice import LawChoice
+from heli_host.fly.guest_law import loaded
+from heli_host.fly.heli import Heli
+from heli_host.ui.page.law_choice import LawChoice
 
 from tests.page.laws import steady, tired
 

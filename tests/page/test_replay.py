@@ -8,10 +8,10 @@ from dataclasses import replace
 import heli_host
 import numpy as np
 import pytest
+from heli_host.data.log.reader import Log, read_log
 from heli_host.errors import ParameterError
 from heli_host.fly.plan import Plan
-from heli_host.log.reader import Log, read_log
-from heli_host.page.replay import Replay
+from heli_host.ui.page.replay import Replay
 
 from tests.page.page_server import SHORT_PLAN
 

@@ -12,12 +12,12 @@ from urllib.parse import urlsplit
 import heli_host
 import numpy as np
 import pytest
+from heli_host.data.log.reader import read_log
 from heli_host.declaration import Channel, Flags, State, Trigger
 from heli_host.errors import LinkError, PortError
-from heli_host.log.reader import read_log
-from heli_host.page.client import PageError
-from heli_host.page.serve import Address
-from heli_host.page.wire import THINNED
+from heli_host.ui.page.client import PageError
+from heli_host.ui.page.serve import Address
+from heli_host.ui.page.wire import THINNED
 from heli_sim.sil.process import SilProcess
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from heli_host.cli import app
-from heli_lab.paper.bench_tests import ELEVATION_STEPS
-from heli_lab.paper.coefficients import analytic
+from heli_host.ui.cli import app
+from heli_lab.apps.paper.bench_tests import ELEVATION_STEPS
+from heli_lab.apps.paper.coefficients import analytic
 from heli_sim.rig import load_rig
 from typer.testing import CliRunner
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.cli import app
-from heli_host.published_gains import paper_gains
-from heli_lab.paper.experiments import fly_plan
-from heli_lab.paper.table6 import LoopVerdict, verdicts
-from heli_lab.tune import cascade_gains_of, is_stable, linear_plant
+from heli_host.board.published_gains import paper_gains
+from heli_host.ui.cli import app
+from heli_lab.apps.paper.experiments import fly_plan
+from heli_lab.apps.paper.table6 import LoopVerdict, verdicts
+from heli_lab.control.tune import cascade_gains_of, is_stable, linear_plant
 from heli_sim.model import MultibodyModel, PaperModel
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
@@ -87,7 +87,7 @@ def test_verdicts_that_are_infinite_are_null_in_json(tmp_path: Path) -> None:
 def test_both_analyses_of_table_6_agree_where_they_overlap(
     on_multibody: dict[tuple[str, str, str], LoopVerdict],
 ) -> None:
-    """`heli_lab.tune` knows filters and the board's law; this one knows (33) and (34)."""
+    """`heli_lab.control.tune` knows filters and the board's law; this one knows (33) and (34)."""
     for gains in ("printed", "corrected"):
         row = on_multibody[gains, "degrees", "measurement"]
         assert (row.growth_1_per_s < 0.0) == is_stable(

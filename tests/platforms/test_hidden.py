@@ -10,13 +10,13 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from heli_host.cli import modem_manager
-from heli_host.cli.board import ARDUINO_VIDS
+from heli_host.ui.cli import modem_manager
+from heli_host.ui.cli.board import ARDUINO_VIDS
 
 ROOT = Path(__file__).resolve().parents[2]
 WITHOUT = Path(__file__).parent / "without"
 
-HELI_HOST = "import sys; from heli_host.cli import main; sys.exit(main())"
+HELI_HOST = "import sys; from heli_host.ui.cli import main; sys.exit(main())"
 FLIES_OVER_TCP = """
 import heli_host
 with heli_host.connect("sil://?process=1&speed=max") as heli:
@@ -33,9 +33,9 @@ print(sample.elevation_deg)
 CAMPAIGNS = """
 import sys
 from pathlib import Path
-from heli_lab.campaign import Case
-from heli_lab.campaign.worker_process import Limits, WorkerProcess
-from heli_lab.campaign.store import Store
+from heli_lab.apps.campaign import Case
+from heli_lab.apps.campaign.worker_process import Limits, WorkerProcess
+from heli_lab.apps.campaign.store import Store
 from heli_lab.errors import CampaignError
 assert "resource" not in sys.modules and "fcntl" not in sys.modules
 with WorkerProcess(Limits(cpu_s=0.3)) as cage:

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_host.flight import Flight
-from heli_lab.estimation import estimate, refiltered
-from heli_lab.identify import Record, prepare
-from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
-from heli_lab.pool.rig_diagnosis import ParameterEstimate, without_prior
+from heli_host.data.flight import Flight
+from heli_lab.apps.pool.rig_diagnosis import ParameterEstimate, without_prior
+from heli_lab.fit.estimation import estimate, refiltered
+from heli_lab.fit.identify import Record, prepare
+from heli_lab.fit.identify.flight_model import RigParameters, filter_record, model_functions
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import Rig, load_rig

@@ -26,11 +26,11 @@ from heli_benchmark.cases.disturbed_case import DisturbedCase
 from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.effects.listed import RotorLag
 from heli_benchmark.simulation.tracking import CONTROLLERS
-from heli_lab.diagnose.evaluate import FreeRun, free_runs, predict
-from heli_lab.diagnose.search import Hypothesis, ModelComparison
-from heli_lab.identify import Record, prepare
-from heli_lab.pool import pool
-from heli_lab.pool.rig_diagnosis import ParameterEstimate, RigDiagnosis, without_prior
+from heli_lab.apps.pool import pool
+from heli_lab.apps.pool.rig_diagnosis import ParameterEstimate, RigDiagnosis, without_prior
+from heli_lab.explain.evaluate import FreeRun, free_runs, predict
+from heli_lab.explain.search import Hypothesis, ModelComparison
+from heli_lab.fit.identify import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effect_numbers, effects_of, parse_effects
 from heli_sim.rig import Rig, load_rig

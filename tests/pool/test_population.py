@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from heli_lab.apps.pool import RigPopulation, pool, read_rig_diagnosis
+from heli_lab.apps.pool.rig_diagnosis import ParameterEstimate, without_prior
 from heli_lab.errors import PoolError
-from heli_lab.pool import RigPopulation, pool, read_rig_diagnosis
-from heli_lab.pool.rig_diagnosis import ParameterEstimate, without_prior
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig
 

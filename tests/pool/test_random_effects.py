@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from heli_lab.pool import der_simonian_laird, share
+from heli_lab.apps.pool import der_simonian_laird, share
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

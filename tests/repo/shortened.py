@@ -32,19 +32,19 @@ DPI: Final = 20
 def shorten(parts: Iterable[str]) -> None:
     """Shorten `parts`, `PLANS` or `WORK`, of what this process does from now on."""
     import heli_host.fly.plan
-    import heli_lab.diagnose
-    import heli_lab.diagnose.run
-    import heli_lab.identify.run
+    import heli_lab.explain
+    import heli_lab.explain.run
+    import heli_lab.fit.identify.run
     import scipy.optimize
     from matplotlib.figure import Figure
 
     if PLANS in parts:
         _wrap(heli_host.fly.plan, "parse_toml", _short_plan)
     if WORK in parts:
-        _wrap(heli_lab.diagnose, "diagnose", _computed_once)
-        _wrap(heli_lab.identify.run, "identify", _computed_once)
-        _wrap(heli_lab.diagnose.run, "prepare", _short_record)
-        _wrap(heli_lab.diagnose.run, "search", _small_search)
+        _wrap(heli_lab.explain, "diagnose", _computed_once)
+        _wrap(heli_lab.fit.identify.run, "identify", _computed_once)
+        _wrap(heli_lab.explain.run, "prepare", _short_record)
+        _wrap(heli_lab.explain.run, "search", _small_search)
         _wrap(scipy.optimize, "minimize", _few_iterations)
         _wrap(Figure, "savefig", _coarse_figure)
 

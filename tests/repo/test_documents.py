@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 import typer.main
-from heli_host.cli import app
+from heli_host.ui.cli import app
 
 from tests.repo.shortened import PLANS, WORK
 from tests.repo.typed import Typed

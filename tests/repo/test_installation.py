@@ -107,14 +107,14 @@ def test_a_wheel_has_pages_rigs_and_plans_and_no_tests(tmp_path: Path) -> None:
     files = {str(Path(target).relative_to(tmp_path)) for target in mapping.values()}
     for file in (
         "due_emulator/py.typed",
-        "heli_host/page/static/index.html",
-        "heli_host/page/static/vendor/three.js.gz",
+        "heli_host/ui/page/static/index.html",
+        "heli_host/ui/page/static/vendor/three.js.gz",
         "heli_host/fly/plans/hover.toml",
         "heli_host/py.typed",
         "heli_sim/rig/quanser-course.toml",
         "heli_sim/fmu/sources/rig.c",
-        "heli_lab/diagnose/report/report.html",
-        "heli_lab/identify/html_report/report.html",
+        "heli_lab/report/diagnosis/report.html",
+        "heli_lab/report/identification/report.html",
     ):
         assert file in files
     assert not [file for file in files if Path(file).name.startswith(("test_", "conftest", "heli_test_"))]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-ROOMS = ("host/heli_host/cli", "sim/heli_sim/verbs", "sim/heli_lab/verbs")
+ROOMS = ("host/heli_host/ui/cli", "sim/heli_sim/verbs", "sim/heli_lab/verbs")
 SAFE = {"printable"}
 
 
@@ -45,7 +45,7 @@ def test_no_verb_prints_a_name_raw(room: str) -> None:
     files = [file for file in (ROOT / room).rglob("*.py") if file.name != "say.py"]
     assert len(files) > 2
     prints = [f"{file.relative_to(ROOT)}:{line}" for file in files for line in raw_prints(file.read_text())]
-    assert not prints, f"print these with heli_host.cli.say: {', '.join(prints)}"
+    assert not prints, f"print these with heli_host.ui.cli.say: {', '.join(prints)}"
 
 
 @pytest.mark.parametrize(

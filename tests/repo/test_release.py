@@ -129,7 +129,7 @@ def test_the_wheel_of_this_tree_flies_without_a_compiler(tmp_path: Path) -> None
         file.extractall(installed)
     # Without `site`, the editable installation of this tree is not found; the packages it needs are.
     start = (
-        "import sys; from importlib.util import find_spec; from heli_host.cli import main; "
+        "import sys; from importlib.util import find_spec; from heli_host.ui.cli import main; "
         f"assert find_spec('heli_sim').origin.startswith({str(installed)!r}); main()"
     )
     paths = f"{installed}:{sysconfig.get_path('purelib')}:{sysconfig.get_path('platlib')}"

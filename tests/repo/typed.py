@@ -31,8 +31,8 @@ LIBRARIES: Final = (
     "heli_host.fly.runner",
     "heli_sim.sil.transport",
     "heli_sim.sil.world",
-    "heli_lab.identify",
-    "heli_lab.diagnose",
+    "heli_lab.fit.identify",
+    "heli_lab.explain",
     "matplotlib.backends.backend_agg",
     "matplotlib.pyplot",
     "scipy.signal",
@@ -100,8 +100,8 @@ def main() -> None:
     """Fork for each command, and in its process become it."""
     for name in LIBRARIES:
         importlib.import_module(name)
-    from heli_host.cli.entry import command_line
-    from heli_host.cli.verb import installed_verbs
+    from heli_host.ui.cli.entry import command_line
+    from heli_host.ui.cli.verb import installed_verbs
 
     for verb in installed_verbs():
         parse_nothing(command_line(verb))
@@ -163,7 +163,7 @@ def become(words: list[str], output_file: str) -> None:
     # Where it lies itself is no place for what a document imports; where a command runs is.
     sys.path[0] = ""
     if program == HELI_HOST:
-        from heli_host.cli import main as heli_host
+        from heli_host.ui.cli import main as heli_host
 
         sys.argv[0] = program
         heli_host()

@@ -8,15 +8,15 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.parameter_file import parameters_text, read_parameter_set
+from heli_host.board.rig_check import BoardProperty, check_rig, rig_differences, rig_parameters
 from heli_host.declaration import AXES
 from heli_host.errors import RigMismatch
-from heli_host.parameter_file import parameters_text, read_parameter_set
-from heli_host.rig_check import BoardProperty, check_rig, rig_differences, rig_parameters
+from heli_lab.control.tune import find_gains
+from heli_lab.control.tune.flights import try_gains
 from heli_lab.diagnose import diagnose
-from heli_lab.identify import prepare
-from heli_lab.identify.run import identify
-from heli_lab.tune import find_gains
-from heli_lab.tune.flights import try_gains
+from heli_lab.fit.identify import prepare
+from heli_lab.fit.identify.run import identify
 from heli_lab.verbs.tune import rounded_parameters
 from heli_sim.errors import RigError
 from heli_sim.model import MultibodyModel

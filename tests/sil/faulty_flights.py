@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import heli_host
 import numpy as np
 from heli_host.declaration import Event, EventMessage, Fault, MessageId, State, Trigger
+from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import Progress, fly
-from heli_host.heli import Heli
 from heli_host.link.accounting import LinkCounters
 from heli_host.link.frames import FrameParser
 from heli_host.link.telemetry import TelemetryDecoder, Ticks

@@ -9,6 +9,8 @@ import heli_host
 import numpy as np
 import pytest
 from due_emulator import read_image
+from heli_host.data.log.reader import read_log
+from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import (
     Param,
     ParamSetMessage,
@@ -20,11 +22,9 @@ from heli_host.declaration import (
     State,
 )
 from heli_host.errors import LinkLost
+from heli_host.fly.heli import Heli
 from heli_host.fly.runner import fly
-from heli_host.heli import Heli
 from heli_host.link.events import BOARD_RESTARTED
-from heli_host.log.reader import read_log
-from heli_host.log.summary import FlightSummary
 from heli_sim import _native
 from heli_sim.due import firmware
 from heli_sim.due.errors import BoardStopped, FirmwareError

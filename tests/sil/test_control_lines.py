@@ -17,7 +17,7 @@ import pytest
 import serial
 from heli_host.declaration import State
 from heli_host.errors import BadBaud, HandshakeTimeout
-from heli_host.heli import Heli
+from heli_host.fly.heli import Heli
 from heli_host.link.events import BOARD_RESTARTED
 from heli_host.link.transport import SerialTransport
 from heli_sim.sil.boards import EmulatedDue

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import heli_host
 import pytest
-from heli_host.cli.board import open_board
+from heli_host.board.parameter_origin import read_origin
 from heli_host.declaration import PARAMS, PARAMS_HASH, ParamsSource
-from heli_host.parameter_origin import read_origin
+from heli_host.ui.cli.board import open_board
 from heli_sim.sil.flash_pages import saved
 
 PAGE_BYTES = 512

@@ -151,7 +151,7 @@ def test_an_address_that_others_can_reach_is_known(url: str, local: bool) -> Non
 def test_an_address_that_others_can_reach_is_warned_about(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from heli_host.cli import run
+    from heli_host.ui.cli import run
     from heli_sim.sil import server
 
     def stop(*_: object) -> None:

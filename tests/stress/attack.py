@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from heli_host.page.serve import Address
+from heli_host.ui.page.serve import Address
 from websockets.exceptions import WebSocketException
 
 from tests.law.hostile import HOSTILE, RIGS, tries

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from typing import Any, Final
 
-from heli_host.page.serve import Address
+from heli_host.ui.page.serve import Address
 
 from tests.page.socket_page import SocketPage
 

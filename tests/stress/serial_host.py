@@ -144,6 +144,6 @@ def _run(words: list[str], folder: Path, troubles: list[PortTrouble], ask: int, 
     from serial import serialposix
 
     serialposix.os = TroubledOs(troubles, cut)  # type: ignore[attr-defined]
-    from heli_host.cli.entry import run
+    from heli_host.ui.cli.entry import run
 
     return run(words)

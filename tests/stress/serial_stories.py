@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from heli_host.data.log.reader import read_log
 from heli_host.errors import HeliError
-from heli_host.log.reader import read_log
 
 from tests.stress.serial_board import (
     CHANGES_SETTINGS,
@@ -341,7 +341,7 @@ def _wrong_log(path: Path, board: SerialBoard, summary: dict[str, Any]) -> list[
 
 def preload() -> None:
     """Import what flies, so that forked hosts need not."""
-    from heli_host.cli.entry import command_line
+    from heli_host.ui.cli.entry import command_line
 
     command_line()
 

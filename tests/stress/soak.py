@@ -26,9 +26,9 @@ from typing import Any, Final
 
 import heli_host
 import numpy as np
+from heli_host.data.log.reader import read_log
 from heli_host.errors import HeliError
-from heli_host.log.reader import read_log
-from heli_host.page.serve import Address
+from heli_host.ui.page.serve import Address
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
+from heli_host.data.tables import limits, read_table, sizes
 from heli_host.errors import FlightDataError
-from heli_host.tables import limits, read_table, sizes
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="skipped: only Linux limits memory")
 
@@ -29,7 +29,7 @@ CHILD = """
 import json, resource, sys
 from pathlib import Path
 from heli_host.errors import HeliError
-from heli_host.tables import read_table
+from heli_host.data.tables import read_table
 resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[1]),) * 2)
 outcomes = {}
 for path in map(Path, sys.argv[2:]):

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.errors import FlightDataError
-from heli_host.tables import (
+from heli_host.data.tables import (
     Angle,
     Column,
     Part,
@@ -19,6 +18,7 @@ from heli_host.tables import (
     profile_text,
     read_profile,
 )
+from heli_host.errors import FlightDataError
 
 PROFILE = Profile(
     {

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from heli_host.data.tables import Table, read_table
+from heli_host.data.tables.units import split_unit
 from heli_host.errors import FlightDataError
-from heli_host.tables import Table, read_table
-from heli_host.tables.units import split_unit
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 

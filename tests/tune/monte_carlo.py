@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 from heli_host.declaration import Fault
-from heli_lab.campaign import Campaign, Case, Store, run_campaign
-from heli_lab.campaign.run import CampaignProgress
+from heli_lab.apps.campaign import Campaign, Case, Store, run_campaign
+from heli_lab.apps.campaign.run import CampaignProgress
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.plant import Plant

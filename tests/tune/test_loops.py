@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from heli_host.arrays import Floats
+from heli_host.board.published_gains import paper_gains
 from heli_host.declaration import PARAMS
 from heli_host.errors import ParameterError
-from heli_host.published_gains import paper_gains
-from heli_lab.tune import (
+from heli_lab.control.tune import (
     CascadeGains,
     LinearPlant,
     LoopEffects,
@@ -23,8 +23,8 @@ from heli_lab.tune import (
     loops,
     margins,
 )
-from heli_lab.tune.plants import spread_plants
-from heli_lab.tune.shaping import shaped_step
+from heli_lab.control.tune.plants import spread_plants
+from heli_lab.control.tune.shaping import shaped_step
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.plant import Plant

@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from heli_host.flight import Flight
-from heli_lab.twin.calibration import Calibration
-from heli_lab.twin.draws import NO_ALARM
-from heli_lab.twin.flights import count_rad_of, samples_of
-from heli_lab.twin.monitor import monitor_flight
-from heli_lab.twin.tail import IDEAL, Tail, segment_maxima
-from heli_lab.twin.twin import Twin
-from heli_lab.twin.twin_model import TwinModel
+from heli_host.data.flight import Flight
+from heli_lab.watch.twin.calibration import Calibration
+from heli_lab.watch.twin.draws import NO_ALARM
+from heli_lab.watch.twin.flights import count_rad_of, samples_of
+from heli_lab.watch.twin.monitor import monitor_flight
+from heli_lab.watch.twin.tail import IDEAL, Tail, segment_maxima
+from heli_lab.watch.twin.twin import Twin
+from heli_lab.watch.twin.twin_model import TwinModel
 from heli_sim.model.multibody import MultibodyModel
 from scipy.stats import binom
 

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from heli_host.flight import Flight
-from heli_host.log.flight_file import read_flight
-from heli_lab.estimation import estimate
-from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
-from heli_lab.twin.files import DEFAULT_CALIBRATION, TwinRig
-from heli_lab.twin.learn import DRAWN_s, learn
-from heli_lab.twin.monitor import TwinReport, monitor_flight
+from heli_host.data.flight import Flight
+from heli_host.data.log.flight_file import read_flight
+from heli_lab.fit.estimation import estimate
+from heli_lab.fit.identify.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.watch.twin.files import DEFAULT_CALIBRATION, TwinRig
+from heli_lab.watch.twin.learn import DRAWN_s, learn
+from heli_lab.watch.twin.monitor import TwinReport, monitor_flight
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from heli_host.data.flight import Flight
 from heli_host.errors import HeliError
-from heli_host.flight import Flight
-from heli_lab.estimation import DisturbanceModel, estimate
-from heli_lab.identify import prepare
-from heli_lab.identify.flight_model import RigParameters, filter_record, model_functions
-from heli_lab.twin.files import TwinRig
-from heli_lab.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
-from heli_lab.twin.learn import learn
+from heli_lab.fit.estimation import DisturbanceModel, estimate
+from heli_lab.fit.identify import prepare
+from heli_lab.fit.identify.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.watch.twin.files import TwinRig
+from heli_lab.watch.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
+from heli_lab.watch.twin.learn import learn
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.effects import parse_effects

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from heli_lab.estimation import DisturbanceModel
-from heli_lab.twin.calibration import Calibration
-from heli_lab.twin.files import DEFAULT_CALIBRATION, TwinRig
+from heli_lab.fit.estimation import DisturbanceModel
+from heli_lab.watch.twin.calibration import Calibration
+from heli_lab.watch.twin.files import DEFAULT_CALIBRATION, TwinRig
 from scipy.special import bdtrc
 
 from tests.running.long import LONG, samples

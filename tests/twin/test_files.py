@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.cli import run
 from heli_host.errors import HeliError
-from heli_lab.estimation import DisturbanceModel
-from heli_lab.twin import learn
-from heli_lab.twin.calibration import Calibration, write_calibration
-from heli_lab.twin.draws import FollowedFlight
-from heli_lab.twin.files import DEFAULT_CALIBRATION, open_rig
-from heli_lab.twin.parameter_uncertainty import ParameterUncertainty
-from heli_lab.twin.tail import Tail
+from heli_host.ui.cli import run
+from heli_lab.fit.estimation import DisturbanceModel
+from heli_lab.watch.twin import learn
+from heli_lab.watch.twin.calibration import Calibration, write_calibration
+from heli_lab.watch.twin.draws import FollowedFlight
+from heli_lab.watch.twin.files import DEFAULT_CALIBRATION, open_rig
+from heli_lab.watch.twin.parameter_uncertainty import ParameterUncertainty
+from heli_lab.watch.twin.tail import Tail
 
 CALIBRATION = Calibration(
     DisturbanceModel(

@@ -7,12 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_host.flight import Flight
-from heli_lab.twin.files import DEFAULT_CALIBRATION, TwinRig
-from heli_lab.twin.flights import count_rad_of
-from heli_lab.twin.glitches import MAX_BLOCKS, REFILL, GlitchWatch
-from heli_lab.twin.healthy_flights import fly_simulated, random_plan
-from heli_lab.twin.monitor import TwinReport, monitor_flight
+from heli_host.data.flight import Flight
+from heli_lab.watch.twin.files import DEFAULT_CALIBRATION, TwinRig
+from heli_lab.watch.twin.flights import count_rad_of
+from heli_lab.watch.twin.glitches import MAX_BLOCKS, REFILL, GlitchWatch
+from heli_lab.watch.twin.healthy_flights import fly_simulated, random_plan
+from heli_lab.watch.twin.monitor import TwinReport, monitor_flight
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

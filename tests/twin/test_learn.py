@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_lab.estimation import DisturbanceModel
-from heli_lab.twin.changes import all_changes
-from heli_lab.twin.draws import Draws
-from heli_lab.twin.learn import DETECTABLE_WITHIN_s, at_least_rounding
-from heli_lab.twin.likelihood_ratio import ONSETS, Innovation, LikelihoodRatio
-from heli_lab.twin.persistence import CUT_OFF_STD
+from heli_lab.fit.estimation import DisturbanceModel
+from heli_lab.watch.twin.changes import all_changes
+from heli_lab.watch.twin.draws import Draws
+from heli_lab.watch.twin.learn import DETECTABLE_WITHIN_s, at_least_rounding
+from heli_lab.watch.twin.likelihood_ratio import ONSETS, Innovation, LikelihoodRatio
+from heli_lab.watch.twin.persistence import CUT_OFF_STD
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import derivatives, trim
 from heli_sim.model.parts import AXES

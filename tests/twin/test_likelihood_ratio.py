@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from heli_lab.estimation import BLOCK_s
-from heli_lab.twin.changes import Change, all_changes
-from heli_lab.twin.likelihood_ratio import (
+from heli_lab.fit.estimation import BLOCK_s
+from heli_lab.watch.twin.changes import Change, all_changes
+from heli_lab.watch.twin.likelihood_ratio import (
     KEPT,
     ONSETS,
     RECENT,
@@ -16,7 +16,7 @@ from heli_lab.twin.likelihood_ratio import (
     Innovation,
     LikelihoodRatio,
 )
-from heli_lab.twin.tail import SEGMENT_s, Tail, fit_tail
+from heli_lab.watch.twin.tail import SEGMENT_s, Tail, fit_tail
 
 from tests.estimation.density import log_density
 

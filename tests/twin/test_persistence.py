@@ -9,16 +9,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from heli_lab.twin import twin as twin_module
-from heli_lab.twin.calibration import Calibration
-from heli_lab.twin.changes import Change, all_changes
-from heli_lab.twin.files import DEFAULT_CALIBRATION
-from heli_lab.twin.likelihood_ratio import ONSETS, ChangeCandidate, Innovation, LikelihoodRatio
-from heli_lab.twin.parameter_uncertainty import EXACT, ParameterUncertainty
-from heli_lab.twin.persistence import PERSISTENCE_BLOCKS, DIAGNOSIS_DELAY_s
-from heli_lab.twin.samples import Samples
-from heli_lab.twin.tail import Tail
-from heli_lab.twin.twin import Twin
+from heli_lab.watch.twin import twin as twin_module
+from heli_lab.watch.twin.calibration import Calibration
+from heli_lab.watch.twin.changes import Change, all_changes
+from heli_lab.watch.twin.files import DEFAULT_CALIBRATION
+from heli_lab.watch.twin.likelihood_ratio import ONSETS, ChangeCandidate, Innovation, LikelihoodRatio
+from heli_lab.watch.twin.parameter_uncertainty import EXACT, ParameterUncertainty
+from heli_lab.watch.twin.persistence import PERSISTENCE_BLOCKS, DIAGNOSIS_DELAY_s
+from heli_lab.watch.twin.samples import Samples
+from heli_lab.watch.twin.tail import Tail
+from heli_lab.watch.twin.twin import Twin
 from heli_sim.rig import load_rig
 
 CHANGES = all_changes()

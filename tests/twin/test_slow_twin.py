@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 import numpy as np
+from heli_host.board.twins import TwinNews, TwinWatch
 from heli_host.declaration import CHANNELS
 from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks
-from heli_host.twins import TwinNews, TwinWatch
 
 BATCH_TICKS = 1000
 BATCHES = 100

@@ -9,11 +9,11 @@ from tempfile import mkdtemp
 
 import numpy as np
 import pytest
-from heli_host.cli import run
-from heli_host.log.reader import Log, read_log
-from heli_lab.twin.files import open_rig
-from heli_lab.twin.live import open_twin
-from heli_lab.twin.monitor import TwinReport, monitor_file
+from heli_host.data.log.reader import Log, read_log
+from heli_host.ui.cli import run
+from heli_lab.watch.twin.files import open_rig
+from heli_lab.watch.twin.live import open_twin
+from heli_lab.watch.twin.monitor import TwinReport, monitor_file
 
 pytestmark = pytest.mark.slow
 CHANGED_s = 12.0

@@ -11,9 +11,9 @@ from heli_host.link.clock import TICK_S
 from heli_host.link.events import LinkEvent, state_text
 
 if TYPE_CHECKING:
+    from heli_host.board.vehicle import Vehicle
     from heli_host.declaration import EventMessage
     from heli_host.fly.recorder import Recorder
-    from heli_host.vehicle import Vehicle
 
 LAW_TAKEN_OVER: Final = "law_taken_over"
 """Beginning of the outcome of a flight in which the board's own law took over from an uploaded one."""

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from heli_host.data.flight.flown import LANDING
 from heli_host.declaration import Channel, State, Trigger
-from heli_host.flight.flown import LANDING
 from heli_host.fly.ticks import newest_tick, wait_ticks
 
 if TYPE_CHECKING:
+    from heli_host.board.vehicle import Vehicle
     from heli_host.fly.flight_monitor import FlightMonitor
     from heli_host.fly.progress import ProgressReports
     from heli_host.fly.recorder import Recorder
     from heli_host.fly.route_stream import RouteStream
-    from heli_host.vehicle import Vehicle
 
 # The log ends at rest: these rows show the encoders' offsets and noise.
 _AFTER_TICKS = 200

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from heli_host.arrays import Floats
+from heli_host.board.setpoints import setpoint_bounds
 from heli_host.declaration import AXES, PARAMS, Axis
 from heli_host.errors import PlanError
 from heli_host.fly.segments import Segment
-from heli_host.setpoints import setpoint_bounds
 
 _TABLE_MARGIN_DEG = 2.0
 

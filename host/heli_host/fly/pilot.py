@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from heli_host.board.rest_check import ANGLE_SHIFTED
+from heli_host.data.log.schema import LEVEL_WARNING
 from heli_host.declaration import Axes
 from heli_host.errors import CommandRefused, FlightAborted, HeliError, LinkLost
 from heli_host.fly.flight_monitor import FLYING, FlightMonitor
@@ -21,12 +23,10 @@ from heli_host.fly.ticks import newest_tick, wait_ticks
 from heli_host.fly.tracking import Tolerance, TrackingMonitor
 from heli_host.interrupts import Interrupts, name_of, was_interrupted
 from heli_host.link.channels import rad_per_count
-from heli_host.log.schema import LEVEL_WARNING
-from heli_host.rest_check import ANGLE_SHIFTED
 
 if TYPE_CHECKING:
+    from heli_host.board.vehicle import Vehicle
     from heli_host.fly.recorder import Recorder
-    from heli_host.vehicle import Vehicle
 
 _LOOK_S = 0.05
 # The log begins at rest: these rows show the encoders' offsets and noise.

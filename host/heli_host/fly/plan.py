@@ -38,10 +38,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heli_host.arrays import Floats
+from heli_host.data.flight.flown import TAKE_OFF
 from heli_host.declaration import AXES, Axis
 from heli_host.errors import PlanError, file_remedy
 from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file
-from heli_host.flight.flown import TAKE_OFF
 from heli_host.fly import route as shapes
 from heli_host.fly.keys import ANGLE, PAUSE, RATE, PlanTable
 from heli_host.fly.limits import Limits, check_motion

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from heli_host.flight.flown import LANDING
+from heli_host.data.flight.flown import LANDING
 
 if TYPE_CHECKING:
+    from heli_host.board.samples import Sample
+    from heli_host.board.vehicle import Vehicle
     from heli_host.fly.route import Route
     from heli_host.link.accounting import LinkCounters
-    from heli_host.samples import Sample
-    from heli_host.vehicle import Vehicle
 
 
 @dataclass(frozen=True)

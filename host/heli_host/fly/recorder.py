@@ -10,24 +10,24 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING
 
-from heli_host.controllers import controller_name
+from heli_host.data.flight.flown import PHASE_EVENT
+from heli_host.data.log.blind import blind_notes, hide
+from heli_host.data.log.disk import check_free_space
+from heli_host.data.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
+from heli_host.data.log.writer import LogCounters, LogWriter
 from heli_host.declaration import LINK_HASH, LINK_VERSION, StatusMessage
 from heli_host.errors import HeliError, LogError
-from heli_host.flight.flown import PHASE_EVENT
+from heli_host.fly.controllers import controller_name
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNAL_NAMES, LINK_LOST, LINK_SILENT, LinkEvent
 from heli_host.link.transport import transport_recipe
-from heli_host.log.blind import blind_notes, hide
-from heli_host.log.disk import check_free_space
-from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
-from heli_host.log.writer import LogCounters, LogWriter
 from heli_host.release import installed_version
 
 if TYPE_CHECKING:
+    from heli_host.board.vehicle import Vehicle
     from heli_host.fly.plan import Plan
     from heli_host.link.accounting import LinkCounters
     from heli_host.link.telemetry import Ticks
-    from heli_host.vehicle import Vehicle
 
 _LEVELS = {
     "fault": LEVEL_ERROR,
@@ -64,10 +64,10 @@ class Recorder:
     overwrite : bool
         Write over a file that is there; otherwise it is refused.
     sealed : str
-        Seal of a flight whose cause is hidden, see `heli_host.log.blind`: the log has it in the place of
+        Seal of a flight whose cause is hidden, see `heli_host.data.log.blind`: the log has it in the place of
         address, rig, seed and boot id. Empty for any other flight.
     setup : Mapping of str to str
-        Settings of the board before the flight, for `heli_host.cli.again`; empty if unknown.
+        Settings of the board before the flight, for `heli_host.ui.cli.again`; empty if unknown.
 
     Raises
     ------

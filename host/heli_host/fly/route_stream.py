@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from heli_host.data.flight.flown import TAKE_OFF
 from heli_host.declaration import AXES, SetpointMessage
-from heli_host.flight.flown import TAKE_OFF
 from heli_host.fly.route import Piece, Route
 from heli_host.fly.ticks import newest_tick
 from heli_host.link.clock import TICK_S
 
 if TYPE_CHECKING:
+    from heli_host.board.vehicle import Vehicle
     from heli_host.fly.recorder import Recorder
     from heli_host.fly.tracking import TrackingMonitor
     from heli_host.link.telemetry import Ticks
-    from heli_host.vehicle import Vehicle
 
 INTERVAL_TICKS = 20
 """Device time between two setpoints: 50 a second."""

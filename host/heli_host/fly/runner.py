@@ -12,25 +12,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from heli_host.board.twins import EVENT
+from heli_host.data.flight_checks import check_flight
+from heli_host.data.log.blind import hide
+from heli_host.data.log.figure import write_figure
+from heli_host.data.log.reader import Log, read_log
+from heli_host.data.log.schema import TICK_LAYOUT
+from heli_host.data.log.summary import FlightSummary, summarise
 from heli_host.declaration import AXES
 from heli_host.errors import LogError, PlanError
-from heli_host.flight_checks import check_flight
 from heli_host.fly.pilot import Pilot
 from heli_host.fly.plan import Plan, load_plan, take_off
 from heli_host.fly.progress import Progress
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.tracking import Tolerance
 from heli_host.interrupts import Interrupts
-from heli_host.log.blind import hide
-from heli_host.log.figure import write_figure
-from heli_host.log.reader import Log, read_log
-from heli_host.log.schema import TICK_LAYOUT
-from heli_host.log.summary import FlightSummary, summarise
-from heli_host.twins import EVENT
 
 if TYPE_CHECKING:
-    from heli_host.twins import TwinWatch
-    from heli_host.vehicle import Vehicle
+    from heli_host.board.twins import TwinWatch
+    from heli_host.board.vehicle import Vehicle
 
 PlanLike = Plan | str | Path
 
@@ -89,10 +89,10 @@ def fly(
     overwrite : bool
         True replaces an existing log; False refuses to fly if there is one.
     sealed : str
-        Seal of a flight whose cause is hidden, see `heli_host.log.blind`: the log holds it instead of
+        Seal of a flight whose cause is hidden, see `heli_host.data.log.blind`: the log holds it instead of
         address, rig, seed and boot id. Empty for any other flight.
     setup : Mapping of str to str
-        Settings of the board before the flight, for the log; see `heli_host.cli.again`.
+        Settings of the board before the flight, for the log; see `heli_host.ui.cli.again`.
 
     Returns
     -------

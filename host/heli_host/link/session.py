@@ -69,7 +69,7 @@ _START_MOTORS = (ArmMessage, ControlMessage, ExciteMessage, StreamMessage)
 class Session:
     """One session with one board. All methods may be called from any thread; commands run one at a time.
 
-    The session itself never switches motors off, except by `stop_now`: see `heli_host.vehicle.Vehicle.close`.
+    The session itself never switches motors off, except by `stop_now`: see `heli_host.board.vehicle.Vehicle.close`.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from heli_host.log.table import write_csv
+from heli_host.data.log.table import write_csv
 from heli_sim.rig import Rig, load_rig
 
 from heli_benchmark.effects.listed import LISTED, MORE_LISTED, OTHER_FORMS, Maker

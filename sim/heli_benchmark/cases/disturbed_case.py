@@ -7,8 +7,8 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from heli_host.flight import Flight
-from heli_host.log.table import write_csv
+from heli_host.data.flight import Flight
+from heli_host.data.log.table import write_csv
 from heli_sim.rig import Rig, load_rig
 
 from heli_benchmark.cases.clean import TRAIN_S, VALIDATE_S, Case

@@ -75,8 +75,8 @@ def run_on_cluster(
     if not cases:
         return
     # Only a run on a cluster needs Dask.
-    from heli_lab.campaign import Campaign, Case, Store, campaign_results
-    from heli_lab.campaign.worker_process import Limits
+    from heli_lab.apps.campaign import Campaign, Case, Store, campaign_results
+    from heli_lab.apps.campaign.worker_process import Limits
 
     settings = {
         "method": method.text,

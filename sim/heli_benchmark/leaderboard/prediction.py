@@ -13,8 +13,8 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 from heli_host.arrays import Floats, Integers
+from heli_host.data.flight import Flight
 from heli_host.errors import HeliError
-from heli_host.flight import Flight
 from heli_sim.model import Model, MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import Rig

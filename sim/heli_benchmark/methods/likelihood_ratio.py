@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-from heli_lab.identify.run import identify
-from heli_lab.twin.calibration import Calibration
-from heli_lab.twin.flights import count_rad_of, samples_of
-from heli_lab.twin.learn import learn_rig
-from heli_lab.twin.likelihood_ratio import ChangeCandidate
-from heli_lab.twin.tail import Tail
-from heli_lab.twin.twin import Twin
-from heli_lab.twin.twin_model import TwinModel
+from heli_lab.fit.identify.run import identify
+from heli_lab.watch.twin.calibration import Calibration
+from heli_lab.watch.twin.flights import count_rad_of, samples_of
+from heli_lab.watch.twin.learn import learn_rig
+from heli_lab.watch.twin.likelihood_ratio import ChangeCandidate
+from heli_lab.watch.twin.tail import Tail
+from heli_lab.watch.twin.twin import Twin
+from heli_lab.watch.twin.twin_model import TwinModel
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig
 

@@ -26,7 +26,7 @@ _REFITS: Final = 80
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
-    """Diagnose a case by `heli_lab.diagnose`, and translate its verdict and causes to probabilities."""
+    """Diagnose a case by `heli_lab.explain`, and translate its verdict and causes to probabilities."""
     labels = [f"flight {i}" for i in range(len(case.training) + len(case.validation))]
     diagnosis = lab_diagnose(
         MultibodyModel(), case.rig, case.training, case.validation, labels=labels, refits=_REFITS, threads=1

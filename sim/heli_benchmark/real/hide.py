@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.arrays import Floats
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
 
 
 @dataclass(frozen=True)

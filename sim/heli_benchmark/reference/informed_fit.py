@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from heli_host.flight import Flight
-from heli_lab.identify import Fit, Problem, Record, check, prepare, solve, validate
-from heli_lab.identify.free import estimated_names
+from heli_host.data.flight import Flight
+from heli_lab.fit.identify import Fit, Problem, Record, check, prepare, solve, validate
+from heli_lab.fit.identify.free import estimated_names
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Effect
 from heli_sim.model.effects import catalogue

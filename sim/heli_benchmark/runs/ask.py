@@ -7,8 +7,8 @@ import time
 from collections.abc import Collection, Iterable, Iterator
 from typing import Any, Final, Protocol, TypeVar
 
+from heli_host.data.flight import Flight
 from heli_host.errors import FlightAborted
-from heli_host.flight import Flight
 from heli_lab.diagnose import Diagnosis, diagnose, to_json
 from heli_sim.errors import SimError
 from heli_sim.model import MultibodyModel

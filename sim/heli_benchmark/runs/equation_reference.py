@@ -9,12 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from heli_host.arrays import Floats
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
 from heli_lab.diagnose import Diagnosis
-from heli_lab.diagnose.discover import NAME, accelerations
-from heli_lab.diagnose.evaluate import compare_free_runs, free_runs, predict
-from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, typical_candidate
-from heli_lab.identify import prepare
+from heli_lab.explain.discover import NAME, accelerations
+from heli_lab.explain.evaluate import compare_free_runs, free_runs, predict
+from heli_lab.explain.search import Candidate, Hypothesis, ModelComparison, typical_candidate
+from heli_lab.fit.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects import catalogue

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
 
 from heli_benchmark.cases.disturbed_case import DisturbedCase
 from heli_benchmark.cases.selection import add_choice, chosen

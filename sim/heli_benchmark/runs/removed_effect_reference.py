@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from heli_host.flight import Flight
-from heli_lab.campaign.works import DEFAULTS, fly
-from heli_lab.diagnose.search import ModelComparison
-from heli_lab.identify import prepare
+from heli_host.data.flight import Flight
+from heli_lab.apps.campaign.works import DEFAULTS, fly
+from heli_lab.explain.search import ModelComparison
+from heli_lab.fit.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from heli_host.board.rest_check import ANGLE_SHIFTED
+from heli_host.data.flight import Flight
+from heli_host.data.log.flight_file import read_flight
 from heli_host.declaration import Fault
 from heli_host.errors import FlightAborted
-from heli_host.flight import Flight
+from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
 from heli_host.fly.tracking import NOT_TRACKED
-from heli_host.heli import Heli
 from heli_host.link.session import Session
-from heli_host.log.flight_file import read_flight
-from heli_host.rest_check import ANGLE_SHIFTED
 from heli_sim.rig import Rig
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from heli_host.arrays import Floats
+from heli_host.data.flight import Flight
 from heli_host.errors import FlightAborted
-from heli_host.flight import Flight
 from heli_sim.rig import Rig
 from heli_sim.rig.encoders import count_rad
 from scipy.linalg import solve_continuous_are

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from heli_host.data.flight import Flight
 from heli_host.errors import FlightAborted
-from heli_host.flight import Flight
 from heli_sim.rig import load_rig
 
 from heli_benchmark.cases.published import PublishedCase, published_cases, redrawn

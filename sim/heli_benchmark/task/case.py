@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from heli_host.flight import Flight
-from heli_host.log.flight_file import read_flight
-from heli_host.log.table import write_csv
+from heli_host.data.flight import Flight
+from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.table import write_csv
 from heli_sim.rig import Rig, load_rig, write_rig
 
 from heli_benchmark.errors import BenchmarkError
@@ -84,7 +84,7 @@ def write_case(folder: Path, rig: Rig, training: tuple[Flight, ...], validation:
     training, validation : tuple of Flight
         The flights.
     """
-    from heli_host.log.export import export_parquet
+    from heli_host.data.log.export import export_parquet
 
     write_rig(rig, folder / RIG_FILE)
     for kind, flights in ((_TRAINING, training), (_VALIDATION, validation)):

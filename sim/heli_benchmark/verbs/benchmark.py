@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from heli_host.cli.options import JsonOption, SchedulerOption
-from heli_host.cli.say import data_on_stdout, say, say_files, say_progress, write_result
-from heli_host.cli.verb import Verb
 from heli_host.output_files import write_signed
+from heli_host.ui.cli.options import JsonOption, SchedulerOption
+from heli_host.ui.cli.say import data_on_stdout, say, say_files, say_progress, write_result
+from heli_host.ui.cli.verb import Verb
 
 app = typer.Typer(
     help="Compare methods that find hidden causes.\n\n"
@@ -154,7 +154,7 @@ def score(
 
     Example: `heli-host benchmark score public runs/ours runs/base_rates --json scores.json`
     """
-    from heli_host.cli.outputs import check_result_places
+    from heli_host.ui.cli.outputs import check_result_places
 
     from heli_benchmark.leaderboard import score_runs, scores_content
     from heli_benchmark.leaderboard.report import comparison_table, pair_lines

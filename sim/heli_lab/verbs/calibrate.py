@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from urllib.parse import urlencode
 
 import typer
-from heli_host.cli.options import ClearFaultOption, JsonOption, PortOption, flight_folder
-from heli_host.cli.say import data_on_stdout, say, say_files, say_progress, write_result
-from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SilOption, refuse_without_sil, sil_address
-from heli_host.cli.verb import Verb
 from heli_host.output_files import write_signed
+from heli_host.ui.cli.options import ClearFaultOption, JsonOption, PortOption, flight_folder
+from heli_host.ui.cli.say import data_on_stdout, say, say_files, say_progress, write_result
+from heli_host.ui.cli.simulated import DEFAULT_RIG, MAX_SPEED, SilOption, refuse_without_sil, sil_address
+from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
-    from heli_host.heli import Heli
+    from heli_host.fly.heli import Heli
     from heli_sim.rig import Rig
 
-    from heli_lab.calibrate.calibration import BenchCalibration
-    from heli_lab.calibrate.operator import Operator
+    from heli_lab.setup.calibrate.calibration import BenchCalibration
+    from heli_lab.setup.calibrate.operator import Operator
 
 _ENCODERS: Final = ("elevation", "pitch", "travel")
 _MOTORS: Final = ("front", "back")
@@ -101,14 +101,14 @@ def calibrate(
 
     Example: `heli-host calibrate --port /dev/ttyACM0 --rig mine.toml`
     """
-    from heli_host.cli.board import clear_latched_fault, open_board
-    from heli_host.cli.outputs import check_parameters_place, check_result_places
+    from heli_host.data.log.disk import check_new
     from heli_host.fly.recorder import Recorder
-    from heli_host.log.disk import check_new
+    from heli_host.ui.cli.board import clear_latched_fault, open_board
+    from heli_host.ui.cli.outputs import check_parameters_place, check_result_places
     from heli_sim.rig import load_rig
 
-    from heli_lab.calibrate.calibration import calibrate as run
-    from heli_lab.calibrate.calibration import default_limits
+    from heli_lab.setup.calibrate.calibration import calibrate as run
+    from heli_lab.setup.calibrate.calibration import default_limits
 
     if not sil:
         refuse_without_sil(miswired=miswired)
@@ -175,7 +175,7 @@ def calibrate(
 
 def _new_rig_file(rig: str | None, save_rig: Path | None) -> Path:
     """Return the path of the calibrated rig; a RigError is raised if the file exists."""
-    from heli_host.cli.outputs import check_place
+    from heli_host.ui.cli.outputs import check_place
     from heli_sim.errors import RigError
 
     source = Path(rig if rig is not None else DEFAULT_RIG)
@@ -205,7 +205,7 @@ def _save_after_question(heli: Heli, operator: Operator, parameters: dict[str, f
     """Set and save parameters on the board if there are any and the operator agrees; return whether they are
     saved.
     """
-    from heli_lab.calibrate.calibration import set_parameters
+    from heli_lab.setup.calibrate.calibration import set_parameters
 
     if not parameters or operator.choose("Set and save these on the board?", ("yes", "no")) != "yes":
         return False
@@ -219,8 +219,8 @@ def _operator_of(heli: Heli, *, simulated: bool) -> Operator:
 
     from heli_sim.sil.inprocess import InProcessTransport
 
-    from heli_lab.calibrate.simulated_operator import SimulatedOperator
-    from heli_lab.calibrate.terminal_operator import TerminalOperator
+    from heli_lab.setup.calibrate.simulated_operator import SimulatedOperator
+    from heli_lab.setup.calibrate.terminal_operator import TerminalOperator
 
     transport = heli.session.transport
     if simulated and isinstance(transport, InProcessTransport):
@@ -239,7 +239,7 @@ def _stop_motors(heli: Heli) -> None:
 
 def _write_files(result: BenchCalibration, base: Rig, new_rig: Path, save_params: Path | None) -> None:
     """Write the calibrated rig and, if `save_params` is given, the board's parameters."""
-    from heli_host.parameter_file import parameters_text
+    from heli_host.board.parameter_file import parameters_text
     from heli_sim.rig import write_rig
 
     write_rig(result.rig, new_rig, f"Written by heli-host calibrate: the rest as {base.name}.")
@@ -250,7 +250,7 @@ def _write_files(result: BenchCalibration, base: Rig, new_rig: Path, save_params
 
 def _say_result(result: BenchCalibration, base: Rig, before: dict[str, float]) -> None:
     """Print each motor's wiring and thrust, each parameter before and after, and the notes."""
-    from heli_lab.calibrate.thrust import ThrustLine
+    from heli_lab.setup.calibrate.thrust import ThrustLine
 
     say("+- is one standard error")
     for motor in result.motors:
@@ -277,9 +277,9 @@ def _before_and_after(result: BenchCalibration, base: Rig, before: dict[str, flo
     """Return the calibrated values of rig and board as JSON objects with the keys of, name, before, after
     and unit.
     """
-    from heli_host.parameters import spec_of
+    from heli_host.board.parameters import spec_of
 
-    from heli_lab.calibrate.calibration import SOURCE
+    from heli_lab.setup.calibrate.calibration import SOURCE
 
     rig_rows = [
         {

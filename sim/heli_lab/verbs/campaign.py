@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.options import JsonOption, SchedulerOption
-from heli_host.cli.say import data_on_stdout, say, say_dropped, say_files, write_result
-from heli_host.cli.verb import Verb
+from heli_host.ui.cli.options import JsonOption, SchedulerOption
+from heli_host.ui.cli.say import data_on_stdout, say, say_dropped, say_files, write_result
+from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
-    from heli_lab.campaign.campaign import Campaign
-    from heli_lab.campaign.run import CampaignProgress
-    from heli_lab.campaign.summary import Summary
+    from heli_lab.apps.campaign.campaign import Campaign
+    from heli_lab.apps.campaign.run import CampaignProgress
+    from heli_lab.apps.campaign.summary import Summary
 
 
 def campaign(
@@ -59,16 +59,16 @@ def campaign(
 
     Example: `heli-host campaign study.toml -o study`, and on a cluster `--scheduler tcp://head:8786`
     """
-    from heli_host.cli.outputs import check_result_places
-    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.board.parameter_file import read_parameter_set
     from heli_host.errors import FlightAborted
-    from heli_host.parameter_file import read_parameter_set
+    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.progress_bar import WorkBar
 
-    from heli_lab.campaign.file import load_campaign
-    from heli_lab.campaign.page import write_summary
-    from heli_lab.campaign.run import run_campaign
-    from heli_lab.campaign.store import TABLE, Store
-    from heli_lab.campaign.summary import summarise
+    from heli_lab.apps.campaign.file import load_campaign
+    from heli_lab.apps.campaign.page import write_summary
+    from heli_lab.apps.campaign.run import run_campaign
+    from heli_lab.apps.campaign.store import TABLE, Store
+    from heli_lab.apps.campaign.summary import summarise
     from heli_lab.errors import CampaignError
 
     if scheduler is not None and workers is not None:
@@ -121,7 +121,7 @@ def campaign(
 
 def _parameter_files(campaign: Campaign) -> list[Path]:
     """Return the files of board parameters of the cases, as far as they exist on this computer."""
-    from heli_lab.campaign.works import WORKS
+    from heli_lab.apps.campaign.works import WORKS
 
     cases = [case for case in campaign.cases if case.work in WORKS.values()]
     names = {str(case.settings["params"]) for case in cases if case.settings["params"]}

@@ -8,20 +8,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.cli import simulated
-from heli_host.cli.flight_command import FlightOptions
-from heli_host.cli.options import JsonOption
-from heli_host.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED
-from heli_host.cli.verb import Verb
+from heli_host.ui.cli import simulated
+from heli_host.ui.cli.flight_command import FlightOptions
+from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
+from heli_host.ui.cli.simulated import DEFAULT_RIG, MAX_SPEED
+from heli_host.ui.cli.verb import Verb
 
 from heli_lab.fit_options import SeedsOption
 
 if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
 
-    from heli_lab.classroom.mark import Mark
-    from heli_lab.classroom.marking import MarkedSubmission
+    from heli_lab.apps.classroom.mark import Mark
+    from heli_lab.apps.classroom.marking import MarkedSubmission
 
 _LOAD_s = 10.0
 """Longest processor time for loading a law's file [s]. The laws of the documents take under 2 s. Shorter: a
@@ -89,15 +89,15 @@ def class_(
 
     Example: `heli-host class submissions --seeds 3`
     """
-    from heli_host.cli.board import open_board
-    from heli_host.cli.outputs import check_result_places
     from heli_host.fly.plan import load_plan
+    from heli_host.ui.cli.board import open_board
+    from heli_host.ui.cli.outputs import check_result_places
     from heli_sim.rig import load_rig
 
-    from heli_lab.classroom.marking import Marking
-    from heli_lab.classroom.submission import submissions_in
-    from heli_lab.law.limits import FileLimits
-    from heli_lab.law.trial import trial_plan
+    from heli_lab.apps.classroom.marking import Marking
+    from heli_lab.apps.classroom.submission import submissions_in
+    from heli_lab.control.law.limits import FileLimits
+    from heli_lab.control.law.trial import trial_plan
 
     folders = submissions_in(folder)
     check_result_places(folder / MARKS, json)
@@ -140,9 +140,9 @@ def _fly_on_rig(
     Only submissions that flew to the end of the simulation fly. After each flight, its mark and the `table`
     of all marks are written, so that no later error loses them.
     """
-    from heli_lab.classroom.marking import MARK
-    from heli_lab.classroom.rig_flights import fly_on_rig
-    from heli_lab.classroom.submission import MARKED
+    from heli_lab.apps.classroom.marking import MARK
+    from heli_lab.apps.classroom.rig_flights import fly_on_rig
+    from heli_lab.apps.classroom.submission import MARKED
 
     marks = {marked.folder: marked.mark for marked in all_marked}
     flyable = [marked for marked in all_marked if marked.may_fly]
@@ -169,7 +169,7 @@ def _write_marks(marks: Sequence[Mark], path: Path) -> None:
 
     from heli_host.output_files import write_text
 
-    from heli_lab.classroom.mark import FULL, POINTS
+    from heli_lab.apps.classroom.mark import FULL, POINTS
 
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")

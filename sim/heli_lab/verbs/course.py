@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from heli_host.cli.say import say, say_files
-from heli_host.cli.verb import Verb
+from heli_host.ui.cli.say import say, say_files
+from heli_host.ui.cli.verb import Verb
 
 
 def course(
@@ -28,7 +28,7 @@ def course(
 
     Example: `heli-host course docs/course --output editions`
     """
-    from heli_lab.classroom.notebook import NotebookError, write_editions
+    from heli_lab.apps.classroom.notebook import NotebookError, write_editions
 
     sources: list[Path] = []
     for path in notebooks:

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.cli.options import JsonOption
-from heli_host.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.cli.simulated import DEFAULT_RIG
-from heli_host.cli.verb import Verb
+from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
+from heli_host.ui.cli.simulated import DEFAULT_RIG
+from heli_host.ui.cli.verb import Verb
 
 from heli_lab import fit_options as option
 
 if TYPE_CHECKING:
-    from heli_lab.diagnose import Diagnosis, InsufficientExcitation
+    from heli_lab.explain import Diagnosis, InsufficientExcitation
 
 
 def diagnose(
@@ -80,22 +80,24 @@ def diagnose(
     """
     # The matrices are small: several BLAS threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from heli_host.cli.outputs import check_result_places
-    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.progress_bar import WorkBar
     from heli_sim.model.effects import catalogue
     from heli_sim.rig import write_rig
 
-    from heli_lab.diagnose import InsufficientExcitation, insufficient_excitation, summary, to_json
-    from heli_lab.diagnose import diagnose as run_diagnosis
-    from heli_lab.diagnose.report import (
+    from heli_lab.errors import NotExcited
+    from heli_lab.explain import InsufficientExcitation, insufficient_excitation
+    from heli_lab.explain import diagnose as run_diagnosis
+    from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, parts, read_parts
+    from heli_lab.report.diagnosis import (
+        summary,
+        to_json,
         unconfirmed_in_rig,
         write_effect_file,
         write_insufficient_excitation,
         write_report,
     )
-    from heli_lab.errors import NotExcited
-    from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, parts, read_parts
-    from heli_lab.page.drawing import Drawing
+    from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count, limit_malloc_arenas
 
     # Exclude loaded libraries from garbage collection, which otherwise takes 8 % of a diagnosis.
@@ -163,7 +165,7 @@ def diagnose(
 
 def _print_diagnosis(result: Diagnosis | InsufficientExcitation) -> None:
     """Print the verdict, the causes and the error reduction."""
-    from heli_lab.diagnose.report import lines, summary
+    from heli_lab.report.diagnosis import lines, summary
 
     say(f"{result.label}: {summary(result)}", *(f"  {line}" for line in lines(result)))
 

@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.cli.options import JsonOption
-from heli_host.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.cli.simulated import DEFAULT_RIG
-from heli_host.cli.verb import Verb
+from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
+from heli_host.ui.cli.simulated import DEFAULT_RIG
+from heli_host.ui.cli.verb import Verb
 
 from heli_lab import fit_options as option
 
 if TYPE_CHECKING:
-    from heli_lab.identify.results import Identification
+    from heli_lab.fit.identify.results import Identification
 
 
 def identify(
@@ -66,14 +66,14 @@ def identify(
 
     Example: `heli-host identify a.mcap --validate b.mcap --save-rig mine.toml --report mine`
     """
-    from heli_host.cli.outputs import check_result_places
-    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.progress_bar import WorkBar
     from heli_sim.rig import write_rig
 
+    from heli_lab.fit.identify.run import identify as run_identification
     from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, parts, read_parts
-    from heli_lab.identify.html_report import verdict, write_identification_report
-    from heli_lab.identify.run import identify as run_identification
-    from heli_lab.page.drawing import Drawing
+    from heli_lab.report.identification import verdict, write_identification_report
+    from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count
 
     validation_paths = validate or []
@@ -118,9 +118,9 @@ def identify(
 
 def _print_estimates(identification: Identification) -> None:
     """Print estimates and priors in a table, each with its standard error."""
-    from heli_host.text_table import table_lines
+    from heli_host.data.text_table import table_lines
 
-    from heli_lab.identify.results import rounded
+    from heli_lab.fit.identify.results import rounded
 
     fit = identification.fit
     rows = [("parameter", "estimate", "±", "prior", "±", "unit", "")]

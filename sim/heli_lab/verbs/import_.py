@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.options import JsonOption
-from heli_host.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.cli.verb import Verb
 from heli_host.output_files import FORCE, write_signed
+from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
+from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
-    from heli_host.tables import Profile, Table
+    from heli_host.data.tables import Profile, Table
     from heli_sim.rig import Rig
 
-    from heli_lab.guess import Ambiguity, Guess
-    from heli_lab.guess.import_targets import Target
+    from heli_lab.setup.guess import Ambiguity, Guess
+    from heli_lab.setup.guess.import_targets import Target
 
 
 def import_(
@@ -77,7 +77,7 @@ def import_(
 
     Example: `heli-host import lab1.mat lab2.mat --guess --rig quanser-course -o flights/lab`
     """
-    from heli_host.tables import read_profile
+    from heli_host.data.tables import read_profile
     from heli_sim.rig import load_rig
 
     if profile is None and not guess:
@@ -135,15 +135,15 @@ def _read_sources(files: Sequence[Path], output: Path, *, one_flight: bool) -> l
 
     A flight in the folder that was imported from another file is an error.
     """
-    from heli_host.tables import read_table
+    from heli_host.data.tables import read_table
 
-    from heli_lab.guess.import_targets import Target, digest, output_names
+    from heli_lab.setup.guess.import_targets import Target, digest, output_names
 
     tables = [read_table(path) for path in files]
     names = output_names(files)
     digests = [digest([path]) for path in files]
     if one_flight:
-        from heli_lab.guess import merge_tables
+        from heli_lab.setup.guess import merge_tables
 
         merged = merge_tables(tables)
         if merged.notes:
@@ -163,10 +163,10 @@ def _guess_profiles(
     tables: Sequence[Table], rig: Rig | None, rate_Hz: float | None, profile: Path | None
 ) -> Sequence[Guess]:
     """Guess the profile of each table with a progress bar; the entries of a given `profile` stay."""
-    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.progress_bar import WorkBar
 
-    from heli_lab.guess import guess_by_rigs
-    from heli_lab.guess.known import NOTHING_KNOWN, read_known
+    from heli_lab.setup.guess import guess_by_rigs
+    from heli_lab.setup.guess.known import NOTHING_KNOWN, read_known
 
     given_entries = read_known(profile) if profile is not None else NOTHING_KNOWN
     with WorkBar() as bar:
@@ -187,9 +187,9 @@ def _write_profile(
     dict of int
         Line number of each entry in the file.
     """
-    from heli_host.tables import profile_text
+    from heli_host.data.tables import profile_text
 
-    from heli_lab.guess.import_targets import entry_lines
+    from heli_lab.setup.guess.import_targets import entry_lines
 
     path = folder / "profile.toml"
     warnings = [f"UNSURE: {ambiguity.sentence()}" for ambiguity in ambiguities]
@@ -212,18 +212,18 @@ def _say_reasons(
 
 def _draw_evidence(guess: Guess, table: Table, path: Path) -> Path:
     """Draw the longest flight of a table with its guessed profile; return the figure's path."""
-    from heli_host.tables import flights_of
+    from heli_host.data.tables import flights_of
 
-    from heli_lab.guess.figure import draw
+    from heli_lab.setup.guess.figure import draw
 
     return draw(guess, max(flights_of(table, guess.profile), key=len), path)
 
 
 def _write_flights(sources: Sequence[_Source], profile: Profile) -> list[dict[str, Any]]:
     """Write each flight of the sources as CSV; return file, rows and duration [s] of each as JSON objects."""
-    from heli_host.flight import check
-    from heli_host.log.table import write_csv
-    from heli_host.tables import flights_of
+    from heli_host.data.flight import check
+    from heli_host.data.log.table import write_csv
+    from heli_host.data.tables import flights_of
 
     flight_objects: list[dict[str, Any]] = []
     for source in sources:

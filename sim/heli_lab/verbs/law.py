@@ -8,24 +8,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli import simulated
-from heli_host.cli.flight_command import FlightOptions
-from heli_host.cli.option_group import with_option_groups
-from heli_host.cli.options import JsonOption
-from heli_host.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.cli.simulated import DEFAULT_RIG, MAX_SPEED, SeedOption
-from heli_host.cli.verb import Verb
-from heli_host.laws import FILE_LIMIT_s
+from heli_host.board.laws import FILE_LIMIT_s
 from heli_host.output_files import write_signed
+from heli_host.ui.cli import simulated
+from heli_host.ui.cli.flight_command import FlightOptions
+from heli_host.ui.cli.option_group import with_option_groups
+from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
+from heli_host.ui.cli.simulated import DEFAULT_RIG, MAX_SPEED, SeedOption
+from heli_host.ui.cli.verb import Verb
 
 from heli_lab.fit_options import ReportOption, SeedsOption
 
 if TYPE_CHECKING:
-    from heli_host.flight import Flight
-    from heli_host.law_program import LawProgram
+    from heli_host.board.law_program import LawProgram
+    from heli_host.data.flight import Flight
 
-    from heli_lab.law.linear import LinearisedLaw
-    from heli_lab.law.trial import LawTrial
+    from heli_lab.control.law.linear import LinearisedLaw
+    from heli_lab.control.law.trial import LawTrial
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -88,7 +88,7 @@ def check(
     """
     from heli_host.declaration import LAW_TICK_COST
 
-    from heli_lab.law.files import load_law
+    from heli_lab.control.law.files import load_law
 
     data_on_stdout(json)
     control_law = load_law(law, load_timeout, rig)
@@ -102,8 +102,8 @@ def check(
     # Imported here so that an invalid law is refused without this delay.
     from heli_sim.rig import load_rig
 
-    from heli_lab.law.linear import linearised
-    from heli_lab.tune.plants import linear_plant
+    from heli_lab.control.law.linear import linearised
+    from heli_lab.control.tune.plants import linear_plant
 
     linear = linearised(control_law, linear_plant(load_rig(rig)))
     say(*_stability_lines(linear))
@@ -149,12 +149,12 @@ def fly(
 
     Example: `heli-host law fly lqi.py --sil --board due --log lqi.mcap`
     """
-    from heli_host.cli.board import check_target
     from heli_host.fly.plan import load_plan
+    from heli_host.ui.cli.board import check_target
 
-    from heli_lab.law.files import load_law
-    from heli_lab.law.trial import trial_plan
-    from heli_lab.law_flight import fly_law
+    from heli_lab.control.law.files import load_law
+    from heli_lab.control.law.trial import trial_plan
+    from heli_lab.control.law_flight import fly_law
 
     check_target(options.port, options.sil)
     flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
@@ -193,10 +193,10 @@ def compare(
 
     Example: `heli-host law compare lqi.mcap lqr.mcap --figure both.png`
     """
-    from heli_host.cli.board import check_target
-    from heli_host.cli.outputs import check_result_places
+    from heli_host.data.log.comparison import comparison_lines, comparison_numbers, write_comparisons
     from heli_host.errors import FlightAborted
-    from heli_host.log.comparison import comparison_lines, comparison_numbers, write_comparisons
+    from heli_host.ui.cli.board import check_target
+    from heli_host.ui.cli.outputs import check_result_places
 
     check_result_places(json, figure=figure)
     law_count = sum(path.suffix == ".py" for path in compared)
@@ -253,18 +253,18 @@ def grade(
 
     Example: `heli-host law grade lqi.py lqr.py --seeds 5 --report grades`
     """
-    from heli_host.cli.outputs import check_result_places
     from heli_host.errors import BadLaw, FlightAborted
     from heli_host.fly.plan import load_plan
+    from heli_host.ui.cli.outputs import check_result_places
     from heli_sim.rig import load_rig
 
-    from heli_lab.classroom.grade import REFERENCE, LawGrade, grade_lines
-    from heli_lab.classroom.grade import grade as grade_law
-    from heli_lab.law.files import check_files, load_limited
-    from heli_lab.law.limits import FileLimits
-    from heli_lab.law.trial import trial_plan
-    from heli_lab.law_flight import fly_trial
-    from heli_lab.tune.plants import linear_plant
+    from heli_lab.apps.classroom.grade import REFERENCE, LawGrade, grade_lines
+    from heli_lab.apps.classroom.grade import grade as grade_law
+    from heli_lab.control.law.files import check_files, load_limited
+    from heli_lab.control.law.limits import FileLimits
+    from heli_lab.control.law.trial import trial_plan
+    from heli_lab.control.law_flight import fly_trial
+    from heli_lab.control.tune.plants import linear_plant
 
     check_result_places(json, report=report)
     data_on_stdout(json)
@@ -300,7 +300,7 @@ def grade(
         say(*grade_lines(grades))
     page = None
     if report is not None:
-        from heli_lab.classroom.page import write_grades
+        from heli_lab.apps.classroom.page import write_grades
 
         page = write_grades(grades, content, report)
     say_files((json, page))
@@ -331,8 +331,8 @@ def export(
 
     Example: `heli-host law export lqi.py -o lqi.c`
     """
-    from heli_lab.law.export_c import c_source
-    from heli_lab.law.files import load_law
+    from heli_lab.control.law.export_c import c_source
+    from heli_lab.control.law.files import load_law
 
     write_signed(output, c_source(load_law(law, load_timeout, rig)))
     say_files((output,))
@@ -377,8 +377,8 @@ def _fly_random_rigs(program: LawProgram, rig: str, count: int, seed: int) -> li
     """Fly a control law on simulated rigs with random thrust and rotor lag; return their JSON objects."""
     import numpy as np
 
-    from heli_lab.law.trial import trial_plan
-    from heli_lab.law_flight import fly_trial
+    from heli_lab.control.law.trial import trial_plan
+    from heli_lab.control.law_flight import fly_trial
 
     random = np.random.default_rng(seed)
     trials: list[dict[str, Any]] = []
@@ -403,7 +403,7 @@ def _read_logs(paths: Sequence[Path]) -> dict[str, Flight]:
     """Read two or more different logs; return their flights by path."""
     from heli_host.errors import FlightDataError
 
-    from heli_lab.law.compare import flight_of_law
+    from heli_lab.control.law.compare import flight_of_law
 
     if len(paths) < _MIN_LOGS:
         raise FlightDataError("a comparison needs two logs", "give two logs, or a law (.py)")
@@ -420,10 +420,10 @@ def _fly_laws(
 
     Returns the flights by the name of the law, or by its path if another law has the same name.
     """
-    from heli_lab.classroom.grade import REFERENCE
-    from heli_lab.law.files import load_law
-    from heli_lab.law.trial import trial_plan
-    from heli_lab.law_flight import fly_trial
+    from heli_lab.apps.classroom.grade import REFERENCE
+    from heli_lab.control.law.files import load_law
+    from heli_lab.control.law.trial import trial_plan
+    from heli_lab.control.law_flight import fly_trial
 
     # All files are loaded before the first flight. None is the board's own control law.
     programs: dict[str, LawProgram | None] = {}

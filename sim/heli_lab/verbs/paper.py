@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.cli.options import JsonOption
-from heli_host.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.cli.simulated import DEFAULT_RIG, SeedOption
-from heli_host.cli.verb import Verb
 from heli_host.output_files import save_figure
+from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
+from heli_host.ui.cli.simulated import DEFAULT_RIG, SeedOption
+from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
     from heli_sim.plant import Plant
     from matplotlib.figure import Figure
 
-    from heli_lab.identify.record import Record
-    from heli_lab.paper.figures_flight import PaperFlight
+    from heli_lab.apps.paper.figures_flight import PaperFlight
+    from heli_lab.fit.identify.record import Record
 
 app = typer.Typer(
     help="Reproduce the paper's bench tests, tables, gains and figures in simulation.\n\n"
@@ -50,13 +50,13 @@ def tables(
 
     Example: `heli-host paper tables --json tables.json`
     """
-    from heli_host.cli.outputs import check_result_places
-    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.progress_bar import WorkBar
 
-    from heli_lab.paper.experiments import read_thrust
-    from heli_lab.paper.rig_table import fit_rig
-    from heli_lab.paper.tables import fit_table
-    from heli_lab.paper.text import table_lines, tables_json
+    from heli_lab.apps.paper.experiments import read_thrust
+    from heli_lab.apps.paper.rig_table import fit_rig
+    from heli_lab.apps.paper.tables import fit_table
+    from heli_lab.apps.paper.text import table_lines, tables_json
 
     check_result_places(json)
     data_on_stdout(json)
@@ -83,12 +83,12 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonOption = None) -> None:
 
     Example: `heli-host paper gains`
     """
-    from heli_host.cli.outputs import check_result_places
+    from heli_host.ui.cli.outputs import check_result_places
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig
 
-    from heli_lab.paper.table6 import verdicts
-    from heli_lab.paper.text import gain_lines
+    from heli_lab.apps.paper.table6 import verdicts
+    from heli_lab.apps.paper.text import gain_lines
 
     check_result_places(json)
     data_on_stdout(json)
@@ -108,13 +108,13 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonOption = 
 
     Example: `heli-host paper models`
     """
-    from heli_host.cli.outputs import check_result_places
-    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.progress_bar import WorkBar
     from heli_sim.model.named import MODELS, model_named
 
-    from heli_lab.paper.compare import model_errors
-    from heli_lab.paper.experiments import fly_plan
-    from heli_lab.paper.text import model_lines
+    from heli_lab.apps.paper.compare import model_errors
+    from heli_lab.apps.paper.experiments import fly_plan
+    from heli_lab.apps.paper.text import model_lines
 
     check_result_places(json)
     data_on_stdout(json)
@@ -164,13 +164,13 @@ def figures(
 
     Example: `heli-host paper figures paper-figures`
     """
-    from heli_host.cli.outputs import check_result_places
-    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.progress_bar import WorkBar
 
-    from heli_lab.paper import figures_bench as bench
-    from heli_lab.paper import figures_flight as flight
-    from heli_lab.paper.experiments import read_thrust
-    from heli_lab.paper.tables import fit_table
+    from heli_lab.apps.paper import figures_bench as bench
+    from heli_lab.apps.paper import figures_flight as flight
+    from heli_lab.apps.paper.experiments import read_thrust
+    from heli_lab.apps.paper.tables import fit_table
 
     check_result_places(folder / "fig15.png")
     plant = _flyable_plant(rig, model)
@@ -208,7 +208,7 @@ def _flyable_plant(rig: str, model: str) -> Plant:
     from heli_sim.plant import Plant
     from heli_sim.rig import load_rig
 
-    from heli_lab.paper.bench_tests import check_rig
+    from heli_lab.apps.paper.bench_tests import check_rig
 
     loaded_rig = load_rig(rig)
     check_rig(loaded_rig)
@@ -225,9 +225,9 @@ def _with_heavier_rotor(plant: Plant) -> Plant:
 
 def _run_bench_tests(plant: Plant, seed: int) -> dict[int, list[Record]]:
     """Run all bench tests; return their records by the number of the table that they identify."""
-    from heli_lab.paper.bench_tests import record_of
-    from heli_lab.paper.experiments import run_bench_test
-    from heli_lab.paper.tables import TESTS_OF_TABLE
+    from heli_lab.apps.paper.bench_tests import record_of
+    from heli_lab.apps.paper.experiments import run_bench_test
+    from heli_lab.apps.paper.tables import TESTS_OF_TABLE
 
     return {
         number: [record_of(test, run_bench_test(test, plant, seed), plant.rig) for test in tests]
@@ -239,7 +239,7 @@ def _fly_plans(
     plant: Plant, seed: int, on_progress: Callable[[str, float], None]
 ) -> dict[str, list[PaperFlight]]:
     """Fly each plan with the default gains and with Table 6; return the two flights by plan."""
-    from heli_lab.paper.experiments import PLANS, fly_plan
+    from heli_lab.apps.paper.experiments import PLANS, fly_plan
 
     gain_sets = (("default gains", None), ("Table 6, P and I of travel exchanged", "paper"))
     flights: dict[str, list[PaperFlight]] = {}
@@ -273,7 +273,7 @@ def _errors_text(flight: PaperFlight) -> str:
     """State the RMS errors of elevation and travel after the take-off; empty if there is no such part."""
     import numpy as np
 
-    from heli_lab.paper.figures_flight import take_off_end_s
+    from heli_lab.apps.paper.figures_flight import take_off_end_s
 
     error_deg = flight.error_deg[flight.flight.t_s > take_off_end_s(flight)]
     if not len(error_deg):

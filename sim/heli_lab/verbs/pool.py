@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.cli.options import JsonOption
-from heli_host.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.cli.verb import Verb
+from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
+from heli_host.ui.cli.verb import Verb
 
 from heli_lab.fit_options import SaveRigOption
 
 if TYPE_CHECKING:
-    from heli_lab.pool import RigPopulation
+    from heli_lab.apps.pool import RigPopulation
 
 
 def pool(
@@ -45,11 +45,11 @@ def pool(
     """
     from dataclasses import asdict
 
-    from heli_host.cli.outputs import check_result_places
+    from heli_host.ui.cli.outputs import check_result_places
     from heli_sim.rig import load_rig, write_rig
 
-    from heli_lab.pool import pool as pool_diagnoses
-    from heli_lab.pool import read_rig_diagnosis
+    from heli_lab.apps.pool import pool as pool_diagnoses
+    from heli_lab.apps.pool import read_rig_diagnosis
 
     check_result_places(save_rig, json)
     data_on_stdout(json)

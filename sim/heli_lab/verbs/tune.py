@@ -9,23 +9,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.options import FigureOption, JsonOption
-from heli_host.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.cli.simulated import DEFAULT_RIG, EffectFilesOption, SeedOption
-from heli_host.cli.verb import Verb
 from heli_host.output_files import save_figure, write_signed
+from heli_host.ui.cli.options import FigureOption, JsonOption
+from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
+from heli_host.ui.cli.simulated import DEFAULT_RIG, EffectFilesOption, SeedOption
+from heli_host.ui.cli.verb import Verb
 
 from heli_lab.fit_options import DEFAULT_MODEL, EquationsOption
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.progress_bar import WorkBar
     from heli_sim.model.base import Model
     from heli_sim.rig import Rig
 
-    from heli_lab.tune import Design, LoopEffects
-    from heli_lab.tune.flights import Trial
+    from heli_lab.control.tune import Design, LoopEffects
+    from heli_lab.control.tune.flights import Trial
 
 TRIAL_LAG_s = 0.12
 """Rotor lag of the second test flight if no lag is stated [s]; rotors of this size have 0.09 to 0.15 s."""
@@ -73,17 +73,17 @@ def tune(
 
     Example: `heli-host tune --rig mine.toml --save-params gains.toml`
     """
-    from heli_host.cli.outputs import check_parameters_place, check_result_places
-    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.board.parameter_file import parameters_text
+    from heli_host.board.parameters import checked
     from heli_host.errors import FlightAborted
-    from heli_host.parameter_file import parameters_text
-    from heli_host.parameters import checked
+    from heli_host.ui.cli.outputs import check_parameters_place, check_result_places
+    from heli_host.ui.cli.progress_bar import WorkBar
     from heli_sim.model.effects import effects_with
     from heli_sim.model.effects.rotor_lag import RotorLag
     from heli_sim.model.named import MODELS, model_named
     from heli_sim.rig import load_rig
 
-    from heli_lab.tune import find_gains, loop_effects_of
+    from heli_lab.control.tune import find_gains, loop_effects_of
 
     data_on_stdout(json)
     check_result_places(json, figure=figure)
@@ -122,7 +122,7 @@ def tune(
         write_signed(save_params, text)
     write_result(json, _json_object(base_rig, name, design, loop_effects, parameters, trials))
     if figure is not None:
-        from heli_lab.tune.figures import figure_of_design
+        from heli_lab.control.tune.figures import figure_of_design
 
         flights = [(trial.label, trial.flight) for trial in trials]
         save_figure(figure_of_design(design, flights), figure, dpi=120)
@@ -163,7 +163,7 @@ def _fly_test(
     """Simulate a test flight with the board's parameters for each model, and return the results."""
     from heli_sim.plant import Plant
 
-    from heli_lab.tune.flights import try_gains
+    from heli_lab.control.tune.flights import try_gains
 
     def show(number: int, done: float) -> None:
         # The design before the test flights is half of the work.
@@ -209,7 +209,7 @@ def _margin_lines(design: Design) -> list[str]:
 
     There is one row for each rotor lag at nominal thrust and counterweight, and one for the worst plant.
     """
-    from heli_lab.tune import LOOPS
+    from heli_lab.control.tune import LOOPS
 
     # Label of each row, and the margins of its plants.
     plant_rows = [

@@ -10,19 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.options import FigureOption, JsonOption
-from heli_host.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.cli.simulated import DEFAULT_RIG
-from heli_host.cli.verb import Verb
-from heli_host.twins import FALSE_ALARM_INTERVAL_h
+from heli_host.board.twins import FALSE_ALARM_INTERVAL_h
+from heli_host.ui.cli.options import FigureOption, JsonOption
+from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
+from heli_host.ui.cli.simulated import DEFAULT_RIG
+from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
-    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.progress_bar import WorkBar
 
-    from heli_lab.twin.events import TwinEvent
-    from heli_lab.twin.files import TwinRig
-    from heli_lab.twin.monitor import TwinReport
-    from heli_lab.twin.tail import Tail
+    from heli_lab.watch.twin.events import TwinEvent
+    from heli_lab.watch.twin.files import TwinRig
+    from heli_lab.watch.twin.monitor import TwinReport
+    from heli_lab.watch.twin.tail import Tail
 
 
 def twin(
@@ -84,13 +84,13 @@ def twin(
     """
     # The matrices are small: several BLAS threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from heli_host.cli.outputs import check_result_places
-    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.progress_bar import WorkBar
 
-    from heli_lab.twin.figure import draw_evidence
-    from heli_lab.twin.files import open_rig
-    from heli_lab.twin.learn import has_few_disturbances
-    from heli_lab.twin.monitor import monitor_file
+    from heli_lab.watch.twin.figure import draw_evidence
+    from heli_lab.watch.twin.files import open_rig
+    from heli_lab.watch.twin.learn import has_few_disturbances
+    from heli_lab.watch.twin.monitor import monitor_file
 
     if not flights and learn is None:
         raise typer.BadParameter("no flight is given; give one, or --learn FILE")
@@ -129,10 +129,10 @@ def _calibrated(
 
     With a `twin_file`, the alarm threshold is calibrated too, which takes minutes, and the file is written.
     """
-    from heli_host.log.flight_file import read_flight
+    from heli_host.data.log.flight_file import read_flight
 
-    from heli_lab.twin.calibration import write_calibration
-    from heli_lab.twin.learn import learn, learn_rig
+    from heli_lab.watch.twin.calibration import write_calibration
+    from heli_lab.watch.twin.learn import learn, learn_rig
 
     bar.show("reading", 0.0)
     nominal_flights = [read_flight(path, allow_gaps=True) for path in nominal_paths]

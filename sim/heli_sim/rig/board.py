@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
+from heli_host.board.rig_check import RigParameters
 from heli_host.declaration import AXES, PARAMS
-from heli_host.rig_check import RigParameters
 
 from heli_sim.errors import RigError
 from heli_sim.rig.encoders import counts_per_turn, direction_is_known, directions

@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.options import JsonOption
-from heli_host.cli.say import STDOUT, data_on_stdout, say, say_data, say_files, write_result
-from heli_host.cli.verb import Verb
 from heli_host.output_files import write_signed
+from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.say import STDOUT, data_on_stdout, say, say_data, say_files, write_result
+from heli_host.ui.cli.verb import Verb
 
 from heli_sim.formatting import half_width, plain, rig_findings, signed, with_tolerance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from heli_host.rig_check import RigDifference
+    from heli_host.board.rig_check import RigDifference
     from rich.console import Console
 
     from heli_sim.rig import Number, Rig
@@ -179,15 +179,15 @@ def check(
 
 def _board_parameters(params: Path | None) -> dict[str, float] | None:
     """Parameters of a board in a file; None without a file."""
-    from heli_host.parameter_file import read_parameter_set
+    from heli_host.board.parameter_file import read_parameter_set
 
     return None if params is None else read_parameter_set(params).values
 
 
 def _say_board_differences(rig: str, board: Mapping[str, float]) -> list[RigDifference]:
     """Print the differences between the parameters of a `board` and a rig, and return them."""
+    from heli_host.board.rig_check import rig_differences, rig_parameters
     from heli_host.declaration import AXES
-    from heli_host.rig_check import rig_differences, rig_parameters
 
     stated = rig_parameters(rig)
     differences = rig_differences(stated.values, board, simulated=False, directed=stated.directed)
@@ -219,8 +219,8 @@ def from_board(
 
     Example: `heli-host rig from-board board.toml mine.toml`
     """
-    from heli_host.cli.outputs import check_place
-    from heli_host.parameter_file import read_parameter_set
+    from heli_host.board.parameter_file import read_parameter_set
+    from heli_host.ui.cli.outputs import check_place
 
     from heli_sim.errors import RigError
     from heli_sim.rig import load_rig, write_rig
@@ -251,8 +251,8 @@ def to_board(
 
     Example: `heli-host rig to-board mine.toml board.toml`
     """
-    from heli_host.cli.outputs import check_parameters_place
-    from heli_host.parameter_file import parameters_text
+    from heli_host.board.parameter_file import parameters_text
+    from heli_host.ui.cli.outputs import check_parameters_place
 
     from heli_sim.rig import load_rig
     from heli_sim.rig.board import board_settings
@@ -347,7 +347,7 @@ def new(
 
     Example: `heli-host rig new mine.toml --set 'M_w=1.87 kg' --set 'L_a=66 cm'`
     """
-    from heli_host.cli.outputs import check_place
+    from heli_host.ui.cli.outputs import check_place
 
     from heli_sim.errors import RigError
     from heli_sim.rig import load_rig, write_rig
@@ -426,8 +426,8 @@ def weigh_rig(
 
     Example: `heli-host rig weigh mine.toml bench.toml --save-rig weighed.toml`
     """
-    from heli_host.cli.outputs import check_place
     from heli_host.files import parse_toml
+    from heli_host.ui.cli.outputs import check_place
 
     from heli_sim.bench.table import TEMPLATE, bench_tests_from
     from heli_sim.bench.weigh import OFF, weigh
@@ -536,7 +536,7 @@ def export_rig(
 
 def _export_mjcf(rig: str, output: Path | None) -> None:
     """Write a rig as a MuJoCo model, and print what that model leaves out."""
-    from heli_host.cli.outputs import check_place
+    from heli_host.ui.cli.outputs import check_place
 
     from heli_sim.model.mjcf import left_out, mjcf
     from heli_sim.rig import load_rig

@@ -6,9 +6,9 @@ import sys
 from typing import Annotated
 
 import typer
-from heli_host.cli import simulated
-from heli_host.cli.say import say
-from heli_host.cli.verb import Verb
+from heli_host.ui.cli import simulated
+from heli_host.ui.cli.say import say
+from heli_host.ui.cli.verb import Verb
 
 
 def sil(

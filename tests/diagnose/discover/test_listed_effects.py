@@ -6,11 +6,11 @@ from types import SimpleNamespace
 from typing import cast
 
 import pytest
-from heli_lab.diagnose.discover.equation import Equation, EquationTerm, equation_effect
-from heli_lab.diagnose.discover.listed_effects import ListedEffects
-from heli_lab.diagnose.discover.terms import Factor, Term
-from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, typical_candidate
-from heli_lab.identify import prepare
+from heli_lab.explain.discover.equation import Equation, EquationTerm, equation_effect
+from heli_lab.explain.discover.listed_effects import ListedEffects
+from heli_lab.explain.discover.terms import Factor, Term
+from heli_lab.explain.search import Candidate, Hypothesis, ModelComparison, typical_candidate
+from heli_lab.fit.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

@@ -10,18 +10,18 @@ from typing import cast
 
 import numpy as np
 import pytest
-from heli_host.log.table import write_csv
+from heli_host.data.log.table import write_csv
 from heli_lab.diagnose import to_json
-from heli_lab.diagnose.discover import discover
-from heli_lab.diagnose.discover.equation import Equation, EquationTerm, TermGroup, equation_effect
-from heli_lab.diagnose.discover.equation_refit import EquationRefits, RefittedEquation
-from heli_lab.diagnose.discover.scoring import ScoredTermGroup, TermSignals, score
-from heli_lab.diagnose.discover.symbolic_regression import EquationSearch, free_name
-from heli_lab.diagnose.discover.terms import Factor, Term
-from heli_lab.diagnose.evaluate import failing_regions
-from heli_lab.diagnose.search import ExtendedModel, Hypothesis, ModelComparison, Screening, score_of
-from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
-from heli_lab.identify import prepare
+from heli_lab.explain.discover import discover
+from heli_lab.explain.discover.equation import Equation, EquationTerm, TermGroup, equation_effect
+from heli_lab.explain.discover.equation_refit import EquationRefits, RefittedEquation
+from heli_lab.explain.discover.scoring import ScoredTermGroup, TermSignals, score
+from heli_lab.explain.discover.symbolic_regression import EquationSearch, free_name
+from heli_lab.explain.discover.terms import Factor, Term
+from heli_lab.explain.evaluate import failing_regions
+from heli_lab.explain.search import ExtendedModel, Hypothesis, ModelComparison, Screening, score_of
+from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE
+from heli_lab.fit.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
 from heli_sim.model.parts import AXES
@@ -239,7 +239,7 @@ def test_command_writes_equation_and_effect_file(
 ) -> None:
     # The search itself is what the tests above have done.
     diagnosis = diagnosed(unlisted=True)
-    monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: diagnosis)
+    monkeypatch.setattr("heli_lab.explain.diagnose", lambda *_args, **_more: diagnosis)
     paths = tmp_path / "a.csv.gz", tmp_path / "b.csv.gz"
     for flight, path in zip(flights(unlisted=True), paths, strict=True):
         write_csv(flight, path)

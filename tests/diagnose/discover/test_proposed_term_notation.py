@@ -8,17 +8,17 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from heli_lab.diagnose.discover.equation import (
+from heli_lab.explain.discover.equation import (
     NAME,
     Equation,
     EquationTerm,
     equation_effect,
     rotor_signs,
 )
-from heli_lab.diagnose.discover.grammar import count_by_complexity, groups
-from heli_lab.diagnose.discover.notation import effect_file, expression
-from heli_lab.diagnose.discover.terms import FORMS, SYMBOLS, Factor, Term
-from heli_lab.diagnose.discover.units import Unit
+from heli_lab.explain.discover.grammar import count_by_complexity, groups
+from heli_lab.explain.discover.notation import effect_file, expression
+from heli_lab.explain.discover.terms import FORMS, SYMBOLS, Factor, Term
+from heli_lab.explain.discover.units import Unit
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import RotorLag, catalogue
 from heli_sim.rig import load_rig

@@ -7,13 +7,13 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
-from heli_lab.diagnose.evaluate import predict
-from heli_lab.diagnose.evaluate.absent_terms import absence_probability, absent_terms
-from heli_lab.diagnose.evaluate.prediction import Prediction
-from heli_lab.diagnose.search import Hypothesis, ModelComparison, Screening
-from heli_lab.diagnose.search.baseline_terms import tightly_specified_terms
-from heli_lab.diagnose.search.score_test import Score
-from heli_lab.identify import prepare
+from heli_lab.explain.evaluate import predict
+from heli_lab.explain.evaluate.absent_terms import absence_probability, absent_terms
+from heli_lab.explain.evaluate.prediction import Prediction
+from heli_lab.explain.search import Hypothesis, ModelComparison, Screening
+from heli_lab.explain.search.baseline_terms import tightly_specified_terms
+from heli_lab.explain.search.score_test import Score
+from heli_lab.fit.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effects_of
 from heli_sim.rig import load_rig

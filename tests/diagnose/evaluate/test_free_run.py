@@ -9,12 +9,12 @@ from typing import Final
 
 import numpy as np
 import pytest
-from heli_host.flight import Flight
-from heli_lab.diagnose.evaluate import HORIZONS, FreeRun, calibration_s
-from heli_lab.diagnose.evaluate.error_reduction import error_reduction
-from heli_lab.diagnose.evaluate.free_run import WindowErrors, free_run
+from heli_host.data.flight import Flight
 from heli_lab.errors import IdentifyError
-from heli_lab.identify import Record, prepare
+from heli_lab.explain.evaluate import HORIZONS, FreeRun, calibration_s
+from heli_lab.explain.evaluate.error_reduction import error_reduction
+from heli_lab.explain.evaluate.free_run import WindowErrors, free_run
+from heli_lab.fit.identify import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import Rig, load_rig

@@ -7,15 +7,15 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.evaluate import listed_remainder
-from heli_lab.diagnose.search import (
+from heli_lab.explain.evaluate import listed_remainder
+from heli_lab.explain.search import (
     Hypothesis,
     ModelComparison,
     ScoreStatistics,
     Search,
     typical_candidate,
 )
-from heli_lab.diagnose.search.candidate import ScoredCandidate
+from heli_lab.explain.search.candidate import ScoredCandidate
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.diagnosis

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
 from heli_lab.diagnose import Diagnosis, to_json
-from heli_lab.diagnose.evaluate import verdict
-from heli_lab.diagnose.evaluate.open_loop import open_loop_squares
-from heli_lab.diagnose.evaluate.residual_analysis import Dependence, dependences
-from heli_lab.diagnose.report import lines, summary
-from heli_lab.diagnose.search import ModelComparison, Screening, held_out_screening, quantity_values
-from heli_lab.diagnose.thresholds import MATTERS_COUNTS
-from heli_lab.identify import prepare
+from heli_lab.explain.evaluate import verdict
+from heli_lab.explain.evaluate.open_loop import open_loop_squares
+from heli_lab.explain.evaluate.residual_analysis import Dependence, dependences
+from heli_lab.explain.search import ModelComparison, Screening, held_out_screening, quantity_values
+from heli_lab.explain.thresholds import MATTERS_COUNTS
+from heli_lab.fit.identify import prepare
+from heli_lab.report.diagnosis import lines, summary
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

@@ -10,19 +10,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heli_host.log.table import write_csv
+from heli_host.data.log.table import write_csv
 from heli_lab.diagnose import Diagnosis, to_json
-from heli_lab.diagnose.evaluate import (
+from heli_lab.explain.evaluate import (
     Replication,
     extrapolations,
     replicate,
     replication,
     unconfirmed_confidence,
 )
-from heli_lab.diagnose.evaluate.error_reduction import ErrorReduction
-from heli_lab.diagnose.report import lines
-from heli_lab.diagnose.search import Direction
-from heli_lab.diagnose.search.folds import split, two_folds
+from heli_lab.explain.evaluate.error_reduction import ErrorReduction
+from heli_lab.explain.search import Direction
+from heli_lab.explain.search.folds import split, two_folds
+from heli_lab.report.diagnosis import lines
 from heli_sim.rig import load_rig
 
 from tests.cli.terminal import Terminal

@@ -9,12 +9,12 @@ from typing import Any
 
 import casadi as ca
 import pytest
-from heli_host.flight import Flight
-from heli_lab.diagnose.evaluate import justified_thrust_noise
-from heli_lab.diagnose.evaluate.residual_analysis import gain_ratios
-from heli_lab.diagnose.report.sentences import thrust_noise_in_words
-from heli_lab.diagnose.search import ModelComparison, Screening
-from heli_lab.identify import prepare
+from heli_host.data.flight import Flight
+from heli_lab.explain.evaluate import justified_thrust_noise
+from heli_lab.explain.evaluate.residual_analysis import gain_ratios
+from heli_lab.explain.search import ModelComparison, Screening
+from heli_lab.fit.identify import prepare
+from heli_lab.report.diagnosis.sentences import thrust_noise_in_words
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects import parse_effects

@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 import pytest
-from heli_host.flight import Flight
+from heli_host.data.flight import Flight
 from heli_host.fly.plan import Plan
 from heli_lab.diagnose import Diagnosis, diagnose, to_json
 from heli_sim.model import MultibodyModel

@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 
 import pytest
-from heli_lab.page import drawing
-from heli_lab.page.drawing import Drawing, png_of
+from heli_lab.report.page import drawing
+from heli_lab.report.page.drawing import Drawing, png_of
 from matplotlib.figure import Figure
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_lab.diagnose.wording import evidence_in_words
+from heli_lab.explain.wording import evidence_in_words
 
 
 @pytest.mark.parametrize(

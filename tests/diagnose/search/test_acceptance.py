@@ -7,12 +7,12 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.search import Hypothesis, ModelComparison, Refit, Screening, forward, typical_candidate
-from heli_lab.diagnose.search.acceptance import Acceptance, min_margin
-from heli_lab.diagnose.search.candidate import ScoredCandidate
-from heli_lab.diagnose.search.forward import RoundRefits, paused_play, resting_friction
-from heli_lab.diagnose.search.progress import Progress
+from heli_lab.explain import thresholds
+from heli_lab.explain.search import Hypothesis, ModelComparison, Refit, Screening, forward, typical_candidate
+from heli_lab.explain.search.acceptance import Acceptance, min_margin
+from heli_lab.explain.search.candidate import ScoredCandidate
+from heli_lab.explain.search.forward import RoundRefits, paused_play, resting_friction
+from heli_lab.explain.search.progress import Progress
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.diagnosis

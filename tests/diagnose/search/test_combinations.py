@@ -6,10 +6,10 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from heli_lab.diagnose.discover.listed_effects import ListedEffects
-from heli_lab.diagnose.run import _is_candidate
-from heli_lab.diagnose.search import Candidate, Hypothesis, Refit, Round, spline_term, typical_candidate
-from heli_lab.diagnose.search.backward import BackwardElimination
+from heli_lab.explain.discover.listed_effects import ListedEffects
+from heli_lab.explain.run import _is_candidate
+from heli_lab.explain.search import Candidate, Hypothesis, Refit, Round, spline_term, typical_candidate
+from heli_lab.explain.search.backward import BackwardElimination
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, parse_effects
 

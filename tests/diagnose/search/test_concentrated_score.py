@@ -9,14 +9,14 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.search import ModelComparison, Screening, forward, typical_candidate
-from heli_lab.diagnose.search.candidate import ScoredCandidate
-from heli_lab.diagnose.search.concentrated_score import (
+from heli_lab.explain.search import ModelComparison, Screening, forward, typical_candidate
+from heli_lab.explain.search.candidate import ScoredCandidate
+from heli_lab.explain.search.concentrated_score import (
     concentrated_scores,
     hidden_in_disturbances,
     with_concentrated_scores,
 )
-from heli_lab.identify import prepare
+from heli_lab.fit.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.search import ModelComparison, Screening
-from heli_lab.diagnose.search.moments import with_held_out_moments
-from heli_lab.identify import Problem, prepare
-from heli_lab.identify.flight_model import RigParameters
+from heli_lab.explain.search import ModelComparison, Screening
+from heli_lab.explain.search.moments import with_held_out_moments
+from heli_lab.fit.identify import Problem, prepare
+from heli_lab.fit.identify.flight_model import RigParameters
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import NEVER_s
 from heli_sim.model.effects import catalogue, parse_effects

@@ -7,10 +7,10 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.search import Candidate, Hypothesis, ModelComparison, typical_candidate
-from heli_lab.diagnose.search.acceptance import Acceptance
-from heli_lab.diagnose.search.backward import BackwardElimination
-from heli_lab.diagnose.search.exchange import exchange
+from heli_lab.explain.search import Candidate, Hypothesis, ModelComparison, typical_candidate
+from heli_lab.explain.search.acceptance import Acceptance
+from heli_lab.explain.search.backward import BackwardElimination
+from heli_lab.explain.search.exchange import exchange
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.diagnosis

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.search import (
+from heli_lab.explain.search import (
     Candidate,
     Hypothesis,
     ModelComparison,
@@ -18,11 +18,11 @@ from heli_lab.diagnose.search import (
     spline_term,
     typical_candidate,
 )
-from heli_lab.diagnose.search.acceptance import Acceptance
-from heli_lab.diagnose.search.backward import BackwardElimination
-from heli_lab.diagnose.search.forward import refit_on_grid
-from heli_lab.diagnose.search.progress import Progress
-from heli_lab.identify import prepare
+from heli_lab.explain.search.acceptance import Acceptance
+from heli_lab.explain.search.backward import BackwardElimination
+from heli_lab.explain.search.forward import refit_on_grid
+from heli_lab.explain.search.progress import Progress
+from heli_lab.fit.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

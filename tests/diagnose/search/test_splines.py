@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from heli_lab.diagnose.search import KNOTS, bspline_basis, knot_span
-from heli_lab.diagnose.search.splines import channel_quantity_pairs
+from heli_lab.explain.search import KNOTS, bspline_basis, knot_span
+from heli_lab.explain.search.splines import channel_quantity_pairs
 
 
 def test_bspline_basis_has_a_sum_of_one_everywhere() -> None:

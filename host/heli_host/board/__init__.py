@@ -1,0 +1,1 @@
+"""A connected board: its state, flying it, its parameters and laws."""

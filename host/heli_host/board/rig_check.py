@@ -1,0 +1,243 @@
+"""Compares a rig's file with the parameters of the board that flies the rig.
+
+A wrong number of counts per turn scales an axis: a board with 4096 counts on an encoder that has 2000 flies
+twice the angle that its log shows. Nothing here reads a rig's file: a package that does offers a function in
+the entry-point group ``heli_host.rig_parameters``, which returns the parameters that a rig determines.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Final
+
+from heli_host.board.parameters import spec_of
+from heli_host.errors import HeliError, RigMismatch
+from heli_host.plugins import plugins
+
+ENTRY_POINT_GROUP: Final = "heli_host.rig_parameters"
+
+
+@dataclass(frozen=True)
+class RigParameters:
+    """Parameters of the board that a rig determines.
+
+    Parameters
+    ----------
+    values : Mapping of str to float
+        Values by parameter. Counts per turn are negative for an encoder that counts down.
+    directed : frozenset of str
+        Counts per turn whose sign the rig states; the sign of the others depends on the wiring.
+    """
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    directed: frozenset[str] = frozenset()
+
+
+RigReader = Callable[[str], RigParameters]
+
+_SAME: Final = 1e-6
+"""Relative difference of two equal numbers, one of them in single precision: rounding is 6e-8. Larger: an
+error of a count in 65536, 1.5e-5, passes."""
+_REST_deg: Final = 1.0
+"""Largest difference of two rest angles without a warning, deg: the tolerance of a rig file, and half of the
+tolerance of arming. With a larger value, level would be visibly wrong; with a smaller one, rigs within their
+tolerance would give warnings."""
+_SUPPLY_V: Final = 0.3
+"""The same for a supply, V: the drift of a laboratory supply or a battery. Larger: 3 % of every voltage.
+Smaller: a supply within the tolerance of a rig's file gives a warning."""
+
+
+class BoardProperty(Enum):
+    """Property of the board that a difference concerns."""
+
+    SCALE = "scale"
+    DIRECTION = "direction"
+    REST = "rest angle"
+    SUPPLY = "supply"
+    LIMIT = "limit"
+
+
+_PARTS: Final[Mapping[str, BoardProperty]] = {
+    "elevation_counts_per_rev": BoardProperty.SCALE,
+    "pitch_counts_per_rev": BoardProperty.SCALE,
+    "travel_counts_per_rev": BoardProperty.SCALE,
+    "elevation_rest_deg": BoardProperty.REST,
+    "supply_V": BoardProperty.SUPPLY,
+    "motor_max_V": BoardProperty.LIMIT,
+    "elevation_max_deg": BoardProperty.LIMIT,
+    "pitch_max_deg": BoardProperty.LIMIT,
+    "pitch_setpoint_max_deg": BoardProperty.LIMIT,
+    "travel_max_deg": BoardProperty.LIMIT,
+}
+_SIGNS: Final = ("motor_front_sign", "motor_back_sign")
+
+
+@dataclass(frozen=True)
+class RigDifference:
+    """A parameter of the board that contradicts the rig.
+
+    Parameters
+    ----------
+    parameter : str
+        Name of the parameter.
+    board, rig : float
+        Its value on the board, and the value that the rig determines, in the parameter's unit.
+    part : BoardProperty
+        Property that the difference concerns.
+    """
+
+    parameter: str
+    board: float
+    rig: float
+    part: BoardProperty
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether the difference forbids a flight, because the log and the limits would mean other angles."""
+        return self.part in (BoardProperty.SCALE, BoardProperty.DIRECTION)
+
+    def __str__(self) -> str:
+        unit = spec_of(self.parameter).unit
+        suffix = f" {unit}" if unit else ""
+        return f"{self.parameter} is {self.board:g}{suffix}, but the rig has {self.rig:g}{suffix}"
+
+
+def rig_parameters(rig: str) -> RigParameters:
+    """Read the parameters that a rig determines; empty if no installed package reads rigs.
+
+    Parameters
+    ----------
+    rig : str
+        Name of a rig, or path of its file.
+
+    Returns
+    -------
+    RigParameters
+        Their values, and which directions the rig states.
+
+    Raises
+    ------
+    HeliError
+        There is no such rig, or its file is not complete and valid.
+    """
+    for entry in plugins(ENTRY_POINT_GROUP):
+        reader: RigReader = entry.load()
+        return reader(rig)
+    return RigParameters()
+
+
+def is_known_rig(rig: str) -> bool:
+    """Return whether `rig` is a rig's name or meant as the path of a file; otherwise it is a label only."""
+    if Path(rig).suffix or Path(rig).exists() or Path(rig).name != rig:
+        return True
+    try:
+        rig_parameters(rig)
+    except HeliError:
+        return False
+    return True
+
+
+def rig_differences(
+    expected: Mapping[str, float],
+    parameters: Mapping[str, float],
+    *,
+    simulated: bool,
+    directed: Collection[str] = (),
+) -> list[RigDifference]:
+    """Compare a board with a rig.
+
+    Parameters
+    ----------
+    expected : Mapping of str to float
+        Parameters that the rig determines: the values of `rig_parameters`.
+    parameters : Mapping of str to float
+        Parameters of the board by name.
+    simulated : bool
+        Whether the board is simulated. Its encoders count in the direction of the rig and its motors are not
+        swapped, so that each other sign is a contradiction. An expected motor sign of 0, which simulated
+        wrong wires have, is not compared.
+    directed : collection of str
+        On hardware, the counts per turn whose sign the rig states. The sign of the others depends on the
+        wiring and is not compared.
+
+    Returns
+    -------
+    list of RigDifference
+        In the order of the board's parameters.
+    """
+    differences: list[RigDifference] = []
+    for name, board_property in _PARTS.items():
+        if name not in expected or name not in parameters:
+            continue
+        board, rig = parameters[name], expected[name]
+        if board_property is BoardProperty.SCALE:
+            if abs(abs(board) - abs(rig)) > _SAME * abs(rig):
+                differences.append(RigDifference(name, board, rig, board_property))
+            elif (simulated or name in directed) and board * rig < 0.0:
+                differences.append(RigDifference(name, board, rig, BoardProperty.DIRECTION))
+            continue
+        is_different = {
+            BoardProperty.REST: abs(board - rig) > _REST_deg,
+            BoardProperty.SUPPLY: abs(board - rig) > _SUPPLY_V,
+        }
+        if is_different.get(board_property, board > rig + _SAME * abs(rig)):
+            differences.append(RigDifference(name, board, rig, board_property))
+    if simulated and expected:
+        differences += [
+            RigDifference(name, parameters[name], 1.0, BoardProperty.DIRECTION)
+            for name in _SIGNS
+            if parameters.get(name, 1.0) * expected.get(name, 1.0) < 0.0
+        ]
+    return differences
+
+
+def check_rig(
+    expected: Mapping[str, float],
+    parameters: Mapping[str, float],
+    *,
+    simulated: bool,
+    directed: Collection[str] = (),
+) -> list[RigDifference]:
+    """Refuse a board whose scales or directions contradict a rig, and return the other differences.
+
+    Parameters
+    ----------
+    expected, parameters, simulated, directed
+        Arguments of `rig_differences`.
+
+    Returns
+    -------
+    list of RigDifference
+        Differences to warn about: rest angle, supply and limits.
+
+    Raises
+    ------
+    RigMismatch
+        If a number of counts per turn, or a direction that the rig states, is wrong.
+    """
+    differences = rig_differences(expected, parameters, simulated=simulated, directed=directed)
+    refused = [difference for difference in differences if difference.is_refused]
+    if not refused:
+        return differences
+    cause = "; ".join(map(str, refused))
+    if simulated:
+        names = ", ".join(difference.parameter for difference in refused)
+        remedy = f"leave {names} out of the parameters, or correct the rig's file"
+    else:
+        sets = (
+            f"heli-host params set {row.parameter} {_with_direction(row, directed):g} --save"
+            for row in refused
+        )
+        remedy = f"{' && '.join(sets)}, or correct the rig's file"
+    raise RigMismatch(f"board and rig disagree: {cause}", remedy)
+
+
+def _with_direction(difference: RigDifference, directed: Collection[str]) -> float:
+    """Return the counts of the rig; if it states no direction, with the sign of the board, for its wiring."""
+    if difference.parameter in directed:
+        return difference.rig
+    return math.copysign(difference.rig, difference.board)

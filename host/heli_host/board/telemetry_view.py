@@ -1,0 +1,278 @@
+"""Read access to a board in physical units: samples, events, counters, parameters and description."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from heli_host.board.parameters import Parameters
+from heli_host.board.samples import Sample, SampleRing, Samples, Scales
+from heli_host.declaration import Fault, ParamsSource, Reset, State
+from heli_host.errors import LinkError, WaitTimeout, fault_text
+from heli_host.link.accounting import LinkCounters
+from heli_host.link.clock import TICK_S, ClockEstimate
+from heli_host.link.events import BOARD_RESTARTED, LinkEvent
+from heli_host.link.session import Session
+from heli_host.link.subscribers import EventCallback, Unsubscribe
+from heli_host.link.telemetry import Ticks
+
+HISTORY_S = 120.0
+
+_FIRST_SAMPLE_TIMEOUT_S = 5.0
+_BOARDS = {0: "native", 1: "Arduino Due"}
+
+
+@dataclass(frozen=True)
+class BoardInfo:
+    """Description that the board sent when it welcomed this session.
+
+    Parameters
+    ----------
+    board : str
+        ``"native"`` (simulated) or ``"Arduino Due"``.
+    firmware_version, link_version : str
+        Versions of the flight code and of the link's declaration.
+    link_hash : int
+        Hash of that declaration.
+    reset : str
+        Cause of the board's last start: ``power_up``, ``user``, ``watchdog`` or ``software``.
+    boot_fault : str
+        Fault recorded before that start, and how to fix it; empty for none.
+    boot_id : int
+        Number that changes with every start.
+    params_source : str
+        Origin of its parameters: ``defaults``, ``stored``, ``fallback``, ``corrupt`` or ``migrated``.
+    """
+
+    board: str
+    firmware_version: str
+    link_version: str
+    link_hash: int
+    reset: str
+    boot_fault: str
+    boot_id: int
+    params_source: str
+
+
+class TelemetryView:
+    """Reads a board and sends it no commands that act.
+
+    Parameters
+    ----------
+    session : Session
+        Connected session.
+    history_s : float
+        Length of the history that `samples` can return [s].
+
+    Attributes
+    ----------
+    session : Session
+        The session, for what this class does not offer.
+    params : Parameters
+        The board's parameters.
+
+    Raises
+    ------
+    WaitTimeout
+        The board sends no samples.
+    """
+
+    def __init__(self, session: Session, history_s: float = HISTORY_S) -> None:
+        self.session = session
+        self.params = Parameters(session)
+        self._ring = SampleRing(max(round(history_s / TICK_S), 1))
+        self.params.refresh()
+        self._scales, self._scales_revision = Scales(self.params), self.params.revision
+        session.subscribe_events(self._take_event)
+        session.subscribe_ticks(self._take_ticks)
+        if not session.wait_for(lambda: session.latest is not None, _FIRST_SAMPLE_TIMEOUT_S):
+            raise WaitTimeout("the board answers but sends no samples", "reset it, then connect again")
+
+    @property
+    def info(self) -> BoardInfo:
+        """Description that the board sent when it welcomed this session."""
+        welcome = self.session.welcome
+        return BoardInfo(
+            board=_BOARDS.get(welcome.board, f"board {welcome.board}"),
+            firmware_version=f"{welcome.firmware_major}.{welcome.firmware_minor}.{welcome.firmware_patch}",
+            link_version=f"{welcome.link_major}.{welcome.link_minor}",
+            link_hash=welcome.link_hash,
+            reset=Reset(welcome.reset).name.lower(),
+            boot_fault=fault_text(welcome.boot_fault) if welcome.boot_fault else "",
+            boot_id=welcome.boot_id,
+            params_source=ParamsSource(welcome.params_source).name.lower(),
+        )
+
+    @property
+    def latest(self) -> Sample:
+        """Newest sample.
+
+        Raises
+        ------
+        LinkError
+            None has come since the board started.
+        """
+        newest = self.session.latest
+        if newest is None:
+            raise LinkError("no sample has come from the board yet", "wait a moment, then try again")
+        return self._current_scales().sample(*newest)
+
+    @property
+    def state(self) -> State:
+        """Supervisor state in the newest sample."""
+        return self.latest.state
+
+    @property
+    def fault(self) -> Fault:
+        """Fault in the newest sample, ``Fault.NONE`` for none."""
+        return self.latest.fault
+
+    @property
+    def motors_may_run(self) -> bool:
+        """False only if the newest sample shows a state with the motors off; True also without a sample."""
+        state = self.session.state
+        return state not in (State.IDLE, State.FAULT)
+
+    @property
+    def counters(self) -> LinkCounters:
+        """Counters of frames, ticks, retries and reconnects."""
+        return self.session.counters
+
+    @property
+    def clock(self) -> ClockEstimate | None:
+        """Estimated relation of device time to host time; None before the first sample."""
+        return self.session.clock
+
+    @property
+    def events(self) -> tuple[LinkEvent, ...]:
+        """The last thousand events of board and link, oldest first."""
+        return self.session.events
+
+    def samples(self, last_s: float | None = None) -> Samples:
+        """Return copies of the newest samples as arrays, oldest first.
+
+        Parameters
+        ----------
+        last_s : float or None
+            Length of the history in device time [s]; None for all.
+        """
+        count = None if last_s is None else round(last_s / TICK_S)
+        return self._samples_in_units(self._ring.newest(count))
+
+    def on_ticks(self, callback: Callable[[Samples], None]) -> Unsubscribe:
+        """Register a callback for new samples, and return a function that cancels the subscription.
+
+        Parameters
+        ----------
+        callback : callable taking Samples
+            Called in the session's reading thread with the samples of some milliseconds. It must not block.
+            If it raises, its subscription ends, and the next call of this object raises that error.
+        """
+
+        def convert(ticks: Ticks) -> None:
+            callback(self._samples_in_units(ticks))
+
+        return self.session.subscribe_ticks(convert)
+
+    def on_event(self, callback: EventCallback) -> Unsubscribe:
+        """Register a callback for events, and return a function that cancels the subscription.
+
+        Parameters
+        ----------
+        callback : callable taking LinkEvent
+            Called once per event; threads and errors as in `on_ticks`.
+        """
+        return self.session.subscribe_events(callback)
+
+    def wait(self, duration_s: float) -> None:
+        """Wait for `duration_s` of device time, at any speed of a simulation; for at least one tick.
+
+        Parameters
+        ----------
+        duration_s : float
+            Device time [s].
+
+        Raises
+        ------
+        ParameterError
+            The time is negative, or not a finite number.
+        LinkLost
+            The board restarted, or could not be reached within the reconnect timeout.
+        """
+        self.session.wait(duration_s)
+
+    def pace(self, step_s: float, duration_s: float | None = None) -> Iterator[float]:
+        """Yield the device time that has passed [s], first 0 and then after each step, until a duration has
+        passed.
+
+        Parameters
+        ----------
+        step_s : float
+            Device time between two yields [s]; the last step is shorter.
+        duration_s : float or None
+            Device time until the end [s]; None for no end.
+
+        Raises
+        ------
+        LinkLost
+            As `wait`.
+        """
+        start_s, passed_s = self.latest.t_s, 0.0
+        while duration_s is None or passed_s < duration_s:
+            yield passed_s
+            self.wait(step_s if duration_s is None else min(step_s, duration_s - passed_s))
+            passed_s = self.latest.t_s - start_s
+
+    def wait_until(self, predicate: Callable[[Sample], bool], timeout_s: float) -> Sample:
+        """Wait until a sample meets a condition. Only the newest sample of each reading is tested.
+
+        Parameters
+        ----------
+        predicate : callable taking Sample, returning bool
+            The condition.
+        timeout_s : float
+            Longest wait in device time [s].
+
+        Raises
+        ------
+        WaitTimeout
+            If no sample meets the condition in time.
+        LinkLost
+            If the board cannot be reached any more.
+        """
+        first = self.latest
+        end_tick = first.tick + timeout_s / TICK_S
+        matching: list[Sample] = []
+
+        def is_over() -> bool:
+            """Whether the newest sample fulfils the condition, or the time has passed."""
+            if self.session.latest is None:
+                return False
+            sample = self.latest
+            if predicate(sample):
+                matching.append(sample)
+            # After a restart, the board counts from tick 0 again.
+            return bool(matching) or sample.tick >= end_tick or sample.tick < first.tick
+
+        self.session.wait_for(is_over)
+        if not matching:
+            raise WaitTimeout(
+                f"the expected change did not happen within {timeout_s:g} s",
+                "read heli.events for the reason",
+            )
+        return matching[0]
+
+    def _samples_in_units(self, ticks: Ticks) -> Samples:
+        return self._current_scales().samples(self.session.ticks_counted_on(ticks), ticks.raw)
+
+    def _current_scales(self) -> Scales:
+        if self._scales_revision != self.params.revision:
+            self._scales, self._scales_revision = Scales(self.params), self.params.revision
+        return self._scales
+
+    def _take_ticks(self, ticks: Ticks) -> None:
+        self._ring.append(ticks)
+
+    def _take_event(self, event: LinkEvent) -> None:
+        if event.kind == BOARD_RESTARTED:
+            self._ring.clear()

@@ -1,0 +1,1 @@
+"""Flights as files and arrays: logs, flights, tables of other programs."""

@@ -1,0 +1,283 @@
+"""Tracking quality of each axis of a flight: step responses, tracking error, and effort.
+
+The numbers are defined as in control textbooks. This is their only definition in the project; all other
+modules import them from here.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from heli_host.arrays import Booleans, Floats
+from heli_host.data.flight.counts import count_rad
+from heli_host.data.flight.flight import Flight
+from heli_host.data.flight.flown import flown_rows, led_rows
+from heli_host.declaration import AXES
+from heli_host.errors import check_choice
+
+MIN_STEP_DEG: Final = 1.0
+"""Smallest difference of two held setpoints that counts as a step. By judgement. With a lower value, small
+corrections would count as steps; with a higher one, small steps would have no metrics."""
+HELD_s: Final = 1.0
+"""Time for which a setpoint must not change to count as held. The board shapes a step into a shorter ramp. By
+judgement. With a shorter time, the crests of a sine would count; with a longer one, quick steps would not."""
+SETTLED_SHARE: Final = 0.05
+"""Distance from the setpoint, as a share of the step, within which a response is settled. 5 % is common; less
+would be hidden by disturbances."""
+_HELD_DEG: Final = 0.01
+_SAME_DEG: Final = 1e-3
+"""Rounding of a setpoint in a log."""
+
+
+@dataclass(frozen=True)
+class StepMetrics:
+    """Rise time, overshoot and settling time of a step response.
+
+    Parameters
+    ----------
+    rise_s : float
+        Time from 10 % to 90 % of the step [s]; nan if the angle does not reach 90 %.
+    overshoot_percent : float
+        Largest excess over the end of the step, as a share of the step [%].
+    settling_s : float
+        Time from the step until the angle stays within 5 % of its end [s]; nan if it never does. Where the
+        encoder leaves the angle open between two counts, the angle nearest to the end counts.
+    """
+
+    rise_s: float
+    overshoot_percent: float
+    settling_s: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of a setpoint, from one that was held to the next.
+
+    Parameters
+    ----------
+    start_s : float
+        Time at which the setpoint began to move, on the flight's time axis [s].
+    size_deg : float
+        Size of the step [deg].
+    metrics : StepMetrics
+        Response of the axis, until the setpoint moves again.
+    """
+
+    start_s: float
+    size_deg: float
+    metrics: StepMetrics
+
+
+@dataclass(frozen=True)
+class Response:
+    """Tracking quality of one axis.
+
+    Parameters
+    ----------
+    axis : str
+        Name of the axis.
+    step_s : float
+        Time at which its setpoint began its largest step [s]; nan without a step.
+    step_deg : float
+        Size of the step [deg]; the metrics below are nan without a step.
+    rise_s, overshoot_percent, settling_s : float
+        As in `StepMetrics`.
+    rms_deg : float
+        Root mean square error over the rows in which a setpoint was active [deg]; nan without setpoints.
+    """
+
+    axis: str
+    step_s: float
+    step_deg: float
+    rise_s: float
+    overshoot_percent: float
+    settling_s: float
+    rms_deg: float
+
+
+def responses(flight: Flight) -> tuple[Response, ...]:
+    """Measure each axis of a flight, in the order elevation, pitch, travel; of several steps the largest."""
+    return tuple(_response(flight, axis) for axis in AXES)
+
+
+def effort_V(flight: Flight) -> float:
+    """Return the control effort: the RMS deviation of both motor voltages from their means, V.
+
+    Subtracting the means removes the voltage that carries the arm. Only rows in which a control law flew
+    count; nan without such rows.
+    """
+    flown = flight.voltages_V[flown_rows(flight)]
+    return float(np.sqrt(np.mean(flown.var(axis=0)))) if flown.size else math.nan
+
+
+def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
+    """Find the steps of an axis' setpoint, and the response to each.
+
+    Parameters
+    ----------
+    flight : Flight
+        Flight to analyse.
+    axis : str
+        Name of the axis.
+
+    Returns
+    -------
+    tuple of Step
+        In their order; none of a flight without setpoints.
+
+    Raises
+    ------
+    ParameterError
+        There is no such axis.
+    """
+    check_choice("axis", axis, AXES)
+    setpoint_rad = getattr(flight, f"{axis}_setpoint_rad")
+    if setpoint_rad is None:
+        return ()
+    angle_deg, setpoint_deg = np.rad2deg(getattr(flight, f"{axis}_rad")), np.rad2deg(setpoint_rad)
+    count_deg = float(np.rad2deg(count_rad(flight)[AXES.index(axis)]))
+    responses = []
+    for first, stop in _setpoint_steps(flight, setpoint_deg, led_rows(flight, axis)):
+        start_deg, end_deg, t_s = setpoint_deg[first - 1], setpoint_deg[stop - 1], flight.t_s[first:stop]
+        moved_deg = angle_deg[first:stop]
+        metrics = step_metrics(t_s - t_s[0], moved_deg, float(start_deg), float(end_deg), count_deg)
+        responses.append(Step(float(t_s[0]), float(end_deg - start_deg), metrics))
+    return tuple(responses)
+
+
+def step_metrics(
+    t_s: Floats, angle_deg: Floats, start_deg: float, end_deg: float, count_deg: float = math.nan
+) -> StepMetrics:
+    """Measure a step response, as `control.step_info` does; that takes two seconds to import.
+
+    Parameters
+    ----------
+    t_s : ndarray (n,)
+        Time since the step [s].
+    angle_deg : ndarray (n,)
+        Measured angle [deg].
+    start_deg, end_deg : float
+        Setpoints before and after the step [deg].
+    count_deg : float
+        Angle of a count of the encoder [deg]; nan if the angles are not in whole counts.
+    """
+    if not len(t_s):
+        return StepMetrics(math.nan, math.nan, math.nan)
+    size_deg = end_deg - start_deg
+    completed_share = (angle_deg - start_deg) / size_deg
+    # The rise lasts from 10 % to 90 % of the step.
+    rows_above = [np.flatnonzero(completed_share >= level) for level in (0.1, 0.9)]
+    rise_s = float(t_s[rows_above[1][0]] - t_s[rows_above[0][0]]) if rows_above[1].size else math.nan
+    compared_deg = angle_deg
+    if math.isfinite(count_deg):
+        compared_deg = _between_counts(t_s, angle_deg, end_deg, count_deg)
+    rows_outside = np.flatnonzero(np.abs(compared_deg - end_deg) > SETTLED_SHARE * abs(size_deg))
+    # It has settled after the last row outside the band, unless the flight ends outside it.
+    is_settled = not rows_outside.size or rows_outside[-1] < len(completed_share) - 1
+    settling_s = float(t_s[rows_outside[-1] + 1] if rows_outside.size else 0.0) if is_settled else math.nan
+    return StepMetrics(rise_s, 100.0 * max(float(completed_share.max()) - 1.0, 0.0), settling_s)
+
+
+def _between_counts(t_s: Floats, angle_deg: Floats, end_deg: float, count_deg: float) -> Floats:
+    """Estimate the angle between encoder counts: exact where a count changes, and a cubic between such edges.
+
+    If an axis turns back within a count, or starts or ends in it, the angle may be anywhere in the count. The
+    estimate is then the angle nearest to the end of the step, `end_deg`. Otherwise a coarse encoder would
+    never settle at a setpoint between two of its counts.
+    """
+    edges = np.flatnonzero(np.abs(np.diff(angle_deg)) > 0.5 * count_deg) + 1
+    low_deg, high_deg = angle_deg - 0.5 * count_deg, angle_deg + 0.5 * count_deg
+    nearest_deg: Floats = np.clip(end_deg, low_deg, high_deg)
+    if len(edges) < 3:
+        return nearest_deg
+    edge_s = 0.5 * (t_s[edges - 1] + t_s[edges])
+    edge_deg = 0.5 * (angle_deg[edges - 1] + angle_deg[edges])
+    # Cubic Hermite: the slope at an edge is that of the parabola through this edge and its neighbours.
+    interval_s, mean_slope = np.diff(edge_s), np.diff(edge_deg) / np.diff(edge_s)
+    inner_slope = (mean_slope[:-1] * interval_s[1:] + mean_slope[1:] * interval_s[:-1]) / (
+        interval_s[:-1] + interval_s[1:]
+    )
+    slope = np.concatenate((mean_slope[:1], inner_slope, mean_slope[-1:]))
+    interval = np.clip(np.searchsorted(edges, np.arange(len(t_s)), side="right") - 1, 0, len(edges) - 2)
+    x, h_s = (t_s - edge_s[interval]) / interval_s[interval], interval_s[interval]
+    cubic_deg = (
+        (1.0 + 2.0 * x) * (1.0 - x) ** 2 * edge_deg[interval]
+        + x * (1.0 - x) ** 2 * h_s * slope[interval]
+        + x**2 * (3.0 - 2.0 * x) * edge_deg[interval + 1]
+        - x**2 * (1.0 - x) * h_s * slope[interval + 1]
+    )
+    is_passed = (x >= 0.0) & (x <= 1.0) & (np.sign(mean_slope[interval]) != 0.0)
+    seen_deg: Floats = np.where(is_passed, np.clip(cubic_deg, low_deg, high_deg), nearest_deg)
+    return seen_deg
+
+
+def rms(values: Floats) -> float:
+    """Return the root mean square; nan of nothing.
+
+    Parameters
+    ----------
+    values : ndarray
+        In any unit.
+    """
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+
+
+def _response(flight: Flight, axis: str) -> Response:
+    """Return the metrics of the largest step of an axis, and its RMS tracking error; nan where a flight has
+    none.
+    """
+    is_commanded, nan = led_rows(flight, axis), math.nan
+    if not is_commanded.any():
+        return Response(axis, nan, nan, nan, nan, nan, nan)
+    error_rad = getattr(flight, f"{axis}_rad") - getattr(flight, f"{axis}_setpoint_rad")
+    rms_deg = rms(np.rad2deg(error_rad[is_commanded]))
+    largest = max(steps(flight, axis), key=lambda step: abs(step.size_deg), default=None)
+    if largest is None:
+        return Response(axis, nan, nan, nan, nan, nan, rms_deg)
+    metrics = largest.metrics
+    return Response(
+        axis,
+        largest.start_s,
+        largest.size_deg,
+        metrics.rise_s,
+        metrics.overshoot_percent,
+        metrics.settling_s,
+        rms_deg,
+    )
+
+
+def _setpoint_steps(flight: Flight, setpoint_deg: Floats, is_commanded: Booleans) -> list[tuple[int, int]]:
+    """Return the steps of a setpoint: the row where it leaves a held value, and the end of the next one."""
+    return [
+        (first, stop)
+        for (_, first), (_, stop) in itertools.pairwise(_held_stretches(flight, setpoint_deg, is_commanded))
+        if is_commanded[first:stop].all()
+        and abs(setpoint_deg[stop - 1] - setpoint_deg[first - 1]) > MIN_STEP_DEG
+    ]
+
+
+def _held_stretches(flight: Flight, setpoint_deg: Floats, is_commanded: Booleans) -> list[tuple[int, int]]:
+    """Return the stretches of rows in which a setpoint is held: first row, and the row after the last."""
+    rows = max(4, round(HELD_s / max(flight.step_s, 1e-9)))
+    if len(setpoint_deg) <= rows:
+        return []
+    # `is_still` has an element for each possible first row. A sine has the same value before and after its
+    # crest, so the setpoint is compared at every quarter of the time, and not only at its end.
+    is_still = is_commanded[:-rows] & is_commanded[rows:]
+    for quarter in (1, 2, 3, 4):
+        later_deg = setpoint_deg[quarter * rows // 4 :][: len(is_still)]
+        is_still = is_still & (np.abs(later_deg - setpoint_deg[: len(is_still)]) < _HELD_DEG)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], is_still, [False])).astype(np.int8)))
+    stretches = []
+    for first_still, stop_still in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        first, stop = first_still, stop_still + rows
+        # A ramp begins so slowly that its first rows look held; they are cut off.
+        level_deg = setpoint_deg[(first + stop) // 2]
+        held_rows = np.flatnonzero(np.abs(setpoint_deg[first:stop] - level_deg) < _SAME_DEG)
+        stretches.append((first + int(held_rows[0]), first + int(held_rows[-1]) + 1))
+    return stretches

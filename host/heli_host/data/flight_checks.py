@@ -1,0 +1,71 @@
+"""Checks of a finished flight against its rig, by other installed packages.
+
+This package contains no models. A package that does offers a function in the entry-point group
+``heli_host.flight_checks``, which takes a flight and the name or file of its rig and returns findings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from heli_host.errors import HeliError
+from heli_host.plugins import plugins
+
+if TYPE_CHECKING:
+    from heli_host.data.flight import Flight
+
+ENTRY_POINT_GROUP: Final = "heli_host.flight_checks"
+
+
+@dataclass(frozen=True)
+class FlightFinding:
+    """Something of a finished flight that contradicts its rig.
+
+    Parameters
+    ----------
+    name : str
+        Which number, such as ``travel_encoder_scale``.
+    value, standard_error : float or None
+        Its estimate from the flight; None if the check itself failed.
+    text : str
+        For a person.
+    """
+
+    name: str
+    value: float | None
+    standard_error: float | None
+    text: str
+
+
+FlightCheck = Callable[["Flight", str], Sequence[FlightFinding]]
+
+
+def check_flight(flight: Flight, rig: str) -> tuple[FlightFinding, ...]:
+    """Check a flight against its rig.
+
+    Parameters
+    ----------
+    flight : Flight
+        A finished flight.
+    rig : str
+        Name of its rig, or path of the file; a name that no package defines is a label, without checks.
+
+    Returns
+    -------
+    tuple of FlightFinding
+        Empty for a healthy flight, and if no installed package offers checks.
+    """
+    findings: list[FlightFinding] = []
+    for entry in plugins(ENTRY_POINT_GROUP):
+        # A check that cannot be made must not cost the summary of a flight.
+        try:
+            check: FlightCheck = entry.load()
+            findings += check(flight, rig)
+        except (HeliError, ArithmeticError, ValueError):
+            continue
+        except Exception as error:  # noqa: BLE001 - the check of another package may raise anything
+            text = f"the check '{entry.name}' of {entry.value} failed: {type(error).__name__}: {error}"
+            findings.append(FlightFinding(entry.name, None, None, text))
+    return tuple(findings)

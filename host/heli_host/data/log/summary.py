@@ -1,0 +1,206 @@
+"""Summary of a flight as a dictionary, used by ``summary.json``, the figure and the last lines printed.
+
+The tracking error of a tick is the measured angle minus the setpoint that the control law used in that tick
+(after the board's slew limit). It counts from the end of take-off until landing begins. Only ticks in closed
+loop count; if a law on the host flew, it must have published its setpoints. Pitch is compared with the
+setpoint that the travel loop requests. In a log without phases, of a flight by hand, all such ticks count.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_host.data.flight import Flight
+from heli_host.data.flight.flown import flown_rows, led_rows
+from heli_host.data.flight.response import rms
+from heli_host.data.flight_checks import FlightFinding
+from heli_host.data.log.reader import Log
+from heli_host.data.log.writer import DISK_BLOCKED, TICKS_DROPPED
+from heli_host.declaration import AXES
+from heli_host.errors import LogWriteError
+from heli_host.files import RESULT_SCHEMA
+from heli_host.output_files import write_text
+
+_MAX_COUNT = 2**63
+_LONGEST_COUNT = 24
+_TOLD = (DISK_BLOCKED, TICKS_DROPPED)
+
+
+@dataclass(frozen=True)
+class FlightSummary:
+    """Summary of a flight.
+
+    Parameters
+    ----------
+    outcome : str
+        ``completed``; ``not_tracked`` with the axis; ``recorded`` without a plan; or one line with the reason
+        why the flight ended.
+    duration_s : float
+        Device time from the first tick logged to the last.
+    ticks_logged, ticks_lost : int
+        Ticks in the log, and ticks that are missing between them.
+    rms_error_deg, max_error_deg : Mapping[str, float or None]
+        Tracking error by axis; None for an axis that was never in closed loop.
+    link : Mapping[str, int]
+        ``frames_ok``, ``frames_bad``, ``retries``, ``reconnects`` and other counters.
+    plans : tuple of str
+        Names of the plans flown.
+    rig, board : str
+        Name of the rig, and description of the board.
+    events : tuple of Mapping
+        ``t_s``, ``name``, ``text`` of every event.
+    notes : tuple of str
+        Defects of the log.
+    log : str
+        Path of the log.
+    findings : tuple of FlightFinding
+        Findings of the flight that contradict its rig.
+    """
+
+    outcome: str
+    duration_s: float
+    ticks_logged: int
+    ticks_lost: int
+    rms_error_deg: Mapping[str, float | None]
+    max_error_deg: Mapping[str, float | None]
+    link: Mapping[str, int]
+    plans: tuple[str, ...] = ()
+    rig: str = ""
+    board: str = ""
+    events: tuple[Mapping[str, Any], ...] = ()
+    notes: tuple[str, ...] = ()
+    log: str = ""
+    findings: tuple[FlightFinding, ...] = ()
+
+    @property
+    def completed(self) -> bool:
+        """Whether the flight went to its end."""
+        return self.outcome == "completed"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the content of ``summary.json``."""
+        return {
+            "outcome": self.outcome,
+            "plans": list(self.plans),
+            "rig": self.rig,
+            "board": self.board,
+            "duration_s": round(self.duration_s, 6),
+            "ticks_logged": self.ticks_logged,
+            "ticks_lost": self.ticks_lost,
+            "rms_error_deg": dict(self.rms_error_deg),
+            "max_error_deg": dict(self.max_error_deg),
+            "link": dict(self.link),
+            "events": [dict(event) for event in self.events],
+            "notes": list(self.notes),
+            "findings": [asdict(finding) for finding in self.findings],
+            "log": self.log,
+        }
+
+    def write_json(self, path: str | Path) -> None:
+        """Write ``summary.json``.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write; a missing folder is made.
+
+        Raises
+        ------
+        LogWriteError
+            If it cannot be written.
+        """
+        path = Path(path)
+        try:
+            content = {"schema": RESULT_SCHEMA, **self.as_dict()}
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
+        except OSError as error:
+            raise LogWriteError(
+                f"cannot write {path}: {error.strerror or error}", "choose another path with --json"
+            ) from error
+
+
+def summarise(log: Log) -> FlightSummary:
+    """Sum a log up."""
+    session = log.metadata.get("session", {})
+    result = log.metadata.get("result", {})
+    plans = tuple(log.metadata.get("plan", {}))
+    closed_axes = _closed_axes(session.get("axes", ""))
+    rms_deg: dict[str, float | None] = dict.fromkeys(AXES)
+    max_deg: dict[str, float | None] = dict.fromkeys(AXES)
+    if len(log.ticks):
+        flight = log.flight()
+        for axis, errors_deg in zip(AXES, tracking_errors_deg(flight).T, strict=True):
+            led_deg = errors_deg[~np.isnan(errors_deg)]
+            if len(led_deg) and axis in closed_axes:
+                rms_deg[axis] = round(rms(led_deg), 4)
+                max_deg[axis] = round(float(np.max(np.abs(led_deg))), 4)
+    outcome = result.get("outcome") or (
+        "recorded"
+        if log.complete
+        else "not closed: the host ended, or could write no more, before the flight ended"
+    )
+    return FlightSummary(
+        outcome=outcome,
+        duration_s=float(log.ticks["t_s"][-1] - log.ticks["t_s"][0]) if len(log.ticks) else 0.0,
+        ticks_logged=len(log.ticks),
+        ticks_lost=log.ticks_lost,
+        rms_error_deg=rms_deg,
+        max_error_deg=max_deg,
+        link=_last_link_counters(log),
+        plans=plans,
+        rig=session.get("rig", ""),
+        board=session.get("board", ""),
+        events=tuple(
+            {"t_s": round(float(event["t_s"]), 6), "name": event["name"], "text": event["message"]}
+            for event in log.events
+        ),
+        notes=(*log.notes, *(event["message"] for event in log.events if event["name"] in _TOLD)),
+        log=str(log.path),
+    )
+
+
+def tracking_errors_deg(flight: Flight) -> NDArray[np.float64]:
+    """Return measured angle less setpoint in the rows that count, see `heli_host.data.flight.flown`.
+
+    Returns
+    -------
+    ndarray (m, axes)
+        Errors of elevation, pitch and travel in degrees, nan where an axis was not led; m is 0 when nothing
+        was flown under setpoints.
+    """
+    setpoints_rad = flight.setpoints_rad
+    if setpoints_rad is None:
+        return np.zeros((0, len(AXES)))
+    rows = flown_rows(flight)
+    errors_deg: NDArray[np.float64] = np.rad2deg(flight.angles_rad - setpoints_rad)
+    for index, axis in enumerate(AXES):
+        errors_deg[~led_rows(flight, axis), index] = np.nan
+    return errors_deg[rows]
+
+
+def _closed_axes(text: str) -> tuple[str, ...]:
+    named = tuple(axis for axis in AXES if axis in text.split())
+    return named or AXES
+
+
+def _last_link_counters(log: Log) -> dict[str, int]:
+    """Return the link counters of a log, the last of the flight or those at its end."""
+    counted = {"frames_ok": 0, "frames_bad": 0, "retries": 0, "reconnects": 0}
+    last = log.link[-1] if log.link else {}
+    counted.update({name: int(value) for name, value in last.items() if name != "t_s" and _is_count(value)})
+    for name, value in log.metadata.get("counters", {}).items():
+        if value.isascii() and value.lstrip("-").isdigit() and _is_count(float(value[:_LONGEST_COUNT])):
+            counted[name] = int(value[:_LONGEST_COUNT])
+    return counted
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) < _MAX_COUNT

@@ -1,0 +1,426 @@
+"""Write flights as tables, .csv or .csv.gz, and read them.
+
+The table has a header line and numbers only, so that every program reads it without options. Notes such as
+parameters, plan and events are in a text file next to it. Older tables hold them in lines that begin with #.
+"""
+
+from __future__ import annotations
+
+import codecs
+import difflib
+import gzip
+import io
+import re
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_host.data.flight import (
+    OWN_COLUMNS,
+    REQUIRED_COLUMNS,
+    SETPOINT_COLUMNS,
+    STATUS_COLUMNS,
+    Flight,
+    FlightEvent,
+    check,
+)
+from heli_host.declaration import CHANNELS
+from heli_host.errors import FlightDataError, LogWriteError, file_remedy
+from heli_host.files import read_file
+from heli_host.output_files import replacing, write_text
+
+_FORMATS = {"t_s": "%.6f", "front_V": "%.6f", "back_V": "%.6f"} | dict.fromkeys(STATUS_COLUMNS, "%d")
+# Ten digits distinguish all numbers of 32 bits at any scale.
+_FORMATS |= {spec.column: "%.10g" for spec in CHANNELS if spec.column not in OWN_COLUMNS}
+_FORMATS |= {spec.field: "%d" for spec in CHANNELS if spec.axis is not None}
+_NUMBER_FORMAT = "%.9f"
+_NOTE = re.compile(r"([\w .-]{1,40}):\s?(.*)")
+_PLAN_MARK = "plan|"
+_ROWS_A_BLOCK = 20_000
+MAX_TABLE_BYTES = 1 << 28
+"""Largest table, unpacked: half an hour at 1 kHz."""
+MAX_NOTES_BYTES = 1 << 24
+"""Largest file of notes: 4000 times the notes of a flight with ten events."""
+MAX_LINES = 4_000_000
+MAX_TABLE_COLUMNS = 1000
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """A table's text, taken apart: notes, column names, and the lines of numbers with their place in the
+    file.
+    """
+
+    notes: tuple[str, ...]
+    names: tuple[str, ...]
+    body: bytes
+    first_line: int
+    note_lines: tuple[int, ...]
+
+    def line_of(self, row: int) -> int:
+        """Line of the file, counted from 1, that holds a row counted from 0."""
+        line = self.first_line + row
+        for note_line in self.note_lines:
+            if note_line <= line:
+                line += 1
+        return line
+
+    def where(self, row: int) -> str:
+        return f"line {self.line_of(row)}"
+
+
+def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
+    """Read a flight from a table.
+
+    Parameters
+    ----------
+    path : Path
+        ``.csv`` or ``.csv.gz``.
+    allow_gaps : bool
+        Accept missing rows.
+
+    Returns
+    -------
+    Flight
+        Notes of the form ``name: value``, from `notes_path` or from lines ``# name: value`` of the table, are
+        in ``meta`` under their name, the others joined under ``notes``.
+
+    Raises
+    ------
+    FlightDataError
+        As `heli_host.data.log.flight_file.read_flight` says.
+    """
+    lines = _split_lines(_read_bytes(path), path)
+    _check_names(lines.names, path)
+    numbers, names = _read_numbers(lines, path)
+    columns = dict(zip(names, numbers.T, strict=True))
+    flight = _flight_of_columns(columns, (*lines.notes, *_read_notes(notes_path(path))))
+    check(flight, str(path), allow_gaps=allow_gaps, where=lines.where)
+    return flight
+
+
+def notes_path(table: Path) -> Path:
+    """Return the path of a table's notes, such as ``flight.csv.notes.txt``.
+
+    Parameters
+    ----------
+    table : Path
+        A ``.csv`` or ``.csv.gz`` file, which need not exist.
+    """
+    return table.with_name(table.name + ".notes.txt")
+
+
+def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -> int:
+    """Write a flight as a table, and its notes next to it.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.csv`` or ``.csv.gz``; the same flight gives the same bytes.
+    notes_inside : bool
+        Write the notes into the table, as lines that begin with ``#``, if there can be no second file.
+
+    Returns
+    -------
+    int
+        Size of the table, unpacked [byte]. `read_csv` refuses tables of more than `MAX_TABLE_BYTES`.
+
+    Raises
+    ------
+    LogWriteError
+        If the file cannot be written.
+    """
+    path = Path(path)
+    columns = flight.columns()
+    row_format = ",".join(_FORMATS.get(name, _NUMBER_FORMAT) for name in columns) + "\n"
+    notes = _note_lines(flight)
+    inside = [f"# {line}" for line in notes] if notes_inside else []
+    table = np.column_stack([column.astype(np.float64) for column in columns.values()])
+    try:
+        with replacing(path) as unfinished, unfinished.open("wb") as file:
+            if path.name.lower().endswith(".gz"):
+                # Without name and date in its header, the same flight compresses to the same bytes.
+                with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0) as packed:
+                    _write_rows(packed, inside, list(columns), row_format, table)
+                    size = packed.tell()
+            else:
+                _write_rows(file, inside, list(columns), row_format, table)
+                size = file.tell()
+        notes_file = notes_path(path)
+        if not path.is_file():
+            # A device, such as /dev/null, has no file next to it.
+            return size
+        if notes and not notes_inside:
+            write_text(notes_file, "".join(line + "\n" for line in notes))
+        else:
+            # The notes of an older table would describe another flight.
+            notes_file.unlink(missing_ok=True)
+        return size
+    except OSError as error:
+        raise LogWriteError(
+            f"cannot write {path}: {error.strerror or error}", "choose another folder"
+        ) from error
+
+
+def _note_lines(flight: Flight) -> list[str]:
+    notes = [f"{name}: {_one_line(value)}" for name, value in flight.meta.items()]
+    notes += [f"parameter.{name}: {value!r}" for name, value in flight.parameters.items()]
+    notes += [f"state.{number}: {name}" for number, name in flight.state_names.items()]
+    notes += [f"fault.{number}: {name}" for number, name in flight.fault_names.items()]
+    notes += [f"{_PLAN_MARK}{line}" for line in flight.plan.splitlines()]
+    return notes + [f"event.{event.name}: {event.t_s:.6f} {_one_line(event.text)}" for event in flight.events]
+
+
+def _read_notes(path: Path) -> list[str]:
+    """Return the lines of a table's notes; none without such a file."""
+    try:
+        data = read_file(path, MAX_NOTES_BYTES)
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
+    lines = data.decode("utf-8-sig", errors="replace").splitlines()
+    return [line for line in lines if line.strip()]
+
+
+def _write_rows(
+    file: Any, notes: Sequence[str], names: Sequence[str], row_format: str, table: NDArray[np.float64]
+) -> None:
+    """Write notes, names and rows, many rows per call for speed."""
+    file.write("".join(line + "\n" for line in (*notes, ",".join(names))).encode())
+    for start in range(0, len(table), _ROWS_A_BLOCK):
+        block = table[start : start + _ROWS_A_BLOCK]
+        file.write(((row_format * len(block)) % tuple(block.ravel().tolist())).encode())
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _read_bytes(path: Path) -> bytes:
+    """Return the content of a CSV file, unpacked if its name ends in .gz."""
+    try:
+        data = read_file(path, MAX_TABLE_BYTES)
+    except OSError as error:
+        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
+    if not path.name.lower().endswith(".gz"):
+        return data
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
+            data = packed.read(MAX_TABLE_BYTES + 1)
+    except EOFError as error:
+        raise FlightDataError(
+            f"{path}: the compressed file ends early", "copy or download it again"
+        ) from error
+    except (OSError, zlib.error) as error:
+        raise FlightDataError(
+            f"{path}: not a gzip file, or damaged", "copy it again, or name it .csv if it is plain text"
+        ) from error
+    if len(data) > MAX_TABLE_BYTES:
+        raise FlightDataError(
+            f"{path} unpacks to more than {MAX_TABLE_BYTES >> 20} MiB", "cut it into pieces"
+        )
+    return data
+
+
+def _split_lines(data: bytes, path: Path) -> _Lines:
+    """Split a CSV file into notes (lines that begin with #), column names and rows of text."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        data = data.decode("utf-16", errors="replace").encode()
+    data = data.removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if not data.strip():
+        raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
+    if data.count(b"\n") > MAX_LINES:
+        raise FlightDataError(f"{path} has more than {MAX_LINES} lines", "cut it into pieces")
+    notes: list[str] = []
+    header, position, number = "", 0, 0
+    while position < len(data):
+        end = data.find(b"\n", position)
+        end = len(data) if end < 0 else end
+        line = data[position:end].decode("utf-8", errors="replace").strip()
+        position, number = end + 1, number + 1
+        if line.startswith("#"):
+            notes.append(line[1:].removeprefix(" "))
+        elif line:
+            header = line
+            break
+    body = data[position:]
+    if header.count(",") >= MAX_TABLE_COLUMNS:
+        raise FlightDataError(
+            f"{path} has more than {MAX_TABLE_COLUMNS} columns", "remove columns that are not needed"
+        )
+    names = tuple(name.strip().strip('"') for name in header.split(","))
+    if b"#" not in body and b"\n\n" not in body:
+        return _Lines(tuple(notes), names, body, number + 1, ())
+    row_lines: list[bytes] = []
+    note_lines: list[int] = []
+    for offset, line_bytes in enumerate(body.split(b"\n")):
+        if line_bytes.lstrip().startswith(b"#"):
+            notes.append(line_bytes.lstrip()[1:].decode("utf-8", errors="replace").strip())
+            note_lines.append(number + 1 + offset)
+        elif line_bytes.strip():
+            row_lines.append(line_bytes)
+        else:
+            note_lines.append(number + 1 + offset)
+    return _Lines(tuple(notes), names, b"\n".join(row_lines), number + 1, tuple(note_lines))
+
+
+def _check_names(names: tuple[str, ...], path: Path) -> None:
+    """Raise a FlightDataError for a missing or repeated column."""
+    missing = [name for name in REQUIRED_COLUMNS if name not in names]
+    if missing:
+        raise FlightDataError(f"{path}: column {missing[0]} is missing", _missing_remedy(missing[0], names))
+    doubled = next((name for name in names if names.count(name) > 1), None)
+    if doubled is not None:
+        raise FlightDataError(f"{path}: column {doubled!r} exists twice", "rename or remove one of them")
+
+
+def _missing_remedy(missing: str, names: tuple[str, ...]) -> str:
+    """Suggest a fix for a `missing` column by the columns that exist, the most probable mistake first."""
+    if len(names) == 1:
+        separator = next((mark for mark in ";\t" if mark in names[0]), None)
+        if separator is not None:
+            return "separate the columns by commas"
+    degrees = missing.replace("_rad", "_deg")
+    if degrees != missing and degrees in names:
+        return f"convert {degrees} to radians and name it {missing}"
+    if all(_is_number(name) for name in names):
+        return f"put a first line with the column names: {','.join(REQUIRED_COLUMNS)}"
+    close = difflib.get_close_matches(missing, names, n=1, cutoff=0.5)
+    if close:
+        return f"rename {close[0]!r} if that is it, and mind the unit"
+    return f"it has {', '.join(names[:8])}; a flight needs {', '.join(REQUIRED_COLUMNS)}"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_numbers(lines: _Lines, path: Path) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Parse the rows of a table; return the numbers and the names of their columns. A column that is not one
+    of a flight and contains text is left out.
+    """
+    if not lines.body.strip():
+        raise FlightDataError(f"{path}: no rows below the column names", "record a flight into it first")
+    keep = list(range(len(lines.names)))
+    while True:
+        names = tuple(lines.names[column] for column in keep)
+        try:
+            return _parse_columns(lines.body, len(lines.names), keep), names
+        except ValueError as error:
+            row, column, text = _find_bad_cell(lines, keep)
+            if row < 0:
+                raise FlightDataError(f"{path}: {error}", "correct the table") from error
+            if column >= 0 and lines.names[column] not in OWN_COLUMNS:
+                keep.remove(column)
+                continue
+            if column < 0:
+                raise FlightDataError(
+                    f"{path}: {lines.where(row)} has {text} columns, the header {len(lines.names)}",
+                    "complete or remove that line",
+                ) from error
+            if text == lines.names[column]:
+                raise FlightDataError(
+                    f"{path} holds two tables that were joined: {lines.where(row)} repeats the names of the "
+                    "columns",
+                    "give each table as a file of its own",
+                ) from error
+            raise FlightDataError(
+                f"{path}: {lines.names[column]} is {text!r} in {lines.where(row)}, not a number",
+                "correct or remove that line",
+            ) from error
+
+
+def _parse_columns(body: bytes, width: int, keep: list[int]) -> NDArray[np.float64]:
+    """Parse the columns `keep` of a table of `width` columns, shape (n, len(keep))."""
+    usecols = None if len(keep) == width else keep
+    table = np.loadtxt(
+        io.BytesIO(body), delimiter=",", comments=None, ndmin=2, usecols=usecols, encoding="latin-1"
+    )
+    if table.shape[1] != len(keep):
+        raise ValueError("the rows have another number of columns than the header")
+    return np.asarray(table, np.float64)
+
+
+def _find_bad_cell(lines: _Lines, keep: list[int]) -> tuple[int, int, str]:
+    """Return row, column and text of the first cell that is not a number.
+
+    Column -1 means that the row has a wrong number of cells; the text is then this number.
+    """
+    for row, line_bytes in enumerate(lines.body.split(b"\n")):
+        if not line_bytes.strip():
+            continue
+        if line_bytes.count(b",") + 1 != len(lines.names):
+            return row, -1, str(line_bytes.count(b",") + 1)
+        cells = line_bytes.decode("latin-1").split(",")
+        for column in keep:
+            if not _is_number(cells[column]):
+                return row, column, cells[column].strip()[:40]
+    return -1, -1, ""
+
+
+def _flight_of_columns(columns: dict[str, NDArray[np.float64]], notes: tuple[str, ...]) -> Flight:
+    """Build a flight from columns and notes, which contain parameters, names of states, events and plan."""
+    meta: dict[str, str] = {}
+    other_notes: list[str] = []
+    plan: list[str] = []
+    parameters: dict[str, float] = {}
+    events: list[FlightEvent] = []
+    names: dict[str, dict[int, str]] = {"state": {}, "fault": {}}
+    for note in notes:
+        if note.startswith(_PLAN_MARK):
+            plan.append(note.removeprefix(_PLAN_MARK))
+            continue
+        match = _NOTE.fullmatch(note)
+        if match is None:
+            other_notes.append(note)
+            continue
+        key, value = match.group(1), match.group(2)
+        prefix, _, name = key.partition(".")
+        if prefix == "parameter" and name and _is_number(value):
+            parameters[name] = float(value)
+        elif prefix in names and name.isascii() and name.isdigit():
+            names[prefix][int(name)] = value
+        elif prefix == "event" and name and _is_number(value.partition(" ")[0]):
+            moment, _, text = value.partition(" ")
+            events.append(FlightEvent(float(moment), name, text))
+        elif key in meta:
+            other_notes.append(note)
+        else:
+            meta[key] = value
+    if other_notes:
+        meta["notes"] = "\n".join(other_notes)
+    flight_columns: dict[str, Any] = {
+        name: np.ascontiguousarray(columns[name])
+        for name in REQUIRED_COLUMNS + SETPOINT_COLUMNS
+        if name in columns
+    }
+    extra: dict[str, NDArray[np.float64]] = {}
+    for name, column in columns.items():
+        if name in STATUS_COLUMNS and _fits_a_byte(column):
+            flight_columns[name] = column.astype(np.uint8)
+        elif name not in flight_columns:
+            extra[name] = np.ascontiguousarray(column)
+    return Flight(
+        **flight_columns,
+        state_names=names["state"],
+        fault_names=names["fault"],
+        events=tuple(events),
+        parameters=parameters,
+        plan="\n".join(plan) + "\n" if plan else "",
+        extra=extra,
+        meta=meta,
+    )
+
+
+def _fits_a_byte(column: NDArray[np.float64]) -> bool:
+    return bool(np.all((column >= 0) & (column <= 255) & (column == np.floor(column))))

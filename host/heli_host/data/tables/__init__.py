@@ -1,0 +1,31 @@
+"""Files from other programs: read as tables, and converted to flights by a profile."""
+
+from heli_host.data.tables.convert import flights_of
+from heli_host.data.tables.profile import (
+    Angle,
+    Part,
+    Profile,
+    Voltage,
+    profile_of,
+    profile_text,
+    read_entries,
+    read_profile,
+)
+from heli_host.data.tables.read import KINDS, read_table
+from heli_host.data.tables.table import Column, Table
+
+__all__ = [
+    "KINDS",
+    "Angle",
+    "Column",
+    "Part",
+    "Profile",
+    "Table",
+    "Voltage",
+    "flights_of",
+    "profile_of",
+    "profile_text",
+    "read_entries",
+    "read_profile",
+    "read_table",
+]

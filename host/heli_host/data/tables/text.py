@@ -1,0 +1,233 @@
+"""Tables of text, in the dialects that programs and countries write them."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import itertools
+import re
+import statistics
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from heli_host.data.tables.clocks import seconds_of
+from heli_host.data.tables.limits import MAX_BYTES, MAX_ROWS, check_columns, too_large
+from heli_host.data.tables.table import Column, Table
+from heli_host.data.tables.units import unit_of
+from heli_host.errors import FlightDataError, file_remedy
+from heli_host.files import read_file
+
+_MAX_LINE_CHARACTERS: Final = 1 << 16
+"""Longest line: a thousand columns have 20 thousand characters."""
+_LINE_ENDS: Final = tuple(bytes([code]) for code in b"\n\x0b\x0c\x1c\x1d\x1e\x85\xa8\xa9")
+"""Last bytes of all line ends, including those of Unicode; carriage returns are counted separately."""
+_COMMENTS: Final = ("#", "%", "//", '"#')
+_SEPARATORS: Final = (";", "\t", ",", "|", " ")
+_LOOKED_AT: Final = 60
+"""Number of lines from which the dialect is determined."""
+_EMPTY: Final = frozenset({"", "nan", "na", "n/a", "null", "none", "-nan", "inf", "-inf", "#n/a"})
+_HIGH_BYTES: Final = re.compile(rb"[\x80-\xff]+")
+_ENCODING_BYTES: Final = 1 << 16
+"""Number of bytes, such as a header, from which the encoding is determined."""
+_NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a table of text is written: the `separator` of columns, and the `decimal` mark of numbers."""
+
+    separator: str
+    decimal: str
+
+
+def read_text(path: Path) -> Table:
+    """Read a text table at `path`, which may be compressed by gzip.
+
+    Separator and decimal mark are recognised. Names, units and comments are optional.
+
+    Raises
+    ------
+    FlightDataError
+        If the file cannot be read, or contains no table of numbers.
+    """
+    import pandas
+
+    lines = _read_lines(path)
+    notes = "\n".join(line.strip().lstrip("#%/ ") for line in lines if line.strip().startswith(_COMMENTS))
+    body = [line for line in lines if line.strip() and not line.strip().startswith(_COMMENTS)]
+    if not body:
+        raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
+    # At the beginning the rig is at rest, and whole numbers do not show the decimal mark. Therefore lines of
+    # the whole file are examined.
+    sampled_lines = body[:: max(1, len(body) // _LOOKED_AT)]
+    dialect = find_dialect([*body[:_LOOKED_AT], *sampled_lines])
+    if dialect is None:
+        raise FlightDataError(
+            f"{path}: the file has no columns of numbers",
+            "give a table with one row per sample, separated by , ; or tabs",
+        )
+    start = _first_row(body[:_LOOKED_AT], dialect, sampled_lines)
+    header, rows = body[:start], body[start:]
+    if not rows:
+        raise FlightDataError(
+            f"{path}: the file has no row of numbers",
+            "give a table with one row per sample, separated by , ; or tabs",
+        )
+    width = len(_split_cells(rows[0], dialect))
+    check_columns(path, width)
+    names, units = _names_and_units(header, dialect, width)
+    try:
+        frame = pandas.read_csv(
+            io.StringIO("\n".join(rows)),
+            sep=r"\s+" if dialect.separator == " " else dialect.separator,
+            decimal=dialect.decimal,
+            header=None,
+            names=range(width),
+            usecols=range(width),
+            on_bad_lines="skip",
+            low_memory=False,
+            skipinitialspace=True,
+        )
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise FlightDataError(f"{path}: not a table ({reason})", "check its quotes and separators") from error
+    columns = {}
+    for index, name in enumerate(names):
+        values = pandas.to_numeric(frame[index], errors="coerce").to_numpy(np.float64)
+        clock_s = None if np.isfinite(values).mean() > 0.5 else seconds_of(frame[index])
+        if clock_s is not None:
+            columns[name] = Column(clock_s, "s")
+        elif np.isfinite(values).any():
+            columns[name] = Column(values, units[index])
+    if not columns:
+        raise FlightDataError(
+            f"{path}: the file has no columns of numbers", "give a table with one row per sample"
+        )
+    return Table(str(path), columns, notes, bool(header))
+
+
+def find_dialect(lines: list[str]) -> Dialect | None:
+    """Find the dialect in which most cells of `lines` are numbers; None if lines have less than two cells."""
+    best_dialect, best_rank = None, (0.0, 0)
+    for separator, decimal in itertools.product(_SEPARATORS, ".,"):
+        if separator == decimal:
+            continue
+        dialect = Dialect(separator, decimal)
+        cells = [_split_cells(line, dialect) for line in lines]
+        width = statistics.mode(map(len, cells))
+        if width < 2:
+            continue
+        number_shares = [
+            sum(_is_number(cell, dialect) for cell in row) / width for row in cells if len(row) == width
+        ]
+        number_share = sum(number_shares) / len(cells)
+        if (number_share, width) > best_rank:
+            best_dialect, best_rank = dialect, (number_share, width)
+    return best_dialect
+
+
+def _read_lines(path: Path) -> list[str]:
+    """Return the lines of a file; a FlightDataError if one is too long."""
+    lines = _decode_file(path).splitlines()
+    if max(map(len, lines), default=0) > _MAX_LINE_CHARACTERS:
+        raise FlightDataError(
+            f"{path}: a line has more than {_MAX_LINE_CHARACTERS} characters", "give one row per line"
+        )
+    return lines
+
+
+def _decode_file(path: Path) -> str:
+    """Return the text of a file, unpacked if its name ends in .gz, by the encoding that its bytes suggest."""
+    try:
+        content = read_file(path, MAX_BYTES)
+        if path.name.lower().endswith(".gz"):
+            with gzip.GzipFile(fileobj=io.BytesIO(content)) as compressed:
+                content = compressed.read(MAX_BYTES + 1)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise FlightDataError(f"{path}: not a gzip file, or damaged", "copy it again") from error
+    except OSError as error:
+        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", file_remedy(error)) from error
+    if len(content) > MAX_BYTES:
+        raise too_large(path, f"{MAX_BYTES >> 20} MiB")
+    if max(content.count(b"\r"), sum(content.count(line_end) for line_end in _LINE_ENDS)) > MAX_ROWS:
+        raise too_large(path, f"{MAX_ROWS // 1_000_000} million lines")
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return content.decode("utf-16", errors="replace")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        # In GB 18030, Chinese characters are pairs of high bytes; in Latin-1, an accented letter is one high
+        # byte.
+        paired = all(len(run) % 2 == 0 for run in _HIGH_BYTES.findall(content[:_ENCODING_BYTES]))
+        return content.decode("gb18030" if paired else "latin-1", errors="replace")
+
+
+def _split_cells(line: str, dialect: Dialect) -> list[str]:
+    """Split a line into cells."""
+    if dialect.separator == " ":
+        return line.split()
+    cells = next(csv.reader([line.strip(" \r\n")], delimiter=dialect.separator, skipinitialspace=True), [])
+    # A separator at the end of each line makes no column.
+    return cells[:-1] if cells and not cells[-1].strip() else cells
+
+
+def _first_row(lines: list[str], dialect: Dialect, sampled_lines: list[str]) -> int:
+    """Return the index of the first row of numbers.
+
+    It is as wide as most rows, and at least half of its cells are numbers. No row of names may follow,
+    because headers of LabVIEW contain numbers, too.
+    """
+    width = statistics.mode(len(_split_cells(line, dialect)) for line in sampled_lines)
+    cells = [_split_cells(line, dialect) for line in lines]
+    numbers = [sum(_is_number(cell, dialect) for cell in row) for row in cells]
+    name_rows = [
+        index
+        for index, row in enumerate(cells)
+        if len(row) >= width and not numbers[index] and all(cell.strip() for cell in row[:width])
+    ]
+    start = max(name_rows, default=-1) + 1
+    for index in range(start, len(lines)):
+        if len(cells[index]) >= width and 2 * numbers[index] >= max(len(cells[index]), 1):
+            return index
+    return len(lines)
+
+
+def _is_number(cell: str, dialect: Dialect) -> bool:
+    """Whether a cell is a number with the decimal mark of the dialect, or means "missing"."""
+    text = cell.strip()
+    if dialect.decimal != ".":
+        if "." in text:
+            return False
+        text = text.replace(dialect.decimal, ".")
+    return bool(_NUMBER.match(text)) or text.lower() in _EMPTY - {""}
+
+
+def _names_and_units(header: list[str], dialect: Dialect, width: int) -> tuple[list[str], list[str]]:
+    """Return names and units of the columns; a repeated name gets an apostrophe.
+
+    Units come from a separate row, if the header has one.
+    """
+    rows = [_split_cells(line, dialect) for line in header]
+    # The header of LabVIEW has one more name, for a column of comments that the rows lack.
+    rows = [row[:width] for row in rows if len(row) in {width, width + 1}]
+    units = [""] * width
+    if len(rows) > 1 and sum(bool(_unit_in_cell(cell)) for cell in rows[-1]) >= max(1, width // 2):
+        units = [_unit_in_cell(cell) for cell in rows[-1]]
+        rows = rows[:-1]
+    column_names = [cell.strip() for cell in rows[-1]] if rows else [f"column {i + 1}" for i in range(width)]
+    names: list[str] = []
+    for index, name in enumerate(column_names):
+        unique_name = name or f"column {index + 1}"
+        while unique_name in names:
+            unique_name += "'"
+        names.append(unique_name)
+    return names, units
+
+
+def _unit_in_cell(cell: str) -> str:
+    return unit_of(cell.strip().strip("[]()"))

@@ -1,0 +1,286 @@
+"""Flying a control law written in Python: called on device time, its voltages streamed, its timing measured.
+
+The latency from a sample to its voltage is measured without comparing clocks. Telemetry gives the voltage
+that acted in each tick, so the tick of a voltage is known if it differs from the voltage before.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from heli_host.board.samples import Sample
+from heli_host.board.vehicle import AFTER_LAW
+from heli_host.declaration import AXES, PARAMS, Channel, FollowingMessage, Param, State
+from heli_host.errors import ControllerError, FlightAborted, HeliError, check_choice, fault_text
+from heli_host.link.channels import physical
+from heli_host.link.clock import TICK_S
+from heli_host.link.telemetry import Ticks
+
+if TYPE_CHECKING:
+    from heli_host.board.vehicle import AfterLaw, Vehicle
+
+ControlLaw = Callable[[Sample], tuple[float, float]]
+
+
+@runtime_checkable
+class Following(Protocol):
+    """A control law that publishes its setpoints, so that the log contains its tracking error."""
+
+    setpoints_rad: Mapping[str, float]
+    """Angle of each axis that it follows, by the axis' name, at its last call [rad]."""
+
+
+_READ_INTERVAL_S = 0.001
+_MIN_PERIOD_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].min)
+_MAX_BATCH_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].max)
+_MAX_TAKEOVERS = 5
+# A duty of 1/2100 of a supply of at most 24 V, and the rounding of telemetry.
+_SAME_V = 0.02
+_DIFFERENT_V = 0.05
+_LOOK_TICKS = 200
+
+
+@dataclass(frozen=True)
+class ControllerReport:
+    """Timing of a control law in Python.
+
+    Parameters
+    ----------
+    calls : int
+        Times that the law was called.
+    rate_Hz : float
+        Achieved rate, on device time [Hz].
+    misses : int
+        Periods in which it was not called, because samples came late or the law took too long.
+    takeovers : int
+        Number of times that the board held level itself because voltages came too late.
+    clipped : int
+        Calls whose voltages were clipped to the board's limits.
+    latency_p50_ms, latency_p95_ms, latency_max_ms : float
+        Time from the tick of a sample to the tick in which its voltage acted, device time [ms]; nan if no
+        voltage was recognised in telemetry.
+    latency_count : int
+        Number of calls from which the latency was measured: their voltages differ enough from the previous
+        ones.
+    law_p50_ms, law_p95_ms, law_max_ms : float
+        Time that the law itself took on this computer [ms].
+    """
+
+    calls: int
+    rate_Hz: float
+    misses: int
+    takeovers: int
+    clipped: int
+    latency_p50_ms: float
+    latency_p95_ms: float
+    latency_max_ms: float
+    latency_count: int
+    law_p50_ms: float
+    law_p95_ms: float
+    law_max_ms: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.calls} calls at {self.rate_Hz:.1f} Hz, {self.misses} missed, {self.takeovers} takeovers; "
+            f"sample to voltage {self.latency_p50_ms:.1f} ms (95 %: {self.latency_p95_ms:.1f}, "
+            f"most: {self.latency_max_ms:.1f}); law {self.law_p50_ms:.2f} ms (95 %: {self.law_p95_ms:.2f})"
+        )
+
+
+@dataclass
+class _Run:
+    """Record of a control law in flight, with one entry per call in each list."""
+
+    period_ticks: int
+    duration_ticks: int
+    valid_s: float
+    tick: list[int] = field(default_factory=list)
+    front_V: list[float] = field(default_factory=list)
+    back_V: list[float] = field(default_factory=list)
+    law_s: list[float] = field(default_factory=list)
+    misses: int = 0
+    takeovers: int = 0
+    clipped: int = 0
+
+
+def run_controller(
+    heli: Vehicle,
+    law: ControlLaw,
+    *,
+    rate_Hz: float = 200.0,
+    duration_s: float,
+    valid_s: float = 0.05,
+    after: AfterLaw = "hold",
+) -> ControllerReport:
+    """Fly a control law over streamed voltages.
+
+    The board must be armed or flying. While the law flies, telemetry comes in batches of one period and the
+    port is read every millisecond; both are put back afterwards. Whatever ends it early, the on-board loops
+    take over first.
+
+    Parameters
+    ----------
+    law, rate_Hz, duration_s, valid_s, after
+        As in `heli_host.Heli.run_controller`, which calls this; so are errors.
+    """
+    check_choice("after", after, AFTER_LAW)
+    period_ticks = round(1.0 / (rate_Hz * TICK_S)) if rate_Hz > 0.0 else 0
+    if period_ticks < _MIN_PERIOD_TICKS:
+        most_Hz = 1.0 / (_MIN_PERIOD_TICKS * TICK_S)
+        raise ControllerError(f"a control law cannot run at {rate_Hz:g} Hz", f"give at most {most_Hz:g} Hz")
+    session, params = heli.session, heli.params
+    batch_ticks, read_interval_s = params["telemetry_batch_ticks"], session.read_interval_s
+    acted: list[Ticks] = []
+    run = _Run(period_ticks, round(duration_s / TICK_S), valid_s)
+    unsubscribe = session.subscribe_ticks(acted.append)
+    try:
+        params["telemetry_batch_ticks"] = min(period_ticks, _MAX_BATCH_TICKS)
+        session.read_interval_s = _READ_INTERVAL_S
+        _run_law_at_rate(heli, law, run)
+    except BaseException:
+        with contextlib.suppress(HeliError):
+            if heli.motors_may_run:
+                heli.control()
+        raise
+    finally:
+        unsubscribe()
+        session.read_interval_s = read_interval_s
+        with contextlib.suppress(HeliError):
+            params["telemetry_batch_ticks"] = batch_ticks
+    if after == "hold":
+        heli.control()
+    elif after == "land":
+        heli.land()
+    else:
+        heli.stop()
+    return _summary_of_run(run, session.ticks_counted_on, acted)
+
+
+def _run_law_at_rate(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
+    """Call a control law at its rate, and send its voltages, until the duration has passed. A takeover by the
+    board is retried a few times, if it then holds level.
+    """
+    session = heli.session
+    low_V, high_V = heli.params["motor_min_V"], heli.params["motor_max_V"]
+    heli.stream()
+    first_tick = due_tick = heli.latest.tick + 1
+
+    def due() -> bool:
+        newest = session.latest
+        return newest is not None and (newest[0] >= due_tick or session.state is not State.STREAMED)
+
+    while True:
+        session.wait_for(due, step_s=TICK_S)
+        sample = heli.latest
+        if sample.state is State.FAULT:
+            raise FlightAborted(f"the board switched the motors off: {fault_text(sample.fault)}")
+        if sample.tick - first_tick >= run.duration_ticks:
+            return
+        if sample.state is not State.STREAMED:
+            run.takeovers += 1
+            if run.takeovers > _MAX_TAKEOVERS or sample.state is not State.HOLD:
+                raise ControllerError(
+                    f"the board took over ({sample.state.name.lower()}): voltages came too late",
+                    "make the law faster, lower rate_Hz, or raise valid_s and voltage_valid_max_ms",
+                )
+            heli.stream()
+            continue
+        late_periods = max(sample.tick - due_tick, 0) // run.period_ticks
+        run.misses += late_periods
+        due_tick += (1 + late_periods) * run.period_ticks
+        began_s = time.perf_counter()
+        front_V, back_V = _checked_voltages(law, sample)
+        run.law_s.append(time.perf_counter() - began_s)
+        if isinstance(law, Following):
+            session.stream(FollowingMessage(*(law.setpoints_rad[axis] for axis in AXES)))
+        clipped = min(max(front_V, low_V), high_V), min(max(back_V, low_V), high_V)
+        run.clipped += clipped != (front_V, back_V)
+        heli.voltages(*clipped, run.valid_s)
+        run.tick.append(sample.tick)
+        run.front_V.append(clipped[0])
+        run.back_V.append(clipped[1])
+
+
+def _checked_voltages(law: ControlLaw, sample: Sample) -> tuple[float, float]:
+    """Call a control law, and check that it returns two finite voltages."""
+    try:
+        front_V, back_V = (float(value) for value in law(sample))
+    except Exception as error:
+        raise ControllerError(
+            f"the control law failed: {type(error).__name__}: {error}",
+            "return (front_V, back_V) for every sample",
+        ) from error
+    if not (math.isfinite(front_V) and math.isfinite(back_V)):
+        raise ControllerError(
+            f"the control law returned {front_V:g} and {back_V:g} V",
+            "return two finite voltages, front and back",
+        )
+    return front_V, back_V
+
+
+def _summary_of_run(
+    run: _Run, counted_on: Callable[[Ticks], npt.NDArray[np.int64]], acted: list[Ticks]
+) -> ControllerReport:
+    """Summarise a run: calls, misses, and percentiles of latency and of the law's computing time. `acted` has
+    the telemetry with the voltages that acted, `counted_on` its ticks without wrap-around.
+    """
+    latency_ms = np.array([math.nan])
+    count = 0
+    if acted and run.tick:
+        tick = np.concatenate([counted_on(ticks) for ticks in acted])
+        raw = np.concatenate([ticks.raw for ticks in acted])
+        volts = np.column_stack([physical(raw, motor) for motor in (Channel.FRONT, Channel.BACK)])
+        latencies_ticks = _latencies_ticks(run, tick, volts)
+        count = len(latencies_ticks)
+        if count:
+            latency_ms = latencies_ticks * (TICK_S * 1e3)
+    law_ms = np.array(run.law_s or [math.nan]) * 1e3
+    span_s = (run.tick[-1] - run.tick[0]) * TICK_S if len(run.tick) > 1 else 0.0
+    latency_percentiles_ms = [float(value) for value in np.percentile(latency_ms, (50, 95, 100))]
+    law_percentiles_ms = [float(value) for value in np.percentile(law_ms, (50, 95, 100))]
+    return ControllerReport(
+        calls=len(run.tick),
+        rate_Hz=(len(run.tick) - 1) / span_s if span_s > 0.0 else 0.0,
+        misses=run.misses,
+        takeovers=run.takeovers,
+        clipped=run.clipped,
+        latency_p50_ms=latency_percentiles_ms[0],
+        latency_p95_ms=latency_percentiles_ms[1],
+        latency_max_ms=latency_percentiles_ms[2],
+        latency_count=count,
+        law_p50_ms=law_percentiles_ms[0],
+        law_p95_ms=law_percentiles_ms[1],
+        law_max_ms=law_percentiles_ms[2],
+    )
+
+
+def _latencies_ticks(
+    run: _Run, tick: npt.NDArray[np.int64], volts: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Return the ticks from each sample to the first tick in which its voltages acted.
+
+    Calls whose voltages hardly differ from the previous ones are skipped, because their tick is ambiguous.
+
+    Parameters
+    ----------
+    tick, volts : ndarray (n,), (n, 2)
+        Voltages that telemetry reports for each tick.
+    """
+    sent_V = np.column_stack([run.front_V, run.back_V])  # (calls, 2)
+    latencies = []
+    for call in range(1, len(sent_V)):
+        if np.abs(sent_V[call] - sent_V[call - 1]).max() < _DIFFERENT_V:
+            continue
+        start = int(np.searchsorted(tick, run.tick[call], side="right"))
+        is_same = np.abs(volts[start : start + _LOOK_TICKS] - sent_V[call]).max(axis=1) < _SAME_V
+        if is_same.any():
+            latencies.append(float(tick[start + int(np.argmax(is_same))] - run.tick[call]))
+    return np.array(latencies)

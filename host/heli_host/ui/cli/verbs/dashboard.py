@@ -1,0 +1,277 @@
+"""``heli-host dashboard``: see a flight live in the browser, and fly from there."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from heli_host.ui.cli import simulated
+from heli_host.ui.cli.options import FoxgloveOption, PortOption, flight_folder
+from heli_host.ui.cli.say import say
+from heli_host.ui.cli.twin_options import OnAlarmOption, TwinOption, lands_on_alarm, open_watch, read_twin
+from heli_host.ui.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_host.board.law_program import LawProgram
+    from heli_host.board.twins import TwinMaker
+    from heli_host.fly.heli import Heli
+    from heli_host.fly.plan import Plan
+    from heli_host.fly.recorder import Recorder
+    from heli_host.ui.page.cockpit import Cockpit
+    from heli_host.ui.page.serve import Address
+
+STEP_S = 0.5
+"""Between two looks at whether the board is still there."""
+
+
+def dashboard(
+    plans: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[PLAN...]", help="Offer the plans of these TOML files too."),
+    ] = None,
+    port: PortOption = None,
+    sil: simulated.SilOption = False,
+    board: simulated.BoardOption = None,
+    elf: simulated.ElfOption = None,
+    rig: simulated.RigOption = None,
+    model: simulated.ModelOption = None,
+    effect: simulated.EffectOption = None,
+    effect_file: simulated.EffectFilesOption = None,
+    seed: simulated.SeedOption = 1,
+    flown: Annotated[
+        list[str] | None,
+        typer.Option("--fly", metavar="PLAN", help="Fly this plan as soon as a page is open. Repeatable."),
+    ] = None,
+    laws: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--law",
+            metavar="FILE.py",
+            help="Offer this control law too, and run its code. Repeatable.",
+            show_default=False,
+        ),
+    ] = None,
+    twin: TwinOption = None,
+    on_alarm: OnAlarmOption = None,
+    replay: Annotated[
+        Path | None, typer.Option("--replay", metavar="FILE", help="Show this log instead of a board.")
+    ] = None,
+    host: Annotated[
+        str,
+        typer.Option(
+            "--host", metavar="ADDRESS", help="Serve on this address, 0.0.0.0 for the whole network."
+        ),
+    ] = "127.0.0.1",
+    http_port: Annotated[
+        int,
+        typer.Option(
+            "--http-port", metavar="N", min=0, max=65535, help="Serve on this TCP port, 0 for a free one."
+        ),
+    ] = 0,
+    foxglove: FoxgloveOption = None,
+) -> None:
+    """Serve a live page of the flight in the browser, and fly from there.
+
+    Prints the address of the page, for this computer only. Nothing flies before you start a plan there, or
+    with --fly. Space, Esc and the large button stop the motors. Ctrl-C lands and ends the server. Flights are
+    recorded in flights/TIME/.
+
+    Example: `heli-host dashboard --sil`
+    """
+    from heli_host.board.laws import read_law
+    from heli_host.fly.plan import load_plan, plan_names
+    from heli_host.ui.cli.board import check_target
+
+    if replay is not None and sil:
+        raise typer.BadParameter("--replay and --sil exclude each other; give one of them")
+    if not sil:
+        simulated.refuse_without_sil(
+            board=board, elf=elf, model=model, effect=effect, effect_file=effect_file
+        )
+    lands = lands_on_alarm(twin, on_alarm)
+    if replay is not None:
+        if twin is not None:
+            raise typer.BadParameter(
+                f"--twin needs a board; compare a log with: heli-host twin {replay} --rig {twin}"
+            )
+        if foxglove is not None:
+            raise typer.BadParameter(f"--foxglove needs a board; viewers open {replay} as a file")
+        if flown or laws or plans:
+            raise typer.BadParameter(
+                f"--replay {replay} shows a log and flies nothing; leave plans and laws out"
+            )
+        _serve_log(replay, rig, host, http_port)
+        return
+    check_target(port, sil)
+    files = [name for name in (*(plans or ()), *(flown or ())) if name not in plan_names()]
+    offered_plans = [load_plan(name) for name in (*plan_names(), *dict.fromkeys(files))]
+    # The page names a plan by its title, not by its file.
+    first_plans = [load_plan(name).name for name in flown or ()]
+    programs = [read_law(path, rig) for path in laws or ()]
+    address = simulated.sil_address(
+        rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effect_file
+    )
+    _serve_board(
+        port,
+        address if sil else None,
+        rig,
+        offered_plans,
+        first_plans,
+        programs,
+        (read_twin(twin), lands),
+        host,
+        http_port,
+        foxglove,
+    )
+
+
+def _serve_board(
+    port: str | None,
+    address: str | None,
+    rig: str | None,
+    plans: Sequence[Plan],
+    first_plans: Sequence[str],
+    laws: Sequence[LawProgram],
+    twin: tuple[TwinMaker | None, bool],
+    host: str,
+    http_port: int,
+    foxglove: int | None,
+) -> None:
+    """Serve the page of a board until Ctrl-C; fly `first_plans` as soon as a page watches. `twin` has the
+    maker of the twin, and whether its alarm lands.
+    """
+    from heli_host.fly.recorder import Recorder
+    from heli_host.link.transport import transport_label, transport_note
+    from heli_host.ui.cli.board import board_text, check_board_rig, open_board
+    from heli_host.ui.foxglove_feed import foxglove_feed
+    from heli_host.ui.page.cockpit import Cockpit
+    from heli_host.ui.page.serve import serving
+
+    outline = _outline_of_rig(rig, simulated_board=address is not None)
+    with open_board(port, address) as heli, foxglove_feed(heli, foxglove) as feed:
+        transport = heli.session.transport
+        if note := transport_note(transport):
+            say(note)
+        if feed is not None:
+            say(f"viewers: {feed.address}")
+        text = board_text(heli)
+        say(text)
+        check_board_rig(heli, rig)
+
+        def new_recorder(flown: Sequence[Plan], duration_s: float) -> Recorder:
+            """Return the recorder of a flight in a new folder."""
+            return Recorder(
+                heli,
+                flight_folder() / "flight.mcap",
+                rig_name=simulated.rig_name(rig, simulated=address is not None),
+                plans=flown,
+                board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
+                duration_s=duration_s,
+            )
+
+        def land() -> None:
+            if heli.motors_may_run:
+                heli.land(wait=False)
+
+        maker, lands = twin
+        watch = open_watch(heli, maker, land if lands else None)
+        name = simulated.rig_name(rig, simulated=address is not None)
+        cockpit = Cockpit(heli, new_recorder, plans, text, outline, watch, laws, rig_name=name)
+        try:
+            with serving(cockpit, host, http_port) as served:
+                _say_addresses(served)
+                has_ended = threading.Event()
+                if first_plans:
+                    threading.Thread(
+                        target=_fly_plans, args=(cockpit, first_plans, has_ended), name="plans", daemon=True
+                    ).start()
+                try:
+                    _wait_for_interrupt(heli)
+                finally:
+                    has_ended.set()
+        finally:
+            if watch is not None:
+                watch.close()
+            cockpit.close()
+
+
+def _fly_plans(cockpit: Cockpit, names: Sequence[str], ended: threading.Event) -> None:
+    """Fly plans when a page watches, in a thread of its own, and print the outcome."""
+    from heli_host.errors import HeliError
+
+    try:
+        result = cockpit.fly_when_watched(names, ended.is_set)
+    except HeliError as error:
+        say(f"not flown: {error}")
+    else:
+        if result:
+            say(f"flown: {', '.join(names)}: {result['outcome']}")
+
+
+def _wait_for_interrupt(heli: Heli) -> None:
+    """Wait for Ctrl-C, then land; a second one stops the motors, which closing the board does."""
+    try:
+        while True:
+            heli.session.wait_for(lambda: False, STEP_S)
+    except KeyboardInterrupt:
+        if heli.motors_may_run:
+            say("landing; Ctrl-C stops the motors")
+            heli.land()
+            say("landed")
+
+
+def _serve_log(log: Path, rig: str | None, host: str, http_port: int) -> None:
+    """Serve the page of a log until Ctrl-C, drawn with the `rig` given or else with that of the log."""
+    from heli_host.data.log.reader import read_log
+    from heli_host.ui.page.replay import Replay
+    from heli_host.ui.page.serve import serving
+
+    read = read_log(log)
+    name = rig or read.metadata.get("session", {}).get("rig") or None
+    with contextlib.ExitStack() as stack:
+        replay = Replay(read, _outline_of_log(name))
+        stack.callback(replay.close)
+        _say_addresses(stack.enter_context(serving(replay, host, http_port)))
+        with contextlib.suppress(KeyboardInterrupt):
+            replay.run()
+
+
+def _outline_of_rig(rig: str | None, *, simulated_board: bool) -> dict[str, float]:
+    """Return lengths and masses of the rig for the page; empty if the rig is unknown."""
+    from heli_host.ui.page.rigs import outline
+
+    if rig is None and not simulated_board:
+        return {}
+    return outline(rig if rig is not None else simulated.DEFAULT_RIG)
+
+
+def _outline_of_log(rig: str | None) -> dict[str, float]:
+    """Return the lengths with which the page draws a rig; empty without its file."""
+    from heli_host.errors import HeliError
+    from heli_host.ui.page.rigs import outline
+
+    # The name of a rig that a log was flown with; its file may be elsewhere, or nowhere any more.
+    with contextlib.suppress(HeliError):
+        return outline(rig if rig is not None else simulated.DEFAULT_RIG)
+    return {}
+
+
+def _say_addresses(served: Address) -> None:
+    """Print the addresses of the page, and a warning if other computers can reach it."""
+    import sys
+
+    if not served.is_local:
+        print(
+            "warning: everybody on the network who learns the address can fly this board; "
+            "127.0.0.1 keeps it on this machine",
+            file=sys.stderr,
+        )
+    say(f"page: {served.page}", f"programs join {served.program}", "Ctrl-C ends it")
+
+
+VERB = Verb(dashboard, "Fly", aliases=("page",))

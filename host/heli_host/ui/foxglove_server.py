@@ -1,0 +1,210 @@
+"""``python -m heli_host.ui.foxglove_server``: serve ticks from standard input to viewers, for `foxglove_feed`.
+
+It runs in a process of its own, so that viewers take no time from the link or the stop. Each part on
+standard input has a header of kind (u8) and size (u32), little-endian. Kinds are the settings as JSON, which
+come first, ticks, and events as JSON. The first line on standard output is JSON: the port, or the error. The
+end of standard input ends the server.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import struct
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+
+from heli_host.data.log.clock import TickClock
+from heli_host.data.log.records import json_bytes
+from heli_host.data.log.schema import (
+    CDR_LITTLE_ENDIAN,
+    EVENT_SCHEMA,
+    EVENT_SCHEMA_NAME,
+    EVENT_TOPIC,
+    LEVEL_INFO,
+    TICK_LAYOUT,
+    TICK_SCHEMA,
+    TICK_SCHEMA_NAME,
+    TICK_TOPIC,
+    fill_ticks,
+)
+from heli_host.declaration import Channel
+from heli_host.ui.foxglove_gate import HOST, ViewerGate
+
+SETTINGS, TICKS, EVENT = 1, 2, 3
+HEADER: Final = struct.Struct("<BI")
+_BACKLOG: Final = 20_000
+"""Messages that wait for one slow client: 20 s of ticks, 4 MB. More: a client that hangs costs memory. Fewer:
+a client that pauses for a second, as browsers do, misses samples."""
+_NICENESS: Final = 10
+"""More than 0, so that viewers wait for the flight; less than 19, with which a busy computer starves them."""
+_MESSAGE = np.dtype([("cdr", "<u4"), ("payload", TICK_LAYOUT.dtype)])
+_TICK_BYTES: Final = 4 * (1 + len(Channel))
+
+
+class FoxgloveServer:
+    """Publishes ticks and events to all connected viewers, by the topics and layouts of the log.
+
+    It advertises no capability: a client can neither publish nor call or set anything.
+
+    Parameters
+    ----------
+    settings : Mapping of str to Any
+        ``port``, ``start_wall_ns`` and ``rad_per_count``.
+
+    Raises
+    ------
+    RuntimeError
+        The port is in use.
+    """
+
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        import foxglove
+
+        self._start_wall_ns = int(settings["start_wall_ns"])
+        self._rad_per_count = np.array(settings["rad_per_count"], np.float64)
+        self._clock = TickClock()
+        # The context and its channels exist only as long as there is a reference to the context.
+        context = self._context = foxglove.Context()
+        self._ticks = foxglove.Channel(
+            TICK_TOPIC,
+            schema=foxglove.Schema(name=TICK_SCHEMA_NAME, encoding="ros2msg", data=TICK_SCHEMA.encode()),
+            message_encoding="cdr",
+            context=context,
+        )
+        self._events = foxglove.Channel(
+            EVENT_TOPIC,
+            schema=foxglove.Schema(name=EVENT_SCHEMA_NAME, encoding="jsonschema", data=EVENT_SCHEMA.encode()),
+            message_encoding="json",
+            context=context,
+        )
+        # The SDK accepts pages of any origin. Viewers reach it through a gate only, because it listens on an
+        # address of this computer that no page can guess.
+        self._server, inner_host = _start_hidden(
+            foxglove.start_server,
+            name="heli-lab",
+            port=0,
+            capabilities=[],
+            context=context,
+            message_backlog_size=_BACKLOG,
+        )
+        try:
+            self._gate = ViewerGate(int(settings["port"]), (inner_host, self._server.port))
+        except OSError as error:
+            self._server.stop()
+            raise RuntimeError(error.strerror or str(error)) from error
+        self.port: int = self._gate.port
+
+    def publish_ticks(self, content: bytes) -> None:
+        """Publish a batch of ticks.
+
+        Parameters
+        ----------
+        content : bytes
+            All tick numbers (u32), then the raw channels (i32) of each tick, little-endian.
+        """
+        count = len(content) // _TICK_BYTES
+        tick = np.frombuffer(content, "<u4", count)
+        raw = np.frombuffer(content, "<i4", count * len(Channel), 4 * count).reshape(count, len(Channel))
+        time_us, _ = self._clock.advance(tick)
+        if not self._ticks.has_sinks():
+            return
+        messages = np.zeros(count, _MESSAGE)
+        messages["cdr"] = int.from_bytes(CDR_LITTLE_ENDIAN, "little")
+        fill_ticks(messages["payload"], time_us / 1e6, tick, raw, self._rad_per_count)
+        packed, size, log = messages.tobytes(), _MESSAGE.itemsize, self._ticks.log
+        for number, time_ns in enumerate((self._start_wall_ns + time_us * 1000).tolist()):
+            log(packed[number * size : (number + 1) * size], log_time=time_ns)
+
+    def publish_event(self, event: Mapping[str, Any]) -> None:
+        """Publish an event.
+
+        Parameters
+        ----------
+        event : Mapping of str to Any
+            ``tick``, ``name`` and ``message``. After a restart of the board also ``gap_s``, the time from the
+            last tick before it to the first tick after it [s].
+        """
+        if "gap_s" in event:
+            self._clock.skip(float(event["gap_s"]))
+        tick = int(event["tick"])
+        time_us = self._clock.time_us(tick)
+        wall_ns = max(0, self._start_wall_ns + time_us * 1000)
+        body = {
+            "timestamp": {"sec": wall_ns // 1_000_000_000, "nsec": wall_ns % 1_000_000_000},
+            "level": LEVEL_INFO,
+            "message": str(event["message"]),
+            "name": str(event["name"]),
+            "t_s": time_us / 1e6,
+            "tick": tick,
+        }
+        self._events.log(json_bytes(body), log_time=wall_ns)
+
+    def close(self) -> None:
+        """Disconnect all viewers."""
+        self._gate.close()
+        self._server.stop()
+
+
+def _start_hidden(start_server: Callable[..., Any], **options: Any) -> tuple[Any, str]:
+    """Start a server on a random address of this computer; return it and the address.
+
+    All addresses 127.x.y.z are of this computer. A system that has 127.0.0.1 only gets that one.
+    """
+    host = f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(256)}.{secrets.randbelow(254) + 1}"
+    try:
+        return start_server(host=host, **options), host
+    except (OSError, RuntimeError):
+        return start_server(host=HOST, **options), HOST
+
+
+def read_parts(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Yield kind and content of each part of a stream, until it ends.
+
+    Parameters
+    ----------
+    stream : file
+        Binary, opened for reading.
+    """
+    while len(head := stream.read(HEADER.size)) == HEADER.size:
+        kind, size = HEADER.unpack(head)
+        content = stream.read(size)
+        if len(content) < size:
+            return
+        yield kind, content
+
+
+def _write_answer(content: Mapping[str, Any]) -> None:
+    sys.stdout.write(json.dumps(content) + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Serve standard input until it ends."""
+    # On a busy computer, link and stop have priority. Messages for viewers wait in the feed.
+    if hasattr(os, "nice"):
+        os.nice(_NICENESS)
+    received = read_parts(sys.stdin.buffer)
+    _, settings = next(received)
+    try:
+        server = FoxgloveServer(json.loads(settings))
+    except (RuntimeError, ImportError) as error:
+        _write_answer({"error": str(error)})
+        return
+    _write_answer({"port": server.port})
+    for kind, content in received:
+        if kind == TICKS:
+            server.publish_ticks(content)
+        else:
+            server.publish_event(json.loads(content))
+    server.close()
+    # Threads of the library must not delay the end.
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

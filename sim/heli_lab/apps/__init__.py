@@ -1,0 +1,1 @@
+"""Users of the laboratory: classroom, the paper, campaigns, many rigs, Gymnasium."""

@@ -1,0 +1,265 @@
+"""Run the cases of a campaign on simulated rigs: flights, fits, diagnoses and gain checks.
+
+Each of these functions takes the settings of a case, and returns its result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from heli_host.board.parameter_file import read_parameter_set
+from heli_host.data.flight import Flight
+from heli_host.data.log.summary import FlightSummary
+from heli_sim.model import MultibodyModel
+from heli_sim.model.base import Effect, Model
+from heli_sim.model.effects import catalogue, effects_of, effects_with, parse_effects
+from heli_sim.model.named import model_named
+from heli_sim.model.parts import AXES
+from heli_sim.plant import Plant
+from heli_sim.rig import Rig, load_rig
+
+from heli_lab.apps.campaign.case import Cell
+from heli_lab.apps.campaign.draw import RigDraw, draw_rig
+from heli_lab.simulated_board import connected, fly_and_read, world_of
+
+Settings = Mapping[str, Any]
+Result = tuple[dict[str, Cell], Any]
+"""Row of a case, by column, and further results that JSON can hold."""
+
+WORKS: Final = {name: f"{__name__}:{name}" for name in ("fly", "identify", "diagnose", "gains")}
+"""Functions that run cases, by their name in a campaign file."""
+DEFAULT_RANKING: Final = {
+    "fly": "travel_rms_deg",
+    "identify": "held_out_normalised",
+    "diagnose": "held_out_after",
+    "gains": "travel_rms_deg",
+}
+"""Column whose largest values are the worst cases of each work, if the campaign file names none."""
+DEFAULTS: Final[Settings] = {
+    "rig": "makki2024",
+    "model": "",
+    "effects": [],
+    "effect_files": [],
+    "seed": 1,
+    "plan": "identify",
+    "validate": "step",
+    "params": "",
+    "draw": {},
+    "threads": 1,
+    "budget": 80,
+}
+"""Settings that a case may have, with their default values."""
+_VALIDATION_SEED: Final = 500_000
+"""Added to the seed of a case for its validation flight."""
+
+
+def fly(settings: Settings) -> Result:
+    """Fly a plan on a rig that may differ from its rig file, and report how well the plan was tracked;
+    `settings` are those of the case.
+    """
+    simulated = _fly_drawn_rig(settings, settings["plan"])
+    flight, summary = simulated.flight, simulated.summary
+    row = {
+        "outcome": summary.outcome,
+        "duration_s": float(flight.duration_s),
+        **{f"{axis}_rms_deg": value for axis, value in _tracking_rms_deg(flight).items()},
+        "pitch_max_deg": float(np.degrees(np.abs(flight.pitch_rad)).max()),
+        "voltage_max_V": float(flight.voltages_V.max()),
+        **simulated.drawn.row,
+    }
+    return row, {"notes": list(summary.notes)}
+
+
+def identify(settings: Settings) -> Result:
+    """Fit parameters to a flight of a rig that differs from its rig file, and compare them with the true
+    parameters; `settings` are those of the case.
+    """
+    from heli_lab.fit.identify.run import identify as identify_rig
+
+    training = _fly_drawn_rig(settings, settings["plan"])
+    validation = _fly_drawn_rig(settings, settings["validate"], _VALIDATION_SEED)
+    nominal, true = training.nominal, training.drawn.rig
+    identification = identify_rig(
+        # The fit estimates the sizes of the effects of the case.
+        _chosen_model(
+            settings, nominal, effects_with(nominal, settings["effects"], settings["effect_files"])
+        ),
+        nominal,
+        [training.flight],
+        validation=[validation.flight],
+        labels=["fit"],
+        validation_labels=["validation"],
+        threads=settings["threads"],
+    )
+    fit = identification.fit
+    errors_in_std = {
+        name: (value - true[name].value) / fit.std[name]
+        for name, value in fit.values.items()
+        if name in true and not name.startswith("offset_")
+    }
+    sizes = [abs(error) for error in errors_in_std.values()]
+    row = {
+        "outcome": _first_failed_outcome(training, validation),
+        "normalised": identification.training[0].normalised,
+        "held_out_normalised": identification.validation[0].normalised,
+        "within_2_std": float(np.mean([size < 2.0 for size in sizes])) if sizes else None,
+        "most_std_off": max(sizes, default=None),
+        "converged": identification.converged,
+        **training.drawn.row,
+    }
+    return row, {"values": fit.values, "std": fit.std, "standard_errors_off": errors_in_std}
+
+
+def diagnose(settings: Settings) -> Result:
+    """Diagnose two flights in which the effects of the `settings` are hidden, and report whether the
+    diagnosis finds these effects.
+    """
+    from heli_lab.explain import diagnose as diagnose_flights
+    from heli_lab.report.diagnosis import to_json
+
+    training = _fly_drawn_rig(settings, settings["plan"])
+    validation = _fly_drawn_rig(settings, settings["validate"], _VALIDATION_SEED)
+    nominal = training.nominal
+    hidden = {effect.name for effect in parse_effects(settings["effects"], settings["effect_files"])}
+    in_rig_file = effects_of(nominal, settings["effect_files"])
+    known = tuple(effect for effect in in_rig_file if effect.name not in hidden)
+    diagnosis = diagnose_flights(
+        _chosen_model(settings, nominal, known),
+        nominal,
+        [training.flight],
+        [validation.flight],
+        kinds=catalogue(settings["effect_files"]),
+        labels=["fit", "validation"],
+        refits=settings["budget"],
+        threads=settings["threads"],
+    )
+    report = to_json(diagnosis)
+    diagnosed = {cause["effect"] for cause in report["causes"]}
+    confident = {cause["effect"] for cause in report["causes"] if cause["confidence"] >= 0.9}
+    normalised = report["residual"]["normalised"]
+    row = {
+        "outcome": _first_failed_outcome(training, validation),
+        "verdict": report["verdict"],
+        "causes": ", ".join(sorted(diagnosed)),
+        "found": hidden <= diagnosed,
+        "wrongly_sure": len(confident - hidden),
+        "held_out_before": normalised["held_out_before"],
+        "held_out_after": normalised["held_out_after"],
+        **{f"{axis}_gain": gain["ratio"] for axis, gain in report["gain"]["axis"].items()},
+        "complete": report["complete"],
+        **training.drawn.row,
+    }
+    return row, report
+
+
+def gains(settings: Settings) -> Result:
+    """Test the board's parameters of the `settings` on a demanding flight: a step of travel, back, then
+    sines.
+    """
+    from dataclasses import asdict
+
+    from heli_lab.control.tune.flights import try_gains
+
+    nominal, drawn = _nominal_and_drawn_rig(settings)
+    model = _chosen_model(settings, nominal, parse_effects(drawn.effects, settings["effect_files"]))
+    plant = Plant(model, drawn.rig, settings["seed"])
+    trial = try_gains(plant, _board_parameters(settings), "campaign", settings["seed"])
+    metrics = {
+        name: None if isinstance(value, float) and not np.isfinite(value) else value
+        for name, value in asdict(trial.metrics).items()
+    }
+    detail = {
+        "effects": list(drawn.effects),
+        "numbers": {name: number.value for name, number in drawn.rig.items()},
+    }
+    return {**metrics, **drawn.row}, detail
+
+
+def drawn_row(settings: Settings) -> dict[str, Cell]:
+    """Return the drawn values of a case with these `settings` as columns of the table, without running it."""
+    _, drawn = _nominal_and_drawn_rig(settings)
+    return drawn.row
+
+
+def _nominal_and_drawn_rig(settings: Settings) -> tuple[Rig, RigDraw]:
+    """Return the rig of the rig file, and the rig with the drawn parameters of a case."""
+    nominal = load_rig(settings["rig"])
+    return nominal, draw_rig(nominal, settings["effects"], settings["draw"], settings["seed"])
+
+
+@dataclass(frozen=True)
+class _SimulatedFlight:
+    """A flight of a simulated rig.
+
+    Parameters
+    ----------
+    nominal : Rig
+        The rig of the file.
+    drawn : RigDraw
+        The rig that flew, and its effects.
+    flight : Flight
+        Log of the flight.
+    summary : FlightSummary
+        Outcome of the flight.
+    """
+
+    nominal: Rig
+    drawn: RigDraw
+    flight: Flight
+    summary: FlightSummary
+
+
+def _first_failed_outcome(*flights: _SimulatedFlight) -> str:
+    """Return the outcome of the first flight that was not completed; otherwise ``completed``."""
+    return next((flight.summary.outcome for flight in flights if not flight.summary.completed), "completed")
+
+
+def _fly_drawn_rig(settings: Settings, plan: str, seed_offset: int = 0) -> _SimulatedFlight:
+    """Fly a plan on the simulated rig of a case.
+
+    Parameters
+    ----------
+    plan : str
+        Name or file of the plan.
+    seed_offset : int
+        Added to the seed of encoders, line and disturbances, but not to that of the drawn parameters: a case
+        flies several times on the same rig.
+    """
+    nominal, drawn = _nominal_and_drawn_rig(settings)
+    model = _chosen_model(settings, nominal, effects_with(nominal, drawn.effects, settings["effect_files"]))
+    seed = settings["seed"] + seed_offset
+    with connected(world_of(Plant(model, drawn.rig, seed), seed)) as heli:
+        if parameters := _board_parameters(settings):
+            heli.params.restore(parameters)
+        return _SimulatedFlight(nominal, drawn, *fly_and_read(heli, plan))
+
+
+def _board_parameters(settings: Settings) -> dict[str, float]:
+    """Read the board's parameters of a case, by name; empty if its settings name no file."""
+    return read_parameter_set(Path(settings["params"])).values if settings["params"] else {}
+
+
+def _chosen_model(settings: Settings, rig: Rig, effects: tuple[Effect, ...]) -> Model:
+    """Return the model that the settings name, or otherwise that of the `rig`, with these `effects`."""
+    return model_named(settings["model"] or rig.model or MultibodyModel.name, effects)
+
+
+def _tracking_rms_deg(flight: Flight) -> dict[str, float]:
+    """Compute the RMS tracking error of elevation and travel in closed loop [deg], by axis; empty for a
+    flight without setpoints.
+    """
+    from heli_host.declaration import State
+
+    setpoints_rad = flight.setpoints_rad
+    if setpoints_rad is None or flight.state is None:
+        return {}
+    in_closed_loop = flight.state == State.CLOSED_LOOP
+    if not in_closed_loop.any():
+        return {}
+    error_deg = np.degrees(flight.angles_rad - setpoints_rad)[in_closed_loop]
+    rms_deg: Sequence[float] = np.sqrt(np.mean(error_deg**2, axis=0)).tolist()
+    return {axis: value for axis, value in zip(AXES, rms_deg, strict=True) if axis != "pitch"}

@@ -1,0 +1,301 @@
+"""The simulators of an episode: the equations of motion alone, or the flight code on a simulated board."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Protocol
+from urllib.parse import urlencode
+
+import casadi as ca
+import heli_host
+import numpy as np
+from heli_host.arrays import Floats
+from heli_host.declaration import Axes, State
+from heli_host.errors import HeliError
+from heli_sim.compiled import compile_function
+from heli_sim.model.multibody import MultibodyModel
+from heli_sim.model.named import model_named
+from heli_sim.plant import Plant
+from heli_sim.rig import write_rig
+from heli_sim.rig.encoders import count_rad
+from heli_sim.sil.inprocess import InProcessTransport
+from typing_extensions import override
+
+from heli_lab.apps.gym.domain import EpisodeRig
+from heli_lab.errors import LearningError
+
+_BATCH_TICKS: Final = 4
+"""Smallest telemetry batch of the board [ms]: observations are at most 4 ms old."""
+_CARRY_S, _CARRY_STEPS = 0.5, 50
+"""Time [s] and number of steps in which the arm is moved to its initial state, and again in which it is held
+there. The arm then turns at most 20 deg/s, far below the rate at which the board reports a fault."""
+_MAX_PLANTS: Final = 32
+"""Largest number of compiled plants to keep."""
+_LIMITS: Final = ("elevation_min", "elevation_max", "pitch_max", "travel_max", "table_damping")
+"""Rig parameters that follow those of the model in the arguments of a compiled plant."""
+_SETTLING_STEPS, _SETTLING_TICKS = 20, 20
+"""Number of steps, and length of each [ms], until lagging thrusts have reached hover: 0.4 s in total."""
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """Measurement at the end of a step.
+
+    Parameters
+    ----------
+    angles_rad : ndarray (3,)
+        Elevation, pitch and travel, quantised by the encoders.
+    flying : bool
+        False if the arm is on its table, an axis is at its stop, or the board refuses voltages.
+    reason : str
+        Reason why the flight has ended; empty while it continues.
+    """
+
+    angles_rad: Floats
+    flying: bool = True
+    reason: str = ""
+
+
+class Simulator(Protocol):
+    """Simulation that `HoverEnv` controls."""
+
+    def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
+        """Begin an episode with a rig in the air.
+
+        Parameters
+        ----------
+        drawn : EpisodeRig
+            The rig and its effects.
+        state : ndarray (6,)
+            Initial angles [rad] and rates [rad/s].
+        hover_V : ndarray (2,)
+            Front and back voltage before the episode [V]; a rotor lag starts settled at them.
+        seed : int
+            Seed of random effects.
+        """
+
+    def step(self, volts_V: Floats, ticks: int) -> StepResult:
+        """Apply two voltages for some milliseconds.
+
+        Parameters
+        ----------
+        volts_V : ndarray (2,)
+            Front and back voltage [V].
+        ticks : int
+            Duration [ms].
+        """
+
+    def close(self) -> None:
+        """Release all resources."""
+
+
+class PlantAlone(Simulator):
+    """Equations of motion with encoders, stops and table, without the board: the fastest simulation."""
+
+    def __init__(self) -> None:
+        self._run: dict[object, ca.Function] = {}
+        self._plants: dict[object, Plant] = {}
+
+    @override
+    def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
+        model = model_named(drawn.rig.model or MultibodyModel.name, drawn.effects)
+        delays_s = tuple(effect.values[effect.delay] for effect in drawn.effects if effect.delay)
+        # A compiled step depends on these only; all other quantities are its arguments.
+        key = (model.name, tuple(effect.name for effect in model.effects), delays_s)
+        if key not in self._plants:
+            if len(self._plants) >= _MAX_PLANTS:
+                self._plants.clear()
+                self._run.clear()
+            self._plants[key] = Plant(model, drawn.rig, seed)
+        plant = self._plants[key]
+        self._key, self._plant = key, plant
+        limits = plant.parameters[len(model.parameters) :].copy()
+        limits[:5] = [drawn.rig[name].value for name in _LIMITS]
+        self._parameters = np.array([*model.parameter_values(drawn.rig), *limits])
+        self._limits_rad = np.deg2rad(limits[:4])
+        self._count_rad = count_rad(drawn.rig)
+        # Random effects keep their random numbers in the state, so that the seed must be that of the episode.
+        seeded = Plant(model, drawn.rig, seed) if plant.extras.random else plant
+        self._state = seeded.rest_state()
+        # A lagging thrust must start at its hover value.
+        for _ in range(_SETTLING_STEPS):
+            self._state[:6] = state
+            self._advance(hover_V, _SETTLING_TICKS)
+        self._state[:6] = state
+        return self._measured_result(self._state[:3])
+
+    @override
+    def step(self, volts_V: Floats, ticks: int) -> StepResult:
+        return self._measured_result(self._advance(np.asarray(volts_V, np.float64), ticks))
+
+    @override
+    def close(self) -> None:
+        self._plants.clear()
+        self._run.clear()
+
+    def _advance(self, volts_V: Floats, ticks: int) -> Floats:
+        """Simulate some milliseconds, and return the measured angles [rad], shape (3,)."""
+        run = self._function_of_ticks(ticks)
+        # CasADi reads and writes the arrays in place; calls with its own matrices take five times as long.
+        buffer: Any
+        buffer, evaluate = run.buffer()
+        after, measured = np.empty(self._state.size), np.empty(3)
+        for number, argument in enumerate((self._state, volts_V, self._parameters)):
+            buffer.set_arg(number, argument.data)
+        for number, result in enumerate((after, measured)):
+            buffer.set_res(number, result.data)
+        evaluate()
+        self._state = after
+        return measured
+
+    def _function_of_ticks(self, ticks: int) -> ca.Function:
+        """Return a function that simulates some milliseconds in one call; compiled if there is a C
+        compiler.
+        """
+        key = (self._key, ticks)
+        if key not in self._run:
+            step = self._plant.function
+            library = compile_function(step)
+            if library is not None:
+                step = ca.external(step.name(), str(library))
+            x, u = ca.MX.sym("state", step.numel_in(0)), ca.MX.sym("volts_V", 2)
+            p, after, measured = ca.MX.sym("parameters", step.numel_in(3)), x, ca.MX.zeros(3)
+            for _ in range(ticks):
+                after, measured = step(after, u, ca.MX.zeros(3), p)
+            self._run[key] = ca.Function("ticks", [x, u, p], [after, measured])
+        return self._run[key]
+
+    def _measured_result(self, measured_rad: Floats) -> StepResult:
+        """Quantise the measured angles, and find out whether the flight has ended."""
+        angles_rad = np.round(measured_rad / self._count_rad) * self._count_rad
+        elevation_min, elevation_max, pitch_max, travel_max = self._limits_rad
+        elevation, pitch, travel = self._state[:3]
+        is_reached = {
+            "the arm is on its table": elevation <= elevation_min,
+            "elevation is at its stop": elevation >= elevation_max,
+            "pitch is at its stop": abs(pitch) >= pitch_max,
+            "travel is at its stop": abs(travel) >= travel_max,
+        }
+        reason = next((limit for limit, reached in is_reached.items() if reached), "")
+        return StepResult(angles_rad, not reason, reason)
+
+
+class BoardInLockstep(Simulator):
+    """Flight code with its limits and faults, and the link, in simulated time.
+
+    The board takes off with its control law, and then applies streamed voltages.
+    """
+
+    def __init__(self) -> None:
+        self._heli: heli_host.Heli | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="heli-gym-")
+        self._begin: tuple[EpisodeRig, Floats, Floats, int] | None = None
+        self._steps: list[tuple[Floats, int]] = []
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> BoardInLockstep:
+        """Return another board at the same moment of the same episode.
+
+        A running board cannot be copied. In lockstep the same voltages give the same samples, so that the
+        copy flies the episode again from its beginning.
+        """
+        copied = memo[id(self)] = BoardInLockstep()
+        if self._begin is not None and self._heli is not None:
+            copied.reset(*self._begin)
+            for volts_V, ticks in self._steps:
+                copied.step(volts_V, ticks)
+        return copied
+
+    @override
+    def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
+        self._disconnect()
+        self._begin, self._steps = (drawn, state.copy(), hover_V.copy(), seed), []
+        self._heli = heli = heli_host.connect(
+            self._board_address(drawn, seed), history_s=1.0, land_on_exit=False
+        )
+        heli.take_off()
+        heli.params["telemetry_batch_ticks"] = _BATCH_TICKS
+        heli.session.read_interval_s = 0.001
+        volts_V = self._clip_to_limits(hover_V)
+        # The simulation moves the arm now, and in open loop the board does not check that voltages explain a
+        # motion.
+        heli.control(Axes(0), *volts_V)
+        self._carry_arm(state)
+        heli.stream()
+        heli.voltages(*volts_V)
+        return self._measured_result()
+
+    @override
+    def step(self, volts_V: Floats, ticks: int) -> StepResult:
+        heli = self._connected_board()
+        self._steps.append((np.array(volts_V), ticks))
+        try:
+            heli.voltages(*self._clip_to_limits(volts_V), valid_s=ticks * 2e-3)
+            heli.wait(ticks * 1e-3)
+        except HeliError as error:
+            return StepResult(self._angles_rad(), False, error.cause)
+        return self._measured_result()
+
+    @override
+    def close(self) -> None:
+        self._disconnect()
+        self._folder.cleanup()
+
+    def _board_address(self, drawn: EpisodeRig, seed: int) -> str:
+        """Return the address of a simulated board with the episode's rig, which is written to a file."""
+        path = Path(self._folder.name) / "rig.toml"
+        write_rig(drawn.rig, path)
+        options = {"rig": str(path), "seed": str(seed), "slice_ms": "1"}
+        if drawn.texts:
+            options["effect"] = ";".join(drawn.texts)
+        return f"sil://?{urlencode(options)}"
+
+    def _carry_arm(self, state: Floats) -> None:
+        """Move the arm to `state`, angles [rad] and rates [rad/s], and hold it until the board's rate filters
+        have settled.
+        """
+        heli = self._connected_board()
+        transport = heli.session.transport
+        if not isinstance(transport, InProcessTransport):
+            raise LearningError("the board runs in another process", "remove the option board")
+        world = transport.world
+        angles_before_rad = world.state[:3].copy()
+        # The arm moves gradually, because the board reports a jump as a runaway axis. A share beyond 1 holds
+        # it.
+        for share in np.minimum(np.linspace(0.0, 2.0, 2 * _CARRY_STEPS), 1.0):
+            angles_rad = angles_before_rad + share * (state[:3] - angles_before_rad)
+            world.state = np.array([*angles_rad, *state[3:], *world.state[6:]])
+            heli.wait(_CARRY_S / _CARRY_STEPS)
+
+    def _connected_board(self) -> heli_host.Heli:
+        """Return the connected board; a LearningError reports that no episode has begun."""
+        if self._heli is None:
+            raise LearningError("no episode has begun", "call reset() first")
+        return self._heli
+
+    def _clip_to_limits(self, volts_V: Floats) -> tuple[float, float]:
+        """Limit front and back voltage to the range that the board accepts."""
+        params = self._connected_board().params
+        front_V, back_V = np.clip(volts_V, params["motor_min_V"], params["motor_max_V"]).tolist()
+        return front_V, back_V
+
+    def _angles_rad(self) -> Floats:
+        """Return the newest measured angles, shape (3,)."""
+        newest = self._connected_board().latest
+        return np.array([newest.elevation_rad, newest.pitch_rad, newest.travel_rad])
+
+    def _measured_result(self) -> StepResult:
+        """Return the newest measured angles, and whether the board still accepts voltages."""
+        newest = self._connected_board().latest
+        flying = newest.state is State.STREAMED
+        reason = "" if flying else f"the board is in {newest.state}, fault {newest.fault}"
+        return StepResult(self._angles_rad(), flying, reason)
+
+    def _disconnect(self) -> None:
+        """End the connection to the board, if there is one."""
+        if self._heli is not None:
+            with contextlib.suppress(HeliError):
+                self._heli.close()
+            self._heli = None

@@ -1,0 +1,1 @@
+"""Control laws as data, gains designed from a rig, and flights with both."""

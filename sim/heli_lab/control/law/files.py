@@ -1,0 +1,257 @@
+"""Load a control law from a Python file that defines ``LAW``. The file runs in a separate process."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any, Final
+
+from heli_host.board.law_program import LawProgram
+from heli_host.board.laws import FILE_LIMIT_s
+from heli_host.errors import BadLaw
+
+from heli_lab.control.law.law import Law
+from heli_lab.control.law.limits import FileLimits
+from heli_lab.control.law.program_data import program_of_json
+from heli_lab.control.law.rig import rig_environment
+
+_MAX_START_s: Final = 120.0
+"""Longest wait until a process begins with the file [s]: a busy computer imports CasADi in some seconds."""
+_WAIT_PER_CPU_s: Final = 5.0
+_EXTRA_WAIT_s: Final = 3.0
+"""An untrusted file may run for this multiple of its processor time, plus this extra time [s]: the
+processor is shared, and the system ends an endless loop up to 2 s late. With less, a busy computer
+refuses valid files; with more, a file that sleeps delays a whole class."""
+_MAX_ANSWER_BYTES: Final = 1 << 20
+"""Longest answer of an untrusted file: a program of 1,536 words takes less than 200 kB."""
+_FENCED_ENVIRONMENT: Final = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "PYTHONHASHSEED": "0",
+}
+"""Environment of an untrusted file: threads would take memory, and random hashes would change the order of a
+set from run to run."""
+
+
+def check_files(paths: Sequence[Path]) -> None:
+    """Check that files exist, before the work with them begins.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files of control laws.
+
+    Raises
+    ------
+    BadLaw
+        One of them is not a file.
+    """
+    for path in paths:
+        if not path.is_file():
+            raise BadLaw(f"{path} is not a file", "give a Python file that ends with LAW = ...")
+
+
+def load_law(path: Path, limit_s: float = FILE_LIMIT_s, rig: str | None = None) -> Law:
+    """Run a file in a separate process, and return its ``LAW``.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its code is run, with its folder on the path of imports. Its output goes to standard error.
+    limit_s : float
+        Longest time that the file may run [s].
+    rig : str or None
+        Name or path of the rig that `heli_lab.law.law_rig` returns to the file; None for the file's default.
+
+    Raises
+    ------
+    BadLaw
+        The file is missing, fails, does not end in time, or has no law.
+    """
+    check_files([path])
+    try:
+        pickled, status = _run_in_process(path, limit_s, rig)
+    except TimeoutError:
+        raise BadLaw(
+            f"{path.name} did not end within {limit_s:g} s",
+            "look for a loop without an end; heli-host law allows longer with --load-timeout",
+        ) from None
+    if not pickled:
+        raise _error_of_ended_process(path, status)
+    answer: dict[str, Any] = pickle.loads(pickled)
+    law = answer["law"]
+    if not isinstance(law, Law):
+        raise BadLaw(answer["cause"], answer["remedy"])
+    return law
+
+
+def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawProgram:
+    """Run an untrusted file in a fenced process, and return the program of its ``LAW``.
+
+    The process has limits of time and memory, and can write no file, open no socket and start no process. Its
+    answer is checked, and everything that it prints is discarded. The file can still read all files that you
+    can read.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its code is run, with its folder on the path of imports.
+    limits : FileLimits
+        Processor time and memory; the file may take five times this time, because the processor is shared.
+    rig : str or None
+        As for `load_law`.
+
+    Raises
+    ------
+    BadLaw
+        As `load_law`, or the file breaks a limit.
+    """
+    # Reading a pipe or a device of this name would never end.
+    check_files([path])
+    options = (f"{limits.cpu_s}", f"{limits.memory_MB}")
+    # The same message for an endless loop and an endless wait: the computer's load decides which limit ends
+    # the process first.
+    endless = BadLaw(
+        f"{path.name} did not end within {limits.cpu_s:g} s of processor time",
+        "look for a loop or a wait without an end; --load-timeout allows more",
+    )
+    try:
+        answer, status = _run_in_process(
+            path, _WAIT_PER_CPU_s * limits.cpu_s + _EXTRA_WAIT_s, rig, options, _MAX_ANSWER_BYTES
+        )
+    except TimeoutError:
+        raise endless from None
+    if not answer:
+        if status < 0 and signal.Signals(-status).name in ("SIGXCPU", "SIGKILL"):
+            raise endless
+        raise _error_of_ended_process(path, status)
+    try:
+        reply = json.loads(answer)
+        if "program" in reply:
+            return program_of_json(reply["program"])
+        cause, remedy = str(reply["cause"]), str(reply["remedy"])
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise BadLaw(
+            f"{path.name} did not return a law", "remove the code that replaces the output of its process"
+        ) from error
+    if MemoryError.__name__ in cause:
+        remedy = f"use less than {limits.memory_MB} MB of memory"
+    elif PermissionError.__name__ in cause:
+        remedy = "a law's file only computes: remove this line"
+    raise BadLaw(cause, remedy)
+
+
+def _run_in_process(
+    path: Path, limit_s: float, rig: str | None, options: tuple[str, ...] = (), max_bytes: int = -1
+) -> tuple[bytes, int]:
+    """Run a law file in another process, and return its answer.
+
+    Parameters
+    ----------
+    limit_s : float
+        Longest time that the file may run [s].
+    options : tuple of str
+        Limits of a fenced process; empty for a trusted file.
+    max_bytes : int
+        Longest answer that is read; -1 for any length.
+
+    Returns
+    -------
+    answer : bytes
+        Answer of the process; empty if the process failed.
+    status : int
+        Exit status of a process without an answer, otherwise 0.
+
+    Raises
+    ------
+    TimeoutError
+        The process does not end in time.
+    """
+    fenced = bool(options)
+    process = subprocess.Popen(
+        # -P: a file in the present folder cannot replace a module of Python.
+        [
+            sys.executable,
+            "-P",
+            "-m",
+            "heli_lab.control.law.run_file",
+            str(path.absolute() if fenced else path),
+            *options,
+        ],
+        env={
+            **os.environ,
+            # A relative entry, as of `sys.path.insert(0, ".")`, would be the present folder too.
+            "PYTHONPATH": os.pathsep.join(filter(os.path.isabs, sys.path)),
+            **rig_environment(rig),
+            **(_FENCED_ENVIRONMENT if fenced else {}),
+        },
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL if fenced else None,
+        cwd=path.parent if fenced else None,
+        # A separate session, so that processes started by the file can be ended together with it.
+        start_new_session=True,
+    )
+    answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    # Windows cannot wait for a pipe with a time limit, so a thread reads the pipe.
+    threading.Thread(target=_read_answer, args=(process.stdout, answers, max_bytes), daemon=True).start()
+    try:
+        # First the line that the file begins, then the answer.
+        answers.get(timeout=_MAX_START_s)
+        answer = answers.get(timeout=limit_s)
+        # Without an answer, the process has closed its output and is about to end.
+        return answer, 0 if answer else process.wait(timeout=limit_s)
+    except (queue.Empty, subprocess.TimeoutExpired):
+        raise TimeoutError from None
+    finally:
+        _kill_process_group(process)
+
+
+def _error_of_ended_process(path: Path, status: int) -> BadLaw:
+    """Describe the error that the file at `path` ended its process with an exit `status`."""
+    reason = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
+    return BadLaw(f"{path.name} ended Python ({reason})", "correct the file; python FILE shows details")
+
+
+def _read_answer(pipe: IO[bytes], answers: queue.SimpleQueue[bytes], max_bytes: int) -> None:
+    """Read the output of a process into a queue: first its first line, then up to `max_bytes` that follow."""
+    with pipe:
+        answers.put(pipe.readline())
+        answers.put(pipe.read(max_bytes))
+
+
+def _kill_process_group(process: subprocess.Popen[bytes]) -> None:
+    """End a process, and all processes that it has started."""
+    with suppress(ProcessLookupError, PermissionError):
+        if hasattr(os, "killpg"):
+            os.killpg(process.pid, signal.SIGKILL)
+        else:
+            process.kill()
+    process.wait()
+
+
+def load_program(path: Path, rig: str | None = None) -> LawProgram:
+    """Compile the ``LAW`` of a file; the entry point ``heli_host.laws``.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its code is run.
+    rig : str or None
+        As for `load_law`.
+
+    Raises
+    ------
+    BadLaw
+        The file is missing, fails, does not end or has no law, or the board cannot run the law.
+    """
+    return load_law(path, rig=rig).program

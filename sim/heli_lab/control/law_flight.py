@@ -1,0 +1,118 @@
+"""Fly control laws with the options of the command line, for the verbs `law` and `class`."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from heli_host.board.law_program import LawProgram
+from heli_host.fly.flight_monitor import LAW_TAKEN_OVER
+from heli_host.interrupts import was_interrupted
+from heli_host.ui.cli.flight_command import FlightOptions, FlownFlight, fly_plans
+from heli_host.ui.cli.say import QUIET
+
+from heli_lab.control.law.trial import LawTrial
+
+if TYPE_CHECKING:
+    from heli_host.fly.plan import Plan
+
+
+def fly_law(
+    program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
+) -> tuple[FlownFlight, LawTrial]:
+    """Fly a plan with a law.
+
+    The caller must write the files of the flight, and then call `FlownFlight.end`, which raises if the
+    board's own law took over.
+
+    Parameters
+    ----------
+    program : LawProgram or None
+        Program of the law; None for the board's own law.
+    options : FlightOptions
+        Board, rig, and files to write.
+    plan : Plan
+        Plan of the flight.
+    typed : str
+        Plan as typed on the command line, for the truth file of a blind flight.
+
+    Returns
+    -------
+    flown : FlownFlight
+        The flight, completed, or flown to its end by the board's own law.
+    trial : LawTrial
+        How well the law followed its setpoints.
+
+    Raises
+    ------
+    FlightAborted
+        The flight ended early. Its files have been written.
+    HeliError
+        As `fly_plans`.
+    """
+    flown, taken_over = flown_with(program, options, plan, typed)
+    if not (flown.summary.completed or taken_over):
+        flown.report()
+        flown.write()
+        # This raises FlightAborted.
+        flown.end()
+    return flown, LawTrial.of_log(flown.log, taken_over)
+
+
+def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) -> LawTrial:
+    """Fly a plan with a law, and return the result only: no output is printed, and no file is kept.
+
+    Parameters
+    ----------
+    program, options, plan
+        As in `fly_law`.
+    """
+    quiet_setting = QUIET.set(True)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            trial_options = replace(options, log=Path(folder) / "trial.mcap")
+            flown, taken_over = flown_with(program, trial_options, plan)
+            if was_interrupted(flown.summary.outcome):
+                # The caller flies more than one flight, and would go on after the error of one.
+                raise KeyboardInterrupt
+            if not taken_over:
+                flown.end()
+            return LawTrial.of_log(flown.log, taken_over)
+    finally:
+        QUIET.reset(quiet_setting)
+
+
+def flown_with(
+    program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
+) -> tuple[FlownFlight, str]:
+    """Fly a plan with a law, and return the flight, whether it was completed or not.
+
+    Parameters
+    ----------
+    program, options, plan, typed
+        As in `fly_law`.
+
+    Returns
+    -------
+    flown : FlownFlight
+        The flight.
+    taken_over : str
+        Why the board's own law took over and flew the plan to its end; empty if it did not.
+
+    Raises
+    ------
+    HeliError
+        As `fly_plans`.
+    """
+    from heli_host.fly.guest_law import engage
+
+    flown = fly_plans(
+        options,
+        [plan],
+        plan_names=[typed],
+        on_taken_off=(lambda heli: engage(heli, program)) if program is not None else None,
+    )
+    outcome, _, reason = flown.summary.outcome.partition(": ")
+    return flown, reason.partition(" ")[0] if outcome == LAW_TAKEN_OVER else ""

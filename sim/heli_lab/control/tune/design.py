@@ -1,0 +1,346 @@
+"""Design gains that minimise the tracking error under a bound on the peak sensitivity of every loop.
+
+All loops are designed in the same way. The setpoint of a take-off and of a travel step is the shaped path of
+the board. The feed-forward follows from the rig's parameters. The gains minimise the squared tracking error
+along this path, over the rig and all corners of its spread with the same gains and feed-forward. The peak
+sensitivity of every loop on every plant stays below a bound. The Nelder-Mead method optimises the logarithms
+of the gains, because gains are positive and of unknown magnitude. A bound S on the sensitivity also bounds
+the margins: the gain may rise by S / (S - 1) and the phase may fall by 2 asin(1 / 2 S).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Floats
+from heli_sim.model import MultibodyModel
+from heli_sim.model.base import Model
+from heli_sim.rig import Rig
+
+from heli_lab.control.tune import loops
+from heli_lab.control.tune.board_parameters import (
+    check_lift,
+    largest_differential_V,
+    law_parameters,
+    lift_max_V,
+    rig_parameters,
+    travel_motion_deg,
+)
+from heli_lab.control.tune.loops import CascadeGains, ComplexArray, Margin, Pid
+from heli_lab.control.tune.objective import (
+    UNSTABLE_COST,
+    MIN_DECAY_1_s,
+    bound_penalty,
+    count_nominal,
+    initial_crossover_rad_s,
+    log_cost,
+    minimise_positive,
+    slowest_pole_1_s,
+)
+from heli_lab.control.tune.plants import LinearPlant, LoopEffects, Spread, spread_plants
+from heli_lab.control.tune.shaping import shaped_step
+from heli_lab.control.tune.simulate import SIMULATION_STEP_s, discretise
+from heli_lab.control.tune.travel_step import TravelStep, constant_loads_deg_s2
+
+TRAVEL_STEP_DEG: Final = 15.0
+PITCH_SETPOINT_MAX_DEG: Final = 30.0
+ELEVATION_SLEW_DEG_S: Final = 15.0
+TRAVEL_SLEW_DEG_S: Final = 20.0
+
+_PITCH_SHARE: Final = 0.3
+"""Pitch setpoint of a shaped travel step, as a share of the largest pitch setpoint."""
+_COLLECTIVE_SHARE: Final = 0.75
+"""Additional collective of a take-off, as a share of the hover voltage, or of the voltage that remains
+beyond it if that is smaller."""
+_MAX_ELEVATION_DEG_S2: Final = 30.0
+_MAX_TRAVEL_DEG_S2: Final = 4.5
+_FILTERS_Hz: Final = (6.0, 16.0, 3.0)
+"""Cut-offs of the rate filters of elevation, pitch and travel, set by quantisation noise: the rate of travel
+has the largest gain, pitch the fastest loop."""
+_TAKE_OFF_TIME_s, _STEP_TIME_s = 8.0, 10.0
+"""Length of the simulated take-off and of the simulated travel step."""
+_UNIT_GAIN, _NO_GAIN = Pid(1.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Design:
+    """Result of a design: gains, and the plants for which they were designed.
+
+    Parameters
+    ----------
+    law : CascadeGains
+        Gains in V/rad and rad/rad.
+    plants : sequence of LinearPlant
+        The rig at each lag, then the corners of its spread.
+    sensitivity : float
+        Bound on the peak sensitivity.
+    parameters : Mapping of str to float
+        Parameters of the board, by their declared names and in their declared units.
+    """
+
+    law: CascadeGains
+    plants: Sequence[LinearPlant]
+    sensitivity: float
+    parameters: Mapping[str, float]
+
+    @cached_property
+    def margins(self) -> list[dict[str, Margin]]:
+        """Stability margins of each loop, on each plant."""
+        return [loops.margins(plant, self.law) for plant in self.plants]
+
+
+def find_gains(
+    rig: Rig,
+    spread: Spread | None = None,
+    sensitivity: float = 3.5,
+    on_progress: Callable[[str], None] | None = None,
+    *,
+    model: type[Model] = MultibodyModel,
+    loop_effects: LoopEffects | None = None,
+) -> Design:
+    """Design the parameters of the board's control law for a rig.
+
+    Parameters
+    ----------
+    spread : Spread, optional
+        Uncertainty of the rig's parameters; by default the one of `loop_effects`.
+    sensitivity : float
+        Upper bound on the peak sensitivity of every loop on every plant.
+    on_progress : callable taking str, optional
+        Called with the name of each step of the design.
+    model : type of Model
+        Equations of motion of the rig.
+
+    Raises
+    ------
+    PlantError
+        When the rig cannot hover, or needs more voltage to hover than its supply gives.
+    """
+    report = on_progress or (lambda _: None)
+    loop_effects = loop_effects if loop_effects is not None else LoopEffects()
+    spread = spread if spread is not None else loop_effects.spread
+    plants = spread_plants(rig, spread, model=model, loop_effects=loop_effects)
+    check_lift(rig, plants[0].hover_V)
+    report("elevation: take-off")
+    elevation, elevation_path = _design_elevation(rig, plants, sensitivity)
+    report("pitch and travel: step")
+    tilt = _design_tilt(rig, plants, spread, sensitivity)
+    law = CascadeGains(elevation, tilt.pitch, tilt.travel, tilt.pitch_hold)
+    parameters = rig_parameters(rig) | elevation_path | tilt.parameters | law_parameters(law)
+    return Design(law, plants, sensitivity, parameters)
+
+
+@dataclass(frozen=True)
+class _TakeOff:
+    """Take-off by which the elevation gains are evaluated.
+
+    Parameters
+    ----------
+    plants : sequence of LinearPlant
+        The rig at each lag, then the corners of its spread.
+    path_deg : ndarray (n, 3)
+        Setpoint with its first and second derivative, in degrees and seconds.
+    feedforward : ndarray (n,)
+        Feed-forward of hover voltage and acceleration [V deg/rad].
+    """
+
+    plants: Sequence[LinearPlant]
+    path_deg: Floats
+    feedforward: Floats
+
+    def error_deg(self, pid: Pid, closed: Floats) -> Floats:
+        """Simulate the take-off on all plants, and return the error of the elevation [deg], shape (n,
+        plants).
+
+        Parameters
+        ----------
+        pid : Pid
+            Gains of the elevation loop.
+        closed : ndarray (plants, 6, 6)
+            State matrices of the closed loops with these gains, from `loops.elevation_closed`.
+        """
+        nominal_V = self.plants[0].hover_V
+        # Inputs: the collective, the setpoint, and a constant.
+        input_matrices = np.zeros((len(self.plants), 6, 3))
+        for index, plant in enumerate(self.plants):
+            input_matrices[index, :3, 0] = plant.elevation_B
+            # A plant needs another hover voltage than the nominal one that is fed forward.
+            input_matrices[index, 1, 2] = np.degrees((nominal_V - plant.hover_V) * plant.elevation_gain)
+        # The integral of the error.
+        input_matrices[:, 5, 1] = 1.0
+        setpoint, rate = self.path_deg[:, 0], self.path_deg[:, 1]
+        collective = self.feedforward + pid.kp * setpoint + pid.kd * rate
+        inputs = np.column_stack((collective, setpoint, np.ones(len(setpoint))))
+        return discretise(closed, input_matrices).simulate(inputs)[:, :, 0] - self.path_deg[:, :1]
+
+
+def _design_elevation(
+    rig: Rig, plants: Sequence[LinearPlant], sensitivity: float
+) -> tuple[Pid, dict[str, float]]:
+    """Design the elevation loop: its gains, and the board's parameters of path and feed-forward."""
+    nominal, nominal_count = plants[0], count_nominal(plants)
+    gain = nominal.elevation_gain
+    # The hover voltage rises with elevation, because masses below the axis pull the arm back to level.
+    slope_V_rad = -float(nominal.elevation_A[1, 0]) / gain
+    acceleration_ff = 1.0 / gain
+    spare_V = min(nominal.hover_V, lift_max_V(rig) - nominal.hover_V)
+    acceleration_deg_s2 = min(_MAX_ELEVATION_DEG_S2, float(np.degrees(_COLLECTIVE_SHARE * spare_V * gain)))
+    rise_deg = -rig["elevation_min"].value
+    path_deg = shaped_step(
+        rise_deg, ELEVATION_SLEW_DEG_S, acceleration_deg_s2, _TAKE_OFF_TIME_s, SIMULATION_STEP_s
+    )
+    take_off = _TakeOff(plants, path_deg, slope_V_rad * path_deg[:, 0] + acceleration_ff * path_deg[:, 2])
+
+    def cost(gains: Floats) -> float:
+        """Cost of the elevation loop's gains kp, ki and kd, shape (3,)."""
+        pid = _controller_of_gains(gains, _FILTERS_Hz[0])
+        closed = np.array([loops.elevation_closed(plant, pid) for plant in plants])
+        pole_1_s = slowest_pole_1_s(closed)
+        if pole_1_s > -MIN_DECAY_1_s:
+            return UNSTABLE_COST + pole_1_s
+        peak = loops.peak_sensitivity(pid.response(loops.FREQUENCY_rad_s) * plant_responses)
+        squares_deg2 = np.mean(take_off.error_deg(pid, closed) ** 2, axis=0)
+        return log_cost(squares_deg2, nominal_count) + bound_penalty(peak, sensitivity)
+
+    # With unit gains, the loop is the response of elevation to the collective.
+    unit_gains = CascadeGains(_UNIT_GAIN, _NO_GAIN, _NO_GAIN)
+    plant_responses = np.array([loops.open_loops(plant, unit_gains)["elevation"] for plant in plants])
+    # At this frequency, the loop gain of a double integrator is 1 by the derivative action, 0.5 by the
+    # proportional and 0.1 by the integral action.
+    crossover = initial_crossover_rad_s(plants)
+    start = np.array([0.5 * crossover**2, 0.1 * crossover**3, crossover]) / gain
+    pid = _controller_of_gains(minimise_positive(cost, start), _FILTERS_Hz[0])
+    return pid, {
+        "hover_V": nominal.hover_V,
+        "hover_slope": float(np.radians(slope_V_rad)),
+        "elevation_rate_ff": 1.0,
+        "elevation_acceleration_ff": float(np.radians(acceleration_ff)),
+        "elevation_slew_deg_s": ELEVATION_SLEW_DEG_S,
+        "elevation_acceleration_deg_s2": acceleration_deg_s2,
+        "elevation_gain": nominal.elevation_gain,
+    }
+
+
+@dataclass(frozen=True)
+class _TiltDesign:
+    """Gains of the pitch and the travel loop.
+
+    Parameters
+    ----------
+    pitch, travel : Pid
+        Gains in V/rad and rad/rad.
+    pitch_hold : float
+        Feed-forward from the pitch setpoint to the differential [V/rad].
+    parameters : dict of float
+        The board's parameters of path, feed-forward and limits, by their declared names.
+    """
+
+    pitch: Pid
+    travel: Pid
+    pitch_hold: float
+    parameters: dict[str, float]
+
+
+def _tilt_loops(
+    pitch: Pid, travel: Pid, pitch_hold: float, to_pitch: ComplexArray, to_travel: ComplexArray
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Compute the open loops of pitch, of travel, and of the differential voltage that both loops share.
+
+    Parameters
+    ----------
+    pitch, travel : Pid
+        Controllers. Travel demands a pitch, which the pitch loop and the feed-forward turn into a voltage.
+    pitch_hold : float
+        Feed-forward that holds a tilt [V/rad].
+    to_pitch, to_travel : ndarray (plants, frequencies)
+        Responses of both angles to the differential voltage.
+    """
+    pitch_loop = pitch.response(loops.FREQUENCY_rad_s) * to_pitch
+    volts_per_demand = pitch.kp + pitch_hold + pitch.ki / (1j * loops.FREQUENCY_rad_s)
+    travel_path = travel.response(loops.FREQUENCY_rad_s) * volts_per_demand * to_travel
+    # The pitch loop is closed inside of the travel loop.
+    return pitch_loop, travel_path / (1.0 + pitch_loop), pitch_loop + travel_path
+
+
+def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensitivity: float) -> _TiltDesign:
+    """Design the loops of pitch and travel together."""
+    nominal, nominal_count = plants[0], count_nominal(plants)
+    # Masses below the pitch axis pull a tilt back. The feed-forward holds the tilt instead.
+    pitch_hold = -float(nominal.tilt_A[2, 0]) / nominal.pitch_gain
+    acceleration_deg_s2 = min(_MAX_TRAVEL_DEG_S2, _PITCH_SHARE * PITCH_SETPOINT_MAX_DEG * nominal.travel_gain)
+    path = shaped_step(
+        TRAVEL_STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, _STEP_TIME_s, SIMULATION_STEP_s
+    )
+    arrival_row = round(2.0 * np.sqrt(TRAVEL_STEP_DEG / acceleration_deg_s2) / SIMULATION_STEP_s)
+    travel_step = TravelStep(plants, pitch_hold, path, arrival_row, constant_loads_deg_s2(rig, spread))
+    differential_max_V = largest_differential_V(rig, nominal.hover_V)
+    # With unit gains, the loops are the responses of pitch and travel to the differential.
+    unit_gains = CascadeGains(_NO_GAIN, _UNIT_GAIN, _UNIT_GAIN)
+    plant_responses = [loops.open_loops(plant, unit_gains) for plant in plants]
+    to_pitch = np.array([response["pitch"] for response in plant_responses])
+    to_travel = np.array([response["differential"] - response["pitch"] for response in plant_responses])
+
+    def pids(gains: Floats) -> tuple[Pid, Pid, float]:
+        """Split the seven gains into both controllers and the feed-forward of the travel acceleration."""
+        return (
+            _controller_of_gains(gains[0:3], _FILTERS_Hz[1]),
+            _controller_of_gains(gains[3:6], _FILTERS_Hz[2]),
+            float(gains[6]),
+        )
+
+    def cost(gains: Floats) -> float:
+        """Cost of the gains of pitch and travel and of the feed-forward, shape (7,)."""
+        pitch, travel, acceleration_ff = pids(gains)
+        closed = np.array([loops.tilt_closed(plant, pitch, travel, pitch_hold) for plant in plants])
+        pole_1_s = slowest_pole_1_s(closed)
+        if pole_1_s > -MIN_DECAY_1_s:
+            return UNSTABLE_COST + pole_1_s
+        open_loops = _tilt_loops(pitch, travel, pitch_hold, to_pitch, to_travel)
+        peaks = [loops.peak_sensitivity(open_loop) for open_loop in open_loops]
+        squares, largest_V = travel_step.simulate(pitch, travel, acceleration_ff, closed)
+        penalty = sum(bound_penalty(peak, sensitivity) for peak in peaks)
+        penalty += bound_penalty(largest_V, differential_max_V)
+        return log_cost(squares, nominal_count) + penalty
+
+    start = _initial_tilt_gains(nominal, initial_crossover_rad_s(plants))
+    pitch, travel, acceleration_ff = pids(minimise_positive(cost, start))
+    return _TiltDesign(
+        pitch=pitch,
+        travel=travel,
+        pitch_hold=pitch_hold,
+        parameters={
+            "pitch_hold_ff": float(np.radians(pitch_hold)),
+            "travel_rate_ff": 1.0,
+            "travel_acceleration_ff": acceleration_ff,
+            "travel_slew_deg_s": TRAVEL_SLEW_DEG_S,
+            "travel_acceleration_deg_s2": acceleration_deg_s2,
+            "pitch_setpoint_max_deg": PITCH_SETPOINT_MAX_DEG,
+            "differential_max_V": differential_max_V,
+            "pitch_gain": nominal.pitch_gain,
+            "travel_gain": nominal.travel_gain,
+            "travel_motion_deg": travel_motion_deg(nominal.travel_gain),
+        },
+    )
+
+
+def _initial_tilt_gains(nominal: LinearPlant, inner_rad_s: float) -> Floats:
+    """Return the start of the search, shape (7,): kp, ki and kd of pitch, the same of travel, the
+    feed-forward.
+
+    The pitch loop crosses over at about `inner_rad_s`, the travel loop at half of it.
+    """
+    outer_rad_s = inner_rad_s / 2.0
+    pitch_kp = (0.5 * inner_rad_s**2 - 0.5 * nominal.tilt_A[2, 0]) / nominal.pitch_gain
+    travel_kp = 0.5 * outer_rad_s**2 / nominal.travel_gain
+    pitch = [pitch_kp, 0.2 * pitch_kp, inner_rad_s / nominal.pitch_gain]
+    travel = [travel_kp, 0.1 * travel_kp, outer_rad_s / nominal.travel_gain]
+    return np.array([*pitch, *travel, 1.0 / nominal.travel_gain])
+
+
+def _controller_of_gains(gains: Floats, filter_Hz: float) -> Pid:
+    """Make a controller from its gains kp, ki and kd, shape (3,), and the cut-off of its rate filter."""
+    return Pid(float(gains[0]), float(gains[1]), float(gains[2]), filter_Hz)

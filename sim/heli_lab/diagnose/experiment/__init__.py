@@ -1,6 +1,0 @@
-"""The next experiment: plans that discriminate hypotheses or make effects detectable, tried in simulation."""
-
-from heli_lab.diagnose.experiment.design import ExperimentDesign, compose_experiment
-from heli_lab.diagnose.experiment.proposal import propose_experiment
-
-__all__ = ["ExperimentDesign", "compose_experiment", "propose_experiment"]

@@ -1,0 +1,47 @@
+"""Acceleration that an effect contributes along a flight."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from heli_host.arrays import Floats
+
+from heli_lab.fit.estimation import Estimate
+from heli_lab.fit.identify.model_along import model_along
+
+
+def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats, Floats]:
+    """Compute the acceleration that an effect contributes along the filtered trajectory of a flight.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The model with the effect.
+    name : str
+        Name of the effect.
+    index : int
+        Index of the flight.
+
+    Returns
+    -------
+    t_s : ndarray (n,)
+        Times since the first sample of the flight.
+    change_rad_s2 : ndarray (n, 3)
+        Acceleration of elevation, pitch and travel with the effect less that without it; zero for a delay and
+        for an effect on measurements.
+    """
+    linear = estimate.filtered().linearised_flights[index]
+    model = linear.model.source
+    reduced_model = type(model)(tuple(effect for effect in model.effects if effect.name != name))
+    states = [state.name for state in model.states]
+    names = model.parameter_names
+
+    def change_rad_s2(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> list[ca.SX]:
+        # Difference of the models with and without the effect, at the same states and parameters.
+        reduced_x = ca.vertcat(*(x[states.index(state.name)] for state in reduced_model.states))
+        reduced_p = ca.vertcat(*(p[names.index(q.name)] for q in reduced_model.parameters))
+        reduced_rates = reduced_model.dynamics(reduced_x, u, reduced_p, t)
+        return [model.dynamics(x, u, p, t)[3:6] - reduced_rates[3:6]]
+
+    (values,) = model_along(model, change_rad_s2)(linear.trajectory)
+    return linear.trajectory.t_s, np.ascontiguousarray(values[:, :, 0])

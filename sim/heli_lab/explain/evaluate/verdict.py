@@ -1,0 +1,324 @@
+"""Verdict and confidence of a diagnosis, from the evidence of the search and of the residual analysis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from heli_sim.model.effect import Effect
+from heli_sim.model.effects import EffectSpec
+from heli_sim.model.parts import AXES
+
+from heli_lab.explain import thresholds
+from heli_lab.explain.evaluate.prediction import Prediction
+from heli_lab.explain.evaluate.reported import CauseParameter, FamilyNumber, cause_parameters, family_number
+from heli_lab.explain.evaluate.residual_analysis import ResidualAnalysis
+from heli_lab.explain.search import Cause, Search
+from heli_lab.fit.identify import Fit
+
+
+@dataclass(frozen=True)
+class NamedCause(Cause):
+    """A cause that the verdict names; its attributes have the names of the JSON.
+
+    Parameters
+    ----------
+    candidate, train, held_out, penalty, alternatives
+        As in `Cause`, which also has ``effect`` and ``ambiguous_with``.
+    parameters : Mapping[str, CauseParameter]
+        By full name, such as ``rotor_lag_s``: ``value``, ``std`` and ``unit``.
+    confidence : float
+        Probability that the cause is named correctly, 0 to 1.
+    sentence : str
+        The cause with its parameters in a sentence, without its full stop.
+    equation : str
+        The term that the effect adds to the model, in LaTeX.
+    family : FamilyNumber or None
+        The number that this effect shares with effects that may replace it, such as the lag of the rotors.
+    """
+
+    parameters: Mapping[str, CauseParameter]
+    confidence: float
+    sentence: str
+    equation: str
+    family: FamilyNumber | None = None
+
+
+@dataclass(frozen=True)
+class SmallEffect:
+    """A significant effect that is too small to matter.
+
+    Parameters
+    ----------
+    cause : NamedCause
+        The effect with its evidence.
+    change_counts : float
+        Root mean square change of the 2 s open-loop prediction, encoder counts.
+    """
+
+    cause: NamedCause
+    change_counts: float
+
+
+@dataclass(frozen=True)
+class SmallRemainder:
+    """A significant dependence that no effect of the catalogue explains, and that is too small to matter.
+
+    Parameters
+    ----------
+    what : str
+        ``CHANNEL on QUANTITY``.
+    change_counts : float
+        Root mean square change of the 2 s open-loop prediction, encoder counts.
+    log_likelihood_gain : float
+        Log-likelihood ratio of the model with it to the model without it, nats.
+    """
+
+    what: str
+    change_counts: float
+    log_likelihood_gain: float
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Verdict of a diagnosis.
+
+    Parameters
+    ----------
+    label : str
+        ``explained``, ``cause_found``, ``ambiguous`` or ``unexplained``.
+    causes : tuple of NamedCause
+        Effects of the catalogue, the strongest first.
+    unlisted : tuple of Cause
+        Spline terms in the place of causes that the catalogue lacks, the strongest first.
+    random_torque : bool
+        Whether a random torque acts about a single axis, unlike the disturbances that every rig has.
+    small : tuple of SmallEffect
+        Significant effects that are too small to matter.
+    remainder : tuple of SmallRemainder
+        Significant dependences that no effect explains, and that are too small to matter.
+    """
+
+    label: str
+    causes: tuple[NamedCause, ...]
+    unlisted: tuple[Cause, ...]
+    random_torque: bool
+    small: tuple[SmallEffect, ...] = ()
+    remainder: tuple[SmallRemainder, ...] = ()
+
+
+def judge(
+    search: Search,
+    residual: ResidualAnalysis,
+    after: Prediction,
+    kinds: Mapping[str, EffectSpec],
+    absent: bool,
+    small: tuple[SmallEffect, ...] = (),
+    spline_counts: float = math.inf,
+) -> Verdict:
+    """Decide the verdict.
+
+    The label is ``unexplained`` if something remains that a better model could predict, and that matters by
+    the measure of effects. Otherwise it is
+    ``ambiguous`` if one of the causes has a close alternative, ``cause_found`` if there is a cause, and
+    ``explained`` if the baseline needs none.
+
+    Parameters
+    ----------
+    search : Search
+        Causes and spline terms of the final model.
+    residual : ResidualAnalysis
+        Analysis of the residuals of the final model.
+    after : Prediction
+        Free runs of the extended model. If their errors are as small as the quantisation, every remaining
+        structure is too small to matter, however significant it is.
+    kinds : Mapping[str, EffectSpec]
+        Catalogue by effect id.
+    absent : bool
+        Whether the fit estimated a term of the baseline as zero, which is a cause too.
+    small : tuple of SmallEffect
+        Effects that are not causes, because they are too small to matter.
+    spline_counts : float
+        Change of the 2 s open-loop prediction by the spline terms together, encoder counts.
+    """
+    small_ids = {effect.cause.effect for effect in small}
+    splines = tuple(cause for cause in search.causes if cause.candidate.is_spline)
+    is_above_quantisation = max(after.train.total, after.held_out.total) > thresholds.NOISE_FLOOR
+    is_predictable = bool(splines or residual.dependences)
+    remainder = _small_remainder(splines, spline_counts, residual, after)
+    is_unexplained = is_above_quantisation and len(remainder) < len(splines) + len(residual.dependences)
+    random_torque = is_above_quantisation and not is_predictable and has_random_torque(residual, kinds)
+    causes = tuple(
+        _named_cause(cause, kinds, after.fit, is_unexplained)
+        for cause in search.causes
+        if not cause.candidate.is_spline and cause.effect not in small_ids
+    )
+    if is_unexplained:
+        return Verdict("unexplained", causes, unlisted=splines, random_torque=False, small=small)
+    remainder = remainder if is_above_quantisation else ()
+    if any(cause.ambiguous_with for cause in causes):
+        label = "ambiguous"
+    elif causes or random_torque or absent:
+        label = "cause_found"
+    else:
+        label = "explained"
+    return Verdict(label, causes, (), random_torque, small, remainder)
+
+
+def _small_remainder(
+    splines: Sequence[Cause], spline_counts: float, residual: ResidualAnalysis, after: Prediction
+) -> tuple[SmallRemainder, ...]:
+    """Return what remains significant but is too small to matter; empty in large disturbances, where every
+    significant effect matters.
+    """
+    if after.train.total > thresholds.DISTURBED_STD:
+        return ()
+    small_splines = splines if spline_counts < thresholds.MATTERS_COUNTS else ()
+    return (
+        *(SmallRemainder(" on ".join(s.candidate.dependence), spline_counts, s.train) for s in small_splines),
+        *(
+            SmallRemainder(dependence.what, dependence.change_counts, dependence.log_likelihood_gain)
+            for dependence in residual.dependences
+            if not dependence.matters
+        ),
+    )
+
+
+def with_confirmation(verdict: Verdict, unconfirmed: Collection[str]) -> Verdict:
+    """Lower the confidence of causes that are not confirmed; names and label stay.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Verdict of `judge`, which does not depend on the confirmation.
+    unconfirmed : collection of str
+        Ids of the causes that are not confirmed.
+    """
+
+    def with_limited_confidence(cause: NamedCause) -> NamedCause:
+        """Return a cause with a limited confidence if it is not confirmed."""
+        if cause.effect not in unconfirmed:
+            return cause
+        return replace(cause, confidence=unconfirmed_confidence(cause.confidence))
+
+    return replace(verdict, causes=tuple(map(with_limited_confidence, verdict.causes)))
+
+
+def small_effects(
+    search: Search, changes: Mapping[str, float], kinds: Mapping[str, EffectSpec], fit: Fit
+) -> tuple[SmallEffect, ...]:
+    """Describe effects that are too small to matter.
+
+    Parameters
+    ----------
+    search : Search
+        Evidence of the effects.
+    changes : Mapping[str, float]
+        Change of the prediction by each of them, encoder counts, by id.
+    kinds : Mapping[str, EffectSpec]
+        Catalogue by effect id.
+    fit : Fit
+        Parameters of the model that has them.
+    """
+    return tuple(
+        SmallEffect(_named_cause(cause, kinds, fit, unexplained=False), changes[cause.effect])
+        for cause in search.causes
+        if cause.effect in changes
+    )
+
+
+def _named_cause(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexplained: bool) -> NamedCause:
+    """Return a cause with its parameters, confidence and description.
+
+    `unexplained` states whether something unexplained remains, which lowers the confidence.
+    """
+    kind = kinds[cause.effect]
+    parameters = cause_parameters(fit, kind, cause.candidate.effect.values)
+    description = kind.describe(
+        {name: parameter.value for name, parameter in parameters.items()},
+        {name: parameter.std for name, parameter in parameters.items()},
+    )
+    return NamedCause(
+        **vars(cause),
+        parameters=parameters,
+        confidence=confidence(cause, unexplained),
+        sentence=description + _moments_text(cause.candidate.effect),
+        equation=kind.equation,
+        family=family_number(fit, kind, kinds, parameters, cause.ambiguous_with),
+    )
+
+
+def _moments_text(effect: Effect) -> str:
+    """State in which flight an event happened, and when it happened in other flights.
+
+    The text is empty if the effect is not an event.
+    """
+    if not effect.flight:
+        return ""
+    others = (f", and at {at_s:.2f} s in {label}" for label, at_s in effect.other_moments_s.items())
+    return f" in {effect.flight}{''.join(others)}"
+
+
+def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectSpec]) -> bool:
+    """Whether a random torque acts about a single axis, unlike the disturbances that every rig has.
+
+    The fast disturbance must be significant about one axis only, and have a notable size and correlation
+    time. A thrust that varies at random disturbs all axes, so it excludes a random torque.
+
+    Parameters
+    ----------
+    residual : ResidualAnalysis
+        Analysis of the residuals, with the estimated disturbances.
+    kinds : Mapping[str, EffectSpec]
+        Catalogue by effect id, which contains the typical size of a random torque.
+    """
+    if residual.thrust_gains.size:
+        return False
+    *_, second_nats, largest_nats = np.sort(residual.gains)
+    is_about_one_axis = largest_nats > thresholds.RANDOM_TORQUE_NATS > second_nats
+    axis = AXES.index(residual.axis)
+    kind = kinds.get(f"random_torque.{residual.axis}")
+    min_Nm = thresholds.RANDOM_TORQUE_MIN_SHARE * kind.typical[kind.size[0]] if kind else math.inf
+    is_large = residual.disturbances.fast_std[axis] > min_Nm
+    is_correlated = (
+        residual.disturbances.correlation_time_s[axis] > thresholds.RANDOM_TORQUE_MIN_CORRELATION_s
+    )
+    return bool(is_about_one_axis and is_large and is_correlated)
+
+
+def confidence(cause: Cause, unexplained: bool = False) -> float:
+    """Return the probability, 0 to 1, that a cause is named correctly.
+
+    The probability grows with the lead over the closest rival, which may be the model without the cause, and
+    with the log-likelihood ratio on the held-out flights.
+
+    Parameters
+    ----------
+    cause : Cause
+        The cause with its evidence.
+    unexplained : bool
+        Whether something unexplained remains. The cause may imitate it, so the confidence is lower.
+    """
+    lead_over_no_cause = cause.train - cause.penalty
+    leads = [alternative.log_likelihood_ratio for alternative in cause.alternatives]
+    margin = max(min([lead_over_no_cause, *leads]), 0.0)
+    # Without a lead, the cause and its closest rival are equally likely.
+    probability = 1.0 - 0.5 * math.exp(-margin / thresholds.CONFIDENCE_NATS)
+    if cause.held_out is not None:
+        # Logistic function: 0 nats on flights that had no part in the choice mean even odds.
+        probability *= 1.0 / (1.0 + math.exp(-cause.held_out / thresholds.HELD_OUT_NATS))
+    factor = thresholds.CONFIDENCE_FACTOR_UNEXPLAINED if unexplained else 1.0
+    return float(min(thresholds.MAX_CONFIDENCE, probability) * factor)
+
+
+def unconfirmed_confidence(probability: float) -> float:
+    """Limit the confidence of a cause that is not confirmed, because its evidence comes from one direction.
+
+    Parameters
+    ----------
+    probability : float
+        Confidence of the same cause if it were confirmed, 0 to 1.
+    """
+    return min(probability, thresholds.MAX_CONFIDENCE_UNCONFIRMED)

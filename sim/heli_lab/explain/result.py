@@ -1,0 +1,284 @@
+"""Result of a diagnosis as data; the `report` package writes it as sentences, JSON, figures and a page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+from heli_sim.model.effects import EffectSpec
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Rig
+
+from heli_lab.explain.discover import ProposedTerm, SplineCurve, spline_curves_of
+from heli_lab.explain.evaluate import (
+    Assessment,
+    CauseParameter,
+    ErrorReduction,
+    Extrapolation,
+    FailingRegions,
+    HeldOutEvaluation,
+    HypothesisEvaluation,
+    PriorConflict,
+    Replication,
+    Verdict,
+    cause_parameters,
+    extrapolations,
+    failing_regions,
+    prior_conflicts,
+    tried_without,
+    with_confirmation,
+)
+from heli_lab.explain.experiment import ExperimentDesign
+from heli_lab.explain.extended_rig import extended_rig
+from heli_lab.explain.search import Search
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A proposed equation and its evaluation.
+
+    Parameters
+    ----------
+    term : ProposedTerm
+        The equation.
+    evaluation : HypothesisEvaluation
+        Free runs of the model with it, compared with the baseline's.
+    """
+
+    term: ProposedTerm
+    evaluation: HypothesisEvaluation
+
+
+class MissingDependence(NamedTuple):
+    """Axis with a torque or angle that no effect explains, and the quantity on which it depends."""
+
+    axis: str
+    quantity: str
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Work of a diagnosis.
+
+    Parameters
+    ----------
+    refits : int
+        Refits of the model: the work independent of the computer.
+    seconds : float
+        Time taken on this computer.
+    """
+
+    refits: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Result of a diagnosis.
+
+    Parameters
+    ----------
+    search : Search
+        Baseline, final model, causes with their evidence, and all rounds of the search.
+    assessment : Assessment
+        Verdict, extended model, its free runs over all flights, and what it leaves.
+    replication : Replication
+        Which causes hold in both directions, and the model with these alone.
+    undetectable : tuple of str
+        Effects that would not be significant in these flights at their typical size.
+    unidentifiable : tuple of str
+        Parameters of the rig that these flights do not identify.
+    skipped : tuple of str
+        Why each flight without excitation was not used.
+    next_flight : ExperimentDesign or None
+        Experiment that would answer what these flights leave open.
+    proposal : Proposal or None
+        Equation of what no effect of the catalogue explains; None if there is none or none was confirmed.
+    effort : Effort
+        Refits and time.
+    """
+
+    search: Search
+    assessment: Assessment
+    replication: Replication
+    kinds: Mapping[str, EffectSpec]
+    undetectable: tuple[str, ...]
+    unidentifiable: tuple[str, ...]
+    skipped: tuple[str, ...]
+    next_flight: ExperimentDesign | None
+    proposal: Proposal | None
+    effort: Effort
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Verdict with its causes; a cause that is not confirmed has a lower confidence."""
+        return with_confirmation(self.assessment.verdict, self.replication.unconfirmed)
+
+    @property
+    def label(self) -> str:
+        """``explained``, ``cause_found``, ``ambiguous`` or ``unexplained``."""
+        return self.verdict.label
+
+    @property
+    def proposed_term(self) -> ProposedTerm | None:
+        """Proposed equation, if there is one."""
+        return self.proposal.term if self.proposal else None
+
+    @property
+    def held_out(self) -> HeldOutEvaluation:
+        """Free-run errors before and after on the held-out flights; after, with the confirmed causes."""
+        return self.replication.evaluation
+
+    @property
+    def error_reductions(self) -> Mapping[str, ErrorReduction]:
+        """Free-run errors over 2 s before and after, by axis, on the held-out flights."""
+        return self.held_out.reductions
+
+    @property
+    def curves(self) -> list[SplineCurve]:
+        """Spline terms in the place of causes that the catalogue lacks, the strongest first."""
+        return spline_curves_of(self.verdict.unlisted, self.search.final.estimate)
+
+    @cached_property
+    def failing(self) -> FailingRegions:
+        """Regions in which the baseline and the extended model fail.
+
+        If there is a proposed equation, the two models are the extended model without and with it. The axis
+        is that of the missing torque, or otherwise that of the spline term with the highest score.
+        """
+        term = self.proposed_term
+        if term is not None:
+            return self.failing_about(term.trace.axis, term.trace.on)
+        if self.missing is not None:
+            return self.failing_about(self.missing.axis, self.missing.quantity)
+        for spline in self.search.rounds[0].splines:
+            channel, quantity = spline.candidate.dependence
+            if channel.startswith("torque"):
+                return self.failing_about(channel.partition(".")[2], quantity)
+        return self.failing_about(self.assessment.residual_analysis.axis)
+
+    def failing_about(self, axis: str, on: str = "") -> FailingRegions:
+        """Regions in which the two models of `failing` fail about an `axis`.
+
+        `on` is one of the two quantities of the plane; by default, the plane has the most evidence.
+        """
+        term = self.proposed_term
+        before, after = (
+            (term.discovery.base, term.discovery.hypothesis)
+            if term is not None
+            else (self.search.baseline, self.assessment.extended)
+        )
+        return failing_regions(before.estimate, after.estimate, axis, on)
+
+    @property
+    def missing(self) -> MissingDependence | None:
+        """The strongest dependence that no effect explains; None if everything is explained."""
+        if self.label != "unexplained":
+            return None
+        residual = self.assessment.residual_analysis
+        if self.verdict.unlisted:
+            channel, quantity = self.verdict.unlisted[0].candidate.dependence
+            axis_or_rotors = channel.partition(".")[2]
+            # The sum of the thrusts lifts the arm, and their difference pitches it.
+            axis = {"both": "elevation", "difference": "pitch"}.get(axis_or_rotors, axis_or_rotors)
+            return MissingDependence(axis, quantity)
+        channel, _, quantity = residual.dependences[0].what.partition(" on ")
+        axis_or_rotors = channel.partition(".")[2]
+        axis = axis_or_rotors if axis_or_rotors in AXES else residual.axis
+        return MissingDependence(axis, quantity)
+
+    @cached_property
+    def prior_conflicts(self) -> tuple[PriorConflict, ...]:
+        """Parameters of the rig whose estimate is far from the rig file's prior.
+
+        Each has also its estimate without that prior.
+        """
+        return tried_without(prior_conflicts(self.assessment.after.fit), self.assessment.extended.estimate)
+
+    @cached_property
+    def extrapolations(self) -> tuple[Extrapolation, ...]:
+        """Windows of each held-out flight with voltages that the fitted flights do not contain.
+
+        It is empty if no flight is held out.
+        """
+        if self.assessment.after.held_out_fit is None:
+            return ()
+        return extrapolations(self.assessment.after.fit.problem.records, self.held_out.extension.after)
+
+    @property
+    def random_torque(self) -> dict[str, dict[str, CauseParameter]]:
+        """Size and correlation time of the random torque, as ``{effect id: {full name: parameter}}``.
+
+        It is empty if the verdict has no random torque.
+        """
+        if not self.verdict.random_torque:
+            return {}
+        residual = self.assessment.residual_analysis
+        axis = AXES.index(residual.axis)
+        std_Nm = float(residual.disturbances.fast_std[axis])
+        correlation_time_s = float(residual.disturbances.correlation_time_s[axis])
+        seconds = sum(record.used_s for record in self.assessment.before.fit.problem.records)
+        # Values two correlation times apart count as independent. The relative standard error of a standard
+        # deviation from N independent values is 1 / sqrt(2 N); at least two values are assumed.
+        independent_values = max(seconds / (2.0 * correlation_time_s), 2.0)
+        relative = 1.0 / math.sqrt(2.0 * independent_values)
+        prefix = f"random_torque_{residual.axis}"
+        return {
+            f"random_torque.{residual.axis}": {
+                f"{prefix}_Nm": CauseParameter(std_Nm, std_Nm * relative, "N m"),
+                f"{prefix}_s": CauseParameter(correlation_time_s, 2.0 * correlation_time_s * relative, "s"),
+            }
+        }
+
+    def rig(self, name: str, with_term: bool = False, with_unconfirmed: bool = False) -> Rig:
+        """Make the extended rig for ``heli-host sil`` and ``fly``: refitted parameters and confirmed causes.
+
+        Parameters
+        ----------
+        name : str
+            Name of the rig.
+        with_unconfirmed : bool
+            Whether to add the causes that are not confirmed.
+        with_term : bool
+            Whether to add the proposed equation, if there is one. The rig then needs its effect file. It also
+            has all causes that the equation was estimated with, confirmed or not.
+        """
+        if with_term and self.proposal is not None:
+            fit, term = self.proposal.evaluation.prediction.fit, self.proposal.term
+            named = {
+                candidate.id: cause_parameters(fit, self.kinds[candidate.id], candidate.effect.values)
+                for candidate in term.discovery.hypothesis.candidates[:-1]
+            }
+            return extended_rig(name, fit, self.kinds, named, term)
+        if with_unconfirmed:
+            fit = self.assessment.after.fit
+            causes = {cause.effect: dict(cause.parameters) for cause in self.verdict.causes}
+        else:
+            fit = self.replication.prediction.fit
+            causes = {
+                candidate.id: cause_parameters(fit, self.kinds[candidate.id], candidate.effect.values)
+                for candidate in self.replication.model.candidates
+                if candidate.id not in self.replication.unconfirmed
+            }
+        if with_unconfirmed or self.has_other_flight:
+            causes |= self.random_torque
+        return extended_rig(name, fit, self.kinds, causes, None)
+
+    @property
+    def has_converged_estimate(self) -> bool:
+        """Whether the search for the parameters of the final model has converged."""
+        return self.search.final.estimate.converged
+
+    @property
+    def has_converged_prediction(self) -> bool:
+        """Whether the initial states of all free runs of the extended model have converged."""
+        after = self.assessment.after
+        return after.fit.converged and (after.held_out_fit is None or after.held_out_fit.converged)
+
+    @property
+    def has_other_flight(self) -> bool:
+        """Whether a flight was held out; without one, no cause is confirmed."""
+        return self.assessment.after.held_out_fit is not None

@@ -1,0 +1,1 @@
+"""Parameters, states and disturbances of a model, estimated from flights."""

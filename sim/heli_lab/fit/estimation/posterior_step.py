@@ -1,0 +1,78 @@
+"""The step to the maximum of a quadratic posterior: Gauss-Newton, or Levenberg-Marquardt if it is damped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from heli_host.arrays import Booleans, Floats, Integers
+
+from heli_lab.fit.estimation.arrowhead import NO_BLOCKS, invert_arrowhead
+from heli_lab.fit.estimation.bounded_solve import bounded_solve
+from heli_lab.fit.estimation.parameter_vector import ParameterVector
+
+
+@dataclass(frozen=True)
+class PosteriorStep:
+    """A step of the free parameters.
+
+    Parameters
+    ----------
+    move : ndarray (f,)
+        The step; within the bounds.
+    covariance : ndarray (f, f)
+        Inverse of the damped information, priors included.
+    promised_nats : float
+        Increase of the log-posterior by the step, less the damping term, if the log-posterior is quadratic.
+    """
+
+    move: Floats
+    covariance: Floats
+    promised_nats: float
+
+    @property
+    def std(self) -> Floats:
+        """Standard errors of the free parameters, shape (f,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def posterior_step(
+    parameter_vector: ParameterVector,
+    theta: Floats,
+    information: Floats,
+    score: Floats,
+    *,
+    damping: float = 0.0,
+    is_fixed: Booleans | None = None,
+    per_flight: Integers = NO_BLOCKS,
+) -> PosteriorStep:
+    """Solve for the step to the maximum of the linearised posterior, within the bounds.
+
+    Parameters
+    ----------
+    parameter_vector : ParameterVector
+        Priors and bounds.
+    theta : ndarray (f,)
+        Parameters at which the model is linearised.
+    information : ndarray (f, f)
+        Fisher information, without the priors.
+    score : ndarray (f,)
+        Derivatives of the log-likelihood by the parameters.
+    damping : float
+        Levenberg-Marquardt damping, in units of the priors' precision: poorly determined combinations of
+        parameters then move as far as their priors allow, and no further.
+    is_fixed : ndarray of bool (f,), optional
+        Parameters that keep their values.
+    per_flight : ndarray (flights, k)
+        Parameters of one flight alone, as `arrowhead.per_flight_columns` returns them.
+    """
+    precision = 1.0 / parameter_vector.std**2
+    matrix = information + np.diag((1.0 + damping) * precision)
+    gradient = score + precision * (parameter_vector.mean - theta)
+    limits = [bound - theta for bound in parameter_vector.bounds]
+    if is_fixed is not None:
+        limits = [np.where(is_fixed, 0.0, limit) for limit in limits]
+    low, high = limits
+    move = bounded_solve(matrix, gradient, low, high, per_flight)
+    promised_nats = float(move @ (gradient - 0.5 * (matrix @ move)))
+    return PosteriorStep(move, invert_arrowhead(matrix, per_flight), promised_nats)

@@ -1,0 +1,172 @@
+"""The helicopter as a grey-box model for the estimation core, and its parameters in several flights."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Floats
+from heli_sim.model.base import Effect, Model
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Prior, Rig
+from typing_extensions import override
+
+from heli_lab.fit import estimation
+from heli_lab.fit.estimation import (
+    ActingInputs,
+    DisturbanceModel,
+    FreeParameter,
+    GreyBoxModel,
+    KinematicModel,
+    ModelFunctions,
+    ParameterVector,
+    Recording,
+    ReferenceTrajectory,
+)
+from heli_lab.fit.identify.estimation_problem.grid import make_grid
+from heli_lab.fit.identify.estimation_problem.problem import RIGID_STATES, delay_of
+from heli_lab.fit.identify.free import (
+    FLIGHT_TORQUES,
+    PER_FLIGHT,
+    free_parameters,
+    parameter_values,
+    rig_prior,
+)
+from heli_lab.fit.identify.record import Record
+from heli_lab.fit.identify.rotor_gains import GAINS, ROTOR_GAINS
+
+TORQUE_STD_Nm: Final = dict(zip(FLIGHT_TORQUES, (0.02, 0.01, 0.01), strict=True))
+"""Prior standard deviation of the constant torque about each axis in a flight: an unlevel table, a cable or a
+draught. By judgement, of the order of the disturbances. Smaller: a rig whose balance changes from flight to
+flight distorts its other parameters. Larger: elevation's cannot be distinguished from the masses."""
+
+DISTURBANCE_START: Final = DisturbanceModel.start((1e-2, 3e-3, 6e-3), (1e-3, 5e-4, 5e-4))
+"""Disturbance torques (N m) at the start of a search: about the middle of those of recorded flights."""
+_DISTURBANCE_RANGE_Nm: Final = (2e-5, 1.0)
+"""Bounds of the search: far outside of those of recorded flights."""
+
+# Standard deviations of the state at the beginning of a window, about the reference trajectory.
+_ANGLE_STD_rad: Final = 1.0
+"""Wide, because the reference has the angles that the encoders show: a narrow standard deviation would be
+evidence against every error of an encoder. With 0.02 rad, a model with a true zero error of 6 degrees lost 35
+nats in three flights (2026-11)."""
+_RATE_STD_rad_s: Final = 0.3
+"""Far above the error of a rate, which the encoders show to about one count."""
+_EFFECT_STATE_STD: Final = 0.3
+"""About the state that a simulation from rest would have reached, in the state's unit."""
+
+_KINEMATICS: Final = KinematicModel(5.0, 0.15, 1.0, 0.1)
+"""Angles (rad) driven by random accelerations: more than rigs of this type accelerate."""
+
+
+def with_measured_angles(model: Model) -> Model:
+    """Replace each effect of a `model` by its variant for flights whose angles have been measured."""
+    return type(model)(tuple(effect.with_measured_angles() for effect in model.effects))
+
+
+def known_directions(effects: Sequence[Effect]) -> tuple[tuple[int, int], ...]:
+    """List the states of effects that hold the direction in which an axis moves.
+
+    Returns
+    -------
+    tuple of (int, int)
+        Number of the state among all states of the effects, and number of the axis.
+    """
+    names = [state.name for effect in effects for state in effect.states]
+    axes = {name: axis for effect in effects for name, axis in effect.direction_of.items()}
+    return tuple((names.index(name), AXES.index(axis)) for name, axis in axes.items())
+
+
+def _acting_voltages(
+    model: Model, recording: Recording, every: int, count: int, parameters: Floats, free: Collection[str]
+) -> ActingInputs:
+    """Return the voltages that act on a `model`: the recorded ones after its delay, raised to the dead zone.
+
+    See `GreyBoxModel.acting_inputs` for the other arguments.
+    """
+    assert isinstance(recording, Record)
+    delay, dead_zone_V = delay_of(model, parameters), model.dead_zone_V(parameters, free)
+    grid = make_grid(recording, [(0, count * every)], every, delay=delay, dead_zone_V=dead_zone_V)
+    mean_derivatives = tuple((by.parameter, by.of_mean) for by in grid.inputs.voltage_derivatives)
+    return ActingInputs(grid.inputs.mean_V, mean_derivatives)
+
+
+def grey_box(model: Model) -> GreyBoxModel:
+    """Describe a helicopter's `model` to the estimation core, for flights whose angles have been measured."""
+    model = with_measured_angles(model)
+    effect_states = len(model.states) - RIGID_STATES
+    gains = GAINS if ROTOR_GAINS in model.effects else ()
+    return GreyBoxModel(
+        states=tuple(state.name for state in model.states),
+        inputs=tuple(quantity.name for quantity in model.inputs),
+        outputs=AXES,
+        parameters=model.parameter_names,
+        disturbed=(*FLIGHT_TORQUES, *gains),
+        dynamics=model.dynamics,
+        measurement=model.measurement,
+        reset_map=model.reset_map,
+        initial_std=np.repeat(
+            (_ANGLE_STD_rad, _RATE_STD_rad_s, _EFFECT_STATE_STD), (len(AXES), len(AXES), effect_states)
+        ),
+        disturbance_start=DISTURBANCE_START.with_gains(len(gains)),
+        disturbance_std_range=_DISTURBANCE_RANGE_Nm,
+        acting_inputs=functools.partial(_acting_voltages, model),
+        known_directions=known_directions(model.effects),
+        source=model,
+    )
+
+
+def model_functions(model: Model, free: Sequence[str]) -> ModelFunctions:
+    """Compile a helicopter's `model` with its derivatives by the parameters `free`."""
+    return ModelFunctions(grey_box(model), free)
+
+
+def filter_record(record: Record) -> ReferenceTrajectory:
+    """Filter the angles of a flight without a model of the rig."""
+    return estimation.kinematic_filter(record, _KINEMATICS)
+
+
+class RigParameters(ParameterVector):
+    """Free parameters of a rig in several flights: all flights share those of the rig and of the effects;
+    each flight has its own encoder zeros and constant torques.
+
+    Parameters
+    ----------
+    model : Model
+        Equations with their effects.
+    rig : Rig
+        Values and priors of its parameters.
+    fixed : Mapping[str, float], optional
+        Values of parameters that are not estimated.
+    """
+
+    def __init__(
+        self, model: Model, rig: Rig, records: Sequence[Recording], fixed: Mapping[str, float] | None = None
+    ) -> None:
+        self.model, self.rig = model, rig
+        fixed = fixed or {}
+        shared, per_flight = [], []
+        for parameter in free_parameters(model, rig, None, {}):
+            if parameter.quantity in PER_FLIGHT:
+                per_flight.append(parameter)
+            elif parameter.quantity not in FLIGHT_TORQUES and parameter.quantity not in fixed:
+                shared.append(parameter)
+        per_flight += [FreeParameter(name, "N m", _torque_prior(rig, name), name) for name in FLIGHT_TORQUES]
+        self.labels = tuple(record.label for record in records)
+        values = parameter_values(model, rig, fixed)
+        super().__init__(model.parameter_names, values, shared, per_flight, self.labels)
+
+    @override
+    def parameters(self, theta: Floats, index: int = 0) -> Floats:
+        return self.model.values_in(self.labels[index], super().parameters(theta, index))
+
+
+def _torque_prior(rig: Rig, name: str) -> Prior:
+    """Prior of the constant torque about one axis in one flight: the torque of the rig file plus a part that
+    differs from flight to flight.
+    """
+    stated = rig_prior(rig, name) if name in rig and rig[name].tolerance > 0 else Prior(0.0, 0.0)
+    return Prior(stated.mean, math.hypot(stated.std, TORQUE_STD_Nm[name]))

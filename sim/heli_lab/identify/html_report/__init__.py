@@ -1,5 +1,0 @@
-"""Report of an identification: an HTML page with figures."""
-
-from heli_lab.identify.html_report.page import verdict, write_identification_report
-
-__all__ = ["verdict", "write_identification_report"]

@@ -1,0 +1,330 @@
+"""Calibrate a rig on its bench: first the encoders, then the motors; the result is a rig file and
+parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from heli_host.declaration import AXES, State
+from heli_host.errors import fault_text
+from heli_host.fly.heli import Heli
+from heli_sim.rig import Number, Rig
+from heli_sim.rig.encoders import counts_per_turn
+from heli_sim.rig.schema import ENCODER_DIRECTIONS
+
+from heli_lab.setup.calibrate.encoders import EncoderResult, angles_deg, calibrate_encoders
+from heli_lab.setup.calibrate.errors import CalibrationError
+from heli_lab.setup.calibrate.limits import pulse_limits, temporary_parameters
+from heli_lab.setup.calibrate.motors import MOTOR_OUTPUTS, MotorResult, PulseLimits, calibrate_motor
+from heli_lab.setup.calibrate.operator import HandAction, Operator
+from heli_lab.setup.calibrate.thrust import ThrustLine, geometry_share
+
+HARD_MAX_V: Final = 6.0
+"""Voltage that no pulse exceeds, whatever the options say [V]."""
+MAX_ANGLE_deg: Final = 20.0
+"""Default of the angle by which an axis may move in a pulse [deg]."""
+_ABOVE_DEAD_ZONE_V: Final = 1.0
+"""Default of the highest voltage of a pulse, above the rig file's dead zone [V]."""
+_FIRST_SHARE: Final = 0.5
+"""Default of the first voltage, as a share of the rig file's dead zone."""
+_MIN_FIRST_V: Final = 0.2
+_MIN_BLOCKED_deg: Final = 3.0
+"""Smallest elevation above the table during pulses [deg]: an arm on its table brakes pitch."""
+_MAX_ATTEMPTS: Final = 3
+_REST_TOLERANCE_deg: Final = 1.0
+"""Tolerance of the measured rest angle [deg]: a person levels the arm with a spirit level."""
+_MIN_DEAD_ZONE_TOLERANCE_V: Final = 0.02
+_MAX_ROTOR_DIFFERENCE: Final = 0.1
+"""Relative difference between two rotors that is normal: as in docs/how-to/first-power-up.md, step 9."""
+SOURCE: Final = "heli-host calibrate"
+"""Beginning of the source of each number that a calibration measured."""
+
+
+@dataclass(frozen=True)
+class BenchCalibration:
+    """Result of a calibration.
+
+    Parameters
+    ----------
+    encoders : EncoderResult
+        Directions and rest angle.
+    motors : tuple of MotorResult
+        Results of the front output and the back output; empty if only the encoders were calibrated.
+    rig : Rig
+        The rig with the measured numbers.
+    parameters : Mapping of str to float
+        Parameters that the board should have.
+    notes : tuple of str
+        Reasons why something was not measured, and changes to make by hand.
+    """
+
+    encoders: EncoderResult
+    motors: tuple[MotorResult, ...]
+    rig: Rig
+    parameters: Mapping[str, float]
+    notes: tuple[str, ...]
+
+    @property
+    def motors_exchanged(self) -> bool:
+        """Whether the front output drives the back rotor, and the back output the front rotor."""
+        return any(motor.rotor != motor.output for motor in self.motors)
+
+
+def default_limits(rig: Rig) -> PulseLimits:
+    """Return bounds of the pulses that suit the dead zone of a rig."""
+    dead_zone_V = rig["dead_zone"].value
+    return PulseLimits(
+        start_V=max(_MIN_FIRST_V, _FIRST_SHARE * dead_zone_V),
+        max_V=min(dead_zone_V + _ABOVE_DEAD_ZONE_V, HARD_MAX_V),
+        max_angle_deg=MAX_ANGLE_deg,
+    )
+
+
+def calibrate(
+    heli: Heli,
+    operator: Operator,
+    rig: Rig,
+    limits: PulseLimits | None = None,
+    *,
+    name: str = "",
+    motors: bool = True,
+    mark: Callable[[str], None] = lambda _: None,
+    check: Callable[[], None] = lambda: None,
+) -> BenchCalibration:
+    """Calibrate encoders and motors of a connected board.
+
+    Parameters of the board change in its memory only, and are restored at the end. Before that, the motors
+    are switched off, also after an error.
+
+    Parameters
+    ----------
+    heli : Heli
+        Connected; the board is idle.
+    operator : Operator
+        Moves the rig, confirms pulses, and sees which rotor turns.
+    rig : Rig
+        Rig with everything that is not measured.
+    limits : PulseLimits, optional
+        Bounds of the pulses; those of `default_limits` if omitted.
+    name : str
+        Name of the resulting rig; empty for the name of `rig`.
+    motors : bool
+        False calibrates the encoders only: no motor runs.
+    mark : callable taking str
+        Gets the name of each part of the calibration, for the log.
+    check : callable
+        Called repeatedly; raises when the log cannot be written.
+
+    Raises
+    ------
+    CalibrationError
+        The board is not idle, or a movement or a pulse has no clear answer.
+    FlightAborted
+        The operator or the board ended a pulse.
+    """
+    _check_idle(heli)
+    _check_counts(heli, rig)
+    limits = limits or default_limits(rig)
+    _check_voltages(heli, limits)
+    mark("encoders")
+    encoders = calibrate_encoders(heli, operator)
+    check()
+    encoder_values = _encoder_values(heli, encoders)
+    if not motors:
+        return _calibration(encoders, encoder_values, (), rig, name or rig.name)
+    motor_signs = {f"motor_{output}_sign": heli.params[f"motor_{output}_sign"] for output in MOTOR_OUTPUTS}
+    with temporary_parameters(heli, encoder_values | motor_signs, operator.report):
+        heli.zero()
+        _block_arm(heli, operator)
+        results = []
+        board_limits = pulse_limits(heli, max_V=limits.max_V, max_angle_deg=limits.max_angle_deg)
+        with temporary_parameters(heli, board_limits, operator.report):
+            for output in MOTOR_OUTPUTS:
+                mark(f"{output} output")
+                results.append(calibrate_motor(heli, operator, output, rig, limits, check))
+    mark("result")
+    return _calibration(encoders, encoder_values, results, rig, name or rig.name)
+
+
+def set_parameters(heli: Heli, operator: Operator, values: Mapping[str, float]) -> None:
+    """Set parameters on the board with the arm at rest, zero its encoders, and save.
+
+    Parameters
+    ----------
+    values : Mapping of str to float
+        New values of parameters, by name.
+
+    Raises
+    ------
+    CommandRefused
+        The board refused a parameter. Those set before it have their old values again, and nothing is saved.
+    """
+    operator.act(HandAction.REST)
+    heli.params.restore(values)
+    heli.zero()
+    heli.params.save()
+
+
+def _check_idle(heli: Heli) -> None:
+    """Raise a CalibrationError unless the board is idle."""
+    if heli.state is State.FAULT:
+        raise CalibrationError(
+            f"the board has a fault: {fault_text(heli.fault)}", "add --clear-fault when its cause is gone"
+        )
+    if heli.state is not State.IDLE:
+        raise CalibrationError(f"the board is {heli.state.name.lower()}, not idle", "stop it first")
+
+
+def _check_counts(heli: Heli, rig: Rig) -> None:
+    """Raise a CalibrationError if board and rig have different counts per turn."""
+    for axis, counts in zip(AXES, counts_per_turn(rig), strict=True):
+        board_counts = abs(heli.params[f"{axis}_counts_per_rev"])
+        if board_counts != counts:
+            raise CalibrationError(
+                f"{axis}_counts_per_rev is {board_counts:g}, but rig {rig.name} has {counts:g} counts per "
+                "turn",
+                "correct the wrong one with params set or rig new: counts per turn are not measured",
+            )
+
+
+def _check_voltages(heli: Heli, limits: PulseLimits) -> None:
+    """Raise a CalibrationError unless 0 < first voltage < highest voltage <= limit of the board."""
+    highest_V = min(HARD_MAX_V, heli.params["motor_max_V"])
+    if not 0.0 < limits.start_V < limits.max_V <= highest_V:
+        raise CalibrationError(
+            f"pulses from {limits.start_V:g} to {limits.max_V:g} V are not possible",
+            f"give a --max-V above {limits.start_V:g} and up to {highest_V:g} V",
+        )
+
+
+def _encoder_values(heli: Heli, encoders: EncoderResult) -> dict[str, float]:
+    """Return the board parameters that the encoders determine: signed counts per turn, and the rest angle
+    [deg].
+    """
+    spec = heli.params.spec("elevation_rest_deg")
+    rest_deg = round(encoders.rest_deg, 2)
+    if not spec.min <= rest_deg <= spec.max:
+        raise CalibrationError(
+            f"the arm rests at {rest_deg:g} degrees, and the board takes {spec.min:g} to {spec.max:g}",
+            "lift the arm only until it is level, and check the counts per turn of the elevation encoder",
+        )
+    values = {
+        f"{axis}_counts_per_rev": direction * abs(heli.params[f"{axis}_counts_per_rev"])
+        for axis, direction in encoders.direction.items()
+    }
+    return values | {"elevation_rest_deg": rest_deg}
+
+
+def _block_arm(heli: Heli, operator: Operator) -> None:
+    """Let the operator block the arm above its table, and check its elevation."""
+    rest_deg = heli.params["elevation_rest_deg"]
+    for _ in range(_MAX_ATTEMPTS):
+        operator.act(HandAction.TIE)
+        lifted_deg = angles_deg(heli)[0] - rest_deg
+        if lifted_deg >= _MIN_BLOCKED_deg:
+            return
+        operator.report(
+            f"the arm is {lifted_deg:.1f} degrees above its table; it needs {_MIN_BLOCKED_deg:g} or more"
+        )
+    raise CalibrationError(
+        "the arm is still on its table", "put a block below the long arm: the table brakes the short arm"
+    )
+
+
+def _calibration(
+    encoders: EncoderResult,
+    encoder_values: Mapping[str, float],
+    motors: Sequence[MotorResult],
+    rig: Rig,
+    name: str,
+) -> BenchCalibration:
+    """Assemble the calibrated rig, the board's parameters and the notes from all measurements."""
+    sign_parameters, sign_notes = _motor_signs(motors)
+    thrust_numbers, thrust_notes = _thrust_numbers(motors, rig)
+    numbers = dict(rig) | thrust_numbers
+    for axis, quantity in zip(AXES, ENCODER_DIRECTIONS, strict=True):
+        numbers[quantity] = Number(float(encoders.direction[axis]), "1", 0.0, f"{SOURCE}: turned by hand")
+    numbers["elevation_min"] = Number(
+        encoder_values["elevation_rest_deg"],
+        "deg",
+        _REST_TOLERANCE_deg,
+        f"{SOURCE}: lifted to level by hand",
+    )
+    parameters = dict(encoder_values) | sign_parameters
+    if thrust_numbers:
+        parameters["dead_zone_V"] = round(thrust_numbers["dead_zone"].value, 3)
+    calibrated_rig = replace(
+        rig, name=name, description=f"calibrated on the bench, the rest as {rig.name}", numbers=numbers
+    )
+    return BenchCalibration(
+        encoders, tuple(motors), calibrated_rig, parameters, notes=(*sign_notes, *thrust_notes)
+    )
+
+
+def _motor_signs(motors: Sequence[MotorResult]) -> tuple[dict[str, float], list[str]]:
+    """Return the signs of the motors as board parameters.
+
+    Returns
+    -------
+    parameters : dict of float
+        Parameters by name; empty if the plugs of the motors are exchanged.
+    notes : list of str
+        Notes for the operator.
+    """
+    rotors = [motor.rotor for motor in motors]
+    if len(set(rotors)) < len(rotors):
+        raise CalibrationError(
+            f"both outputs drive the {rotors[0]} rotor, as the operator saw it",
+            "look at the rotors during a pulse, and calibrate again",
+        )
+    if any(motor.rotor != motor.output for motor in motors):
+        note = (
+            "the motors are exchanged: swap the plugs of the two motors, then calibrate again; their signs "
+            "were not put into the parameters"
+        )
+        return {}, [note]
+    return {f"motor_{motor.output}_sign": float(motor.sign) for motor in motors}, []
+
+
+def _thrust_numbers(motors: Sequence[MotorResult], rig: Rig) -> tuple[dict[str, Number], list[str]]:
+    """Return thrust gain and dead zone of the rig: the mean of both rotors.
+
+    Returns
+    -------
+    numbers : dict of Number
+        ``thrust_gain`` and ``dead_zone``; empty unless both rotors were measured.
+    notes : list of str
+        Reasons why a rotor has no measurement, and a warning if the rotors differ.
+    """
+    lines = {motor.rotor: motor.thrust for motor in motors if isinstance(motor.thrust, ThrustLine)}
+    notes = [
+        f"thrust of the {motor.rotor} rotor is not known: {motor.thrust}; the rig's values stay"
+        for motor in motors
+        if isinstance(motor.thrust, str)
+    ]
+    if len(lines) < len(MOTOR_OUTPUTS):
+        return {}, notes
+    front, back = lines["front"], lines["back"]
+    gain_N_per_V = 0.5 * (front.gain_N_per_V + back.gain_N_per_V)
+    dead_zone_V = max(0.5 * (front.dead_zone_V + back.dead_zone_V), 0.0)
+    # A tolerance is two standard errors. The mean of two rotors has half the root of the sum of squares.
+    gain_tolerance = math.sqrt(front.gain_std**2 + back.gain_std**2)
+    gain_tolerance = math.hypot(gain_tolerance, gain_N_per_V * geometry_share(rig))
+    dead_zone_tolerance = math.sqrt(front.dead_zone_std**2 + back.dead_zone_std**2)
+    dead_zone_tolerance = max(dead_zone_tolerance, _MIN_DEAD_ZONE_TOLERANCE_V)
+    source = f"{SOURCE}: pitch after short pulses"
+    numbers = {
+        "thrust_gain": Number(gain_N_per_V, "N/V", gain_tolerance, source),
+        "dead_zone": Number(dead_zone_V, "V", dead_zone_tolerance, source),
+    }
+    ratio = front.gain_N_per_V / back.gain_N_per_V
+    if abs(ratio - 1.0) > _MAX_ROTOR_DIFFERENCE:
+        notes.append(
+            f"the front rotor pushes {ratio:.2f} times as much per volt as the back rotor: check the "
+            "propellers, or describe it with the effect thrust_asymmetry"
+        )
+    return numbers, notes

@@ -1,0 +1,387 @@
+"""Calibrate a motor output with voltage pulses: which rotor it drives, and that rotor's direction, dead zone
+and thrust.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from heli_host.arrays import Floats
+from heli_host.board.samples import Samples
+from heli_host.board.vehicle import Vehicle
+from heli_host.declaration import AXES, Axes, Excitation, Fault, State
+from heli_host.errors import CommandRefused, FlightAborted, HeliError, fault_text
+from heli_host.fly.heli import Heli
+from heli_host.link.clock import TICK_S
+from heli_sim.rig import Rig
+
+from heli_lab.setup.calibrate.encoders import angles_deg, sample_angles_deg
+from heli_lab.setup.calibrate.errors import CalibrationError
+from heli_lab.setup.calibrate.operator import HandAction, Operator
+from heli_lab.setup.calibrate.thrust import (
+    AFTER_s,
+    BEFORE_s,
+    Pulse,
+    PULSE_GRID_s,
+    PULSE_s,
+    ThrustLine,
+    response_counts,
+    thrust_of,
+)
+
+MOTOR_OUTPUTS: Final = ("front", "back")
+STEP_V: Final = 0.1
+"""Increase of the voltage from pulse to pulse before pitch has moved [V]. More: the first pulse above the
+dead zone turns a strong rotor too far. Less: more pulses are needed, each with a confirmation."""
+_MIN_STEP_V: Final = 0.02
+_MOVING_PULSES: Final = 8
+"""Number of pulses that move pitch, after which a series ends."""
+_MOVED_counts: Final = 4.0
+"""Change of pitch that counts as a movement. Less: a swing that is still decaying counts. More: the estimated
+dead zone is too high."""
+_MOVED_STDS: Final = 4.0
+"""The same in standard errors of the change; the larger one of both applies."""
+_MAX_ANGLE_SHARE: Final = 0.5
+"""Share of the largest angle at which the voltage is not increased any more."""
+_STILL_counts: Final = 3.0
+_STILL_s: Final = 1.0
+"""Time over which pitch must be still [s]. Shorter: the turning point of a slow swing counts as still."""
+_STILL_TIMEOUT_s: Final = 5.0
+_SMOOTH_counts: Final = 1.5
+"""Largest distance of a drifting pitch from a parabola. More: a hand or a draught looks like a drift. Less:
+the rounding of the encoder does not."""
+_MAX_DRIFT_SHARE: Final = 0.25
+"""Share of the largest angle within which pitch must stay by its drift alone until the pulse has ended. More:
+a pulse has too little room."""
+_POLL_s: Final = 0.02
+_MAX_ATTEMPTS: Final = 3
+_MAX_ARM_ATTEMPTS: Final = 20
+_ARM_RETRY_s: Final = 0.05
+
+
+@dataclass(frozen=True)
+class PulseLimits:
+    """Bounds of the pulses.
+
+    Parameters
+    ----------
+    start_V, max_V : float
+        First and highest voltage of the pulses [V].
+    max_angle_deg : float
+        Angle by which an axis may move in a pulse [deg]. Beyond it, the motors are switched off and the
+        calibration ends.
+    """
+
+    start_V: float
+    max_V: float
+    max_angle_deg: float
+
+
+@dataclass(frozen=True)
+class MotorResult:
+    """Rotor, direction, dead zone and thrust of one output, measured by pulses.
+
+    Parameters
+    ----------
+    output : str
+        ``front`` or ``back``.
+    rotor : str
+        Rotor that the output drives.
+    sign : int
+        Value of the board's sign parameter, 1 or -1, with which a positive voltage lifts this rotor.
+    begins_V : float
+        Lowest voltage at which pitch moved [V].
+    thrust : ThrustLine or str
+        Line of thrust over voltage, or the reason why there is none.
+    """
+
+    output: str
+    rotor: str
+    sign: int
+    begins_V: float
+    thrust: ThrustLine | str
+
+
+@dataclass
+class _Series:
+    """Result of pulses of rising voltage at one output, with one sign of the voltage.
+
+    Parameters
+    ----------
+    pulses : list of Pulse
+        Pulses that moved pitch.
+    rotor : str
+        Rotor that turned, ``front`` or ``back``; empty before the first movement.
+    turn : int
+        Sign of the pitch change, 1 or -1.
+    begins_V : float
+        Lowest voltage at which pitch moved [V].
+    """
+
+    pulses: list[Pulse] = field(default_factory=list)
+    rotor: str = ""
+    turn: int = 0
+    begins_V: float = 0.0
+
+
+def calibrate_motor(
+    heli: Heli, operator: Operator, output: str, rig: Rig, limits: PulseLimits, check: Callable[[], None]
+) -> MotorResult:
+    """Drive one output with pulses until its rotor, direction, dead zone and thrust are known.
+
+    If the rotor pushes down or does not move pitch, the pulses are repeated with the opposite sign. The
+    board's sign parameter has its first value again when the function returns.
+
+    Parameters
+    ----------
+    heli : Heli
+        Connected, the board idle with low limits; see `heli_lab.setup.calibrate.limits.pulse_limits`.
+    operator : Operator
+        Confirms each pulse and sees which rotor turns.
+    output : str
+        ``front`` or ``back``.
+    rig : Rig
+        Rig whose inertia gives thrust.
+    limits : PulseLimits
+        Voltages and angle.
+    check : callable
+        Called repeatedly; raises when the log cannot be written.
+
+    Raises
+    ------
+    CalibrationError
+        The output moves nothing with either sign, or the operator and pitch contradict each other.
+    FlightAborted
+        The operator or the board ended a pulse, or an axis moved too far.
+    """
+    sign_parameter = f"motor_{output}_sign"
+    first_sign = int(heli.params[sign_parameter])
+    pulser = _Pulser(heli, operator, output, rig, limits, check)
+    for sign in (first_sign, -first_sign):
+        heli.params[sign_parameter] = sign
+        series = pulser.series(limits.start_V)
+        if series.pulses and series.turn == lift_turn(series.rotor):
+            heli.params[sign_parameter] = first_sign
+            thrust = thrust_of(series.pulses, lift_turn(series.rotor), rig)
+            return MotorResult(output, series.rotor, sign, series.begins_V, thrust)
+        reason = f"the {series.rotor} rotor pushes down" if series.pulses else "no pulse moved pitch"
+        operator.report(f"{output} output with {sign_parameter} {sign}: {reason}")
+    heli.params[sign_parameter] = first_sign
+    raise CalibrationError(
+        f"the {output} output lifts no rotor up to {limits.max_V:g} V, with either sign",
+        "check supply, driver and plug of that motor, and its propeller, or raise --max-V",
+    )
+
+
+def lift_turn(rotor: str) -> int:
+    """Return the sign of the pitch that a `rotor`, ``front`` or ``back``, causes when it pushes up."""
+    return 1 if rotor == "front" else -1
+
+
+class _Pulser:
+    """Gives voltage pulses to one output, and checks state and angles of the board meanwhile."""
+
+    def __init__(
+        self,
+        heli: Heli,
+        operator: Operator,
+        output: str,
+        rig: Rig,
+        limits: PulseLimits,
+        check: Callable[[], None],
+    ) -> None:
+        self._rig = rig
+        self._drifts = False
+        self._heli, self._operator, self._output = heli, operator, output
+        self._limits, self._check = limits, check
+        self._confirmed = False
+        self._count_rad = 2.0 * np.pi / abs(heli.params["pitch_counts_per_rev"])
+
+    def series(self, start_V: float) -> _Series:
+        """Give pulses of rising voltage from `start_V` on; end the series if the rotor pushes down.
+
+        The first pulse that moves pitch is also shown to the operator, who says which rotor turned.
+        """
+        series = _Series()
+        volts_V, step_V = start_V, STEP_V
+        peaks: list[tuple[float, float]] = []
+        while volts_V <= self._limits.max_V + 1e-9 and len(series.pulses) < _MOVING_PULSES:
+            pulse = self.pulse(volts_V)
+            change_counts, std_counts = response_counts(
+                pulse, self._count_rad, self._rig if self._drifts else None
+            )
+            if abs(change_counts) > max(_MOVED_counts, _MOVED_STDS * std_counts):
+                turn = int(np.sign(change_counts))
+                # First motion: its voltage is where the dead zone ends.
+                if not series.rotor:
+                    series.rotor = self._confirm_rotor(volts_V)
+                    series.turn, series.begins_V = turn, volts_V
+                if turn != series.turn:
+                    raise CalibrationError(
+                        f"the {self._output} output turned pitch both ways",
+                        "check its plug and its driver, and that the propeller is tight",
+                    )
+                series.pulses.append(pulse)
+                # Reversed, or wired to push down: the caller repeats the series with the other sign.
+                if turn != lift_turn(series.rotor):
+                    break
+                peak_deg = float(np.degrees(abs(change_counts) * self._count_rad))
+                peaks.append((volts_V, peak_deg))
+                step_V = self._next_step(peaks)
+                if step_V < _MIN_STEP_V:
+                    break
+            volts_V = round(volts_V + step_V, 3)
+        return series
+
+    def _next_step(self, peaks: list[tuple[float, float]]) -> float:
+        """Return the next increase of the voltage [V], small enough that pitch stays far below its limit.
+
+        Parameters
+        ----------
+        peaks : list of (float, float)
+            Voltage [V] and largest pitch angle [deg] of each pulse, which are extrapolated linearly.
+        """
+        volts_V, peak_deg = peaks[-1]
+        previous_V, previous_deg = peaks[-2] if len(peaks) > 1 else (volts_V - STEP_V, 0.0)
+        deg_per_V = max((peak_deg - previous_deg) / (volts_V - previous_V), 1e-3)
+        return min(STEP_V, (_MAX_ANGLE_SHARE * self._limits.max_angle_deg - peak_deg) / deg_per_V)
+
+    def _confirm_rotor(self, volts_V: float) -> str:
+        """Ask the operator which rotor turned, ``front`` or ``back``."""
+        rotor = self._operator.choose(
+            f"{self._output} output, {volts_V:g} V: which rotor turned?", ("front", "back", "neither")
+        )
+        if rotor == "neither":
+            raise CalibrationError(
+                f"pitch moved during the pulse of the {self._output} output, but neither rotor turned",
+                "keep hands and draughts off the short arm, then calibrate again",
+            )
+        return rotor
+
+    def pulse(self, volts_V: float) -> Pulse:
+        """Ask the operator, wait until pitch is still, and give one pulse; return pitch around it."""
+        if not self._confirmed:
+            answer = self._operator.choose(
+                f"pulse: {self._output} output, {volts_V:g} V for {PULSE_s:g} s. "
+                "Hands off, nobody in the arm's circle",
+                ("pulse", "all", "stop"),
+            )
+            if answer == "stop":
+                raise FlightAborted("the operator stopped the calibration; the motors are off")
+            self._confirmed = answer == "all"
+        self._wait_until_still()
+        self._arm_when_still()
+        try:
+            samples = self._drive(volts_V)
+        except BaseException:
+            with contextlib.suppress(HeliError):
+                self._heli.stop()
+            raise
+        self._heli.stop()
+        return _pulse_of_samples(samples, self._output, volts_V)
+
+    def _arm_when_still(self) -> None:
+        """Arm the motors; repeat while the board sees motion."""
+        for attempt in range(_MAX_ARM_ATTEMPTS):
+            try:
+                # Heli.arm would refuse a simulated board whose wires are wrong, and finding wrong wires is
+                # what a calibration is for.
+                Vehicle.arm(self._heli)
+            except CommandRefused as error:
+                # A single count of a slow drift looks like 3 degrees per second for a moment.
+                if error.detail != Fault.MOVING or attempt == _MAX_ARM_ATTEMPTS - 1:
+                    raise
+                self._heli.wait(_ARM_RETRY_s)
+            else:
+                return
+
+    def _drive(self, volts_V: float) -> Samples:
+        """Give one voltage pulse with the armed board, and return the samples around the pulse.
+
+        Raises
+        ------
+        FlightAborted
+            The board stops, an axis moves too far, or the operator stops.
+        """
+        heli = self._heli
+        start_deg = angles_deg(heli)
+        heli.control(Axes(0))
+        front_V, back_V = (volts_V if output == self._output else 0.0 for output in MOTOR_OUTPUTS)
+        heli.excite(Excitation.STEP, front_V, back_V, duration_s=PULSE_s)
+        end_s = heli.latest.t_s + PULSE_s + AFTER_s + 0.2
+        while (sample := heli.latest).t_s < end_s:
+            if sample.state is not State.OPEN_LOOP:
+                if sample.fault:
+                    raise FlightAborted(f"the board switched the motors off: {fault_text(sample.fault)}")
+                raise FlightAborted(
+                    "the board got no more messages from the host and switched the motors off",
+                    "check the USB cable, then calibrate again",
+                )
+            moved_deg = np.abs(sample_angles_deg(sample) - start_deg)
+            if moved_deg.max() > self._limits.max_angle_deg:
+                raise FlightAborted(
+                    f"{AXES[int(moved_deg.argmax())]} moved by {moved_deg.max():.1f} degrees, more than "
+                    f"{self._limits.max_angle_deg:g}; the motors are off; block the arm, or lower --max-V"
+                )
+            if self._operator.wants_stop():
+                raise FlightAborted("the stop key was pressed; the motors are off")
+            self._check()
+            heli.wait(_POLL_s)
+        return heli.samples(BEFORE_s + PULSE_s + AFTER_s + 1.0)
+
+    def _drifts_slowly(self, pitch_deg: Floats, count_deg: float) -> bool:
+        """Whether the short arm drifts so smoothly and slowly that the model of a pulse includes the drift.
+
+        A short arm whose rotors differ by a few grams is nowhere at rest near level.
+        """
+        t_s = np.arange(len(pitch_deg)) * TICK_S
+        parabola = np.polynomial.Polynomial.fit(t_s, pitch_deg, 2)
+        is_smooth = np.abs(parabola(t_s) - pitch_deg).max() <= _SMOOTH_counts * count_deg
+        rate_deg_s = float(parabola.deriv()(t_s[-1]))
+        at_end_deg = pitch_deg[-1] + rate_deg_s * (PULSE_s + AFTER_s)
+        near_deg = _MAX_DRIFT_SHARE * self._limits.max_angle_deg
+        return bool(is_smooth and max(abs(pitch_deg[-1]), abs(at_end_deg)) < near_deg)
+
+    def _wait_until_still(self) -> None:
+        """Wait until pitch is near level, and still for a second or in a slow drift; otherwise, ask the
+        operator to steady it.
+        """
+        for attempt in range(_MAX_ATTEMPTS):
+            end_s = self._heli.latest.t_s + _STILL_TIMEOUT_s
+            while self._heli.latest.t_s < end_s:
+                self._heli.wait(_STILL_s)
+                pitch_deg = np.degrees(self._heli.samples(_STILL_s).pitch_rad)
+                count_deg = float(np.degrees(self._count_rad))
+                if np.ptp(pitch_deg) <= _STILL_counts * count_deg:
+                    if abs(pitch_deg[-1]) < _MAX_ANGLE_SHARE * self._limits.max_angle_deg:
+                        return
+                    break
+                # A swing that a hand has left comes to rest, and a steady drift does not.
+                if (attempt > 0 or self._drifts) and self._drifts_slowly(pitch_deg, count_deg):
+                    self._drifts = True
+                    return
+            self._operator.act(HandAction.STEADY)
+        raise CalibrationError(
+            "the short arm does not come to rest",
+            "keep draughts away, check that the cables do not pull at the short arm, and balance its rotors",
+        )
+
+
+def _pulse_of_samples(samples: Samples, output: str, volts_V: float) -> Pulse:
+    """Cut out pitch around the pulse of an output, in steps of `PULSE_GRID_s`."""
+    powered_rows = np.flatnonzero(getattr(samples, f"{output}_V"))
+    if not len(powered_rows):
+        raise CalibrationError(
+            f"the board gave no voltage to the {output} output", "check the limits of its parameters"
+        )
+    ticks_per_step = round(PULSE_GRID_s / TICK_S)
+    first_row = powered_rows[0] - round(BEFORE_s / TICK_S)
+    count = round((BEFORE_s + PULSE_s + AFTER_s) / PULSE_GRID_s)
+    rows = first_row + ticks_per_step * np.arange(count)
+    if rows[0] < 0 or rows[-1] >= len(samples) or np.any(np.diff(samples.tick) != 1):
+        raise CalibrationError("samples of a pulse are missing", "check the USB cable, then calibrate again")
+    return Pulse(volts_V, samples.pitch_rad[rows])
