@@ -29,21 +29,7 @@ _LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+
 
 
 def read_file(path: Path, most_bytes: int) -> bytes:
-    """Read a whole file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    most_bytes : int
-        Largest permitted size [bytes].
-
-    Raises
-    ------
-    OSError
-        If it cannot be read, is larger, or is a pipe or a device, which may never end. ``strerror`` gives
-        the reason.
-    """
+    """Read a whole file."""
     # Without O_NONBLOCK, opening a pipe waits for its writer.
     opened = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with os.fdopen(opened, "rb") as file:
@@ -59,18 +45,7 @@ def read_file(path: Path, most_bytes: int) -> bytes:
 
 
 def file_digest(path: Path) -> str:
-    """Return the SHA-256 digest of the bytes of a file, in hexadecimal digits.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read.
-    """
+    """Return the SHA-256 digest of the bytes of a file, in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -79,16 +54,6 @@ def decode_text(content: bytes) -> str:
     """Return the text of a file that a user may have written with any editor.
 
     A byte order mark, as some editors of Windows write it, is left out. A text in UTF-16 begins with one.
-
-    Parameters
-    ----------
-    content : bytes
-        Content of the file.
-
-    Raises
-    ------
-    UnicodeDecodeError
-        It is neither UTF-8 nor UTF-16 with a byte order mark.
     """
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16")
@@ -96,19 +61,7 @@ def decode_text(content: bytes) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML, and refuse whole numbers of more than 64 bits and deep nesting.
-
-    Parameters
-    ----------
-    text : str
-        The document.
-
-    Raises
-    ------
-    ValueError
-        If it is not TOML, is nested too deeply, or has a whole number of more than 64 bits, which TOML does
-        not permit. The message gives the reason in one line.
-    """
+    """Parse TOML, and refuse whole numbers of more than 64 bits and deep nesting."""
     if _LONG_KEY.search(text):
         raise ValueError("it is nested too deeply")
     try:
@@ -127,16 +80,6 @@ def toml_string(text: str) -> str:
     """Return a text as a string of TOML, with its quotation marks, such that `parse_toml` reads it back.
 
     Characters that are not printable are escaped, because they may control a terminal that shows the file.
-
-    Parameters
-    ----------
-    text : str
-        Any text, also with line breaks and quotation marks.
-
-    Returns
-    -------
-    str
-        The string between quotation marks.
     """
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'

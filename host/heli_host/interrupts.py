@@ -23,25 +23,13 @@ def flight_was_interrupted() -> bool:
 
 
 def name_of(error: KeyboardInterrupt) -> str:
-    """Return the name of the signal that caused an interrupt, ``Ctrl-C`` for SIGINT.
-
-    Parameters
-    ----------
-    error : KeyboardInterrupt
-        Its first argument is the name of the signal, if its handler has set it.
-    """
+    """Return the name of the signal that caused an interrupt, ``Ctrl-C`` for SIGINT."""
     name = str(error.args[0]) if error.args else CTRL_C
     return CTRL_C if name == "SIGINT" else name
 
 
 def was_interrupted(outcome: str) -> bool:
-    """Whether an interrupt ended a flight.
-
-    Parameters
-    ----------
-    outcome : str
-        Outcome of the flight, in one line.
-    """
+    """Whether an interrupt ended a flight."""
     return outcome.startswith(_INTERRUPTED)
 
 

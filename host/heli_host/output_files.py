@@ -50,17 +50,8 @@ class ForeignFile(HeliError):
 
 
 def check_replaceable(path: str | Path) -> None:
-    """Check that a file may be written: there is none, the program itself wrote it, or ``--force`` was given.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to write later.
-
-    Raises
-    ------
-    ForeignFile
-        A foreign file, or an edited one, is there.
+    """Check that a file may be written: there is none, the program itself wrote it, or ``--force`` was
+    given.
     """
     path = Path(path)
     try:
@@ -75,18 +66,7 @@ def check_replaceable(path: str | Path) -> None:
 
 
 def is_own_file(path: Path) -> bool:
-    """Return whether the program wrote a file, and, if it is a text for editing, it is unchanged.
-
-    Parameters
-    ----------
-    path : Path
-        An existing file. An empty file counts as the program's.
-
-    Raises
-    ------
-    OSError
-        It cannot be read.
-    """
+    """Return whether the program wrote a file, and, if it is a text for editing, it is unchanged."""
     size = path.stat().st_size
     if size == 0:
         return True
@@ -122,25 +102,6 @@ def replacing(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     """Write a file next to its place, and move it there when the ``with`` block has ended without an error.
 
     A full disk, an interrupt or any other error leaves the place as it was.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to write, in an existing folder.
-    force : bool
-        Replace any file; only after `check_replaceable` has permitted it.
-
-    Yields
-    ------
-    Path
-        File to write in the block, with the same ending.
-
-    Raises
-    ------
-    ForeignFile
-        See `check_replaceable`.
-    OSError
-        It cannot be written.
     """
     path = Path(path)
     if not force:
@@ -162,114 +123,42 @@ def replacing(path: str | Path, *, force: bool = False) -> Iterator[Path]:
 
 
 def write_bytes(path: str | Path, content: bytes, *, force: bool = False) -> None:
-    """Write a file as `replacing` does.
-
-    Parameters
-    ----------
-    content : bytes
-        Content of the file.
-    force : bool
-        See `replacing`.
-
-    Raises
-    ------
-    ForeignFile, OSError
-        See `replacing`.
-    """
+    """Write a file as `replacing` does."""
     with replacing(path, force=force) as unfinished:
         unfinished.write_bytes(content)
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text without a digest, which the program recognises by its first line, as `replacing` does.
-
-    Parameters
-    ----------
-    text : str
-        Content of the file.
-
-    Raises
-    ------
-    ForeignFile, OSError
-        See `replacing`.
-    """
+    """Write a text without a digest, which the program recognises by its first line, as `replacing` does."""
     write_bytes(path, text.encode())
 
 
 def write_signed(path: str | Path, text: str) -> None:
-    """Write a text that people may edit, and a last line with its digest, as `replacing` does.
-
-    Parameters
-    ----------
-    text : str
-        Content of the file. The last line is a comment, in the language of the file's ending.
-
-    Raises
-    ------
-    ForeignFile, OSError
-        See `replacing`.
-    """
+    """Write a text that people may edit, and a last line with its digest, as `replacing` does."""
     write_bytes(path, signed(text, Path(path).suffix).encode())
 
 
 def signed(text: str, suffix: str) -> str:
-    """Return a text with a last line that holds the digest of the text.
-
-    Parameters
-    ----------
-    text : str
-        Any text.
-    suffix : str
-        Ending of the file, such as ``.toml``; it determines how a comment is written.
-    """
+    """Return a text with a last line that holds the digest of the text."""
     begin, end = _COMMENTS.get(suffix.lower(), ("# ", ""))
     text = text if text.endswith("\n") else text + "\n"
     return f"{text}{begin}{WRITER}, digest {_digest(text.encode())}{end}\n"
 
 
 def save_figure(figure: Figure, path: str | Path, **options: Any) -> None:
-    """Save a figure as `replacing` does, with the text by which the program recognises it.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        Drawn completely; pyplot need not know it.
-    path : str or Path
-        ``.png``, ``.pdf`` or ``.svg`` file.
-    **options : object
-        Further arguments of ``Figure.savefig``.
-
-    Raises
-    ------
-    ForeignFile, OSError
-        See `replacing`.
-    ValueError
-        matplotlib does not know the ending.
-    """
+    """Save a figure as `replacing` does, with the text by which the program recognises it."""
     with replacing(path) as unfinished:
         figure.savefig(unfinished, metadata=figure_metadata(Path(path).suffix), **options)
 
 
 def figure_metadata(suffix: str) -> dict[str, str] | None:
-    """Return the metadata of a figure's file; None for an ending that is no figure's.
-
-    Parameters
-    ----------
-    suffix : str
-        Ending of the file, such as ``.png``.
-    """
+    """Return the metadata of a figure's file; None for an ending that is no figure's."""
     key = _FIGURE_KEYS.get(suffix.lower())
     return {key: WRITER} if key is not None else None
 
 
 def notebook_digest(cells: Any) -> str:
-    """Return the digest of the sources of a notebook's cells, without outputs and numbers.
-
-    Parameters
-    ----------
-    cells : list of dict
-        Cells as in the notebook's JSON.
-    """
+    """Return the digest of the sources of a notebook's cells, without outputs and numbers."""
     sources = [[cell["cell_type"], "".join(cell["source"])] for cell in cells]
     return _digest(json.dumps(sources).encode())
 

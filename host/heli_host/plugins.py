@@ -12,11 +12,6 @@ def plugins(group: str) -> EntryPoints:
 
     A package that is installed later is found by the next process: to read the metadata of all packages takes
     a third of the time in which a simulated board opens.
-
-    Parameters
-    ----------
-    group : str
-        Name of the group, such as ``heli_host.transports``.
     """
     return _installed().select(group=group)
 

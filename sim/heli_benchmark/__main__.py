@@ -31,18 +31,7 @@ _PROCESSES = 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the cases and report.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Arguments instead of those of the command line.
-
-    Returns
-    -------
-    int
-        Exit status: 0 if all cases ran.
-    """
+    """Run the cases and report."""
     parser = argparse.ArgumentParser(prog="python -m heli_benchmark", description=__doc__)
     add_choice(parser)
     parser.add_argument("--keep", action="store_true", help="use results of any version of the code")

@@ -22,20 +22,6 @@ def code_digest(works: Iterable[str] = (), folder: str = "", packages: Iterable[
     """Digest all files that can change a result, together with the version of Python; return 16 letters.
 
     Compiled modules count, and so do their sources, which may be newer.
-
-    Parameters
-    ----------
-    works : iterable of str
-        Functions that run cases, as ``package.module:function``; their packages count too.
-    folder : str
-        Folder of modules that are not installed, such as that of a campaign file.
-    packages : iterable of str
-        Installed packages that the result depends on.
-
-    Raises
-    ------
-    ImportError
-        When a package of `works` is neither installed nor in the folder.
     """
     packages = tuple(packages)
     modules = [work.partition(":")[0] for work in works]

@@ -22,21 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FitInputs:
-    """Rig, model and flight names of a fit.
+    """Rig, model and flight names of a fit."""
 
-    Parameters
-    ----------
-    rig : Rig
-        Prior values and tolerances.
-    model : Model
-        Equations of motion with the effects of the rig and of the command line.
-    labels : list of str
-        Short names of the flights to fit, then of those for validation.
-    """
-
-    rig: Rig
-    model: Model
-    labels: list[str]
+    rig: Rig  # Prior values and tolerances
+    model: Model  # Equations of motion with the effects of the rig and of the command line
+    labels: list[str]  # Short names of the flights to fit, then of those for validation
 
 
 def fit_inputs(
@@ -47,26 +37,7 @@ def fit_inputs(
     effect_files: Sequence[Path],
     effects: Sequence[str] = (),
 ) -> FitInputs:
-    """Read the rig and build the model of a fit.
-
-    Parameters
-    ----------
-    flights, validate : sequence of Path
-        Files of the flights to fit, and of those for validation.
-    rig : str
-        Name or file of the rig.
-    model : str or None
-        Name of the model; if None, the one named in the rig file, or `DEFAULT_MODEL`.
-    effect_files : sequence of Path
-        Python files that define further effects.
-    effects : sequence of str
-        Effects in the notation of the command line; they override effects of the rig file with the same name.
-
-    Raises
-    ------
-    SimError
-        When rig, model or an effect is unknown or invalid.
-    """
+    """Read the rig and build the model of a fit."""
     from heli_sim.model.effects import effects_with
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig
@@ -80,13 +51,7 @@ def fit_inputs(
 
 
 def input_lines(inputs: FitInputs, rig: str) -> tuple[str, str]:
-    """State which rig and which model a fit uses: the default may be another rig than the one that flew.
-
-    Parameters
-    ----------
-    rig : str
-        Name or file of the rig, as in `fit_inputs`.
-    """
+    """State which rig and which model a fit uses: the default may be another rig than the one that flew."""
     source = " (the default of --rig)" if rig == DEFAULT_RIG else ""
     name = f" ({inputs.rig.name})" if rig != inputs.rig.name else ""
     effects = ", ".join(effect.name for effect in inputs.model.effects)
@@ -94,13 +59,7 @@ def input_lines(inputs: FitInputs, rig: str) -> tuple[str, str]:
 
 
 def flights_line(flights: Iterable[Mapping[str, Any]]) -> str:
-    """State how many seconds of each flight were fitted, and validated on.
-
-    Parameters
-    ----------
-    flights : iterable of Mapping
-        Entries ``flights`` of the JSON of an identification or a diagnosis.
-    """
+    """State how many seconds of each flight were fitted, and validated on."""
     used: dict[bool, list[str]] = {True: [], False: []}
     for flight in flights:
         used[flight["role"] == "train"].append(f"{flight['flight']} ({flight['seconds_used']:.0f} s used)")
@@ -111,26 +70,7 @@ def flights_line(flights: Iterable[Mapping[str, Any]]) -> str:
 def parts(
     from_s: Sequence[float], to_s: Sequence[float], fitted: int, validated: int
 ) -> list[tuple[float | None, float | None]]:
-    """Assign the times of --from and --to to the flights.
-
-    Parameters
-    ----------
-    from_s, to_s : sequence of float
-        No times, one for all flights to fit, one per flight to fit, or one per flight to fit or validate. A
-        single time never shortens a flight for validation.
-    fitted, validated : int
-        Number of flights to fit, and to validate.
-
-    Returns
-    -------
-    list of (float or None, float or None)
-        Start (included) and end (excluded) of each flight [s], flights to fit first; None if not limited.
-
-    Raises
-    ------
-    IdentifyError
-        When there is another number of times, or a part ends before it begins.
-    """
+    """Assign the times of --from and --to to the flights."""
     limits_by_option = []
     for option, times in (("--from", from_s), ("--to", to_s)):
         if len(times) > 1 and len(times) not in (fitted, fitted + validated):
@@ -152,18 +92,7 @@ def parts(
 
 
 def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Rig) -> None:
-    """Check signs, zeros and units of flights before a fit.
-
-    Parameters
-    ----------
-    labels : sequence of str
-        Names of the flights in messages.
-
-    Raises
-    ------
-    WrongSigns
-        When a flight has wrong signs, zeros or units; the message states how to fix them.
-    """
+    """Check signs, zeros and units of flights before a fit."""
     from heli_lab.fit.identify.record import prepare
     from heli_lab.setup.guess.signs import wrong_signs
 
@@ -193,35 +122,7 @@ def read_parts(
     skip_sign_check: bool,
     show: Callable[[str, float], None],
 ) -> Iterator[Flight | Record]:
-    """Read flight files, refuse wrong signs, and return the part of each flight that a fit uses.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files of the flights, in the order of their names in `inputs`.
-    inputs : FitInputs
-        Rig and names of the flights.
-    spans : sequence of (float or None, float or None)
-        Start and end of each part, as `parts` returns them.
-    allow_gaps : bool
-        Whether rows may be missing.
-    skip_sign_check : bool
-        Whether signs may be wrong.
-    show : callable
-        Called with the name of each stage and the completed share of the work, 0 to 1.
-
-    Returns
-    -------
-    iterator of Flight or Record
-        The whole flight, or a prepared part of it.
-
-    Raises
-    ------
-    FlightDataError
-        When a file is invalid; the message names file, column and row.
-    WrongSigns
-        As `refuse_wrong_signs`.
-    """
+    """Read flight files, refuse wrong signs, and return the part of each flight that a fit uses."""
     from heli_host.data.log.flight_file import read_flight
 
     from heli_lab.fit.identify.record import prepare

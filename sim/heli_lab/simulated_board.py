@@ -24,13 +24,7 @@ from heli_sim.sil.world import SilWorld
 
 
 def world_of(plant: Plant, seed: int) -> SilWorld:
-    """Return the simulation of a board that is connected to a plant.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the encoders' initial positions.
-    """
+    """Return the simulation of a board that is connected to a plant."""
     return SilWorld(SilOptions(seed=seed), plant)
 
 
@@ -44,15 +38,7 @@ def connected(world: SilWorld) -> Iterator[Heli]:
 
 
 def set_hover(heli: Heli, model: Model, rig: Rig) -> None:
-    """Set the parameters that an operator must set for a rig: the hover voltage, and the rest tolerance.
-
-    Parameters
-    ----------
-    heli : Heli
-        The connected board.
-    model : Model
-        Equations of motion; their effects are left out.
-    """
+    """Set the parameters that an operator must set for a rig: the hover voltage, and the rest tolerance."""
     hover_V = float(sum(trim(type(model)(), rig).volts_V)) - 2.0 * rig["dead_zone"].value
     heli.params["hover_V"] = hover_V
     heli.params["arm_elevation_tolerance_deg"] = 20.0
@@ -61,17 +47,7 @@ def set_hover(heli: Heli, model: Model, rig: Rig) -> None:
 def fly_and_read(
     heli: Heli, plans: Plan | str | Sequence[Plan], on_progress: Callable[[Progress], None] | None = None
 ) -> tuple[Flight, FlightSummary]:
-    """Fly plans with a connected board, and return the flight of the log with its summary.
-
-    Parameters
-    ----------
-    heli : Heli
-        The connected board.
-    plans : Plan, str or sequence of Plan
-        As in `heli_host.fly.runner.fly`.
-    on_progress : callable, optional
-        Called with the progress of the flight.
-    """
+    """Fly plans with a connected board, and return the flight of the log with its summary."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "flight.mcap"
         summary = fly(heli, plans, log_path=log, on_progress=on_progress)

@@ -65,17 +65,7 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 
 def batches(items: Iterable[_Item], size_of: Callable[[_Item], int], max_size: int) -> list[list[_Item]]:
-    """Divide items into batches of limited size, in their order.
-
-    Parameters
-    ----------
-    items : iterable
-        Items of any type; each is in one batch.
-    size_of : callable
-        Takes an item, and returns its size.
-    max_size : int
-        Largest sum of the sizes in a batch. An item that is larger is a batch by itself.
-    """
+    """Divide items into batches of limited size, in their order."""
     batches_so_far: list[list[_Item]] = []
     batch_size = 0
     for item in items:
@@ -91,15 +81,6 @@ def parallel_map(work: Callable[[_Item], _T], items: Sequence[_Item], threads: i
     """Call `work` with each item in several threads, and return the results in the order of the items.
 
     In a thread of such a map, a further map runs serially.
-
-    Parameters
-    ----------
-    work : callable
-        Called with an item, in any thread. An exception is raised again in the calling thread.
-    items : sequence
-        Arguments of the calls.
-    threads : int, optional
-        Number of threads, 1 or more; by default `default_thread_count`.
     """
     threads = default_thread_count() if threads is None else threads
     if threads == 1 or len(items) < 2 or _thread_count.get() == 1:

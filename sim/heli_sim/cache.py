@@ -28,19 +28,7 @@ def cache_path() -> Path:
 
 
 def cache_folder() -> Path:
-    """Create the folder of compiled functions.
-
-    Returns
-    -------
-    Path
-        The folder, to which only its user can write. If it cannot be created, a temporary folder that is
-        removed when this process ends.
-
-    Raises
-    ------
-    PlantError
-        If the folder exists and other users can write to it, because their code would run as this user.
-    """
+    """Create the folder of compiled functions."""
     folder = cache_path()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -57,18 +45,7 @@ def cache_folder() -> Path:
 
 
 def writable_by_others(path: Path) -> str:
-    """Describe which other users could have written code there; empty for none.
-
-    Parameters
-    ----------
-    path : Path
-        Folder or file.
-
-    Returns
-    -------
-    str
-        Empty if only this user and the system's administrator could.
-    """
+    """Describe which other users could have written code there; empty for none."""
     if not hasattr(os, "geteuid"):
         return ""
     status = path.stat()
@@ -80,13 +57,7 @@ def writable_by_others(path: Path) -> str:
 
 
 def is_intact(library: Path) -> bool:
-    """Return whether a library in the cache is complete and unchanged.
-
-    Parameters
-    ----------
-    library : Path
-        File in the cache.
-    """
+    """Return whether a library in the cache is complete and unchanged."""
     try:
         if writable_by_others(library):
             return False
@@ -98,15 +69,7 @@ def is_intact(library: Path) -> bool:
 
 
 def keep(built: Path, library: Path) -> None:
-    """Store a library in the cache, completely or not at all, even if the power fails.
-
-    Parameters
-    ----------
-    built : Path
-        The new library, on the same file system; it is moved.
-    library : Path
-        File in the cache. An existing one is replaced; processes that have loaded it continue to use it.
-    """
+    """Store a library in the cache, completely or not at all, even if the power fails."""
     content = built.read_bytes() + _DIGEST_MARK
     built.chmod(0o700)
     with built.open("wb") as file:

@@ -14,18 +14,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RigFindings:
-    """Results that follow from all parameters of a rig together.
-
-    Parameters
-    ----------
-    phrases : tuple of str
-        Inertias, voltages at hover, and parameters that no rig on a table has; one phrase each.
-    can_fly : bool
-        Whether the rig's supply is sufficient for a hover, and its arm comes down without voltage.
-    """
+    """Results that follow from all parameters of a rig together."""
 
     phrases: tuple[str, ...]
+    """Inertias, voltages at hover, and parameters that no rig on a table has; one phrase each."""
     can_fly: bool
+    """Whether the rig's supply is sufficient for a hover, and its arm comes down without voltage."""
 
 
 _ELEVATION_RATE: Final = 3

@@ -28,35 +28,19 @@ _MODULUS: Final = 2**31 - 1
 
 @dataclass(frozen=True)
 class Extras:
-    """States that a simulation has in addition to those of its model.
-
-    Parameters
-    ----------
-    states : tuple of Quantity
-        The additional states in their order. All start at 0, except that of the random generator.
-    timed : bool
-        Whether the first of them is the time since the motors first turned.
-    random : bool
-        Whether the next one is the state of the random generator.
-    delay_s : float
-        Delay of the voltages. The remaining states are the voltages of the milliseconds that it spans, the
-        newest first.
-    """
+    """States that a simulation has in addition to those of its model."""
 
     states: tuple[Quantity, ...] = ()
-    timed: bool = False
-    random: bool = False
+    """The additional states in their order. All start at 0, except that of the random generator."""
+    timed: bool = False  # Whether the first of them is the time since the motors first turned
+    random: bool = False  # Whether the next one is the state of the random generator
     delay_s: float = 0.0
+    """Delay of the voltages. The remaining states are the voltages of the milliseconds that it spans, the
+    newest first."""
 
 
 def extras(model: Model, delay_s: float = 0.0) -> Extras:
-    """Return the states that a simulation needs in addition to those of its model.
-
-    Parameters
-    ----------
-    delay_s : float
-        Time by which the voltages act late.
-    """
+    """Return the states that a simulation needs in addition to those of its model."""
     timed, random = _depends_on_time(model), model.noise_inputs > 0
     states = [Quantity("time_s", "s", "time since the motors first turned")] if timed else []
     states += [Quantity("random", "1", "state of the random generator")] if random else []
@@ -75,18 +59,6 @@ def step_function(model: Model, delay_s: float = 0.0) -> ca.Function:
     A stop is inelastic: the angle stays at it and the rate outwards becomes 0. The table is the lower stop of
     the elevation; while the arm rests on it, pitch and travel rates die out with table_damping. A locked axis
     (as in a bench test) keeps its angle with rate 0, and its lock gives the reaction that this takes.
-
-    Parameters
-    ----------
-    delay_s : float
-        Time by which the voltages act late.
-
-    Returns
-    -------
-    casadi.Function
-        ``plant_step(state, volts_V, locked, parameters) -> (next state, measured angles in rad)``. The state
-        is that of the model, followed by that of `extras`. The parameters are those of the model, followed by
-        elevation_min, elevation_max, pitch_max, travel_max (deg) and table_damping (1/s).
     """
     count, added = len(model.states), extras(model, delay_s)
     full_state, commanded_V = ca.SX.sym("state", count + len(added.states)), ca.SX.sym("volts_V", 2)
@@ -134,26 +106,6 @@ def end_of_step(
     """Apply what a differential equation cannot describe: table, stops, locks, resets and random inputs.
 
     The plant does this once per millisecond, after it has integrated the rates.
-
-    Parameters
-    ----------
-    next_model_state : casadi.SX
-        State of the model, integrated over the millisecond.
-    u : casadi.SX
-        Voltages that acted [V].
-    p : casadi.SX
-        Parameters, as in `step_function`.
-    t_end : casadi.SX
-        Time since the motors first turned, at the end of the step [s].
-    generator_state : casadi.SX
-        State of the random generator.
-    locked : casadi.SX
-        1 for each locked axis.
-
-    Returns
-    -------
-    next_model_state, measured, generator_state : casadi.SX
-        The state, the angles that the encoders see [rad], and the generator's next state.
     """
     p_model, limits = p[: len(model.parameters)], p[len(model.parameters) :]
     # Limits: elevation_min, elevation_max, pitch_max, travel_max, table_damping.
@@ -186,15 +138,6 @@ def delayed_volts_V(commanded_V: ca.SX, past_V: ca.SX, delay_s: float) -> ca.SX:
     """Return the voltages that act in a millisecond if commands act late, shape (2,).
 
     The delay need not be whole milliseconds, so the result is a mean of two successive commands.
-
-    Parameters
-    ----------
-    commanded_V : casadi.SX
-        Command of this millisecond, shape (2,).
-    past_V : casadi.SX
-        Commands of the milliseconds before that the delay spans, the newest first, two numbers for each.
-    delay_s : float
-        Delay of the voltages.
     """
     ticks = past_V.numel() // 2
     if not ticks:
@@ -270,15 +213,6 @@ class Plant:
         """Simulate one millisecond in Python; `native_step` is the same step, compiled.
 
         Returns the next state and the angles that the encoders see [rad], shape (3,).
-
-        Parameters
-        ----------
-        state : array_like
-            State, as `rest_state` has it, shape (n,).
-        volts_V : array_like
-            Voltages that act on the front and the back motor, shape (2,).
-        locked : tuple of bool
-            Which of elevation, pitch and travel are locked.
         """
         flags = [float(axis) for axis in locked]
         next_model_state, measured = self.function(
@@ -290,11 +224,6 @@ class Plant:
         """Return the step for the C++ world, compiled by the system's C compiler.
 
         Without a compiler, C++ calls CasADi's virtual machine, which takes about 50 times as long.
-
-        Raises
-        ------
-        PlantError
-            If the compiler fails.
         """
         library = compile_function(self.function)
         if library is not None:

@@ -9,20 +9,6 @@ from typing import Any
 def runge_kutta_step(derivative: Callable[[Any, float], Any], state: Any, step: float) -> Any:
     """Integrate over one step with the classical Runge-Kutta method of fourth order.
 
-    Parameters
-    ----------
-    derivative : callable
-        Returns the derivative by time for a state and the time since the beginning of the step.
-    state : ndarray or casadi.SX
-        State at the beginning of the step.
-    step : float
-        Length of the step.
-
-    Returns
-    -------
-    ndarray or casadi.SX
-        State at the end of the step.
-
     Examples
     --------
     >>> from heli_sim.runge_kutta import runge_kutta_step

@@ -49,14 +49,14 @@ def flown(env: Any, seed: int, steps: int = 500) -> tuple[float, Any, int]:
 def test_gymnasiums_checker_finds_nothing(through: Any) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        env = gymnasium.make("heli_lab.apps.gym:HeliHover-v0", through=through)
+        env = gymnasium.make("heli_lab.gym:HeliHover-v0", through=through)
         check_env(env.unwrapped)
         env.close()
 
 
 @pytest.mark.medium
 def test_an_episode_of_the_registered_environment_lasts_ten_seconds() -> None:
-    env = gymnasium.make("heli_lab.apps.gym:HeliHover-v0", domain=EXACT)
+    env = gymnasium.make("heli_lab.gym:HeliHover-v0", domain=EXACT)
     env.reset(seed=1)
     ends = [env.step(np.zeros(2, np.float32))[3] for _ in range(500)]
     assert ends == [False] * 499 + [True]

@@ -41,19 +41,11 @@ DIVISORS: Final = tuple(d for d in range(1, 256) if TICK_Hz % d == 0)
 
 @dataclass(frozen=True)
 class Term:
-    """One product of a sum.
+    """One product of a sum."""
 
-    Parameters
-    ----------
-    first, second : int
-        Cells of its factors.
-    negative : bool
-        Whether the product is subtracted.
-    """
-
-    first: int
+    first: int  # first, second: Cells of its factors
     second: int
-    negative: bool = False
+    negative: bool = False  # Whether the product is subtracted
 
     @property
     def word(self) -> int:
@@ -63,25 +55,15 @@ class Term:
 
 @dataclass(frozen=True)
 class Instruction:
-    """One operation of a program.
+    """One operation of a program."""
 
-    Parameters
-    ----------
-    code : int
-        Number of the operation, see ``OPERATIONS``.
-    target : int
-        Cell that the operation writes.
-    first, second : int
-        Cells that the operation reads. `second` is 0 for one operand; both are 0 for a sum of products.
-    terms : tuple of Term
-        Terms of a sum of products.
-    """
-
-    code: int
-    target: int
+    code: int  # Number of the operation, see ``OPERATIONS``
+    target: int  # Cell that the operation writes
     first: int = 0
+    """first, second: Cells that the operation reads. `second` is 0 for one operand; both are 0 for a sum of
+    products."""
     second: int = 0
-    terms: tuple[Term, ...] = ()
+    terms: tuple[Term, ...] = ()  # Terms of a sum of products
 
     @property
     def words(self) -> tuple[int, ...]:
@@ -256,18 +238,7 @@ class LawLike(Protocol):
 
 
 def program_of(law: LawProgram | LawLike) -> LawProgram:
-    """Return the program of a law, or the program itself.
-
-    Parameters
-    ----------
-    law : LawProgram or LawLike
-        Law to fly.
-
-    Raises
-    ------
-    BadLaw
-        If the object is neither of them, or no board can run the law.
-    """
+    """Return the program of a law, or the program itself."""
     program = law if isinstance(law, LawProgram) else getattr(law, "program", None)
     if not isinstance(program, LawProgram):
         raise BadLaw(
@@ -278,31 +249,12 @@ def program_of(law: LawProgram | LawLike) -> LawProgram:
 
 
 def hash_of(words: Sequence[int]) -> int:
-    """Return the CRC-32 of words in the byte order of the link.
-
-    Parameters
-    ----------
-    words : sequence of int
-        32 bits each.
-    """
+    """Return the CRC-32 of words in the byte order of the link."""
     return zlib.crc32(struct.pack(f"<{len(words)}I", *words))
 
 
 def check_number(quantity: str, value: float) -> None:
-    """Refuse a number that a board cannot store.
-
-    Parameters
-    ----------
-    quantity : str
-        Name of the number, for the message.
-    value : float
-        A number of a law.
-
-    Raises
-    ------
-    BadLaw
-        If the number is not finite, or too large for single precision.
-    """
+    """Refuse a number that a board cannot store."""
     try:
         single = struct.unpack("<f", struct.pack("<f", value))[0]
     except (struct.error, TypeError):
@@ -316,18 +268,7 @@ def check_number(quantity: str, value: float) -> None:
 
 
 def rate_problem(rate_Hz: float) -> tuple[str, str]:
-    """Explain why a board cannot call a law at this rate, and give the nearest possible rates.
-
-    Parameters
-    ----------
-    rate_Hz : float
-        Requested rate [Hz].
-
-    Returns
-    -------
-    tuple of str
-        What is wrong, and what to do.
-    """
+    """Explain why a board cannot call a law at this rate, and give the nearest possible rates."""
     rates = [TICK_Hz / d for d in DIVISORS]
     if math.isnan(rate_Hz):
         return "rate_Hz is nan", f"give {min(rates):g} to {max(rates):g} Hz"
@@ -341,18 +282,7 @@ def rate_problem(rate_Hz: float) -> tuple[str, str]:
 
 
 def divisor_of(rate_Hz: float) -> int:
-    """Return the number of ticks from one call to the next.
-
-    Parameters
-    ----------
-    rate_Hz : float
-        Calls per second [Hz].
-
-    Raises
-    ------
-    BadLaw
-        If no whole number of ticks gives this rate.
-    """
+    """Return the number of ticks from one call to the next."""
     if rate_Hz > 0.0:
         divisor = round(TICK_Hz / rate_Hz)
         if divisor in DIVISORS and abs(TICK_Hz / divisor - rate_Hz) < 1e-6 * rate_Hz:

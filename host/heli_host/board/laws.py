@@ -23,26 +23,7 @@ LawReader = Callable[[Path, str | None], LawProgram]
 
 
 def read_law(path: Path, rig: str | None = None) -> LawProgram:
-    """Compile the law in a file to a program; the code of the file is run.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    rig : str or None
-        Name or path of the rig that the law is designed for; None for the file's default.
-
-    Returns
-    -------
-    LawProgram
-        The law in the form that a board accepts.
-
-    Raises
-    ------
-    BadLaw
-        The file is missing, fails, does not end or holds no law; or no installed package can read
-        control laws.
-    """
+    """Compile the law in a file to a program; the code of the file is run."""
     for entry in plugins(ENTRY_POINT_GROUP):
         reader: LawReader = entry.load()
         return reader(path, rig)

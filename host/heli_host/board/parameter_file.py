@@ -22,20 +22,7 @@ _REMEDY = "give a file that params dump wrote"
 
 
 def parameters_text(values: Mapping[str, float], comment: str) -> str:
-    """Write parameters as TOML that `read_parameter_set` reads.
-
-    Parameters
-    ----------
-    values : Mapping of str to float
-        Values by name, in declared units.
-    comment : str
-        One line that says where they come from.
-
-    Raises
-    ------
-    ParameterError
-        A name is not declared.
-    """
+    """Write parameters as TOML that `read_parameter_set` reads."""
     units = {name: spec_of(name).unit for name in values}
     lines = [f"# {comment}", f'{SCHEMA} = "{PARAMS_HASH:08x}"', "", f"[{TABLE}]"]
     for name, value in values.items():
@@ -46,36 +33,15 @@ def parameters_text(values: Mapping[str, float], comment: str) -> str:
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """Parameters of a file, as far as this host's declaration takes them.
+    """Parameters of a file, as far as this host's declaration takes them."""
 
-    Parameters
-    ----------
-    values : dict of str to float
-        Values by name, in declared units.
-    dropped : tuple of str
-        One reason per value that is not used.
-    new : tuple of str
-        Declared parameters that the file does not name.
-    """
-
-    values: dict[str, float]
-    dropped: tuple[str, ...]
-    new: tuple[str, ...]
+    values: dict[str, float]  # Values by name, in declared units
+    dropped: tuple[str, ...]  # One reason per value that is not used
+    new: tuple[str, ...]  # Declared parameters that the file does not name
 
 
 def read_parameter_set(file: Path) -> ParameterSet:
-    """Read parameters that may have been written under another schema of the parameters.
-
-    Parameters
-    ----------
-    file : Path
-        A file as `parameters_text` writes it.
-
-    Raises
-    ------
-    ParameterError
-        The file cannot be read, holds anything but numbers, or breaks its own schema.
-    """
+    """Read parameters that may have been written under another schema of the parameters."""
     try:
         content = parse_toml(decode_text(read_file(file, TOML_BYTES)))
     except OSError as error:
@@ -94,18 +60,6 @@ def parameter_set(content: Mapping[str, object], file: Path) -> ParameterSet:
 
     If the file has this host's schema or no schema, each value must be valid. From a file of another schema,
     known parameters with the declared unit and a valid value are used, and the others are dropped.
-
-    Parameters
-    ----------
-    content : mapping
-        Tables of the file.
-    file : Path
-        The file, for messages.
-
-    Raises
-    ------
-    ParameterError
-        If a table contains anything but numbers, or a value is invalid under this host's schema.
     """
     values = _numbers_by_name(content, file)
     units = content.get(UNITS)

@@ -13,34 +13,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ParameterOrigin:
-    """Origin of the parameters on a board: kept, dropped and new ones.
+    """Origin of the parameters on a board: kept, dropped and new ones."""
 
-    Parameters
-    ----------
-    source : ParamsSource
-        Source of the parameters in force.
-    kept : int
-        Stored values in force.
-    dropped : int
-        Stored values that no parameter takes: unknown, or out of range.
-    new : tuple of str
-        Parameters at their defaults, because the stored set had no usable value.
-    """
-
-    source: ParamsSource
-    kept: int
-    dropped: int
-    new: tuple[str, ...]
+    source: ParamsSource  # Source of the parameters in force
+    kept: int  # Stored values in force
+    dropped: int  # Stored values that no parameter takes: unknown, or out of range
+    new: tuple[str, ...]  # Parameters at their defaults, because the stored set had no usable value
 
 
 def read_origin(session: Session) -> ParameterOrigin:
-    """Ask the board which parameters its stored set gave.
-
-    Parameters
-    ----------
-    session : Session
-        Connected.
-    """
+    """Ask the board which parameters its stored set gave."""
     answer = ParamsOriginMessage.unpack(session.request(ParamsOriginReadMessage(0)).payload)
     bits = answer.new_0 | answer.new_1 << 32 | answer.new_2 << 64
     return ParameterOrigin(
@@ -52,13 +34,7 @@ def read_origin(session: Session) -> ParameterOrigin:
 
 
 def migration_text(origin: ParameterOrigin) -> str:
-    """Describe the migration of parameters stored under another schema; empty if there was none.
-
-    Parameters
-    ----------
-    origin : ParameterOrigin
-        As `read_origin` returns it.
-    """
+    """Describe the migration of parameters stored under another schema; empty if there was none."""
     if origin.source is not ParamsSource.MIGRATED:
         return ""
     new = f"{', '.join(origin.new)} at the default" if origin.new else "none new"

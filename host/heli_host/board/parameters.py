@@ -30,11 +30,6 @@ class Parameters(Mapping[str, float]):
 
     ``heli.params["hover_V"]`` reads, ``heli.params["hover_V"] = 1.5`` sets, and ``save`` stores all values,
     so that they survive a restart of the board.
-
-    Attributes
-    ----------
-    revision : int
-        Number of changes that this host has noticed.
     """
 
     def __init__(self, session: Session) -> None:
@@ -66,36 +61,12 @@ class Parameters(Mapping[str, float]):
         self.revision += 1
 
     def spec(self, name: str) -> ParamSpec:
-        """Return the declaration of a parameter: unit, range, default, meaning.
-
-        Parameters
-        ----------
-        name : str
-            Name in link.toml.
-
-        Raises
-        ------
-        ParameterError
-            If the parameter is unknown.
-        """
+        """Return the declaration of a parameter: unit, range, default, meaning."""
         return spec_of(name)
 
     def set(self, name: str, value: float) -> float:
-        """Set a parameter in the board's memory, and return the value in force, rounded to single precision.
-
-        Parameters
-        ----------
-        name : str
-            Name in link.toml.
-        value : float
-            New value, in the unit of the declaration.
-
-        Raises
-        ------
-        ParameterError
-            If the parameter is unknown, or the value is outside its range.
-        CommandRefused
-            If the board does not accept the value in its present state.
+        """Set a parameter in the board's memory, and return the value in force, rounded to single
+        precision.
         """
         spec = checked(name, value)
         try:
@@ -117,22 +88,11 @@ class Parameters(Mapping[str, float]):
     def save(self) -> int:
         """Write all parameters to the board's flash, so that they outlast a restart; only while idle. Returns
         the generation of the stored set.
-
-        Raises
-        ------
-        CommandRefused
-            The board is not idle, or its flash could not be written and verified.
         """
         return round(self._session.command(ParamsSaveMessage(0)).value)
 
     def defaults(self) -> None:
-        """Put the declared defaults into the board's memory; only while idle; does not save.
-
-        Raises
-        ------
-        CommandRefused
-            The board is not idle.
-        """
+        """Put the declared defaults into the board's memory; only while idle; does not save."""
         self._session.command(ParamsDefaultMessage(0))
         self.refresh()
 
@@ -145,18 +105,6 @@ class Parameters(Mapping[str, float]):
         """Set several parameters, and return those that changed, with their new values.
 
         If the board refuses one value, none is changed.
-
-        Parameters
-        ----------
-        values : Mapping of str to float
-            Values by name; other parameters do not change.
-
-        Raises
-        ------
-        ParameterError
-            If a name is unknown or a value is outside its range; nothing was sent.
-        CommandRefused
-            If the board refused a value; the parameters that were set before it have their old values again.
         """
         for name, value in values.items():
             checked(name, value)
@@ -180,18 +128,7 @@ class Parameters(Mapping[str, float]):
 
 
 def spec_of(name: str) -> ParamSpec:
-    """Return the declaration of a parameter.
-
-    Parameters
-    ----------
-    name : str
-        Name in link.toml.
-
-    Raises
-    ------
-    ParameterError
-        If the parameter is unknown.
-    """
+    """Return the declaration of a parameter."""
     if name not in _INDEX:
         similar = difflib.get_close_matches(name, _INDEX, 3)
         hint = f"did you mean {' or '.join(similar)}?" if similar else "heli-host params list shows all"
@@ -200,20 +137,7 @@ def spec_of(name: str) -> ParamSpec:
 
 
 def checked(name: str, value: float) -> ParamSpec:
-    """Check a value against the declaration; return the parameter's row of the table.
-
-    Parameters
-    ----------
-    name : str
-        Name of a parameter.
-    value : float
-        Value in the unit of the declaration.
-
-    Raises
-    ------
-    ParameterError
-        There is no such parameter, or the value lies outside its range.
-    """
+    """Check a value against the declaration; return the parameter's row of the table."""
     spec = spec_of(name)
     is_in_range = (
         math.isfinite(value)

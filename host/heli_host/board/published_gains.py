@@ -52,16 +52,6 @@ def paper_gains(which: str) -> dict[str, float]:
     """Return the gains in Table 6 of the paper as parameters of the board, in declared units.
 
     The gains convert errors in degrees to volts; those of travel convert to the pitch setpoint in degrees.
-
-    Parameters
-    ----------
-    which : str
-        ``printed``, or ``corrected``: with P and I of the travel row exchanged.
-
-    Raises
-    ------
-    ParameterError
-        If the set is unknown.
     """
     if which not in _TRAVEL:
         raise ParameterError(f"Table 6 has no set '{which}'", f"give {' or '.join(PAPER_SETS)}")

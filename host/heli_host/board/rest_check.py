@@ -48,16 +48,6 @@ class HoverTilt:
 
     A constant torque about travel, such as that of a cable, makes the arm hover with a tilt. Called in the
     session's reading thread.
-
-    Parameters
-    ----------
-    count_deg : float
-        Angle of a count of the pitch encoder [deg].
-
-    Attributes
-    ----------
-    mean_deg : float
-        Mean pitch [deg]; nan before the end of the time.
     """
 
     def __init__(self, count_deg: float) -> None:
@@ -67,13 +57,7 @@ class HoverTilt:
         self._counts: list[NDArray[np.int32]] = []
 
     def take(self, ticks: Ticks) -> None:
-        """Process new samples.
-
-        Parameters
-        ----------
-        ticks : Ticks
-            The next samples of the flight.
-        """
+        """Process new samples."""
         if not math.isnan(self.mean_deg) or not len(ticks):
             return
         newest_tick = int(ticks.tick[-1])
@@ -91,37 +75,18 @@ class HoverTilt:
 
 @dataclass(frozen=True)
 class RestAngles:
-    """Angles at rest before a take-off.
+    """Angles at rest before a take-off."""
 
-    Parameters
-    ----------
-    elevation_deg : float
-        Elevation [deg].
-    pitch_deg : float
-        Pitch [deg]; nan if the short arm was moving.
-    pitch_count_deg : float
-        Angle of a count of the pitch encoder [deg].
-    hover : HoverTilt
-        Tilt of the hover after the take-off.
-    """
-
-    elevation_deg: float
-    pitch_deg: float
-    pitch_count_deg: float
-    hover: HoverTilt
+    elevation_deg: float  # Elevation [deg]
+    pitch_deg: float  # Pitch [deg]; nan if the short arm was moving
+    pitch_count_deg: float  # Angle of a count of the pitch encoder [deg]
+    hover: HoverTilt  # Tilt of the hover after the take-off
 
     @classmethod
     def of(cls, newest: Sample, samples: Samples, pitch_count_deg: float) -> Self:
         """Read the angles from the last samples before the motors are armed.
 
-        Parameters
-        ----------
-        newest : Sample
-            The last one.
-        samples : Samples
-            About half a second; fewer right after the connection, when the board's own check must do.
-        pitch_count_deg : float
-            Angle of a count of the pitch encoder [deg].
+        `samples`: About half a second; fewer right after the connection, when the board's own check must do.
         """
         span_deg = float(np.ptp(np.degrees(samples.pitch_rad))) if len(samples) else 0.0
         is_still = span_deg <= _STILL_COUNTS * pitch_count_deg
@@ -129,19 +94,7 @@ class RestAngles:
         return cls(newest.elevation_deg, pitch_deg, pitch_count_deg, HoverTilt(pitch_count_deg))
 
     def shift_after(self, samples: Samples) -> str | None:
-        """Compare with the angles after the landing.
-
-        Parameters
-        ----------
-        samples : Samples
-            All samples since the motors were switched off.
-
-        Returns
-        -------
-        str or None
-            The outcome of the flight: the axes whose angles at rest differ, and by how much; empty if none
-            does. None if the arm still moves, and more samples are needed.
-        """
+        """Compare with the angles after the landing."""
         if len(samples) < _FIRST_LOOK_TICKS:
             return None
         pitch_deg = self._settled_pitch_deg(np.degrees(samples.pitch_rad))
@@ -173,11 +126,6 @@ class RestAngles:
 
         A free arm turns from the tilt of the landing to its rest. One that stays may be held by friction, or
         its encoder is shifted; then its tilt is beyond that of the hover after the take-off.
-
-        Parameters
-        ----------
-        landed_deg, rest_deg : float
-            Pitch when the motors were switched off, and at rest after that [deg].
         """
         stayed = abs(rest_deg - landed_deg) < _TURNED_SHARE * abs(rest_deg - self.pitch_deg)
         least_deg, most_deg = sorted((0.0, self.hover.mean_deg))

@@ -23,18 +23,12 @@ ENTRY_POINT_GROUP: Final = "heli_host.rig_parameters"
 
 @dataclass(frozen=True)
 class RigParameters:
-    """Parameters of the board that a rig determines.
-
-    Parameters
-    ----------
-    values : Mapping of str to float
-        Values by parameter. Counts per turn are negative for an encoder that counts down.
-    directed : frozenset of str
-        Counts per turn whose sign the rig states; the sign of the others depends on the wiring.
-    """
+    """Parameters of the board that a rig determines."""
 
     values: Mapping[str, float] = field(default_factory=dict)
+    """Values by parameter. Counts per turn are negative for an encoder that counts down."""
     directed: frozenset[str] = frozenset()
+    """Counts per turn whose sign the rig states; the sign of the others depends on the wiring."""
 
 
 RigReader = Callable[[str], RigParameters]
@@ -78,22 +72,13 @@ _SIGNS: Final = ("motor_front_sign", "motor_back_sign")
 
 @dataclass(frozen=True)
 class RigDifference:
-    """A parameter of the board that contradicts the rig.
+    """A parameter of the board that contradicts the rig."""
 
-    Parameters
-    ----------
-    parameter : str
-        Name of the parameter.
-    board, rig : float
-        Its value on the board, and the value that the rig determines, in the parameter's unit.
-    part : BoardProperty
-        Property that the difference concerns.
-    """
-
-    parameter: str
+    parameter: str  # Name of the parameter
     board: float
+    """board, rig: Its value on the board, and the value that the rig determines, in the parameter's unit."""
     rig: float
-    part: BoardProperty
+    part: BoardProperty  # Property that the difference concerns
 
     @property
     def is_refused(self) -> bool:
@@ -107,23 +92,7 @@ class RigDifference:
 
 
 def rig_parameters(rig: str) -> RigParameters:
-    """Read the parameters that a rig determines; empty if no installed package reads rigs.
-
-    Parameters
-    ----------
-    rig : str
-        Name of a rig, or path of its file.
-
-    Returns
-    -------
-    RigParameters
-        Their values, and which directions the rig states.
-
-    Raises
-    ------
-    HeliError
-        There is no such rig, or its file is not complete and valid.
-    """
+    """Read the parameters that a rig determines; empty if no installed package reads rigs."""
     for entry in plugins(ENTRY_POINT_GROUP):
         reader: RigReader = entry.load()
         return reader(rig)
@@ -148,27 +117,7 @@ def rig_differences(
     simulated: bool,
     directed: Collection[str] = (),
 ) -> list[RigDifference]:
-    """Compare a board with a rig.
-
-    Parameters
-    ----------
-    expected : Mapping of str to float
-        Parameters that the rig determines: the values of `rig_parameters`.
-    parameters : Mapping of str to float
-        Parameters of the board by name.
-    simulated : bool
-        Whether the board is simulated. Its encoders count in the direction of the rig and its motors are not
-        swapped, so that each other sign is a contradiction. An expected motor sign of 0, which simulated
-        wrong wires have, is not compared.
-    directed : collection of str
-        On hardware, the counts per turn whose sign the rig states. The sign of the others depends on the
-        wiring and is not compared.
-
-    Returns
-    -------
-    list of RigDifference
-        In the order of the board's parameters.
-    """
+    """Compare a board with a rig."""
     differences: list[RigDifference] = []
     for name, board_property in _PARTS.items():
         if name not in expected or name not in parameters:
@@ -202,23 +151,7 @@ def check_rig(
     simulated: bool,
     directed: Collection[str] = (),
 ) -> list[RigDifference]:
-    """Refuse a board whose scales or directions contradict a rig, and return the other differences.
-
-    Parameters
-    ----------
-    expected, parameters, simulated, directed
-        Arguments of `rig_differences`.
-
-    Returns
-    -------
-    list of RigDifference
-        Differences to warn about: rest angle, supply and limits.
-
-    Raises
-    ------
-    RigMismatch
-        If a number of counts per turn, or a direction that the rig states, is wrong.
-    """
+    """Refuse a board whose scales or directions contradict a rig, and return the other differences."""
     differences = rig_differences(expected, parameters, simulated=simulated, directed=directed)
     refused = [difference for difference in differences if difference.is_refused]
     if not refused:

@@ -82,13 +82,7 @@ class Samples(AngleViews, ChannelArrays):
 
 
 class Scales:
-    """Raw telemetry to units; counts become angles by the board's own parameters.
-
-    Parameters
-    ----------
-    params : Mapping of str to float
-        The board's parameters, of which ``*_counts_per_rev`` are used.
-    """
+    """Raw telemetry to units; counts become angles by the board's own parameters."""
 
     def __init__(self, params: Mapping[str, float]) -> None:
         rad: list[float] = rad_per_count(params).tolist()

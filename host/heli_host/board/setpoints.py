@@ -12,19 +12,11 @@ from heli_host.errors import SetpointError
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds of one axis' setpoint, both included.
+    """Bounds of one axis' setpoint, both included."""
 
-    Parameters
-    ----------
-    least_deg, most_deg : float
-        The bounds [deg].
-    least_name, most_name : str
-        The parameters that they come from, for messages.
-    """
-
-    least_deg: float
+    least_deg: float  # least_deg, most_deg: The bounds [deg]
     most_deg: float
-    least_name: str
+    least_name: str  # least_name, most_name: The parameters that they come from, for messages
     most_name: str
 
 
@@ -48,20 +40,7 @@ def setpoint_bounds(parameters: Mapping[str, float]) -> dict[str, Bounds]:
 
 
 def check_setpoint(targets_deg: Mapping[str, float], parameters: Mapping[str, float]) -> None:
-    """Refuse targets that the board would refuse.
-
-    Parameters
-    ----------
-    targets_deg : Mapping of str to float
-        Targets by axis [deg].
-    parameters : Mapping of str to float
-        The board's parameters.
-
-    Raises
-    ------
-    SetpointError
-        A target lies outside the bounds.
-    """
+    """Refuse targets that the board would refuse."""
     bounds = setpoint_bounds(parameters)
     for axis, value_deg in targets_deg.items():
         _check_number(f"{axis} setpoint", value_deg, "degrees")

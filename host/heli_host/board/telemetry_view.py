@@ -24,34 +24,18 @@ _BOARDS = {0: "native", 1: "Arduino Due"}
 
 @dataclass(frozen=True)
 class BoardInfo:
-    """Description that the board sent when it welcomed this session.
+    """Description that the board sent when it welcomed this session."""
 
-    Parameters
-    ----------
-    board : str
-        ``"native"`` (simulated) or ``"Arduino Due"``.
-    firmware_version, link_version : str
-        Versions of the flight code and of the link's declaration.
-    link_hash : int
-        Hash of that declaration.
-    reset : str
-        Cause of the board's last start: ``power_up``, ``user``, ``watchdog`` or ``software``.
-    boot_fault : str
-        Fault recorded before that start, and how to fix it; empty for none.
-    boot_id : int
-        Number that changes with every start.
-    params_source : str
-        Origin of its parameters: ``defaults``, ``stored``, ``fallback``, ``corrupt`` or ``migrated``.
-    """
-
-    board: str
+    board: str  # ``"native"`` (simulated) or ``"Arduino Due"``
     firmware_version: str
+    """firmware_version, link_version: Versions of the flight code and of the link's declaration."""
     link_version: str
-    link_hash: int
-    reset: str
-    boot_fault: str
-    boot_id: int
+    link_hash: int  # Hash of that declaration
+    reset: str  # Cause of the board's last start: ``power_up``, ``user``, ``watchdog`` or ``software``
+    boot_fault: str  # Fault recorded before that start, and how to fix it; empty for none
+    boot_id: int  # Number that changes with every start
     params_source: str
+    """Origin of its parameters: ``defaults``, ``stored``, ``fallback``, ``corrupt`` or ``migrated``."""
 
 
 class TelemetryView:

@@ -38,23 +38,14 @@ FALSE_ALARM_INTERVAL_h: Final = 10.0
 
 @dataclass(frozen=True)
 class TwinNews:
-    """A message of a twin.
-
-    Parameters
-    ----------
-    kind : str
-        ``free`` when it begins to compare, ``waits`` when it pauses, ``alarm`` when the rig has changed,
-        ``diagnosed`` with the final ranking of causes. ``contradicts`` when the flight contradicts the model
-        from the start, ``failed`` when the twin itself failed.
-    tick : int
-        Device time [tick of 1 ms], unwrapped beyond 2^32.
-    text : str
-        Message for people.
-    """
+    """A message of a twin."""
 
     kind: str
-    tick: int
-    text: str
+    """``free`` when it begins to compare, ``waits`` when it pauses, ``alarm`` when the rig has changed,
+    ``diagnosed`` with the final ranking of causes. ``contradicts`` when the flight contradicts the model
+    from the start, ``failed`` when the twin itself failed."""
+    tick: int  # Device time [tick of 1 ms], unwrapped beyond 2^32
+    text: str  # Message for people
 
 
 class LiveTwin(Protocol):
@@ -63,15 +54,7 @@ class LiveTwin(Protocol):
     """
 
     def update(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> Sequence[TwinNews]:
-        """Process ticks and return the messages that they cause.
-
-        Parameters
-        ----------
-        tick : ndarray of int64, shape (n,)
-            Device time [tick of 1 ms], unwrapped beyond 2^32.
-        raw : ndarray of int32, shape (n, channels)
-            Raw numbers in the order of the declaration's ``CHANNELS``.
-        """
+        """Process ticks and return the messages that they cause. Shapes: `tick` (n,), `raw` (n, channels)."""
         ...
 
     def ghost_rad(self) -> tuple[float, float, float] | None:
@@ -91,18 +74,7 @@ TwinOpener = Callable[[str], TwinMaker]
 
 
 def open_twin(name: str) -> TwinMaker:
-    """Read a rig or a twin's file, and return a function that makes its twin once a board is connected.
-
-    Parameters
-    ----------
-    name : str
-        Name of a rig, path of its file, or path of a twin's file.
-
-    Raises
-    ------
-    HeliError
-        No installed package offers twins, or the rig is unknown.
-    """
+    """Read a rig or a twin's file, and return a function that makes its twin once a board is connected."""
     for entry in plugins(ENTRY_POINT_GROUP):
         opener: TwinOpener = entry.load()
         return opener(name)
@@ -115,24 +87,6 @@ class TwinWatch:
     Over a port the twin runs in a separate thread. In lockstep it runs in the thread that reads, so that a
     simulated flight is reproducible. If the twin fails, it is switched off, and the flight continues. If it
     is too slow for this computer, it skips the waiting samples and starts again with the newest one.
-
-    Parameters
-    ----------
-    session : Session
-        Connected session.
-    twin : LiveTwin
-        Twin for this session's board.
-    on_change : callable, optional
-        Called once, in the twin's thread, at the first alarm.
-
-    Attributes
-    ----------
-    alarm : str
-        Text of the first alarm; empty until then.
-    trouble : str
-        Error of a twin that failed; otherwise empty.
-    skipped_ticks : int
-        Number of samples that the twin skipped because it was too slow.
     """
 
     def __init__(self, session: Session, twin: LiveTwin, on_change: Callable[[], None] | None = None) -> None:
@@ -152,13 +106,7 @@ class TwinWatch:
         self._unsubscribe = session.subscribe_ticks(self._take_ticks)
 
     def listen(self, listener: Callable[[TwinNews], None]) -> None:
-        """Register a callback for the twin's messages.
-
-        Parameters
-        ----------
-        listener : callable taking TwinNews
-            Called in the twin's thread with each message.
-        """
+        """Register a callback for the twin's messages."""
         self._listeners.append(listener)
 
     def ghost_rad(self) -> tuple[float, float, float] | None:

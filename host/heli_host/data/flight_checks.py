@@ -21,42 +21,20 @@ ENTRY_POINT_GROUP: Final = "heli_host.flight_checks"
 
 @dataclass(frozen=True)
 class FlightFinding:
-    """Something of a finished flight that contradicts its rig.
+    """Something of a finished flight that contradicts its rig."""
 
-    Parameters
-    ----------
-    name : str
-        Which number, such as ``travel_encoder_scale``.
-    value, standard_error : float or None
-        Its estimate from the flight; None if the check itself failed.
-    text : str
-        For a person.
-    """
-
-    name: str
+    name: str  # Which number, such as ``travel_encoder_scale``
     value: float | None
+    """value, standard_error: Its estimate from the flight; None if the check itself failed."""
     standard_error: float | None
-    text: str
+    text: str  # For a person
 
 
 FlightCheck = Callable[["Flight", str], Sequence[FlightFinding]]
 
 
 def check_flight(flight: Flight, rig: str) -> tuple[FlightFinding, ...]:
-    """Check a flight against its rig.
-
-    Parameters
-    ----------
-    flight : Flight
-        A finished flight.
-    rig : str
-        Name of its rig, or path of the file; a name that no package defines is a label, without checks.
-
-    Returns
-    -------
-    tuple of FlightFinding
-        Empty for a healthy flight, and if no installed package offers checks.
-    """
+    """Check a flight against its rig."""
     findings: list[FlightFinding] = []
     for entry in plugins(ENTRY_POINT_GROUP):
         # A check that cannot be made must not cost the summary of a flight.

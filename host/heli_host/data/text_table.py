@@ -6,15 +6,7 @@ from collections.abc import Collection, Sequence
 
 
 def table_lines(rows: Sequence[Sequence[str]], words: Collection[int] = (0,)) -> list[str]:
-    """Align the cells of a table in columns, with two spaces between them.
-
-    Parameters
-    ----------
-    rows : sequence of sequence of str
-        Cells of each row, the heads first.
-    words : collection of int
-        Columns that are aligned to the left; the others, of numbers, are aligned to the right.
-    """
+    """Align the cells of a table in columns, with two spaces between them."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(

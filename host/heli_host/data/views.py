@@ -134,20 +134,7 @@ class AngleViews:
 
 def rate(t_s: Floats, angle_rad: Floats, window_s: float = RATE_WINDOW_S) -> Floats:
     """Differentiate an encoder's angle: at each time the slope of a parabola fitted to the angles around it.
-
-    Parameters
-    ----------
-    t_s : ndarray (n,)
-        Even times, which may have gaps; a parabola never extends across a gap.
-    angle_rad : ndarray (n,)
-        Encoder angle at these times. In another unit, the result is in that unit per second.
-    window_s : float
-        Length of a parabola [s]; it has at least five angles, even if they take longer.
-
-    Returns
-    -------
-    ndarray (n,)
-        Rate [rad/s]; NaN in stretches between gaps with fewer than five angles.
+    Shapes: `t_s` (n,), `angle_rad` (n,); returns (n,).
     """
     from scipy.signal import savgol_filter
 
@@ -178,14 +165,8 @@ def find_gaps(t_s: Floats) -> NDArray[np.intp]:
 
 
 def broken_at_gaps(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return times and values with NaN in each gap, so that no line is drawn through missing data.
-
-    Parameters
-    ----------
-    t_s : ndarray (n,)
-        Rising times.
-    values : ndarray (n,) or (n, k)
-        One value or row per time.
+    """Return times and values with NaN in each gap, so that no line is drawn through missing data. Shapes:
+    `t_s` (n,), `values` (n,).
     """
     rows_after_gap = find_gaps(t_s) + 1
     values = np.asarray(values, np.float64)
@@ -193,13 +174,7 @@ def broken_at_gaps(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 
 def small_figure(of: Recorded) -> bytes:
-    """Draw angles [deg] above and voltages [V] below, over time.
-
-    Returns
-    -------
-    bytes
-        A PNG of 640 x 320 dots.
-    """
+    """Draw angles [deg] above and voltages [V] below, over time."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -232,19 +207,8 @@ def small_figure(of: Recorded) -> bytes:
 
 
 def shares(state: NDArray[np.uint8], names: Mapping[int, str]) -> str:
-    """Return the states and the share of the rows in each, in the order of their first appearance.
-
-    Parameters
-    ----------
-    state : ndarray of uint8 (n,)
-        The supervisor's state in each row.
-    names : Mapping of int to str
-        Names of the states by number.
-
-    Returns
-    -------
-    str
-        Such as ``idle 10 %, closed_loop 90 %``.
+    """Return the states and the share of the rows in each, in the order of their first appearance. Shapes:
+    `state` (n,).
     """
     numbers, first, counts = np.unique(state, return_index=True, return_counts=True)
     order: Sequence[int] = np.argsort(first).tolist()

@@ -265,14 +265,10 @@ def _summary_of_run(
 def _latencies_ticks(
     run: _Run, tick: npt.NDArray[np.int64], volts: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Return the ticks from each sample to the first tick in which its voltages acted.
+    """Return the ticks from each sample to the first tick in which its voltages acted. Shapes: `tick, volts`
+    (n,).
 
     Calls whose voltages hardly differ from the previous ones are skipped, because their tick is ambiguous.
-
-    Parameters
-    ----------
-    tick, volts : ndarray (n,), (n, 2)
-        Voltages that telemetry reports for each tick.
     """
     sent_V = np.column_stack([run.front_V, run.back_V])  # (calls, 2)
     latencies = []

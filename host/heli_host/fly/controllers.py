@@ -11,33 +11,14 @@ if TYPE_CHECKING:
 
 
 def controller_names(session: Session) -> tuple[str, ...]:
-    """Ask the board for the names of its compiled controllers.
-
-    Parameters
-    ----------
-    session : Session
-        Connected.
-
-    Returns
-    -------
-    tuple of str
-        One name per value of the parameter ``controller``, from 0 on.
-    """
+    """Ask the board for the names of its compiled controllers."""
     # No board has more; a damaged answer must not keep the host asking.
     count = min(_ask_row(session, 0).count, round(PARAMS[Param.CONTROLLER].max) + 1)
     return tuple(controller_name(session, row) for row in range(count))
 
 
 def controller_name(session: Session, selected: float) -> str:
-    """Ask the board for the name of one controller.
-
-    Parameters
-    ----------
-    session : Session
-        Connected.
-    selected : float
-        A value of the parameter ``controller``.
-    """
+    """Ask the board for the name of one controller."""
     answer = _ask_row(session, round(selected))
     words = (answer.name_0, answer.name_1, answer.name_2, answer.name_3)
     text = b"".join(word.to_bytes(4, "little") for word in words).rstrip(b"\0")

@@ -29,24 +29,6 @@ class FlightMonitor:
 
     A stop from elsewhere, such as a page, is seen here as a state of the board that is not that of a flight.
     `take_event` runs in the session's reading thread, all other methods in that of `Pilot.fly`.
-
-    Parameters
-    ----------
-    heli : Vehicle
-        Board that flies.
-    recorder : Recorder
-        If it fails, the flight must end.
-    end_when : callable returning str
-        Returns the reason why the flight must end now, otherwise an empty text. It must not block.
-
-    Attributes
-    ----------
-    was_closed : bool
-        Whether the control loops have been closed in this flight.
-    takeover : str
-        Why and when the board's own law took over from an uploaded one; empty if it did not.
-    board_fault : str
-        First fault that the board reported in this flight; empty without one.
     """
 
     def __init__(self, heli: Vehicle, recorder: Recorder, end_when: Callable[[], str]) -> None:
@@ -72,13 +54,7 @@ class FlightMonitor:
         self._hears = True
 
     def take_event(self, event: LinkEvent) -> None:
-        """Remember the event that ended the flight.
-
-        Parameters
-        ----------
-        event : LinkEvent
-            Any event of the link; called in the session's reading thread.
-        """
+        """Remember the event that ended the flight."""
         if event.message is not None:
             self._take_law_event(event.message)
             if event.message.kind == Event.FAULT and self._hears and not self.board_fault:
@@ -116,15 +92,7 @@ class FlightMonitor:
     def check(self, t_s: float) -> None:
         """Raise the error that must end the flight, if there is one.
 
-        Parameters
-        ----------
-        t_s : float
-            Device time since the loops were to be closed [s]; they must be closed within 2 s.
-
-        Raises
-        ------
-        HeliError
-            The recorder failed, the board restarted or does not fly, or the caller ends the flight.
+        `t_s`: Device time since the loops were to be closed [s]; they must be closed within 2 s.
         """
         self._recorder.check()
         if restarted := self.restarted():

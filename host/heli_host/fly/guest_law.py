@@ -36,36 +36,12 @@ _ENGAGED_TIMEOUT_S: Final = 1.0
 
 
 def loaded(session: Session) -> LawMessage:
-    """Ask the board which law it has.
-
-    Parameters
-    ----------
-    session : Session
-        Connected.
-    """
+    """Ask the board which law it has."""
     return LawMessage.unpack(session.request(LawReadMessage(0)).payload)
 
 
 def upload(session: Session, program: LawProgram) -> LawMessage:
-    """Upload a law to the board, unless the board has it already; the board verifies it.
-
-    Parameters
-    ----------
-    session : Session
-        Connected.
-    program : LawProgram
-        The law.
-
-    Returns
-    -------
-    LawMessage
-        The board's description of its law after the upload.
-
-    Raises
-    ------
-    CommandRefused
-        If a law flies already, or the board refuses the program.
-    """
+    """Upload a law to the board, unless the board has it already; the board verifies it."""
     board_law = loaded(session)
     words = program.words
     if board_law.hash == program.hash and board_law.state in (LawState.READY, LawState.FLYING):
@@ -79,31 +55,7 @@ def upload(session: Session, program: LawProgram) -> LawMessage:
 
 
 def set_parameter(session: Session, program: LawProgram, name: str, value: float) -> float:
-    """Change a parameter of the law on the board, in flight too.
-
-    Parameters
-    ----------
-    session : Session
-        Connected.
-    program : LawProgram
-        The law that it has.
-    name : str
-        Name of the parameter.
-    value : float
-        Its new value.
-
-    Returns
-    -------
-    float
-        The value in force: `value` rounded to single precision.
-
-    Raises
-    ------
-    BadLaw
-        If the law has no such parameter, or the value is not a finite number.
-    CommandRefused
-        If the board does not have this law.
-    """
+    """Change a parameter of the law on the board, in flight too."""
     names = [parameter_name for parameter_name, _ in program.parameters]
     if name not in names:
         known = ", ".join(names) or "none"
@@ -114,27 +66,13 @@ def set_parameter(session: Session, program: LawProgram, name: str, value: float
 
 @dataclass(frozen=True)
 class LawReport:
-    """Result of the flight of a law.
+    """Result of the flight of a law."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the law.
-    hash : int
-        Hash of the law's program.
-    flown_s : float
-        Time during which the law's voltages acted [s].
-    taken_over : str
-        Reason for which the board's own law took over; empty if a command requested it.
-    value : float
-        Value that caused the takeover; the reason defines its meaning.
-    """
-
-    name: str
-    hash: int
-    flown_s: float
-    taken_over: str = ""
-    value: float = 0.0
+    name: str  # Name of the law
+    hash: int  # Hash of the law's program
+    flown_s: float  # Time during which the law's voltages acted [s]
+    taken_over: str = ""  # Reason for which the board's own law took over; empty if a command requested it
+    value: float = 0.0  # Value that caused the takeover; the reason defines its meaning
 
     def __str__(self) -> str:
         end = f"; taken over: {self.taken_over} ({self.value:.4g})" if self.taken_over else ""
@@ -142,18 +80,7 @@ class LawReport:
 
 
 def takeover_text(event: LinkEvent) -> tuple[str, float] | None:
-    """Return the reason for which the board's built-in law took over, from an event.
-
-    Parameters
-    ----------
-    event : LinkEvent
-        Any event of the session.
-
-    Returns
-    -------
-    tuple of str and float, or None
-        Reason and offending quantity; None for another event.
-    """
+    """Return the reason for which the board's built-in law took over, from an event."""
     message = event.message
     if message is None or message.kind != Event.LAW_TAKEN_OVER:
         return None
@@ -162,29 +89,7 @@ def takeover_text(event: LinkEvent) -> tuple[str, float] | None:
 
 
 def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] | None = None) -> int:
-    """Start a law on the board from the next tick on; the board must hover under its own law.
-
-    Parameters
-    ----------
-    heli : Vehicle
-        In flight, all loops closed.
-    program : LawProgram
-        The law; it is uploaded if the board has another law or none.
-    parameters : mapping of str to float, optional
-        Parameters of the law that differ from its own values.
-
-    Returns
-    -------
-    int
-        First tick in which the law's voltages act; the count continues past 2^32.
-
-    Raises
-    ------
-    CommandRefused
-        If the board refuses the law, or does not fly.
-    FlightAborted
-        If the board's built-in law took over immediately.
-    """
+    """Start a law on the board from the next tick on; the board must hover under its own law."""
     upload(heli.session, program)
     signal_names = ", ".join(program.signal_names) or "none"
     heli.session.tell(
@@ -222,17 +127,7 @@ def fly_law(
     after: AfterLaw = "hold",
     parameters: Mapping[str, float] | None = None,
 ) -> LawReport:
-    """Fly a law on the board for a while.
-
-    Parameters
-    ----------
-    heli : Vehicle
-        In flight, all loops closed.
-    program : LawProgram
-        The law.
-    duration_s, after, parameters
-        As in `heli_host.Heli.fly_law`, which calls this; so are errors.
-    """
+    """Fly a law on the board for a while."""
     check_choice("after", after, AFTER_LAW)
     first = engage(heli, program, parameters)
     end = first + round(duration_s * 1000.0)

@@ -26,7 +26,7 @@ from heli_host.link.transport import (
 class Heli(Vehicle):
     """A connected helicopter; `connect` makes one.
 
-    `heli_host.board.vehicle.Vehicle` documents its parameters and what happens to the motors: an arm in the air
+    `board.vehicle.Vehicle` documents its parameters and what happens to the motors: an arm in the air
     lands at the end of the ``with`` block. This class adds flights of plans and of control laws.
     """
 

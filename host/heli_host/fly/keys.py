@@ -16,22 +16,12 @@ MAX_SEGMENT_S = 3600.0
 
 @dataclass(frozen=True)
 class Number:
-    """Numbers that are valid for a key.
+    """Numbers that are valid for a key."""
 
-    Parameters
-    ----------
-    least, most : float
-        Bounds, both included.
-    nonzero : bool
-        Whether 0 is refused.
-    whole : bool
-        Whether only whole numbers are taken.
-    """
-
-    least: float
+    least: float  # least, most: Bounds, both included
     most: float
-    nonzero: bool = False
-    whole: bool = False
+    nonzero: bool = False  # Whether 0 is refused
+    whole: bool = False  # Whether only whole numbers are taken
 
 
 ANGLE = Number(-3600.0, 3600.0)
@@ -48,22 +38,7 @@ TARGETS = {f"{axis}_deg": ANGLE for axis in AXES}
 
 
 class PlanTable:
-    """One table of a plan, and its place in the file.
-
-    Parameters
-    ----------
-    values : Mapping[str, object]
-        The table as read.
-    where : str
-        File and segment, for messages.
-    known : iterable of str
-        Keys that it may have.
-
-    Raises
-    ------
-    PlanError
-        If it has a key that is not known.
-    """
+    """One table of a plan, and its place in the file."""
 
     def __init__(self, values: Mapping[str, Any], where: str, known: Iterable[str]) -> None:
         self.values = values
@@ -74,26 +49,13 @@ class PlanTable:
                 self.fail(f"unknown key {key!r}", _suggestion(key, names))
 
     def fail(self, what: str, remedy: str) -> NoReturn:
-        """Raise the error of this table.
-
-        Parameters
-        ----------
-        what : str
-            What is wrong, with the key's name.
-        remedy : str
-            Instruction that fixes the problem.
-        """
+        """Raise the error of this table."""
         raise PlanError(f"{self.where}: {what}", remedy)
 
     def number(self, key: str, spec: Number, default: float | None = None) -> float:
         """Return a number.
 
-        Parameters
-        ----------
-        key : str
-            As the plan's TOML spells it.
-        default : float, optional
-            Value when the key is missing; without it the key must be there.
+        `default`: Value when the key is missing; without it the key must be there.
         """
         if key not in self.values:
             if default is None:
@@ -114,25 +76,11 @@ class PlanTable:
         return float(value)
 
     def optional(self, key: str, spec: Number) -> float | None:
-        """Return a number, or None when its key is missing.
-
-        Parameters
-        ----------
-        key : str
-            As the plan's TOML spells it.
-        """
+        """Return a number, or None when its key is missing."""
         return self.number(key, spec) if key in self.values else None
 
     def text(self, key: str, default: str) -> str:
-        """Return a text.
-
-        Parameters
-        ----------
-        key : str
-            As the plan's TOML spells it.
-        default : str
-            Value when the key is missing.
-        """
+        """Return a text."""
         value = self.values.get(key, default)
         if not isinstance(value, str):
             self.fail(f"{key} is {_shortened(value)}, not a text", f'write {key} = "{default or "..."}"')
@@ -141,14 +89,7 @@ class PlanTable:
     def choice(self, key: str, choices: Iterable[str], default: str | None = None) -> str:
         """Return one of several words.
 
-        Parameters
-        ----------
-        key : str
-            As the plan's TOML spells it.
-        choices : iterable of str
-            Words that it takes.
-        default : str, optional
-            Value when the key is missing; without it the key must be there.
+        `default`: Value when the key is missing; without it the key must be there.
         """
         words = list(choices)
         if key not in self.values and default is None:

@@ -22,21 +22,7 @@ _REQUESTED = (Trigger.LAND, Trigger.STOP)
 
 
 class Landing:
-    """Brings the arm down, in the thread of `heli_host.fly.pilot.Pilot.fly`, which handles its errors.
-
-    Parameters
-    ----------
-    heli : Vehicle
-        Board that flies.
-    stream : RouteStream
-        Time of the flight, for reports. It has ended: the board descends by itself.
-    recorder : Recorder
-        Records the beginning of the landing.
-    monitor : FlightMonitor
-        Knows how the flight ended.
-    reports : ProgressReports
-        Gets the progress of the landing.
-    """
+    """Brings the arm down, in the thread of `heli_host.fly.pilot.Pilot.fly`, which handles its errors."""
 
     def __init__(
         self,
@@ -54,18 +40,7 @@ class Landing:
         self._reports = reports
 
     def land(self, *, is_completed: bool) -> str:
-        """Land, or wait for the end that the board reached by itself.
-
-        Parameters
-        ----------
-        is_completed : bool
-            Whether the route was flown to its end.
-
-        Returns
-        -------
-        str
-            Text of the error; empty without one.
-        """
+        """Land, or wait for the end that the board reached by itself."""
         if not self._session.connected and not self._monitor.was_closed:
             return ""
         # An idle board needs no landing, although a sample with this state may not have arrived yet.

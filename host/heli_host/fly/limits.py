@@ -18,40 +18,20 @@ _TABLE_MARGIN_DEG = 2.0
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a board for a plan.
+    """Limits of a board for a plan."""
 
-    Parameters
-    ----------
-    low_deg, high_deg : ndarray (axes,)
-        Bounds of the setpoints of elevation, pitch and travel.
-    low_names, high_names : tuple of str
-        Source of each bound, for messages.
-    slew_deg_s : ndarray (axes,)
-        Fastest change of each setpoint.
-    excitation_max_V, excitation_max_s : float
-        Bounds of an excitation.
-    rest_deg : float
-        Elevation on the table.
-    """
-
-    low_deg: Floats
+    low_deg: Floats  # low_deg, high_deg: (axes,): Bounds of the setpoints of elevation, pitch and travel
     high_deg: Floats
-    low_names: tuple[str, ...]
+    low_names: tuple[str, ...]  # low_names, high_names: Source of each bound, for messages
     high_names: tuple[str, ...]
-    slew_deg_s: Floats
-    excitation_max_V: float
+    slew_deg_s: Floats  # (axes,): Fastest change of each setpoint
+    excitation_max_V: float  # excitation_max_V, excitation_max_s: Bounds of an excitation
     excitation_max_s: float
-    rest_deg: float
+    rest_deg: float  # Elevation on the table
 
     @staticmethod
     def of(parameters: Mapping[str, float] | None = None) -> Limits:
-        """Return the limits that parameters set.
-
-        Parameters
-        ----------
-        parameters : Mapping[str, float], optional
-            The board's parameters by name; a missing parameter has its declared default.
-        """
+        """Return the limits that parameters set."""
         values = {spec.name: spec.default for spec in PARAMS}
         values.update(parameters or {})
         bounds = setpoint_bounds(values)
@@ -72,18 +52,7 @@ class Limits:
 
 
 def check_motion(segment: Segment, at_deg: Floats, limits: Limits) -> None:
-    """Refuse a segment that the board would refuse, or could not follow.
-
-    Parameters
-    ----------
-    at_deg : ndarray (axes,)
-        Setpoints at which it begins.
-
-    Raises
-    ------
-    PlanError
-        With file, segment and key.
-    """
+    """Refuse a segment that the board would refuse, or could not follow. Shapes: `at_deg` (axes,)."""
     motion = segment.motion(at_deg)
     # Rounding errors of a path that just touches a limit are no violation.
     rounding_deg = 1e-9

@@ -211,15 +211,7 @@ class Pilot:
 
 
 def _outcome_with(outcome: str, trouble: str) -> str:
-    """Return the outcome of a flight whose landing went wrong; a fault of the board comes first.
-
-    Parameters
-    ----------
-    outcome : str
-        Outcome of the route.
-    trouble : str
-        What went wrong from the landing on; empty if nothing did.
-    """
+    """Return the outcome of a flight whose landing went wrong; a fault of the board comes first."""
     # A fault has one name, and may have several explanations.
     if not trouble or (trouble.partition(":")[0] if trouble.startswith("fault ") else trouble) in outcome:
         return outcome

@@ -54,21 +54,11 @@ MAX_SEGMENTS = 1000
 
 @dataclass(frozen=True)
 class Start:
-    """Start of a plan: the end of the take-off, or the transition from the plan before.
+    """Start of a plan: the end of the take-off, or the transition from the plan before."""
 
-    Parameters
-    ----------
-    elevation_deg : float
-        Elevation there.
-    rate_deg_s : float
-        Rate at which the elevation setpoint rises to this elevation.
-    settle_s : float
-        Waiting time at this elevation.
-    """
-
-    elevation_deg: float = 0.0
-    rate_deg_s: float = 8.0
-    settle_s: float = 4.0
+    elevation_deg: float = 0.0  # Elevation there
+    rate_deg_s: float = 8.0  # Rate at which the elevation setpoint rises to this elevation
+    settle_s: float = 4.0  # Waiting time at this elevation
 
 
 @dataclass(frozen=True)
@@ -303,27 +293,7 @@ def plan_names() -> list[str]:
 
 
 def take_off(plans: Sequence[Plan], parameters: Mapping[str, float], start_deg: Floats) -> Route:
-    """Join take-off and plans to one route, checked against a board.
-
-    Parameters
-    ----------
-    plans : sequence of Plan
-        Plans in the order in which they are flown, at least one; all close the same axes.
-    parameters : Mapping[str, float]
-        The board's parameters by name.
-    start_deg : ndarray (axes,)
-        Elevation, pitch and travel on the table.
-
-    Returns
-    -------
-    Route
-        It begins on the table; take-off is its first phase, then each plan is one.
-
-    Raises
-    ------
-    PlanError
-        If a plan cannot be flown on this board from there, or the plans do not fit each other.
-    """
+    """Join take-off and plans to one route, checked against a board. Shapes: `start_deg` (axes,)."""
     first = plans[0]
     for plan in plans[1:]:
         if plan.axes != first.axes:

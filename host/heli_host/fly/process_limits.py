@@ -21,17 +21,6 @@ def limit_process(kind: str, soft: int, hard: int | None = None) -> None:
 
     If the system does not have this limit, nothing changes: Windows has no such limits, and macOS does not
     limit the address space.
-
-    Parameters
-    ----------
-    kind : str
-        Which limit: ``CPU`` in s, ``AS`` and ``FSIZE`` in bytes, ``NOFILE``, or another ``RLIMIT_`` of
-        `resource`.
-    soft : int
-        Limit beyond which the system warns the process, by a signal or an error.
-    hard : int, optional
-        Limit beyond which the system ends the process, and up to which `soft` can be raised later. By
-        default, it does not change.
     """
     if sys.platform == "win32" or not can_limit():
         return

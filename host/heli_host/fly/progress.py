@@ -37,22 +37,7 @@ class Progress:
 
 
 class ProgressReports:
-    """Calls the callback of a flight's caller, in the thread of `heli_host.fly.pilot.Pilot.fly`.
-
-    Parameters
-    ----------
-    heli : Vehicle
-        Board that flies.
-    route : Route
-        Setpoints over time.
-    callback : callable taking Progress, or None
-        Callback of the caller; it may raise any exception.
-
-    Attributes
-    ----------
-    error : Exception or None
-        Error of the callback during the landing, to be raised when the arm is down.
-    """
+    """Calls the callback of a flight's caller, in the thread of `heli_host.fly.pilot.Pilot.fly`."""
 
     def __init__(self, heli: Vehicle, route: Route, callback: Callable[[Progress], None] | None) -> None:
         self.error: Exception | None = None
@@ -61,26 +46,14 @@ class ProgressReports:
         self._callback = callback
 
     def report(self, t_s: float) -> None:
-        """Report the progress of the route. An error of the callback is raised.
-
-        Parameters
-        ----------
-        t_s : float
-            Device time since the loops were closed [s].
-        """
+        """Report the progress of the route. An error of the callback is raised."""
         if self._callback is None:
             return
         piece = self._route.piece_at(t_s)
         self._call(t_s, LANDING if piece is None else piece.phase, self._route.duration_s - t_s)
 
     def report_landing(self, t_s: float) -> None:
-        """Report the progress of the landing. An error of the callback is kept until the arm is down.
-
-        Parameters
-        ----------
-        t_s : float
-            Device time since the loops were closed [s].
-        """
+        """Report the progress of the landing. An error of the callback is kept until the arm is down."""
         try:
             self._call(t_s, LANDING, None)
         except Exception as error:  # noqa: BLE001 - the caller's own callback may raise anything

@@ -16,52 +16,26 @@ Shape = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class PlannedExcitation:
-    """An excitation that the board adds to the motor voltages during a piece.
+    """An excitation that the board adds to the motor voltages during a piece."""
 
-    Parameters
-    ----------
-    signal : str
-        Kind of excitation: name of a member of `heli_host.declaration.Excitation` in lower case.
-    front_V, back_V : float
-        Amplitude on each motor.
-    start_Hz, stop_Hz : float
-        Frequencies.
-    duration_s : float
-        Length.
-    seed : int
-        Seed of prbs.
-    """
-
-    signal: str
-    front_V: float
+    signal: str  # Kind of excitation: name of a member of `heli_host.declaration.Excitation` in lower case
+    front_V: float  # front_V, back_V: Amplitude on each motor
     back_V: float
-    start_Hz: float
+    start_Hz: float  # start_Hz, stop_Hz: Frequencies
     stop_Hz: float
-    duration_s: float
-    seed: int
+    duration_s: float  # Length
+    seed: int  # Seed of prbs
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of a route.
+    """A stretch of a route."""
 
-    Parameters
-    ----------
-    phase : str
-        Part of the flight: ``take-off`` or a plan's name.
-    name : str
-        Kind of the piece, for messages: ``sine``, ``step`` ...
-    start_s, duration_s : float
-        Start on the route's time axis, and length [s].
-    shape : callable
-        Function that returns the setpoints within the piece.
-    """
-
-    phase: str
-    name: str
-    start_s: float
+    phase: str  # Part of the flight: ``take-off`` or a plan's name
+    name: str  # Kind of the piece, for messages: ``sine``, ``step`` ..
+    start_s: float  # start_s, duration_s: Start on the route's time axis, and length [s]
     duration_s: float
-    shape: Shape
+    shape: Shape  # Function that returns the setpoints within the piece
     excitation: PlannedExcitation | None = None
 
     @property
@@ -73,18 +47,10 @@ class Piece:
 
 @dataclass(frozen=True)
 class Route:
-    """Pieces that follow each other.
+    """Pieces that follow each other."""
 
-    Parameters
-    ----------
-    start_deg : ndarray (axes,)
-        Elevation, pitch and travel before the first piece.
-    pieces : tuple of Piece
-        In order of time, without gaps.
-    """
-
-    start_deg: Floats
-    pieces: tuple[Piece, ...] = ()
+    start_deg: Floats  # (axes,): Elevation, pitch and travel before the first piece
+    pieces: tuple[Piece, ...] = ()  # In order of time, without gaps
 
     @property
     def duration_s(self) -> float:
@@ -108,50 +74,18 @@ class Route:
         shape: Shape,
         excitation: PlannedExcitation | None = None,
     ) -> Route:
-        """Return the route with one more piece.
-
-        Parameters
-        ----------
-        phase, name : str
-            As in `Piece`.
-        duration_s : float
-            Length of the piece.
-        shape : callable
-            Function that returns the setpoints within the piece.
-        """
+        """Return the route with one more piece."""
         piece = Piece(phase, name, self.duration_s, duration_s, shape, excitation)
         return Route(self.start_deg, (*self.pieces, piece))
 
     def piece_at(self, t_s: float) -> Piece | None:
-        """Return the piece at a time.
-
-        Parameters
-        ----------
-        t_s : float
-            Time on the route's axis.
-
-        Returns
-        -------
-        Piece or None
-            None before the start and after the end.
-        """
+        """Return the piece at a time."""
         if not self.pieces or t_s < 0.0 or t_s >= self.duration_s:
             return None
         return self.pieces[max(0, int(np.searchsorted(self._starts_s, t_s, side="right")) - 1)]
 
     def evaluate(self, t_s: Floats) -> Floats:
-        """Return the setpoints.
-
-        Parameters
-        ----------
-        t_s : ndarray (n,)
-            Times since the start of the route. Earlier times give the start, later ones than the end the end.
-
-        Returns
-        -------
-        ndarray (n, axes)
-            Elevation, pitch and travel in degrees.
-        """
+        """Return the setpoints. Shapes: `t_s` (n,); returns (n, axes)."""
         setpoints_deg = np.empty((t_s.size, self.start_deg.size))
         setpoints_deg[:] = self.start_deg
         if not self.pieces:
@@ -167,42 +101,18 @@ class Route:
 
 
 def hold(at_deg: Floats) -> Shape:
-    """Return a shape that stays.
-
-    Parameters
-    ----------
-    at_deg : ndarray (axes,)
-        Where.
-    """
+    """Return a shape that stays. Shapes: `at_deg` (axes,)."""
     return lambda t_s: np.tile(at_deg, (t_s.size, 1))
 
 
 def ramp(from_deg: Floats, to_deg: Floats, duration_s: float) -> Shape:
-    """Return a shape that goes straight from one point to another.
-
-    Parameters
-    ----------
-    from_deg, to_deg : ndarray (axes,)
-        Both ends.
-    duration_s : float
-        Time between them.
-    """
+    """Return a shape that goes straight from one point to another. Shapes: `from_deg, to_deg` (axes,)."""
     return lambda t_s: from_deg + np.outer(np.clip(t_s / duration_s, 0.0, 1.0), to_deg - from_deg)
 
 
 def sine(from_deg: Floats, amplitude_deg: Floats, period_s: Floats, duration_s: float) -> Shape:
     """Return sines about the present point, faded in and out so that neither setpoint nor its rate jumps.
-
-    Parameters
-    ----------
-    from_deg : ndarray (axes,)
-        Where they begin and end, and their middle.
-    amplitude_deg : ndarray (axes,)
-        Amplitude of each axis; 0 stays.
-    period_s : ndarray (axes,)
-        Period of each axis.
-    duration_s : float
-        Length.
+    Shapes: `from_deg` (axes,), `amplitude_deg` (axes,), `period_s` (axes,).
     """
     fades_s = fade_s(period_s, duration_s)
 
@@ -215,32 +125,15 @@ def sine(from_deg: Floats, amplitude_deg: Floats, period_s: Floats, duration_s: 
 
 
 def fade_s(period_s: Floats, duration_s: float) -> Floats:
-    """Return how long a sine takes to reach its amplitude.
+    """Return how long a sine takes to reach its amplitude. Shapes: `period_s` (axes,).
 
     Over half a period the rate never exceeds that of the full sine, and its acceleration by a third at most.
-
-    Parameters
-    ----------
-    period_s : ndarray (axes,)
-        Period of each axis.
-    duration_s : float
-        Length of the whole.
     """
     return np.minimum(0.5 * period_s, 0.5 * duration_s)
 
 
 def waypoints(at_s: Sequence[Floats], points_deg: Sequence[Floats], smooth: bool) -> Shape:
-    """Return a path through points.
-
-    Parameters
-    ----------
-    at_s : sequence of ndarray (m,)
-        Times of each axis' points, rising, from 0.
-    points_deg : sequence of ndarray (m,)
-        Their values, degrees.
-    smooth : bool
-        Leave and reach every point at rest (cubic blend); else straight lines.
-    """
+    """Return a path through points. Shapes: `at_s` (m,), `points_deg` (m,)."""
 
     def shape(t_s: Floats) -> Floats:
         columns = []

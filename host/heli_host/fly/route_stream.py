@@ -35,22 +35,6 @@ class RouteStream:
     It owns whether setpoints are sent at present, and its lock makes `end` final: no setpoint leaves after it
     has returned. `take_ticks` runs in the session's reading thread, all other methods in that of
     `heli_host.fly.pilot.Pilot.fly`. In lockstep both are the same thread.
-
-    Parameters
-    ----------
-    heli : Vehicle
-        Board that flies.
-    route : Route
-        Setpoints over time.
-    recorder : Recorder
-        Records the beginning of each phase.
-    tracking : TrackingMonitor
-        Gets the samples of the flight.
-
-    Attributes
-    ----------
-    start_tick : int
-        Tick at which the loops were closed; 0 before.
     """
 
     def __init__(self, heli: Vehicle, route: Route, recorder: Recorder, tracking: TrackingMonitor) -> None:
@@ -113,13 +97,7 @@ class RouteStream:
             self._streaming = False
 
     def take_ticks(self, ticks: Ticks) -> None:
-        """Follow the route on the device time of new samples.
-
-        Parameters
-        ----------
-        ticks : Ticks
-            All samples of one reading; called in the session's reading thread.
-        """
+        """Follow the route on the device time of new samples."""
         tick = newest_tick(self._session)
         with self._lock:
             if not self._streaming:

@@ -36,71 +36,32 @@ _SMOOTH_PEAK = 1.5
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of a segment from its first setpoints.
+    """Motion of a segment from its first setpoints."""
 
-    Parameters
-    ----------
-    duration_s : float
-        Its length.
-    shape : callable
-        Setpoints within it.
-    low_deg, high_deg : ndarray (axes,)
-        Bounds of elevation, pitch and travel within it.
-    rate_deg_s : ndarray (axes,)
-        Steepest requested slopes; 0 for a step, because the board's slew limit shapes it.
-    """
-
-    duration_s: float
-    shape: Shape
-    low_deg: Floats
+    duration_s: float  # Its length
+    shape: Shape  # Setpoints within it
+    low_deg: Floats  # low_deg, high_deg: (axes,): Bounds of elevation, pitch and travel within it
     high_deg: Floats
     rate_deg_s: Floats
+    """(axes,): Steepest requested slopes; 0 for a step, because the board's slew limit shapes it."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One segment of a plan.
+    """One segment of a plan."""
 
-    Parameters
-    ----------
-    kind : str
-        ``hold``, ``step``, ``ramp``, ``sine``, ``waypoints``, ``excite`` or ``land``.
-    where : str
-        File and segment, for messages.
-    motion : callable
-        Returns the `Motion` of the segment, given the setpoints at its beginning, degrees (axes,).
-    limit_keys : tuple of str
-        For each axis, the key that an error names if the motion leaves the limits.
-    rate_key : str
-        The key that an error names if the motion is too fast.
-    """
-
-    kind: str
-    where: str
+    kind: str  # ``hold``, ``step``, ``ramp``, ``sine``, ``waypoints``, ``excite`` or ``land``
+    where: str  # File and segment, for messages
     motion: Callable[[Floats], Motion]
+    """Returns the `Motion` of the segment, given the setpoints at its beginning, degrees (axes,)."""
     limit_keys: tuple[str, ...] = tuple(TARGETS)
-    rate_key: str = "duration_s"
+    """For each axis, the key that an error names if the motion leaves the limits."""
+    rate_key: str = "duration_s"  # The key that an error names if the motion is too fast
     excitation: PlannedExcitation | None = None
 
 
 def read_segment(values: Mapping[str, Any], where: str, commanded: tuple[str, ...]) -> Segment:
-    """Read one segment.
-
-    Parameters
-    ----------
-    values : Mapping[str, object]
-        The segment's table.
-    where : str
-        File and number of the segment, for messages.
-    commanded : tuple of str
-        Axes that segments of the plan may move: all axes in closed loop, but pitch only if travel is free,
-        because the control law of travel commands pitch.
-
-    Raises
-    ------
-    PlanError
-        If a key is unknown or missing, or its value is invalid.
-    """
+    """Read one segment."""
     kind_only = PlanTable({key: values[key] for key in ("kind",) if key in values}, where, ("kind",))
     kind = kind_only.choice("kind", _KINDS)
     where = f"{where} ({kind})"

@@ -11,26 +11,12 @@ _LONGEST_WAIT_S = 2.0
 
 
 def newest_tick(session: Session) -> int:
-    """Return the tick of the newest sample; 0 before the first.
-
-    Parameters
-    ----------
-    session : Session
-        Session with the board.
-    """
+    """Return the tick of the newest sample; 0 before the first."""
     newest = session.latest
     return newest[0] if newest is not None else 0
 
 
 def wait_ticks(session: Session, count: int) -> None:
-    """Wait for some milliseconds of device time, for at most 2 s.
-
-    Parameters
-    ----------
-    session : Session
-        Session with the board.
-    count : int
-        Device time [tick].
-    """
+    """Wait for some milliseconds of device time, for at most 2 s."""
     last_tick = newest_tick(session) + count
     session.wait_for(lambda: newest_tick(session) >= last_tick, _LONGEST_WAIT_S)

@@ -30,36 +30,16 @@ class Tolerance:
 
     The error is the angle minus the setpoint that the control law used in that tick. Every shipped rig, with
     its own gains, stays below 0.3, 1.5 and 9 degrees for 2 s in every built-in plan.
-
-    Parameters
-    ----------
-    elevation_deg, pitch_deg, travel_deg : float
-        Greatest tracking error [deg].
-    for_s : float
-        Longest time for which the error may be larger [s].
     """
 
-    elevation_deg: float = 3.0
+    elevation_deg: float = 3.0  # elevation_deg, pitch_deg, travel_deg: Greatest tracking error [deg]
     pitch_deg: float = 15.0
     travel_deg: float = 15.0
-    for_s: float = 2.0
+    for_s: float = 2.0  # Longest time for which the error may be larger [s]
 
     @staticmethod
     def read(values: Mapping[str, Any], where: str) -> Tolerance:
-        """Read the table ``[tolerance]`` of a plan.
-
-        Parameters
-        ----------
-        values : Mapping of str
-            The table; missing keys get their defaults.
-        where : str
-            File and table, for error messages.
-
-        Raises
-        ------
-        PlanError
-            A key is unknown, or a value is invalid.
-        """
+        """Read the table ``[tolerance]`` of a plan."""
         default = Tolerance()
         bounds = {f"{axis}_deg": _BOUND for axis in AXES} | {"for_s": _LONGEST}
         table = PlanTable(values, where, bounds)
@@ -69,18 +49,7 @@ class Tolerance:
 
     @staticmethod
     def widest(tolerances: Sequence[Tolerance]) -> Tolerance:
-        """Return the widest tolerance of several plans.
-
-        Parameters
-        ----------
-        tolerances : sequence of Tolerance
-            Tolerances of the plans of one flight; at least one.
-
-        Returns
-        -------
-        Tolerance
-            The largest of each number.
-        """
+        """Return the widest tolerance of several plans."""
         return Tolerance(
             *(
                 max(getattr(tolerance, key) for tolerance in tolerances)
@@ -91,28 +60,15 @@ class Tolerance:
 
 @dataclass
 class TrackingMonitor:
-    """Monitors the tracking errors during a flight; used in the session's reading thread.
-
-    Parameters
-    ----------
-    rad_per_count : ndarray (axes,)
-        Angle of a count of each encoder.
-    axes : tuple of str
-        Axes that are closed.
-
-    Attributes
-    ----------
-    longest_s : ndarray (axes,)
-        Longest time for which an axis was beyond its bound without a break.
-    worst_deg : ndarray (axes,)
-        Largest following error in such a time, degrees.
-    """
+    """Monitors the tracking errors during a flight; used in the session's reading thread."""
 
     tolerance: Tolerance
-    rad_per_count: NDArray[np.float64]
-    axes: tuple[str, ...]
+    rad_per_count: NDArray[np.float64]  # (axes,): Angle of a count of each encoder
+    axes: tuple[str, ...]  # Axes that are closed
     longest_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(AXES)))
+    """(axes,): Longest time for which an axis was beyond its bound without a break."""
     worst_deg: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(AXES)))
+    """(axes,): Largest following error in such a time, degrees."""
 
     def __post_init__(self) -> None:
         self._unreached = ""
@@ -126,15 +82,7 @@ class TrackingMonitor:
         self._bound_deg = np.array([getattr(self.tolerance, f"{axis}_deg") for axis in AXES])
 
     def take(self, ticks: Ticks, first_tick: int) -> None:
-        """Process new samples.
-
-        Parameters
-        ----------
-        ticks : Ticks
-            The next samples.
-        first_tick : int
-            First device tick whose samples are evaluated; earlier ones belong to the take-off.
-        """
+        """Process new samples."""
         if not len(ticks):
             return
         error_deg = np.abs(ticks.raw @ self._deg_per_raw)  # (n, axes)
@@ -155,17 +103,8 @@ class TrackingMonitor:
         The board limits the rate of its setpoints, and the error above is that from the limited setpoint. A
         step that is too short for this rate ends far from its target without such an error.
 
-        Parameters
-        ----------
-        ticks : Ticks
-            Samples of the reading in which the piece ended.
-        end_tick : int
-            Device tick of the end.
-        piece : Piece
-            Stretch that has ended; the way to the first elevation is not compared.
-        is_last : bool
-            Whether the route ends here. Then the arm must have arrived at the target of a step. Otherwise the
-            board's setpoint must be there, or the arm.
+        `is_last`: Whether the route ends here. Then the arm must have arrived at the target of a step.
+        Otherwise the board's setpoint must be there, or the arm.
         """
         tick = ticks.tick.astype(np.int64)
         row = min(int(np.searchsorted(tick, end_tick & 0xFFFFFFFF)), len(tick) - 1)

@@ -14,64 +14,32 @@ _TICK_MODULUS = 1 << 32
 
 @dataclass(frozen=True)
 class LinkCounters:
-    """Counts of a session, from the first welcome on.
+    """Counts of a session, from the first welcome on."""
 
-    Parameters
-    ----------
-    frames_ok : int
-        Frames from the board that passed every check.
-    frames_bad : int
-        Frames refused: COBS, length, CRC, protocol, or telemetry whose length does not fit or whose
-        enumerations have values that are not declared.
-    frames_lost : int
-        Gaps in the board's sequence numbers.
-    bytes_received : int
-        All bytes that arrived.
-    bytes_dropped : int
-        Bytes that belong to no accepted frame.
-    retries : int
-        Commands sent again because no answer came in time.
-    reconnects : int
-        Times that the link was lost, or the board fell silent, and came back.
-    restarts : int
-        Number of restarts of the board during the session.
-    ticks_received : int
-        Samples delivered.
-    ticks_lost : int
-        Samples missing between those delivered; a restart of the board ends the counting before it.
-    setpoints_sent, voltages_sent : int
-        Streamed values that were sent.
-    setpoints_skipped, voltages_skipped : int
-        Streamed values that a newer value replaced before the rate limit permitted them to be sent.
-    board : StatusMessage or None
-        The newest counters that the board sent.
-    """
-
-    frames_ok: int = 0
+    frames_ok: int = 0  # Frames from the board that passed every check
     frames_bad: int = 0
-    frames_lost: int = 0
-    bytes_received: int = 0
-    bytes_dropped: int = 0
-    retries: int = 0
-    reconnects: int = 0
-    restarts: int = 0
-    ticks_received: int = 0
+    """Frames refused: COBS, length, CRC, protocol, or telemetry whose length does not fit or whose
+    enumerations have values that are not declared."""
+    frames_lost: int = 0  # Gaps in the board's sequence numbers
+    bytes_received: int = 0  # All bytes that arrived
+    bytes_dropped: int = 0  # Bytes that belong to no accepted frame
+    retries: int = 0  # Commands sent again because no answer came in time
+    reconnects: int = 0  # Times that the link was lost, or the board fell silent, and came back
+    restarts: int = 0  # Number of restarts of the board during the session
+    ticks_received: int = 0  # Samples delivered
     ticks_lost: int = 0
-    setpoints_sent: int = 0
+    """Samples missing between those delivered; a restart of the board ends the counting before it."""
+    setpoints_sent: int = 0  # setpoints_sent, voltages_sent: Streamed values that were sent
     setpoints_skipped: int = 0
+    """setpoints_skipped, voltages_skipped: Streamed values that a newer value replaced before the rate limit
+    permitted them to be sent."""
     voltages_sent: int = 0
     voltages_skipped: int = 0
-    board: StatusMessage | None = None
+    board: StatusMessage | None = None  # The newest counters that the board sent
 
 
 class TickAccount:
-    """Follows the tick numbers of a session.
-
-    Attributes
-    ----------
-    received, lost : int
-        Samples accepted, and samples missing between them.
-    """
+    """Follows the tick numbers of a session."""
 
     def __init__(self) -> None:
         self.received = 0
@@ -88,38 +56,14 @@ class TickAccount:
         self._last = None
 
     def unwrap(self, tick: int) -> int:
-        """Return a device tick without the wrap at 2^32.
-
-        Parameters
-        ----------
-        tick : int
-            Tick from the link, modulo 2^32.
-
-        Returns
-        -------
-        int
-            The number with this remainder that is nearest to the newest tick.
-        """
+        """Return a device tick without the wrap at 2^32."""
         if self._last is None:
             return tick
         half_range = _TICK_MODULUS // 2
         return self._last + (tick - self._last + half_range) % _TICK_MODULUS - half_range
 
     def take(self, ticks: Ticks) -> tuple[Ticks, bool]:
-        """Count samples.
-
-        Parameters
-        ----------
-        ticks : Ticks
-            Newly decoded samples in order of arrival.
-
-        Returns
-        -------
-        accepted : Ticks
-            Samples before the first jump back of the tick number; later samples are discarded.
-        jumped_back : bool
-            True if the tick number fell, because the board restarted.
-        """
+        """Count samples. Returns `accepted`, `jumped_back`."""
         if len(ticks) == 0:
             return ticks, False
         first, final = int(ticks.tick[0]), int(ticks.tick[-1])

@@ -38,103 +38,39 @@ _TYPES = tuple(np.dtype(spec.code) for spec in CHANNELS)
 
 
 def is_whole(spec: ChannelSpec) -> bool:
-    """Whether a channel's values are its raw numbers: counts, enumerations, bits.
-
-    Parameters
-    ----------
-    spec : ChannelSpec
-        The channel.
-    """
+    """Whether a channel's values are its raw numbers: counts, enumerations, bits."""
     return spec.scale == 1.0
 
 
 def numbers(raw: npt.NDArray[np.int32], channel: Channel) -> npt.NDArray[np.integer]:
-    """Return the raw numbers of a channel in the type that it has on the wire.
-
-    Parameters
-    ----------
-    raw : ndarray of int32, shape (..., channels)
-        Rows of raw numbers.
-    channel : Channel
-        Channel of the values.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Raw numbers of the channel; unsigned if the declaration states an unsigned type.
+    """Return the raw numbers of a channel in the type that it has on the wire. Shapes: `raw` (...,
+    channels).
     """
     return raw[..., channel].astype(_TYPES[channel])
 
 
 def physical(raw: npt.NDArray[np.int32], channel: Channel) -> Floats:
-    """Return a channel in its unit.
-
-    Parameters
-    ----------
-    raw : ndarray of int32, shape (..., channels)
-        Rows of raw numbers.
-    channel : Channel
-        Channel of the values.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Its values, in the unit that the declaration gives it.
-    """
+    """Return a channel in its unit. Shapes: `raw` (..., channels)."""
     return numbers(raw, channel).astype(np.float64) * CHANNELS[channel].scale
 
 
 def raw_numbers(
     values: npt.NDArray[np.floating] | npt.NDArray[np.integer], channel: Channel
 ) -> npt.NDArray[np.int32]:
-    """Undo `physical`.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        Values in the channel's unit, right to less than half its scale.
-    channel : Channel
-        Channel of the values.
-
-    Returns
-    -------
-    ndarray of int32, shape (n,)
-        The raw numbers.
-    """
+    """Undo `physical`. Shapes: `values` (n,); returns (n,)."""
     counted = np.rint(values.astype(np.float64) / CHANNELS[channel].scale)
     return counted.astype(np.int64).astype(np.uint32).view(np.int32)
 
 
 def declared(raw: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
-    """Find the samples whose enumerations have only values of the declaration.
-
-    Parameters
-    ----------
-    raw : ndarray of int32, shape (n, channels)
-        Rows of raw numbers.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        False for a sample that a board with this declaration cannot send.
+    """Find the samples whose enumerations have only values of the declaration. Shapes: `raw` (n, channels);
+    returns (n,).
     """
     values = np.minimum(raw.take(_COLUMNS, axis=1).view(np.uint32), np.uint32(_MAX + 1))  # (n, enumerated)
     return np.asarray(_NAMED.take(values + _STARTS).all(axis=1))
 
 
 def rad_per_count(parameters: Mapping[str, float]) -> Floats:
-    """Return the angle of one count of each axis' encoder.
-
-    Parameters
-    ----------
-    parameters : Mapping of str to float
-        The board's parameters, of which ``*_counts_per_rev`` are used. The sign is ignored: if it is
-        negative, the board has already reversed the counts before it sends them.
-
-    Returns
-    -------
-    ndarray, shape (axes,)
-        Angles in the order of `Axis` [rad]; nan for an axis whose parameter is missing or 0.
-    """
+    """Return the angle of one count of each axis' encoder. Returns shape (axes,)."""
     counts_per_rev = (abs(parameters.get(f"{axis}_counts_per_rev", 0.0)) for axis in AXES)
     return np.array([2.0 * np.pi / counts if counts else np.nan for counts in counts_per_rev])

@@ -30,27 +30,14 @@ _Point = tuple[int, float]  # tick, host_s
 
 @dataclass(frozen=True)
 class ClockEstimate:
-    """A map between device time and the host's monotonic time.
+    """A map between device time and the host's monotonic time."""
 
-    Parameters
-    ----------
-    origin_tick : float
-        Tick at which the map is anchored.
-    origin_s : float
-        Host time of that tick [s].
-    tick_s : float
-        Host seconds that one tick takes [s]: near 0.001, less when a simulation runs faster than real time.
-    jitter_s : float
-        Lateness that one in twenty of the recent arrivals exceeds [s].
-    round_trip_s : float
-        Shortest round trip of a ping [s]; 0 before the first.
-    """
-
-    origin_tick: float
-    origin_s: float
+    origin_tick: float  # Tick at which the map is anchored
+    origin_s: float  # Host time of that tick [s]
     tick_s: float
-    jitter_s: float
-    round_trip_s: float
+    """Host seconds that one tick takes [s]: near 0.001, less when a simulation runs faster than real time."""
+    jitter_s: float  # Lateness that one in twenty of the recent arrivals exceeds [s]
+    round_trip_s: float  # Shortest round trip of a ping [s]; 0 before the first
 
     @property
     def rate(self) -> float:
@@ -63,33 +50,11 @@ class ClockEstimate:
         return (self.rate - 1.0) * 1e6
 
     def host_s_at(self, tick: float) -> float:
-        """Return the host time of a tick.
-
-        Parameters
-        ----------
-        tick : float
-            Device time [tick], counted on over 2^32.
-
-        Returns
-        -------
-        float
-            Monotonic host time [s].
-        """
+        """Return the host time of a tick."""
         return self.origin_s + (tick - self.origin_tick) * self.tick_s
 
     def tick_at(self, host_s: float) -> float:
-        """Return the device time at a host time.
-
-        Parameters
-        ----------
-        host_s : float
-            Monotonic host time [s].
-
-        Returns
-        -------
-        float
-            Device time [tick].
-        """
+        """Return the device time at a host time."""
         return self.origin_tick + (host_s - self.origin_s) / self.tick_s
 
 
@@ -111,15 +76,7 @@ class ClockFit:
         self._fit_is_old = True
 
     def observe(self, tick: int, host_s: float) -> None:
-        """Take the arrival of something that the board sent at or after a tick.
-
-        Parameters
-        ----------
-        tick : int
-            Latest device time that is in what arrived [tick], counted on over 2^32.
-        host_s : float
-            Monotonic host time of the arrival [s].
-        """
+        """Take the arrival of something that the board sent at or after a tick."""
         quickest = self._quickest_in_bin
         if quickest is None:
             self._quickest_in_bin, self._fit_is_old = (tick, host_s), True
@@ -145,29 +102,13 @@ class ClockFit:
             self._fit_is_old |= delay_s < estimate.round_trip_s / 2.0 - 1e-6
 
     def observe_pong(self, sent_s: float, tick: int, host_s: float) -> None:
-        """Take the answer to a ping.
-
-        Parameters
-        ----------
-        sent_s : float
-            Monotonic host time at which the ping was sent [s].
-        tick : int
-            Device time at the answer [tick], continued beyond 2^32.
-        host_s : float
-            Monotonic host time of the arrival [s].
-        """
+        """Take the answer to a ping."""
         self._round_trip_s.append(max(host_s - sent_s, 0.0))
         self.observe(tick, host_s)
         self._fit_is_old = True
 
     def estimate(self) -> ClockEstimate | None:
-        """Fit the map to what was seen so far.
-
-        Returns
-        -------
-        ClockEstimate or None
-            None before the first arrival.
-        """
+        """Fit the map to what was seen so far."""
         if self._fit_is_old and self._quickest_in_bin is not None:
             self._estimate = self._fit_line_below_arrivals(self._quickest_in_bin)
             self._fit_is_old = False

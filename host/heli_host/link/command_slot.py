@@ -14,18 +14,6 @@ class CommandSlot:
 
     It owns the command from its start to its answer. `due` returns it whenever it must be sent, again and
     again, until the answer comes or the time is up.
-
-    Parameters
-    ----------
-    numbers : RequestNumbers
-        Numbers that commands share with all other requests.
-
-    Attributes
-    ----------
-    stops : int
-        Number of calls of `preempt`.
-    retries : int
-        Commands sent again because no answer came in time.
     """
 
     def __init__(self, numbers: RequestNumbers) -> None:
@@ -45,20 +33,6 @@ class CommandSlot:
         """Start a command.
 
         The caller waits for the previous command before it starts the next.
-
-        Parameters
-        ----------
-        command : Command
-            Any message with a reply; its request number is replaced.
-        now_s : float
-            Host time [s].
-        timeout_s : float
-            Time after which the command is given up [s].
-
-        Returns
-        -------
-        Request
-            Done when the command was answered or given up.
         """
         # A protocol's dataclasses are not known to be such.
         numbered = dataclasses.replace(command, request=self._numbers.take())  # type: ignore[type-var]
@@ -80,13 +54,7 @@ class CommandSlot:
         return request
 
     def expire(self, now_s: float) -> None:
-        """Give the command up if its time is over.
-
-        Parameters
-        ----------
-        now_s : float
-            Host time [s].
-        """
+        """Give the command up if its time is over."""
         if self._request is not None:
             self._request.expire(now_s)
 
@@ -96,13 +64,7 @@ class CommandSlot:
         return self._request is not None and not self._request.done
 
     def due(self, now_s: float) -> Command | None:
-        """Return the command if it must be sent now, for the caller to send, and schedule its repetition.
-
-        Parameters
-        ----------
-        now_s : float
-            Host time [s].
-        """
+        """Return the command if it must be sent now, for the caller to send, and schedule its repetition."""
         request = self._request
         if request is None or request.done or now_s < request.next_try_s:
             return None
@@ -111,24 +73,12 @@ class CommandSlot:
         return request.command
 
     def hasten(self, now_s: float) -> None:
-        """Send the command again immediately, because the link is back.
-
-        Parameters
-        ----------
-        now_s : float
-            Host time [s].
-        """
+        """Send the command again immediately, because the link is back."""
         if self._request is not None:
             self._request.next_try_s = now_s
 
     def fail(self, error: HeliError) -> None:
-        """Give up the command that waits, if there is one.
-
-        Parameters
-        ----------
-        error : HeliError
-            Reason, raised where the command was started.
-        """
+        """Give up the command that waits, if there is one."""
         if self._request is not None and not self._request.done:
             self._request.error = error
 
@@ -138,11 +88,5 @@ class CommandSlot:
             self._request.match(frame)
 
     def observe_round_trip(self, duration_s: float) -> None:
-        """Adapt the time between repetitions to the link.
-
-        Parameters
-        ----------
-        duration_s : float
-            Time from a ping to its answer [s].
-        """
+        """Adapt the time between repetitions to the link."""
         self._round_trip_s = max(0.8 * self._round_trip_s, duration_s)

@@ -26,28 +26,7 @@ _MAX_ATTEMPTS = 2000
 
 
 class Driver:
-    """Reads and sends bytes, lets calls wait, and reconnects to a lost board.
-
-    Parameters
-    ----------
-    transport : Transport
-        Open connection to the board.
-    reconnect_timeout_s : float
-        Time for which a lost board is searched [s].
-
-    Attributes
-    ----------
-    transport : Transport
-        Connection to the board; a different object after a reconnect.
-    lock : threading.RLock
-        Every thread must hold it while it uses the engine.
-    read_interval_s : float
-        Interval at which a port is read [s].
-    handshake_deadline_s : float
-        Time at which waiting for the first welcome ends, in the transport's time [s].
-    fatal : HeliError or None
-        Reason why the session has ended.
-    """
+    """Reads and sends bytes, lets calls wait, and reconnects to a lost board."""
 
     def __init__(
         self, transport: Transport, engine: Engine, subscribers: Subscribers, reconnect_timeout_s: float
@@ -89,13 +68,7 @@ class Driver:
         self._end_with_error(LinkError("the session is closed", "connect again"))
 
     def check(self) -> None:
-        """Raise the error of a failed callback, or the reason why the session has ended, if there is any.
-
-        Raises
-        ------
-        HeliError
-            The error.
-        """
+        """Raise the error of a failed callback, or the reason why the session has ended, if there is any."""
         error = self._subscribers.take_error() or self.fatal
         if error is not None:
             raise error
@@ -111,11 +84,6 @@ class Driver:
 
         Only for a stop: the frame may damage a frame that the other thread writes at the same moment. Both
         senders then repeat theirs, because neither gets an answer.
-
-        Parameters
-        ----------
-        command : type of StopMessage
-            Message to send.
         """
         if self.lock.acquire(timeout=LOCK_PATIENCE_S):
             self.lock.release()
@@ -124,27 +92,7 @@ class Driver:
             self.transport.write(self._engine.frame_past_lock(command))
 
     def wait_for(self, predicate: Callable[[], bool], timeout_s: float | None, step_s: float) -> bool:
-        """Wait until a condition holds; see `heli_host.link.session.Session.wait_for`.
-
-        Parameters
-        ----------
-        predicate : callable returning bool
-            Condition; evaluated in the caller's thread after every reading, with `lock` held over a port.
-        timeout_s : float or None
-            Longest wait in the transport's time [s]; None waits until the link is lost.
-        step_s : float
-            In lockstep: simulated time between two evaluations [s].
-
-        Returns
-        -------
-        bool
-            True if the condition holds; False if the time ran out.
-
-        Raises
-        ------
-        HeliError
-            The board could not be reached within the reconnect timeout, or a callback failed.
-        """
+        """Wait until a condition holds; see `heli_host.link.session.Session.wait_for`."""
         end_s = float("inf") if timeout_s is None else self.transport.now_s() + timeout_s
         inline = self._thread is None or self.in_reading_thread
         with contextlib.nullcontext() if inline else self.lock:
@@ -161,13 +109,7 @@ class Driver:
         return True
 
     def pump(self, timeout_s: float) -> None:
-        """Read once, process the bytes, send the frames that are due, and call the subscribers.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Longest wait for bytes [s]; in lockstep the simulated time that passes.
-        """
+        """Read once, process the bytes, send the frames that are due, and call the subscribers."""
         transport, engine = self.transport, self._engine
         speed = 1.0 if transport.lockstep else engine.telemetry.speed
         set_read_interval(transport, timeout_s if transport.lockstep else self.read_interval_s / speed)

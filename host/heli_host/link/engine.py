@@ -55,19 +55,11 @@ _TICK_MASK = 0xFFFFFFFF
 
 @dataclass
 class Received:
-    """Contents of the frames of one reading.
-
-    Parameters
-    ----------
-    events : list of LinkEvent
-        Events of board and link, in order.
-    statuses : list of StatusMessage
-        The board's counters.
-    """
+    """Contents of the frames of one reading."""
 
     ticks: Ticks = EMPTY_TICKS
-    events: list[LinkEvent] = field(default_factory=list)
-    statuses: list[StatusMessage] = field(default_factory=list)
+    events: list[LinkEvent] = field(default_factory=list)  # Events of board and link, in order
+    statuses: list[StatusMessage] = field(default_factory=list)  # The board's counters
 
 
 class Engine:
@@ -75,24 +67,6 @@ class Engine:
 
     It owns the frames in both directions and passes the content of each frame to one of its four parts. A
     stop goes through `commands`: `CommandSlot.preempt` starts it, and the next `outgoing` returns its frame.
-
-    Parameters
-    ----------
-    session_number : int
-        Number by which the board distinguishes this session; unchanged by a reconnect.
-
-    Attributes
-    ----------
-    parser : FrameParser
-        Frames and their counts.
-    handshake : Handshake
-        Whether the board has welcomed this session, and its newest welcome.
-    commands : CommandSlot
-        The command in progress, and the stop that takes its place.
-    streams : StreamedValues
-        Setpoints and voltages that wait, and the permission to send them.
-    telemetry : TelemetryReceiver
-        Newest sample, count of ticks, and device clock.
     """
 
     def __init__(self, session_number: int) -> None:
@@ -136,17 +110,7 @@ class Engine:
         )
 
     def receive(self, data: bytes, now_s: float, wall_ns: int) -> Received:
-        """Process bytes from the board.
-
-        Parameters
-        ----------
-        data : bytes
-            Bytes of one reading; may be empty.
-        now_s : float
-            Host time of their arrival [s].
-        wall_ns : int
-            Unix time of their arrival [ns].
-        """
+        """Process bytes from the board."""
         received = Received()
         frames = self.parser.feed(data) if data else []
         if frames:
@@ -166,18 +130,7 @@ class Engine:
         return received
 
     def outgoing(self, now_s: float) -> bytes:
-        """Return the frames that are due: a command first, then streamed values, then a sign of life.
-
-        Parameters
-        ----------
-        now_s : float
-            Host time [s].
-
-        Returns
-        -------
-        bytes
-            Bytes that the caller must send immediately; empty if nothing is due.
-        """
+        """Return the frames that are due: a command first, then streamed values, then a sign of life."""
         self.commands.expire(now_s)
         if not self.handshake.is_open:
             hello = self.handshake.due_hello(now_s)
@@ -205,26 +158,11 @@ class Engine:
         """Return the frame of a command that any thread may send without the callers' lock. Nothing changes.
 
         The leading delimiter ends a frame that another thread has sent only in part.
-
-        Parameters
-        ----------
-        command : type of StopMessage
-            Message to send.
         """
         return b"\0" + encode_frame(command.ID, self._seq + 1, command(self._numbers.distant()).pack())
 
     def cut(self, now_s: float, wall_ns: int, reason: str) -> LinkEvent:
-        """Record that the connection is lost; the handshake starts again after a reconnect.
-
-        Parameters
-        ----------
-        now_s : float
-            Host time [s].
-        wall_ns : int
-            Unix time [ns].
-        reason : str
-            Cause, for the event's text.
-        """
+        """Record that the connection is lost; the handshake starts again after a reconnect."""
         self.parser.restart()
         self._restart_handshake(now_s)
         return self._link_event(LINK_LOST, reason, wall_ns)

@@ -29,46 +29,22 @@ LAW_SIGNAL_NAMES = "law_signals"
 
 @dataclass(frozen=True)
 class LinkEvent:
-    """Something that happened on the board or on the link.
+    """Something that happened on the board or on the link."""
 
-    Parameters
-    ----------
-    tick : int
-        Device time [tick]; for the link's own events the newest tick known.
-    wall_ns : int
-        Unix time at which this host learned of it [ns].
-    kind : str
-        Name of the board's event (``state``, ``fault``, ``setpoint_stale``, ...), or ``link_lost``,
-        ``link_silent``, ``link_restored``, ``board_restarted``, ``callback_failed``, ``law_signals``.
-    text : str
-        One line for a person, with the reason.
-    message : EventMessage or None
-        The board's message, received or reconstructed from telemetry; None for an event of the link.
-    names : tuple of str
-        For ``law_signals``: names of the channels ``signal_1``, ``signal_2``, ... from this event on.
-    """
-
-    tick: int
-    wall_ns: int
+    tick: int  # Device time [tick]; for the link's own events the newest tick known
+    wall_ns: int  # Unix time at which this host learned of it [ns]
     kind: str
-    text: str
+    """Name of the board's event (``state``, ``fault``, ``setpoint_stale``, ...), or ``link_lost``,
+    ``link_silent``, ``link_restored``, ``board_restarted``, ``callback_failed``, ``law_signals``."""
+    text: str  # One line for a person, with the reason
     message: EventMessage | None = None
+    """The board's message, received or reconstructed from telemetry; None for an event of the link."""
     names: tuple[str, ...] = ()
+    """For ``law_signals``: names of the channels ``signal_1``, ``signal_2``, ... from this event on."""
 
 
 def event_text(message: EventMessage) -> str:
-    """Describe a board's event in one line.
-
-    Parameters
-    ----------
-    message : EventMessage
-        Message from the board.
-
-    Returns
-    -------
-    str
-        Text such as ``"state hold, because of stale_hold"``.
-    """
+    """Describe a board's event in one line."""
     detail, value = message.detail, message.value
     match message.kind:
         case Event.BOOT:
@@ -104,34 +80,12 @@ def event_text(message: EventMessage) -> str:
 
 
 def event_kind(message: EventMessage) -> str:
-    """Return the name of a board's event.
-
-    Parameters
-    ----------
-    message : EventMessage
-        Message from the board.
-
-    Returns
-    -------
-    str
-        Lower-case name; ``"event_<number>"`` if this host does not know the event.
-    """
+    """Return the name of a board's event."""
     return _name_of_value(Event, message.kind, "event_")
 
 
 def state_text(state: int, trigger: int) -> str:
-    """Describe a state of the board and what led to it.
-
-    Parameters
-    ----------
-    state, trigger : int
-        As in an event or a sample.
-
-    Returns
-    -------
-    str
-        For example ``"state landing, because of stale_land"``.
-    """
+    """Describe a state of the board and what led to it."""
     return f"state {_name_of_value(State, state)}, because of {_name_of_value(Trigger, trigger)}"
 
 

@@ -21,45 +21,15 @@ _CRC_RESIDUE = 0x2144DF1C
 
 
 class Frame(NamedTuple):
-    """One frame that passed every check.
+    """One frame that passed every check."""
 
-    Parameters
-    ----------
-    id : int
-        Message id; this host may not know it.
-    seq : int
-        Sequence number, modulo 256.
-    payload : bytes
-        Bytes between header and CRC.
-    """
-
-    id: int
-    seq: int
-    payload: bytes
+    id: int  # Message id; this host may not know it
+    seq: int  # Sequence number, modulo 256
+    payload: bytes  # Bytes between header and CRC
 
 
 def encode_frame(message_id: int, seq: int, payload: bytes) -> bytes:
-    """Build one frame, with its delimiter.
-
-    Parameters
-    ----------
-    message_id : int
-        Second byte of the frame, 0 to 255.
-    seq : int
-        Sequence number; only its low byte is sent.
-    payload : bytes
-        At most ``MAX_TELEMETRY_PAYLOAD`` bytes; a board takes at most ``MAX_COMMAND_PAYLOAD``.
-
-    Returns
-    -------
-    bytes
-        The frame as it goes over the line.
-
-    Raises
-    ------
-    ValueError
-        The payload is longer than any frame may carry.
-    """
+    """Build one frame, with its delimiter."""
     limit = MAX_COMMAND_PAYLOAD if message_id < 128 else MAX_TELEMETRY_PAYLOAD
     if len(payload) > limit:
         raise ValueError(f"payload of {len(payload)} bytes; a frame carries at most {limit}")
@@ -69,26 +39,7 @@ def encode_frame(message_id: int, seq: int, payload: bytes) -> bytes:
 
 
 class FrameParser:
-    """Splits a byte stream into frames; the stream may contain any bytes.
-
-    Attributes
-    ----------
-    frames_ok : int
-        Frames accepted.
-    frames_bad : int
-        Frames refused: COBS, length, CRC or protocol. Bytes before the first delimiter are not counted here:
-        they are the end of a frame whose beginning was sent before the port was open.
-    frames_lost : int
-        Gaps in the sequence numbers of the frames accepted.
-    frames_repeated : int
-        Frames accepted with the sequence number of the one before.
-    bytes_received : int
-        All bytes fed.
-    bytes_dropped : int
-        Bytes that belong to no accepted frame, delimiters not counted.
-    excerpt : bytes
-        The last of the bytes dropped, at most 64.
-    """
+    """Splits a byte stream into frames; the stream may contain any bytes."""
 
     def __init__(self) -> None:
         self.frames_ok = 0
@@ -109,18 +60,7 @@ class FrameParser:
         return self._partial
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Process bytes from the board, and return the frames that they complete.
-
-        Parameters
-        ----------
-        data : bytes
-            Any number of bytes.
-
-        Returns
-        -------
-        list of Frame
-            Frames in their order; empty while no frame is complete.
-        """
+        """Process bytes from the board, and return the frames that they complete."""
         self.bytes_received += len(data)
         encoded_frames = (self._partial + data).split(b"\0")
         self._partial = encoded_frames.pop()

@@ -7,17 +7,7 @@ from heli_host.link.frames import FrameParser
 
 
 def no_welcome(parser: FrameParser, url: str, timeout_s: float) -> LinkError:
-    """Return the error for a handshake that timed out.
-
-    Parameters
-    ----------
-    parser : FrameParser
-        Parser that has got all bytes from the board.
-    url : str
-        Address of the board.
-    timeout_s : float
-        Time that the session waited [s].
-    """
+    """Return the error for a handshake that timed out."""
     if parser.frames_ok:
         return HandshakeTimeout(
             f"a board on {url} sends data, but did not answer within {timeout_s:g} s",

@@ -28,28 +28,6 @@ class Handshake:
 
     It owns whether the session is open, and the newest welcome. While it is not open, it greets every
     `HELLO_INTERVAL_S`.
-
-    Parameters
-    ----------
-    session_number : int
-        Number by which the board distinguishes this session; unchanged by a reconnect.
-    numbers : RequestNumbers
-        Numbers that hellos share with all other requests.
-
-    Attributes
-    ----------
-    is_open : bool
-        Whether the board has welcomed this session, and answers as far as is known.
-    welcome : WelcomeMessage or None
-        The board's newest welcome.
-    mismatch : LinkVersionMismatch or None
-        Set if the board's firmware was built from another version of link.toml.
-    unreachable_since_s : float or None
-        Host time at which the board stopped answering [s].
-    reconnects : int
-        Number of welcomes after the first.
-    restarts : int
-        Number of restarts of the board during the session.
     """
 
     def __init__(self, session_number: int, numbers: RequestNumbers) -> None:
@@ -71,13 +49,7 @@ class Handshake:
         return self.welcome is not None and not self.is_open
 
     def begin(self, now_s: float) -> None:
-        """Greet again, because the board does not answer or has restarted.
-
-        Parameters
-        ----------
-        now_s : float
-            Host time [s].
-        """
+        """Greet again, because the board does not answer or has restarted."""
         if self.is_open or self.unreachable_since_s is None:
             self.unreachable_since_s = now_s
         self.is_open = False
@@ -85,33 +57,14 @@ class Handshake:
         self._hello_request = self._numbers.take()
 
     def due_hello(self, now_s: float) -> HelloMessage | None:
-        """Return a hello if one is due, for the caller to send.
-
-        Parameters
-        ----------
-        now_s : float
-            Host time [s].
-        """
+        """Return a hello if one is due, for the caller to send."""
         if now_s < self._next_hello_s:
             return None
         self._next_hello_s = now_s + HELLO_INTERVAL_S
         return HelloMessage(self._hello_request, LINK_HASH, self._session_number)
 
     def take_welcome(self, welcome: WelcomeMessage, *, is_behind: bool) -> Welcome:
-        """Open the session, if the welcome answers the present hello and the declarations are the same.
-
-        Parameters
-        ----------
-        welcome : WelcomeMessage
-            Message from the board.
-        is_behind : bool
-            Whether the board's tick is lower than the newest one of this session.
-
-        Returns
-        -------
-        Welcome
-            Meaning of the welcome for this session.
-        """
+        """Open the session, if the welcome answers the present hello and the declarations are the same."""
         if self.is_open or welcome.request != self._hello_request:
             return Welcome.IGNORED
         if welcome.result != Result.OK or welcome.link_hash != LINK_HASH:

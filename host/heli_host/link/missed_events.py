@@ -47,17 +47,7 @@ class MissedEvents:
     def take_ticks(self, ticks: Ticks) -> list[EventMessage]:
         """Return the events that new samples imply and that have not arrived.
 
-        Parameters
-        ----------
-        ticks : Ticks
-            At least one sample, in order. All events that arrived before them must have been recorded.
-
-        Returns
-        -------
-        list of EventMessage
-            Lost events in order of time: changes of the state with their triggers, and faults, whose value is
-            nan. If samples are lost too, only the last change between two samples that arrived is known; it
-            gets the tick of the second.
+        `ticks`: At least one sample, in order. All events that arrived before them must have been recorded.
         """
         modes = ticks.raw[:, MODES]  # (n, modes)
         if self._tick is None:
@@ -92,17 +82,7 @@ class MissedEvents:
 
 
 def insert_missed(message: EventMessage, wall_ns: int, events: list[LinkEvent]) -> None:
-    """Insert a reconstructed event before the events that happened later.
-
-    Parameters
-    ----------
-    message : EventMessage
-        The event.
-    wall_ns : int
-        Unix time of the reading [ns].
-    events : list of LinkEvent
-        Events of one reading, in order; changed in place.
-    """
+    """Insert a reconstructed event before the events that happened later."""
     text = f"{event_text(message)}; from telemetry, its event was lost"
     event = LinkEvent(message.tick, wall_ns, event_kind(message), text, message)
     for index, other in enumerate(events):

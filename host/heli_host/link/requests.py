@@ -16,13 +16,7 @@ _LONGEST_TRY_S = 0.5
 
 
 class RequestNumbers:
-    """Numbers of the requests of a session, from 1 to 255 and then from 1 again.
-
-    Parameters
-    ----------
-    seed : int
-        Number before the first.
-    """
+    """Numbers of the requests of a session, from 1 to 255 and then from 1 again."""
 
     def __init__(self, seed: int) -> None:
         self._number = seed & 0xFF
@@ -56,31 +50,15 @@ class Command(Protocol):
 
 @dataclass
 class Request:
-    """A command in progress.
-
-    Parameters
-    ----------
-    deadline_s : float
-        Host time at which the request fails without an answer [s].
-    next_try_s : float
-        Host time at which the request is sent next [s].
-    tries : int
-        Number of times that the request was sent.
-    reply : Frame or None
-        The board's answer.
-    error : HeliError or None
-        Reason why the request failed.
-    urgent : bool
-        True for a stop: other commands wait until it is done.
-    """
+    """A command in progress."""
 
     command: Command
-    deadline_s: float
-    next_try_s: float
-    tries: int = 0
-    reply: Frame | None = None
-    error: HeliError | None = None
-    urgent: bool = False
+    deadline_s: float  # Host time at which the request fails without an answer [s]
+    next_try_s: float  # Host time at which the request is sent next [s]
+    tries: int = 0  # Number of times that the request was sent
+    reply: Frame | None = None  # The board's answer
+    error: HeliError | None = None  # Reason why the request failed
+    urgent: bool = False  # True for a stop: other commands wait until it is done
 
     @property
     def done(self) -> bool:
@@ -88,13 +66,7 @@ class Request:
         return self.reply is not None or self.error is not None
 
     def expire(self, now_s: float) -> None:
-        """Give up when the deadline has passed.
-
-        Parameters
-        ----------
-        now_s : float
-            Host time [s].
-        """
+        """Give up when the deadline has passed."""
         if not self.done and now_s >= self.deadline_s:
             name = self.command.ID.name.lower()
             self.error = CommandTimeout(
@@ -103,15 +75,7 @@ class Request:
             )
 
     def note_try(self, now_s: float, round_trip_s: float) -> None:
-        """Record that the command is sent now, and schedule its next repetition.
-
-        Parameters
-        ----------
-        now_s : float
-            Host time [s].
-        round_trip_s : float
-            Recent time between a command and its answer [s].
-        """
+        """Record that the command is sent now, and schedule its next repetition."""
         patience_s = max(_FIRST_TRY_S, 2.0 * round_trip_s) * 1.5**self.tries
         self.next_try_s = now_s + min(patience_s, _LONGEST_TRY_S)
         self.tries += 1
@@ -126,15 +90,7 @@ class Request:
             self.reply = frame
 
     def answer(self) -> Frame:
-        """Return the board's answer.
-
-        Raises
-        ------
-        CommandRefused
-            The board refused the command.
-        HeliError
-            The command was given up; the error gives the reason.
-        """
+        """Return the board's answer."""
         if self.reply is None:
             raise self.error or CommandTimeout("the board did not answer the command", "try again")
         if self.reply.id == MessageId.ACK:

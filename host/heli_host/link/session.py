@@ -69,18 +69,7 @@ _START_MOTORS = (ArmMessage, ControlMessage, ExciteMessage, StreamMessage)
 class Session:
     """One session with one board. All methods may be called from any thread; commands run one at a time.
 
-    The session itself never switches motors off, except by `stop_now`: see `heli_host.board.vehicle.Vehicle.close`.
-
-    Parameters
-    ----------
-    transport : Transport
-        Open connection to the board; the session closes it, and opens it again after a loss.
-    session_number : int or None
-        Number by which the board distinguishes this session. None: random over a port, 1 in lockstep.
-    handshake_timeout_s : float
-        Longest wait for the welcome [s]. A Due that resets when its port is opened takes up to 3 s.
-    reconnect_timeout_s : float
-        Time for which the session tries to reach a lost board [s]; 0 gives up immediately.
+    The session itself never switches motors off, except by `stop_now`: see `board.vehicle.Vehicle.close`.
     """
 
     def __init__(
@@ -171,24 +160,7 @@ class Session:
         self._driver.read_interval_s = interval_s
 
     def connect(self) -> WelcomeMessage:
-        """Greet the board until it answers, then keep the link alive until `close`.
-
-        Returns
-        -------
-        WelcomeMessage
-            Description that the board sent.
-
-        Raises
-        ------
-        HandshakeTimeout
-            No byte arrived, or the board did not answer hello, in time.
-        WrongDevice
-            Bytes arrived, but no frame of this link.
-        LinkVersionMismatch
-            The board's firmware was built from another version of link.toml.
-        LinkLost
-            The port disappeared and did not come back in time.
-        """
+        """Greet the board until it answers, then keep the link alive until `close`."""
         driver = self._driver
         driver.handshake_deadline_s = driver.transport.now_s() + self.handshake_timeout_s
         while not self._engine.handshake.is_open:
@@ -209,32 +181,7 @@ class Session:
         self._driver.close()
 
     def request(self, command: Command, timeout_s: float = COMMAND_TIMEOUT_S) -> Frame:
-        """Send a command and wait for its answer. Retries included, the command takes effect exactly once.
-
-        Parameters
-        ----------
-        command : Command
-            Any message of the declaration that has a reply. The session sets its request number.
-        timeout_s : float
-            Longest wait for the answer, retries included [s].
-
-        Returns
-        -------
-        Frame
-            The board's answer.
-
-        Raises
-        ------
-        CommandRefused
-            The board refused the command.
-        CommandTimeout
-            No answer came in time. The command may have taken effect.
-        LinkLost
-            The board cannot be reached, or restarted before it answered.
-        LinkError
-            The command could start the motors and a stop is in force (`stop_now`), or a callback sends it
-            while another command waits for its answer.
-        """
+        """Send a command and wait for its answer. Retries included, the command takes effect exactly once."""
         # A callback runs in the reading thread. If it waited here, the answer to the other command would
         # never be read.
         if not self._one_command.acquire(blocking=not self._driver.in_reading_thread):
@@ -260,27 +207,7 @@ class Session:
         return sent_request.answer()
 
     def command(self, command: Command, timeout_s: float = COMMAND_TIMEOUT_S) -> AckMessage:
-        """Send a command that is answered by an ack; see `request`.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Longest wait for the answer, retries included [s].
-
-        Returns
-        -------
-        AckMessage
-            The answer, with result ``OK``.
-
-        Raises
-        ------
-        CommandRefused
-            The board refused the command.
-        CommandTimeout
-            No answer came in time. The command may have taken effect.
-        LinkLost
-            The board cannot be reached.
-        """
+        """Send a command that is answered by an ack; see `request`."""
         return AckMessage.unpack(self.request(command, timeout_s).payload)
 
     @property
@@ -296,11 +223,6 @@ class Session:
         most 2 s. A command that waits for its answer is cancelled, and setpoints are no longer repeated.
         Until `release_stop` the session refuses commands that can start the motors (arm, control, excite,
         stream), because another thread may be about to send one. An arm in the air falls.
-
-        Raises
-        ------
-        LinkError
-            The session has ended. Use the rig's own stop switch.
         """
         self._driver.send_past_lock(StopMessage)
         with self._driver.lock:
@@ -312,18 +234,7 @@ class Session:
         self._driver.check()
 
     def release_stop(self, stops: int) -> bool:
-        """Accept commands that can start the motors again after `stop_now`. The motors stay off.
-
-        Parameters
-        ----------
-        stops : int
-            Value of the property `stops` when the caller received the request that it is about to run.
-
-        Returns
-        -------
-        bool
-            False if `stop_now` was called after that: the stop stays in force.
-        """
+        """Accept commands that can start the motors again after `stop_now`. The motors stay off."""
         with self._driver.lock:
             if self._engine.commands.stops != stops:
                 return False
@@ -337,28 +248,14 @@ class Session:
         ``setpoint_hold_s`` and lands after ``setpoint_land_s``; its motors keep running meanwhile. Streamed
         voltages expire, and the board holds level as well.
 
-        Parameters
-        ----------
-        permitted : callable returning bool
-            Called before each value that is due, from any thread, with the link's lock held: it must not
-            block and must not call the session.
+        `permitted`: Called before each value that is due, from any thread, with the link's lock held: it must
+        not block and must not call the session.
         """
         with self._driver.lock:
             self._engine.streams.permitted = permitted
 
     def read_params(self) -> tuple[float, ...]:
-        """Read all parameters of the board.
-
-        Returns
-        -------
-        tuple of float
-            Values in the order and units of the declaration's ``PARAMS``.
-
-        Raises
-        ------
-        LinkError
-            See `request`.
-        """
+        """Read all parameters of the board."""
         values: list[float] = []
         while len(values) < len(PARAMS):
             payload = self.request(ParamsReadMessage(0, len(values))).payload
@@ -372,13 +269,7 @@ class Session:
         return tuple(values[: len(PARAMS)])
 
     def status(self) -> StatusMessage:
-        """Read the board's present counters.
-
-        Raises
-        ------
-        LinkError
-            See `request`.
-        """
+        """Read the board's present counters."""
         return StatusMessage.unpack(self.request(StatusReadMessage(0)).payload)
 
     def stream(self, message: SetpointMessage | VoltagesMessage | FollowingMessage) -> None:
@@ -386,11 +277,6 @@ class Session:
 
         At most 200 setpoints and 500 pairs of voltages are sent per second. A value that a newer one replaces
         before it is sent counts as skipped.
-
-        Raises
-        ------
-        LinkError
-            The session has ended.
         """
         self._driver.check()
         with self._driver.lock:
@@ -401,29 +287,12 @@ class Session:
         """Repeat a setpoint ten times per second while the board flies on setpoints.
 
         This defeats the board's failsafe as long as this process runs, unless `permit_streams` forbids it.
-
-        Parameters
-        ----------
-        setpoint : SetpointMessage or None
-            Setpoint to repeat. None ends the repetition: without new setpoints the board holds level after
-            ``setpoint_hold_s`` and lands after ``setpoint_land_s``.
         """
         with self._driver.lock:
             self._engine.streams.kept = setpoint
 
     def device_tick(self) -> int:
-        """Estimate the present device time.
-
-        Returns
-        -------
-        int
-            Tick of 1 ms, unwrapped beyond 2^32; at most 250 ticks later than the newest sample.
-
-        Raises
-        ------
-        LinkError
-            No sample has arrived yet.
-        """
+        """Estimate the present device time."""
         with self._driver.lock:
             telemetry = self._engine.telemetry
             last, estimate = telemetry.account.last, telemetry.clock.estimate()
@@ -433,13 +302,7 @@ class Session:
             return min(max(tick, last), last + _AHEAD_TICKS)
 
     def ticks_counted_on(self, ticks: Ticks) -> npt.NDArray[np.int64]:
-        """Return the tick numbers of samples, unwrapped beyond 2^32.
-
-        Returns
-        -------
-        ndarray of int64, shape (n,)
-            Device time [tick of 1 ms].
-        """
+        """Return the tick numbers of samples, unwrapped beyond 2^32. Returns shape (n,)."""
         if len(ticks) == 0:
             return np.empty(0, np.int64)
         last = self._engine.telemetry.account.unwrap(int(ticks.tick[-1]))
@@ -449,51 +312,13 @@ class Session:
     def wait_for(
         self, predicate: Callable[[], bool], timeout_s: float | None = None, step_s: float = 0.02
     ) -> bool:
-        """Wait until a condition holds; samples, events and replies are processed meanwhile.
-
-        Parameters
-        ----------
-        predicate : callable returning bool
-            Condition; evaluated in the caller's thread after every reading.
-        timeout_s : float or None
-            Longest wait in the transport's time [s]; None waits until the link is lost.
-        step_s : float
-            In lockstep: simulated time between two evaluations [s].
-
-        Returns
-        -------
-        bool
-            True if the condition holds; False if the time ran out.
-
-        Raises
-        ------
-        LinkLost
-            The board could not be reached within the reconnect timeout.
-        HeliError
-            A callback failed.
-        """
+        """Wait until a condition holds; samples, events and replies are processed meanwhile."""
         return self._driver.wait_for(predicate, timeout_s, step_s)
 
     def wait(self, duration_s: float) -> None:
         """Wait until a sample arrives that is `duration_s` of device time later than the newest one now.
 
         At least one tick passes: a loop that waits for a rest of less than a tick comes to its end.
-
-        Parameters
-        ----------
-        duration_s : float
-            Device time [s], rounded up to whole ticks.
-
-        Raises
-        ------
-        ParameterError
-            The time is negative, or not a finite number.
-        WaitTimeout
-            No sample has arrived yet, and none arrives within 5 s.
-        LinkLost
-            The board restarted, or could not be reached within the reconnect timeout.
-        HeliError
-            A callback failed.
         """
         if not 0.0 <= duration_s < math.inf:
             raise ParameterError(
@@ -522,62 +347,26 @@ class Session:
     def subscribe_ticks(self, callback: TicksCallback) -> Unsubscribe:
         """Register a callback for new samples.
 
-        Parameters
-        ----------
-        callback : callable taking Ticks
-            Called in the reading thread with all samples of one reading; in lockstep, in the thread that
-            waits. It must not block, and must not send a command that waits for an answer. If it raises, its
-            subscription ends, and the next call of this session by the user raises that error.
-
-        Returns
-        -------
-        callable
-            Cancels the subscription.
+        `callback`: Called in the reading thread with all samples of one reading; in lockstep, in the thread
+        that waits. It must not block, and must not send a command that waits for an answer. If it raises, its
+        subscription ends, and the next call of this session by the user raises that error.
         """
         self._subscribers.on_ticks = (*self._subscribers.on_ticks, callback)
         return lambda: self._subscribers.remove(callback)
 
     def subscribe_events(self, callback: EventCallback) -> Unsubscribe:
-        """Register a callback for events of board, link and host.
-
-        Parameters
-        ----------
-        callback : callable taking LinkEvent
-            Called once per event; threads and errors as in `subscribe_ticks`.
-
-        Returns
-        -------
-        callable
-            Cancels the subscription.
-        """
+        """Register a callback for events of board, link and host."""
         self._subscribers.on_event = (*self._subscribers.on_event, callback)
         return lambda: self._subscribers.remove(callback)
 
     def tell(self, kind: str, text: str, names: tuple[str, ...] = ()) -> None:
-        """Publish an event of the host to all subscribers of events, in the caller's thread.
-
-        Parameters
-        ----------
-        kind, text, names
-            See `heli_host.link.events.LinkEvent`.
-        """
+        """Publish an event of the host to all subscribers of events, in the caller's thread."""
         newest = self.latest
         tick = newest[0] if newest is not None else 0
         event = LinkEvent(tick, self.transport.wall_ns(), kind, text, names=names)
         self._subscribers.deliver(EMPTY_TICKS, [event], [])
 
     def subscribe_status(self, callback: StatusCallback) -> Unsubscribe:
-        """Register a callback for the board's counters, which arrive once per second.
-
-        Parameters
-        ----------
-        callback : callable taking StatusMessage
-            Threads and errors as in `subscribe_ticks`.
-
-        Returns
-        -------
-        callable
-            Cancels the subscription.
-        """
+        """Register a callback for the board's counters, which arrive once per second."""
         self._subscribers.on_status = (*self._subscribers.on_status, callback)
         return lambda: self._subscribers.remove(callback)

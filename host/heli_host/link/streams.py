@@ -26,33 +26,16 @@ Streamed = TypeVar("Streamed", SetpointMessage, VoltagesMessage, FollowingMessag
 
 @dataclass(frozen=True)
 class DeviceTime:
-    """The present time of the host, and as much as it knows of the device's.
+    """The present time of the host, and as much as it knows of the device's."""
 
-    Parameters
-    ----------
-    now_s : float
-        Host time [s].
-    tick : int
-        Newest tick received.
-    speed : float
-        Device seconds per host second.
-    """
-
-    now_s: float
-    tick: int
-    speed: float
+    now_s: float  # Host time [s]
+    tick: int  # Newest tick received
+    speed: float  # Device seconds per host second
 
     def since(self, sent_s: float, sent_tick: int) -> float:
         """Return the device time since a moment [s].
 
         It follows from the device's speed, but is not much more than the samples show.
-
-        Parameters
-        ----------
-        sent_s : float
-            Host time of the moment [s].
-        sent_tick : int
-            Newest tick received at that moment.
         """
         host_s = self.now_s - sent_s
         seen_s = (self.tick - sent_tick) * TICK_S + _UNSEEN_S
@@ -61,24 +44,13 @@ class DeviceTime:
 
 @dataclass
 class Stream(Generic[Streamed]):
-    """Rate limit of one kind of streamed value.
+    """Rate limit of one kind of streamed value."""
 
-    Parameters
-    ----------
-    interval_s : float
-        Shortest device time between two values [s].
-    waiting : SetpointMessage, VoltagesMessage, FollowingMessage or None
-        The newest value that was not sent yet.
-    sent_s : float
-        Host time at which the last value was sent [s].
-    sent, skipped : int
-        Number of values that were sent, and that a newer one replaced before they were sent.
-    """
-
-    interval_s: float
-    waiting: Streamed | None = None
-    sent_s: float = -1e9
+    interval_s: float  # Shortest device time between two values [s]
+    waiting: Streamed | None = None  # The newest value that was not sent yet
+    sent_s: float = -1e9  # Host time at which the last value was sent [s]
     sent: int = 0
+    """sent, skipped: Number of values that were sent, and that a newer one replaced before they were sent."""
     skipped: int = 0
 
     def put(self, message: Streamed) -> None:
@@ -87,25 +59,13 @@ class Stream(Generic[Streamed]):
         self.waiting = message
 
     def release_due(self, now: DeviceTime) -> Streamed | None:
-        """Release the waiting value if the rate limit permits; None if nothing is due.
-
-        Parameters
-        ----------
-        now : DeviceTime
-            Present time.
-        """
+        """Release the waiting value if the rate limit permits; None if nothing is due."""
         if self.waiting is None or now.now_s < self.sent_s + self.interval_s / now.speed:
             return None
         return self.release(self.waiting, now.now_s)
 
     def release(self, message: Streamed, now_s: float) -> Streamed:
-        """Record that `message` is sent now, and return it.
-
-        Parameters
-        ----------
-        now_s : float
-            Host time [s].
-        """
+        """Record that `message` is sent now, and return it."""
         self.waiting, self.sent_s = None, now_s
         self.sent += 1
         return message
@@ -116,16 +76,6 @@ class StreamedValues:
 
     It owns the values that wait, the setpoint that is kept alive, and the permission to send either. No value
     has an answer: the newest replaces those before it.
-
-    Attributes
-    ----------
-    kept : SetpointMessage or None
-        Setpoint that is repeated ten times per second while the board flies on setpoints.
-    permitted : callable returning bool
-        Condition for sending setpoints and voltages, evaluated whenever some are due. While it is false they
-        are dropped; the board then holds level and lands.
-    setpoints, voltages : Stream
-        Their counts.
     """
 
     def __init__(self) -> None:
@@ -137,13 +87,7 @@ class StreamedValues:
         self._setpoint_tick = 0
 
     def put(self, message: StreamedMessage) -> None:
-        """Set the next value; `due` returns it as soon as the rate limit permits.
-
-        Parameters
-        ----------
-        message : SetpointMessage, VoltagesMessage or FollowingMessage
-            It replaces a waiting value of the same kind.
-        """
+        """Set the next value; `due` returns it as soon as the rate limit permits."""
         if isinstance(message, SetpointMessage):
             self.setpoints.put(message)
         elif isinstance(message, VoltagesMessage):
@@ -152,15 +96,7 @@ class StreamedValues:
             self._following.put(message)
 
     def due(self, now: DeviceTime, *, flies: bool) -> list[StreamedMessage]:
-        """Return the values that are due, for the caller to send.
-
-        Parameters
-        ----------
-        now : DeviceTime
-            Present time.
-        flies : bool
-            Whether the board flies on setpoints; the last setpoint is then repeated.
-        """
+        """Return the values that are due, for the caller to send."""
         now_s = now.now_s
         setpoint_age_s = now.since(self.setpoints.sent_s, self._setpoint_tick)
         keep_alive = self.kept if flies and setpoint_age_s >= KEEP_ALIVE_S else None

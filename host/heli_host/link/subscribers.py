@@ -22,17 +22,7 @@ _T = TypeVar("_T")
 
 
 class Subscribers:
-    """The callbacks of a session.
-
-    Attributes
-    ----------
-    on_ticks, on_event, on_status : tuple of callable
-        Registered callbacks. A change replaces the whole tuple, so that a delivery in progress is unaffected.
-    events : deque of LinkEvent
-        The last thousand events.
-    error : HeliError or None
-        Error of the first failed callback, until `take_error` returns it.
-    """
+    """The callbacks of a session."""
 
     def __init__(self) -> None:
         self.on_ticks: tuple[TicksCallback, ...] = ()
@@ -48,15 +38,7 @@ class Subscribers:
         self.on_status = tuple(each for each in self.on_status if each is not callback)
 
     def deliver(self, ticks: Ticks, events: list[LinkEvent], statuses: list[StatusMessage]) -> None:
-        """Call the callbacks, in the caller's thread. One that raises is removed; the others still run.
-
-        Parameters
-        ----------
-        ticks : Ticks
-            New samples; may be empty.
-        statuses : list of StatusMessage
-            New counters of the board.
-        """
+        """Call the callbacks, in the caller's thread. One that raises is removed; the others still run."""
         if len(ticks):
             for on_ticks in self.on_ticks:
                 self._call_safely(on_ticks, ticks)

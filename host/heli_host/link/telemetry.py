@@ -30,18 +30,11 @@ _PLANS_KEPT = 512
 
 @dataclass(frozen=True)
 class Ticks:
-    """Consecutive samples of the board, one row a tick; a gap in ``tick`` is a loss.
+    """Consecutive samples of the board, one row a tick; a gap in ``tick`` is a loss."""
 
-    Parameters
-    ----------
-    tick : ndarray of uint32, shape (n,)
-        Device time [tick of 1 ms].
-    raw : ndarray of int32, shape (n, channels)
-        Channels in the order of the declaration's ``CHANNELS``; multiply by their scale.
-    """
-
-    tick: npt.NDArray[np.uint32]
+    tick: npt.NDArray[np.uint32]  # (n,): Device time [tick of 1 ms]
     raw: npt.NDArray[np.int32]
+    """(n, channels): Channels in the order of the declaration's ``CHANNELS``; multiply by their scale."""
 
     def __len__(self) -> int:
         return len(self.tick)
@@ -87,18 +80,7 @@ class _Plan:
 
 
 class TelemetryDecoder:
-    """Unpacks telemetry payloads.
-
-    Parameters
-    ----------
-    channels : sequence of ChannelSpec
-        Channels of a sample, in order.
-
-    Attributes
-    ----------
-    malformed : int
-        Payloads refused although their frame was sound: their length does not fit their header.
-    """
+    """Unpacks telemetry payloads."""
 
     def __init__(self, channels: Sequence[ChannelSpec] = CHANNELS) -> None:
         self.malformed = 0
@@ -106,18 +88,7 @@ class TelemetryDecoder:
         self._plans: dict[bytes, _Plan] = {}
 
     def decode(self, payloads: Sequence[bytes]) -> Ticks:
-        """Unpack batches.
-
-        Parameters
-        ----------
-        payloads : sequence of bytes
-            Payloads of telemetry messages, in order of arrival.
-
-        Returns
-        -------
-        Ticks
-            All their samples, in the same order; malformed payloads are skipped and counted.
-        """
+        """Unpack batches."""
         plans: list[_Plan] = []
         valid_payloads: list[bytes] = []
         for payload in payloads:

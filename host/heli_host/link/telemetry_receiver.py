@@ -19,36 +19,18 @@ _HELD_BATCHES = 500
 
 @dataclass(frozen=True)
 class AcceptedTelemetry:
-    """Contents of the batches that were held.
+    """Contents of the batches that were held."""
 
-    Parameters
-    ----------
-    ticks : Ticks
-        Accepted samples, in order.
-    missed : list of EventMessage
-        Events that the samples imply and that have not arrived, in order of time.
-    jumped_back : bool
-        True if the tick number fell, because the board restarted.
-    """
-
-    ticks: Ticks
-    missed: list[EventMessage]
-    jumped_back: bool
+    ticks: Ticks  # Accepted samples, in order
+    missed: list[EventMessage]  # Events that the samples imply and that have not arrived, in order of time
+    jumped_back: bool  # True if the tick number fell, because the board restarted
 
 
 class TelemetryReceiver:
-    """Telemetry of one session. Part of an `Engine`: its callers serialise all calls.
+    """Telemetry of one session. Part of an `Engine`: its callers serialise all calls. `latest_raw` has shape
+    (channels,).
 
     It owns the newest sample, the count of ticks, and the clock that relates device time to host time.
-
-    Attributes
-    ----------
-    account : TickAccount
-        Ticks received and lost.
-    clock : ClockFit
-        Relation of device time to host time.
-    latest_raw : ndarray of int32, shape (channels,), or None
-        Newest sample, channels in the declaration's order.
     """
 
     def __init__(self) -> None:
@@ -80,23 +62,11 @@ class TelemetryReceiver:
         return 1.0 if estimate is None else max(estimate.rate, 1.0)
 
     def is_behind(self, tick: int) -> bool:
-        """Whether a tick from the board is lower than the newest one accepted.
-
-        Parameters
-        ----------
-        tick : int
-            Tick from the link, modulo 2^32.
-        """
+        """Whether a tick from the board is lower than the newest one accepted."""
         return self.account.last is not None and self.account.unwrap(tick) < self.account.last
 
     def hold(self, payload: bytes) -> None:
-        """Hold one batch until `accept_held`.
-
-        Parameters
-        ----------
-        payload : bytes
-            Payload of a telemetry frame.
-        """
+        """Hold one batch until `accept_held`."""
         self._waiting_payloads.append(payload)
 
     def shorten_held(self) -> None:
@@ -123,13 +93,7 @@ class TelemetryReceiver:
         self._missed.take_event(message)
 
     def accept_held(self, now_s: float) -> AcceptedTelemetry | None:
-        """Turn the held batches into samples; None if there are no batches.
-
-        Parameters
-        ----------
-        now_s : float
-            Host time of their arrival [s].
-        """
+        """Turn the held batches into samples; None if there are no batches."""
         if not self._waiting_payloads:
             return None
         ticks = self._decoder.decode(self._waiting_payloads)

@@ -44,13 +44,6 @@ class Transport(Protocol):
     """Connection to a board, as a session uses it.
 
     A session calls `read` from one thread, and `write` from any thread, one call at a time.
-
-    Attributes
-    ----------
-    lockstep : bool
-        True if device time advances only inside `read`. One thread must then make all calls.
-    url : str
-        Address of the board, as the user wrote it.
     """
 
     @property
@@ -64,39 +57,11 @@ class Transport(Protocol):
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that arrived, waiting for them at most ``timeout_s``.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Longest wait [s]. A lockstep transport may return as soon as it has bytes. It is faster if it
-            simulates the whole time and then returns all its bytes.
-
-        Returns
-        -------
-        bytes
-            Empty if no byte arrived in time.
-
-        Raises
-        ------
-        LinkLost
-            If the other end is gone.
-        """
+        """Return the bytes that arrived, waiting for them at most ``timeout_s``."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send bytes.
-
-        Parameters
-        ----------
-        data : bytes
-            One or more whole frames.
-
-        Raises
-        ------
-        LinkLost
-            If the other end is gone, or accepts no bytes.
-        """
+        """Send bytes."""
         ...
 
     def now_s(self) -> float:
@@ -112,18 +77,7 @@ class Transport(Protocol):
         ...
 
     def reopen(self) -> Transport:
-        """Open the same board again, after this transport was lost and closed.
-
-        Returns
-        -------
-        Transport
-            A new object; this one stays closed.
-
-        Raises
-        ------
-        LinkError
-            The board cannot be reached at present.
-        """
+        """Open the same board again, after this transport was lost and closed."""
         ...
 
 
@@ -132,26 +86,6 @@ class SerialTransport:
 
     Opening clears the port's hang-up flag if the system has one. The kernel then keeps DTR raised when this
     process ends. Therefore the next process does not reset a board that may still be flying.
-
-    Parameters
-    ----------
-    url : str
-        Port name or pyserial URL.
-    baud : int
-        Rate [baud]; the Due's programming port and its bridge both make 250,000 exactly.
-    reset_board : bool
-        Pulse DTR after opening, which resets a Due.
-    min_read_interval_s : float
-        Bytes are collected at least this long between two reads [s].
-
-    Raises
-    ------
-    BadBaud
-        1200 baud, which would erase a Due's flash, or a rate that the port cannot make.
-    PortError
-        The port is missing, busy, or not permitted.
-    LinkError
-        The URL is not one.
     """
 
     lockstep = False
@@ -186,23 +120,7 @@ class SerialTransport:
             self._serial.dtr = True
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that arrived; see `Transport.read`.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Longest wait [s].
-
-        Returns
-        -------
-        bytes
-            Empty when nothing came.
-
-        Raises
-        ------
-        LinkLost
-            The port is gone.
-        """
+        """Return the bytes that arrived; see `Transport.read`."""
         deadline_s = time.monotonic() + timeout_s
         pause_s = min(self._last_read_s + self.min_read_interval_s, deadline_s) - time.monotonic()
         if pause_s > 0.0:
@@ -220,18 +138,7 @@ class SerialTransport:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send bytes; see `Transport.write`.
-
-        Parameters
-        ----------
-        data : bytes
-            One or more whole frames.
-
-        Raises
-        ------
-        LinkLost
-            If the port is gone, or accepted no byte for a second.
-        """
+        """Send bytes; see `Transport.write`."""
         with self._errors_as_lost_link():
             self._serial.write(data)
 
@@ -249,18 +156,7 @@ class SerialTransport:
             self._serial.close()
 
     def reopen(self) -> SerialTransport:
-        """Open the same port again, if possible by its permanent name.
-
-        Returns
-        -------
-        SerialTransport
-            The open port; the board is not reset.
-
-        Raises
-        ------
-        PortError
-            If the port does not exist yet.
-        """
+        """Open the same port again, if possible by its permanent name."""
         return SerialTransport(self._stable_url, self._baud, min_read_interval_s=self.min_read_interval_s)
 
     def _read_arrived(self) -> bytes:
@@ -291,35 +187,17 @@ class SerialTransport:
 
 @dataclass(frozen=True)
 class PortInfo:
-    """A serial port of this computer.
+    """A serial port of this computer."""
 
-    Parameters
-    ----------
-    device : str
-        Name to open it by.
-    stable_name : str
-        Permanent name that survives unplugging; the same as ``device`` if the system has none.
-    description : str
-        Description of the port by the operating system.
-    vendor_id, product_id : int or None
-        USB numbers, None for a port that is not USB.
-    """
-
-    device: str
-    stable_name: str
-    description: str
-    vendor_id: int | None
+    device: str  # Name to open it by
+    stable_name: str  # Permanent name that survives unplugging; the same as ``device`` if the system has none
+    description: str  # Description of the port by the operating system
+    vendor_id: int | None  # vendor_id, product_id: USB numbers, None for a port that is not USB
     product_id: int | None
 
 
 def available_ports() -> list[PortInfo]:
-    """List the serial ports of this computer.
-
-    Returns
-    -------
-    list of PortInfo
-        In the order of their names.
-    """
+    """List the serial ports of this computer."""
     return [
         PortInfo(port.device, stable_name(port.device), port.description or "", port.vid, port.pid)
         for port in sorted(list_ports.comports(), key=lambda port: str(port.device))
@@ -327,18 +205,7 @@ def available_ports() -> list[PortInfo]:
 
 
 def stable_name(device: str) -> str:
-    """Return the permanent name of a port, which does not change when the board is plugged in again.
-
-    Parameters
-    ----------
-    device : str
-        Port name, such as ``/dev/ttyACM0``.
-
-    Returns
-    -------
-    str
-        Path of the port in ``/dev/serial/by-id``, or ``device`` if it has none.
-    """
+    """Return the permanent name of a port, which does not change when the board is plugged in again."""
     folder = Path("/dev/serial/by-id")
     if device.startswith("/dev/") and folder.is_dir() and not device.startswith(str(folder)):
         for link in sorted(folder.iterdir()):
@@ -354,33 +221,7 @@ def open_transport(
     reset_board: bool = False,
     min_read_interval_s: float = READ_INTERVAL_S,
 ) -> Transport:
-    """Open the board that a URL names.
-
-    Parameters
-    ----------
-    url : str
-        Port name, pyserial URL, or a URL whose scheme an installed package provides, such as ``sil://``.
-    baud : int
-        Rate of a serial port [baud].
-    reset_board : bool
-        Reset a Due after opening its port.
-    min_read_interval_s : float
-        Bytes of a serial port are collected at least this long between two reads [s].
-
-    Returns
-    -------
-    Transport
-        Open, and owned by the caller.
-
-    Raises
-    ------
-    BadBaud
-        1200 baud, or a rate that the port cannot make.
-    PortError
-        The port is missing, busy, or not permitted.
-    LinkError
-        Nothing provides the scheme.
-    """
+    """Open the board that a URL names."""
     if baud == _ERASING_BAUD:
         raise BadBaud("1200 baud erases the flash of a Due", f"leave the rate at {BAUD}")
     scheme = url.partition("://")[0].lower() if "://" in url else ""
@@ -396,87 +237,34 @@ def open_transport(
 
 
 def transport_label(transport: Transport) -> str:
-    """Return a description of the board, if the transport has more information than the board sends.
-
-    Parameters
-    ----------
-    transport : Transport
-        Any transport; its attribute ``label``, if present, is the description.
-
-    Returns
-    -------
-    str
-        Such as ``emulated Due, heli.elf``; empty if the transport has no label.
-    """
+    """Return a description of the board, if the transport has more information than the board sends."""
     return str(getattr(transport, "label", ""))
 
 
 def transport_rig(transport: Transport) -> str:
-    """Return the rig of a simulated board.
-
-    Parameters
-    ----------
-    transport : Transport
-        Any transport; that of a simulation has the attribute ``rig``.
-
-    Returns
-    -------
-    str
-        Name or file of the rig; empty for other transports.
-    """
+    """Return the rig of a simulated board."""
     return str(getattr(transport, "rig", ""))
 
 
 def transport_rig_parameters(transport: Transport) -> Mapping[str, float]:
-    """Return the parameters that the rig of a simulated board determines.
-
-    Parameters
-    ----------
-    transport : Transport
-        Any transport; that of a simulation has the attribute ``rig_parameters``.
-
-    Returns
-    -------
-    Mapping of str to float
-        Values by parameter; empty for hardware.
-    """
+    """Return the parameters that the rig of a simulated board determines."""
     parameters: Mapping[str, float] = getattr(transport, "rig_parameters", {})
     return parameters
 
 
 def transport_recipe(transport: Transport) -> Mapping[str, str]:
-    """Return what repeats a simulation: address, whole rig, digests of files; empty for hardware.
-
-    Parameters
-    ----------
-    transport : Transport
-        Any transport; one may have it in an attribute ``recipe``.
-    """
+    """Return what repeats a simulation: address, whole rig, digests of files; empty for hardware."""
     recipe: Mapping[str, str] = getattr(transport, "recipe", {})
     return recipe
 
 
 def transport_note(transport: Transport) -> str:
-    """Return a note for the user on how the board was chosen.
-
-    Parameters
-    ----------
-    transport : Transport
-        Any transport. Its optional attribute ``note`` holds the text.
-    """
+    """Return a note for the user on how the board was chosen."""
     return str(getattr(transport, "note", ""))
 
 
 def set_read_interval(transport: Transport, interval_s: float) -> None:
-    """Set the time for which a transport collects bytes before it returns them.
-
-    Parameters
-    ----------
-    transport : Transport
-        Any transport; one without the attribute ``min_read_interval_s`` does not change.
-    interval_s : float
-        Interval [s].
-    """
+    """Set the time for which a transport collects bytes before it returns them."""
     if hasattr(transport, "min_read_interval_s"):
         transport.min_read_interval_s = interval_s
 

@@ -1,1 +1,1 @@
-"""What people see and type: command line, dashboard, Foxglove."""
+"""Shows a board to people and takes their commands: command line, dashboard, Foxglove."""

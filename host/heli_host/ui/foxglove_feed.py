@@ -40,27 +40,6 @@ class FoxgloveFeed:
     """Sends every tick and event of a session to a server for viewers.
 
     The link's thread only appends to a queue: neither flight nor stop waits for a viewer.
-
-    Parameters
-    ----------
-    heli : Vehicle
-        Connected board.
-    port : int
-        TCP port on this computer; 0 chooses a free one.
-    hidden : bool
-        Leave out of events what reveals a sealed flight.
-
-    Attributes
-    ----------
-    dropped : int
-        Batches of ticks and events that the feed has left out because the server was too slow.
-
-    Raises
-    ------
-    PortError
-        The port is in use.
-    HeliError
-        foxglove-sdk is not installed.
     """
 
     def __init__(self, heli: Vehicle, port: int = 0, *, hidden: bool = False) -> None:
@@ -174,17 +153,7 @@ class FoxgloveFeed:
 
 @contextlib.contextmanager
 def foxglove_feed(heli: Vehicle, port: int | None, *, hidden: bool = False) -> Iterator[FoxgloveFeed | None]:
-    """Serve viewers until the ``with`` block ends; without a port, serve none.
-
-    Parameters
-    ----------
-    heli : Vehicle
-        Connected board.
-    port : int or None
-        TCP port on this computer, 0 for a free one; None for no feed.
-    hidden : bool
-        Leave out of events what reveals a sealed flight.
-    """
+    """Serve viewers until the ``with`` block ends; without a port, serve none."""
     if port is None:
         yield None
         return

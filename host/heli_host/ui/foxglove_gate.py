@@ -27,11 +27,6 @@ def is_permitted(head: bytes) -> bool:
     A browser sends the origin of the page that opens a WebSocket; programs send none. Any page that the user
     visits could otherwise read the samples. The name of the host must be local, because a foreign name may
     lead to this computer (DNS rebinding).
-
-    Parameters
-    ----------
-    head : bytes
-        Request up to its empty line.
     """
     headers: dict[str, list[str]] = {}
     for line in head.decode("latin-1").split("\r\n")[1:]:
@@ -44,25 +39,7 @@ def is_permitted(head: bytes) -> bool:
 
 
 class ViewerGate:
-    """Accepts viewers in a thread of its own, and passes the permitted ones on.
-
-    Parameters
-    ----------
-    port : int
-        TCP port on this computer; 0 chooses a free one.
-    inner : tuple of (str, int)
-        Address of the server.
-
-    Attributes
-    ----------
-    port : int
-        TCP port for viewers.
-
-    Raises
-    ------
-    OSError
-        The port is in use.
-    """
+    """Accepts viewers in a thread of its own, and passes the permitted ones on."""
 
     def __init__(self, port: int, inner: tuple[str, int]) -> None:
         self._inner = inner

@@ -1,4 +1,4 @@
-"""``python -m heli_host.ui.foxglove_server``: serve ticks from standard input to viewers, for `foxglove_feed`.
+"""``python -m heli_host.ui.foxglove_server``: serve ticks from standard input to viewers.
 
 It runs in a process of its own, so that viewers take no time from the link or the stop. Each part on
 standard input has a header of kind (u8) and size (u32), little-endian. Kinds are the settings as JSON, which
@@ -50,16 +50,6 @@ class FoxgloveServer:
     """Publishes ticks and events to all connected viewers, by the topics and layouts of the log.
 
     It advertises no capability: a client can neither publish nor call or set anything.
-
-    Parameters
-    ----------
-    settings : Mapping of str to Any
-        ``port``, ``start_wall_ns`` and ``rad_per_count``.
-
-    Raises
-    ------
-    RuntimeError
-        The port is in use.
     """
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
@@ -100,13 +90,7 @@ class FoxgloveServer:
         self.port: int = self._gate.port
 
     def publish_ticks(self, content: bytes) -> None:
-        """Publish a batch of ticks.
-
-        Parameters
-        ----------
-        content : bytes
-            All tick numbers (u32), then the raw channels (i32) of each tick, little-endian.
-        """
+        """Publish a batch of ticks."""
         count = len(content) // _TICK_BYTES
         tick = np.frombuffer(content, "<u4", count)
         raw = np.frombuffer(content, "<i4", count * len(Channel), 4 * count).reshape(count, len(Channel))
@@ -121,14 +105,7 @@ class FoxgloveServer:
             log(packed[number * size : (number + 1) * size], log_time=time_ns)
 
     def publish_event(self, event: Mapping[str, Any]) -> None:
-        """Publish an event.
-
-        Parameters
-        ----------
-        event : Mapping of str to Any
-            ``tick``, ``name`` and ``message``. After a restart of the board also ``gap_s``, the time from the
-            last tick before it to the first tick after it [s].
-        """
+        """Publish an event."""
         if "gap_s" in event:
             self._clock.skip(float(event["gap_s"]))
         tick = int(event["tick"])
@@ -163,13 +140,7 @@ def _start_hidden(start_server: Callable[..., Any], **options: Any) -> tuple[Any
 
 
 def read_parts(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Yield kind and content of each part of a stream, until it ends.
-
-    Parameters
-    ----------
-    stream : file
-        Binary, opened for reading.
-    """
+    """Yield kind and content of each part of a stream, until it ends."""
     while len(head := stream.read(HEADER.size)) == HEADER.size:
         kind, size = HEADER.unpack(head)
         content = stream.read(size)

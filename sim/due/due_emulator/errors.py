@@ -21,15 +21,7 @@ def _printable(text: str) -> str:
 
 
 class EmulatorError(Exception):
-    """Base of all errors of this package.
-
-    Parameters
-    ----------
-    cause : str
-        What is wrong, in the user's terms.
-    remedy : str
-        Instruction that fixes the problem; empty if there is none.
-    """
+    """Base of all errors of this package."""
 
     def __init__(self, cause: str, remedy: str = "") -> None:
         self.cause = _printable(cause)

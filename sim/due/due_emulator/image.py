@@ -16,43 +16,21 @@ FLASH_SIZE = 512 * 1024
 
 @dataclass(frozen=True)
 class Symbol:
-    """A function or an object of a program.
+    """A function or an object of a program."""
 
-    Parameters
-    ----------
-    name
-        As in the ELF, mangled.
-    address
-        Without the Thumb bit.
-    size
-        Bytes; 0 when the ELF does not say.
-    is_function
-        False for data.
-    """
-
-    name: str
-    address: int
-    size: int
-    is_function: bool
+    name: str  # As in the ELF, mangled
+    address: int  # Without the Thumb bit
+    size: int  # Bytes; 0 when the ELF does not say
+    is_function: bool  # False for data
 
 
 @dataclass(frozen=True)
 class Image:
-    """Content of the flash, with the symbols of the program.
+    """Content of the flash, with the symbols of the program."""
 
-    Parameters
-    ----------
-    path
-        File that it was read from.
-    segments
-        Address and bytes of each piece.
-    symbols
-        Functions and objects, in no particular order.
-    """
-
-    path: Path
-    segments: tuple[tuple[int, bytes], ...]
-    symbols: tuple[Symbol, ...]
+    path: Path  # File that it was read from
+    segments: tuple[tuple[int, bytes], ...]  # Address and bytes of each piece
+    symbols: tuple[Symbol, ...]  # Functions and objects, in no particular order
 
     def address(self, name: str) -> int:
         """Address of a symbol by its `name` in the ELF, mangled; an ImageError when there is none."""

@@ -41,29 +41,15 @@ def load_image(due: Due, image: Image) -> None:
 
 @dataclass(frozen=True)
 class Report:
-    """The processor at one moment.
+    """The processor at one moment."""
 
-    Parameters
-    ----------
-    registers
-        r0 to r12, SP, LR, PC.
-    xpsr
-        Flags, IT state and number of the running exception.
-    cfsr, hfsr, bfar
-        Fault status and address.
-    function
-        Function and offset of PC, empty when unknown.
-    time_us
-        Board time.
-    """
-
-    registers: tuple[int, ...]
-    xpsr: int
-    cfsr: int
+    registers: tuple[int, ...]  # r0 to r12, SP, LR, PC
+    xpsr: int  # Flags, IT state and number of the running exception
+    cfsr: int  # cfsr, hfsr, bfar: Fault status and address
     hfsr: int
     bfar: int
-    function: str
-    time_us: float
+    function: str  # Function and offset of PC, empty when unknown
+    time_us: float  # Board time
 
     def __str__(self) -> str:
         names = [*(f"r{i}" for i in range(13)), "sp", "lr", "pc"]

@@ -36,27 +36,13 @@ _OFF_FACTOR = {2: 1.0, 1: 0.6}
 
 @dataclass(frozen=True)
 class Case:
-    """A rig with something hidden, and two flights of it.
+    """A rig with something hidden, and two flights of it."""
 
-    Parameters
-    ----------
-    name : str
-        Name for files and tables.
-    effects : tuple of (str, float)
-        Listed effects and their sizes, in the unit of the effect.
-    unlisted : tuple of (str, float)
-        Effects that the catalogue does not list, and their sizes.
-    seed : int
-        Seed of rig, flights and effects.
-    makers : tuple of Maker
-        Factory of each effect, listed ones first.
-    """
-
-    name: str
-    effects: tuple[tuple[str, float], ...]
-    unlisted: tuple[tuple[str, float], ...]
-    seed: int
-    makers: tuple[Maker, ...] = field(repr=False)
+    name: str  # Name for files and tables
+    effects: tuple[tuple[str, float], ...]  # Listed effects and their sizes, in the unit of the effect
+    unlisted: tuple[tuple[str, float], ...]  # Effects that the catalogue does not list, and their sizes
+    seed: int  # Seed of rig, flights and effects
+    makers: tuple[Maker, ...] = field(repr=False)  # Factory of each effect, listed ones first
 
     @property
     def kind(self) -> str:
@@ -80,13 +66,7 @@ class Case:
         return rig.replace(**{name: factor * rig[name].value for name, factor in numbers.items()})
 
     def hidden(self, flight: int = 0) -> list[HiddenEffect]:
-        """Create the hidden effects, with the same moments, angles and frequencies in both flights.
-
-        Parameters
-        ----------
-        flight : int
-            Number of the flight, for random torques.
-        """
+        """Create the hidden effects, with the same moments, angles and frequencies in both flights."""
         effects: list[HiddenEffect] = []
         for number, ((_, size), maker) in enumerate(
             zip((*self.effects, *self.unlisted), self.makers, strict=True)
@@ -106,20 +86,7 @@ class Case:
     def flights(
         self, folder: Path, durations_s: tuple[float, float] = (TRAIN_S, VALIDATE_S)
     ) -> tuple[Path, Path]:
-        """Fly both flights, unless their files exist.
-
-        Parameters
-        ----------
-        folder : Path
-            Folder of the files.
-        durations_s : tuple of float
-            Approximate time of each from take-off to landing.
-
-        Returns
-        -------
-        tuple of Path
-            The training flight and the validation flight, as CSV.
-        """
+        """Fly both flights, unless their files exist."""
         paths = (folder / self.name / "a.csv.gz", folder / self.name / "b.csv.gz")
         for number, (path, duration_s) in enumerate(zip(paths, durations_s, strict=True)):
             if path.exists():

@@ -23,27 +23,13 @@ QUANSER_RIG = "quanser-course"
 
 @dataclass(frozen=True)
 class DisturbedCase(Case):
-    """Something hidden, or nothing, in a rig under disturbances.
+    """Something hidden, or nothing, in a rig under disturbances."""
 
-    Parameters
-    ----------
-    rig_name : str
-        Name of the nominal rig.
-    rate_Hz : int
-        Rate of log and controller.
-    gentle : bool
-        Whether the flights excite the rig weakly.
-    controller : str
-        Name of the controller that flies.
-    disturbances : DisturbanceModel
-        Size and correlation in both flights; the random torques differ.
-    """
-
-    rig_name: str
-    rate_Hz: int
-    gentle: bool
-    controller: str
-    disturbances: DisturbanceModel
+    rig_name: str  # Name of the nominal rig
+    rate_Hz: int  # Rate of log and controller
+    gentle: bool  # Whether the flights excite the rig weakly
+    controller: str  # Name of the controller that flies
+    disturbances: DisturbanceModel  # Size and correlation in both flights; the random torques differ
 
     def rig(self) -> Rig:
         """Draw the true rig: thrust within 15 %, dead zone 10 %, friction half to double, masses 0.7 %."""
@@ -66,43 +52,16 @@ class DisturbedCase(Case):
         return rig.replace(**values)
 
     def hidden(self, flight: int = 0) -> list[HiddenEffect]:
-        """Create the hidden effects, and the disturbances of this flight last.
-
-        Parameters
-        ----------
-        flight : int
-            Number of the flight, for the disturbances.
-        """
+        """Create the hidden effects, and the disturbances of this flight last."""
         disturbances = DisturbanceTorques(self.disturbances, np.random.default_rng([self.seed, 7, flight]))
         return [*super().hidden(flight), disturbances]
 
     def fly(self, flight: int, duration_s: float) -> tuple[Flight, TrueTrajectory]:
-        """Fly one of the two flights, and record its true trajectory.
-
-        Parameters
-        ----------
-        flight : int
-            0 for training, 1 for validation.
-        duration_s : float
-            How long it lasts.
-
-        Returns
-        -------
-        tuple of Flight and TrueTrajectory
-            The log, and the true states.
-        """
+        """Fly one of the two flights, and record its true trajectory."""
         return _fly_and_record_truth(self, flight, duration_s)
 
     def route(self, flight: int, duration_s: float) -> Route:
-        """Draw the route of a flight; the validation flight has another one.
-
-        Parameters
-        ----------
-        flight : int
-            0 or 1.
-        duration_s : float
-            How long it lasts.
-        """
+        """Draw the route of a flight; the validation flight has another one."""
         rng = np.random.default_rng([self.seed, 8])
         travel_deg, elevation_deg = rng.uniform(40.0, 75.0, 2), rng.uniform(10.0, 15.0, 2)
         if self.gentle:

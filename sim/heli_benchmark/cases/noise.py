@@ -27,15 +27,9 @@ _WITH_LAG: Final = ("coulomb_friction.elevation", "thrust_asymmetry", "cable_spr
 
 @dataclass(frozen=True)
 class NoiseCase(DisturbedCase):
-    """Causes, or none, under noise of one kind.
+    """Causes, or none, under noise of one kind."""
 
-    Parameters
-    ----------
-    kind : str
-        Kind of noise, of `NOISE_KINDS`.
-    """
-
-    kind: str = ""
+    kind: str = ""  # Kind of noise, of `NOISE_KINDS`
 
     @override
     def hidden(self, flight: int = 0) -> list[HiddenEffect]:

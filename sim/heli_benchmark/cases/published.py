@@ -50,55 +50,28 @@ _MAX_CONFLICTS: Final = 40
 
 @dataclass(frozen=True)
 class Draw:
-    """Source of a case: its split, place and kind.
+    """Source of a case: its split, place and kind."""
 
-    Parameters
-    ----------
-    split_seed : int
-        Seed that all cases of the split share; a sealed one derives it from its secret.
-    number : int
-        Place of the case in its split, from 0.
-    kind : str
-        One of `KINDS`.
-    redraws : int
-        Number of earlier draws whose rig could not be flown.
-    """
-
-    split_seed: int
-    number: int
-    kind: str
-    redraws: int = 0
+    split_seed: int  # Seed that all cases of the split share; a sealed one derives it from its secret
+    number: int  # Place of the case in its split, from 0
+    kind: str  # One of `KINDS`
+    redraws: int = 0  # Number of earlier draws whose rig could not be flown
 
     def rng(self, stream: int) -> np.random.Generator:
-        """Return the random numbers of one subject.
-
-        Parameters
-        ----------
-        stream : int
-            1 for the conditions, 2 for what is hidden, 3 for the seed of the flights.
-        """
+        """Return the random numbers of one subject."""
         again = (self.redraws,) if self.redraws else ()
         return np.random.default_rng([self.split_seed, stream, self.number, *again])
 
 
 @dataclass(frozen=True)
 class PublishedCase(DisturbedCase):
-    """A case of a split, with one to three training flights and one or two validation flights.
+    """A case of a split, with one to three training flights and one or two validation flights."""
 
-    Parameters
-    ----------
-    training_s, validation_s : tuple of float
-        Lengths of the flights.
-    attempt : int
-        Number of the draw of routes and controllers, after a flight that left the safe range of angles.
-    draw : Draw
-        Where it comes from: split, place and kind.
-    """
-
-    training_s: tuple[float, ...] = (30.0,)
+    training_s: tuple[float, ...] = (30.0,)  # training_s, validation_s: Lengths of the flights
     validation_s: tuple[float, ...] = (20.0,)
     attempt: int = 0
-    draw: Draw = Draw(0, 0, "nothing")
+    """Number of the draw of routes and controllers, after a flight that left the safe range of angles."""
+    draw: Draw = Draw(0, 0, "nothing")  # Where it comes from: split, place and kind
 
     @property
     def durations_s(self) -> tuple[float, ...]:
@@ -123,15 +96,7 @@ class PublishedCase(DisturbedCase):
 
 
 def published_cases(seed: int, count: int) -> Iterator[PublishedCase]:
-    """Draw the cases of a split; a larger split of the same seed begins with the cases of a smaller one.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the split.
-    count : int
-        Number of cases; a multiple of 12 has the exact shares of all kinds.
-    """
+    """Draw the cases of a split; a larger split of the same seed begins with the cases of a smaller one."""
     order = np.random.default_rng([seed, 0])
     for number in range(count):
         if number % len(KINDS) == 0:

@@ -44,18 +44,10 @@ class Slip(HiddenEffect):
 
 @dataclass(frozen=True)
 class ShockCase(DisturbedCase):
-    """A slip of the counterweight on a rig of slightly different parameters.
+    """A slip of the counterweight on a rig of slightly different parameters."""
 
-    Parameters
-    ----------
-    slip_m : float
-        Distance of the slip outwards.
-    layout : str
-        Flights in which the slip happens, of `SHOCK_LAYOUTS`.
-    """
-
-    slip_m: float = 0.0
-    layout: str = "fit"
+    slip_m: float = 0.0  # Distance of the slip outwards
+    layout: str = "fit"  # Flights in which the slip happens, of `SHOCK_LAYOUTS`
 
     @property
     def moments_s(self) -> tuple[float, float]:

@@ -18,23 +18,7 @@ _MARGIN_s: Final = 60.0
 
 
 def answer_case(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Answer a case on a worker, in a process with limits.
-
-    Parameters
-    ----------
-    settings : Mapping[str, Any]
-        ``method`` and ``digest`` of its code, ``case``, ``resources`` and ``limits``.
-
-    Returns
-    -------
-    tuple of dict
-        Row of the campaign's table, and the result of the case.
-
-    Raises
-    ------
-    BenchmarkError
-        If the worker has another version of the method.
-    """
+    """Answer a case on a worker, in a process with limits."""
     method = find_method(settings["method"])
     if method.digest != settings["digest"]:
         raise BenchmarkError(f"{method.file} differs on this worker", "install the same version there")
@@ -54,23 +38,7 @@ def run_on_cluster(
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Run a method on cases, and yield the name and the result of each case that ends.
 
-    Parameters
-    ----------
-    scheduler : str
-        Address of a Dask scheduler.
-    method : MethodAddress
-        File and function, which every worker must see under the same path.
-    cases : sequence of Path
-        Folders of the cases.
-    resources : Path or None
-        Folder for the method.
-    limits : RunLimits
-        Limits of the process of each case.
-
-    Raises
-    ------
-    CampaignError
-        If the cluster cannot be used, or is gone before all cases have ended.
+    `method`: File and function, which every worker must see under the same path.
     """
     if not cases:
         return

@@ -18,36 +18,17 @@ LONGEST_s = 130.0
 
 @dataclass(frozen=True)
 class DisturbanceModel:
-    """Size and correlation of random torques.
+    """Size and correlation of random torques."""
 
-    Parameters
-    ----------
-    gusts_Nm : tuple of float
-        Standard deviations of the gusts about elevation, pitch and travel.
-    correlation_time_s : float
-        Correlation time of the gusts.
-    slow_std_Nm : tuple of float
-        Standard deviations of an additional slow drift; zeros without one.
-    drift_s : float
-        Correlation time of the drift.
-    """
-
-    gusts_Nm: tuple[float, float, float]
-    correlation_time_s: float
+    gusts_Nm: tuple[float, float, float]  # Standard deviations of the gusts about elevation, pitch and travel
+    correlation_time_s: float  # Correlation time of the gusts
     slow_std_Nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    drift_s: float = 30.0
+    """Standard deviations of an additional slow drift; zeros without one."""
+    drift_s: float = 30.0  # Correlation time of the drift
 
 
 class DisturbanceTorques(HiddenEffect):
-    """Independent Ornstein-Uhlenbeck torques about the three axes; they are no cause to be named.
-
-    Parameters
-    ----------
-    disturbances : DisturbanceModel
-        Sizes and correlation times.
-    rng : numpy.random.Generator
-        Generator of this flight; no two flights share it.
-    """
+    """Independent Ornstein-Uhlenbeck torques about the three axes; they are no cause to be named."""
 
     def __init__(self, disturbances: DisturbanceModel, rng: np.random.Generator) -> None:
         super().__init__(1.0, rng)

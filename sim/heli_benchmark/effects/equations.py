@@ -19,48 +19,28 @@ EquationNumbers = Mapping[str, float]
 
 @dataclass(frozen=True)
 class EquationInputs:
-    """Arguments of an equation, numbers or symbols.
+    """Arguments of an equation, numbers or symbols."""
 
-    Parameters
-    ----------
-    q, w : Any
-        Angles and rates of elevation, pitch and travel.
-    thrust_N : Any
-        Thrusts, front and back, before the equation acts.
-    late : Any
-        Output of the first-order lag; 0 for an equation without memory.
-    """
-
-    q: Any
+    q: Any  # q, w: Angles and rates of elevation, pitch and travel
     w: Any
-    thrust_N: Any
-    late: Any = 0.0
+    thrust_N: Any  # Thrusts, front and back, before the equation acts
+    late: Any = 0.0  # Output of the first-order lag; 0 for an equation without memory
 
 
 @dataclass(frozen=True)
 class TrueEquation:
-    """An equation of a torque or of a relative change of thrust.
-
-    Parameters
-    ----------
-    channel : str
-        ``torque.AXIS`` in N m, or ``thrust.both``, ``thrust.front``, ``thrust.back`` as a share of itself.
-    value : callable
-        Its value for a size of 1, from the module of functions (numpy or casadi), `EquationInputs` and its
-        numbers.
-    size : float
-        Typical size under moderate disturbances.
-    numbers : Mapping[str, (float, float)]
-        Bounds of its other numbers, which are drawn uniformly.
-    remembers : callable or None
-        Input of the first-order lag, from `EquationInputs`; its time constant is the number ``lag_s``.
-    """
+    """An equation of a torque or of a relative change of thrust."""
 
     channel: str
+    """``torque.AXIS`` in N m, or ``thrust.both``, ``thrust.front``, ``thrust.back`` as a share of itself."""
     value: Callable[[Any, EquationInputs, EquationNumbers], Any]
-    size: float
+    """Its value for a size of 1, from the module of functions (numpy or casadi), `EquationInputs` and its
+    numbers."""
+    size: float  # Typical size under moderate disturbances
     numbers: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Bounds of its other numbers, which are drawn uniformly."""
     remembers: Callable[[EquationInputs], Any] | None = None
+    """Input of the first-order lag, from `EquationInputs`; its time constant is the number ``lag_s``."""
 
 
 _ANY: Final = {"at": (-0.4, 0.4)}
@@ -142,17 +122,7 @@ EQUATIONS: Final[Mapping[str, TrueEquation]] = {
 
 
 class Unlisted(HiddenEffect):
-    """An equation as a hidden effect.
-
-    Parameters
-    ----------
-    equation : str
-        Its name in `EQUATIONS`.
-    size : float
-        Factor of the equation: N m, or a share of thrust.
-    rng : numpy.random.Generator
-        Draws its other numbers.
-    """
+    """An equation as a hidden effect."""
 
     def __init__(self, equation: str, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)

@@ -12,22 +12,7 @@ _POINT = 'diaginertia="1e-12 1e-12 1e-12"'
 
 
 def mujoco_rig(rig: Rig, *, step_s: float = 0.001, hung: str = "") -> Any:
-    """Build a MuJoCo model with the masses of the rig as bodies and its axes as joints.
-
-    Parameters
-    ----------
-    rig : Rig
-        Masses, lengths and frictions.
-    step_s : float
-        Time step.
-    hung : str
-        Further bodies that hang on the long arm, as XML of MuJoCo.
-
-    Returns
-    -------
-    mujoco.MjModel
-        Joints elevation, pitch and travel; bodies by name; sites front and back where the thrusts act.
-    """
+    """Build a MuJoCo model with the masses of the rig as bodies and its axes as joints."""
     import mujoco
 
     v = {name: rig[name].value for name in rig}

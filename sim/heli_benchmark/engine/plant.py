@@ -26,56 +26,28 @@ STEP_S = 0.0005
 
 @dataclass
 class Moment:
-    """State of the rig within a step, which a hidden effect may read and change.
+    """State of the rig within a step, which a hidden effect may read and change."""
 
-    Parameters
-    ----------
-    time_s : float
-        Time since the rig was switched on.
-    flight_s : float
-        Time since the motors first ran.
-    volts_V : ndarray (2,)
-        Voltages at the motors, front and back.
-    above_V : ndarray (2,)
-        Voltages beyond the dead zone, with their sign; set together with the thrust.
-    gain_N_per_V : float
-        Thrust per volt beyond the dead zone; set together with the thrust.
-    thrust_N : ndarray (2,)
-        Thrusts, front and back.
-    angles_rad, rates_rad_s : ndarray (3,)
-        Elevation, pitch and travel.
-    torque_Nm : ndarray (3,)
-        Additional torques about the three axes.
-    up : ndarray (3,)
-        Direction of the rotors' axes in the room.
-    climb_m_s : ndarray (2,)
-        Speed of each rotor along its own axis.
-    """
-
-    time_s: float
-    flight_s: float
-    volts_V: Floats
-    thrust_N: Floats
-    angles_rad: Floats
+    time_s: float  # Time since the rig was switched on
+    flight_s: float  # Time since the motors first ran
+    volts_V: Floats  # (2,): Voltages at the motors, front and back
+    thrust_N: Floats  # (2,): Thrusts, front and back
+    angles_rad: Floats  # angles_rad, rates_rad_s: (3,): Elevation, pitch and travel
     rates_rad_s: Floats
     above_V: Floats = field(default_factory=lambda: np.zeros(2))
-    gain_N_per_V: float = 0.0
+    """(2,): Voltages beyond the dead zone, with their sign; set together with the thrust."""
+    gain_N_per_V: float = 0.0  # Thrust per volt beyond the dead zone; set together with the thrust
     torque_Nm: Floats = field(default_factory=lambda: np.zeros(3))
-    up: Floats = field(default_factory=lambda: np.zeros(3))
+    """(3,): Additional torques about the three axes."""
+    up: Floats = field(default_factory=lambda: np.zeros(3))  # (3,): Direction of the rotors' axes in the room
     climb_m_s: Floats = field(default_factory=lambda: np.zeros(2))
+    """(2,): Speed of each rotor along its own axis."""
 
 
 class HiddenEffect:
     """An effect that the rig has and the model lacks.
 
     The plant calls each method below at its point of the simulation. A subclass overrides some of them.
-
-    Parameters
-    ----------
-    size : float
-        Strength, in the unit that the subclass states.
-    rng : numpy.random.Generator
-        Draws its other numbers.
     """
 
     late: bool = False
@@ -116,15 +88,7 @@ class HiddenEffect:
 
 
 class MujocoPlant:
-    """The rig in MuJoCo, with the members of `heli_sim.plant.Plant` that `SilWorld` uses.
-
-    Parameters
-    ----------
-    rig : Rig
-        True parameters.
-    hidden : sequence of HiddenEffect
-        Effects hidden in it.
-    """
+    """The rig in MuJoCo, with the members of `heli_sim.plant.Plant` that `SilWorld` uses."""
 
     def __init__(self, rig: Rig, hidden: Sequence[HiddenEffect]) -> None:
         self.rig = rig
@@ -173,20 +137,7 @@ class MujocoPlant:
     def millisecond(
         self, state: Sequence[float], volts_V: Sequence[float]
     ) -> tuple[list[float], list[float]]:
-        """Simulate one millisecond.
-
-        Parameters
-        ----------
-        state : sequence of float
-            Elevation, pitch and travel in rad, then their rates in rad/s.
-        volts_V : sequence of float
-            Voltages of the front and the back motor.
-
-        Returns
-        -------
-        tuple of list of float
-            The state afterwards, and the angles that the encoders see, rad.
-        """
+        """Simulate one millisecond."""
         data, volts = self.data, np.array(volts_V)
         data.qpos[self._q], data.qvel[self._v] = state[:3], state[3:]
         # The masses in Table 2 of the paper would lift the arm from the table with the motors off, so the
@@ -220,16 +171,8 @@ class MujocoPlant:
     def acceleration(
         self, angles_rad: Floats, rates_rad_s: Floats, thrust_N: Floats, torque_Nm: Floats
     ) -> Floats:
-        """Return the accelerations of the three axes in a given state, rad/s2, shape (3,).
-
-        Parameters
-        ----------
-        angles_rad, rates_rad_s : ndarray (3,)
-            State of the three axes.
-        thrust_N : ndarray (2,)
-            Thrusts of the rotors.
-        torque_Nm : ndarray (3,)
-            Additional torques about the axes.
+        """Return the accelerations of the three axes in a given state, rad/s2, shape (3,). Shapes:
+        `angles_rad, rates_rad_s` (3,), `thrust_N` (2,), `torque_Nm` (3,).
         """
         data = self.data
         data.qpos[self._q], data.qvel[self._v] = angles_rad, rates_rad_s

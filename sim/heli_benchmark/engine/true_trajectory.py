@@ -12,28 +12,16 @@ from heli_benchmark.engine.plant import HiddenEffect, Moment
 
 @dataclass(frozen=True)
 class TrueTrajectory:
-    """States and inputs of a flight every half millisecond.
-
-    Parameters
-    ----------
-    angles_rad, rates_rad_s : ndarray (n, 3)
-        True angles and rates of elevation, pitch and travel.
-    volts_V : ndarray (n, 2)
-        Voltages at the motors.
-    up : ndarray (n, 3)
-        Direction of the rotors' axes in the room.
-    climb_m_s : ndarray (n, 2)
-        Speed of each rotor along its own axis.
-    time_s, flight_s : ndarray (n,)
-        Time since the rig was switched on, and since the motors first ran.
-    """
+    """States and inputs of a flight every half millisecond."""
 
     angles_rad: Floats
+    """angles_rad, rates_rad_s: (n, 3): True angles and rates of elevation, pitch and travel."""
     rates_rad_s: Floats
-    volts_V: Floats
-    up: Floats
-    climb_m_s: Floats
+    volts_V: Floats  # (n, 2): Voltages at the motors
+    up: Floats  # (n, 3): Direction of the rotors' axes in the room
+    climb_m_s: Floats  # (n, 2): Speed of each rotor along its own axis
     time_s: Floats
+    """time_s, flight_s: (n,): Time since the rig was switched on, and since the motors first ran."""
     flight_s: Floats
 
     def perturbed(self, state: int, by: float) -> TrueTrajectory:

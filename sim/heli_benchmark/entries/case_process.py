@@ -19,43 +19,16 @@ with 25 busy processes was stopped before its CPU limit."""
 
 @dataclass(frozen=True)
 class RunLimits:
-    """Limits of the process of a case.
+    """Limits of the process of a case."""
 
-    Parameters
-    ----------
-    cpu_s : int
-        CPU time.
-    memory_MB : int
-        Address space.
-    """
-
-    cpu_s: int = 300
-    memory_MB: int = 6000
+    cpu_s: int = 300  # CPU time
+    memory_MB: int = 6000  # Address space
 
 
 def run_case(
     method: MethodAddress, case: str, resources: Path | None, limits: RunLimits, file: Path
 ) -> dict[str, Any]:
-    """Run a method on a case in a process, and return its result.
-
-    Parameters
-    ----------
-    method : MethodAddress
-        File and function, which the process imports.
-    case : str
-        Folder of the case, or ``-`` to train the method.
-    resources : Path or None
-        Folder for the method.
-    limits : RunLimits
-        Limits of the process.
-    file : Path
-        File of the result.
-
-    Returns
-    -------
-    dict
-        Content of the file. If the process ends without an answer, it has a failure.
-    """
+    """Run a method on a case in a process, and return its result."""
     resources_text = "-" if resources is None else str(resources.resolve())
     command = [
         sys.executable,

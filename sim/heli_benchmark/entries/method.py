@@ -26,21 +26,11 @@ _TRAIN: Final = "train"
 
 @dataclass(frozen=True)
 class MethodAddress:
-    """Where a method is.
+    """Where a method is."""
 
-    Parameters
-    ----------
-    file : Path
-        Python file that defines it.
-    function : str
-        Name of the function that answers a case.
-    builtin : bool
-        Whether the file belongs to this package.
-    """
-
-    file: Path
-    function: str
-    builtin: bool
+    file: Path  # Python file that defines it
+    function: str  # Name of the function that answers a case
+    builtin: bool  # Whether the file belongs to this package
 
     @property
     def text(self) -> str:
@@ -66,18 +56,7 @@ def builtin_methods() -> list[str]:
 
 
 def find_method(text: str) -> MethodAddress:
-    """Find a method.
-
-    Parameters
-    ----------
-    text : str
-        Name of a method of this package, or ``FILE.py:FUNCTION``.
-
-    Raises
-    ------
-    BenchmarkError
-        If there is no such method or file.
-    """
+    """Find a method."""
     if text in builtin_methods():
         return MethodAddress(_METHODS / f"{text}.py", _FUNCTION, True)
     name, _, function = text.rpartition(":")
@@ -92,13 +71,7 @@ def find_method(text: str) -> MethodAddress:
 
 
 def load_function(method: MethodAddress) -> Callable[..., Any]:
-    """Import a method, and return its function.
-
-    Parameters
-    ----------
-    method : MethodAddress
-        Where it is.
-    """
+    """Import a method, and return its function."""
     function = getattr(_import_module(method), method.function, None)
     if not callable(function):
         raise BenchmarkError(f"{method.file} has no function '{method.function}'", "give another name")
@@ -106,13 +79,7 @@ def load_function(method: MethodAddress) -> Callable[..., Any]:
 
 
 def load_train(method: MethodAddress) -> Callable[[Path], None] | None:
-    """Import a method, and return its function `train`, or None if it has none.
-
-    Parameters
-    ----------
-    method : MethodAddress
-        Where it is.
-    """
+    """Import a method, and return its function `train`, or None if it has none."""
     return getattr(_import_module(method), _TRAIN, None)
 
 

@@ -38,28 +38,8 @@ def run_method(
 ) -> None:
     """Run a method on the cases of a split that have no result yet.
 
-    Parameters
-    ----------
-    text : str
-        The method, see `find_method`.
-    folder : Path
-        Folder of the results.
-    limits : RunLimits, optional
-        Limits of each process.
-    resources : Path, optional
-        Folder for the method, such as training cases.
-    workers : int
-        Number of processes on this machine.
-    distribute : callable, optional
-        Runs the cases on other machines, such as those of a cluster, and yields the name and the result of
-        each. They must see the folders of split, method and resources under the same paths.
-    say : callable, optional
-        Called with the name of a finished case and its failure, if it has one.
-
-    Raises
-    ------
-    BenchmarkError
-        If the folder has results of another method or split, or the training fails.
+    `distribute`: Runs the cases on other machines, such as those of a cluster, and yields the name and the
+    result of each. They must see the folders of split, method and resources under the same paths.
     """
     limits = limits or RunLimits()
     method = find_method(text)
@@ -94,20 +74,7 @@ def run_method(
 
 
 def read_run(folder: Path, split: Split) -> dict[str, dict[str, Any]]:
-    """Read the results of a run by case.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the run, or a folder of answers from another program, one JSON file per case.
-    split : Split
-        The split that was run.
-
-    Raises
-    ------
-    BenchmarkError
-        If the folder belongs to another split, or lacks a case.
-    """
+    """Read the results of a run by case."""
     run_file = folder / RUN_FILE
     if run_file.exists() and read_json(run_file, "run again").get("split_digest") != split_digest(split):
         raise BenchmarkError(f"{folder} has answers to another split", f"run the method on {split.folder}")

@@ -18,14 +18,7 @@ _MB = 1 << 20
 
 
 def main(arguments: list[str]) -> int:
-    """Answer a case, or train a method.
-
-    Parameters
-    ----------
-    arguments : list of str
-        Method, folder of the case or ``-`` for the training, file of the result, resources or ``-``, limit
-        of CPU time in s, and limit of memory in MB.
-    """
+    """Answer a case, or train a method."""
     method_text, case_folder, result_file, resources_text, cpu_limit_s, memory_limit_MB = arguments
     limit_process("CPU", int(cpu_limit_s), int(cpu_limit_s) + 5)
     limit_process("AS", int(memory_limit_MB) * _MB, int(memory_limit_MB) * _MB)

@@ -19,42 +19,12 @@ _REMEDY: Final = "give a file of `heli-host benchmark score --json`"
 
 
 def scores_content(split: Split, runs: Mapping[str, Sequence[CaseScore]]) -> dict[str, Any]:
-    """Return the summary of runs on a split with the scores of each case, as the content of a file.
-
-    Parameters
-    ----------
-    split : Split
-        Its digest makes sure that a pool counts each split once.
-    runs : Mapping[str, sequence of CaseScore]
-        Scores by method.
-
-    Returns
-    -------
-    dict
-        ``splits``: the digest of the split. ``case_scores``: fields of each `CaseScore` by method. All keys
-        of `summarise_runs`.
-    """
+    """Return the summary of runs on a split with the scores of each case, as the content of a file."""
     return _scores_file_content([split_digest(split)], runs)
 
 
 def pooled_scores(files: Sequence[Path]) -> dict[str, Any]:
-    """Pool files of scores: the result is that of one split with all their cases.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        Files with content of `scores_content` or `pooled_scores`.
-
-    Returns
-    -------
-    dict
-        As of `scores_content`, with the digests of all splits.
-
-    Raises
-    ------
-    BenchmarkError
-        If a file is invalid, a split occurs twice, or a file lacks a method.
-    """
+    """Pool files of scores: the result is that of one split with all their cases."""
     pooled: dict[str, list[CaseScore]] = {}
     origin: dict[str, Path] = {}
     for path in files:

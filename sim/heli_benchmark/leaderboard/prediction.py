@@ -38,21 +38,7 @@ _UNKNOWN_PHASE: Final = "periodic_torque"
 
 
 def true_errors(case: BenchmarkCase, truth: Mapping[str, Any]) -> Floats | None:
-    """Return the errors of the true model, or None if there is none.
-
-    Parameters
-    ----------
-    case : BenchmarkCase
-        Its validation flights are predicted, and its rig is the start.
-    truth : Mapping[str, Any]
-        Content of its truth.
-
-    Returns
-    -------
-    ndarray (3,) or None
-        RMS errors of elevation, pitch and travel, rad. None if a cause is unlisted or periodic, or if the
-        flights are too short.
-    """
+    """Return the errors of the true model, or None if there is none. Returns shape (3,)."""
     if truth["unlisted"] or "rig" not in truth or any(c.startswith(_UNKNOWN_PHASE) for c in truth["causes"]):
         return None
     causes = {name: cause["model_parameters"] for name, cause in truth["causes"].items()}
@@ -72,23 +58,8 @@ def _true_rig(rig: Rig, causes: Mapping[str, Mapping[str, float]]) -> Rig:
 
 
 def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], reference: Floats) -> float:
-    """Return the error of the model of an answer relative to that of the true model.
-
-    Parameters
-    ----------
-    case : BenchmarkCase
-        Its validation flights are predicted, and its rig is the start.
-    answer : Answer
-        Its parameters are those of the rig and of the named causes; others stay nominal.
-    named : sequence of str
-        Listed causes that the answer names.
-    reference : ndarray (3,)
-        Result of `true_errors`.
-
-    Returns
-    -------
-    float
-        Geometric mean over the axes, at most `WORST_RATIO`.
+    """Return the error of the model of an answer relative to that of the true model. Shapes: `reference`
+    (3,).
     """
     estimates = {name: estimate.value for name, estimate in answer.parameters.items()}
     rig_values = {name: value for name, value in estimates.items() if name in case.rig}

@@ -31,13 +31,7 @@ _PANELS: Final = (
 
 
 def comparison_table(summary: Mapping[str, Any]) -> str:
-    """Return the table as Markdown, the best skill first.
-
-    Parameters
-    ----------
-    summary : Mapping[str, Any]
-        Return value of `summarise_runs`.
-    """
+    """Return the table as Markdown, the best skill first."""
     heads = ["method", *(title for _, title, _ in _COLUMNS), "CPU s per case", "peak MB", "failed"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for name in _methods_by_skill(summary):
@@ -51,13 +45,7 @@ def comparison_table(summary: Mapping[str, Any]) -> str:
 
 
 def pair_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Return the comparisons by pairs as lines of text.
-
-    Parameters
-    ----------
-    summary : Mapping[str, Any]
-        Return value of `summarise_runs`.
-    """
+    """Return the comparisons by pairs as lines of text."""
     lines = []
     for pair in summary["pairs"]:
         parts = []
@@ -68,13 +56,7 @@ def pair_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def report_text(summary: Mapping[str, Any]) -> str:
-    """Return the table, the comparisons by pairs and the number of cases as Markdown.
-
-    Parameters
-    ----------
-    summary : Mapping[str, Any]
-        Return value of `pooled_scores`.
-    """
+    """Return the table, the comparisons by pairs and the number of cases as Markdown."""
     pairs = "\n".join(f"- {line}" for line in pair_lines(summary))
     splits = len(summary["splits"])
     splits_text = "one split" if splits == 1 else f"{splits} splits"
@@ -82,15 +64,7 @@ def report_text(summary: Mapping[str, Any]) -> str:
 
 
 def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
-    """Draw the skill, the named causes and the false alarms of each method with their intervals.
-
-    Parameters
-    ----------
-    summary : Mapping[str, Any]
-        Return value of `summarise_runs`.
-    path : Path
-        File of the figure.
-    """
+    """Draw the skill, the named causes and the false alarms of each method with their intervals."""
     import matplotlib as mpl
 
     mpl.use("Agg")

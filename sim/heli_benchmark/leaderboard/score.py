@@ -41,92 +41,46 @@ _NORMAL: Final = 1.959964
 
 @dataclass(frozen=True)
 class Truth:
-    """Hidden causes of a case, by what an answer can be expected to know about them.
+    """Hidden causes of a case, by what an answer can be expected to know about them."""
 
-    Parameters
-    ----------
-    causes : frozenset of str
-        Visible causes, with `unlisted`; `nothing` if no cause is hidden.
-    invisible : frozenset of str
-        Names that the case does not score: hidden causes below the limit of visibility, and `nothing` if no
-        hidden cause is visible.
-    sizes : Mapping[str, float]
-        Sizes of the visible causes by parameter.
-    """
-
-    causes: frozenset[str]
+    causes: frozenset[str]  # Visible causes, with `unlisted`; `nothing` if no cause is hidden
     invisible: frozenset[str]
-    sizes: Mapping[str, float]
+    """Names that the case does not score: hidden causes below the limit of visibility, and `nothing` if no
+    hidden cause is visible."""
+    sizes: Mapping[str, float]  # Sizes of the visible causes by parameter
 
 
 @dataclass(frozen=True)
 class CaseScore:
-    """Scores of an answer.
+    """Scores of an answer."""
 
-    Parameters
-    ----------
-    case : str
-        Name of the case.
-    log_loss, base_loss : float
-        Negative log-likelihood of the truth under the answer and under the base rates, nats.
-    first_right : bool
-        Whether the most probable name is true.
-    all_named : bool or None
-        Whether every visible cause is named; None without a visible cause.
-    false_names : int
-        Named causes that are not hidden.
-    false_alarm : bool or None
-        Whether a cause is named although nothing is hidden; None if something is.
-    sizes : tuple of (bool, float)
-        For each estimated size: whether it is within two standard errors, and its interval score relative to
-        the true size.
-    sizes_asked : int
-        Number of true sizes.
-    prediction : float or None
-        Prediction error on the validation flights relative to that of the true model; None if the true model
-        is not in the catalogue.
-    equation : float or None
-        Correlation of the equation of the answer with the true torques; None if no unlisted cause is visible.
-    calibration : tuple of (float, bool)
-        Probability and truth of each name.
-    cpu_s, peak_MB : float or None
-        Cost of the answer.
-    failure : str
-        Why there is no answer; empty if there is one.
-    """
-
-    case: str
+    case: str  # Name of the case
     log_loss: float
+    """log_loss, base_loss: Negative log-likelihood of the truth under the answer and under the base rates,
+    nats."""
     base_loss: float
-    first_right: bool
-    all_named: bool | None
-    false_names: int
-    false_alarm: bool | None
+    first_right: bool  # Whether the most probable name is true
+    all_named: bool | None  # Whether every visible cause is named; None without a visible cause
+    false_names: int  # Named causes that are not hidden
+    false_alarm: bool | None  # Whether a cause is named although nothing is hidden; None if something is
     sizes: tuple[tuple[bool, float], ...]
-    sizes_asked: int
+    """For each estimated size: whether it is within two standard errors, and its interval score relative to
+    the true size."""
+    sizes_asked: int  # Number of true sizes
     prediction: float | None
+    """Prediction error on the validation flights relative to that of the true model; None if the true model
+    is not in the catalogue."""
     equation: float | None
-    calibration: tuple[tuple[float, bool], ...]
-    cpu_s: float | None
+    """Correlation of the equation of the answer with the true torques; None if no unlisted cause is visible.
+    """
+    calibration: tuple[tuple[float, bool], ...]  # Probability and truth of each name
+    cpu_s: float | None  # cpu_s, peak_MB: Cost of the answer
     peak_MB: float | None
-    failure: str
+    failure: str  # Why there is no answer; empty if there is one
 
 
 def score_runs(split: Split, folders: Sequence[Path]) -> list[list[CaseScore]]:
-    """Score runs; each case is read once, and its true model predicts once.
-
-    Parameters
-    ----------
-    split : Split
-        The split, with its truth.
-    folders : sequence of Path
-        Folders of the runs.
-
-    Returns
-    -------
-    list of list of CaseScore
-        By run, one per case. A failed case counts as an answer of base rates that names nothing.
-    """
+    """Score runs; each case is read once, and its true model predicts once."""
     runs = [read_run(folder, split) for folder in folders]
     scores: list[list[CaseScore]] = [[] for _ in folders]
     for case_folder in split.cases:
@@ -144,24 +98,12 @@ def score_run(split: Split, folder: Path) -> list[CaseScore]:
 
 @dataclass(frozen=True)
 class _CaseReference:
-    """What the answers to a case are compared with.
+    """What the answers to a case are compared with."""
 
-    Parameters
-    ----------
-    case : BenchmarkCase
-        The case as a method sees it.
-    truth : Truth
-        Its scored causes.
-    errors : ndarray (3,) or None
-        Prediction errors of the true model.
-    torques_Nm : Mapping[str, AxisSeries]
-        Torques of visible unlisted causes by flight.
-    """
-
-    case: BenchmarkCase
-    truth: Truth
-    errors: Floats | None
-    torques_Nm: Mapping[str, AxisSeries]
+    case: BenchmarkCase  # The case as a method sees it
+    truth: Truth  # Its scored causes
+    errors: Floats | None  # (3,): Prediction errors of the true model
+    torques_Nm: Mapping[str, AxisSeries]  # Torques of visible unlisted causes by flight
 
 
 def _case_with_truth(split: Split, case_folder: Path) -> _CaseReference:
@@ -195,18 +137,7 @@ def _score_result(reference: _CaseReference, result: Mapping[str, Any], where: s
 
 
 def equation_correlation(answer: Answer, torques_Nm: Mapping[str, AxisSeries]) -> float | None:
-    """Return the correlation of the equation of an answer with the true torques, mean of the flights.
-
-    Parameters
-    ----------
-    torques_Nm : Mapping[str, AxisSeries]
-        Torques of the unlisted causes by flight.
-
-    Returns
-    -------
-    float or None
-        0 for a flight without torques of the equation; None if no unlisted cause is visible.
-    """
+    """Return the correlation of the equation of an answer with the true torques, mean of the flights."""
     if not torques_Nm:
         return None
     correlations = []
@@ -221,13 +152,7 @@ def equation_correlation(answer: Answer, torques_Nm: Mapping[str, AxisSeries]) -
 
 
 def scored_truth(content: Mapping[str, Any]) -> Truth:
-    """Return the scored truth of a case.
-
-    Parameters
-    ----------
-    content : Mapping[str, Any]
-        Content of the file of the truth.
-    """
+    """Return the scored truth of a case."""
     listed = {name: float(cause["visibility_std"]) for name, cause in content["causes"].items()}
     unlisted = [float(std) for std in content["unlisted"].values()]
     hidden = listed | ({UNLISTED: max(unlisted)} if unlisted else {})
@@ -256,25 +181,7 @@ def score_answer(
     prediction: float | None = None,
     equation: float | None = None,
 ) -> CaseScore:
-    """Score an answer.
-
-    Parameters
-    ----------
-    case : str
-        Name of the case.
-    truth : Truth
-        Hidden causes of the case.
-    causes : Causes
-        All names and their base rates.
-    cost : tuple of float, optional
-        CPU time in s and peak memory in MB.
-    failure : str
-        Why there is no answer.
-    prediction : float, optional
-        Prediction error relative to that of the true model.
-    equation : float, optional
-        Correlation of the equation with the true torques.
-    """
+    """Score an answer."""
     scored = [name for name in causes.names if name not in truth.invisible]
     probabilities = {name: answer.probabilities.get(name, 0.0) for name in causes.names}
     calibration = tuple((probabilities[name], name in truth.causes) for name in scored)

@@ -27,34 +27,14 @@ _INTERVAL_PERCENTILES: Final = (2.5, 97.5)
 
 @dataclass(frozen=True)
 class CaseSums:
-    """A score that is a ratio of two sums over the cases.
+    """A score that is a ratio of two sums over the cases."""
 
-    Parameters
-    ----------
-    numerators, denominators : ndarray (n,)
-        Contribution of each case to the two sums.
-    """
-
-    numerators: Floats
+    numerators: Floats  # numerators, denominators: (n,): Contribution of each case to the two sums
     denominators: Floats
 
 
 def summarise_runs(runs: Mapping[str, Sequence[CaseScore]], seed: int = 0) -> dict[str, Any]:
-    """Summarise runs on the same cases.
-
-    Parameters
-    ----------
-    runs : Mapping[str, sequence of CaseScore]
-        Scores by method.
-    seed : int
-        Seed of the bootstrap.
-
-    Returns
-    -------
-    dict
-        ``methods`` by name: scores as ``value``, ``low`` and ``high`` of the 95 % interval, and ``cases``,
-        the number that enters. ``pairs``: differences of two methods, the first minus the second.
-    """
+    """Summarise runs on the same cases."""
     cases = len(next(iter(runs.values())))
     resampled_cases = np.random.default_rng(seed).integers(cases, size=(RESAMPLES, cases))
     # Row r has the number of times that resample r contains each case, shape (RESAMPLES, cases).

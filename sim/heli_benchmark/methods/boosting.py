@@ -24,13 +24,7 @@ _MODEL: Final = "boosting.pickle"
 
 
 def train(resources: Path) -> None:
-    """Train one classifier per name, and keep them in the folder of the training split.
-
-    Parameters
-    ----------
-    resources : Path
-        Folder of a split. Its flights give the terms; its truth is not read.
-    """
+    """Train one classifier per name, and keep them in the folder of the training split."""
     split, rng = read_split(resources), np.random.default_rng(0)
     features, hidden = [], []
     for folder in split.cases:
@@ -48,13 +42,7 @@ def train(resources: Path) -> None:
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
-    """Answer with the probabilities of the classifiers.
-
-    Parameters
-    ----------
-    case : BenchmarkCase
-        The case, with the training split as its resources.
-    """
+    """Answer with the probabilities of the classifiers."""
     if case.resources is None:
         raise ValueError("boosting needs a training split: give it with --resources")
     models = pickle.loads((case.resources / _MODEL).read_bytes())

@@ -22,20 +22,7 @@ _STEP_s: Final = 0.02
 def torques_of_terms(
     case: BenchmarkCase, regression: ResidualRegression, terms: Sequence[Term]
 ) -> dict[str, Any]:
-    """Return the equation of the terms of unlisted causes in a fit, and its torques.
-
-    Parameters
-    ----------
-    regression : ResidualRegression
-        Regression of the case.
-    terms : sequence of Term
-        All terms of the fit.
-
-    Returns
-    -------
-    dict
-        Keys of an answer; empty if no term belongs to an unlisted cause.
-    """
+    """Return the equation of the terms of unlisted causes in a fit, and its torques."""
     coefficients = regression.fit(terms).coefficients
     # A term of an unlisted cause has one column, the last of its slice; other terms may have several.
     ends = np.cumsum([term.columns.shape[1] for term in terms])
@@ -60,20 +47,7 @@ def torques_of_terms(
 def torques_of_accelerations(
     case: BenchmarkCase, regression: ResidualRegression, equations: Mapping[int, Callable[[Floats], Floats]]
 ) -> dict[str, Any]:
-    """Return the torques of equations that predict the residual accelerations of a regression.
-
-    Parameters
-    ----------
-    regression : ResidualRegression
-        Regression of the case.
-    equations : Mapping[int, callable]
-        By axis: a function of features that returns the scaled residuals.
-
-    Returns
-    -------
-    dict
-        A key of an answer; empty if there is no equation.
-    """
+    """Return the torques of equations that predict the residual accelerations of a regression."""
     scales, model = regression.standardisation, AccelerationModel(MultibodyModel(), case.rig)
 
     def torque_Nm(motion: SmoothedFlight) -> Floats:

@@ -20,15 +20,7 @@ _MIN_NORM: Final = 1e-6
 
 
 class TermEvidence:
-    """Evidence of the terms of a case.
-
-    Parameters
-    ----------
-    regression : ResidualRegression
-        Regression of the case, with its terms.
-    causes : Causes
-        Names of all causes.
-    """
+    """Evidence of the terms of a case."""
 
     def __init__(self, regression: ResidualRegression, causes: Causes) -> None:
         self._regression, self._causes = regression, causes
@@ -48,17 +40,8 @@ class TermEvidence:
         return np.asarray(vectors[:, singular_values > _MIN_NORM * max(float(singular_values[0]), _MIN_NORM)])
 
     def features(self, targets: Floats) -> Floats:
-        """Return the evidence of each name in each target, nats, and its difference to the highest.
-
-        Parameters
-        ----------
-        targets : ndarray (n, k)
-            Whitened residuals.
-
-        Returns
-        -------
-        ndarray (k, 2 names)
-            Features of a classifier.
+        """Return the evidence of each name in each target, nats, and its difference to the highest. Shapes:
+        `targets` (n, k); returns (k, 2 names).
         """
         residual = targets - self._nuisance @ (self._to_nuisance @ targets)
         n, total = len(residual), (residual**2).sum(axis=0)
@@ -75,19 +58,8 @@ class TermEvidence:
         return np.vstack([evidence_nats, evidence_nats - evidence_nats.max(axis=0)]).T
 
     def simulated(self, count: int, rng: np.random.Generator) -> tuple[Floats, list[set[str]]]:
-        """Simulate targets: white noise, errors of the rig parameters, and effects of drawn causes.
-
-        Parameters
-        ----------
-        count : int
-            Number of targets.
-        rng : numpy.random.Generator
-            Draws the noise, the errors and the effects.
-
-        Returns
-        -------
-        tuple of ndarray (n, count) and list of set of str
-            The targets, and the names that are true of each.
+        """Simulate targets: white noise, errors of the rig parameters, and effects of drawn causes. Returns
+        shape (n, count).
         """
         targets = rng.standard_normal((len(self._nuisance), count))
         targets += self._nuisance @ rng.standard_normal((self._nuisance.shape[1], count))

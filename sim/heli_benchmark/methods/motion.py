@@ -22,21 +22,8 @@ the excitation, which ends at 4 Hz. By judgement, not tuned."""
 
 
 class SmoothedFlight:
-    """Angles, rates and accelerations of a flight, smoothed by a Savitzky-Golay filter.
-
-    Parameters
-    ----------
-    flight : Flight
-        The flight; its first and last 0.2 s are lost.
-    weak_form : bool
-        Whether integrals with test functions replace smoothed accelerations.
-
-    Attributes
-    ----------
-    t_s, signals : ndarray (n,), (n, 8)
-        Times since the start of the flight; angles, rates and voltages then.
-    acceleration, features : ndarray (k, 3), (k, 8)
-        Accelerations and signals on the grid of the regression.
+    """Angles, rates and accelerations of a flight, smoothed by a Savitzky-Golay filter. `t_s, signals` has
+    shape (n,). `acceleration, features` has shape (k, 3).
     """
 
     def __init__(self, flight: Flight, weak_form: bool = False) -> None:
@@ -57,17 +44,8 @@ class SmoothedFlight:
         self.features = self.signals[self._grid_rows]
 
     def filtered(self, values: Floats) -> Floats:
-        """Pass values along the flight through the filter of the accelerations.
-
-        Parameters
-        ----------
-        values : ndarray (n, ...)
-            Values at the times `t_s`.
-
-        Returns
-        -------
-        ndarray (k, ...)
-            Values on the grid of the regression.
+        """Pass values along the flight through the filter of the accelerations. Shapes: `values` (n, ...);
+        returns (k, ...).
         """
         flat = values.reshape(len(values), -1)
         padded = np.pad(_convolve(flat, self._kernels[0]), ((self._half_window, self._half_window), (0, 0)))
@@ -75,15 +53,7 @@ class SmoothedFlight:
 
 
 class AccelerationModel:
-    """Accelerations of a model along a flight, and their derivatives by parameters.
-
-    Parameters
-    ----------
-    model : Model
-        Its states beyond angles and rates stay 0.
-    rig : Rig
-        Its values replace those of the model.
-    """
+    """Accelerations of a model along a flight, and their derivatives by parameters."""
 
     def __init__(self, model: Model, rig: Rig) -> None:
         self.names = model.parameter_names
@@ -102,22 +72,7 @@ class AccelerationModel:
     def jacobian(
         self, flight: SmoothedFlight, names: Sequence[str], changed_values: Mapping[str, float] | None = None
     ) -> Floats:
-        """Return the derivatives of the accelerations by some parameters.
-
-        Parameters
-        ----------
-        flight : SmoothedFlight
-            Measured angles, rates and voltages.
-        names : sequence of str
-            Names of the parameters.
-        changed_values : Mapping[str, float], optional
-            Values that replace those of the rig, such as the moment at which an effect begins.
-
-        Returns
-        -------
-        ndarray (n, 3, names)
-            Derivatives along the flight.
-        """
+        """Return the derivatives of the accelerations by some parameters. Returns shape (n, 3, names)."""
         parameters = ca.vertcat(*(self._p[self.names.index(name)] for name in names))
         derivatives = ca.jacobian(self._accelerations, parameters)
         return self._evaluate_along(flight, tuple(names), derivatives, changed_values)

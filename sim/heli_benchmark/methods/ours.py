@@ -79,17 +79,7 @@ def _rig_parameters(diagnosis: Diagnosis, causes: list[dict[str, Any]], nominal:
 
 
 def probability(hidden: str, verdict: str, causes: Causes) -> float:
-    """Return the probability of `nothing` or of `unlisted` after a verdict, by Bayes' rule.
-
-    Parameters
-    ----------
-    hidden : str
-        `nothing` or `unlisted`.
-    verdict : str
-        Verdict of the diagnosis; any other than those of the shares changes nothing.
-    causes : Causes
-        Base rates.
-    """
+    """Return the probability of `nothing` or of `unlisted` after a verdict, by Bayes' rule."""
     rates = {name: causes.base_rates[name] for name in (NOTHING, UNLISTED)}
     rates[_LISTED] = 1.0 - sum(rates.values())
     shares = _SHARES.get(verdict, dict.fromkeys(rates, 1.0))

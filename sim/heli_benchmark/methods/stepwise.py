@@ -30,18 +30,7 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
 
 
 def selected(regression: ResidualRegression) -> tuple[list[Term], list[float]]:
-    """Select terms one by one, while the BIC decreases by more than the number of candidates costs.
-
-    Parameters
-    ----------
-    regression : ResidualRegression
-        Residuals and terms.
-
-    Returns
-    -------
-    tuple of list of Term and list of float
-        The terms, and by how much each lowered half the BIC, nats.
-    """
+    """Select terms one by one, while the BIC decreases by more than the number of candidates costs."""
     chosen: list[Term] = []
     gains_nats: list[float] = []
     bic = regression.fit([]).bic

@@ -28,21 +28,11 @@ _UNLISTED_SIMILARITY: Final = 0.4
 
 @dataclass(frozen=True)
 class AxisEquation:
-    """An equation for the residual acceleration of one axis.
+    """An equation for the residual acceleration of one axis."""
 
-    Parameters
-    ----------
-    held_out_r2 : float
-        Share of the variance that it explains on the held-out rows.
-    predicted : ndarray (k,)
-        Its value on all rows.
-    search : SymbolicRegressor
-        The finished search, which holds the equation.
-    """
-
-    held_out_r2: float
-    predicted: np.ndarray
-    search: SymbolicRegressor
+    held_out_r2: float  # Share of the variance that it explains on the held-out rows
+    predicted: np.ndarray  # (k,): Its value on all rows
+    search: SymbolicRegressor  # The finished search, which holds the equation
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:

@@ -31,100 +31,58 @@ _LAG_PARAMETERS: Final = {"rotor_lag": "rotor_lag_s", "input_delay": "input_dela
 
 @dataclass(frozen=True)
 class Term:
-    """A candidate for the regression: the accelerations that a cause of size 1 adds to the nominal model.
+    """A candidate for the regression: the accelerations that a cause of size 1 adds to the nominal model."""
 
-    Parameters
-    ----------
-    cause : str
-        Name of the cause.
-    parameters : tuple of str
-        Parameters whose estimates are the coefficients; empty for a term of an unlisted cause.
-    columns : ndarray (n, k)
-        Changes of the accelerations per unit of each parameter, whitened; rows as in
-        `ResidualRegression.target`.
-    axis, shape : str
-        Axis and shape of the torque of an unlisted cause; its coefficient is in N m.
-    """
-
-    cause: str
+    cause: str  # Name of the cause
     parameters: tuple[str, ...]
+    """Parameters whose estimates are the coefficients; empty for a term of an unlisted cause."""
     columns: Floats
+    """(n, k): Changes of the accelerations per unit of each parameter, whitened; rows as in
+    `ResidualRegression.target`."""
     axis: str = ""
+    """axis, shape: Axis and shape of the torque of an unlisted cause; its coefficient is in N m."""
     shape: str = ""
 
 
 @dataclass(frozen=True)
 class Standardisation:
-    """Scales of residuals and features.
+    """Scales of residuals and features."""
 
-    Parameters
-    ----------
-    residual_std : ndarray (3,)
-        Standard deviations of the residuals by axis, rad/s2.
-    feature_mean, feature_std : ndarray (8,)
-        Means and standard deviations of the features.
-    """
-
-    residual_std: Floats
-    feature_mean: Floats
+    residual_std: Floats  # (3,): Standard deviations of the residuals by axis, rad/s2
+    feature_mean: Floats  # feature_mean, feature_std: (8,): Means and standard deviations of the features
     feature_std: Floats
 
 
 @dataclass(frozen=True)
 class RegressionFit:
-    """Least-squares fit of some terms.
+    """Least-squares fit of some terms."""
 
-    Parameters
-    ----------
-    bic : float
-        Bayesian information criterion; lower is better.
-    coefficients, stds : ndarray (k,)
-        Coefficients, and their standard errors: one per column of each term, in the order of the terms.
-    """
-
-    bic: float
+    bic: float  # Bayesian information criterion; lower is better
     coefficients: Floats
+    """coefficients, stds: (k,): Coefficients, and their standard errors: one per column of each term, in the
+    order of the terms."""
     stds: Floats
 
 
 @dataclass(frozen=True)
 class ResidualRegression:
-    """Residual accelerations of the nominal model, scaled and whitened, and the terms that may explain them.
-
-    Parameters
-    ----------
-    target : ndarray (n,)
-        Residuals, over flights, axes and moments.
-    nuisance : ndarray (n, m)
-        Changes by one standard deviation of each parameter of the rig that has a tolerance.
-    rig_priors : Mapping[str, Estimate]
-        Nominal value and standard deviation of each of these parameters.
-    terms : list of Term
-        Candidates; a cause with an unknown moment or frequency has several.
-    residuals : ndarray (k, 3)
-        Residuals after a fit of the nuisance parameters, before they are whitened, by axis.
-    features : ndarray (k, 8)
-        Angles, rates and voltages at the same moments, each with mean 0 and variance 1.
-    standardisation : Standardisation
-        How `residuals` and `features` were scaled.
+    """Residual accelerations of the nominal model, scaled and whitened, and the terms that may explain
+    them.
     """
 
-    target: Floats
+    target: Floats  # (n,): Residuals, over flights, axes and moments
     nuisance: Floats
-    terms: list[Term]
+    """(n, m): Changes by one standard deviation of each parameter of the rig that has a tolerance."""
+    terms: list[Term]  # Candidates; a cause with an unknown moment or frequency has several
     residuals: Floats
+    """(k, 3): Residuals after a fit of the nuisance parameters, before they are whitened, by axis."""
     features: Floats
-    rig_priors: Mapping[str, Estimate]
-    standardisation: Standardisation
+    """(k, 8): Angles, rates and voltages at the same moments, each with mean 0 and variance 1."""
+    rig_priors: Mapping[str, Estimate]  # Nominal value and standard deviation of each of these parameters
+    standardisation: Standardisation  # How `residuals` and `features` were scaled
 
     def parameters(self, terms: Sequence[Term]) -> dict[str, Estimate]:
-        """Estimate the parameters of the rig and of some terms together.
-
-        Parameters
-        ----------
-        terms : sequence of Term
-            Terms of the fit.
-        """
+        """Estimate the parameters of the rig and of some terms together."""
         fit = self._fit_all(terms)
         count = len(self.rig_priors)
         # Coefficients of the nuisance parameters are in standard deviations of their priors.
@@ -149,13 +107,7 @@ class ResidualRegression:
         return min(terms, key=lambda term: self.fit([term]).bic)
 
     def fit(self, terms: Sequence[Term]) -> RegressionFit:
-        """Fit some terms and all nuisance parameters, and return the coefficients of the terms.
-
-        Parameters
-        ----------
-        terms : sequence of Term
-            Terms of the fit.
-        """
+        """Fit some terms and all nuisance parameters, and return the coefficients of the terms."""
         fit, count = self._fit_all(terms), self.nuisance.shape[1]
         return RegressionFit(fit.bic, fit.coefficients[count:], fit.stds[count:])
 
@@ -177,13 +129,7 @@ class ResidualRegression:
 
 
 def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> ResidualRegression:
-    """Build the regression of a case from its training flights.
-
-    Parameters
-    ----------
-    weak_form : bool
-        Whether integrals with test functions replace smoothed accelerations.
-    """
+    """Build the regression of a case from its training flights."""
     rig = case.rig
     smooth = [SmoothedFlight(flight, weak_form) for flight in case.training]
     nominal = AccelerationModel(MultibodyModel(), rig)

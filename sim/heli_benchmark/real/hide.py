@@ -17,38 +17,16 @@ from heli_host.data.flight import Flight
 
 @dataclass(frozen=True)
 class KnownEffect:
-    """An effect to hide.
+    """An effect to hide."""
 
-    Parameters
-    ----------
-    id : str
-        One of `HIDERS`.
-    size : float
-        Seconds (delay), radians (play, eccentricity), share of the *voltage* (asymmetry, step), or share of
-        the voltage per second (fade).
-    """
-
-    id: str
+    id: str  # One of `HIDERS`
     size: float
+    """Seconds (delay), radians (play, eccentricity), share of the *voltage* (asymmetry, step), or share of
+    the voltage per second (fade)."""
 
 
 def hide(flight: Flight, effect: KnownEffect, at_s: float, count_rad: Floats) -> Flight:
-    """Change the log of a flight as if the rig had had an effect.
-
-    Parameters
-    ----------
-    flight : Flight
-        Evenly sampled.
-    at_s : float
-        Moment of a step; a fade begins at `t_s` = 0.
-    count_rad : ndarray (3,)
-        Size of one count of each encoder.
-
-    Returns
-    -------
-    Flight
-        With changed voltages or angles; a delay also removes the last rows.
-    """
+    """Change the log of a flight as if the rig had had an effect. Shapes: `count_rad` (3,)."""
     return HIDERS[effect.id](flight, effect.size, at_s, count_rad)
 
 

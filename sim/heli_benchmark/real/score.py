@@ -31,35 +31,22 @@ NAMES: Final[Mapping[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True)
 class HiddenResult:
-    """Judgement of a diagnosis by one hidden effect.
+    """Judgement of a diagnosis by one hidden effect."""
 
-    Parameters
-    ----------
-    effect : KnownEffect
-        Hidden effect.
-    named : bool
-        Whether a cause, or one that the diagnosis does not distinguish from it, is the effect.
-    undetectable : bool
-        Whether the diagnosis declares that these flights could not show it.
-    size, std, truth : float
-        Estimate, standard error and truth in the unit of the cause; NaN if it is not named.
-    confidence : float
-        Confidence of the cause; NaN if it is not named.
-    new_names : tuple of (str, float)
-        Other causes that the unchanged flights do not have, with their confidence.
-    supported_names : tuple of str
-        Those of the new names that the unchanged flights support too, although not enough to be named there.
-    """
-
-    effect: KnownEffect
-    named: bool
-    undetectable: bool
+    effect: KnownEffect  # Hidden effect
+    named: bool  # Whether a cause, or one that the diagnosis does not distinguish from it, is the effect
+    undetectable: bool  # Whether the diagnosis declares that these flights could not show it
     size: float
+    """size, std, truth: Estimate, standard error and truth in the unit of the cause; NaN if it is not named.
+    """
     std: float
     truth: float
-    confidence: float
+    confidence: float  # Confidence of the cause; NaN if it is not named
     new_names: tuple[tuple[str, float], ...]
+    """Other causes that the unchanged flights do not have, with their confidence."""
     supported_names: tuple[str, ...] = ()
+    """Those of the new names that the unchanged flights support too, although not enough to be named there.
+    """
 
     @property
     def size_is_right(self) -> bool:
@@ -75,19 +62,7 @@ def score(
     t_s: Floats,
     rig: Rig,
 ) -> HiddenResult:
-    """Judge one diagnosis.
-
-    Parameters
-    ----------
-    result, reference : Mapping[str, Any]
-        JSON of the diagnosis with the hidden effect, and of the unchanged flights.
-    volts_V : ndarray (n, 2)
-        Voltages of the training flight as they are logged with the effect.
-    t_s : ndarray (n,)
-        Their times.
-    rig : Rig
-        Nominal rig of both diagnoses.
-    """
+    """Judge one diagnosis. Shapes: `volts_V` (n, 2), `t_s` (n,)."""
     names = NAMES.get(effect.id, (effect.id,))
     reference_names = {name for cause in reference["causes"] for name in _indistinguishable_names(cause)}
     cause = next((cause for cause in result["causes"] if _stands_for(cause, names)), None)
@@ -218,15 +193,7 @@ def _thrust_variation_factor(curve: Curve, volts_V: Floats, volts_factor: float)
 
 
 def steady_thrust(result: Mapping[str, Any], rig: Rig) -> Curve:
-    """Return the steady thrust of the extended model as a function of the voltage, up to a factor.
-
-    Parameters
-    ----------
-    result : Mapping[str, Any]
-        JSON of a diagnosis.
-    rig : Rig
-        Its dead zone and reverse thrust are used if the flights did not determine them.
-    """
+    """Return the steady thrust of the extended model as a function of the voltage, up to a factor."""
     numbers = result["rig"]["numbers"]
 
     def value(name: str) -> float:

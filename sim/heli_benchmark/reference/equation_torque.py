@@ -13,13 +13,6 @@ def true_torque_Nm(case: DisturbedCase, flight: int, duration_s: float) -> tuple
     """Return times and torques of the hidden unlisted causes along a flight, shapes (n,) and (n, 3).
 
     The torque is the difference of MuJoCo with and without them.
-
-    Parameters
-    ----------
-    flight : int
-        Number of the flight.
-    duration_s : float
-        Length of the flight.
     """
     trajectory = case.fly(flight, duration_s)[1]
     rig = case.rig()
@@ -41,20 +34,7 @@ def torque_correlation(
     true_s: Floats, true_Nm: Floats, proposed_s: Floats, proposed_Nm: Floats
 ) -> tuple[int, float]:
     """Correlate proposed torques with the true ones, about the axis on which the true ones vary most.
-
-    Parameters
-    ----------
-    true_s, proposed_s : ndarray (n,), (m,)
-        Times of the torques; the overlap is used.
-    true_Nm, proposed_Nm : ndarray (n, 3), (m, 3)
-        Torques about the three axes.
-
-    Returns
-    -------
-    axis : int
-        Index of the axis.
-    correlation : float
-        Correlation coefficient; 0 if one of the torques is constant.
+    Shapes: `true_s, proposed_s` (n,), `true_Nm, proposed_Nm` (n, 3). Returns `axis`, `correlation`.
     """
     overlap = (true_s >= proposed_s[0]) & (true_s <= proposed_s[-1])
     axis = int(np.argmax(true_Nm[overlap].std(axis=0)))

@@ -26,41 +26,20 @@ _STEP_S = 0.004
 
 @dataclass(frozen=True)
 class InformedFit:
-    """Result of a fit with the true causes in the model.
+    """Result of a fit with the true causes in the model."""
 
-    Parameters
-    ----------
-    train, held_out : float
-        Normalised error on the training and on the validation flight.
-    nothing_train, nothing_held_out : float
-        The same of the baseline.
-    significance : dict of float
-        Size of each hidden effect in standard errors; None if it has no size parameter.
-    values, std : dict of float
-        Estimates of the effects' parameters, and their standard errors.
-    """
-
-    train: float
+    train: float  # train, held_out: Normalised error on the training and on the validation flight
     held_out: float
-    nothing_train: float
+    nothing_train: float  # nothing_train, nothing_held_out: The same of the baseline
     nothing_held_out: float
     significance: dict[str, float | None]
-    values: dict[str, float]
+    """Size of each hidden effect in standard errors; None if it has no size parameter."""
+    values: dict[str, float]  # values, std: Estimates of the effects' parameters, and their standard errors
     std: dict[str, float]
 
 
 def fit_informed(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[TrueEffect]) -> InformedFit:
-    """Fit the baseline, and the model with the true causes.
-
-    Parameters
-    ----------
-    rig : Rig
-        Nominal parameters, the same as a diagnosis gets.
-    flights : tuple of Flight
-        Training and validation flight.
-    hidden : sequence of TrueEffect
-        True effects. `random_torque` is omitted, because an open-loop simulation cannot predict it.
-    """
+    """Fit the baseline, and the model with the true causes."""
     records = prepare(flights[0], rig, "a"), prepare(flights[1], rig, "b")
     nothing = _fit_effects(rig, records, (), {}, None)
     kinds = catalogue()

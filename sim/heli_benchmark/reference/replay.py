@@ -31,37 +31,19 @@ def steps(trajectory: TrueTrajectory) -> int:
 
 @dataclass(frozen=True)
 class Forces:
-    """Thrusts and torques in each part of a step, and the angles at the encoders.
+    """Thrusts and torques in each part of a step, and the angles at the encoders."""
 
-    Parameters
-    ----------
-    thrust_N : ndarray (parts, 2)
-        Thrusts, mean of each part.
-    torque_Nm : ndarray (parts, 3)
-        Torques in addition to those of MuJoCo, mean of each part.
-    encoder_rad : ndarray (steps, 3)
-        Angles at the encoders, before quantisation.
-    """
-
-    thrust_N: Floats
-    torque_Nm: Floats
-    encoder_rad: Floats
+    thrust_N: Floats  # (parts, 2): Thrusts, mean of each part
+    torque_Nm: Floats  # (parts, 3): Torques in addition to those of MuJoCo, mean of each part
+    encoder_rad: Floats  # (steps, 3): Angles at the encoders, before quantisation
 
 
 @dataclass
 class ReplayedRig:
-    """A rig with some of the hidden effects, which is put into recorded states instead of flying.
+    """A rig with some of the hidden effects, which is put into recorded states instead of flying."""
 
-    Parameters
-    ----------
-    rig : Rig
-        Its parameters.
-    hidden : sequence of HiddenEffect
-        Effects in it, newly created because some have a memory.
-    """
-
-    rig: Rig
-    hidden: Sequence[HiddenEffect]
+    rig: Rig  # Its parameters
+    hidden: Sequence[HiddenEffect]  # Effects in it, newly created because some have a memory
     _plant: MujocoPlant = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -90,17 +72,7 @@ class ReplayedRig:
         return Forces(thrust / halves, torque / halves, encoder_rad)
 
     def accelerations(self, trajectory: TrueTrajectory, forces: Forces, stride: int = 1) -> Floats:
-        """Return accelerations along a trajectory under given forces, rad/s2, shape (parts / stride, 3).
-
-        Parameters
-        ----------
-        trajectory : TrueTrajectory
-            States of the rig.
-        forces : Forces
-            Thrusts and torques.
-        stride : int
-            Evaluate each `stride`-th part only.
-        """
+        """Return accelerations along a trajectory under given forces, rad/s2, shape (parts / stride, 3)."""
         plant, halves = self._plant, _HALVES // FINE
         accelerations_rad_s2 = np.empty((len(forces.thrust_N) // stride, 3))
         for i in range(len(accelerations_rad_s2)):
@@ -118,20 +90,7 @@ class ReplayedRig:
 
 
 def inertia_kg_m2(rig: Rig, angles_rad: Floats) -> Floats:
-    """Return the inertia matrices at given angles.
-
-    Parameters
-    ----------
-    rig : Rig
-        Masses and lengths.
-    angles_rad : ndarray (n, 3)
-        Elevation, pitch and travel.
-
-    Returns
-    -------
-    ndarray (n, 3, 3)
-        Inertia in kg m2.
-    """
+    """Return the inertia matrices at given angles. Shapes: `angles_rad` (n, 3); returns (n, 3, 3)."""
     plant = MujocoPlant(rig, ())
     inertias = np.empty((len(angles_rad), 3, 3))
     zeros, no_thrust = np.zeros(3), np.zeros(2)

@@ -13,54 +13,23 @@ ParameterValues = Mapping[str, float]
 
 @dataclass(frozen=True)
 class TrueEffect:
-    """A hidden effect in the catalogue's parameters.
+    """A hidden effect in the catalogue's parameters."""
 
-    Parameters
-    ----------
-    id : str
-        The effect.
-    start : Mapping[str, float]
-        Its known parameters by full name, to start a fit from.
-    scalars : Mapping[str, float]
-        Parameters that the catalogue defines as the generator does: an estimate must agree with them.
-    amplitudes : Mapping[tuple[str, str], float]
-        The same for amplitudes of pairs of parameters.
-    """
-
-    id: str
-    start: ParameterValues
+    id: str  # The effect
+    start: ParameterValues  # Its known parameters by full name, to start a fit from
     scalars: ParameterValues
+    """Parameters that the catalogue defines as the generator does: an estimate must agree with them."""
     amplitudes: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    """The same for amplitudes of pairs of parameters."""
 
 
 def hidden_in(case: Case, motors_on_s: float) -> tuple[TrueEffect, ...]:
-    """Translate the hidden effects of a case to the catalogue.
-
-    Parameters
-    ----------
-    motors_on_s : float
-        Time at which the motors first ran, on the time axis of the log. The generator counts from there.
-
-    Returns
-    -------
-    tuple of TrueEffect
-        One per listed effect.
-    """
+    """Translate the hidden effects of a case to the catalogue."""
     return tuple(translated(id_, numbers, motors_on_s) for id_, numbers in case.truth().items())
 
 
 def translated(id_: str, of: ParameterValues, motors_on_s: float) -> TrueEffect:
-    """Translate one effect.
-
-    Parameters
-    ----------
-    id_ : str
-        The effect.
-    of : Mapping[str, float]
-        ParameterValues of the generator, with ``size``.
-    motors_on_s : float
-        As for `hidden_in`.
-    """
+    """Translate one effect."""
     kind, _, _ = id_.partition(".")
     prefix = id_.replace(".", "_")
     scalars = _SAME[kind](of) if kind in _SAME else {}

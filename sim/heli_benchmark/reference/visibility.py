@@ -46,33 +46,14 @@ _FRICTIONS = ("friction_elevation", "friction_pitch", "friction_travel")
 
 @dataclass(frozen=True)
 class CauseContribution:
-    """Contribution of a cause along a trajectory.
+    """Contribution of a cause along a trajectory."""
 
-    Parameters
-    ----------
-    torque_Nm : ndarray (n, 3)
-        Torques about the axes.
-    encoder_error_rad : ndarray (n, 3)
-        Errors of the measured angles.
-    """
-
-    torque_Nm: Floats
-    encoder_error_rad: Floats
+    torque_Nm: Floats  # (n, 3): Torques about the axes
+    encoder_error_rad: Floats  # (n, 3): Errors of the measured angles
 
 
 def visibility(case: DisturbedCase, duration_s: float = TRAIN_S) -> dict[str, float]:
-    """Return the standard deviations by which each cause exceeds the disturbances of the training flight.
-
-    Parameters
-    ----------
-    duration_s : float
-        Length of the training flight.
-
-    Returns
-    -------
-    dict of float
-        By name, listed effects first; an unlisted effect begins with ``off-``.
-    """
+    """Return the standard deviations by which each cause exceeds the disturbances of the training flight."""
     names = [*(name for name, _ in case.effects), *(f"off-{name}" for name, _ in case.unlisted)]
     if not names:
         return {}
@@ -98,19 +79,7 @@ def visibility(case: DisturbedCase, duration_s: float = TRAIN_S) -> dict[str, fl
 def imitators(
     rig: Rig, trajectory: TrueTrajectory, forces: Forces, linearised: LinearisedRig
 ) -> list[CauseContribution]:
-    """Return the contribution of an error of each parameter by one standard deviation of its prior.
-
-    Parameters
-    ----------
-    rig : Rig
-        The true rig; a tolerance is two standard deviations.
-    trajectory : TrueTrajectory
-        States along the flight.
-    forces : Forces
-        Thrusts and torques along the flight.
-    linearised : LinearisedRig
-        The rig linearised about the trajectory.
-    """
+    """Return the contribution of an error of each parameter by one standard deviation of its prior."""
     nothing = np.zeros((steps(trajectory), 3))
     base = ReplayedRig(rig, ()).accelerations(trajectory, forces, FINE)
     contributions = []
@@ -210,15 +179,7 @@ class LinearisedRig:
 
 def residual_norm(innovations: Floats, which: int, causes: int) -> float:
     """Return the norm of a column of innovations after its projection on the others, under their priors.
-
-    Parameters
-    ----------
-    innovations : ndarray (rows, columns)
-        Whitened innovations of the causes, then of the parameters.
-    which : int
-        Column of the cause.
-    causes : int
-        Number of columns of causes.
+    Shapes: `innovations` (rows, columns).
     """
     column = innovations[:, which]
     others = np.delete(innovations, which, axis=1)

@@ -35,19 +35,7 @@ _Case = TypeVar("_Case", bound=_FlyableCase)
 def run_diagnosis(
     rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS, unlisted: Collection[str] = ()
 ) -> Diagnosis:
-    """Diagnose two flights; the diagnosis gets the nominal rig and no truth.
-
-    Parameters
-    ----------
-    rig : Rig
-        Nominal parameters.
-    flights : tuple of Flight
-        Training and validation flight.
-    refits : int
-        Maximum number of refits in the search.
-    unlisted : collection of str
-        Effects to remove from its catalogue.
-    """
+    """Diagnose two flights; the diagnosis gets the nominal rig and no truth."""
     kinds = {id_: kind for id_, kind in catalogue().items() if id_ not in unlisted}
     return diagnose(
         MultibodyModel(), rig, flights[:1], flights[1:], kinds=kinds, labels=["a", "b"], refits=refits
@@ -76,23 +64,7 @@ def diagnosed_cases(cases: Iterable[_Case]) -> Iterator[tuple[_Case, dict[str, A
 
 
 def timed_diagnosis(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:
-    """Diagnose two flights, and measure the time.
-
-    Parameters
-    ----------
-    rig : Rig
-        Nominal parameters.
-    flights : tuple of Flight
-        Training and validation flight.
-    refits : int
-        Maximum number of refits in the search.
-
-    Returns
-    -------
-    dict
-        ``result`` (JSON or None), ``failure`` (the error that ended it, or empty), ``seconds`` and
-        ``cpu_seconds``.
-    """
+    """Diagnose two flights, and measure the time."""
     started_s, started_cpu_s = time.perf_counter(), _cpu_s()
     result, failure = None, ""
     try:

@@ -65,40 +65,17 @@ _PAPER = "makki2024"
 
 @dataclass(frozen=True)
 class PreparedCase:
-    """Flights of a case, and how visible its causes are.
+    """Flights of a case, and how visible its causes are."""
 
-    Parameters
-    ----------
-    flights : tuple of Flight
-        Training and validation flight.
-    rig : Rig
-        The nominal rig.
-    reference : InformedFit or dict of float
-        The fit with the true causes; with disturbances, the visibility of each cause in standard deviations.
-    """
-
-    flights: tuple[Flight, Flight]
-    rig: Rig
+    flights: tuple[Flight, Flight]  # Training and validation flight
+    rig: Rig  # The nominal rig
     reference: InformedFit | dict[str, float]
+    """The fit with the true causes; with disturbances, the visibility of each cause in standard deviations.
+    """
 
 
 def run(case: Case, folder: Path, *, keep: bool = False, refits: int = REFITS) -> Row:
-    """Fly a case, diagnose its flights, and judge the answer.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of flights and results.
-    keep : bool
-        Use flights and results that exist, whatever code made them.
-    refits : int
-        Maximum number of refits in the search.
-
-    Returns
-    -------
-    Row
-        The judgement.
-    """
+    """Fly a case, diagnose its flights, and judge the answer."""
     prepared = prepare(case, folder, keep=keep)
     code = _digest_of_files("", _DIAGNOSIS_FILES)
     case_folder = folder / case.name / "diagnosis.json"
@@ -137,15 +114,7 @@ def code_of_rows() -> str:
 
 
 def prepare(case: Case, folder: Path, *, keep: bool = False) -> PreparedCase:
-    """Fly a case, and compute how visible its causes are.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of both.
-    keep : bool
-        Use what exists, whatever code made it.
-    """
+    """Fly a case, and compute how visible its causes are."""
     case_folder = folder / case.name
     case_folder.mkdir(parents=True, exist_ok=True)
     made_by = _digest_of_files(
@@ -175,15 +144,7 @@ def prepare(case: Case, folder: Path, *, keep: bool = False) -> PreparedCase:
 
 
 def cause_visibility(case: Case, folder: Path, keep: bool) -> dict[str, float | None]:
-    """Return the standard deviations by which each cause of a case is visible; None if it has no size.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of flights.
-    keep : bool
-        Use what exists, whatever code made it.
-    """
+    """Return the standard deviations by which each cause of a case is visible; None if it has no size."""
     reference = prepare(case, folder, keep=keep).reference
     return reference.significance if isinstance(reference, InformedFit) else dict(reference)
 

@@ -94,23 +94,7 @@ def true_equation_effect(hidden: Unlisted) -> TrueEquationEffect:
 def judge_equation(
     case: DisturbedCase, flights: tuple[Flight, Flight], refits: int = REFITS
 ) -> dict[str, Any]:
-    """Diagnose a case, and compare the proposed equation with the truth.
-
-    Parameters
-    ----------
-    flights : tuple of Flight
-        Training and validation flight.
-    refits : int
-        Maximum number of refits in the search.
-
-    Returns
-    -------
-    dict
-        ``verdict``, ``causes``, ``channel`` and ``expression`` of the equation (None if none is proposed).
-        ``correlation`` is that of its torques with the true ones along the validation flight. ``error_ratio``
-        is its free-run error there divided by that of the fit with the true equation. Both are about the axis
-        on which the equation acts most.
-    """
+    """Diagnose a case, and compare the proposed equation with the truth."""
     rig = load_rig(case.rig_name)
     diagnosis = run_diagnosis(rig, flights, refits)
     proposed = diagnosis.proposed_term

@@ -25,18 +25,7 @@ EquationRow = dict[str, Any]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the cases and count the results.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Arguments instead of those of the command line.
-
-    Returns
-    -------
-    int
-        Exit status: 0 if every case ran.
-    """
+    """Run the cases and count the results."""
     parser = argparse.ArgumentParser(prog="python -m heli_benchmark.runs.equations", description=__doc__)
     add_rows(parser, Path("equations.json"))
     parser.add_argument("--nothing", action="store_true", help="run cases without an unlisted equation")
@@ -67,22 +56,7 @@ def judge_rows(
     describe: Callable[[EquationRow], str],
     options: argparse.Namespace,
 ) -> dict[str, EquationRow]:
-    """Judge the cases that the JSON file lacks, and write it after each.
-
-    Parameters
-    ----------
-    judge : callable
-        Makes the row of a case from its flights.
-    describe : callable
-        Writes a row as a line.
-    options : argparse.Namespace
-        Options ``json``, ``folder`` and ``keep``; with ``seen``, cases that are not visible are left out.
-
-    Returns
-    -------
-    dict of EquationRow
-        All rows of the file, by case.
-    """
+    """Judge the cases that the JSON file lacks, and write it after each."""
     from heli_benchmark.runs.case import prepare
 
     rows: dict[str, EquationRow] = json.loads(options.json.read_text()) if options.json.exists() else {}
@@ -128,12 +102,8 @@ def _describe_row(row: EquationRow) -> str:
 
 
 def equation_summary(rows: dict[str, EquationRow]) -> str:
-    """Count the hidden equations that were proposed, and the equations that were proposed without a reason.
-
-    Parameters
-    ----------
-    rows : dict
-        Rows by case, as `main` writes them.
+    """Count the hidden equations that were proposed, and the equations that were proposed without a
+    reason.
     """
     equations = [
         row

@@ -13,32 +13,17 @@ from heli_benchmark.runs.ask import diagnosed_cases
 
 @dataclass
 class NoiseCounts:
-    """Counts of one kind of noise.
-
-    Parameters
-    ----------
-    nothing, explained : int
-        Cases with nothing hidden, and those of them that are ``explained``.
-    hidden, named : int
-        Hidden causes, and those of them that are named.
-    false_names : int
-        Names of causes that are not hidden.
-    named_but_unexplained : int
-        Cases that are ``unexplained`` although every hidden cause is named.
-    cases : int
-        All cases.
-    spent_s : float
-        Their processor time.
-    """
+    """Counts of one kind of noise."""
 
     nothing: int = 0
+    """nothing, explained: Cases with nothing hidden, and those of them that are ``explained``."""
     explained: int = 0
-    hidden: int = 0
+    hidden: int = 0  # hidden, named: Hidden causes, and those of them that are named
     named: int = 0
-    false_names: int = 0
-    named_but_unexplained: int = 0
-    cases: int = 0
-    spent_s: float = 0.0
+    false_names: int = 0  # Names of causes that are not hidden
+    named_but_unexplained: int = 0  # Cases that are ``unexplained`` although every hidden cause is named
+    cases: int = 0  # All cases
+    spent_s: float = 0.0  # Their processor time
 
     def add(self, case: NoiseCase, result: Mapping[str, Any], spent_s: float) -> None:
         """Count the `result` of a `case`, which took `spent_s` of processor time."""

@@ -21,26 +21,7 @@ from heli_benchmark.runs.equation_reference import informed_errors_deg, listed_c
 def judge_replacement(
     case: DisturbedCase, flights: tuple[Flight, Flight], folder: Path, refits: int = REFITS
 ) -> dict[str, Any]:
-    """Diagnose a case without its last effect in the catalogue, and judge the equation that replaces it.
-
-    Parameters
-    ----------
-    flights : tuple of Flight
-        Training and validation flight.
-    folder : Path
-        Folder of the effect file of the equation.
-    refits : int
-        Maximum number of refits in the search.
-
-    Returns
-    -------
-    dict
-        ``verdict``, ``causes`` and ``expression`` of the equation (None if none is proposed). ``axis`` is the
-        axis whose error the effect reduces most. Errors there over 2 s of the validation flight, in degrees:
-        ``without_deg`` of a fit without the effect, ``informed_deg`` with it, ``found_deg`` of the diagnosis.
-        ``share`` is the share of the reduction that the diagnosis reaches. ``flies`` is the outcome of a
-        flight with the equation.
-    """
+    """Diagnose a case without its last effect in the catalogue, and judge the equation that replaces it."""
     rig = load_rig(case.rig_name)
     name = case.effects[-1][0]
     diagnosis = run_diagnosis(rig, flights, refits, (name, *REMOVED[name]))

@@ -16,18 +16,7 @@ SHARE = 0.8
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the cases and count.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Arguments instead of those of the command line.
-
-    Returns
-    -------
-    int
-        Exit status: 0 when every case ran.
-    """
+    """Run the cases and count."""
     parser = argparse.ArgumentParser(
         prog="python -m heli_benchmark.runs.removed_effects", description=__doc__
     )

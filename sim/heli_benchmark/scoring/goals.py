@@ -15,20 +15,7 @@ MAX_ERROR_RATIO = 1.10
 
 
 def goals(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Count the results for each goal.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-        Judged cases.
-
-    Returns
-    -------
-    dict
-        For each goal ``count``, ``of``, ``share``, the share ``wanted``, and whether it is ``reached`` (None
-        without a requirement or without cases). ``borderline`` has the counts of cases that only a very
-        good test would detect.
-    """
+    """Count the results for each goal."""
     clean, disturbed = _clean_and_disturbed(rows)
     with_causes = [row for row in disturbed if row.kind in ("one", "several")]
     unlisted = [row for row in disturbed if row.kind == "off_list"]
@@ -58,18 +45,7 @@ def goals(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
 
 
 def further_counts(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Count further results, without a requirement.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-        Judged cases.
-
-    Returns
-    -------
-    dict
-        As `goals` returns it.
-    """
+    """Count further results, without a requirement."""
     clean, disturbed = _clean_and_disturbed(rows)
     visible_clean = [row for row in clean if row.kind in ("one", "several") and row.counts]
     visible_disturbed = [row for row in disturbed if row.kind in ("one", "several") and row.counts]
@@ -100,18 +76,7 @@ def further_counts(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
 
 
 def table(goals: dict[str, dict[str, Any]]) -> list[str]:
-    """Format goals as lines.
-
-    Parameters
-    ----------
-    goals : dict
-        Result of `goals`.
-
-    Returns
-    -------
-    list of str
-        One line per goal.
-    """
+    """Format goals as lines."""
     lines = []
     for name, goal in goals.items():
         share = f"{goal['share']:.1%}" if goal["of"] else "-"

@@ -38,74 +38,41 @@ LISTED_SINCE = {"off-pitch_drag_quadratic": "pitch_drag_quadratic"}
 
 @dataclass(frozen=True)
 class NamedCause:
-    """A cause that a diagnosis named.
+    """A cause that a diagnosis named."""
 
-    Parameters
-    ----------
-    name : str
-        Effect of the catalogue.
-    is_hidden : bool
-        Whether the effect is hidden in the flights, or is one of two that the diagnosis does not distinguish.
-    confidence : float
-        Confidence of the diagnosis.
-    """
-
-    name: str
+    name: str  # Effect of the catalogue
     is_hidden: bool
-    confidence: float
+    """Whether the effect is hidden in the flights, or is one of two that the diagnosis does not distinguish.
+    """
+    confidence: float  # Confidence of the diagnosis
 
 
 @dataclass(frozen=True)
 class Row:
-    """Result of one case.
+    """Result of one case."""
 
-    Parameters
-    ----------
-    case, kind : str
-        Name and kind of the case.
-    hidden : tuple of str
-        Ids of the hidden effects; unlisted ones begin with ``off-``.
-    significance : Mapping[str, float | None]
-        Their sizes in standard errors of the fit with the true causes; under disturbances their visibility.
-    verdict : str
-        Verdict of the diagnosis.
-    named : tuple of str
-        Causes in the order of the diagnosis.
-    confidence : tuple of float
-        Confidence of each cause.
-    alternatives : tuple of tuple of str
-        Effects that each cause is ambiguous with.
-    parameters : Mapping[str, tuple]
-        Value, standard error and truth of each parameter that the generator defines as the catalogue does.
-    errors : Mapping[str, float]
-        Normalised errors on the validation flight: ``found`` of the diagnosis and, on clean flights,
-        ``baseline`` and ``informed`` of the reference fits; the same on the training flight with ``_train``.
-    seconds, cpu_seconds : float
-        Elapsed time and CPU time of the diagnosis.
-    failure : str
-        Error that ended the diagnosis; empty when there was none.
-    disturbances : Mapping[str, Any]
-        Rig, rate, controller and disturbances; empty on clean flights.
-    too_small : tuple of str
-        Effects that the diagnosis lists as significant, but too small to matter.
-    """
-
-    case: str
+    case: str  # case, kind: Name and kind of the case
     kind: str
     seed: int
-    hidden: tuple[str, ...]
+    hidden: tuple[str, ...]  # Ids of the hidden effects; unlisted ones begin with ``off-``
     significance: Mapping[str, float | None]
-    verdict: str
-    named: tuple[str, ...]
-    confidence: tuple[float, ...]
-    alternatives: tuple[tuple[str, ...], ...]
+    """Their sizes in standard errors of the fit with the true causes; under disturbances their visibility."""
+    verdict: str  # Verdict of the diagnosis
+    named: tuple[str, ...]  # Causes in the order of the diagnosis
+    confidence: tuple[float, ...]  # Confidence of each cause
+    alternatives: tuple[tuple[str, ...], ...]  # Effects that each cause is ambiguous with
     parameters: Mapping[str, tuple[float, float, float]]
+    """Value, standard error and truth of each parameter that the generator defines as the catalogue does."""
     errors: Mapping[str, float]
-    seconds: float
+    """Normalised errors on the validation flight: ``found`` of the diagnosis and, on clean flights,
+    ``baseline`` and ``informed`` of the reference fits; the same on the training flight with ``_train``."""
+    seconds: float  # seconds, cpu_seconds: Elapsed time and CPU time of the diagnosis
     cpu_seconds: float = 0.0
-    failure: str = ""
+    failure: str = ""  # Error that ended the diagnosis; empty when there was none
     disturbances: Mapping[str, Any] = field(default_factory=dict)
+    """Rig, rate, controller and disturbances; empty on clean flights."""
     too_small: tuple[str, ...] = ()
+    """Effects that the diagnosis lists as significant, but too small to matter."""
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> Row:
@@ -248,28 +215,7 @@ def judge(
     cpu_seconds: float = 0.0,
     disturbances: Mapping[str, Any] | None = None,
 ) -> Row:
-    """Judge a diagnosis.
-
-    Parameters
-    ----------
-    hidden : sequence of TrueEffect
-        True effects in the parameters of the catalogue.
-    reference : InformedFit or Mapping[str, float]
-        The fit with the true causes, or under disturbances the visibility of each cause.
-    result : Mapping[str, Any] or None
-        JSON of the diagnosis; None if it failed.
-    seconds, cpu_seconds : float
-        Elapsed time and CPU time.
-    failure : str
-        Error that ended the diagnosis.
-    disturbances : Mapping[str, Any], optional
-        Rig and disturbances, for tables.
-
-    Returns
-    -------
-    Row
-        The judgement.
-    """
+    """Judge a diagnosis."""
     if result is None:
         result = {"verdict": "failed", "causes": [], "residual": {"normalised": {}}}
     # Reversed, so that the first of two causes with the same part counts.

@@ -19,19 +19,7 @@ _OUTSIDE_PROBABILITY = 0.05
 
 
 def reliability(rows: Sequence[Row]) -> list[dict[str, float]]:
-    """Compare confidence with the share of right causes.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-        Judged cases of all kinds.
-
-    Returns
-    -------
-    list of dict
-        For each bin its bounds, number of ``causes``, ``mean_confidence``, number and share that is
-        ``hidden_count``, and the ``least`` and ``most`` that a binomial distribution of that mean allows.
-    """
+    """Compare confidence with the share of right causes."""
     causes = [cause for row in rows for cause in row.answers]
     curve = []
     for low, high in pairwise(BINS):
@@ -68,15 +56,7 @@ def holds(bin_: dict[str, float]) -> bool:
 
 
 def draw(curve: Sequence[dict[str, float]], path: Path) -> None:
-    """Draw the reliability diagram.
-
-    Parameters
-    ----------
-    curve : sequence of dict
-        Result of `reliability`.
-    path : Path
-        File of the picture.
-    """
+    """Draw the reliability diagram."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(4.2, 4.0), layout="constrained")

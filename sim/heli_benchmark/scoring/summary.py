@@ -11,18 +11,7 @@ from heli_benchmark.scoring.reliability import holds, reliability
 
 
 def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """Count the first answers by what was hidden.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-        Judged cases.
-
-    Returns
-    -------
-    dict of dict of int
-        Counts by what was hidden, then by answer.
-    """
+    """Count the first answers by what was hidden."""
     table: dict[str, Counter[str]] = {}
     for row in rows:
         counts = table.setdefault(" + ".join(row.hidden) or "nothing", Counter())
@@ -44,18 +33,7 @@ def _answer_label(row: Row) -> str:
 
 
 def text(rows: Sequence[Row]) -> str:
-    """Format all results as text.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-        Judged cases.
-
-    Returns
-    -------
-    str
-        Confusion table, misses, calibration and goals.
-    """
+    """Format all results as text."""
     lines = ["", "hidden: first answers and their number"]
     for hidden, counts in confusion(rows).items():
         answers = ", ".join(

@@ -64,17 +64,7 @@ _MAX_RATE_deg_s = 19.9
 
 
 def plan(name: str, duration_s: float, rng: np.random.Generator) -> Plan:
-    """Write a plan that excites each axis, different in each case.
-
-    Parameters
-    ----------
-    name : str
-        Title of the plan.
-    duration_s : float
-        Approximate time from take-off to landing.
-    rng : numpy.random.Generator
-        Draws amplitudes and periods.
-    """
+    """Write a plan that excites each axis, different in each case."""
     corners_s = 22.0
     sines_s = duration_s - corners_s - 6.0
     travel_deg = rng.uniform(25, 45)
@@ -101,24 +91,7 @@ def plan(name: str, duration_s: float, rng: np.random.Generator) -> Plan:
 
 
 def flown(rig: Rig, hidden: Sequence[HiddenEffect], course: Plan, seed: int) -> Flight:
-    """Fly a plan with the flight code behind the simulated line.
-
-    Parameters
-    ----------
-    rig : Rig
-        True numbers.
-    hidden : sequence of HiddenEffect
-        What is hidden.
-    course : Plan
-        Segments to fly.
-    seed : int
-        Draws the start values of the encoders.
-
-    Raises
-    ------
-    FlightAborted
-        When the flight did not complete.
-    """
+    """Fly a plan with the flight code behind the simulated line."""
     # MujocoPlant has the members of a Plant that SilWorld uses, no others.
     world = SilWorld(SilOptions(seed=seed), MujocoPlant(rig, hidden))  # type: ignore[arg-type]
     session = Session(InProcessTransport(world), session_number=1)

@@ -28,25 +28,13 @@ _MAX_PITCH_rad, _MAX_ELEVATION_rad = 1.2, 0.42
 
 @dataclass(frozen=True)
 class Route:
-    """Reference motion and excitation of a flight.
+    """Reference motion and excitation of a flight."""
 
-    Parameters
-    ----------
-    duration_s : float
-        Length of the flight.
-    travel_deg, elevation_deg : float
-        Largest deflection to either side.
-    sines : bool
-        Whether the reference is a sum of sines or a sequence of steps.
-    excitation_V : float
-        Amplitude of the multisine added to each motor.
-    """
-
-    duration_s: float
-    travel_deg: float
+    duration_s: float  # Length of the flight
+    travel_deg: float  # travel_deg, elevation_deg: Largest deflection to either side
     elevation_deg: float
-    sines: bool
-    excitation_V: float
+    sines: bool  # Whether the reference is a sum of sines or a sequence of steps
+    excitation_V: float  # Amplitude of the multisine added to each motor
 
 
 def tracked(
@@ -59,35 +47,7 @@ def tracked(
     rate_Hz: int,
     rng: np.random.Generator,
 ) -> Flight:
-    """Fly a route from a hover, by a controller that knows the nominal rig.
-
-    Parameters
-    ----------
-    rig : Rig
-        True numbers.
-    nominal : Rig
-        Parameters that the controller is designed for.
-    hidden : sequence of HiddenEffect
-        Effects that the rig has and the controller does not know.
-    route : Route
-        Reference motion.
-    controller : str
-        One of `CONTROLLERS`.
-    rate_Hz : int
-        Rows and controller steps per second; a divisor of 1000.
-    rng : numpy.random.Generator
-        Draws gains, reference angles and phases.
-
-    Returns
-    -------
-    Flight
-        The voltages of a row act until the next row; angles are whole counts.
-
-    Raises
-    ------
-    FlightAborted
-        If the rig leaves the safe range of angles.
-    """
+    """Fly a route from a hover, by a controller that knows the nominal rig."""
     plant = MujocoPlant(rig, hidden)
     step_s, ticks = 1.0 / rate_Hz, 1000 // rate_Hz
     times_s: Floats = step_s * np.arange(round(route.duration_s * rate_Hz), dtype=np.float64)
@@ -146,16 +106,8 @@ class _Pilot:
         self._error_integrals = np.zeros(2)
 
     def volts(self, angles: Floats, reference_rad: Floats, excitation_V: Floats) -> Floats:
-        """Return the front and the back voltage for the next step.
-
-        Parameters
-        ----------
-        angles : ndarray (3,)
-            Measured elevation, pitch and travel, rad.
-        reference_rad : ndarray (2,)
-            Elevation and travel to reach.
-        excitation_V : ndarray (2,)
-            Voltages added to the front and the back motor.
+        """Return the front and the back voltage for the next step. Shapes: `angles` (3,), `reference_rad`
+        (2,), `excitation_V` (2,).
         """
         previous_rad = angles if self._previous_rad is None else self._previous_rad
         self._previous_rad = angles

@@ -47,19 +47,7 @@ _CONTEXT: Final = {
 
 
 def croissant_content(folder: Path, name: str, release: str, description: str) -> dict[str, Any]:
-    """Return the metadata of a split.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the split, with its causes file.
-    name : str
-        Name of the data set.
-    release : str
-        Version of heli-lab that made it.
-    description : str
-        A sentence about it.
-    """
+    """Return the metadata of a split."""
     return {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",

@@ -69,15 +69,7 @@ list or one unlisted equation. A method that does well here may still fail on a 
 
 
 def write_card(folder: Path, content: Mapping[str, Any]) -> None:
-    """Write README.md and croissant.json into the folder of a split.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the split, with its causes file.
-    content : Mapping[str, Any]
-        Content of the causes file.
-    """
+    """Write README.md and croissant.json into the folder of a split."""
     name, release = f"heli-lab {content['split']}", heli_host.__version__
     description = (
         f"{content['count']} cases of a simulated laboratory helicopter. A method gets flights of a rig, and "

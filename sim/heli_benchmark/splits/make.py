@@ -50,29 +50,6 @@ def make_split(
 
     An open split grows if `count` is larger than before. A sealed one does not, because its commitments are
     complete.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the split.
-    split : str
-        Its name.
-    draw : int or Seal
-        Seed of all cases of an open split, or secret of a sealed one.
-    count : int
-        Number of cases.
-    truth_folder : Path, optional
-        Folder of the truths. A sealed split needs it, outside its own folder; an open split has `truth`.
-    workers : int
-        Number of cases that are flown in parallel.
-    say : callable, optional
-        Called with the name of a finished case and the number of finished cases.
-
-    Raises
-    ------
-    BenchmarkError
-        If the folder has another split, a case cannot be flown, or the truths of a sealed split would be in
-        its folder.
     """
     seal = draw if isinstance(draw, Seal) else None
     truth_folder = truth_folder or folder / "truth"
@@ -145,18 +122,7 @@ def _fly_and_write(case: PublishedCase, folder: Path, truth_folder: Path, seal: 
 
 
 def fly_case(case: PublishedCase) -> tuple[PublishedCase, tuple[Flight, ...]]:
-    """Fly all flights of a case; if the rig leaves its angles, draw other routes, then another case.
-
-    Returns
-    -------
-    tuple of PublishedCase and tuple of Flight
-        The case that was flown, and its flights, training flights first.
-
-    Raises
-    ------
-    BenchmarkError
-        If no draw can be flown.
-    """
+    """Fly all flights of a case; if the rig leaves its angles, draw other routes, then another case."""
     for _ in range(1 + MAX_REDRAWS):
         for attempt in range(MAX_ATTEMPTS):
             case = replace(case, attempt=attempt)
@@ -183,13 +149,7 @@ def unlisted_torques(case: PublishedCase) -> dict[str, Any]:
 
 
 def truth_content(case: PublishedCase, flight: Flight) -> dict[str, Any]:
-    """Return the truth of a case, as its file has it.
-
-    Parameters
-    ----------
-    flight : Flight
-        Its first training flight. The motors run from its first row on.
-    """
+    """Return the truth of a case, as its file has it."""
     visible = visibility(case, case.durations_s[0])
     causes = {
         hidden.id: {

@@ -20,15 +20,9 @@ _MOST_BYTES: Final = 1 << 20
 
 @dataclass(frozen=True)
 class Seal:
-    """Secret of a sealed split.
+    """Secret of a sealed split."""
 
-    Parameters
-    ----------
-    secret : str
-        Random hexadecimal digits.
-    """
-
-    secret: str
+    secret: str  # Random hexadecimal digits
 
     @property
     def seed(self) -> int:
@@ -44,11 +38,6 @@ class Seal:
         """Return random digits for the truth of a case.
 
         Without them, anybody could hash all truths that a case may have until one agrees with its commitment.
-
-        Parameters
-        ----------
-        case : str
-            Name of the case.
         """
         return self._derived_key(f"salt of {case}")
 
@@ -57,18 +46,7 @@ class Seal:
 
 
 def read_seal(path: Path) -> Seal:
-    """Read a secret from its file.
-
-    Parameters
-    ----------
-    path : Path
-        File with one line of hexadecimal digits.
-
-    Raises
-    ------
-    BenchmarkError
-        If the file cannot be read, or has no secret that is long enough.
-    """
+    """Read a secret from its file."""
     remedy = "write random digits into it with `openssl rand -hex 32`"
     try:
         secret = read_file(path, _MOST_BYTES).decode("ascii").strip().lower()

@@ -25,64 +25,31 @@ _ROUNDING: Final = 1e-6
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimated parameter.
+    """An estimated parameter."""
 
-    Parameters
-    ----------
-    value : float
-        The estimate, in the unit of the causes file.
-    std : float
-        Its standard error.
-    """
-
-    value: float
-    std: float
+    value: float  # The estimate, in the unit of the causes file
+    std: float  # Its standard error
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to a case.
-
-    Parameters
-    ----------
-    probabilities : Mapping[str, float]
-        Probability that each cause is hidden, with `nothing` and `unlisted`. A name without an entry has 0.
-        Several causes may be hidden together, so that the probabilities need not add up to 1.
-    parameters : Mapping[str, Estimate]
-        Estimates by name, of causes or of the rig.
-    equation : str
-        An equation in words or symbols, for readers; it is not scored.
-    equation_torques : Mapping[str, AxisSeries]
-        Torques of the unlisted cause along validation flights, by flight, N m; empty if there are none.
-    predicted_flights : Mapping[str, AxisSeries]
-        Angles of validation flights, rad, each predicted from the voltages and from the angles up to 1 s
-        earlier; empty if the model of the answer predicts.
-    """
+    """Answer to a case."""
 
     probabilities: Mapping[str, float]
+    """Probability that each cause is hidden, with `nothing` and `unlisted`. A name without an entry has 0.
+    Several causes may be hidden together, so that the probabilities need not add up to 1."""
     parameters: Mapping[str, Estimate] = field(default_factory=dict)
-    equation: str = ""
+    """Estimates by name, of causes or of the rig."""
+    equation: str = ""  # An equation in words or symbols, for readers; it is not scored
     equation_torques: Mapping[str, AxisSeries] = field(default_factory=dict)
+    """Torques of the unlisted cause along validation flights, by flight, N m; empty if there are none."""
     predicted_flights: Mapping[str, AxisSeries] = field(default_factory=dict)
+    """Angles of validation flights, rad, each predicted from the voltages and from the angles up to 1 s
+    earlier; empty if the model of the answer predicts."""
 
 
 def check_answer(content: object, causes: Causes, where: str) -> Answer:
-    """Check the content of an answer.
-
-    Parameters
-    ----------
-    content : object
-        Parsed JSON, or the return value of a method.
-    causes : Causes
-        Names that the answer may use.
-    where : str
-        Name of the file or method, for messages.
-
-    Raises
-    ------
-    BenchmarkError
-        If a key, a name or a number is invalid; the message is one line.
-    """
+    """Check the content of an answer."""
     if not isinstance(content, Mapping):
         raise BenchmarkError(f"{where}: the answer is not an object", "return a dictionary")
     if unknown := sorted(str(key) for key in content if key not in _KEYS):
@@ -150,26 +117,12 @@ def _is_number(value: object) -> bool:
 
 
 def read_answer(path: Path, causes: Causes) -> Answer:
-    """Read and check an answer.
-
-    Parameters
-    ----------
-    path : Path
-        The JSON file.
-    causes : Causes
-        Names that the answer may use.
-    """
+    """Read and check an answer."""
     return check_answer(read_json(path, "write the answer again"), causes, str(path))
 
 
 def write_answer(path: Path, answer: Answer) -> None:
-    """Write an answer as JSON.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    """
+    """Write an answer as JSON."""
     write_json(path, answer_content(answer))
 
 
@@ -191,16 +144,6 @@ def answer_with(
     """Return the content of an answer that gives probabilities for some causes only.
 
     Other causes keep a share of their base rates: the less certain `named` is, the larger the share.
-
-    Parameters
-    ----------
-    causes : Causes
-        Names that the answer may use.
-    named : Mapping[str, float]
-        Probabilities by name. If `nothing` has no entry, its probability is that of none of the named causes
-        being hidden, as if they were independent.
-    parameters : Mapping[str, Estimate], optional
-        Estimates by parameter name.
     """
     # Several causes may be hidden together: a certain cause halves the rates of the others, no more.
     certain = max((value for name, value in named.items() if name != NOTHING), default=0.0)

@@ -19,59 +19,26 @@ _MIN_ROWS, _MAX_ROWS = 2, 100_000
 
 @dataclass(frozen=True, eq=False)
 class AxisSeries:
-    """Numbers of the three axes over time.
+    """Numbers of the three axes over time."""
 
-    Parameters
-    ----------
-    t_s : ndarray (n,)
-        Times on the clock of the flight, rising.
-    values : ndarray (n, 3)
-        Elevation, pitch and travel.
-    """
-
-    t_s: Floats
-    values: Floats
+    t_s: Floats  # (n,): Times on the clock of the flight, rising
+    values: Floats  # (n, 3): Elevation, pitch and travel
 
     def at(self, t_s: Floats) -> Floats:
-        """Interpolate at other times, shape (m, 3); NaN outside of the times of the series.
-
-        Parameters
-        ----------
-        t_s : ndarray (m,)
-            Times on the clock of the flight.
+        """Interpolate at other times, shape (m, 3); NaN outside of the times of the series. Shapes: `t_s`
+        (m,).
         """
         columns = [np.interp(t_s, self.t_s, column, np.nan, np.nan) for column in self.values.T]
         return np.stack(columns, axis=1)
 
 
 def flight_name(number: int) -> str:
-    """Return the name of a validation flight.
-
-    Parameters
-    ----------
-    number : int
-        Index of the flight in the case, from 0.
-    """
+    """Return the name of a validation flight."""
     return f"validation-{number + 1}"
 
 
 def read_series(content: object, unit: str, where: str) -> dict[str, AxisSeries]:
-    """Check and convert series by flight.
-
-    Parameters
-    ----------
-    content : object
-        Parsed JSON: by flight, an object with ``t_s`` and a list of numbers per axis.
-    unit : str
-        Unit, which ends the keys: ``rad`` for ``elevation_rad``.
-    where : str
-        Name of file and key, for messages.
-
-    Raises
-    ------
-    BenchmarkError
-        If a key or a number is invalid; the message is one line.
-    """
+    """Check and convert series by flight."""
     keys = ["t_s", *(f"{axis}_{unit}" for axis in _AXES)]
     if not isinstance(content, Mapping):
         raise BenchmarkError(f"{where} is not an object", "give one entry per validation flight")

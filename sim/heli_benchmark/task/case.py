@@ -21,45 +21,18 @@ _TRAINING, _VALIDATION = "training", "validation"
 
 @dataclass(frozen=True)
 class BenchmarkCase:
-    """Input of a method.
+    """Input of a method."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the case.
-    rig : Rig
-        Nominal parameters; a tolerance is two standard deviations.
-    training, validation : tuple of Flight
-        Flights to learn from, and flights to check on.
-    causes : Causes
-        Names that an answer may use.
-    resources : Path or None
-        Folder that the user gave to the method, such as a trained model.
-    """
-
-    name: str
-    rig: Rig
-    training: tuple[Flight, ...]
+    name: str  # Name of the case
+    rig: Rig  # Nominal parameters; a tolerance is two standard deviations
+    training: tuple[Flight, ...]  # training, validation: Flights to learn from, and flights to check on
     validation: tuple[Flight, ...]
-    causes: Causes
-    resources: Path | None = None
+    causes: Causes  # Names that an answer may use
+    resources: Path | None = None  # Folder that the user gave to the method, such as a trained model
 
 
 def read_case(folder: Path, resources: Path | None = None) -> BenchmarkCase:
-    """Read a case from its folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the case, in `cases` of a split.
-    resources : Path, optional
-        Folder for the method.
-
-    Raises
-    ------
-    BenchmarkError
-        If a file is missing.
-    """
+    """Read a case from its folder."""
     remedy = "give the folder of a case in a split"
     causes = causes_of(read_json(folder.parents[1] / CAUSES_FILE, remedy))
     flights = {
@@ -75,14 +48,7 @@ def read_case(folder: Path, resources: Path | None = None) -> BenchmarkCase:
 def write_case(folder: Path, rig: Rig, training: tuple[Flight, ...], validation: tuple[Flight, ...]) -> None:
     """Write the files of a case: six columns per flight, as CSV and as Parquet.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder to write into; it must exist.
-    rig : Rig
-        Nominal parameters.
-    training, validation : tuple of Flight
-        The flights.
+    `folder`: Folder to write into; it must exist.
     """
     from heli_host.data.log.export import export_parquet
 

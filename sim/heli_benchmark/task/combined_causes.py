@@ -14,20 +14,7 @@ _SUFFIXES: Final = {"rotor_lag": "lag_s", "input_delay": "delay_s"}
 
 
 def of_parts(id_: str, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Split a cause that combines several effects.
-
-    Parameters
-    ----------
-    id_ : str
-        The effect.
-    parameters : Mapping[str, Any]
-        Estimates by full name.
-
-    Returns
-    -------
-    dict of dict
-        Estimates by part and full name; an effect without parts is returned unchanged.
-    """
+    """Split a cause that combines several effects."""
     if id_ not in PARTS:
         return {id_: dict(parameters)}
     # Name of the parameter of each part within the combined cause.

@@ -15,27 +15,13 @@ COMMITMENTS_FILE: Final = "commitments.json"
 
 
 def write_commitments(split_folder: Path, truth_folder: Path, names: list[str]) -> None:
-    """Write the SHA-256 digest of each case's truth into the folder of the split.
-
-    Parameters
-    ----------
-    split_folder, truth_folder : Path
-        Folder of the split, and folder of its truths.
-    names : list of str
-        Names of all cases.
-    """
+    """Write the SHA-256 digest of each case's truth into the folder of the split."""
     digests = {name: file_digest(truth_folder / f"{name}.json") for name in names}
     write_json(split_folder / COMMITMENTS_FILE, {"sha256": digests})
 
 
 def read_commitments(split_folder: Path) -> Mapping[str, str]:
-    """Read the commitments in a `split_folder`: a digest by case.
-
-    Raises
-    ------
-    BenchmarkError
-        If the split is not complete.
-    """
+    """Read the commitments in a `split_folder`: a digest by case."""
     remedy = "run the same `heli-host benchmark make` again, it continues"
     digests = read_json(split_folder / COMMITMENTS_FILE, remedy, ("sha256",))["sha256"]
     if not isinstance(digests, dict):
@@ -44,20 +30,7 @@ def read_commitments(split_folder: Path) -> Mapping[str, str]:
 
 
 def verify_commitment(truth_file: Path, digest: str | None) -> None:
-    """Refuse a truth that is not the one the split committed to.
-
-    Parameters
-    ----------
-    truth_file : Path
-        File of the truth of a case.
-    digest : str or None
-        Its commitment; None if the split has none for this case.
-
-    Raises
-    ------
-    BenchmarkError
-        If the file does not agree with its commitment.
-    """
+    """Refuse a truth that is not the one the split committed to."""
     if digest is None:
         raise BenchmarkError(
             f"{COMMITMENTS_FILE} has no commitment to {truth_file.stem}", "use the split as it was published"

@@ -18,19 +18,7 @@ _MOST_BYTES: Final = 1 << 24
 def read_json(path: Path, remedy: str, keys: Sequence[str] = ()) -> dict[str, Any]:
     """Read a JSON object.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    remedy : str
-        Advice if the file cannot be used.
-    keys : sequence of str
-        Keys that the object must have.
-
-    Raises
-    ------
-    BenchmarkError
-        If the file cannot be read, is not a JSON object, or lacks a key.
+    `keys`: Keys that the object must have.
     """
     try:
         content = json.loads(read_file(path, _MOST_BYTES))
@@ -47,15 +35,7 @@ def read_json(path: Path, remedy: str, keys: Sequence[str] = ()) -> dict[str, An
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write JSON; the file is complete or absent.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    content : object
-        Dictionaries, lists, text and numbers.
-    """
+    """Write JSON; the file is complete or absent."""
     unfinished = path.with_name(f"unfinished-{path.name}")
     unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     unfinished.replace(path)

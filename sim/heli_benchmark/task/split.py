@@ -25,19 +25,12 @@ _REMEDY: Final = "give a folder that `heli-host benchmark make` wrote"
 
 @dataclass(frozen=True)
 class Causes:
-    """Names that an answer may use.
-
-    Parameters
-    ----------
-    base_rates : Mapping[str, float]
-        Share of the cases in which each cause is hidden, as the split was drawn. It includes `nothing` and
-        `unlisted`.
-    parameters : Mapping[str, Mapping[str, str]]
-        Parameters of each cause and their units.
-    """
+    """Names that an answer may use."""
 
     base_rates: Mapping[str, float]
-    parameters: Mapping[str, Mapping[str, str]]
+    """Share of the cases in which each cause is hidden, as the split was drawn. It includes `nothing` and
+    `unlisted`."""
+    parameters: Mapping[str, Mapping[str, str]]  # Parameters of each cause and their units
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -57,27 +50,14 @@ class Causes:
 
 @dataclass(frozen=True)
 class Split:
-    """A folder of cases.
+    """A folder of cases."""
 
-    Parameters
-    ----------
-    folder : Path
-        Folder that contains `causes.json`, `cases`, and, if the split is open, `truth`.
-    name : str
-        Its name: public, train, or another word.
-    causes : Causes
-        Names that an answer may use.
-    truth_folder : Path
-        Folder of the truths; a sealed split comes without it.
-    commitments : Mapping[str, str] or None
-        Digest of each truth of a sealed split by case, None for an open split.
-    """
-
-    folder: Path
-    name: str
-    causes: Causes
-    truth_folder: Path
+    folder: Path  # Folder that contains `causes.json`, `cases`, and, if the split is open, `truth`
+    name: str  # Its name: public, train, or another word
+    causes: Causes  # Names that an answer may use
+    truth_folder: Path  # Folder of the truths; a sealed split comes without it
     commitments: Mapping[str, str] | None = None
+    """Digest of each truth of a sealed split by case, None for an open split."""
 
     @property
     def cases(self) -> list[Path]:
@@ -85,36 +65,14 @@ class Split:
         return sorted(path for path in (self.folder / "cases").iterdir() if path.is_dir())
 
     def truth(self, case: str) -> dict[str, Any]:
-        """Read the truth of a case.
-
-        Parameters
-        ----------
-        case : str
-            Name of the case.
-
-        Raises
-        ------
-        BenchmarkError
-            If there is no truth of this case, or it is not the one that a sealed split committed to.
-        """
+        """Read the truth of a case."""
         file = self.truth_folder / f"{case}.json"
         if self.commitments is not None:
             verify_commitment(file, self.commitments.get(case))
         return read_json(file, "give the folder of the truths with --truth")
 
     def unlisted_torques_Nm(self, case: str) -> dict[str, AxisSeries]:
-        """Read the torques of the unlisted causes of a case along its validation flights, by flight.
-
-        Parameters
-        ----------
-        case : str
-            Name of the case.
-
-        Returns
-        -------
-        dict of AxisSeries
-            Empty if the case has no unlisted cause, or an earlier release made the split.
-        """
+        """Read the torques of the unlisted causes of a case along its validation flights, by flight."""
         file = self.truth_folder / torques_file(case)
         if not file.exists():
             return {}
@@ -122,31 +80,12 @@ class Split:
 
 
 def torques_file(case: str) -> str:
-    """Return the name of the file with the torques of the unlisted causes of a case.
-
-    Parameters
-    ----------
-    case : str
-        Name of the case.
-    """
+    """Return the name of the file with the torques of the unlisted causes of a case."""
     return f"{case}-torques.json"
 
 
 def read_split(folder: Path, truth_folder: Path | None = None) -> Split:
-    """Read a split.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the split.
-    truth_folder : Path, optional
-        Folder of the truths, if they are not in the folder of the split.
-
-    Raises
-    ------
-    BenchmarkError
-        If the folder is not a complete split.
-    """
+    """Read a split."""
     content = read_json(folder / CAUSES_FILE, _REMEDY, ("schema", "split", "causes"))
     if content.get("schema") != SCHEMA:
         raise BenchmarkError(

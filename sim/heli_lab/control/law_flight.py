@@ -22,35 +22,10 @@ if TYPE_CHECKING:
 def fly_law(
     program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
 ) -> tuple[FlownFlight, LawTrial]:
-    """Fly a plan with a law.
+    """Fly a plan with a law. Returns `flown`, `trial`.
 
     The caller must write the files of the flight, and then call `FlownFlight.end`, which raises if the
     board's own law took over.
-
-    Parameters
-    ----------
-    program : LawProgram or None
-        Program of the law; None for the board's own law.
-    options : FlightOptions
-        Board, rig, and files to write.
-    plan : Plan
-        Plan of the flight.
-    typed : str
-        Plan as typed on the command line, for the truth file of a blind flight.
-
-    Returns
-    -------
-    flown : FlownFlight
-        The flight, completed, or flown to its end by the board's own law.
-    trial : LawTrial
-        How well the law followed its setpoints.
-
-    Raises
-    ------
-    FlightAborted
-        The flight ended early. Its files have been written.
-    HeliError
-        As `fly_plans`.
     """
     flown, taken_over = flown_with(program, options, plan, typed)
     if not (flown.summary.completed or taken_over):
@@ -62,13 +37,7 @@ def fly_law(
 
 
 def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) -> LawTrial:
-    """Fly a plan with a law, and return the result only: no output is printed, and no file is kept.
-
-    Parameters
-    ----------
-    program, options, plan
-        As in `fly_law`.
-    """
+    """Fly a plan with a law, and return the result only: no output is printed, and no file is kept."""
     quiet_setting = QUIET.set(True)
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -87,24 +56,8 @@ def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) ->
 def flown_with(
     program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
 ) -> tuple[FlownFlight, str]:
-    """Fly a plan with a law, and return the flight, whether it was completed or not.
-
-    Parameters
-    ----------
-    program, options, plan, typed
-        As in `fly_law`.
-
-    Returns
-    -------
-    flown : FlownFlight
-        The flight.
-    taken_over : str
-        Why the board's own law took over and flew the plan to its end; empty if it did not.
-
-    Raises
-    ------
-    HeliError
-        As `fly_plans`.
+    """Fly a plan with a law, and return the flight, whether it was completed or not. Returns `flown`,
+    `taken_over`.
     """
     from heli_host.fly.guest_law import engage
 

@@ -22,19 +22,7 @@ def extended_rig(
     causes: Mapping[str, Mapping[str, CauseParameter]],
     term: ProposedTerm | None,
 ) -> Rig:
-    """Make a rig of fitted parameters and effects.
-
-    Parameters
-    ----------
-    name : str
-        Name of the rig.
-    fit : Fit
-        The model with the effects on the fitted flights.
-    causes : Mapping of str to Mapping
-        Parameters of each effect by full name, by effect id.
-    term : ProposedTerm or None
-        An equation to add; it flies together with its effect file.
-    """
+    """Make a rig of fitted parameters and effects."""
     # The other fields of an identification are for its report.
     rig = Identification(fit, (), (), (), ()).rig(name)
     labels = ", ".join(record.label for record in fit.problem.records)

@@ -38,18 +38,10 @@ from heli_lab.explain.search import Search
 
 @dataclass(frozen=True)
 class Proposal:
-    """A proposed equation and its evaluation.
+    """A proposed equation and its evaluation."""
 
-    Parameters
-    ----------
-    term : ProposedTerm
-        The equation.
-    evaluation : HypothesisEvaluation
-        Free runs of the model with it, compared with the baseline's.
-    """
-
-    term: ProposedTerm
-    evaluation: HypothesisEvaluation
+    term: ProposedTerm  # The equation
+    evaluation: HypothesisEvaluation  # Free runs of the model with it, compared with the baseline's
 
 
 class MissingDependence(NamedTuple):
@@ -61,18 +53,10 @@ class MissingDependence(NamedTuple):
 
 @dataclass(frozen=True)
 class Effort:
-    """Work of a diagnosis.
+    """Work of a diagnosis."""
 
-    Parameters
-    ----------
-    refits : int
-        Refits of the model: the work independent of the computer.
-    seconds : float
-        Time taken on this computer.
-    """
-
-    refits: int
-    seconds: float
+    refits: int  # Refits of the model: the work independent of the computer
+    seconds: float  # Time taken on this computer
 
 
 @dataclass(frozen=True)

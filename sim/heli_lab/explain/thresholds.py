@@ -365,24 +365,12 @@ that quantity: the eye sees such a curve. Below, the missing torque is drawn ove
 
 @dataclass(frozen=True)
 class Threshold:
-    """A constant of this file, as a row of the table of thresholds.
+    """A constant of this file, as a row of the table of thresholds."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the constant.
-    unit : str
-        Unit of the value; ``1`` for a pure number.
-    value : float, int or tuple of float
-        Value in the unit; a pair is a range.
-    source : Source
-        Whether the value comes from theory, measurement or judgement.
-    """
-
-    name: str
-    unit: str
-    value: Any
-    source: Source
+    name: str  # Name of the constant
+    unit: str  # Unit of the value; ``1`` for a pure number
+    value: Any  # Value in the unit; a pair is a range
+    source: Source  # Whether the value comes from theory, measurement or judgement
 
 
 def table() -> Iterator[Threshold]:

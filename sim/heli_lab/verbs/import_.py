@@ -178,15 +178,7 @@ def _guess_profiles(
 def _write_profile(
     best: Guess, ambiguities: Sequence[Ambiguity], folder: Path
 ) -> tuple[Path, dict[str, int]]:
-    """Write ``profile.toml`` with ambiguities and evidence as comments.
-
-    Returns
-    -------
-    Path
-        The file.
-    dict of int
-        Line number of each entry in the file.
-    """
+    """Write ``profile.toml`` with ambiguities and evidence as comments."""
     from heli_host.data.tables import profile_text
 
     from heli_lab.setup.guess.import_targets import entry_lines

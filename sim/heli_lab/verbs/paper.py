@@ -255,17 +255,7 @@ def _fly_plans(
 def _stage_reporter(
     on_progress: Callable[[str, float], None], stage: str, earlier_share: float, share: float
 ) -> Callable[[float], None]:
-    """Return a function that takes the progress of one stage, from 0 to 1, and reports that of all stages.
-
-    Parameters
-    ----------
-    on_progress : callable taking str and float
-        Called with the stage and the share of all work that is done.
-    stage : str
-        Description of the stage.
-    earlier_share, share : float
-        Shares of all work before the stage, and of the stage.
-    """
+    """Return a function that takes the progress of one stage, from 0 to 1, and reports that of all stages."""
     return lambda done: on_progress(stage, earlier_share + share * done)
 
 

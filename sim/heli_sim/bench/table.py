@@ -43,13 +43,7 @@ tolerance_deg = 0.5
 
 
 def bench_tests_from(table: Mapping[str, Any]) -> tuple[Thrust | None, Balance | None, list[Swing]]:
-    """Read bench tests from a TOML `table`; docs/how-to/describe-your-rig.md shows one.
-
-    Raises
-    ------
-    RigError
-        If a key is missing or unknown, or its value is invalid.
-    """
+    """Read bench tests from a TOML `table`; docs/how-to/describe-your-rig.md shows one."""
     unknown = sorted(table.keys() - {"thrust", "balance", "swing"})
     if unknown:
         raise RigError(f"unknown bench test [{unknown[0]}]", "give [thrust], [balance] or [[swing]]")

@@ -16,19 +16,12 @@ SCALE_N: Final = 0.00981
 
 @dataclass(frozen=True)
 class Line:
-    """Thrust = gain (V - dead zone).
+    """Thrust = gain (V - dead zone)."""
 
-    Parameters
-    ----------
-    gain_N_per_V, gain_half : float
-        Slope, and half its 95 % interval.
-    dead_zone_V, dead_zone_half : float
-        Voltage at which the line is zero, and half its 95 % interval.
-    """
-
-    gain_N_per_V: float
+    gain_N_per_V: float  # gain_N_per_V, gain_half: Slope, and half its 95 % interval
     gain_half: float
     dead_zone_V: float
+    """dead_zone_V, dead_zone_half: Voltage at which the line is zero, and half its 95 % interval."""
     dead_zone_half: float
 
 

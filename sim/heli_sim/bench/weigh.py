@@ -39,62 +39,32 @@ _MAX_ITERATIONS: Final = 30
 
 @dataclass(frozen=True)
 class Thrust:
-    """Readings of a scale under the rotors, motors running.
+    """Readings of a scale under the rotors, motors running."""
 
-    Parameters
-    ----------
-    curve : ThrustCurve
-        Voltages and thrusts of both rotors.
-    scale_N : float
-        Smallest step of the scale.
-    """
-
-    curve: ThrustCurve
-    scale_N: float = SCALE_N
+    curve: ThrustCurve  # Voltages and thrusts of both rotors
+    scale_N: float = SCALE_N  # Smallest step of the scale
 
 
 @dataclass(frozen=True)
 class Balance:
-    """Angle at which the free arm rests, with the motors off and the short arm level.
+    """Angle at which the free arm rests, with the motors off and the short arm level."""
 
-    Parameters
-    ----------
-    elevation_deg, tolerance_deg : float
-        The angle, and the half width of its 95 % interval.
-    """
-
-    elevation_deg: float
+    elevation_deg: float  # elevation_deg, tolerance_deg: The angle, and the half width of its 95 % interval
     tolerance_deg: float = 0.5
 
 
 @dataclass(frozen=True)
 class Swing:
-    """Free swings of one axis about its rest position, with the motors off and the other two axes held.
+    """Free swings of one axis about its rest position, with the motors off and the other two axes held."""
 
-    Parameters
-    ----------
-    axis : str
-        ``elevation`` or ``pitch``.
-    swings : int
-        Full periods that were timed.
-    seconds, tolerance_s : float
-        Time of all these periods, and the half width of its 95 % interval.
-    from_deg, to_deg : float
-        Amplitude before the first and after the last of them.
-    tolerance_deg : float
-        Half width of the 95 % interval of each amplitude.
-    elevation_deg : float
-        Elevation at which the long arm is held while pitch swings.
-    """
-
-    axis: str
-    swings: int
-    seconds: float
-    from_deg: float
+    axis: str  # ``elevation`` or ``pitch``
+    swings: int  # Full periods that were timed
+    seconds: float  # seconds, tolerance_s: Time of all these periods, and the half width of its 95 % interval
+    from_deg: float  # from_deg, to_deg: Amplitude before the first and after the last of them
     to_deg: float
     tolerance_s: float = 0.3
-    tolerance_deg: float = 0.5
-    elevation_deg: float = 0.0
+    tolerance_deg: float = 0.5  # Half width of the 95 % interval of each amplitude
+    elevation_deg: float = 0.0  # Elevation at which the long arm is held while pitch swings
 
     @property
     def decrement(self) -> float:
@@ -110,23 +80,13 @@ class Swing:
 
 @dataclass(frozen=True)
 class Tested:
-    """A reading, and its prediction by the model of the rig.
+    """A reading, and its prediction by the model of the rig."""
 
-    Parameters
-    ----------
-    what, unit : str
-        The reading in words, and its unit.
-    read, tolerance : float
-        The reading, and the half width of its 95 % interval.
-    before, after : float
-        Prediction with the parameters before and after the fit.
-    """
-
-    what: str
+    what: str  # what, unit: The reading in words, and its unit
     unit: str
-    read: float
+    read: float  # read, tolerance: The reading, and the half width of its 95 % interval
     tolerance: float
-    before: float
+    before: float  # before, after: Prediction with the parameters before and after the fit
     after: float
 
     @property
@@ -137,39 +97,19 @@ class Tested:
 
 @dataclass(frozen=True)
 class Weighed:
-    """A rig after its bench tests.
+    """A rig after its bench tests."""
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig with the estimated parameters, their tolerances and sources.
-    determined : tuple of str
-        Names of the parameters that the tests determine: their tolerance is reduced, or they change by more
-        than their tolerance.
-    tested : tuple of Tested
-        All readings with their predictions.
-    """
-
-    rig: Rig
+    rig: Rig  # The rig with the estimated parameters, their tolerances and sources
     determined: tuple[str, ...]
-    tested: tuple[Tested, ...]
+    """Names of the parameters that the tests determine: their tolerance is reduced, or they change by more
+    than their tolerance."""
+    tested: tuple[Tested, ...]  # All readings with their predictions
 
 
 def weigh(
     rig: Rig, thrust: Thrust | None = None, balance: Balance | None = None, swings: Sequence[Swing] = ()
 ) -> Weighed:
-    """Estimate rig parameters from bench tests.
-
-    Parameters
-    ----------
-    rig : Rig
-        Prior values and tolerances of the parameters.
-
-    Raises
-    ------
-    RigError
-        If no test is given, the thrust readings are not on a rising line, or an axis does not swing.
-    """
+    """Estimate rig parameters from bench tests."""
     if thrust is None and balance is None and not swings:
         raise RigError("no bench test is given", "give at least one of [thrust], [balance] and [[swing]]")
     result, tested = rig, []

@@ -39,35 +39,18 @@ _BASE_UNITS: Final[dict[str, dict[str, str]]] = {
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of the description; all are 64-bit floats.
+    """A variable of the description; all are 64-bit floats."""
 
-    Parameters
-    ----------
-    name : str
-        Its name, structured by dots.
-    reference : int
-        Value reference.
-    unit : str
-        As rigs spell it; ``1`` for none.
-    meaning : str
-        One line.
-    causality, variability, initial : str
-        As the standard has them; empty for what it takes by itself.
-    start : float or None
-        Value to begin with.
-    derivative_of : int
-        Value reference of the state whose rate it is; 0 for none.
-    """
-
-    name: str
-    reference: int
-    unit: str
-    meaning: str
+    name: str  # Its name, structured by dots
+    reference: int  # Value reference
+    unit: str  # As rigs spell it; ``1`` for none
+    meaning: str  # One line
     causality: str
+    """causality, variability, initial: As the standard has them; empty for what it takes by itself."""
     variability: str
     initial: str = ""
-    start: float | None = None
-    derivative_of: int = 0
+    start: float | None = None  # Value to begin with
+    derivative_of: int = 0  # Value reference of the state whose rate it is; 0 for none
 
 
 def variables(plant: Plant) -> list[Variable]:
@@ -131,15 +114,7 @@ def _variables_in_order(plant: Plant) -> Iterator[Variable]:
 
 
 def describe(plant: Plant, identifier: str, token: str) -> bytes:
-    """Write ``modelDescription.xml``.
-
-    Parameters
-    ----------
-    identifier : str
-        The model identifier: how the binary is called.
-    token : str
-        The instantiation token.
-    """
+    """Write ``modelDescription.xml``."""
     all_variables = variables(plant)
     root = ElementTree.Element(
         "fmiModelDescription",

@@ -12,28 +12,16 @@ from heli_sim.plant import Plant, delayed_volts_V, end_of_step
 
 @dataclass(frozen=True)
 class Generated:
-    """Generated C files of one plant.
+    """Generated C files of one plant."""
 
-    Parameters
-    ----------
-    files : dict of str to str
-        Contents by file name.
-    has_millisecond_events : bool
-        Whether the plant changes discretely every millisecond: by delayed voltages, resets or random inputs.
-    """
-
-    files: dict[str, str]
+    files: dict[str, str]  # Contents by file name
     has_millisecond_events: bool
+    """Whether the plant changes discretely every millisecond: by delayed voltages, resets or random inputs.
+    """
 
 
 def generate(plant: Plant, token: str) -> Generated:
-    """Write the C files with a plant's equations and parameters.
-
-    Parameters
-    ----------
-    token : str
-        The instantiation token, by which an importer shows that it has read the right description.
-    """
+    """Write the C files with a plant's equations and parameters."""
     model, extras = plant.model, plant.extras
     delay_ticks = sum(state.name.startswith("front_V_") for state in extras.states)
     x, u = ca.SX.sym("state", len(model.states)), ca.SX.sym("acting_V", 2)

@@ -73,16 +73,6 @@ def equations(model: Model) -> list[Equation]:
     with its mass matrix M, potential energy U and generalised forces Q; the first equation shows how Coriolis
     and centrifugal forces follow from M. Dry friction is written with the acceleration that the axis would
     have without it, which has the index 0, and with the inertia J of the axis.
-
-    Parameters
-    ----------
-    model : Model
-        The model; the equations of its effects come last.
-
-    Raises
-    ------
-    PlantError
-        When an effect uses an operation that has no LaTeX here.
     """
     at = _symbolic_operands(model)
     F = ca.vertcat(ca.SX.sym("F_{f}"), ca.SX.sym("F_{b}"))

@@ -37,23 +37,13 @@ class Trim:
 
 @dataclass(frozen=True)
 class Derivatives:
-    """First derivatives of a model at a point, d/dt x = f(x, u, p) and y = h(x, u, p).
+    """First derivatives of a model at a point, d/dt x = f(x, u, p) and y = h(x, u, p)."""
 
-    Parameters
-    ----------
-    rates : ndarray (n,)
-        f itself.
-    A, B, P : ndarray (n, n), (n, 2), (n, parameters)
-        df/dx, df/du, df/dp.
-    C, D : ndarray (3, n), (3, 2)
-        dh/dx, dh/du.
-    """
-
-    rates: Floats
-    A: Floats
+    rates: Floats  # (n,): f itself
+    A: Floats  # A, B, P: (n, n): df/dx, df/du, df/dp
     B: Floats
     P: Floats
-    C: Floats
+    C: Floats  # C, D: (3, n): dh/dx, dh/du
     D: Floats
 
 
@@ -71,14 +61,8 @@ def derivative_function(model: Model) -> ca.Function:
 
 
 def derivatives(model: Model, rig: Rig, state: npt.ArrayLike, volts_V: npt.ArrayLike) -> Derivatives:
-    """Evaluate the rates and all first derivatives of a model at a state.
-
-    Parameters
-    ----------
-    state : array_like (n,)
-        State, in the order of the model's states.
-    volts_V : array_like (2,)
-        Front and back voltage.
+    """Evaluate the rates and all first derivatives of a model at a state. Shapes: `state` (n,), `volts_V`
+    (2,).
     """
     results = derivative_function(model)(np.asarray(state), np.asarray(volts_V), model.parameter_values(rig))
     f, *jacobians = (np.asarray(result) for result in results)
@@ -89,16 +73,6 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
     """Find the voltages and the pitch that hold an elevation, with all rates zero and travel at 0.
 
     The equilibrium is computed by Newton's method with exact Jacobians.
-
-    Parameters
-    ----------
-    elevation_rad : float
-        Elevation to hold.
-
-    Raises
-    ------
-    PlantError
-        If no positive voltages hold it, for example because a heavy counterweight lifts the arm.
     """
     count = len(model.states)
     # Unknown are pitch, the states of effects, and both voltages. Travel and the three rates are zero.

@@ -12,15 +12,7 @@ from heli_sim.rig import Rig
 
 
 class Locked(Model):
-    """A model with locked axes: they do not accelerate, and the others feel the reactions of the locks.
-
-    Parameters
-    ----------
-    model : Model
-        The model to lock.
-    locked : tuple of bool
-        Whether elevation, pitch and travel are locked.
-    """
+    """A model with locked axes: they do not accelerate, and the others feel the reactions of the locks."""
 
     def __init__(self, model: Model, locked: tuple[bool, bool, bool]) -> None:
         self._model = model

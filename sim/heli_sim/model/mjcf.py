@@ -36,15 +36,6 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
     """Write a rig as MJCF.
 
     Controls are the front and the back voltage [V]; sensors and joints are elevation, pitch and travel [rad].
-
-    Parameters
-    ----------
-    rig : Rig
-        Its parameters are written; its effects are not, see `left_out`.
-    step_s : float
-        Time step.
-    stops : bool
-        Whether the axes end at their stops.
     """
     v = {name: rig[name].value for name in rig}
     arm_z, body_z = -v["L_theta"], -v["L_phi"]

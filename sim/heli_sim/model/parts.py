@@ -26,17 +26,6 @@ def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: c
 
     The paper measured only positive voltages. A rotor that can be driven backwards gives, beyond the dead
     zone, a share of this thrust in the opposite direction.
-
-    Parameters
-    ----------
-    volts_V : casadi.SX
-        Voltages, any shape.
-    gain_N_per_V : casadi.SX
-        k, newtons for each volt above the dead zone.
-    dead_zone_V : casadi.SX
-        V_0, volts.
-    reverse : casadi.SX or float
-        Share of its thrust that a rotor gives at reversed voltage; 0 if the drivers cannot reverse.
     """
     forward_V = ca.fmax(volts_V - dead_zone_V, 0.0)
     backward_V = ca.fmax(-volts_V - dead_zone_V, 0.0)
@@ -86,14 +75,8 @@ def rotor_height_m(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -
 
 
 def upright_torque_Nm(state: Mapping[str, ca.SX], torque_Nm: ca.SX) -> ca.SX:
-    """Convert a torque about the thrust direction of the short arm to torques about the axes, shape (3, 1).
-
-    Parameters
-    ----------
-    state : Mapping[str, casadi.SX]
-        Angles of the rig.
-    torque_Nm : casadi.SX
-        Torque about the thrust direction, such as the reaction torque of the rotors.
+    """Convert a torque about the thrust direction of the short arm to torques about the axes, shape (3,
+    1).
     """
     pitch, elevation = state["pitch_rad"], state["elevation_rad"]
     return torque_Nm * ca.vertcat(-ca.sin(pitch), 0, ca.cos(pitch) * ca.cos(elevation))

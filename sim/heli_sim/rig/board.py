@@ -32,11 +32,6 @@ _OF_BOARD: Final = {"elevation_rest_deg": "elevation_min", "supply_V": "supply",
 def parameters_of(rig: Rig) -> dict[str, float]:
     """Return the board parameters that a rig determines: counts per turn with their direction, rest angle,
     supply, and upper limits. If the direction of an encoder is not known, it counts up.
-
-    Raises
-    ------
-    RigError
-        The board cannot be set to one of them.
     """
     supply_V = rig["supply"].value
     exact_values = encoder_parameters(rig) | {
@@ -70,11 +65,6 @@ def encoder_parameters(rig: Rig) -> dict[str, float]:
 def in_simulation(rig: Rig) -> dict[str, float]:
     """Return the parameters of a simulated board that differ from the declared defaults: counts, rest angle
     and supply are the rig's, and limits beyond its stops are brought inside.
-
-    Raises
-    ------
-    RigError
-        The board cannot be set to one of them.
     """
     stated = parameters_of(rig)
     in_simulation_values = {
@@ -88,16 +78,6 @@ def board_settings(rig: Rig, board: Mapping[str, float] | None = None) -> dict[s
 
     Counts per turn of an encoder whose direction the rig does not state get the sign that the board has; they
     are left out without a board. Limits that are beyond the rig's are brought within, others stay.
-
-    Parameters
-    ----------
-    board : Mapping of str to float, optional
-        The board's parameters; None for the declared defaults.
-
-    Raises
-    ------
-    RigError
-        The board cannot be set to one of them.
     """
     settings = parameters_of(rig) | {"dead_zone_V": rig["dead_zone"].value}
     board_values = {name: spec.default for name, spec in _SPECS.items()} | dict(board or {})
@@ -112,22 +92,7 @@ def board_settings(rig: Rig, board: Mapping[str, float] | None = None) -> dict[s
 
 
 def rig_of_board(board: Mapping[str, float], like: Rig, name: str) -> Rig:
-    """Return a rig with the encoders, rest angle, supply and dead zone of a board, for `rig from-board`.
-
-    Parameters
-    ----------
-    board : Mapping of str to float
-        The board's parameters; some may be missing.
-    like : Rig
-        Rig with all other numbers; also the tolerances, apart from those of the encoders.
-    name : str
-        Name of the new rig.
-
-    Raises
-    ------
-    RigError
-        The board's parameters are none of these, or no rig can have them.
-    """
+    """Return a rig with the encoders, rest angle, supply and dead zone of a board, for `rig from-board`."""
     quantities = zip(ENCODER_COUNTS, ENCODER_DIRECTIONS, strict=True)
     encoders = dict(zip(encoder_parameters(like), quantities, strict=True))
     if not {*encoders, *_OF_BOARD} & set(board):
@@ -152,18 +117,7 @@ def rig_of_board(board: Mapping[str, float], like: Rig, name: str) -> Rig:
 
 
 def rig_parameters(name_or_path: str) -> RigParameters:
-    """Return the parameters that a rig determines, by its name or file; see `parameters_of`.
-
-    Parameters
-    ----------
-    name_or_path : str
-        A name of `rig_names`, or the path of a TOML file.
-
-    Raises
-    ------
-    RigError
-        There is no such rig, its file is not a complete and valid one, or no board can be set to it.
-    """
+    """Return the parameters that a rig determines, by its name or file; see `parameters_of`."""
     rig = load_rig(name_or_path)
     known = zip(encoder_parameters(rig), direction_is_known(rig), strict=True)
     return RigParameters(parameters_of(rig), frozenset(name for name, is_known in known if is_known))

@@ -61,16 +61,6 @@ _WRITTEN: Final = re.compile(
 def described(name: str, description: str, like: Rig, given: Mapping[str, Number]) -> Rig:
     """Make a rig of the parameters `given`; the others, with wider tolerances, come from the rig that it is
     `like`.
-
-    Parameters
-    ----------
-    name, description : str
-        Its short name, and one line.
-
-    Raises
-    ------
-    RigError
-        When the numbers cannot be.
     """
     numbers = {}
     given = counts_by_encoder(name, given)
@@ -95,20 +85,6 @@ def described(name: str, description: str, like: Rig, given: Mapping[str, Number
 def number_from(name: str, text: str, source: str = "stated by its builder") -> Number:
     """Read a number with unit, tolerance and source, such as ``355 g``, ``0.64 +- 0.005 m`` or ``12 V; data
     sheet``.
-
-    Parameters
-    ----------
-    name : str
-        Which number of a rig.
-    text : str
-        The number.
-    source : str
-        Where it comes from, where the text does not say.
-
-    Raises
-    ------
-    RigError
-        When there is no such number, or the text is none with a unit of it.
     """
     quantity = _quantity_named(name)
     match = _WRITTEN.match(text)
@@ -123,18 +99,6 @@ def number_from(name: str, text: str, source: str = "stated by its builder") -> 
 def numbers_from_table(text: str, where: str) -> dict[str, Number]:
     """Read a CSV table with the columns name, value, unit, tolerance and source, the last three of which may
     be empty.
-
-    Parameters
-    ----------
-    text : str
-        The table.
-    where : str
-        Name of the table in errors.
-
-    Raises
-    ------
-    RigError
-        A name is unknown or occurs twice, or a value is not a number.
     """
     rows = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
     heads = [head.strip() for head in rows.fieldnames or ()]

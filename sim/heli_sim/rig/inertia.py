@@ -16,13 +16,7 @@ STATED_INERTIAS: Final[tuple[Quantity, ...]] = (
 
 
 def inertias_kg_m2(values: Mapping[str, float]) -> dict[str, float]:
-    """Moments of inertia J_theta, J_phi and J_psi of the point masses at level, elevation and pitch 0.
-
-    Parameters
-    ----------
-    values : Mapping of str to float
-        Masses (kg) and lengths (m) by their names in a rig file.
-    """
+    """Moments of inertia J_theta, J_phi and J_psi of the point masses at level, elevation and pitch 0."""
     v = values
     rotors_kg, short_arm_kg = v["M_f"] + v["M_b"], v["M_f"] + v["M_b"] + v["M_h"]
     # Squared distances from the axes: across the long arm, along it, and below the axes.
@@ -41,13 +35,6 @@ def inertia_range_kg_m2(
 ) -> dict[str, tuple[float, float]]:
     """Smallest and largest J_theta, J_phi and J_psi of all arrangements within the tolerances. Each inertia
     grows with each mass and each length, so that the extremes are at the ends of the tolerances.
-
-    Parameters
-    ----------
-    values : Mapping of str to float
-        As for `inertias_kg_m2`.
-    tolerances : Mapping of str to float
-        Half width for each.
     """
     names = [name for name in values if name.startswith(("M_", "L_"))]
     lowest = inertias_kg_m2({name: max(abs(values[name]) - tolerances[name], 0.0) for name in names})

@@ -12,16 +12,6 @@ _SHOWN: Final = ("L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "M_f", "M_b", "
 def outline(name_or_path: str) -> dict[str, float]:
     """Return lengths [m], masses [kg], and the elevation on the table [deg] of a rig, by the names of its
     file.
-
-    Parameters
-    ----------
-    name_or_path : str
-        A name of `rig_names`, or the path of a TOML file.
-
-    Raises
-    ------
-    RigError
-        There is no such rig, or its file is not a complete and valid one.
     """
     rig = load_rig(name_or_path)
     return {name: rig[name].value for name in (*_SHOWN, "elevation_min")}

@@ -61,24 +61,7 @@ often wrong: 64 for 64 cm. A wider range misses that; a narrower one refuses rea
 
 
 def check_size(where: str, name: str, value: float, tolerance: float, unit: str) -> None:
-    """Refuse a parameter that is too large or too small to calculate with.
-
-    Parameters
-    ----------
-    where : str
-        File or rig, for the error.
-    name : str
-        Name of the number in it.
-    value, tolerance : float
-        Value and half width, in `unit`.
-    unit : str
-        Unit, as in a rig file.
-
-    Raises
-    ------
-    RigError
-        The text names the number and its range.
-    """
+    """Refuse a parameter that is too large or too small to calculate with."""
     largest = LARGEST.get(unit, LARGEST_OF_OTHER_UNITS)
     for what, size in (("value", value), ("tolerance", tolerance)):
         if abs(size) > largest or 0.0 < abs(size) < SMALLEST:

@@ -159,20 +159,7 @@ class Rig(Mapping[str, Number]):
 
 
 def counts_by_encoder(rig: str, numbers: Mapping[str, Number]) -> dict[str, Number]:
-    """Write the short form `encoder_counts`, and the ratio of older files, as one entry per encoder.
-
-    Parameters
-    ----------
-    rig : str
-        Name of the rig, for errors.
-    numbers : Mapping[str, Number]
-        Numbers by name; an encoder's own entry is kept.
-
-    Raises
-    ------
-    RigError
-        The ratio of the travel's encoder is in another unit.
-    """
+    """Write the short form `encoder_counts`, and the ratio of older files, as one entry per encoder."""
     numbers = dict(numbers)
     if COMMON_COUNTS.name not in numbers:
         return numbers

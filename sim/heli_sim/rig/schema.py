@@ -68,21 +68,11 @@ TRAVEL_RATIO: Final = Quantity(
 
 @dataclass(frozen=True)
 class Unstated:
-    """Default of a parameter that a rig file does not state.
+    """Default of a parameter that a rig file does not state."""
 
-    Parameters
-    ----------
-    value : float
-        Assumed value if the rig file does not state one, in the quantity's unit.
-    tolerance : float
-        Half width of the interval that holds it with about 95 % confidence.
-    source : str
-        Reason for value and tolerance.
-    """
-
-    value: float
-    tolerance: float
-    source: str
+    value: float  # Assumed value if the rig file does not state one, in the quantity's unit
+    tolerance: float  # Half width of the interval that holds it with about 95 % confidence
+    source: str  # Reason for value and tolerance
 
 
 UNSTATED: Final[Mapping[str, Unstated]] = {

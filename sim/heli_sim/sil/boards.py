@@ -22,45 +22,17 @@ _FILE_BYTES: Final = 2048
 
 @dataclass(frozen=True)
 class Choice:
-    """The board that is flown, and why.
+    """The board that is flown, and why."""
 
-    Parameters
-    ----------
-    name : str
-        ``native`` or ``due``.
-    elf : str
-        ELF of the emulated Due; empty for the native board.
-    named : bool
-        Whether that ELF was asked for; otherwise it is the newest.
-    text : str
-        For people, such as ``emulated Due, heli.elf``.
-    reason : str
-        With ``auto``: why it is not the Due.
-    """
-
-    name: str
-    elf: str
-    named: bool
-    text: str
-    reason: str = ""
+    name: str  # ``native`` or ``due``
+    elf: str  # ELF of the emulated Due; empty for the native board
+    named: bool  # Whether that ELF was asked for; otherwise it is the newest
+    text: str  # For people, such as ``emulated Due, heli.elf``
+    reason: str = ""  # With ``auto``: why it is not the Due
 
 
 def choose(board: str, elf: str = "") -> Choice:
-    """Choose the board that is flown.
-
-    Parameters
-    ----------
-    board : str
-        ``native``, ``due``, or ``auto``: the emulated Due when there is firmware for it that speaks this
-        host's link.
-    elf : str
-        ELF to fly; empty for the newest that is found. With ``auto`` it means ``due``.
-
-    Raises
-    ------
-    DueError
-        ``due`` was asked for, and there is no firmware for it, or only for another version of the link.
-    """
+    """Choose the board that is flown."""
     if board == NATIVE:
         return Choice(NATIVE, "", False, "native board")
     from heli_sim.due.firmware import check_firmware, find_firmware
@@ -111,24 +83,7 @@ class NativeBoard:
 
 
 class EmulatedDue:
-    """An emulated Due that runs the ELF file of the real firmware.
-
-    Parameters
-    ----------
-    elf : str
-        The flight code.
-    flash_file : str
-        File that keeps its parameter pages; empty to forget them.
-    boot_seed : int
-        Seed of the chip's random number generator, of which a boot id is made at every start.
-
-    Raises
-    ------
-    DueError
-        When the ELF cannot be read or flown.
-    SimError
-        When the flash file has another length.
-    """
+    """An emulated Due that runs the ELF file of the real firmware."""
 
     def __init__(self, elf: str, flash_file: str, boot_seed: int = 1) -> None:
         from due_emulator import Stop

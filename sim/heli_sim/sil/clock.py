@@ -28,15 +28,7 @@ class Clock(Protocol):
     """Whether bytes from the host allow more simulated time, so that the server should wait for them."""
 
     def ticks_due(self, now_s: float, tick: int) -> int:
-        """Return the number of ticks to simulate now; 0 if it is too early.
-
-        Parameters
-        ----------
-        now_s : float
-            Present host time [s].
-        tick : int
-            Number of ticks simulated so far.
-        """
+        """Return the number of ticks to simulate now; 0 if it is too early."""
         ...
 
     def wait_s(self, now_s: float, tick: int) -> float:
@@ -95,11 +87,6 @@ class LockstepClock(Clock):
     Simulated time runs at most `window_ms` ahead of the last byte from the host, so that a host that streams
     setpoints by the board's clock is not overrun. If the host is silent or slow, time passes as on hardware,
     and the failsafe acts.
-
-    Parameters
-    ----------
-    window_ms : int
-        Largest lead, ms. Two periods of a 50 Hz stream, so that host and board can work at the same time.
     """
 
     follows_host = True

@@ -8,18 +8,11 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class LineChange:
-    """A change of the line DTR by the host.
+    """A change of the line DTR by the host."""
 
-    Parameters
-    ----------
-    dtr : bool
-        The line now; a Due's bridge resets the board when it rises.
-    baud : int
-        Rate of the port, bits per second; 0 if it is unknown. At 1200 a Due's bridge erases the flash.
-    """
-
-    dtr: bool
+    dtr: bool  # The line now; a Due's bridge resets the board when it rises
     baud: int = 0
+    """Rate of the port, bits per second; 0 if it is unknown. At 1200 a Due's bridge erases the flash."""
 
 
 class Endpoint(Protocol):

@@ -24,16 +24,8 @@ HELP: Final = (
 
 
 class FaultConsole:
-    """Applies typed faults to a simulated world. Each line is one fault; it lasts until another line ends it.
-
-    Parameters
-    ----------
-    world : SilWorld
-        The rig that is meant.
-    fd : int
-        Where the lines come from: a terminal, or a pipe.
-    say : callable taking str
-        Gets one line of answer for each.
+    """Applies typed faults to a simulated world. Each line is one fault; it lasts until another line ends
+    it.
     """
 
     def __init__(self, world: SilWorld, fd: int, say: Callable[[str], None]) -> None:
@@ -48,13 +40,7 @@ class FaultConsole:
         return [] if self._ended or self._in_background() else [self._fd]
 
     def listen(self, ready: list[int]) -> None:
-        """Read all lines that have arrived, and apply each.
-
-        Parameters
-        ----------
-        ready : list of int
-            File descriptors that can be read without waiting; others than the input of the lines are ignored.
-        """
+        """Read all lines that have arrived, and apply each."""
         if self._fd not in ready:
             return
         try:
@@ -70,18 +56,7 @@ class FaultConsole:
                 self._say(f"{self._world.time_s:.1f} s: {self.obey(words)}")
 
     def obey(self, words: list[str]) -> str:
-        """Apply a line from the next tick on.
-
-        Parameters
-        ----------
-        words : list of str
-            The line's words, as `HELP` lists them.
-
-        Returns
-        -------
-        str
-            What is so now, or what could have been said.
-        """
+        """Apply a line from the next tick on."""
         faults = self._world.rig_faults
         match words:
             case ["stop"]:

@@ -16,34 +16,17 @@ from heli_sim.sil.intervals import NEVER, Span, edges_of, next_edge
 
 @dataclass(frozen=True)
 class FaultPlan:
-    """Faults of the link, in both directions.
+    """Faults of the link, in both directions."""
 
-    Parameters
-    ----------
-    flip : float
-        Probability that a bit arrives inverted.
-    drop : float
-        Probability that a byte is lost.
-    double : float
-        Probability that a byte arrives twice.
-    stalls : tuple of Span
-        Times in which the host neither reads nor writes: bytes towards it overflow the bridge, bytes from it
-        wait.
-    unplugs : tuple of Span
-        Times in which the cable is unplugged: the port is gone, and bytes in transit are lost; the board
-        keeps its power.
-
-    Raises
-    ------
-    OptionError
-        When a probability is not between 0 and 1.
-    """
-
-    flip: float = 0.0
-    drop: float = 0.0
-    double: float = 0.0
+    flip: float = 0.0  # Probability that a bit arrives inverted
+    drop: float = 0.0  # Probability that a byte is lost
+    double: float = 0.0  # Probability that a byte arrives twice
     stalls: tuple[Span, ...] = ()
+    """Times in which the host neither reads nor writes: bytes towards it overflow the bridge, bytes from it
+    wait."""
     unplugs: tuple[Span, ...] = ()
+    """Times in which the cable is unplugged: the port is gone, and bytes in transit are lost; the board keeps
+    its power."""
 
     def __post_init__(self) -> None:
         for name in ("flip", "drop", "double"):
@@ -73,38 +56,16 @@ class FaultPlan:
 
 @dataclass
 class FaultCounters:
-    """Number of faults so far, by kind.
+    """Number of faults so far, by kind."""
 
-    Parameters
-    ----------
-    bytes_seen : int
-        Bytes that entered.
-    flipped : int
-        Bits inverted.
-    dropped : int
-        Bytes lost.
-    doubled : int
-        Bytes sent twice.
-    """
-
-    bytes_seen: int = 0
-    flipped: int = 0
-    dropped: int = 0
-    doubled: int = 0
+    bytes_seen: int = 0  # Bytes that entered
+    flipped: int = 0  # Bits inverted
+    dropped: int = 0  # Bytes lost
+    doubled: int = 0  # Bytes sent twice
 
 
 class FaultyStream:
-    """One direction of a link with random faults.
-
-    Parameters
-    ----------
-    plan : FaultPlan
-        Probabilities of the faults.
-    seed : int
-        Seed of the faults.
-    direction : int
-        0 to the board, 1 to the host; each draws different faults from the same seed.
-    """
+    """One direction of a link with random faults."""
 
     def __init__(self, plan: FaultPlan, seed: int, direction: int) -> None:
         self.counters = FaultCounters()

@@ -21,26 +21,7 @@ _RETRY_TICKS: Final = 100
 
 
 class InProcessTransport:
-    """Transport to a simulated board; time advances only in `read`.
-
-    Parameters
-    ----------
-    world : SilWorld
-        The world to talk to; another transport may have talked to it before.
-    url : str
-        Address to report.
-    label : str
-        Description of the board for readers.
-    note : str
-        Reason why this board was chosen, in a sentence; may be empty.
-    recipe : Mapping of str to str
-        Facts that repeat the simulation; see `heli_sim.sil.recipe.recipe_of`.
-
-    Raises
-    ------
-    PortError
-        When the plan of faults has the cable out; 0.1 s of simulated time passes.
-    """
+    """Transport to a simulated board; time advances only in `read`."""
 
     lockstep: Final = True
 
@@ -70,19 +51,7 @@ class InProcessTransport:
         self._start_s = time.monotonic() - (world.time_s / self._speed if self._speed else 0.0)
 
     def read(self, timeout_s: float) -> bytes:
-        """Advance simulated time until bytes arrive, by `timeout_s` at most; return them, or empty bytes.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Most simulated time to pass, s. At least a millisecond passes; up to slice_ms of the options pass
-            even when bytes arrive earlier.
-
-        Raises
-        ------
-        LinkLost
-            When the transport is closed, or the cable is unplugged by a planned fault.
-        """
+        """Advance simulated time until bytes arrive, by `timeout_s` at most; return them, or empty bytes."""
         self._check_open()
         ticks = max(1, round(1e3 * timeout_s))
         written = bytes(self._written)

@@ -19,23 +19,10 @@ _TICKS_PER_S: Final = 1000
 
 @dataclass(frozen=True)
 class Interval:
-    """An interval of simulated time that may have no end.
+    """An interval of simulated time that may have no end."""
 
-    Parameters
-    ----------
-    start_s : float
-        Beginning, seconds since the simulation started.
-    duration_s : float
-        Length, s; infinite by default.
-
-    Raises
-    ------
-    OptionError
-        If it begins before the simulation or after `LATEST_S`, or lasts less than a millisecond.
-    """
-
-    start_s: float
-    duration_s: float = math.inf
+    start_s: float  # Beginning, seconds since the simulation started
+    duration_s: float = math.inf  # Length, s; infinite by default
 
     def __post_init__(self) -> None:
         if not self._is_possible():

@@ -100,20 +100,6 @@ class SilOptions:
 def parse_url(url: str) -> SilOptions:
     """Read the options of an address such as ``sil://?rig=makki2024&seed=1&speed=max&flip=1e-4&stall=5:0.5``.
     Options that the address does not contain have their defaults.
-
-    Parameters
-    ----------
-    url : str
-        The address. ``stall`` and ``unplug`` take start:length in seconds, several with commas between them;
-        ``stop_switch`` and ``supply_out`` too, and ``encoder_out`` behind an axis, as in ``pitch:15``; these
-        last where the length is left out. ``encoder_scale`` takes axis:scale, as in ``travel:0.5``.
-        ``motor_sign`` takes ``front:-1`` or ``back:-1`` for exchanged leads, ``motors_swapped`` takes 0 or 1.
-        ``effect`` takes effects, ``effects`` files of them, several with semicolons between them.
-
-    Raises
-    ------
-    OptionError
-        When a key is unknown or a value cannot be read.
     """
     parts = urlsplit(url)
     if parts.netloc or parts.path.strip("/"):
@@ -226,25 +212,7 @@ def _intervals_of_option(key: str, text: str) -> tuple[Span, ...]:
 
 
 def parse_times(key: str, texts: Sequence[str]) -> tuple[Interval, ...]:
-    """Read intervals of time that may have no end.
-
-    Parameters
-    ----------
-    key : str
-        Name of the option that the times belong to, for the error.
-    texts : sequence of str
-        ``start`` or ``start:length`` in seconds.
-
-    Returns
-    -------
-    tuple of Interval
-        Interval of each text; without a length, it has no end.
-
-    Raises
-    ------
-    OptionError
-        When one cannot be read.
-    """
+    """Read intervals of time that may have no end."""
     intervals = []
     for text in texts:
         start, _, duration = text.partition(":")
@@ -260,25 +228,7 @@ def parse_times(key: str, texts: Sequence[str]) -> tuple[Interval, ...]:
 
 
 def parse_encoders_out(key: str, texts: Sequence[str]) -> tuple[tuple[str, Interval], ...]:
-    """Read which encoders are unplugged, and when.
-
-    Parameters
-    ----------
-    key : str
-        Name of the option that the texts come from, for the error.
-    texts : sequence of str
-        ``axis``, ``axis:start`` or ``axis:start:length``, in seconds.
-
-    Returns
-    -------
-    tuple of (str, During)
-        As `RigFaults` takes them.
-
-    Raises
-    ------
-    OptionError
-        When one cannot be read.
-    """
+    """Read which encoders are unplugged, and when."""
     unplugged = []
     for text in texts:
         axis, _, times = text.partition(":")

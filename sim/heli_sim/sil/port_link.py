@@ -17,17 +17,6 @@ class PortLink:
     ends, however it ends. The file holds the server's process and its terminal, so that the next server
     recognizes a link that a killed server left behind. A terminal's number alone cannot show that: Linux
     gives the number to the next program that asks for a terminal.
-
-    Parameters
-    ----------
-    path : Path
-        Where the link goes.
-
-    Raises
-    ------
-    EndpointError
-        When another server holds the path, the path holds anything that no server made, or the folder
-        cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -39,18 +28,7 @@ class PortLink:
         _, self._terminal_before = self._process_and_terminal_in_lock()
 
     def point_to(self, terminal: str) -> None:
-        """Make the link; it replaces a link that a killed server left.
-
-        Parameters
-        ----------
-        terminal : str
-            Name of the pseudo-terminal.
-
-        Raises
-        ------
-        EndpointError
-            When the path holds anything else, or the folder cannot be written.
-        """
+        """Make the link; it replaces a link that a killed server left."""
         self._refuse_a_file()
         try:
             if self.path.is_symlink():

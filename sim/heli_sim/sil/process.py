@@ -27,28 +27,6 @@ class SilProcess:
 
     The child ends when this process does, however that ends: it watches its standard input. It is in a
     session of its own, so that Ctrl-C reaches the host alone, which can then still land the rig.
-
-    Parameters
-    ----------
-    rig : str
-        Name or file of the rig.
-    speed : float or None
-        Simulated seconds a second; None is as fast as the host keeps up.
-    seed : int
-        Seed of everything random.
-    options : dict of str or None
-        More options, spelled as in a ``sil://`` address (``flip``, ``stall``, ``flash``, ...).
-    pty : str or Path or None
-        Where to make the link to the pseudo-terminal; None for a folder of its own.
-    rfc2217 : str or None
-        ``HOST:PORT`` to listen on instead of a pseudo-terminal; port 0 takes any free one.
-    timeout_s : float
-        Longest wait for the port to appear, s.
-
-    Raises
-    ------
-    EndpointError
-        When the port does not appear; the message says why.
     """
 
     def __init__(

@@ -28,16 +28,6 @@ class PtyEndpoint(Endpoint):
     and the terminal remains for the next host. A pseudo-terminal has no line DTR, so opening counts as its
     rise and closing as its fall. If the host has cleared the hang-up flag (``stty -hupcl``), DTR stays high,
     as with a serial port of Linux.
-
-    Parameters
-    ----------
-    link : str or Path or None
-        Symbolic link to make; None to show the terminal under its own name only.
-
-    Raises
-    ------
-    EndpointError
-        If another server uses the path of the link, or the link cannot be created, see `PortLink`.
     """
 
     def __init__(self, link: str | Path | None = None) -> None:

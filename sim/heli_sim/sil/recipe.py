@@ -20,15 +20,6 @@ def recipe_of(url: str, options: SilOptions, rig: Rig, choice: Choice) -> dict[s
 
     `heli_host.ui.cli.again` reads this recipe from a log and repeats the flight. The recipe contains no code,
     because a log from another person must not execute code.
-
-    Parameters
-    ----------
-    url : str
-        Address of the board, with seed, effects and model.
-    options : SilOptions
-        Options of that address.
-    choice : Choice
-        The selected board.
     """
     return {
         "address": url,

@@ -39,13 +39,7 @@ _VALUES: Final = {
 
 
 class Lines:
-    """The serial port that pyserial's server controls: its settings and control lines.
-
-    Parameters
-    ----------
-    changes : list of LineChange
-        Each change of DTR is appended to it.
-    """
+    """The serial port that pyserial's server controls: its settings and control lines."""
 
     def __init__(self, changes: list[LineChange]) -> None:
         self._changes = changes
@@ -87,13 +81,7 @@ class Protocol(rfc2217.PortManager):
 
     @override
     def filter(self, data: bytes) -> Generator[bytes, None, None]:
-        """Yield the bytes for the board, and carry out the requests between them.
-
-        Parameters
-        ----------
-        data : bytes
-            Any bytes from the host.
-        """
+        """Yield the bytes for the board, and carry out the requests between them."""
         for number in data:
             byte = bytes((number,))
             begins = self.suboption is None
@@ -115,22 +103,7 @@ class Protocol(rfc2217.PortManager):
 
 
 class Rfc2217Endpoint(TcpEndpoint):
-    """The board's side of an RFC 2217 connection. One host is connected at a time; the next one waits.
-
-    Parameters
-    ----------
-    host : str
-        Address to listen on; ``127.0.0.1`` keeps it on this machine.
-    port : int
-        Port to listen on; 0 takes any free one.
-    now_s : callable returning float
-        Monotonic clock of the machine [s].
-
-    Raises
-    ------
-    EndpointError
-        When the address cannot be listened on.
-    """
+    """The board's side of an RFC 2217 connection. One host is connected at a time; the next one waits."""
 
     scheme = "rfc2217"
 

@@ -23,36 +23,19 @@ class _SimBoard(Protocol):
 
 @dataclass(frozen=True)
 class RigFaults:
-    """Faults of the rig with their times.
-
-    Parameters
-    ----------
-    encoders_out : tuple of (str, Interval)
-        Axes whose encoder is unplugged, and when: motion in this time is not counted.
-    stop_switch : tuple of Interval
-        Times in which the hardware stop input is active.
-    supply_out : tuple of Interval
-        Times in which the motors have no supply, although the board commands a voltage.
-    encoder_scales : tuple of float
-        Counts of each encoder per count in the rig file: 0.5 for an encoder with half the counts, -1 for one
-        that is wired backwards. The board does not know them.
-    motor_signs : tuple of int
-        -1 for a motor, front or back, whose leads are exchanged.
-    motors_swapped : bool
-        The front output drives the back motor, and the back output the front motor.
-
-    Raises
-    ------
-    OptionError
-        If an axis is unknown, or a scale is 0 or not finite.
-    """
+    """Faults of the rig with their times."""
 
     encoders_out: tuple[tuple[str, Interval], ...] = ()
-    stop_switch: tuple[Interval, ...] = ()
+    """Axes whose encoder is unplugged, and when: motion in this time is not counted."""
+    stop_switch: tuple[Interval, ...] = ()  # Times in which the hardware stop input is active
     supply_out: tuple[Interval, ...] = ()
+    """Times in which the motors have no supply, although the board commands a voltage."""
     encoder_scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    motor_signs: tuple[int, int] = (1, 1)
+    """Counts of each encoder per count in the rig file: 0.5 for an encoder with half the counts, -1 for one
+    that is wired backwards. The board does not know them."""
+    motor_signs: tuple[int, int] = (1, 1)  # -1 for a motor, front or back, whose leads are exchanged
     motors_swapped: bool = False
+    """The front output drives the back motor, and the back output the front motor."""
 
     def __post_init__(self) -> None:
         for axis, _ in self.encoders_out:
@@ -79,18 +62,7 @@ class RigFaults:
         return {name: 0.0 for name, is_wrong in zip(names, wires_are_wrong, strict=True) if is_wrong}
 
     def next_edge(self, tick: int) -> int:
-        """Return the first tick after a given one at which a fault begins or ends.
-
-        Parameters
-        ----------
-        tick : int
-            Present tick.
-
-        Returns
-        -------
-        int
-            The tick, or `NEVER` if no fault follows.
-        """
+        """Return the first tick after a given one at which a fault begins or ends."""
         return next_edge(self._edges, tick)
 
     @cached_property
@@ -99,17 +71,7 @@ class RigFaults:
         return edges_of((*encoders_out, *self.stop_switch, *self.supply_out))
 
     def apply(self, tick: int, native: _native.World, board: _SimBoard) -> None:
-        """Apply the faults that are active at a tick to the simulated rig.
-
-        Parameters
-        ----------
-        tick : int
-            Present tick.
-        native : _native.World
-            The world that contains encoders and supply.
-        board : SimBoard
-            The board to which the stop switch is wired.
-        """
+        """Apply the faults that are active at a tick to the simulated rig."""
         if self.encoders_out:
             native.encoders_out = [
                 any(name == axis and interval.holds(tick) for name, interval in self.encoders_out)

@@ -34,19 +34,7 @@ from heli_sim.sil.world import SilWorld
 
 
 class SilServer:
-    """Moves bytes between a port and a simulated world, and advances the world by its clock.
-
-    Parameters
-    ----------
-    endpoint : Endpoint
-        Port that the host opens.
-    world : SilWorld
-        Simulated board and rig.
-    clock : Clock
-        Decides how much simulated time may pass.
-    now_s : callable
-        Monotonic time of the machine.
-    """
+    """Moves bytes between a port and a simulated world, and advances the world by its clock."""
 
     def __init__(
         self,
@@ -112,17 +100,7 @@ def serve(
     stop_fd: int | None = None,
     console: FaultConsole | None = None,
 ) -> None:
-    """Serve a world until `stop_fd` is ready to read.
-
-    Parameters
-    ----------
-    clock : Clock
-        Decides how much simulated time may pass.
-    stop_fd : int or None
-        File descriptor; serving ends as soon as something can be read from it, or it is at its end.
-    console : FaultConsole or None
-        Console at which a person causes faults of the rig.
-    """
+    """Serve a world until `stop_fd` is ready to read."""
     server = SilServer(endpoint, world, clock)
     stops = [] if stop_fd is None else [stop_fd]
     while True:
@@ -149,28 +127,6 @@ def run_server(
 ) -> dict[str, int]:
     """Build a world and serve it until `stop_fd`, SIGINT, SIGTERM, SIGHUP or an error ends it. Return the
     counters of the link (see `SilWorld.counters`) and the simulated ticks.
-
-    Parameters
-    ----------
-    pty : str or Path or None
-        Symbolic link to make to the pseudo-terminal.
-    tcp : str or None
-        ``HOST:PORT`` to listen on instead of a pseudo-terminal.
-    rfc2217 : str or None
-        The same, with the control lines and the rate in the connection, as RFC 2217 has them.
-    stop_fd : int or None
-        File descriptor; serving ends as soon as something can be read from it, or it is at its end.
-    words_fd : int or None
-        File descriptor of a terminal or pipe at which a person types faults of the rig.
-    answer : callable
-        Called with a line of text after each such command.
-    on_ready : callable
-        Called with the port's address when a host can open it.
-
-    Raises
-    ------
-    SimError
-        When the port cannot be opened, or the rig cannot be read.
     """
     # The default of these two would leave the link to the terminal behind.
     if threading.current_thread() is threading.main_thread():
@@ -228,13 +184,7 @@ def end_of_input() -> int:
 
 
 def is_local(url: str) -> bool:
-    """Whether only programs on this machine can reach a port.
-
-    Parameters
-    ----------
-    url : str
-        Address of the port, from `Endpoint.url`.
-    """
+    """Whether only programs on this machine can reach a port."""
     host = urlsplit(url).hostname
     if host is None or host == "localhost":
         return True
@@ -265,11 +215,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     The first line of its standard output is ``{"url": ...}`` once the port can be opened, the last one
     ``{"counters": ...}``.
-
-    Parameters
-    ----------
-    arguments : sequence of str or None
-        Command line without the program's name; None for that of the process.
     """
     parser = argparse.ArgumentParser(prog="heli_sim.sil.server", description="Serve a simulated board.")
     parser.add_argument("--pty", help="symbolic link to make to the pseudo-terminal")

@@ -31,20 +31,6 @@ class TcpEndpoint(Endpoint):
     receives a line that names the connected host.
 
     A connection does not transfer DTR. Its beginning counts as a rise of the line, and its end as a fall.
-
-    Parameters
-    ----------
-    host : str
-        Address to listen on; ``127.0.0.1`` keeps it on this machine.
-    port : int
-        Port to listen on; 0 takes any free one.
-    now_s : callable returning float
-        Monotonic clock of the machine [s].
-
-    Raises
-    ------
-    EndpointError
-        When the address cannot be listened on.
     """
 
     scheme = "socket"

@@ -22,23 +22,7 @@ from heli_sim.sil.world import SilWorld, set_from_rig
 
 
 class ProcessTransport(SerialTransport):
-    """Transport to a simulated board in a separate process, behind a pseudo-terminal.
-
-    Parameters
-    ----------
-    process : SilProcess
-        The board; it ends when this transport is closed, except after a loss, from which a host recovers.
-    label : str
-        Description of the board for readers.
-    note : str
-        Reason why this board was chosen, in a sentence; may be empty.
-    rig : str
-        Name or file of the rig that it flies.
-    rig_parameters : Mapping of str to float
-        Parameters of the board that the rig determines.
-    recipe : Mapping of str to str
-        Facts that repeat the simulation; see `heli_sim.sil.recipe.recipe_of`.
-    """
+    """Transport to a simulated board in a separate process, behind a pseudo-terminal."""
 
     def __init__(
         self,
@@ -90,16 +74,6 @@ class ProcessTransport(SerialTransport):
 def open_transport(url: str) -> InProcessTransport | ProcessTransport:
     """Start a simulated board and open its port; the entry point ``heli_host.transports``, name ``sil``. The
     board is just powered up, with the arm at rest on the table.
-
-    Parameters
-    ----------
-    url : str
-        ``sil://?rig=makki2024&seed=1&speed=max``; see `heli_sim.sil.options.parse_url`.
-
-    Raises
-    ------
-    SimError
-        When an option is wrong or the rig cannot be read.
     """
     options = parse_url(url)
     choice = choose(options.board, options.elf)

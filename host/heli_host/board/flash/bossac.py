@@ -35,22 +35,13 @@ _PACKAGES = (
 
 @dataclass(frozen=True)
 class Bossac:
-    """An installed uploader.
+    """An installed uploader."""
 
-    Parameters
-    ----------
-    path : str
-        Path of the program.
-    version : str
-        Version that the program reports, such as ``1.9.1``.
-    usb_option : tuple of str
-        Option by which this version accepts a port that is not a native USB port. Version 1.8 renamed the
-        option and made its value optional; the value must then follow without a space.
-    """
-
-    path: str
-    version: str
+    path: str  # Path of the program
+    version: str  # Version that the program reports, such as ``1.9.1``
     usb_option: tuple[str, ...]
+    """Option by which this version accepts a port that is not a native USB port. Version 1.8 renamed the
+    option and made its value optional; the value must then follow without a space."""
 
     @property
     def doubtful(self) -> bool:
@@ -74,16 +65,6 @@ def find_bossac(named: Path | None = None) -> Bossac:
 
     It is searched on the path, then in the folders of PlatformIO and the Arduino IDE. The first version that
     suits a Due is taken; otherwise the first one, which is `Bossac.doubtful`.
-
-    Parameters
-    ----------
-    named : Path or None
-        Use this program instead of a search.
-
-    Raises
-    ------
-    UploaderError
-        If no bossac is found, or if `named` is another program.
     """
     if named is not None:
         return _version_and_options(str(named))
@@ -140,22 +121,7 @@ def _port_name(port: str) -> str:
 
 
 def write_image(bossac: Bossac, port: str, image: Path, timeout_s: float = WRITE_TIMEOUT_S) -> None:
-    """Write an image into an erased chip, verify it, and have the chip start from flash from now on.
-
-    Parameters
-    ----------
-    port : str
-        The programming port, closed.
-    image : Path
-        The file.
-    timeout_s : float
-        Longest wait [s].
-
-    Raises
-    ------
-    FlashError
-        If it fails; the board's flash is then erased or half written, and its motors stay off.
-    """
+    """Write an image into an erased chip, verify it, and have the chip start from flash from now on."""
     try:
         process = subprocess.run(
             bossac.arguments(port, image),

@@ -28,20 +28,7 @@ class FirmwareImage:
 
 
 def read_image(path: Path) -> FirmwareImage:
-    """Read an image and check that the Due would start it and this host could talk to it.
-
-    Parameters
-    ----------
-    path : Path
-        A flat binary.
-
-    Raises
-    ------
-    ImageError
-        If the file is not an image for the Due, or is of another release; the message gives the reason.
-    OSError
-        If the file cannot be read.
-    """
+    """Read an image and check that the Due would start it and this host could talk to it."""
     content = path.read_bytes()
     if content.startswith(b"\x7fELF"):
         raise ImageError(

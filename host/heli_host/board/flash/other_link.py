@@ -37,25 +37,7 @@ _STORED: Final = (ParamsSource.STORED, ParamsSource.FALLBACK, ParamsSource.MIGRA
 
 
 def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]:
-    """Read the saved parameters of a board that speaks another version of the link.
-
-    Parameters
-    ----------
-    transport : Transport
-        Open, and used by nothing else.
-    timeout_s : float
-        Longest wait for each answer [s].
-
-    Returns
-    -------
-    dict of str to float
-        Values by name, in declared units; empty if the board has no saved parameters.
-
-    Raises
-    ------
-    FlashError
-        The board has saved parameters that this host cannot read.
-    """
+    """Read the saved parameters of a board that speaks another version of the link."""
     board = _Asker(transport, timeout_s)
     # The first hello asks for the hash of the board's link; a second one with that hash opens the session.
     welcome = WelcomeMessage.unpack(board.ask(HelloMessage(0, _NO_HASH, 0)))

@@ -23,20 +23,7 @@ _NO_CONTROL_LINES = (errno.ENOTTY, errno.EINVAL)
 
 
 def erase_chip(port: str, wait_s: float = ERASE_S) -> None:
-    """Erase all flash of the Due behind its programming port; the chip's own loader (SAM-BA) then answers.
-
-    Parameters
-    ----------
-    port : str
-        The programming port.
-    wait_s : float
-        How long the erasing takes [s].
-
-    Raises
-    ------
-    FlashError
-        The port cannot be opened at that rate.
-    """
+    """Erase all flash of the Due behind its programming port; the chip's own loader (SAM-BA) then answers."""
     try:
         with serial.Serial(port, ERASING_BAUD) as touched:
             _set_dtr(touched, False)

@@ -34,22 +34,7 @@ def data_row(row: int) -> str:
 def check(
     flight: Flight, source: str, *, allow_gaps: bool = False, where: Callable[[int], str] = data_row
 ) -> None:
-    """Refuse a flight that no analysis could trust.
-
-    Parameters
-    ----------
-    source : str
-        File name for the message.
-    allow_gaps : bool
-        Accept missing rows.
-    where : callable
-        Names a row, counted from 0, in a message.
-
-    Raises
-    ------
-    FlightDataError
-        If it is too short, not finite, not rising in time, has gaps, or is in other units.
-    """
+    """Refuse a flight that no analysis could trust."""
     if len(flight) < MIN_ROWS:
         raise FlightDataError(
             f"{source}: t_s has only {len(flight)} rows",

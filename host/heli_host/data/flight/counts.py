@@ -35,18 +35,7 @@ def count_rad(flight: Flight) -> Floats:
 
 
 def measured_count_rad(angle_rad: Floats) -> float:
-    """Measure one count of an encoder.
-
-    Parameters
-    ----------
-    angle_rad : ndarray (n,)
-        Angles of one encoder [rad].
-
-    Returns
-    -------
-    float
-        The angle of a count [rad]; nan if the angles do not move, or are not in whole counts.
-    """
+    """Measure one count of an encoder. Shapes: `angle_rad` (n,)."""
     moves = np.abs(np.diff(angle_rad))
     moves = moves[moves > _REST_rad]
     if not moves.size:

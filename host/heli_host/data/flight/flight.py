@@ -39,21 +39,11 @@ MIN_ROWS = 10
 
 @dataclass(frozen=True)
 class FlightEvent:
-    """Something that happened in a flight.
+    """Something that happened in a flight."""
 
-    Parameters
-    ----------
-    t_s : float
-        When, on the flight's time axis.
-    name : str
-        Kind of event: ``state``, ``fault``, ``setpoint_stale``, ``plan``, ``link`` ...
-    text : str
-        Description of the event and its cause, in words.
-    """
-
-    t_s: float
-    name: str
-    text: str
+    t_s: float  # When, on the flight's time axis
+    name: str  # Kind of event: ``state``, ``fault``, ``setpoint_stale``, ``plan``, ``link`` ..
+    text: str  # Description of the event and its cause, in words
 
 
 @dataclass(frozen=True, repr=False)

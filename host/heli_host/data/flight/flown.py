@@ -24,20 +24,10 @@ _TOLD_rad: Final = 1.5e-4
 
 
 def flown_rows(flight: Flight) -> Booleans:
-    """Return the rows in which a control law flew: the board's own, an uploaded law, or the host's.
+    """Return the rows in which a control law flew: the board's own, an uploaded law, or the host's. Returns
+    shape (n,).
 
     If the flight marks its phases, only rows after the take-off and before the landing count.
-
-    Parameters
-    ----------
-    flight : Flight
-        Flight to examine.
-
-    Returns
-    -------
-    ndarray of bool (n,)
-        True in these rows. If the flight has no states and no phases, such as a table of another laboratory,
-        all rows are true.
     """
     rows = np.ones(len(flight), np.bool_)
     if flight.state is not None:
@@ -53,22 +43,10 @@ def flown_rows(flight: Flight) -> Booleans:
 
 
 def led_rows(flight: Flight, axis: str) -> Booleans:
-    """Return the rows of `flown_rows` in which an axis followed a setpoint.
+    """Return the rows of `flown_rows` in which an axis followed a setpoint. Returns shape (n,).
 
     Some control laws have no setpoint for an axis, on the host or on the board. The log then contains the
     measured angle as the setpoint. Such rows are left out, because their error of zero means nothing.
-
-    Parameters
-    ----------
-    flight : Flight
-        Flight to examine.
-    axis : str
-        Name of the axis.
-
-    Returns
-    -------
-    ndarray of bool (n,)
-        True in these rows; False everywhere if the flight has no setpoints.
     """
     rows = flown_rows(flight)
     setpoint_rad = getattr(flight, f"{axis}_setpoint_rad")
@@ -82,23 +60,7 @@ def led_rows(flight: Flight, axis: str) -> Booleans:
 
 
 def of_its_law(flight: Flight) -> Flight:
-    """Cut a flight to the rows in which an uploaded law flew; if none flew, to the rows of `flown_rows`.
-
-    Parameters
-    ----------
-    flight : Flight
-        Flight to cut.
-
-    Returns
-    -------
-    Flight
-        The flight from the first of these rows to the last, without the phase events.
-
-    Raises
-    ------
-    FlightDataError
-        If no control law flew.
-    """
+    """Cut a flight to the rows in which an uploaded law flew; if none flew, to the rows of `flown_rows`."""
     is_flown = _rows_of_uploaded_law(flight)
     if not is_flown.any():
         is_flown = flown_rows(flight)

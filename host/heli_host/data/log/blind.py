@@ -43,18 +43,10 @@ _MAX_BYTES: Final = 4 << 20
 
 @dataclass(frozen=True)
 class Truth:
-    """The hidden facts of a blind flight, and the salt of their seal.
+    """The hidden facts of a blind flight, and the salt of their seal."""
 
-    Parameters
-    ----------
-    flown : Mapping of str to Any
-        Hidden facts of a blind flight, as JSON values: rig, effects, seed, address.
-    salt : str
-        Random text.
-    """
-
-    flown: Mapping[str, Any]
-    salt: str
+    flown: Mapping[str, Any]  # Hidden facts of a blind flight, as JSON values: rig, effects, seed, address
+    salt: str  # Random text
 
     @classmethod
     def seal(cls, flown: Mapping[str, Any]) -> Truth:
@@ -68,13 +60,7 @@ class Truth:
         return "sha256:" + hashlib.sha256(f"{self.salt}{text}".encode()).hexdigest()
 
     def write(self, path: Path) -> None:
-        """Write the truth file `path`, which only its owner may read; a missing folder is made.
-
-        Raises
-        ------
-        LogWriteError
-            If it cannot be written.
-        """
+        """Write the truth file `path`, which only its owner may read; a missing folder is made."""
         content = {"schema": RESULT_SCHEMA, "sealed": self.digest, "salt": self.salt, "flown": self.flown}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -89,13 +75,7 @@ class Truth:
 
     @classmethod
     def read(cls, path: Path) -> Truth:
-        """Read the truth file `path`.
-
-        Raises
-        ------
-        LogError
-            If the file cannot be read, or is not a truth file.
-        """
+        """Read the truth file `path`."""
         try:
             content = json.loads(read_file(path, _MAX_BYTES))
             flown, salt = content["flown"], content["salt"]
@@ -108,20 +88,7 @@ class Truth:
         return cls(flown, salt)
 
     def check(self, path: Path, sealed: str) -> None:
-        """Compare with the seal of a flight.
-
-        Parameters
-        ----------
-        path : Path
-            File of the flight.
-        sealed : str
-            Its seal; of a flight that says what flew, empty: then the file itself is compared.
-
-        Raises
-        ------
-        LogError
-            If this truth is of another flight, or one of the two was changed.
-        """
+        """Compare with the seal of a flight."""
         matches = sealed == self.digest if sealed else self.flown.get("log_sha256") == _log_digest(path)
         if not matches:
             raise LogError(
@@ -149,21 +116,7 @@ def blind_notes(session: Mapping[str, str], sealed: str) -> dict[str, str]:
 
 
 def blind(flight: Flight, sealed: str) -> Flight:
-    """Return a flight without the data that reveal its rig and its effects.
-
-    Parameters
-    ----------
-    flight : Flight
-        Flight to hide.
-    sealed : str
-        Digest of the hidden facts, for the notes of the flight.
-
-    Returns
-    -------
-    Flight
-        The same columns, parameters and plan. Addresses, rig, seed, unknown notes, and events of a twin,
-        which name the hidden facts, are left out.
-    """
+    """Return a flight without the data that reveal its rig and its effects."""
     results = {name: hide(text) for name, text in flight.meta.items() if name.startswith(_RESULT)}
     return replace(
         flight,
@@ -175,26 +128,7 @@ def blind(flight: Flight, sealed: str) -> Flight:
 
 
 def sealed_truth(flight: Flight, log: Path) -> Truth | None:
-    """Seal the notes of a flight that a blind export omits.
-
-    Parameters
-    ----------
-    flight : Flight
-        Flight from the log.
-    log : Path
-        File of the log. An existing truth file of the same log is used again, so that all exports of a log
-        have the same seal.
-
-    Returns
-    -------
-    Truth or None
-        None if the flight was already sealed when it flew; it then keeps that seal.
-
-    Raises
-    ------
-    LogError
-        If an existing truth file belongs to another log.
-    """
+    """Seal the notes of a flight that a blind export omits."""
     if flight.meta.get(SEALED):
         return None
     hidden_notes = {name: text for name, text in flight.meta.items() if name not in _PERMITTED_NOTES}

@@ -24,35 +24,14 @@ LARGEST_CHUNK_BYTES = 1 << 26
 
 @dataclass
 class TickRecord:
-    """The record of a tick in this log.
+    """The record of a tick in this log."""
 
-    Parameters
-    ----------
-    layout : dtype or None
-        Layout of the bytes of a tick; None until a record has described it.
-    channel : int
-        Number of the channel of ticks.
-    """
-
-    layout: np.dtype[Any] | None = None
-    channel: int = -1
+    layout: np.dtype[Any] | None = None  # Layout of the bytes of a tick; None until a record has described it
+    channel: int = -1  # Number of the channel of ticks
 
 
 def unpacked(chunk: Chunk, has_crcs: bool, path: Path) -> bytes:
-    """Return the content of a `chunk` of the log at `path`.
-
-    Parameters
-    ----------
-    has_crcs : bool
-        Whether every chunk carries a CRC.
-
-    Raises
-    ------
-    ValueError
-        If the chunk is damaged.
-    LogError
-        If its compression is one that heli-host does not read.
-    """
+    """Return the content of a `chunk` of the log at `path`."""
     if chunk.uncompressed_size > LARGEST_CHUNK_BYTES:
         raise ValueError("the stated size of the chunk is larger than any writer makes it")
     if chunk.compression == "zstd":
@@ -74,15 +53,7 @@ def unpacked(chunk: Chunk, has_crcs: bool, path: Path) -> bytes:
 
 
 def records_of(body: bytes, tick: TickRecord) -> Iterator[NDArray[Any] | tuple[int, memoryview]]:
-    """Yield runs of ticks as arrays, and every other record of a chunk with its opcode.
-
-    Parameters
-    ----------
-    body : bytes
-        The unpacked chunk.
-    tick : TickRecord
-        The caller may set it when a record of this chunk describes it.
-    """
+    """Yield runs of ticks as arrays, and every other record of a chunk with its opcode."""
     view = memoryview(body)
     position = 0
     while position < len(body):

@@ -19,21 +19,7 @@ class TickClock:
         self._last_us = 0
 
     def advance(self, tick: NDArray[np.uint32]) -> tuple[NDArray[np.int64], int]:
-        """Place a batch of ticks on the axis.
-
-        Parameters
-        ----------
-        tick : ndarray of uint32 (n,)
-            Tick numbers in the order of arrival, n >= 1. If a number does not rise, the board has restarted;
-            its time is one tick after that of the number before.
-
-        Returns
-        -------
-        time_us : ndarray of int64 (n,)
-            Time since the first tick, in microseconds; strictly rising.
-        lost : int
-            Ticks missing before and within this batch.
-        """
+        """Place a batch of ticks on the axis. Shapes: `tick` (n,); returns `time_us` (n,)."""
         has_previous = self._last_tick is not None
         before = self._last_tick if self._last_tick is not None else int(tick[0])
         # A tick has 32 bits: differences modulo 2^32, read as signed, are right over an overflow too.
@@ -48,30 +34,13 @@ class TickClock:
         return time_us, lost
 
     def skip(self, gap_s: float) -> None:
-        """Leave time for a restart of the board.
-
-        Parameters
-        ----------
-        gap_s : float
-            Seconds from the last tick to the first of the restarted board, which counts from the beginning.
-        """
+        """Leave time for a restart of the board."""
         if self._last_tick is not None:
             self._last_us += max(1, round(gap_s * 1e6 / TICK_US)) * TICK_US
             self._last_tick = None
 
     def time_us(self, tick: int) -> int:
-        """Place an event on the axis, without moving on.
-
-        Parameters
-        ----------
-        tick : int
-            Device tick of the event.
-
-        Returns
-        -------
-        int
-            Time since the first tick, in microseconds; 0 for an event before it.
-        """
+        """Place an event on the axis, without moving on."""
         if self._last_tick is None:
             return self._last_us
         step = (tick - self._last_tick) & 0xFFFFFFFF

@@ -66,13 +66,7 @@ def comparison_numbers(flights: Mapping[str, Flight]) -> list[dict[str, Any]]:
 
 
 def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """Return the cells of the table with the columns `HEADS`; axes without setpoints are omitted.
-
-    Parameters
-    ----------
-    numbers : sequence of Mapping
-        Result of `comparison_numbers`.
-    """
+    """Return the cells of the table with the columns `HEADS`; axes without setpoints are omitted."""
     rows = []
     for entry in numbers:
         axes_with_setpoints = {
@@ -113,38 +107,14 @@ def _number_text(value: float, form: str) -> str:
 
 
 def split_into_figures(flights: Mapping[str, Flight]) -> list[dict[str, Flight]]:
-    """Return the flights of each figure by label; the first flight is in each, for comparison.
-
-    Parameters
-    ----------
-    flights : Mapping[str, Flight]
-        Any number, by label.
-    """
+    """Return the flights of each figure by label; the first flight is in each, for comparison."""
     (first, *others), others_per_figure = list(flights.items()), MAX_FLIGHTS - 1
     starts = range(0, max(len(others), 1), others_per_figure)
     return [dict([first, *others[start : start + others_per_figure]]) for start in starts]
 
 
 def write_comparisons(flights: Mapping[str, Flight], path: Path) -> list[Path]:
-    """Draw any number of flights, `MAX_FLIGHTS` per file: ``NAME.png``, ``NAME-2.png`` and so on.
-
-    Parameters
-    ----------
-    flights : Mapping[str, Flight]
-        Flights by label; the first one is drawn in each file.
-    path : Path
-        First file, as for `write_comparison`.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    Raises
-    ------
-    LogWriteError
-        If a file cannot be written.
-    """
+    """Draw any number of flights, `MAX_FLIGHTS` per file: ``NAME.png``, ``NAME-2.png`` and so on."""
     parts = split_into_figures(flights)
     files = [path, *(path.with_stem(f"{path.stem}-{number}") for number in range(2, len(parts) + 1))]
     for part, file in zip(parts, files, strict=True):
@@ -153,20 +123,7 @@ def write_comparisons(flights: Mapping[str, Flight], path: Path) -> list[Path]:
 
 
 def write_comparison(flights: Mapping[str, Flight], path: str | Path) -> None:
-    """Draw flights over each other into a file; time 0 is the moment when the control law of each began.
-
-    Parameters
-    ----------
-    flights : Mapping[str, Flight]
-        At most `MAX_FLIGHTS`, by label.
-    path : str or Path
-        ``.png``, ``.pdf`` or ``.svg`` file to write; a missing folder is made.
-
-    Raises
-    ------
-    LogWriteError
-        If it cannot be written.
-    """
+    """Draw flights over each other into a file; time 0 is the moment when the control law of each began."""
     path = Path(path)
     figure = figure_of_flights(flights)
     try:

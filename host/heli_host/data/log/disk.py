@@ -60,18 +60,7 @@ class LogFile(Protocol):
         ...
 
     def append(self, data: bytes) -> None:
-        """Write whole records behind what was appended before.
-
-        Parameters
-        ----------
-        data : bytes
-            The records.
-
-        Raises
-        ------
-        LogWriteError
-            If the disk is full or gone; a file with a thread raises this error at a later call.
-        """
+        """Write whole records behind what was appended before."""
         ...
 
     def take_stalls_s(self) -> list[float]:
@@ -79,23 +68,11 @@ class LogFile(Protocol):
         ...
 
     def drain(self) -> None:
-        """Wait until the disk has taken everything.
-
-        Raises
-        ------
-        LogWriteError
-            If it is full or gone, or takes nothing for a minute.
-        """
+        """Wait until the disk has taken everything."""
         ...
 
     def close(self) -> None:
-        """Write what is left and close the file.
-
-        Raises
-        ------
-        LogWriteError
-            If the disk is full or gone, or takes nothing for a minute.
-        """
+        """Write what is left and close the file."""
         ...
 
 
@@ -104,22 +81,7 @@ LastRecord = Callable[[str], bytes]
 
 
 class DirectFile:
-    """A log's file that `append` writes directly, without a thread.
-
-    Parameters
-    ----------
-    path : Path
-        File to write; its folder is made.
-    last_record : callable taking str and returning bytes, optional
-        Makes the record of a failure's reason; it is written if the failed record leaves room.
-    overwrite : bool
-        Write over a file that is there; otherwise it is refused.
-
-    Raises
-    ------
-    LogWriteError
-        If the file is there already, or cannot be created.
-    """
+    """A log's file that `append` writes directly, without a thread."""
 
     def __init__(self, path: Path, last_record: LastRecord | None = None, *, overwrite: bool = False) -> None:
         self.failed: LogWriteError | None = None
@@ -135,18 +97,7 @@ class DirectFile:
         return True
 
     def append(self, data: bytes) -> None:
-        """Write whole records; after a failure, the file ends with the last complete record.
-
-        Parameters
-        ----------
-        data : bytes
-            The records.
-
-        Raises
-        ------
-        LogWriteError
-            If the disk is full or gone.
-        """
+        """Write whole records; after a failure, the file ends with the last complete record."""
         if self.failed is not None:
             raise self.failed
         view = memoryview(data)
@@ -173,13 +124,7 @@ class DirectFile:
             )
 
     def sync(self) -> None:
-        """Synchronise the written bytes to the disk.
-
-        Raises
-        ------
-        LogWriteError
-            If the disk is full or gone.
-        """
+        """Synchronise the written bytes to the disk."""
         try:
             _sync(self._file.fileno())
         except OSError as error:
@@ -226,26 +171,7 @@ class DirectFile:
 
 
 class BackgroundFile:
-    """A log's file, written by a thread of its own and kept by the disk about every second.
-
-    Parameters
-    ----------
-    path : Path
-        File to write; its folder is made.
-    queued_bytes : int
-        Number of bytes that may wait for the disk until `has_room` is false.
-    now_s : callable returning float
-        Monotonic time [s], by which stalls are measured.
-    last_record : callable taking str and returning bytes, optional
-        Makes the record of a failure's reason, as in `DirectFile`.
-    overwrite : bool
-        Write over a file that is there; otherwise it is refused.
-
-    Raises
-    ------
-    LogWriteError
-        If the file is there already, or cannot be created.
-    """
+    """A log's file, written by a thread of its own and kept by the disk about every second."""
 
     def __init__(
         self,
@@ -285,18 +211,7 @@ class BackgroundFile:
         return self._queued_bytes < self._max_queued_bytes
 
     def append(self, data: bytes) -> None:
-        """Queue whole records for the thread, without waiting for the disk.
-
-        Parameters
-        ----------
-        data : bytes
-            The records.
-
-        Raises
-        ------
-        LogWriteError
-            If an earlier write failed.
-        """
+        """Queue whole records for the thread, without waiting for the disk."""
         if self.failed is not None:
             raise self.failed
         with self._changed:
@@ -311,26 +226,14 @@ class BackgroundFile:
         return stalls_s
 
     def close(self) -> None:
-        """Wait until the disk has everything, and close the file.
-
-        Raises
-        ------
-        LogWriteError
-            If the disk is full or gone, or takes nothing for a minute.
-        """
+        """Wait until the disk has everything, and close the file."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
         self._wait_while(self._thread.is_alive)
 
     def drain(self) -> None:
-        """Wait until the disk has taken everything.
-
-        Raises
-        ------
-        LogWriteError
-            If it is full or gone, or takes nothing for a minute.
-        """
+        """Wait until the disk has taken everything."""
         self._wait_while(lambda: self._queued_bytes > 0)
 
     def _wait_while(self, busy: Callable[[], bool]) -> None:
@@ -391,19 +294,7 @@ class BackgroundFile:
 
 
 def check_new(path: Path) -> None:
-    """Refuse to write over a log, or one under a name that other programs take for a table.
-
-    Parameters
-    ----------
-    path : Path
-        Log to be created.
-
-    Raises
-    ------
-    LogWriteError
-        If its name does not end in ``.mcap``, or the file exists. The log is not written under another name,
-        because the old flight would then have the requested name, and could be taken for the new one.
-    """
+    """Refuse to write over a log, or one under a name that other programs take for a table."""
     if path.suffix.lower() != ".mcap" and not _is_device(path):
         raise LogWriteError(
             f"cannot record into {path}, because a log is an .mcap file",
@@ -417,20 +308,7 @@ def check_new(path: Path) -> None:
 
 
 def check_free_space(path: Path, duration_s: float) -> None:
-    """Refuse to begin a flight that the disk may not hold.
-
-    Parameters
-    ----------
-    path : Path
-        Log to be created.
-    duration_s : float
-        Duration of the flight; 0 if it is unknown [s].
-
-    Raises
-    ------
-    LogWriteError
-        If less is free than its ticks can need.
-    """
+    """Refuse to begin a flight that the disk may not hold."""
     needed_bytes = RESERVED_BYTES + max(_MIN_FLIGHT_S, duration_s) * MAX_BYTES_PER_S
     available_bytes = free_bytes(path.parent)
     if available_bytes is not None and available_bytes < needed_bytes:
@@ -459,18 +337,7 @@ def max_file_bytes() -> int | None:
 
 
 def free_bytes(folder: Path) -> int | None:
-    """Return the free space of the disk that contains a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder; if it does not exist, the nearest existing folder above it counts.
-
-    Returns
-    -------
-    int or None
-        Bytes that a user may still write; None if the system does not report them.
-    """
+    """Return the free space of the disk that contains a folder."""
     for candidate in (folder, *folder.absolute().parents):
         try:
             return shutil.disk_usage(candidate).free
@@ -482,13 +349,7 @@ def free_bytes(folder: Path) -> int | None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Synchronise the folder of a new file; without this, a power cut may lose the whole file.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the file.
-    """
+    """Synchronise the folder of a new file; without this, a power cut may lose the whole file."""
     # Windows cannot open folders, and stores names without this call.
     with contextlib.suppress(OSError):
         opened = os.open(folder, os.O_RDONLY)

@@ -13,18 +13,7 @@ from heli_host.output_files import WRITER, replacing, write_bytes
 
 
 def export_mat(flight: Flight, path: str | Path) -> None:
-    """Write a MATLAB file (version 5): a column vector per column, a struct of parameters, plan and notes.
-
-    Parameters
-    ----------
-    path : str or Path
-        ``.mat`` file to write.
-
-    Raises
-    ------
-    LogWriteError
-        If it cannot be written.
-    """
+    """Write a MATLAB file (version 5): a column vector per column, a struct of parameters, plan and notes."""
     from scipy.io import savemat
 
     content: dict[str, object] = {
@@ -49,18 +38,7 @@ def export_mat(flight: Flight, path: str | Path) -> None:
 
 
 def export_parquet(flight: Flight, path: str | Path) -> None:
-    """Write a Parquet file: one column each, with parameters, plan and notes in its metadata.
-
-    Parameters
-    ----------
-    path : str or Path
-        ``.parquet`` file to write.
-
-    Raises
-    ------
-    LogWriteError
-        If pyarrow is not installed, or the file cannot be written.
-    """
+    """Write a Parquet file: one column each, with parameters, plan and notes in its metadata."""
     try:
         import pyarrow
         import pyarrow.parquet

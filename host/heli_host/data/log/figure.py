@@ -55,18 +55,7 @@ _DPI = 130
 
 
 def write_figure(flight: Flight, summary: FlightSummary, path: str | Path) -> None:
-    """Draw a flight into a file.
-
-    Parameters
-    ----------
-    path : str or Path
-        ``.png``, ``.pdf`` or ``.svg`` file to write; a missing folder is made.
-
-    Raises
-    ------
-    LogWriteError
-        If it cannot be written.
-    """
+    """Draw a flight into a file."""
     figure = draw(flight, summary)
     path = Path(path)
     try:
@@ -77,13 +66,7 @@ def write_figure(flight: Flight, summary: FlightSummary, path: str | Path) -> No
 
 
 def draw(flight: Flight, summary: FlightSummary) -> Figure:
-    """Draw a flight.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not known to pyplot; save it with ``savefig``.
-    """
+    """Draw a flight."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

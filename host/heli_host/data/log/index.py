@@ -33,40 +33,17 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class Index:
-    """An index whose CRC fits.
+    """An index whose CRC fits."""
 
-    Parameters
-    ----------
-    data_end : int
-        Offset of the record that ends the data.
-    offsets : tuple of int
-        Offsets of chunks, of metadata records and of `data_end`, in rising order.
-    schemas, channels : tuple
-        All schemas and channels of the file.
-    message_counts : dict of int to int
-        Messages by channel id.
-    """
-
-    data_end: int
-    offsets: tuple[int, ...]
-    schemas: tuple[Schema, ...]
+    data_end: int  # Offset of the record that ends the data
+    offsets: tuple[int, ...]  # Offsets of chunks, of metadata records and of `data_end`, in rising order
+    schemas: tuple[Schema, ...]  # schemas, channels: All schemas and channels of the file
     channels: tuple[Channel, ...]
-    message_counts: dict[int, int]
+    message_counts: dict[int, int]  # Messages by channel id
 
 
 def read_index(data: memoryview) -> Index | None:
-    """Read the index of a file.
-
-    Parameters
-    ----------
-    data : memoryview
-        The whole file.
-
-    Returns
-    -------
-    Index or None
-        None if the file has no index, or if the index is damaged or lacks its CRC.
-    """
+    """Read the index of a file."""
     footer_start = len(data) - len(_MAGIC) - _FOOTER_BYTES
     if footer_start < 0 or data[-len(_MAGIC) :] != _MAGIC:
         return None
@@ -101,20 +78,7 @@ def read_index(data: memoryview) -> Index | None:
 
 
 def parse(kind: Any, body: memoryview) -> Any:
-    """Parse a record with the mcap library.
-
-    Parameters
-    ----------
-    kind : type
-        Class of the record.
-    body : memoryview
-        Content of the record.
-
-    Raises
-    ------
-    ValueError, McapError or struct.error
-        If the content is not a record of this class, or longer than one.
-    """
+    """Parse a record with the mcap library."""
     stream = ReadDataStream(io.BytesIO(body))
     record = kind.read(stream)
     # The library does not notice a string that should be longer than the record; it ends early.

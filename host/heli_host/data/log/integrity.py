@@ -22,13 +22,6 @@ def metadata_crc(name: str, values: Mapping[str, str]) -> str:
 
     The CRC covers the name, then every key and value, each as a 32-bit length and UTF-8. The keys are sorted,
     because a tool that copies a log may change their order.
-
-    Parameters
-    ----------
-    name : str
-        Name of the record.
-    values : Mapping of str to str
-        Content of the record; its CRC, if present, is left out.
     """
     crc = _crc_after_text(0, name)
     for key in sorted(values):
@@ -38,13 +31,7 @@ def metadata_crc(name: str, values: Mapping[str, str]) -> str:
 
 
 def head_values(head: bytes) -> dict[str, str]:
-    """Return the content of the record `HEAD`.
-
-    Parameters
-    ----------
-    head : bytes
-        All bytes of the file before that record.
-    """
+    """Return the content of the record `HEAD`."""
     return {"crc32": f"{zlib.crc32(head):08x}", "bytes": str(len(head))}
 
 

@@ -32,34 +32,19 @@ _ANGLES = tuple(spec.column for spec in CHANNELS if spec.axis is not None)
 
 @dataclass(frozen=True)
 class Log:
-    """Content of a log.
+    """Content of a log."""
 
-    Parameters
-    ----------
-    path : Path
-        Path of the log.
-    ticks : structured ndarray (n,)
-        One record per tick, with the fields of the schema in the log.
-    events : tuple of dict
-        Event messages in order of time: ``t_s``, ``tick``, ``name``, ``message``, ``level``.
-    link : tuple of dict
-        Link counters, about once per second.
-    metadata : dict of dict
-        Named records: ``session``, ``parameters``, ``plan``, ``result`` ...; the later of two values counts.
-    notes : tuple of str
-        Defects of the file, such as a missing end or damaged chunks.
-    complete : bool
-        Whether the log was closed.
-    """
-
-    path: Path
-    ticks: NDArray[Any]
+    path: Path  # Path of the log
+    ticks: NDArray[Any]  # (n,): One record per tick, with the fields of the schema in the log
     layout: MessageLayout
     events: tuple[dict[str, Any], ...]
-    link: tuple[dict[str, Any], ...]
+    """Event messages in order of time: ``t_s``, ``tick``, ``name``, ``message``, ``level``."""
+    link: tuple[dict[str, Any], ...]  # Link counters, about once per second
     metadata: Mapping[str, Mapping[str, str]]
-    notes: tuple[str, ...]
-    complete: bool
+    """Named records: ``session``, ``parameters``, ``plan``, ``result`` ...; the later of two values counts.
+    """
+    notes: tuple[str, ...]  # Defects of the file, such as a missing end or damaged chunks
+    complete: bool  # Whether the log was closed
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -94,19 +79,7 @@ class Log:
         return int(np.sum(step[step > 0] - 1))
 
     def flight(self) -> Flight:
-        """Return the log as a flight.
-
-        Returns
-        -------
-        Flight
-            Angles computed from the exact counts, with setpoints and voltages in the resolution of the board.
-            The counts and other channels are in ``extra``, including channels that only other versions have.
-
-        Raises
-        ------
-        LogError
-            If the encoder parameters in the log are not numbers, or no tick was logged.
-        """
+        """Return the log as a flight."""
         ticks = self.ticks
         if len(ticks) == 0:
             raise TruncatedLog(
@@ -155,15 +128,7 @@ class Log:
         return columns
 
     def _channel_in_unit(self, spec: ChannelSpec, count_rad: NDArray[np.float64]) -> NDArray[Any]:
-        """Return a channel in its unit, shape (n,); an angle from its counts.
-
-        Parameters
-        ----------
-        spec : ChannelSpec
-            Declaration of the channel.
-        count_rad : ndarray, shape (3,)
-            Angle of one count of each encoder [rad]; nan if the log does not state it.
-        """
+        """Return a channel in its unit, shape (n,); an angle from its counts. Shapes: `count_rad` (3,)."""
         logged: NDArray[Any] = self.ticks[spec.field]
         if spec.axis is None and is_whole(spec):
             return np.ascontiguousarray(logged)
@@ -179,26 +144,7 @@ class Log:
 
 
 def read_log(path: str | Path) -> Log:
-    """Read a log.
-
-    Parameters
-    ----------
-    path : str or Path
-        An MCAP file of this package, complete or cut short at any byte.
-
-    Returns
-    -------
-    Log
-        Content of the log. Damaged parts are skipped and listed in `Log.notes`.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read, is not an MCAP file, contains no telemetry of a helicopter, or unpacks to
-        more than a gigabyte.
-    TruncatedLog
-        If the file ends before its schema, which names the fields of a tick.
-    """
+    """Read a log."""
     path = Path(path)
     try:
         data = read_file(path, MAX_LOG_BYTES)

@@ -81,40 +81,20 @@ _CHANNELS = (
 
 @dataclass(frozen=True)
 class TickBatch:
-    """Ticks that wait to be written.
+    """Ticks that wait to be written."""
 
-    Parameters
-    ----------
-    time_us : ndarray of int64 (n,)
-        Time of each since the log's first tick, in microseconds.
-    tick : ndarray of uint32 (n,)
-        The board's tick numbers.
-    raw : ndarray of int32 (n, channels)
-        Telemetry channels in the declared order.
-    """
-
-    time_us: NDArray[np.int64]
-    tick: NDArray[np.uint32]
-    raw: NDArray[np.int32]
+    time_us: NDArray[np.int64]  # (n,): Time of each since the log's first tick, in microseconds
+    tick: NDArray[np.uint32]  # (n,): The board's tick numbers
+    raw: NDArray[np.int32]  # (n, channels): Telemetry channels in the declared order
 
 
 @dataclass(frozen=True)
 class JsonMessage:
-    """A message of one of the rare topics that waits to be written.
+    """A message of one of the rare topics that waits to be written."""
 
-    Parameters
-    ----------
-    channel : int
-        `EVENT_CHANNEL` or `LINK_CHANNEL`.
-    time_us : int
-        Time since the log's first tick, in microseconds.
-    body : bytes
-        The JSON.
-    """
-
-    channel: int
-    time_us: int
-    body: bytes
+    channel: int  # `EVENT_CHANNEL` or `LINK_CHANNEL`
+    time_us: int  # Time since the log's first tick, in microseconds
+    body: bytes  # The JSON
 
 
 class _Records(RecordBuilder):
@@ -127,25 +107,14 @@ class _Records(RecordBuilder):
 def json_bytes(body: Mapping[str, Any]) -> bytes:
     """Return a message as compact JSON.
 
-    Parameters
-    ----------
-    body : Mapping[str, object]
-        The message; its numbers must be finite.
+    `body`: The message; its numbers must be finite.
     """
     return json.dumps(body, separators=(",", ":"), allow_nan=False).encode()
 
 
 class McapBytes:
-    """Makes the bytes of one MCAP file, piece by piece, and keeps the index that comes last.
-
-    Parameters
-    ----------
-    start_wall_ns : int
-        Unix time of the log's time zero, in nanoseconds.
-    rad_per_count : ndarray (axes,)
-        Size of a count of each axis' encoder, in the order of `Axis`.
-    level : int
-        zstd's compression level.
+    """Makes the bytes of one MCAP file, piece by piece, and keeps the index that comes last. `rad_per_count`
+    has shape (axes,).
     """
 
     def __init__(self, start_wall_ns: int, rad_per_count: NDArray[np.float64], level: int) -> None:
@@ -159,13 +128,7 @@ class McapBytes:
         self._last_ns = 0
 
     def wall_ns(self, time_us: int) -> int:
-        """Return the Unix time of a time of the log.
-
-        Parameters
-        ----------
-        time_us : int
-            Microseconds since the log's first tick.
-        """
+        """Return the Unix time of a time of the log."""
         return max(0, self._start_wall_ns + time_us * 1000)
 
     def head(self) -> bytes:
@@ -180,17 +143,7 @@ class McapBytes:
         return head + self.metadata(HEAD, head_values(head), len(head))
 
     def metadata(self, name: str, values: Mapping[str, str], file_offset: int) -> bytes:
-        """Return a metadata record with its CRC.
-
-        Parameters
-        ----------
-        name : str
-            Name of the metadata record in the file.
-        values : Mapping[str, str]
-            Its content.
-        file_offset : int
-            Offset of the record in the file.
-        """
+        """Return a metadata record with its CRC."""
         data = _metadata(name, values)
         self._metadata_indexes.append(MetadataIndex(offset=file_offset, length=len(data), name=name))
         return data
@@ -199,13 +152,6 @@ class McapBytes:
         """Return a compressed chunk, followed by its index.
 
         The index has one record per channel, with the time and the offset of each message of the channel.
-
-        Parameters
-        ----------
-        unjoined : iterable of TickBatch or JsonMessage
-            Messages of the chunk, in order; at least one.
-        file_offset : int
-            Offset at which the chunk will be written to the file [bytes].
         """
         blocks: list[bytes] = []
         index: dict[int, list[NDArray[Any]]] = {}
@@ -293,14 +239,8 @@ class McapBytes:
         return np.array([(wall_ns, offset)], _INDEX_ENTRY), head + message.body
 
     def tail(self, file_offset: int, data_crc: int) -> bytes:
-        """Return the end of a file: statistics, indexes and footer, by which viewers find each time quickly.
-
-        Parameters
-        ----------
-        file_offset : int
-            Offset of the record in the file.
-        data_crc : int
-            CRC-32 of everything before it.
+        """Return the end of a file: statistics, indexes and footer, by which viewers find each time
+        quickly.
         """
         start = _Records()
         DataEnd(data_section_crc=data_crc).write(start)
@@ -346,13 +286,7 @@ class McapBytes:
 
 
 def last_record(reason: str) -> bytes:
-    """Return the record of the outcome for a log that can't be written further.
-
-    Parameters
-    ----------
-    reason : str
-        Why not, in the system's words.
-    """
+    """Return the record of the outcome for a log that can't be written further."""
     return _metadata("result", {"outcome": f"not closed: the log could not be written further ({reason})"})
 
 

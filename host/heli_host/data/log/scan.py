@@ -69,37 +69,18 @@ MAX_LOG_BYTES = 1 << 30
 
 @dataclass
 class Scan:
-    """A log while it is being read, and the records found so far.
+    """A log while it is being read, and the records found so far."""
 
-    Parameters
-    ----------
-    path : Path
-        Path of the log, for messages.
-    data : memoryview
-        The whole file.
-    layout : MessageLayout or None
-        Layout of the ticks; None until their channel was found.
-    ticks : list of structured ndarray
-        Ticks in the order of the file.
-    events, link : list of dict
-        Messages of the rare topics.
-    metadata : dict of dict
-        Named records; the later of two values counts.
-    notes : list of str
-        Defects of the file.
-    closed : bool
-        Whether the record was found that ends the data of a closed log.
-    """
-
-    path: Path
-    data: memoryview
-    layout: MessageLayout | None = None
-    ticks: list[NDArray[Any]] = field(default_factory=list)
-    events: list[dict[str, Any]] = field(default_factory=list)
+    path: Path  # Path of the log, for messages
+    data: memoryview  # The whole file
+    layout: MessageLayout | None = None  # Layout of the ticks; None until their channel was found
+    ticks: list[NDArray[Any]] = field(default_factory=list)  # Ticks in the order of the file
+    events: list[dict[str, Any]] = field(default_factory=list)  # events, link: Messages of the rare topics
     link: list[dict[str, Any]] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    closed: bool = False
+    """Named records; the later of two values counts."""
+    notes: list[str] = field(default_factory=list)  # Defects of the file
+    closed: bool = False  # Whether the record was found that ends the data of a closed log
     _index: Index | None = None
     _schemas: dict[int, Schema] = field(default_factory=dict)
     _channels: dict[int, Channel] = field(default_factory=dict)
@@ -113,13 +94,7 @@ class Scan:
     _in_head: bool = True
 
     def run(self) -> None:
-        """Walk the whole file.
-
-        Raises
-        ------
-        LogError
-            If it holds ticks that are not ours, or damage leaves open how its ticks are to be read.
-        """
+        """Walk the whole file."""
         self._refuse_joined_logs()
         self._index = read_index(self.data)
         for schema in self._index.schemas if self._index else ():
@@ -146,11 +121,6 @@ class Scan:
     def _refuse_joined_logs(self) -> None:
         """Refuse a file with the head of a second log: two flights would be read as one, or the second one
         would be left out.
-
-        Raises
-        ------
-        LogError
-            There is a second head.
         """
         second = _HEAD.search(self.data, len(_MAGIC))
         if second is not None:

@@ -93,27 +93,13 @@ _CONSTANT = re.compile(r"(\w+)\s+([A-Z]\w*)\s*=\s*(-?\d+)")
 
 @dataclass(frozen=True)
 class MessageLayout:
-    """Positions of the fields in a message of fixed size, and the constants that name its values.
+    """Positions of the fields in a message of fixed size, and the constants that name its values."""
 
-    Parameters
-    ----------
-    dtype : numpy.dtype
-        Structured type of one payload after the CDR header, with CDR's alignment.
-    constants : dict of str to int
-        Named constants of the schema, such as ``STATE_HOLD``.
-    """
-
-    dtype: np.dtype[Any]
-    constants: dict[str, int]
+    dtype: np.dtype[Any]  # Structured type of one payload after the CDR header, with CDR's alignment
+    constants: dict[str, int]  # Named constants of the schema, such as ``STATE_HOLD``
 
     def names(self, prefix: str) -> dict[int, str]:
-        """Return lower-case names by value of the constants that start with ``prefix`` and an underscore.
-
-        Parameters
-        ----------
-        prefix : str
-            ``STATE``, ``FAULT`` or ``FLAGS``.
-        """
+        """Return lower-case names by value of the constants that start with ``prefix`` and an underscore."""
         constant_prefix = prefix + "_"
         return {
             value: name.removeprefix(constant_prefix).lower()
@@ -123,18 +109,7 @@ class MessageLayout:
 
 
 def parse_layout(text: str) -> MessageLayout:
-    """Read a ``ros2msg`` definition that has only numbers in it.
-
-    Parameters
-    ----------
-    text : str
-        The definition, with one field or constant per line.
-
-    Raises
-    ------
-    LogError
-        If a field is not a plain number, but an array, a string or another message.
-    """
+    """Read a ``ros2msg`` definition that has only numbers in it."""
     names: list[str] = []
     formats: list[str] = []
     offsets: list[int] = []
@@ -164,13 +139,7 @@ def parse_layout(text: str) -> MessageLayout:
 
 
 def tick_record(layout: MessageLayout) -> np.dtype[Any]:
-    """Return the layout of a whole MCAP message record that holds one tick.
-
-    Returns
-    -------
-    numpy.dtype
-        Structured, with the tick as ``payload``.
-    """
+    """Return the layout of a whole MCAP message record that holds one tick."""
     return np.dtype(
         [
             ("opcode", "<u1"),
@@ -251,20 +220,8 @@ def fill_ticks(
     raw: NDArray[np.int32],
     rad_per_count: NDArray[np.float64],
 ) -> None:
-    """Write ticks into records of `TICK_LAYOUT`.
-
-    Parameters
-    ----------
-    into : structured ndarray (n,)
-        Records to fill.
-    t_s : ndarray (n,)
-        Time of each tick in seconds.
-    tick : ndarray of uint32 (n,)
-        The board's tick numbers.
-    raw : ndarray of int32 (n, channels)
-        Telemetry channels in the declared order.
-    rad_per_count : ndarray (axes,)
-        Size of a count of each axis' encoder, in the order of `Axis`.
+    """Write ticks into records of `TICK_LAYOUT`. Shapes: `into` (n,), `t_s` (n,), `tick` (n,), `raw` (n,
+    channels), `rad_per_count` (axes,).
     """
     into["t_s"] = t_s
     into["tick"] = tick
@@ -275,22 +232,8 @@ def fill_ticks(
 
 
 def raw_ticks(records: NDArray[Any]) -> NDArray[np.int32]:
-    """Return the telemetry channels of logged ticks, exactly as the board sent them.
-
-    Parameters
-    ----------
-    records : structured ndarray (n,)
-        Logged ticks.
-
-    Returns
-    -------
-    ndarray of int32 (n, channels)
-        Channels in the declared order.
-
-    Raises
-    ------
-    LogError
-        If the log was written without one of the channels.
+    """Return the telemetry channels of logged ticks, exactly as the board sent them. Shapes: `records` (n,);
+    returns (n, channels).
     """
     raw = np.empty((len(records), len(Channel)), np.int32)
     for channel, spec in zip(Channel, CHANNELS, strict=True):

@@ -35,49 +35,26 @@ _TOLD = (DISK_BLOCKED, TICKS_DROPPED)
 
 @dataclass(frozen=True)
 class FlightSummary:
-    """Summary of a flight.
-
-    Parameters
-    ----------
-    outcome : str
-        ``completed``; ``not_tracked`` with the axis; ``recorded`` without a plan; or one line with the reason
-        why the flight ended.
-    duration_s : float
-        Device time from the first tick logged to the last.
-    ticks_logged, ticks_lost : int
-        Ticks in the log, and ticks that are missing between them.
-    rms_error_deg, max_error_deg : Mapping[str, float or None]
-        Tracking error by axis; None for an axis that was never in closed loop.
-    link : Mapping[str, int]
-        ``frames_ok``, ``frames_bad``, ``retries``, ``reconnects`` and other counters.
-    plans : tuple of str
-        Names of the plans flown.
-    rig, board : str
-        Name of the rig, and description of the board.
-    events : tuple of Mapping
-        ``t_s``, ``name``, ``text`` of every event.
-    notes : tuple of str
-        Defects of the log.
-    log : str
-        Path of the log.
-    findings : tuple of FlightFinding
-        Findings of the flight that contradict its rig.
-    """
+    """Summary of a flight."""
 
     outcome: str
-    duration_s: float
-    ticks_logged: int
+    """``completed``; ``not_tracked`` with the axis; ``recorded`` without a plan; or one line with the reason
+    why the flight ended."""
+    duration_s: float  # Device time from the first tick logged to the last
+    ticks_logged: int  # ticks_logged, ticks_lost: Ticks in the log, and ticks that are missing between them
     ticks_lost: int
     rms_error_deg: Mapping[str, float | None]
+    """rms_error_deg, max_error_deg: Tracking error by axis; None for an axis that was never in closed loop.
+    """
     max_error_deg: Mapping[str, float | None]
-    link: Mapping[str, int]
-    plans: tuple[str, ...] = ()
-    rig: str = ""
+    link: Mapping[str, int]  # ``frames_ok``, ``frames_bad``, ``retries``, ``reconnects`` and other counters
+    plans: tuple[str, ...] = ()  # Names of the plans flown
+    rig: str = ""  # rig, board: Name of the rig, and description of the board
     board: str = ""
-    events: tuple[Mapping[str, Any], ...] = ()
-    notes: tuple[str, ...] = ()
-    log: str = ""
-    findings: tuple[FlightFinding, ...] = ()
+    events: tuple[Mapping[str, Any], ...] = ()  # ``t_s``, ``name``, ``text`` of every event
+    notes: tuple[str, ...] = ()  # Defects of the log
+    log: str = ""  # Path of the log
+    findings: tuple[FlightFinding, ...] = ()  # Findings of the flight that contradict its rig
 
     @property
     def completed(self) -> bool:
@@ -104,18 +81,7 @@ class FlightSummary:
         }
 
     def write_json(self, path: str | Path) -> None:
-        """Write ``summary.json``.
-
-        Parameters
-        ----------
-        path : str or Path
-            File to write; a missing folder is made.
-
-        Raises
-        ------
-        LogWriteError
-            If it cannot be written.
-        """
+        """Write ``summary.json``."""
         path = Path(path)
         try:
             content = {"schema": RESULT_SCHEMA, **self.as_dict()}
@@ -168,13 +134,8 @@ def summarise(log: Log) -> FlightSummary:
 
 
 def tracking_errors_deg(flight: Flight) -> NDArray[np.float64]:
-    """Return measured angle less setpoint in the rows that count, see `heli_host.data.flight.flown`.
-
-    Returns
-    -------
-    ndarray (m, axes)
-        Errors of elevation, pitch and travel in degrees, nan where an axis was not led; m is 0 when nothing
-        was flown under setpoints.
+    """Return measured angle less setpoint in the rows that count, see `heli_host.data.flight.flown`. Returns
+    shape (m, axes).
     """
     setpoints_rad = flight.setpoints_rad
     if setpoints_rad is None:

@@ -75,26 +75,7 @@ class _Lines:
 
 
 def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
-    """Read a flight from a table.
-
-    Parameters
-    ----------
-    path : Path
-        ``.csv`` or ``.csv.gz``.
-    allow_gaps : bool
-        Accept missing rows.
-
-    Returns
-    -------
-    Flight
-        Notes of the form ``name: value``, from `notes_path` or from lines ``# name: value`` of the table, are
-        in ``meta`` under their name, the others joined under ``notes``.
-
-    Raises
-    ------
-    FlightDataError
-        As `heli_host.data.log.flight_file.read_flight` says.
-    """
+    """Read a flight from a table."""
     lines = _split_lines(_read_bytes(path), path)
     _check_names(lines.names, path)
     numbers, names = _read_numbers(lines, path)
@@ -105,36 +86,12 @@ def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
 
 
 def notes_path(table: Path) -> Path:
-    """Return the path of a table's notes, such as ``flight.csv.notes.txt``.
-
-    Parameters
-    ----------
-    table : Path
-        A ``.csv`` or ``.csv.gz`` file, which need not exist.
-    """
+    """Return the path of a table's notes, such as ``flight.csv.notes.txt``."""
     return table.with_name(table.name + ".notes.txt")
 
 
 def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -> int:
-    """Write a flight as a table, and its notes next to it.
-
-    Parameters
-    ----------
-    path : str or Path
-        ``.csv`` or ``.csv.gz``; the same flight gives the same bytes.
-    notes_inside : bool
-        Write the notes into the table, as lines that begin with ``#``, if there can be no second file.
-
-    Returns
-    -------
-    int
-        Size of the table, unpacked [byte]. `read_csv` refuses tables of more than `MAX_TABLE_BYTES`.
-
-    Raises
-    ------
-    LogWriteError
-        If the file cannot be written.
-    """
+    """Write a flight as a table, and its notes next to it."""
     path = Path(path)
     columns = flight.columns()
     row_format = ",".join(_FORMATS.get(name, _NUMBER_FORMAT) for name in columns) + "\n"

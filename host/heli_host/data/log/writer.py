@@ -45,54 +45,17 @@ _MAX_MESSAGES = 10_000
 
 @dataclass(slots=True)
 class LogCounters:
-    """Counters of the content of a log so far.
+    """Counters of the content of a log so far."""
 
-    Parameters
-    ----------
-    ticks_logged : int
-        Ticks that are written, or wait for the disk.
-    ticks_lost : int
-        Gaps in the tick numbers between the first and the last tick logged.
-    ticks_dropped : int
-        Ticks that were not logged, because too many waited for a blocked disk.
-    events_logged : int
-        Events that are written, or wait for the disk.
-    bytes_written : int
-        Size of the file so far.
-    """
-
-    ticks_logged: int = 0
-    ticks_lost: int = 0
-    ticks_dropped: int = 0
-    events_logged: int = 0
-    bytes_written: int = 0
+    ticks_logged: int = 0  # Ticks that are written, or wait for the disk
+    ticks_lost: int = 0  # Gaps in the tick numbers between the first and the last tick logged
+    ticks_dropped: int = 0  # Ticks that were not logged, because too many waited for a blocked disk
+    events_logged: int = 0  # Events that are written, or wait for the disk
+    bytes_written: int = 0  # Size of the file so far
 
 
 class LogWriter:
-    """An MCAP log being written; safe to call from several threads.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to create; a missing folder is made.
-    start_wall_ns : int
-        Unix time of the log's time zero, in nanoseconds; the same value gives the same bytes.
-    metadata : Mapping[str, Mapping[str, str]]
-        Named records written first: versions, rig, parameters, plans ...
-    rad_per_count : ndarray (axes,)
-        Size of a count of each axis' encoder, in the order of `Axis`.
-    level : int
-        zstd's compression level.
-    background : bool
-        Write in a separate thread and synchronise the disk every second; callers do not wait for the disk.
-    overwrite : bool
-        Write over a file that is there; otherwise it is refused.
-
-    Raises
-    ------
-    LogWriteError
-        If the file is there already, or cannot be created.
-    """
+    """An MCAP log being written; safe to call from several threads. `rad_per_count` has shape (axes,)."""
 
     def __init__(
         self,
@@ -145,20 +108,7 @@ class LogWriter:
             return replace(self._counters)
 
     def write_ticks(self, tick: NDArray[np.uint32], raw: NDArray[np.int32]) -> None:
-        """Append a batch of ticks.
-
-        Parameters
-        ----------
-        tick : ndarray of uint32 (n,)
-            Tick numbers in the order of arrival; a number that does not rise means that the board restarted.
-        raw : ndarray of int32 (n, channels)
-            Telemetry channels in the declared order, as the board sent them. The arrays are kept, not copied.
-
-        Raises
-        ------
-        LogWriteError
-            If the disk is full or gone; what was written before stays readable.
-        """
+        """Append a batch of ticks. Shapes: `tick` (n,), `raw` (n, channels)."""
         if tick.size == 0:
             return
         with self._lock:
@@ -174,31 +124,13 @@ class LogWriter:
                     self.flush()
 
     def skip(self, gap_s: float) -> None:
-        """Leave time for a restart of the board, which counts its ticks from the beginning.
-
-        Parameters
-        ----------
-        gap_s : float
-            Seconds from the last tick to the first of the restarted board.
-        """
+        """Leave time for a restart of the board, which counts its ticks from the beginning."""
         with self._lock:
             self._assign_times()
             self._clock.skip(gap_s)
 
     def write_event(self, tick: int, name: str, text: str, level: int = LEVEL_INFO) -> None:
-        """Append an event.
-
-        Parameters
-        ----------
-        tick : int
-            Device tick at which it happened.
-        name : str
-            Kind of event.
-        text : str
-            Description of the event and its cause.
-        level : int
-            Severity as in ``foxglove.Log``: 2 information, 3 warning, 4 error.
-        """
+        """Append an event."""
         with self._lock:
             self._assign_times()
             time_us = self._clock.time_us(tick)
@@ -215,15 +147,7 @@ class LogWriter:
             self._counters.events_logged += 1
 
     def write_link(self, tick: int, counters: Mapping[str, float]) -> None:
-        """Append the counters of the link.
-
-        Parameters
-        ----------
-        tick : int
-            Device tick at which they were read.
-        counters : Mapping[str, float]
-            Counters of both ends by name.
-        """
+        """Append the counters of the link."""
         with self._lock:
             self._assign_times()
             time_us = self._clock.time_us(tick)
@@ -231,32 +155,13 @@ class LogWriter:
             self._pending.append(JsonMessage(LINK_CHANNEL, time_us, body))
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a record of names and values, behind everything taken in so far.
-
-        Parameters
-        ----------
-        name : str
-            Name of the record; readers merge records of one name, the later value wins.
-        values : Mapping[str, str]
-            Names and values.
-
-        Raises
-        ------
-        LogWriteError
-            If the disk is full or gone.
-        """
+        """Write a record of names and values, behind everything taken in so far."""
         with self._lock:
             self.flush()
             self._append_records(self._bytes.metadata(name, values, self._counters.bytes_written))
 
     def flush(self) -> None:
-        """Hand everything taken in so far to the system.
-
-        Raises
-        ------
-        LogWriteError
-            If the disk is full or gone; what was written before stays readable.
-        """
+        """Hand everything taken in so far to the system."""
         with self._lock:
             self._write_stall_events()
             self._assign_times()
@@ -269,16 +174,6 @@ class LogWriter:
     def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
         """Write what is left, the last metadata and the summary that lets viewers jump; a second call does
         nothing.
-
-        Parameters
-        ----------
-        metadata : Mapping[str, Mapping[str, str]], optional
-            Last records: counters and outcome.
-
-        Raises
-        ------
-        LogWriteError
-            If the disk is full or gone; the file is closed all the same.
         """
         with self._lock:
             if self._closed:

@@ -24,11 +24,6 @@ def read_bag(path: Path) -> Table:
     """Read the bag at `path`: a `.bag` of ROS 1, a folder or `.db3` of ROS 2, or an MCAP file of either.
 
     Times are those in the header of the messages, or those of the recorder if a message has no header.
-
-    Raises
-    ------
-    FlightDataError
-        If the file is not a bag, or contains no numbers.
     """
     try:
         from rosbags.highlevel import AnyReader

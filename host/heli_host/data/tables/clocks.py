@@ -18,12 +18,7 @@ _DAY_S: Final = 86400.0
 
 def seconds_of(cells: pandas.Series) -> Floats | None:
     """Read `cells` such as `13:47:20.125`, `47:20,125` or `2024-01-04 12:58:31.2` as seconds from the first.
-
-    Returns
-    -------
-    ndarray (n,) or None
-        Seconds since the first cell; nan for a cell that is not a time. None if the cells are not times.
-        After midnight, the seconds continue to grow.
+    Returns shape (n,).
     """
     import pandas
 

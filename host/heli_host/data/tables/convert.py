@@ -39,13 +39,7 @@ explains.
 
 
 def flights_of(table: Table, profile: Profile) -> list[Flight]:
-    """Convert a table to flights: one, or several if gaps, jumps or the profile divide it.
-
-    Raises
-    ------
-    FlightDataError
-        If a column is missing, or too few complete rows remain.
-    """
+    """Convert a table to flights: one, or several if gaps, jumps or the profile divide it."""
     table = table.aligned()
     t_s = times_of(table, profile)
     angles = {
@@ -126,15 +120,7 @@ def _find_jumps(t_s: Floats, series: dict[str, Floats]) -> dict[int, str]:
 
 
 def _gap_note(t_s: Floats, count: int) -> dict[str, str]:
-    """Return a note about the missing rows that were filled in; empty if none was.
-
-    Parameters
-    ----------
-    t_s : ndarray (n,)
-        Times of the original rows.
-    count : int
-        Number of rows at even times.
-    """
+    """Return a note about the missing rows that were filled in; empty if none was. Shapes: `t_s` (n,)."""
     steps_s = np.diff(t_s)
     step_s = float(np.median(steps_s))
     gaps = np.flatnonzero(steps_s >= _GAP_STEPS * step_s)
@@ -176,13 +162,7 @@ def _values_of_column(table: Table, name: str) -> Floats:
 
 def _angle_rad_of(table: Table, angle: Angle, t_s: Floats, turns_freely: bool) -> Floats:
     """Return an angle [rad], shape (n,), from its column: apply delay, unit, sign and offset, and unwrap it.
-
-    Parameters
-    ----------
-    t_s : ndarray (n,)
-        Times of the rows.
-    travels : bool
-        Whether the axis may turn by whole turns; the angle of other axes is kept near 0.
+    Shapes: `t_s` (n,).
     """
     delay_free = _without_delay(_values_of_column(table, angle.column), t_s, angle.delay_s)
     is_known = np.isfinite(delay_free)

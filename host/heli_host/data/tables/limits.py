@@ -48,13 +48,7 @@ def check_columns(path: Path, count: int) -> None:
 
 @contextlib.contextmanager
 def within_memory(path: Path) -> Iterator[None]:
-    """Read the file at `path` within `MAX_MEMORY_BYTES` more than this process has; on Linux only.
-
-    Raises
-    ------
-    FlightDataError
-        When the block needs more.
-    """
+    """Read the file at `path` within `MAX_MEMORY_BYTES` more than this process has; on Linux only."""
     if not sys.platform.startswith("linux"):
         yield
         return
@@ -78,22 +72,7 @@ def within_memory(path: Path) -> Iterator[None]:
 
 
 def unpacked_bytes(codec: str, data: bytes | memoryview, max_bytes: int) -> int:
-    """Count the bytes to which compressed data unpacks, piece by piece, and stop beyond a limit.
-
-    Parameters
-    ----------
-    codec : str
-        ``zlib``, ``bz2``, ``lz4``, ``zstd``, or ``""`` and ``none`` for data that is not compressed.
-    data : bytes or memoryview
-        The compressed data.
-    max_bytes : int
-        Limit of the count.
-
-    Returns
-    -------
-    int
-        The count; more than `max_bytes` if it was stopped.
-    """
+    """Count the bytes to which compressed data unpacks, piece by piece, and stop beyond a limit."""
     if codec in ("", "none"):
         return len(data)
     if codec == "zstd":

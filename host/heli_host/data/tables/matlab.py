@@ -26,13 +26,7 @@ _DATA: Final = ("signals", "Data", "Data_", "data", "values", "Values", "Storage
 
 
 def read_mat(path: Path) -> Table:
-    """Read the MATLAB file at `path`, version 4 to 7.3.
-
-    Raises
-    ------
-    FlightDataError
-        If the file is not a MATLAB file, contains no signals, or is too large when unpacked.
-    """
+    """Read the MATLAB file at `path`, version 4 to 7.3."""
     with within_memory(path):
         return _read_signals(path)
 

@@ -22,31 +22,17 @@ _SHARED: Final = ("unit", "full", "supply_V", "factor")
 
 @dataclass(frozen=True)
 class Angle:
-    """Column of an angle: angle = sign * (column in its unit) + offset.
+    """Column of an angle: angle = sign * (column in its unit) + offset."""
 
-    Parameters
-    ----------
-    column : str
-        Name of the column.
-    unit : str
-        `rad`, `mrad`, `deg`, `turn` or `count`.
-    counts : float
-        Counts per turn, required if the unit is `count`; otherwise 0.
-    sign : float
-        -1 if the column has the opposite sign. Elevation is positive upwards, pitch when the front rotor is
-        up, and travel accelerates positive at positive pitch.
-    offset_deg : float
-        Offset added last, deg: 0 if the column is 0 at level, or the rest angle if the column is 0 at rest.
-    delay_s : float
-        Delay of the column, s.
-    """
-
-    column: str
-    unit: str = "rad"
-    counts: float = 0.0
+    column: str  # Name of the column
+    unit: str = "rad"  # `rad`, `mrad`, `deg`, `turn` or `count`
+    counts: float = 0.0  # Counts per turn, required if the unit is `count`; otherwise 0
     sign: float = 1.0
+    """-1 if the column has the opposite sign. Elevation is positive upwards, pitch when the front rotor is
+    up, and travel accelerates positive at positive pitch."""
     offset_deg: float = 0.0
-    delay_s: float = 0.0
+    """Offset added last, deg: 0 if the column is 0 at level, or the rest angle if the column is 0 at rest."""
+    delay_s: float = 0.0  # Delay of the column, s
 
     @property
     def rad(self) -> float:
@@ -56,36 +42,17 @@ class Angle:
 
 @dataclass(frozen=True)
 class Voltage:
-    """Column of a voltage: voltage = sign * factor * (column in its unit) + offset.
+    """Column of a voltage: voltage = sign * factor * (column in its unit) + offset."""
 
-    Parameters
-    ----------
-    column : str
-        Name of the column.
-    unit : str
-        `V`, `mV`, or a share of the supply: `duty`, `percent` or `pwm`.
-    full : float
-        Number in the column that means full supply, for `pwm`.
-    supply_V : float
-        Supply voltage of which the column is a share, V.
-    sign : float
-        -1 if the column has the opposite sign.
-    offset_V : float
-        Offset added last, V, such as the bias of a sum that was logged without it.
-    delay_s : float
-        Delay of the column, s.
-    factor : float
-        Factor of the column, such as 2 for half a sum, or the gain of an amplifier after the output.
-    """
-
-    column: str
-    unit: str = "V"
-    full: float = 255.0
-    supply_V: float = 12.0
-    sign: float = 1.0
-    offset_V: float = 0.0
-    delay_s: float = 0.0
+    column: str  # Name of the column
+    unit: str = "V"  # `V`, `mV`, or a share of the supply: `duty`, `percent` or `pwm`
+    full: float = 255.0  # Number in the column that means full supply, for `pwm`
+    supply_V: float = 12.0  # Supply voltage of which the column is a share, V
+    sign: float = 1.0  # -1 if the column has the opposite sign
+    offset_V: float = 0.0  # Offset added last, V, such as the bias of a sum that was logged without it
+    delay_s: float = 0.0  # Delay of the column, s
     factor: float = 1.0
+    """Factor of the column, such as 2 for half a sum, or the gain of an amplifier after the output."""
 
     @property
     def volts(self) -> float:
@@ -97,63 +64,34 @@ class Voltage:
 
 @dataclass(frozen=True)
 class Part:
-    """Part of one file that is a flight.
-
-    Parameters
-    ----------
-    leave_out_s : tuple of (float, float)
-        Parts that are left out, on the file's own time axis, s.
-    group : str
-        Flights of one group belong together: one rig, one session.
-    """
+    """Part of one file that is a flight."""
 
     leave_out_s: tuple[tuple[float, float], ...] = ()
-    group: str = ""
+    """Parts that are left out, on the file's own time axis, s."""
+    group: str = ""  # Flights of one group belong together: one rig, one session
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Rules for reading the files of one program or rig type.
+    """Rules for reading the files of one program or rig type."""
 
-    Parameters
-    ----------
-    angles : Mapping[str, Angle]
-        By axis; all of them.
-    voltages : Mapping[str, Voltage]
-        Columns `front` and `back`, or `sum` and `difference` (front minus back).
-    time : str
-        Column of the times; empty if there is none.
-    time_unit : str
-        `s`, `ms`, `us`, `ns` or `min`.
-    rate_Hz : float
-        Rows per second, if there is no column of times.
-    act : str
-        `after`: the voltages of a row act from that row on, as commands of a controller. `before`: they acted
-        until that row, as samples that were taken with the angles.
-    clip_V : tuple of (float, float) or None
-        Smallest and largest voltage of a motor, if commands were logged before they were clipped.
-    mirrored : bool
-        Whether the rotor that the entries call the back one is the front one. At the end, motors are then
-        exchanged, and the signs of pitch and travel are changed.
-    setpoints : Mapping[str, Angle]
-        Setpoints by axis, if they are known.
-    parts : Mapping[str, Part]
-        Parts by the file's name without its folder.
-    about : str
-        Notes for people: the rig, the program, its author.
-    """
-
-    angles: Mapping[str, Angle]
+    angles: Mapping[str, Angle]  # By axis; all of them
     voltages: Mapping[str, Voltage]
-    time: str = ""
-    time_unit: str = "s"
-    rate_Hz: float = 0.0
+    """Columns `front` and `back`, or `sum` and `difference` (front minus back)."""
+    time: str = ""  # Column of the times; empty if there is none
+    time_unit: str = "s"  # `s`, `ms`, `us`, `ns` or `min`
+    rate_Hz: float = 0.0  # Rows per second, if there is no column of times
     act: str = "after"
-    setpoints: Mapping[str, Angle] = field(default_factory=dict)
-    parts: Mapping[str, Part] = field(default_factory=dict)
-    about: str = ""
+    """`after`: the voltages of a row act from that row on, as commands of a controller. `before`: they acted
+    until that row, as samples that were taken with the angles."""
+    setpoints: Mapping[str, Angle] = field(default_factory=dict)  # Setpoints by axis, if they are known
+    parts: Mapping[str, Part] = field(default_factory=dict)  # Parts by the file's name without its folder
+    about: str = ""  # Notes for people: the rig, the program, its author
     clip_V: tuple[float, float] | None = None
+    """Smallest and largest voltage of a motor, if commands were logged before they were clipped."""
     mirrored: bool = False
+    """Whether the rotor that the entries call the back one is the front one. At the end, motors are then
+    exchanged, and the signs of pitch and travel are changed."""
 
 
 def read_profile(path: Path) -> Profile:

@@ -14,13 +14,7 @@ KINDS = (
 
 
 def read_table(path: Path) -> Table:
-    """Read the file at `path`, of any kind of `KINDS`, as its name says.
-
-    Raises
-    ------
-    FlightDataError
-        If it cannot be read. The text names the file and what to do.
-    """
+    """Read the file at `path`, of any kind of `KINDS`, as its name says."""
     name = path.name.lower().removesuffix(".gz")
     if path.is_dir() or name.endswith((".bag", ".db3", ".mcap")):
         from heli_host.data.tables.bags import read_bag

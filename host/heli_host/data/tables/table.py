@@ -16,44 +16,24 @@ SHARED_TIME = "time [s]"
 
 @dataclass(frozen=True)
 class Column:
-    """One column as the file has it.
+    """One column as the file has it."""
 
-    Parameters
-    ----------
-    values : ndarray (n,)
-        Numbers; nan where a cell is empty.
-    unit : str
-        Unit that the file states; empty if it states none.
-    t_s : ndarray (n,) or None
-        Separate times of the column, if the file has them for each signal (bags, Simulink). None if the rows
-        of the column are those of the table.
-    """
-
-    values: Floats
-    unit: str = ""
+    values: Floats  # (n,): Numbers; nan where a cell is empty
+    unit: str = ""  # Unit that the file states; empty if it states none
     t_s: Floats | None = None
+    """(n,): Separate times of the column, if the file has them for each signal (bags, Simulink). None if the
+    rows of the column are those of the table."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of one file.
+    """Columns of one file."""
 
-    Parameters
-    ----------
-    source : str
-        The file, for messages.
-    columns : Mapping[str, Column]
-        Columns by their names in the file, or `column 1` and so on if the file has no names.
-    notes : str
-        Notes in the file.
-    named : bool
-        Whether the file contains the names.
-    """
-
-    source: str
+    source: str  # The file, for messages
     columns: Mapping[str, Column]
-    notes: str = ""
-    named: bool = True
+    """Columns by their names in the file, or `column 1` and so on if the file has no names."""
+    notes: str = ""  # Notes in the file
+    named: bool = True  # Whether the file contains the names
 
     def __len__(self) -> int:
         return max((column.values.size for column in self.columns.values()), default=0)

@@ -49,11 +49,6 @@ def read_text(path: Path) -> Table:
     """Read a text table at `path`, which may be compressed by gzip.
 
     Separator and decimal mark are recognised. Names, units and comments are optional.
-
-    Raises
-    ------
-    FlightDataError
-        If the file cannot be read, or contains no table of numbers.
     """
     import pandas
 

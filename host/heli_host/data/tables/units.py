@@ -55,13 +55,7 @@ def unit_of(text: str) -> str:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Split the unit off a column's `name`: `pitch [deg]`, `pitch (deg)`, `pitch / deg`, `pitch_deg`.
-
-    Returns
-    -------
-    tuple of (str, str)
-        The name without the unit, and the unit, which may be empty.
-    """
+    """Split the unit off a column's `name`: `pitch [deg]`, `pitch (deg)`, `pitch / deg`, `pitch_deg`."""
     for pattern in (_BRACKETS, _SLASH):
         match = pattern.match(name)
         # In y[1] and u(1) the number is an index. After a space it is the unit 1, of a share.

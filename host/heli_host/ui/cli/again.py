@@ -27,54 +27,22 @@ _FILE_NAME = re.compile(r"[\w.-]{1,60}")
 
 @dataclass(frozen=True)
 class Repeat:
-    """A simulated flight that its log describes completely.
+    """A simulated flight that its log describes completely."""
 
-    Parameters
-    ----------
-    options : dict of str to str
-        Options of its ``sil://`` address.
-    rig_name, rig : str
-        Name of the rig, and its file as text.
-    plans : tuple of Plan
-        Plans in the order of the flight.
-    gains : str or None
-        Published gains that were set before it.
-    parameters : Mapping of str to float
-        Other parameters that were set before it.
-    clear_fault : bool
-        Whether a latched fault was cleared first.
-    firmware : str
-        Digest of the firmware of an emulated Due; empty for the native board.
-    is_exact : bool
-        Whether the flight ran in lockstep. Otherwise the computer's timing decided when commands arrived.
-    """
-
-    options: Mapping[str, str]
-    rig_name: str
+    options: Mapping[str, str]  # Options of its ``sil://`` address
+    rig_name: str  # rig_name, rig: Name of the rig, and its file as text
     rig: str
-    plans: tuple[Plan, ...]
-    gains: str | None
-    parameters: Mapping[str, float]
-    clear_fault: bool
-    firmware: str
+    plans: tuple[Plan, ...]  # Plans in the order of the flight
+    gains: str | None  # Published gains that were set before it
+    parameters: Mapping[str, float]  # Other parameters that were set before it
+    clear_fault: bool  # Whether a latched fault was cleared first
+    firmware: str  # Digest of the firmware of an emulated Due; empty for the native board
     is_exact: bool
+    """Whether the flight ran in lockstep. Otherwise the computer's timing decided when commands arrived."""
 
 
 def read_repeat(log: Log, effect_files: Mapping[str, Path]) -> Repeat:
-    """Read from a log what repeats its flight.
-
-    Parameters
-    ----------
-    log : Log
-        Log of a simulated flight.
-    effect_files : Mapping of str to Path
-        Files with effects, by their digests.
-
-    Raises
-    ------
-    LogError
-        The log lacks something; the message names it.
-    """
+    """Read from a log what repeats its flight."""
     record = log.metadata.get("simulation", {})
     _check_repeatable(log, record)
     try:
@@ -111,13 +79,7 @@ def read_repeat(log: Log, effect_files: Mapping[str, Path]) -> Repeat:
 
 
 def _check_repeatable(log: Log, record: Mapping[str, str]) -> None:
-    """Raise a LogError if a log lacks something that a repetition needs; the message names it.
-
-    Parameters
-    ----------
-    record : Mapping[str, str]
-        Commands of the flight; empty in logs of real boards and of older versions.
-    """
+    """Raise a LogError if a log lacks something that a repetition needs; the message names it."""
     from heli_host.data.log.blind import SEALED
 
     session = log.metadata.get("session", {})
@@ -166,22 +128,7 @@ def _plans_as_started(log: Log, record: Mapping[str, str]) -> Iterator[Plan]:
 
 
 def fly_again(path: Path, options: FlightOptions) -> FlownFlight:
-    """Repeat the simulated flight of a log, print whether its samples are the same, and return it.
-
-    Parameters
-    ----------
-    path : Path
-        The log.
-    options : FlightOptions
-        Files to write, live viewers, and files with effects.
-
-    Raises
-    ------
-    LogError
-        The log cannot be read, or lacks something.
-    HeliError
-        The samples differ, although the flight ran in lockstep.
-    """
+    """Repeat the simulated flight of a log, print whether its samples are the same, and return it."""
     from heli_host.data.log.reader import read_log
 
     log = read_log(path)

@@ -31,22 +31,7 @@ def is_due_native(port: PortInfo) -> bool:
 
 
 def check_target(port: str | None, sil: bool | None) -> None:
-    """Check that the options of a verb name exactly one board.
-
-    Parameters
-    ----------
-    port : str or None
-        Value of ``--port`` or ``HELI_PORT``.
-    sil : bool or None
-        Whether ``--sil`` was given; None for a verb that needs a real board.
-
-    Raises
-    ------
-    PortError
-        No board is named: the message lists the boards that are plugged in. No port was opened.
-    typer.BadParameter
-        ``--port`` and ``--sil`` name two boards.
-    """
+    """Check that the options of a verb name exactly one board."""
     # HELI_PORT is a lasting setting: --sil overrides it, and contradicts only a --port that was typed.
     if sil and port is not None and port != os.environ.get("HELI_PORT"):
         raise typer.BadParameter("--port and --sil name two different boards; leave one of them out")
@@ -77,22 +62,7 @@ def check_target(port: str | None, sil: bool | None) -> None:
 
 @contextlib.contextmanager
 def open_board(port: str | None, sil: str | None = None) -> Iterator[Heli]:
-    """Connect to the board that the options name and disconnect at the end.
-
-    Parameters
-    ----------
-    port : str or None
-        Value of ``--port`` or ``HELI_PORT``, a pyserial URL.
-    sil : str or None
-        Address of a simulated board for ``--sil``; see `sil_address`.
-
-    Raises
-    ------
-    LinkError
-        No board is named, or it does not answer.
-    typer.BadParameter
-        Two boards are named.
-    """
+    """Connect to the board that the options name and disconnect at the end."""
     import heli_host
 
     check_target(port, sil is not None)
@@ -113,22 +83,7 @@ def say_migration(heli: Heli) -> None:
 
 
 def check_board_rig(heli: Heli, rig: str | None) -> None:
-    """Compare the parameters of a board with the rig that it flies; print a warning for each difference.
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected board with the parameters to fly with. A simulated board knows its rig.
-    rig : str or None
-        Rig of a real board, as a name or file. An unknown name is only a label; then nothing is compared.
-
-    Raises
-    ------
-    RigMismatch
-        If the board's counts per turn, or in simulation its directions, contradict the rig.
-    HeliError
-        If the file of the rig is missing, incomplete or invalid.
-    """
+    """Compare the parameters of a board with the rig that it flies; print a warning for each difference."""
     from heli_host.board.rig_check import check_rig, is_known_rig, rig_parameters
     from heli_host.link.transport import transport_rig_parameters
     from heli_host.ui.cli.say import say, say_progress
@@ -149,13 +104,7 @@ def check_board_rig(heli: Heli, rig: str | None) -> None:
 
 
 def clear_latched_fault(heli: Heli) -> None:
-    """Clear a fault that an earlier flight has left; no fault is no error.
-
-    Raises
-    ------
-    CommandRefused
-        The cause is still there.
-    """
+    """Clear a fault that an earlier flight has left; no fault is no error."""
     from heli_host.declaration import State
     from heli_host.errors import fault_text
     from heli_host.ui.cli.say import say

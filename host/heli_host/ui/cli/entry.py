@@ -174,14 +174,7 @@ def _check_output(_context: object, parameter: Any, value: Any) -> Any:
 
 @functools.cache
 def command_line(verb: str | None = None) -> Callable[..., object]:
-    """Build the command line, and let each verb accept ``--quiet`` and ``--force``, too.
-
-    Parameters
-    ----------
-    verb : str, optional
-        Build this verb only, because building all takes as long as importing them. An unknown name builds
-        all verbs.
-    """
+    """Build the command line, and let each verb accept ``--quiet`` and ``--force``, too."""
     reduced_app = copy.copy(app)
     reduced_app.registered_commands = [info for info in app.registered_commands if info.name == verb]
     reduced_app.registered_groups = [info for info in app.registered_groups if info.name == verb]

@@ -22,39 +22,21 @@ USERS_EXTRAS: Final[Mapping[str, str]] = {
 
 
 def packages_of(extra: str) -> tuple[str, ...]:
-    """Return the names of the packages that an extra installs.
-
-    Parameters
-    ----------
-    extra : str
-        One of `USERS_EXTRAS`.
-    """
+    """Return the names of the packages that an extra installs."""
     lines = importlib.metadata.requires(DISTRIBUTION) or []
     marker = re.compile(rf"extra == ['\"]{re.escape(extra)}['\"]")
     return tuple(re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in lines if marker.search(line))
 
 
 def needs(package: str) -> bool:
-    """Return whether heli-host itself needs a package.
-
-    Parameters
-    ----------
-    package : str
-        Import name of the package.
-    """
+    """Return whether heli-host itself needs a package."""
     lines = importlib.metadata.requires(DISTRIBUTION) or []
     names = {re.split(r"[^\w.-]", line, maxsplit=1)[0].lower() for line in lines if "extra ==" not in line}
     return package.partition(".")[0].lower() in names
 
 
 def extra_with(package: str) -> str | None:
-    """Return the users' extra that installs a package, or None.
-
-    Parameters
-    ----------
-    package : str
-        Import name of the package, such as ``rosbags.highlevel``.
-    """
+    """Return the users' extra that installs a package, or None."""
     top_level = package.partition(".")[0].lower()
     for extra in USERS_EXTRAS:
         if top_level in (name.lower() for name in packages_of(extra)):

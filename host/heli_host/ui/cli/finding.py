@@ -23,16 +23,8 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the report.
-
-    Parameters
-    ----------
-    what : str
-        Subject of the check, and its result.
-    remedy : str
-        Instruction that fixes the problem; empty if there is no problem.
-    """
+    """One line of the report."""
 
     verdict: Verdict
-    what: str
-    remedy: str = ""
+    what: str  # Subject of the check, and its result
+    remedy: str = ""  # Instruction that fixes the problem; empty if there is no problem

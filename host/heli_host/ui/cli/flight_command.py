@@ -38,35 +38,15 @@ VERB_NAME: Final = "heli-host fly"
 
 @dataclass(frozen=True)
 class FlightOptions:
-    """Options of a verb that flies, as typed; see ``heli-host fly --help``. A group for `with_option_groups`.
-
-    Parameters
-    ----------
-    port, sil : str or None, bool
-        The board: ``--port`` or ``HELI_PORT``, or ``--sil``.
-    board, elf, rig, model, effect, effect_file, speed, seed
-        The simulation. A `rig` also names the rig of a real board.
-    blind : bool
-        Whether files hide what flew.
-    clear_fault : bool
-        Whether a latched fault is cleared first.
-    gains, params : str or None, Path or None
-        Parameters to fly with.
-    twin, on_alarm : str or None
-        Twin that flies along, and what its alarm does.
-    foxglove : int or None
-        TCP port on this computer for live viewers.
-    log, json, figure : Path or None
-        Files to write.
-    parameters : Mapping of str to float or None
-        Parameters to fly with, instead of a file's; not an option.
-    simulation : str
-        Address of the simulated board, instead of one from the other options; not an option.
+    """Options of a verb that flies, as typed; see ``heli-host fly --help``. A group for
+    `with_option_groups`.
     """
 
-    port: PortOption = None
+    port: PortOption = None  # port, sil: The board: ``--port`` or ``HELI_PORT``, or ``--sil``
     sil: simulated.SilOption = False
     board: simulated.BoardOption = None
+    """board, elf, rig, model, effect, effect_file, speed, seed: The simulation. A `rig` also names the rig of
+    a real board."""
     elf: simulated.ElfOption = None
     rig: simulated.RigOption = None
     model: simulated.ModelOption = None
@@ -74,29 +54,23 @@ class FlightOptions:
     effect_file: simulated.EffectFilesOption = None
     speed: simulated.SpeedOption = "1"
     seed: simulated.FlightSeedOption = None
-    blind: simulated.BlindOption = False
-    clear_fault: ClearFaultOption = False
-    gains: GainsOption = None
+    blind: simulated.BlindOption = False  # Whether files hide what flew
+    clear_fault: ClearFaultOption = False  # Whether a latched fault is cleared first
+    gains: GainsOption = None  # gains, params: Parameters to fly with
     params: ParamsFileOption = None
-    twin: TwinOption = None
+    twin: TwinOption = None  # twin, on_alarm: Twin that flies along, and what its alarm does
     on_alarm: OnAlarmOption = None
-    foxglove: FoxgloveOption = None
-    log: LogOption = None
+    foxglove: FoxgloveOption = None  # TCP port on this computer for live viewers
+    log: LogOption = None  # log, json, figure: Files to write
     json: JsonOption = None
     figure: FigureOption = None
     parameters: Mapping[str, float] | None = None
+    """Parameters to fly with, instead of a file's; not an option."""
     simulation: str = ""
+    """Address of the simulated board, instead of one from the other options; not an option."""
 
     def address(self) -> str | None:
-        """Return the address of the simulated board, None for a real one.
-
-        Raises
-        ------
-        typer.BadParameter
-            An option is invalid, applies only to a simulated board, or names a second board.
-        PortError
-            No board is named.
-        """
+        """Return the address of the simulated board, None for a real one."""
         from heli_host.ui.cli.board import check_target
 
         if self.simulation:
@@ -128,27 +102,13 @@ class FlightOptions:
 
 @dataclass(frozen=True)
 class FlownFlight:
-    """A flight that was flown.
+    """A flight that was flown."""
 
-    Parameters
-    ----------
-    summary : FlightSummary
-        Outcome, tracking errors and losses.
-    log : Path
-        The file with every tick.
-    lines : tuple of str
-        Lines about it for the user.
-    json : Path or None
-        The file for the summary, which `write` writes.
-    figure : Path or None
-        The picture of angles and voltages; None if the user wants none.
-    """
-
-    summary: FlightSummary
-    log: Path
-    lines: tuple[str, ...]
-    json: Path | None
-    figure: Path | None
+    summary: FlightSummary  # Outcome, tracking errors and losses
+    log: Path  # The file with every tick
+    lines: tuple[str, ...]  # Lines about it for the user
+    json: Path | None  # The file for the summary, which `write` writes
+    figure: Path | None  # The picture of angles and voltages; None if the user wants none
 
     def write(self, **more: object) -> None:
         """Write the summary as JSON, with `more` results in it."""
@@ -177,26 +137,7 @@ def fly_plans(
     plan_names: Sequence[str] = (),
     on_taken_off: Callable[[Heli], object] | None = None,
 ) -> FlownFlight:
-    """Fly plans on the board that the options name; write log and figure. The caller writes the summary.
-
-    Parameters
-    ----------
-    options : FlightOptions
-        Options of the command line.
-    plans : sequence of Plan
-        Plans to fly one after the other.
-    plan_names : sequence of str
-        The same as typed, for the truth file of a blind flight.
-    on_taken_off : callable taking Heli, optional
-        Called when the plans begin.
-
-    Raises
-    ------
-    typer.BadParameter
-        Options are invalid or contradict each other; no port was opened.
-    HeliError
-        A file cannot be read or written, or the board refuses the flight.
-    """
+    """Fly plans on the board that the options name; write log and figure. The caller writes the summary."""
     from heli_host.board.published_gains import load_gains
     from heli_host.data.log.blind import Truth, truth_path
     from heli_host.data.log.disk import check_new

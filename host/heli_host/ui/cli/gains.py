@@ -31,20 +31,6 @@ def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, floa
     """Read and check a file of parameters, and return its values by name.
 
     If a file has another parameter schema, its known parameters are used, and the others are printed.
-
-    Parameters
-    ----------
-    file : Path or None
-        The file; None for no parameters.
-    gains : str or None
-        Name of published gains; None for none.
-
-    Raises
-    ------
-    typer.BadParameter
-        If both `file` and `gains` are given.
-    ParameterError
-        If the file cannot be read, or the board would refuse a value.
     """
     from heli_host.board.parameter_file import read_parameter_set
     from heli_host.ui.cli.say import say_dropped

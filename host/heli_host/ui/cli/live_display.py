@@ -22,20 +22,7 @@ REFRESH_S = 0.25
 
 
 class LiveDisplay:
-    """Lines and tables that are rewritten in their place; a context manager.
-
-    Parameters
-    ----------
-    line_every_s : float
-        Interval between printed lines, if the output goes to a file or another program [s].
-    is_terminal : bool or None
-        Whether to rewrite in place; by default, if standard output is a terminal.
-
-    Attributes
-    ----------
-    is_terminal : bool
-        Whether lines are rewritten in place.
-    """
+    """Lines and tables that are rewritten in their place; a context manager."""
 
     def __init__(self, line_every_s: float, is_terminal: bool | None = None) -> None:
         stream = sys.stderr if DATA_ONLY.get() else sys.stdout
@@ -68,13 +55,7 @@ class LiveDisplay:
         return time.monotonic() - self._shown_s >= interval_s
 
     def replace(self, *parts: RenderableType) -> None:
-        """Replace the displayed lines and tables.
-
-        Parameters
-        ----------
-        *parts : str or anything that rich draws
-            Lines and tables from top to bottom; a first line is bold.
-        """
+        """Replace the displayed lines and tables."""
         from rich.console import Group
         from rich.text import Text
 
@@ -91,24 +72,12 @@ class LiveDisplay:
                 raise
 
     def print_line(self, text: str) -> None:
-        """Print one line, for outputs on which nothing can be rewritten.
-
-        Parameters
-        ----------
-        text : str
-            The line.
-        """
+        """Print one line, for outputs on which nothing can be rewritten."""
         self._shown_s = time.monotonic()
         say(text)
 
     def say(self, text: str) -> None:
-        """Print a permanent line above the lines that are rewritten.
-
-        Parameters
-        ----------
-        text : str
-            The line.
-        """
+        """Print a permanent line above the lines that are rewritten."""
         if self._live is None:
             say(text)
         else:

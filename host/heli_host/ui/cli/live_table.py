@@ -17,17 +17,7 @@ if TYPE_CHECKING:
 def numbers_table(
     sample: Sample, counts: Mapping[str, int] | None = None, illegal: Mapping[str, int] | None = None
 ) -> Table:
-    """Make the table: a row for each axis and one for the motors.
-
-    Parameters
-    ----------
-    sample : Sample
-        The newest.
-    counts : Mapping of str to int, optional
-        Encoder counts by axis.
-    illegal : Mapping of str to int, optional
-        Illegal transitions of each encoder, by axis.
-    """
+    """Make the table: a row for each axis and one for the motors."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))

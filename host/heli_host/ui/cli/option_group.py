@@ -16,16 +16,6 @@ def with_option_groups(*, without: Collection[str] = ()) -> Callable[[_Verb], _V
 
     A group is a keyword argument whose type is a dataclass. Its options are the fields with annotated types,
     in their order. The other fields keep their defaults.
-
-    Parameters
-    ----------
-    without : collection of str
-        Fields that this verb does not offer.
-
-    Returns
-    -------
-    callable
-        Decorator for the function of a verb.
     """
 
     def decorate(verb: _Verb) -> _Verb:

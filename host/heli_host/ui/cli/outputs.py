@@ -15,16 +15,7 @@ FIGURE_ENDS: Final = (".png", ".pdf", ".svg")
 
 
 def check_place(path: Path) -> None:
-    """Check that a file can be written later, and create its folder.
-
-    Raises
-    ------
-    ForeignFile
-        A file that the program did not write is there; see `heli_host.output_files`.
-    typer.BadParameter
-        If `path` is a folder, is below a file, may not be written, or is an option: then the option before it
-        lacks its file.
-    """
+    """Check that a file can be written later, and create its folder."""
     if str(path).startswith("--"):
         raise typer.BadParameter(f"{path} is an option, but a file name is needed there; give a file")
     folder = path.absolute().parent
@@ -39,20 +30,7 @@ def check_place(path: Path) -> None:
 
 
 def check_parameters_place(path: Path | None) -> None:
-    """Refuse to replace a file that holds no parameters, such as a rig: both are TOML.
-
-    Parameters
-    ----------
-    path : Path or None
-        File of parameters to be written later; nothing is checked without one.
-
-    Raises
-    ------
-    ForeignFile
-        As `check_place` does.
-    typer.BadParameter
-        As `check_place` does, and for another file at this place.
-    """
+    """Refuse to replace a file that holds no parameters, such as a rig: both are TOML."""
     if path is None:
         return
     check_place(path)
@@ -63,22 +41,7 @@ def check_parameters_place(path: Path | None) -> None:
 
 
 def check_result_places(*files: Path | None, figure: Path | None = None, report: Path | None = None) -> None:
-    """Refuse places that the results of long work cannot be written to, before the work begins.
-
-    Parameters
-    ----------
-    *files : Path or None
-        Files to write; None if the user requested no such file, ``-`` for standard output.
-    figure : Path, optional
-        File of a figure; its ending says the format.
-    report : Path, optional
-        Folder of a page.
-
-    Raises
-    ------
-    typer.BadParameter
-        As `check_place` does, and for a figure in none of the formats that can be drawn.
-    """
+    """Refuse places that the results of long work cannot be written to, before the work begins."""
     if figure is not None and figure.suffix.lower() not in FIGURE_ENDS:
         raise typer.BadParameter(
             f"--figure {figure} has an unknown format; give a file that ends in {', '.join(FIGURE_ENDS)}"

@@ -43,17 +43,7 @@ class LiveLine:
     def show(
         self, sample: Sample, counters: LinkCounters, *, t_s: float, phase: str, left_s: float | None = None
     ) -> None:
-        """Show the newest sample, if it is time to.
-
-        Parameters
-        ----------
-        t_s : float
-            Device time since the beginning [s].
-        phase : str
-            Part of the plan that is being flown.
-        left_s : float or None
-            Device time left [s]; None if it is unknown.
-        """
+        """Show the newest sample, if it is time to."""
         if self._quiet or not self.due:
             return
         head, link = heading(sample, t_s, phase, left_s), link_text(counters)
@@ -68,17 +58,7 @@ class LiveLine:
 
 
 def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str:
-    """Return time, phase and remaining time, such as ``" 12.3 s  sine  closed_loop  8 s left"``.
-
-    Parameters
-    ----------
-    t_s : float
-        Device time since the beginning [s].
-    phase : str
-        Part of the plan that is being flown.
-    left_s : float or None
-        Device time left [s].
-    """
+    """Return time, phase and remaining time, such as ``" 12.3 s  sine  closed_loop  8 s left"``."""
     parts = [f"{t_s:6.1f} s", printable(phase), sample.state.name.lower()]
     if sample.fault:
         parts.append(f"fault {sample.fault.name.lower()}")

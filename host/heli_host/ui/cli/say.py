@@ -51,20 +51,7 @@ def data_on_stdout(*files: Path | None) -> None:
 
 
 def write_result(file: Path | None, content: Mapping[str, Any]) -> bool:
-    """Write a verb's result as JSON, with the number of its schema.
-
-    Parameters
-    ----------
-    file : Path or None
-        File to write; ``-`` for standard output, where nothing else is printed from then on; None for none.
-    content : Mapping
-        The result; NaN and infinity become null.
-
-    Returns
-    -------
-    bool
-        Whether the result went to standard output, so that no text is needed.
-    """
+    """Write a verb's result as JSON, with the number of its schema."""
     import json
 
     from heli_host.files import RESULT_SCHEMA

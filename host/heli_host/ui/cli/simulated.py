@@ -137,33 +137,7 @@ def sil_address(
     effect: Sequence[str] | None = None,
     effect_files: Sequence[Path] | None = None,
 ) -> str:
-    """Return the address of a simulated board, for ``heli_host.connect``.
-
-    Parameters
-    ----------
-    rig : str or None
-        Name or file; None for the default rig.
-    speed : str
-        Simulated seconds per second, or ``max``. With ``max`` the board runs in this process, in lockstep
-        with the host. With a number it runs in a separate process behind a serial port, exactly as hardware.
-    seed : int
-        Seed of everything random, 0 or more.
-    board : str or None
-        One of `BOARDS`; None for the native one, or the Due when there is an `elf`.
-    elf : Path or None
-        ELF for the emulated Due; None for the newest.
-    model : str or None
-        Name of the equations of motion; None for those of the rig file.
-    effect : sequence of str or None
-        Effects beyond the model, as typed.
-    effect_files : sequence of Path or None
-        Python files with more effects.
-
-    Raises
-    ------
-    typer.BadParameter
-        When an option cannot be read, or two contradict each other.
-    """
+    """Return the address of a simulated board, for ``heli_host.connect``."""
     factor = parse_speed(speed)
     options = {
         "rig": rig if rig is not None else DEFAULT_RIG,
@@ -189,17 +163,7 @@ def flown(
     seed: int,
     plans: Sequence[str],
 ) -> dict[str, object]:
-    """Return all settings of a simulated flight, for the truth file of a blind flight.
-
-    Parameters
-    ----------
-    address : str
-        Result of `sil_address`.
-    rig, model, effect, effect_files, seed : str, int or sequence
-        Options of `sil_address`; the result contains the text of each file.
-    plans : sequence of str
-        Plans as typed.
-    """
+    """Return all settings of a simulated flight, for the truth file of a blind flight."""
     files = [*([Path(rig)] if rig is not None else []), *(effect_files or ())]
     return {
         "rig": rig if rig is not None else DEFAULT_RIG,
@@ -215,18 +179,7 @@ def flown(
 
 
 def refuse_without_sil(**options: object) -> None:
-    """Refuse options of a simulated board if a real board is used.
-
-    Parameters
-    ----------
-    **options : object
-        Values of such options by name, with ``_`` for ``-``.
-
-    Raises
-    ------
-    typer.BadParameter
-        If one of them is neither None nor empty.
-    """
+    """Refuse options of a simulated board if a real board is used."""
     used_options = [f"--{name.replace('_', '-')}" for name, value in options.items() if value]
     if used_options:
         verb = "is" if len(used_options) == 1 else "are"

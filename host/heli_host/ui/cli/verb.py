@@ -28,24 +28,14 @@ PANELS: Final = ("Fly", "Board", "Logs", "Simulation", "Laboratory")
 
 @dataclass(frozen=True)
 class Verb:
-    """One verb.
-
-    Parameters
-    ----------
-    command : callable or typer.Typer
-        A function whose signature holds options as typer reads them, or several under one name.
-    panel : str
-        Heading of ``--help`` that lists the verb.
-    variadic : bool
-        Whether its repeatable options take several words each, see `Variadic`; functions only.
-    aliases : tuple of str
-        Other names, which ``--help`` does not list; functions only.
-    """
+    """One verb."""
 
     command: Callable[..., Any] | typer.Typer
-    panel: str
+    """A function whose signature holds options as typer reads them, or several under one name."""
+    panel: str  # Heading of ``--help`` that lists the verb
     variadic: bool = False
-    aliases: tuple[str, ...] = ()
+    """Whether its repeatable options take several words each, see `Variadic`; functions only."""
+    aliases: tuple[str, ...] = ()  # Other names, which ``--help`` does not list; functions only
 
     def add_to(self, app: typer.Typer, name: str) -> None:
         """Make it the verb `name` of a command line, `app`."""

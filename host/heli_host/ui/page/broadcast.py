@@ -17,16 +17,6 @@ class Broadcast:
 
     It owns their outboxes while they are connected. All methods run in the event loop's thread, except
     `tell_all_soon`. None blocks: a slow client loses messages of its own and delays no other.
-
-    Parameters
-    ----------
-    notes : Notes
-        The server's log.
-
-    Attributes
-    ----------
-    loop : asyncio.AbstractEventLoop or None
-        The server's event loop, while it runs.
     """
 
     def __init__(self, notes: Notes) -> None:
@@ -43,23 +33,11 @@ class Broadcast:
         self._clients.pop(client.key, None)
 
     def tell(self, client: Outbox, news: Mapping[str, Any]) -> None:
-        """Send news to a client.
-
-        Parameters
-        ----------
-        news : mapping
-            Content; a number that is not finite becomes null.
-        """
+        """Send news to a client."""
         client.tell(self.as_json(news))
 
     def tell_all(self, news: Mapping[str, Any]) -> None:
-        """Send news to all clients.
-
-        Parameters
-        ----------
-        news : mapping
-            Content; a status replaces an older one that still waits.
-        """
+        """Send news to all clients."""
         try:
             text = self.as_json(news)
         except Exception as error:  # noqa: BLE001 - news that cannot be written must not cost the news after them
@@ -72,25 +50,13 @@ class Broadcast:
                 client.tell(text)
 
     def tell_all_soon(self, news: Mapping[str, Any]) -> None:
-        """Send news to all clients, from any thread: the event loop does it next.
-
-        Parameters
-        ----------
-        news : mapping
-            See `tell_all`.
-        """
+        """Send news to all clients, from any thread: the event loop does it next."""
         if self.loop is not None:
             with contextlib.suppress(RuntimeError):
                 self.loop.call_soon_threadsafe(self.tell_all, news)
 
     def as_json(self, news: Mapping[str, Any]) -> str:
-        """Return news as JSON, and log numbers that are not finite.
-
-        Parameters
-        ----------
-        news : mapping
-            Content; a number that is not finite becomes null.
-        """
+        """Return news as JSON, and log numbers that are not finite."""
         text, is_not_finite = as_json(news)
         if is_not_finite:
             self._notes.warn(f"{', '.join(news)} holds a number that is not finite; pages get null")

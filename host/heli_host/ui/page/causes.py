@@ -28,39 +28,18 @@ _STATE = re.compile(r"\bstate \w+")
 
 
 def is_without_setpoints(text: str) -> bool:
-    """Return whether the text of an event names missing setpoints as the cause.
-
-    Parameters
-    ----------
-    text : str
-        Text of an event, such as ``"state hold, because of stale_hold"``.
-    """
+    """Return whether the text of an event names missing setpoints as the cause."""
     return any(_trigger_named(name) in _WITHOUT_SETPOINTS for name in _CAUSE.findall(text))
 
 
 def cause(text: str, absence: str = "") -> str:
-    """Return the cause that the text of an event names, in words; empty if it names none.
-
-    Parameters
-    ----------
-    text : str
-        Text of an event, such as ``"state hold, because of stale_hold"``.
-    absence : str
-        Why the pilot's page sends no setpoints; empty if it does. It replaces "no setpoint arrived".
-    """
+    """Return the cause that the text of an event names, in words; empty if it names none."""
     names = _CAUSE.findall(text)
     return _trigger_in_words(names[0], absence) if names else ""
 
 
 def in_words(text: str, absence: str = "") -> str:
     """Return the text of an event with its cause in words.
-
-    Parameters
-    ----------
-    text : str
-        Text of an event or outcome of a flight.
-    absence : str
-        Why the pilot's page sends no setpoints; empty if it does.
 
     Examples
     --------

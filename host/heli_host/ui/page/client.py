@@ -52,15 +52,6 @@ class PageClient:
     it in a ``with`` block, from one thread. A background thread acknowledges the telemetry. Therefore a
     program that is the pilot counts as present as long as its process lives, even if its own code hangs; the
     stop of every page still works.
-
-    Parameters
-    ----------
-    stack : ExitStack
-        Closes the socket.
-    socket : ClientConnection
-        Open socket that the server has accepted.
-    stop_address : str
-        URL of the server's socket for the stop.
     """
 
     def __init__(self, stack: contextlib.ExitStack, socket: ClientConnection, stop_address: str) -> None:
@@ -112,47 +103,17 @@ class PageClient:
         return bool(self._news["control"]["pilot"] == self._news["hello"]["you"])
 
     def samples(self, last_s: float = 10.0) -> Samples:
-        """Return the newest samples, oldest first: one per tick of 1 ms, or fewer if this program is slow.
-
-        Parameters
-        ----------
-        last_s : float
-            Length of the history in device time [s].
-        """
+        """Return the newest samples, oldest first: one per tick of 1 ms, or fewer if this program is slow."""
         count = round(min(max(finite("last_s", last_s), 0.0), KEPT_S) / TICK_S)
         cut = self._buffer.rows_since(max(self._buffer.end - count, 0), round(KEPT_S / TICK_S))
         return Scales(self._values).samples(cut.tick, cut.raw)
 
     def set(self, name: str, value: float) -> float:
-        """Set a parameter of the board, in memory only, and return the value in force.
-
-        Parameters
-        ----------
-        name : str
-            Name of the parameter in docs/reference/link.md.
-        value : float
-            New value, in the unit of that table.
-
-        Raises
-        ------
-        PageError
-            This program is not the pilot and the pilot does not share tuning, or the board refused the value.
-        """
+        """Set a parameter of the board, in memory only, and return the value in force."""
         return float(self.ask("set", name=name, value=value)["value"])
 
     def ask_control(self, timeout_s: float = 30.0) -> bool:
-        """Ask the pilot for control and wait for the answer.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Longest wait [s].
-
-        Returns
-        -------
-        bool
-            True if this program is the pilot now; False if the pilot refused or did not answer in time.
-        """
+        """Ask the pilot for control and wait for the answer."""
         if self.ask("ask").get("granted"):
             return True
         own_key = self._news["hello"]["you"]
@@ -160,41 +121,16 @@ class PageClient:
         return self.flies
 
     def setpoint(self, *, elevation_deg: float | None = None, travel_deg: float | None = None) -> None:
-        """Send a setpoint. Only the pilot may.
-
-        Parameters
-        ----------
-        elevation_deg, travel_deg : float or None
-            Targets [deg]; None leaves a target unchanged.
-        """
+        """Send a setpoint. Only the pilot may."""
         targets = {"elevation_deg": elevation_deg, "travel_deg": travel_deg}
         self.ask("setpoint", **{name: value for name, value in targets.items() if value is not None})
 
     def mark(self, text: str) -> None:
-        """Write a mark into the log, if one is recorded, and show it on every page.
-
-        Parameters
-        ----------
-        text : str
-            Text of the mark, at most 200 characters.
-        """
+        """Write a mark into the log, if one is recorded, and show it on every page."""
         self.ask("mark", text=text)
 
     def signal(self, name: str, value: float) -> None:
-        """Plot a value of this program on every page, and write it into the log, if one is recorded.
-
-        Parameters
-        ----------
-        name : str
-            Name of the signal, at most 40 characters.
-        value : float
-            Present value.
-
-        Raises
-        ------
-        PageError
-            The value is not finite.
-        """
+        """Plot a value of this program on every page, and write it into the log, if one is recorded."""
         self.ask("signal", name=name, value=value)
 
     def stop(self) -> None:
@@ -202,11 +138,6 @@ class PageClient:
 
         Opens a separate socket, which the server handles in a separate thread. The call returns after the
         server has sent the stop to the board. May be called from any thread.
-
-        Raises
-        ------
-        LinkError
-            The server did not answer within 10 s, or could not send the stop. Use the rig's own stop switch.
         """
         try:
             with connect(self._stop_address, open_timeout=_OPEN_S, compression=None, proxy=None) as socket:
@@ -221,27 +152,6 @@ class PageClient:
         """Send a request of the table in docs/how-to/dashboard.md and wait for the answer.
 
         At most 50 requests are sent per second; a further one waits for its turn.
-
-        Parameters
-        ----------
-        name : str
-            Name of the request, such as ``take_off``.
-        timeout_s : float
-            Longest wait [s]. A request that takes longer still runs to its end.
-        **arguments : object
-            Arguments of the request.
-
-        Returns
-        -------
-        mapping
-            Answer of the server.
-
-        Raises
-        ------
-        PageError
-            The server or the board refused the request.
-        LinkError
-            The connection is lost, or no answer came in time.
         """
         with self._changed:
             self._number += 1
@@ -267,18 +177,7 @@ class PageClient:
         return answer
 
     def wait_for_state(self, *states: State, timeout_s: float = 30.0) -> State:
-        """Wait until the board is in one of the given `states`, and return that state.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Longest wait [s].
-
-        Raises
-        ------
-        LinkError
-            The board was in none of these states in time.
-        """
+        """Wait until the board is in one of the given `states`, and return that state."""
         if not self._wait_until(lambda: self._news["status"]["state"] in states, timeout_s):
             names = " or ".join(str(state) for state in states)
             raise LinkError(

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 _MAX_SAMPLE_AGE_S = 0.5
 """Largest age of the newest tick at which its state counts as the present state [s].
 
-It equals `heli_host.ui.page.control_lease.PRESENT_S`. With a shorter time, a busy computer would make the state
+It equals `control_lease.PRESENT_S`. With a shorter time, a busy computer would make the state
 unknown; with a longer one, a page might show "idle" although the board has begun to fly."""
 
 
@@ -58,32 +58,6 @@ class Cockpit:
     All other requests run in the thread of their `CommandQueue`, after `clear_stop` has accepted them.
     Samples and events arrive in the session's reading thread. `describe`, `status` and `state` may be called
     from any thread.
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected, with ``keep_alive`` on. Its owner switches the motors off at the end; `close` does not.
-    new_recorder : callable taking (plans, duration_s), returning Recorder
-        Creates a new log file and begins to record.
-    plans : sequence of Plan
-        Plans that clients may fly.
-    board : str
-        Description of the board, for the page's title.
-    rig : Mapping of str to float
-        Lengths [m] and masses [kg] of the rig by name; empty if they are unknown.
-    twin : TwinWatch, optional
-        Twin that compares the flight with a model.
-    laws : sequence of LawProgram
-        Control laws that clients may choose instead of the board's own.
-    rig_name : str
-        Name of the rig, for the page's badge; empty if it is unknown.
-
-    Attributes
-    ----------
-    buffer : TelemetryBuffer
-        Telemetry of the newest `KEPT_S` seconds; written by the session's reading thread.
-    actions : mapping of str to Action
-        Requests that clients may send, by name.
     """
 
     def __init__(
@@ -180,13 +154,7 @@ class Cockpit:
         return int(newest[1][Channel.STATE]), int(newest[1][Channel.FAULT])
 
     def listen(self, news: News) -> None:
-        """Register the callback for events; see `Source.listen`.
-
-        Parameters
-        ----------
-        news : callable taking a mapping
-            Called with each event as JSON, from any thread.
-        """
+        """Register the callback for events; see `Source.listen`."""
         self._feed.listen(news)
 
     def stop(self) -> None:
@@ -198,24 +166,15 @@ class Cockpit:
         return self._session.stops
 
     def clear_stop(self, epoch: int) -> bool:
-        """Accept commands again after a stop, if no further stop came since `epoch`; see `Source.clear_stop`.
-
-        Parameters
-        ----------
-        epoch : int
-            Value of `stop_epoch` when the request arrived.
+        """Accept commands again after a stop, if no further stop came since `epoch`; see
+        `Source.clear_stop`.
         """
         return self._session.release_stop(epoch)
 
     def watch_pilot(self, present: Callable[[], bool], absence: Callable[[], str] = lambda: "") -> None:
         """Send setpoints and voltages only while the pilot's page answers; see `Source.watch_pilot`.
 
-        Parameters
-        ----------
-        present : callable returning bool
-            True while the pilot's page answers; it must not block.
-        absence : callable returning str
-            Why the pilot's page is absent, in words; empty while it is present.
+        `present`: True while the pilot's page answers; it must not block.
         """
         self._pilot.watch(present, absence)
         self._session.permit_streams(present)
@@ -224,36 +183,13 @@ class Cockpit:
         """Wait until a pilot's page has answered for 3 s, then fly plans and return after the landing.
 
         Runs in the caller's thread. A stop before the take-off ends the call without a flight.
-
-        Parameters
-        ----------
-        names : sequence of str
-            Names of the plans, in the order of the flight.
-        give_up : callable returning bool
-            Asked five times per second while no pilot is present; True ends the call without a flight.
-
-        Returns
-        -------
-        mapping
-            ``outcome`` of the flight; empty without a flight.
-
-        Raises
-        ------
-        HeliError
-            A plan is unknown or cannot be flown on this board.
         """
         if not self._pilot.wait_until_settled(give_up) or not self.clear_stop(self.stop_epoch()):
             return {}
         return self._flight.fly({"plans": list(names)})
 
     def close(self, outcome: str = "recorded") -> None:
-        """End the recording, if there is one, and write the log to its end. The motors are not touched.
-
-        Parameters
-        ----------
-        outcome : str
-            Outcome of the flight, for the log.
-        """
+        """End the recording, if there is one, and write the log to its end. The motors are not touched."""
         self._recording.close(outcome)
 
     def _choose_law(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -337,11 +273,6 @@ def _link_status(session: Session) -> dict[str, Any]:
 def is_simulated(heli: Heli) -> bool:
     """Return whether a board is simulated: its transport names a rig or an emulated board, or its firmware
     runs on a computer.
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected board.
     """
     transport = heli.session.transport
     return bool(transport_rig(transport) or transport_label(transport)) or heli.info.board == "native"

@@ -30,15 +30,6 @@ class ControlLease:
     """The connected clients, and which of them is the pilot. All methods may be called from any thread.
 
     Nothing here talks to the board. `present` decides whether setpoints are sent.
-
-    Attributes
-    ----------
-    pilot : str or None
-        Id of the pilot. It stays the pilot while it is disconnected, until another client asks for control.
-    asking : str or None
-        Id of the client that asks for control and waits for the pilot's answer.
-    shared : bool
-        True if clients other than the pilot may change parameters.
     """
 
     def __init__(self) -> None:
@@ -49,22 +40,7 @@ class ControlLease:
         self._lock = threading.RLock()
 
     def join(self, client: str, name: str, now_s: float, *, may_fly: bool = True) -> bool:
-        """Add a client. It becomes the pilot if there is none and `may_fly` is true.
-
-        Parameters
-        ----------
-        client : str
-            Id of the client.
-        name : str
-            Name that other clients' pages show.
-        now_s : float
-            Monotonic time of the host [s]; counts as the client's first sign of life.
-
-        Returns
-        -------
-        bool
-            False if a client with this id is connected already; nothing is changed then.
-        """
+        """Add a client. It becomes the pilot if there is none and `may_fly` is true."""
         with self._lock:
             registered = self._clients.get(client)
             if registered is not None and registered.connected:
@@ -79,11 +55,6 @@ class ControlLease:
 
         A disconnected pilot keeps the lease until another client asks for it, but counts as absent: no
         setpoints are sent.
-
-        Parameters
-        ----------
-        client : str
-            Id of the client.
         """
         with self._lock:
             if client in self._clients:
@@ -94,50 +65,24 @@ class ControlLease:
                 self._clients.pop(client, None)
 
     def beat(self, client: str, now_s: float) -> None:
-        """Record a sign of life of a client.
-
-        Parameters
-        ----------
-        client : str
-            Id of the client.
-        now_s : float
-            Monotonic time of the host [s].
-        """
+        """Record a sign of life of a client."""
         with self._lock:
             if client in self._clients:
                 self._clients[client].beat_s = now_s
 
     def pilot_age_s(self, now_s: float) -> float:
-        """Return the age of the pilot's last sign of life [s]; infinite if no pilot is connected.
-
-        Parameters
-        ----------
-        now_s : float
-            Monotonic time of the host [s].
-        """
+        """Return the age of the pilot's last sign of life [s]; infinite if no pilot is connected."""
         # Called with the link's lock held. It reads single references only, so it needs no lock; taking one
         # could deadlock with a thread that holds it and waits for the link.
         pilot = self._clients.get(self.pilot or "")
         return now_s - pilot.beat_s if pilot is not None and pilot.connected else float("inf")
 
     def present(self, now_s: float) -> bool:
-        """Whether the pilot's page has given a sign of life within `PRESENT_S`.
-
-        Parameters
-        ----------
-        now_s : float
-            Monotonic time of the host [s].
-        """
+        """Whether the pilot's page has given a sign of life within `PRESENT_S`."""
         return self.pilot_age_s(now_s) <= PRESENT_S
 
     def absence(self, now_s: float) -> str:
-        """Return in words why the pilot's page sends no setpoints; empty while it is present.
-
-        Parameters
-        ----------
-        now_s : float
-            Monotonic time of the host [s].
-        """
+        """Return in words why the pilot's page sends no setpoints; empty while it is present."""
         age_s = self.pilot_age_s(now_s)
         if age_s <= PRESENT_S:
             return ""
@@ -146,21 +91,7 @@ class ControlLease:
         return "the pilot's page was closed" if age_s == float("inf") else "the pilot's page does not answer"
 
     def ask(self, client: str, now_s: float) -> bool:
-        """Request control for a client.
-
-        Parameters
-        ----------
-        client : str
-            Id of the client that wants to fly.
-        now_s : float
-            Monotonic time of the host [s].
-
-        Returns
-        -------
-        bool
-            True if the client is the pilot now: it was already, there was no pilot, or the pilot has been
-            absent for `ABSENT_S`. False if the pilot must answer first.
-        """
+        """Request control for a client."""
         with self._lock:
             if client == self.pilot:
                 return True
@@ -171,20 +102,7 @@ class ControlLease:
             return False
 
     def answer(self, client: str, grant: bool) -> bool:
-        """Answer the pending request for control.
-
-        Parameters
-        ----------
-        client : str
-            Id of the client that answers; the call does nothing unless it is the pilot.
-        grant : bool
-            True hands control over, False keeps it.
-
-        Returns
-        -------
-        bool
-            True if control was handed over.
-        """
+        """Answer the pending request for control."""
         with self._lock:
             if client != self.pilot or self.asking is None:
                 return False
@@ -194,13 +112,7 @@ class ControlLease:
             return grant
 
     def name(self, client: str | None) -> str:
-        """Return the display name of a client; empty if it is unknown or None.
-
-        Parameters
-        ----------
-        client : str or None
-            Id of the client.
-        """
+        """Return the display name of a client; empty if it is unknown or None."""
         with self._lock:
             registered = self._clients.get(client or "")
             return registered.name if registered is not None else ""

@@ -22,38 +22,16 @@ class EventFeed:
         self._events: list[dict[str, Any]] = []
 
     def listen(self, news: News) -> None:
-        """Register the callback for news; see `heli_host.ui.page.source.Source.listen`.
-
-        Parameters
-        ----------
-        news : callable taking a mapping
-            Called in the thread that calls `tell` or `add`.
-        """
+        """Register the callback for news; see `heli_host.ui.page.source.Source.listen`."""
         self._news = news
 
     def tell(self, news: Mapping[str, Any]) -> None:
-        """Send news to all pages.
-
-        Parameters
-        ----------
-        news : mapping
-            Content as JSON.
-        """
+        """Send news to all pages."""
         if self._news is not None:
             self._news(news)
 
     def add(self, tick: int, kind: str, words: str) -> None:
-        """Keep an event, and send it to all pages.
-
-        Parameters
-        ----------
-        tick : int
-            Device time [tick].
-        kind : str
-            See `heli_host.link.events.LinkEvent`.
-        words : str
-            One line for a person.
-        """
+        """Keep an event, and send it to all pages."""
         entry = {"t_s": round(tick * TICK_S, 3), "kind": kind, "text": words}
         self._events = [*self._events[1 - _EVENTS_KEPT :], entry]
         self.tell({"event": entry})

@@ -24,15 +24,7 @@ _HEADERS = {
 
 
 def page_file(path: str, headers: Mapping[str, str]) -> Response:
-    """Return the response for a static file; 404 if no file has this name.
-
-    Parameters
-    ----------
-    path : str
-        Requested path without the first slash; empty for the page itself.
-    headers : Mapping of str to str
-        Headers of the request.
-    """
+    """Return the response for a static file; 404 if no file has this name."""
     # Only listed names are served, so that no text of a client becomes a path in the file system.
     stored = _files_by_path().get(path or "index.html")
     if stored is None:

@@ -26,26 +26,6 @@ class FlightRequests:
     `CommandQueue.FLIGHT`, until the arm hovers or the motors are off. Meanwhile the others run in the threads
     of `CommandQueue.QUICK` and `CommandQueue.SETPOINT`. The stop is no request: `Cockpit.stop` sends it past
     all queues, and the board's change of state then ends the flight here.
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected board.
-    plans : sequence of Plan
-        Plans that clients may fly.
-    law : LawChoice
-        Control law that takes over after each take-off.
-    recording : Recording
-        Records each flight of plans.
-    pilot : PilotWatch
-        Explains an outcome.
-
-    Attributes
-    ----------
-    plans : mapping of str to Plan
-        Plans by name.
-    doing : str
-        The request that is in progress, in words; empty if none. It may be read from any thread.
     """
 
     def __init__(
@@ -71,13 +51,7 @@ class FlightRequests:
         return flight.progress if flight is not None else None
 
     def take_off(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Run the request ``take_off``: rise to a level hover, then hand over to the chosen law.
-
-        Parameters
-        ----------
-        arguments : mapping
-            ``elevation_deg``, optional.
-        """
+        """Run the request ``take_off``: rise to a level hover, then hand over to the chosen law."""
         elevation_deg = number(arguments, "elevation_deg") if "elevation_deg" in arguments else 0.0
         with self._shown_as_busy("taking off"):
             self._heli.take_off(elevation_deg)
@@ -85,18 +59,7 @@ class FlightRequests:
         return {}
 
     def fly(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Run the request ``fly``: take off, fly plans, land. It returns when the motors are off.
-
-        Parameters
-        ----------
-        arguments : mapping
-            ``plans``: names, or a single name.
-
-        Returns
-        -------
-        mapping
-            ``outcome`` of the flight.
-        """
+        """Run the request ``fly``: take off, fly plans, land. It returns when the motors are off."""
         plans = arguments.get("plans")
         names = [str(name) for name in (plans if isinstance(plans, list) else [plans])]
         if not names:
@@ -141,13 +104,7 @@ class FlightRequests:
         return {}
 
     def setpoint(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Run the request ``setpoint``: move, unless plans fly.
-
-        Parameters
-        ----------
-        arguments : mapping
-            ``elevation_deg`` and ``travel_deg``, each optional.
-        """
+        """Run the request ``setpoint``: move, unless plans fly."""
         self._check_no_plan()
         axes = ("elevation_deg", "travel_deg")
         self._heli.setpoint(**{name: number(arguments, name) for name in axes if name in arguments})

@@ -19,32 +19,7 @@ if TYPE_CHECKING:
 
 
 class PlanFlight:
-    """Plans that were checked against a board and can be flown once.
-
-    Parameters
-    ----------
-    heli : Heli
-        Idle, with its arm at rest on the table.
-    plans : sequence of Plan
-        In the order of the flight.
-    on_taken_off : callable, optional
-        Called once, in the thread of `fly`, when the first plan begins. If it raises, the flight ends in a
-        landing.
-
-    Attributes
-    ----------
-    duration_s : float
-        Time from closing the control loops to the landing [s].
-    outcome : str
-        See `heli_host.fly.pilot.Pilot`.
-    progress : dict
-        ``phase``, ``t_s`` and ``left_s`` [s], as JSON; may be read from any thread.
-
-    Raises
-    ------
-    PlanError
-        A plan cannot be flown on this board; nothing has moved.
-    """
+    """Plans that were checked against a board and can be flown once."""
 
     def __init__(
         self, heli: Heli, plans: Sequence[Plan], on_taken_off: Callable[[], object] | None = None
@@ -58,13 +33,7 @@ class PlanFlight:
         self.progress: dict[str, Any] = {"phase": "take-off", "t_s": 0.0, "left_s": self.duration_s}
 
     def fly(self, recorder: Recorder) -> str:
-        """Take off, fly the plans, land, and return the outcome. Blocks until the motors are off.
-
-        Parameters
-        ----------
-        recorder : Recorder
-            Records the flight and the beginning of each phase.
-        """
+        """Take off, fly the plans, land, and return the outcome. Blocks until the motors are off."""
         tolerance = Tolerance.widest([plan.tolerance for plan in self._plans])
         pilot = Pilot(
             self._heli,

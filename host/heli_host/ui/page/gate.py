@@ -59,17 +59,6 @@ class Gate:
     It reads the head of each request. A request for ``/stop`` stays here; every other connection goes to
     `hand_over`. In each turn, open stop sockets come first, then requests, then new connections. No call in
     this thread waits for a client or for the event loop that serves pages.
-
-    Parameters
-    ----------
-    listening : socket
-        Bound socket; `Gate` listens on it.
-    stop : StopEndpoint
-        Serves the stop.
-    hand_over : callable taking (socket, bytes), returning bool
-        Takes all other connections. It must not block.
-    notes : Notes
-        The server's log.
     """
 
     def __init__(

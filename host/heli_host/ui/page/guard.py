@@ -20,32 +20,18 @@ _LONGEST_PATH = 200
 
 @dataclass(frozen=True)
 class Guard:
-    """Decides which connections the server accepts.
+    """Decides which connections the server accepts."""
 
-    Parameters
-    ----------
-    token : str
-        Secret that each address must carry. Without it a client sees nothing and commands nothing.
-    host : str
-        Address that the server is bound to. If it is local, only requests for a local name are served: this
-        refuses a foreign page whose host name resolves to this machine (DNS rebinding).
-    notes : Notes
-        Log for malformed headers.
-    """
-
-    token: str
+    token: str  # Secret that each address must carry. Without it a client sees nothing and commands nothing.
     host: str
-    notes: Notes = field(default_factory=Notes)
+    """Address that the server is bound to. If it is local, only requests for a local name are served: this
+    refuses a foreign page whose host name resolves to this machine (DNS rebinding)."""
+    notes: Notes = field(default_factory=Notes)  # Log for malformed headers
 
     def refusal(self, connection: HTTPConnection, *, needs_token: bool = True) -> Response | None:
         """Return the error response for a connection that must be refused, otherwise None.
 
-        Parameters
-        ----------
-        connection : HTTPConnection
-            A request, or a WebSocket before it is accepted.
-        needs_token : bool
-            True if it must carry the token, which is then checked first.
+        `needs_token`: True if it must carry the token, which is then checked first.
         """
         if needs_token and not self._has_token(connection):
             message = "open the whole address that heli-host dashboard printed: it carries a token\n"
@@ -84,18 +70,7 @@ class Guard:
         self.notes.warn(f"a request of {client} is refused: {cause}")
 
     async def admit(self, socket: WebSocket) -> bool:
-        """Accept a WebSocket, or close it with the code of a policy violation.
-
-        Parameters
-        ----------
-        socket : WebSocket
-            Not accepted yet.
-
-        Returns
-        -------
-        bool
-            True if it was accepted.
-        """
+        """Accept a WebSocket, or close it with the code of a policy violation."""
         if self.refusal(socket) is not None:
             await socket.close(POLICY_VIOLATION)
             return False

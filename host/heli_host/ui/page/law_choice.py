@@ -24,23 +24,6 @@ class LawChoice:
     A law is uploaded while the board is idle. It flies from the end of the take-off. In flight a client can
     switch only between the uploaded law and the board's own cascade, which runs along and takes over when the
     law fails.
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected board.
-    laws : sequence of LawProgram
-        Laws in addition to the board's own; their names must differ.
-
-    Attributes
-    ----------
-    chosen : str
-        Name of the chosen law; empty for the board's own.
-
-    Raises
-    ------
-    BadLaw
-        If two laws have the same name.
     """
 
     def __init__(self, heli: Heli, laws: Sequence[LawProgram]) -> None:
@@ -79,24 +62,7 @@ class LawChoice:
         }
 
     def choose(self, name: str) -> Mapping[str, Any]:
-        """Choose the law that flies: immediately if the board flies, otherwise from the next take-off on.
-
-        Parameters
-        ----------
-        name : str
-            Name of the law; empty for the board's own.
-
-        Raises
-        ------
-        ParameterError
-            There is no law of this name.
-        SetpointError
-            The board is in flight and does not hold this law, or is neither idle nor in closed loop.
-        CommandRefused
-            The board refuses the law; the message gives its reason.
-        FlightAborted
-            The board's own law took over immediately.
-        """
+        """Choose the law that flies: immediately if the board flies, otherwise from the next take-off on."""
         if name and name not in self._laws:
             choices = ", ".join(self._laws) or "none was named: heli-host dashboard --law FILE.py"
             raise ParameterError(f"unknown control law {name:.40}", f"choose from: {choices}")
@@ -114,29 +80,7 @@ class LawChoice:
         return {"law": name}
 
     def set(self, name: str, value: float) -> tuple[float, float]:
-        """Change a parameter of the chosen law on the board, also in flight.
-
-        Parameters
-        ----------
-        name : str
-            Name of the parameter.
-        value : float
-            New value; applied again whenever the law is uploaded, until the page's server ends.
-
-        Returns
-        -------
-        tuple of float
-            Values before and after.
-
-        Raises
-        ------
-        ParameterError
-            The board's own law is chosen.
-        BadLaw
-            The law has no parameter of this name.
-        CommandRefused
-            The board does not hold the law, for example after a reset.
-        """
+        """Change a parameter of the chosen law on the board, also in flight."""
         if not self.chosen:
             raise ParameterError(
                 "no control law is chosen",
@@ -148,27 +92,13 @@ class LawChoice:
         return before, after
 
     def engage(self) -> None:
-        """Hand control from the board's own law to the chosen law, if there is one. The board must hover.
-
-        Raises
-        ------
-        CommandRefused
-            The board refuses the law.
-        FlightAborted
-            The board's own law took over immediately.
-        """
+        """Hand control from the board's own law to the chosen law, if there is one. The board must hover."""
         self._taken_over = ""
         if self.chosen:
             self._start_law(self.chosen)
 
     def take_event(self, event: LinkEvent) -> None:
-        """Record why the board's own law took over, if the event says so.
-
-        Parameters
-        ----------
-        event : LinkEvent
-            Any event of the link; called in the session's reading thread.
-        """
+        """Record why the board's own law took over, if the event says so."""
         takeover = takeover_text(event)
         if takeover is not None and takeover[0] not in _EXPECTED_ENDS:
             self._taken_over = f"{takeover[0].replace('_', ' ')} ({takeover[1]:.3g})"

@@ -29,30 +29,14 @@ class wait, with signals at 10 Hz. Higher: the server is too busy to hear the pi
 
 
 class RateLimit:
-    """An allowance that refills at a constant rate, up to a maximum (token bucket).
-
-    Parameters
-    ----------
-    rate_per_s : float
-        Refill [1/s].
-    burst : float
-        Maximum, which is also the allowance at the beginning.
-    clock : callable returning float
-        Monotonic time [s].
-    """
+    """An allowance that refills at a constant rate, up to a maximum (token bucket)."""
 
     def __init__(self, rate_per_s: float, burst: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._rate_per_s, self._burst, self._clock = rate_per_s, burst, clock
         self._allowance, self._refilled_s = burst, clock()
 
     def take(self, amount: float = 1.0) -> bool:
-        """Use a part of the allowance; False if less is available, and then nothing is used.
-
-        Parameters
-        ----------
-        amount : float
-            Part to use.
-        """
+        """Use a part of the allowance; False if less is available, and then nothing is used."""
         if amount > self.available():
             return False
         self._allowance -= amount
@@ -80,12 +64,7 @@ class FrameCounter:
     def count(self, data: bytes, most: float) -> int:
         """Return how many frames begin in the next bytes of the stream.
 
-        Parameters
-        ----------
-        data : bytes
-            The next bytes.
-        most : float
-            Counting ends with the first frame above this number; the stream must not be used afterwards.
+        `most`: Counting ends with the first frame above this number; the stream must not be used afterwards.
         """
         data = self._head + data
         at, frames = self._payload_left, 0
@@ -103,15 +82,7 @@ class FrameCounter:
 
 
 class Meter:
-    """Measures what one client sends over its WebSocket.
-
-    Parameters
-    ----------
-    messages_per_s, message_burst : float
-        Allowance of messages.
-    clock : callable returning float
-        Monotonic time [s].
-    """
+    """Measures what one client sends over its WebSocket."""
 
     def __init__(
         self,
@@ -125,12 +96,8 @@ class Meter:
         self._messages_per_s = messages_per_s
 
     def excess(self, data: bytes) -> str:
-        """Return why a client that sends `data` next must be disconnected; empty if it stays within limits.
-
-        Parameters
-        ----------
-        data : bytes
-            Received bytes, not decoded.
+        """Return why a client that sends `data` next must be disconnected; empty if it stays within
+        limits.
         """
         if not self._bytes.take(len(data)):
             return f"more than {BYTES_PER_S / 1024:g} KiB per second; send less"

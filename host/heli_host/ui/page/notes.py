@@ -18,13 +18,7 @@ class Notes:
         self._seen: set[str] = set()
 
     def warn(self, cause: str) -> None:
-        """Write one line, unless the same line was written before.
-
-        Parameters
-        ----------
-        cause : str
-            What failed, and for which client.
-        """
+        """Write one line, unless the same line was written before."""
         line = printable(" ".join(cause.split()))
         if line in self._seen or len(self._seen) > _MAX_CAUSES:
             return

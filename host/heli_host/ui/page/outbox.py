@@ -25,28 +25,7 @@ _QUEUED = 500
 
 
 class Outbox:
-    """Queue of messages to one client. Use it in the event loop's thread only.
-
-    Parameters
-    ----------
-    socket : WebSocket
-        Open socket of the client.
-    key : str
-        Id of the client.
-    name : str
-        Display name of the client.
-
-    Attributes
-    ----------
-    sent, acknowledged : int
-        Number of the newest frame that was sent, and of the newest that the client acknowledged.
-    may_send : asyncio.Event
-        Set by an acknowledgement.
-    wants_rows : bool
-        True if the client gets telemetry.
-    pending : int
-        Number of its requests that wait for their answers.
-    """
+    """Queue of messages to one client. Use it in the event loop's thread only."""
 
     def __init__(self, socket: WebSocket, key: str, name: str) -> None:
         self.socket = socket
@@ -61,23 +40,13 @@ class Outbox:
         self._status = ""
 
     def tell(self, text: str) -> None:
-        """Append a text message. If 500 messages wait already, it is dropped.
-
-        Parameters
-        ----------
-        text : str
-            Message as JSON.
-        """
+        """Append a text message. If 500 messages wait already, it is dropped."""
         with contextlib.suppress(asyncio.QueueFull):
             self._words.put_nowait(text)
 
     def tell_status(self, text: str) -> None:
-        """Append a status, or replace the one that still waits: an old status must not arrive as the present.
-
-        Parameters
-        ----------
-        text : str
-            Status as JSON.
+        """Append a status, or replace the one that still waits: an old status must not arrive as the
+        present.
         """
         if not self._status:
             try:
@@ -95,13 +64,7 @@ class Outbox:
             await self.socket.send_text(text)
 
     async def send_rows(self, source: Source) -> None:
-        """Send telemetry frames until the socket closes.
-
-        Parameters
-        ----------
-        source : Source
-            Source of the telemetry and of the board's state.
-        """
+        """Send telemetry frames until the socket closes."""
         position, sent_s = 0, 0.0
         # The history takes half a megabyte: only a client that has answered an empty frame gets it.
         self.sent = 1

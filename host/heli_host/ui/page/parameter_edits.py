@@ -21,20 +21,6 @@ class ParameterEdits:
 
     It owns the values that pages show, and the changes that can be undone. Its requests run in the thread of
     `CommandQueue.QUICK`; `values` and `undoable` may be read from any thread.
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected board.
-    recording : Recording
-        Gets a line for each change.
-    on_change : callable
-        Called after each change, in the thread of the request.
-
-    Attributes
-    ----------
-    values : dict
-        Value of each parameter by its name, as last read.
     """
 
     def __init__(self, heli: Heli, recording: Recording, on_change: Callable[[], None]) -> None:
@@ -50,18 +36,7 @@ class ParameterEdits:
         return len(self._undo)
 
     def set(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Run the request ``set``: change one parameter of the board.
-
-        Parameters
-        ----------
-        arguments : mapping
-            ``name`` and ``value``.
-
-        Returns
-        -------
-        mapping
-            ``value`` that the board now has.
-        """
+        """Run the request ``set``: change one parameter of the board."""
         name = text(arguments, "name")
         before = self._heli.params[name]
         self._heli.params.set(name, number(arguments, "value"))
@@ -71,13 +46,7 @@ class ParameterEdits:
         return {"value": self._heli.params[name]}
 
     def undo_last(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Run the request ``undo``: take back the last change.
-
-        Returns
-        -------
-        mapping
-            ``name`` of the parameter and the ``value`` that it had before.
-        """
+        """Run the request ``undo``: take back the last change."""
         if not self._undo:
             raise ParameterError("this page has not changed any parameter", "change a parameter first")
         name, before = self._undo[-1]
@@ -88,13 +57,7 @@ class ParameterEdits:
         return {"name": name, "value": before}
 
     def save(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Run the request ``save``: write the parameters into the board's flash.
-
-        Returns
-        -------
-        mapping
-            ``generation`` of the saved parameters.
-        """
+        """Run the request ``save``: write the parameters into the board's flash."""
         return {"generation": self._heli.params.save()}
 
     def _note_change(self) -> None:

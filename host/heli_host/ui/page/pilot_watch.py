@@ -23,17 +23,6 @@ class PilotWatch:
     It owns the cause of the board's last change of state. The server's lease decides whether the page is
     present. The session asks the same callable before each setpoint: see
     `heli_host.link.session.Session.permit_streams`.
-
-    Parameters
-    ----------
-    recording : Recording
-        Gets a line when the pilot's page is absent.
-
-    Attributes
-    ----------
-    cause : str
-        Cause of the last change of state, in words; empty before the first. Written by the session's reading
-        thread.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -46,28 +35,12 @@ class PilotWatch:
     def watch(self, present: Callable[[], bool], absence: Callable[[], str]) -> None:
         """Register the conditions; see `heli_host.ui.page.source.Source.watch_pilot`.
 
-        Parameters
-        ----------
-        present : callable returning bool
-            True while the pilot's page answers; it must not block.
-        absence : callable returning str
-            Why the pilot's page is absent, in words; empty while it is present.
+        `present`: True while the pilot's page answers; it must not block.
         """
         self._present, self._absence = present, absence
 
     def wait_until_settled(self, give_up: Callable[[], bool]) -> bool:
-        """Wait, in the caller's thread, until a pilot's page has answered for 3 s without a break.
-
-        Parameters
-        ----------
-        give_up : callable returning bool
-            Asked before each look at the page, five times per second; True ends the wait.
-
-        Returns
-        -------
-        bool
-            False if the caller gave up.
-        """
+        """Wait, in the caller's thread, until a pilot's page has answered for 3 s without a break."""
         looks = 0
         while looks < _SETTLED_LOOKS:
             if give_up():
@@ -77,13 +50,7 @@ class PilotWatch:
         return True
 
     def event_in_words(self, text: str) -> str:
-        """Return the text of an event with its cause in words, and write an absent pilot into the log.
-
-        Parameters
-        ----------
-        text : str
-            Text of an event of the link. Called in the session's reading thread.
-        """
+        """Return the text of an event with its cause in words, and write an absent pilot into the log."""
         is_without = is_without_setpoints(text)
         absence = self._absence() if is_without else ""
         if absence and absence != self.cause:
@@ -94,11 +61,5 @@ class PilotWatch:
         return in_words(text, absence)
 
     def outcome_in_words(self, outcome: str) -> str:
-        """Return the outcome of a flight with its cause in words.
-
-        Parameters
-        ----------
-        outcome : str
-            See `heli_host.fly.pilot.Pilot`.
-        """
+        """Return the outcome of a flight with its cause in words."""
         return in_words(outcome, self._last_absence)

@@ -18,15 +18,6 @@ class Recording:
     """The recorder of a `Cockpit`, while there is one. Its methods may be called from any thread.
 
     It owns the recorder from `begin` to `close`. Nothing here moves the rig or stops it.
-
-    Parameters
-    ----------
-    session : Session
-        Gives the device time of marks and signals.
-    new_recorder : callable taking (plans, duration_s), returning Recorder
-        Creates a new log file and begins to record.
-    feed : EventFeed
-        Gets the file's name at begin and end, and the lines that pages show.
     """
 
     def __init__(
@@ -52,79 +43,38 @@ class Recording:
         }
 
     def begin(self, plans: Sequence[Plan], duration_s: float) -> None:
-        """Create a log file and begin to record.
-
-        Parameters
-        ----------
-        plans : sequence of Plan
-            Plans that will be flown; empty if a person flies.
-        duration_s : float
-            Expected duration [s]; 0 if it is unknown.
-        """
+        """Create a log file and begin to record."""
         self._recorder = self._new_recorder(plans, duration_s)
         self._feed.tell({"recording": str(self._recorder.path)})
 
     def close(self, outcome: str = "recorded") -> None:
-        """End the recording, if there is one, and write the log to its end. The motors are not touched.
-
-        Parameters
-        ----------
-        outcome : str
-            Outcome of the flight, for the log.
-        """
+        """End the recording, if there is one, and write the log to its end. The motors are not touched."""
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
             recorder.close(outcome)
             self._feed.tell({"recorded": str(recorder.path)})
 
     def write(self, kind: str, words: str) -> None:
-        """Write a line of the host's own into the log, if there is one.
-
-        Parameters
-        ----------
-        kind, words : str
-            See `heli_host.fly.recorder.Recorder.note`.
-        """
+        """Write a line of the host's own into the log, if there is one."""
         recorder = self._recorder
         if recorder is not None:
             recorder.note(kind, words)
 
     def announce(self, kind: str, words: str) -> None:
-        """Write a line into the log, and show it on all pages as an event.
-
-        Parameters
-        ----------
-        kind, words : str
-            See `heli_host.fly.recorder.Recorder.note`.
-        """
+        """Write a line into the log, and show it on all pages as an event."""
         self.write(kind, words)
         self._feed.add(self._newest_tick(), kind, words)
 
     def mark(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Run the request ``mark``: a line of a person's own, numbered if it has no text.
-
-        Parameters
-        ----------
-        arguments : mapping
-            ``text``, optional.
-
-        Returns
-        -------
-        mapping
-            ``logged``: whether a log holds the mark.
-        """
+        """Run the request ``mark``: a line of a person's own, numbered if it has no text."""
         self._marks += 1
         words = text(arguments, "text") if arguments.get("text") else f"mark {self._marks}"
         self.announce("mark", words)
         return {"logged": self._recorder is not None}
 
     def signal(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Run the request ``signal``: a number of another program, for the log and for a strip on each page.
-
-        Parameters
-        ----------
-        arguments : mapping
-            ``name`` and ``value``.
+        """Run the request ``signal``: a number of another program, for the log and for a strip on each
+        page.
         """
         name, value = text(arguments, "name", 40), number(arguments, "value")
         tick = self._newest_tick()

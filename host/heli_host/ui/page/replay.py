@@ -38,22 +38,7 @@ _BEFORE_S = 60.0
 
 
 class Replay:
-    """A log as the source of a page.
-
-    Parameters
-    ----------
-    log : Log
-        Log that was read completely, with at least one tick.
-    rig : Mapping of str to float
-        Lengths [m] and masses [kg] of the rig by name; empty if they are unknown.
-
-    Attributes
-    ----------
-    buffer : TelemetryBuffer
-        The rows that were replayed last.
-    actions : mapping of str to Action
-        ``play`` and ``seek``.
-    """
+    """A log as the source of a page."""
 
     def __init__(self, log: Log, rig: Mapping[str, float]) -> None:
         if not len(log.ticks):
@@ -129,13 +114,7 @@ class Replay:
         return int(self._raw[row, Channel.STATE]), int(self._raw[row, Channel.FAULT])
 
     def listen(self, news: News) -> None:
-        """Ignore the callback: a replay has only the events in its description.
-
-        Parameters
-        ----------
-        news : callable taking a mapping
-            Never called.
-        """
+        """Ignore the callback: a replay has only the events in its description."""
 
     def stop(self) -> None:
         """Pause the replay; no motors are involved."""
@@ -146,25 +125,11 @@ class Replay:
         return 0
 
     def clear_stop(self, epoch: int) -> bool:
-        """Permit every request: a replay moves no motors.
-
-        Parameters
-        ----------
-        epoch : int
-            Value of `stop_epoch`, 0.
-        """
+        """Permit every request: a replay moves no motors."""
         return epoch == 0
 
     def watch_pilot(self, present: Callable[[], bool], absence: Callable[[], str] = lambda: "") -> None:
-        """Ignore the pilot's presence: a replay sends no setpoints.
-
-        Parameters
-        ----------
-        present : callable returning bool
-            Never called.
-        absence : callable returning str
-            Never called.
-        """
+        """Ignore the pilot's presence: a replay sends no setpoints."""
 
     def run(self) -> None:
         """Replay the log in the caller's thread until another thread calls `close`."""

@@ -18,15 +18,7 @@ _LONGEST_ID = 100
 
 
 class BadRequest(ParameterError):
-    """A message that is not a valid request.
-
-    Parameters
-    ----------
-    cause, remedy : str
-        See `HeliError`.
-    message : Mapping of str to object
-        ``id`` and ``do`` of the message if they are valid; the error answer repeats them.
-    """
+    """A message that is not a valid request."""
 
     def __init__(self, cause: str, remedy: str, message: Mapping[str, Any]) -> None:
         super().__init__(cause, remedy)
@@ -35,34 +27,14 @@ class BadRequest(ParameterError):
 
 @dataclass(frozen=True)
 class PageRequest:
-    """A valid request: all its numbers are finite, and UTF-8 can encode all its texts.
+    """A valid request: all its numbers are finite, and UTF-8 can encode all its texts."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the action, the message's ``do``.
-    message : Mapping of str to object
-        The whole message, with ``do`` and ``id``.
-    """
-
-    name: str
-    message: Mapping[str, Any]
+    name: str  # Name of the action, the message's ``do``
+    message: Mapping[str, Any]  # The whole message, with ``do`` and ``id``
 
 
 def read_request(words: str) -> PageRequest:
-    """Parse and validate a message.
-
-    Parameters
-    ----------
-    words : str
-        Message as it was received.
-
-    Raises
-    ------
-    BadRequest
-        The message is too long, is not JSON, is not a request, holds a number that is not finite, or a text
-        that UTF-8 cannot encode.
-    """
+    """Parse and validate a message."""
     if len(words) > LONGEST_REQUEST:
         cause = f"a request of {len(words)} characters is too long"
         raise BadRequest(cause, f"send at most {LONGEST_REQUEST}", {})

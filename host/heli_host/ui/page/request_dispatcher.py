@@ -29,17 +29,6 @@ class RequestDispatcher:
 
     It owns the queues: one thread for each `CommandQueue`, in which the actions of the source run. Everything
     else runs in the event loop's thread. A request ``stop`` uses no queue and needs no role.
-
-    Parameters
-    ----------
-    source : Source
-        Runs the actions.
-    lease : ControlLease
-        Says who is the pilot.
-    broadcast : Broadcast
-        Takes answers to the clients.
-    notes : Notes
-        The server's log.
     """
 
     def __init__(self, source: Source, lease: ControlLease, broadcast: Broadcast, notes: Notes) -> None:
@@ -56,15 +45,7 @@ class RequestDispatcher:
             queue.shutdown(wait=False, cancel_futures=True)
 
     def take(self, client: Outbox, words: str) -> None:
-        """Begin a request; the answer follows when it is done.
-
-        Parameters
-        ----------
-        client : Outbox
-            Client that made the request.
-        words : str
-            Request as JSON.
-        """
+        """Begin a request; the answer follows when it is done."""
         try:
             request = read_request(words)
         except BadRequest as error:
@@ -152,13 +133,7 @@ class RequestDispatcher:
 
 
 def lease_news(lease: ControlLease) -> dict[str, Any]:
-    """Return who is the pilot and who asks for control, as news for all clients.
-
-    Parameters
-    ----------
-    lease : ControlLease
-        The connected clients and the pilot.
-    """
+    """Return who is the pilot and who asks for control, as news for all clients."""
     return {
         "control": {
             "pilot": lease.pilot,

@@ -16,18 +16,7 @@ Outline = Callable[[str], Mapping[str, float]]
 
 
 def outline(rig: str) -> dict[str, float]:
-    """Return lengths [m] and masses [kg] of a rig by name; empty if no installed package can read rigs.
-
-    Parameters
-    ----------
-    rig : str
-        Name of the rig, or path of its file.
-
-    Raises
-    ------
-    HeliError
-        There is no such rig, or its file is invalid.
-    """
+    """Return lengths [m] and masses [kg] of a rig by name; empty if no installed package can read rigs."""
     for entry in plugins(ENTRY_POINT_GROUP):
         read_outline: Outline = entry.load()
         return dict(read_outline(rig))

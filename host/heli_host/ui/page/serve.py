@@ -28,21 +28,11 @@ _END_S = 3.0
 
 @dataclass(frozen=True)
 class Address:
-    """Address of a running page server.
+    """Address of a running page server."""
 
-    Parameters
-    ----------
-    host : str
-        Address that the server is bound to.
-    port : int
-        TCP port.
-    token : str
-        Secret that clients must send.
-    """
-
-    host: str
-    port: int
-    token: str
+    host: str  # Address that the server is bound to
+    port: int  # TCP port
+    token: str  # Secret that clients must send
 
     @property
     def page(self) -> str:
@@ -71,21 +61,7 @@ def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str =
 
     The end of the block closes the server only: the caller lands the helicopter or switches its motors off.
 
-    Parameters
-    ----------
-    source : Source
-        Board or replay that clients see and command.
-    host : str
-        Address to listen on. Any address but a local one lets other machines connect.
-    port : int
-        TCP port; 0 chooses a free one.
-    token : str
-        Secret that clients must send; empty for a new random one.
-
-    Raises
-    ------
-    PortError
-        The port is in use, or the address does not belong to this machine.
+    `token`: Secret that clients must send; empty for a new random one.
     """
     guard, notes = Guard(token or new_token(), host), Notes()
     listening = _open_socket(host, port)

@@ -29,13 +29,7 @@ class MeteredWebSocket(WebSocketsSansIOProtocol):
     """
 
     def data_received(self, data: bytes) -> None:
-        """Process received bytes, unless they exceed the limit.
-
-        Parameters
-        ----------
-        data : bytes
-            Bytes as they arrived, not decoded.
-        """
+        """Process received bytes, unless they exceed the limit."""
         if not self.handshake_initiated:
             self._meter = Meter()
         elif excess := self._meter.excess(data):
@@ -79,13 +73,7 @@ class _AcceptedConnection(H11Protocol):
 
 
 class PageServer(uvicorn.Server):
-    """Serves an ASGI application to connections that another thread accepts.
-
-    Parameters
-    ----------
-    application : ASGI application
-        Serves the requests.
-    """
+    """Serves an ASGI application to connections that another thread accepts."""
 
     def __init__(self, application: ASGIApp) -> None:
         super().__init__(
@@ -106,31 +94,12 @@ class PageServer(uvicorn.Server):
         self._arriving: set[socket.socket] = set()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start, and note the event loop in which connections are served.
-
-        Parameters
-        ----------
-        sockets : list of socket.socket, optional
-            Sockets on which the server listens itself; none here.
-        """
+        """Start, and note the event loop in which connections are served."""
         self._loop = asyncio.get_running_loop()
         await super().startup(sockets=sockets)
 
     def take(self, connection: socket.socket, head: bytes) -> bool:
-        """Serve an accepted connection; may be called from any thread, and does not wait.
-
-        Parameters
-        ----------
-        connection : socket
-            Connection that does not block; the server closes it.
-        head : bytes
-            Bytes that were read from it.
-
-        Returns
-        -------
-        bool
-            False if there is no room for it, or if the server ends; the caller then keeps it.
-        """
+        """Serve an accepted connection; may be called from any thread, and does not wait."""
         is_full = len(self.server_state.connections) + len(self._arriving) >= MAX_CONNECTIONS
         if is_full or self._loop is None or self._loop.is_closed():
             return False

@@ -44,20 +44,6 @@ class Service:
     It owns the connections: it accepts clients, reads what they send, and sends them status and telemetry.
     Everything here runs in the event loop's thread. All requests go through `RequestDispatcher`, which has
     the queues. The stop has its own thread: see `heli_host.ui.page.gate.Gate`.
-
-    Parameters
-    ----------
-    source : Source
-        Board or replay that clients see and command.
-    guard : Guard
-        Decides which connections are accepted.
-    notes : Notes
-        The server's log.
-
-    Attributes
-    ----------
-    lease : ControlLease
-        The connected clients and the pilot.
     """
 
     def __init__(self, source: Source, guard: Guard, notes: Notes) -> None:

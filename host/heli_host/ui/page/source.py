@@ -50,20 +50,13 @@ class CommandQueue(Enum):
 
 @dataclass(frozen=True)
 class Action:
-    """A request that a source accepts from clients.
-
-    Parameters
-    ----------
-    run : callable taking a mapping, returning a mapping
-        Called with the request's arguments in the thread of `queue`. The result is merged into the answer to
-        the client; a HeliError becomes an error answer.
-    role : Role
-        Least role of a client that may request it.
-    """
+    """A request that a source accepts from clients."""
 
     run: Callable[[Mapping[str, Any]], Mapping[str, Any]]
+    """Called with the request's arguments in the thread of `queue`. The result is merged into the answer to
+    the client; a HeliError becomes an error answer."""
     queue: CommandQueue
-    role: Role
+    role: Role  # Least role of a client that may request it
 
 
 class Source(Protocol):
@@ -72,17 +65,10 @@ class Source(Protocol):
     The server calls all methods from its event-loop thread, except `stop`, which it
     calls in the thread of the stop, and `clear_stop`, which it calls in the thread
     of a `CommandQueue`. No method may block.
-
-    Attributes
-    ----------
-    buffer : TelemetryBuffer
-        Telemetry of the newest `KEPT_S` seconds.
-    actions : mapping of str to Action
-        Requests that clients may send, by name.
     """
 
-    buffer: TelemetryBuffer
-    actions: Mapping[str, Action]
+    buffer: TelemetryBuffer  # Telemetry of the newest `KEPT_S` seconds
+    actions: Mapping[str, Action]  # Requests that clients may send, by name
 
     def describe(self) -> dict[str, Any]:
         """Return the constant facts that each client gets once when it connects, as JSON: kind
@@ -104,11 +90,8 @@ class Source(Protocol):
     def listen(self, news: News) -> None:
         """Register the callback for events.
 
-        Parameters
-        ----------
-        news : callable taking a mapping
-            Called with each event as JSON, from any thread, possibly several threads at a time. It must not
-            block.
+        `news`: Called with each event as JSON, from any thread, possibly several threads at a time. It must
+        not block.
         """
         ...
 
@@ -118,11 +101,6 @@ class Source(Protocol):
         The call returns without waiting for the board's answer; the command is repeated until the answer
         comes. An arm in the air falls. From this call on, the source refuses every command that could start
         the motors, until `clear_stop` succeeds. May be called from any thread.
-
-        Raises
-        ------
-        HeliError
-            The command could not be sent. The operator must use the rig's own stop switch.
         """
         ...
 
@@ -138,17 +116,6 @@ class Source(Protocol):
         """Accept commands again after a stop, if no further stop came since `epoch`.
 
         Motors stay off: this only permits commands. May be called from any thread.
-
-        Parameters
-        ----------
-        epoch : int
-            Value of `stop_epoch` when the request arrived.
-
-        Returns
-        -------
-        bool
-            True if the request may run. False if a stop came after the request arrived: the stop stays in
-            force and the caller must refuse the request.
         """
         ...
 
@@ -158,14 +125,9 @@ class Source(Protocol):
         Without setpoints the board itself holds level after ``setpoint_hold_s`` and lands after
         ``setpoint_land_s``, which are parameters of the board in seconds. The motors keep running meanwhile.
 
-        Parameters
-        ----------
-        present : callable returning bool
-            True while the pilot's page has answered within `heli_host.ui.page.control_lease.PRESENT_S` seconds.
-            Called before each setpoint and each pair of voltages, with the link's lock held: it must not
-            block.
-        absence : callable returning str
-            Why the pilot's page is absent, in words; empty while it is present.
+        `present`: True while the pilot's page has answered within `heli_host.ui.page.control_lease.PRESENT_S`
+        seconds. Called before each setpoint and each pair of voltages, with the link's lock held: it must not
+        block.
         """
         ...
 
@@ -197,18 +159,7 @@ REPLAY_WORDS: dict[State, str] = {
 
 
 def number(arguments: Mapping[str, Any], name: str) -> float:
-    """Return the numeric argument `name` of a request as a finite float.
-
-    Parameters
-    ----------
-    arguments : Mapping of str to object
-        Arguments of the request, as parsed from JSON.
-
-    Raises
-    ------
-    ParameterError
-        The argument is missing, is not a number, or is not finite.
-    """
+    """Return the numeric argument `name` of a request as a finite float."""
     value = arguments.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ParameterError(f"{name} is not a number", "give a number")
@@ -216,20 +167,7 @@ def number(arguments: Mapping[str, Any], name: str) -> float:
 
 
 def finite(name: str, value: float) -> float:
-    """Convert a number to a finite float.
-
-    Parameters
-    ----------
-    name : str
-        Name of the number, for the error message.
-    value : float
-        Number as parsed by `json`, which accepts integers of any length, NaN and Infinity.
-
-    Raises
-    ------
-    ParameterError
-        The number is NaN, infinite, or too large for a float.
-    """
+    """Convert a number to a finite float."""
     try:
         converted = float(value)
     except OverflowError:
@@ -240,20 +178,7 @@ def finite(name: str, value: float) -> float:
 
 
 def text(arguments: Mapping[str, Any], name: str, max_characters: int = 200) -> str:
-    """Return the text argument `name` of a request without surrounding white space.
-
-    Parameters
-    ----------
-    arguments : Mapping of str to object
-        Arguments of the request, as parsed from JSON.
-    max_characters : int
-        Greatest length; a longer text is cut.
-
-    Raises
-    ------
-    ParameterError
-        The argument is missing, is empty, or is not a text.
-    """
+    """Return the text argument `name` of a request without surrounding white space."""
     value = arguments.get(name)
     if not isinstance(value, str) or not value.strip():
         raise ParameterError(f"{name} is missing", "give a text")
@@ -265,14 +190,6 @@ def channel_rows(
 ) -> list[dict[str, Any]]:
     """Return name, unit, scale and meaning of each telemetry channel. A raw number times its scale is the
     value in that unit.
-
-    Parameters
-    ----------
-    parameters : Mapping of str to float
-        Parameters of the board by name; the counts per turn of each encoder set the scale of its angle.
-    signals : Mapping of str to str, optional
-        Names that the uploaded control law gives its signals, by channel such as ``signal_1``. Pages draw
-        only channels with such a name.
     """
     rad = rad_per_count(parameters).tolist()
     rows = []
@@ -306,13 +223,7 @@ def _parameter_row(spec: ParamSpec) -> dict[str, Any]:
 
 
 def state_rows(words: Mapping[State, str] = STATE_WORDS) -> dict[int, dict[str, str]]:
-    """Return for each supervisor state, by number, its name and one sentence for the operator.
-
-    Parameters
-    ----------
-    words : Mapping of State to str
-        The sentences: `STATE_WORDS` of a board, `REPLAY_WORDS` of a log.
-    """
+    """Return for each supervisor state, by number, its name and one sentence for the operator."""
     return {int(state): {"name": state.name.lower(), "words": words[state]} for state in State}
 
 

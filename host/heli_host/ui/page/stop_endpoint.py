@@ -33,18 +33,9 @@ _REASONS = {200: "OK", 400: "Bad Request", 403: "Forbidden", 405: "Method Not Al
 class StopEndpoint:
     """Switches the motors off as soon as the message of a stop is read.
 
-    Everything runs in the thread of `heli_host.ui.page.gate.Gate`. That thread serves no other request, and it
+    Everything runs in the thread of `gate.Gate`. That thread serves no other request, and it
     waits for no client: a stop waits for no queue, no role and not for the event loop that serves pages. It
     needs the token of the page, and nothing else.
-
-    Parameters
-    ----------
-    source : Source
-        Board to stop.
-    guard : Guard
-        Decides which connections are accepted.
-    notes : Notes
-        The server's log.
     """
 
     def __init__(self, source: Source, guard: Guard, notes: Notes) -> None:
@@ -56,18 +47,6 @@ class StopEndpoint:
         """Serve a request for ``/stop``.
 
         A POST is answered, and its connection is closed.
-
-        Parameters
-        ----------
-        connection : socket
-            Connection that does not block; this call takes it over.
-        head : bytes
-            Request up to its empty line, and whatever followed.
-
-        Returns
-        -------
-        StopSocket or None
-            The open WebSocket, to be read whenever bytes arrive; None if the connection is closed.
         """
         method, request = _parse_head(head, connection)
         refusal = self._guard.refusal(request)
@@ -87,20 +66,7 @@ class StopEndpoint:
 
 
 def stop_motors(source: Source, notes: Notes) -> str:
-    """Switch the motors off, without waiting for any queue or client.
-
-    Parameters
-    ----------
-    source : Source
-        Board to stop.
-    notes : Notes
-        The server's log.
-
-    Returns
-    -------
-    str
-        Error text, empty on success: the client must get an answer even if the stop fails.
-    """
+    """Switch the motors off, without waiting for any queue or client."""
     try:
         source.stop()
     except HeliError as error:
@@ -112,15 +78,7 @@ def stop_motors(source: Source, notes: Notes) -> str:
 
 
 class StopSocket:
-    """One open WebSocket for the stop.
-
-    Parameters
-    ----------
-    connection : socket
-        Connection that does not block.
-    stop : callable returning str
-        Switches the motors off; returns an error text, empty on success.
-    """
+    """One open WebSocket for the stop."""
 
     def __init__(self, connection: socket.socket, stop: Callable[[], str]) -> None:
         self.connection = connection
@@ -129,13 +87,7 @@ class StopSocket:
         self._meter = Meter(STOPS_PER_S, STOP_BURST)
 
     def begin(self, head: bytes) -> bool:
-        """Answer the request that opens the socket; False if it is invalid.
-
-        Parameters
-        ----------
-        head : bytes
-            The request, and whatever followed.
-        """
+        """Answer the request that opens the socket; False if it is invalid."""
         self._protocol.receive_data(head)
         events = self._protocol.events_received()
         if not events or not isinstance(events[0], Request):
@@ -145,13 +97,7 @@ class StopSocket:
         return self._send()
 
     def read(self) -> bool:
-        """Read what has arrived, and stop if it is a message, whatever it contains.
-
-        Returns
-        -------
-        bool
-            False if the connection has ended, or must be ended; the caller closes it.
-        """
+        """Read what has arrived, and stop if it is a message, whatever it contains."""
         try:
             data = self.connection.recv(_READ_BYTES)
         except BlockingIOError:
@@ -192,15 +138,7 @@ class StopSocket:
 
 
 def send_response(connection: socket.socket, response: Response) -> None:
-    """Send a short response without waiting, and close the connection.
-
-    Parameters
-    ----------
-    connection : socket
-        Connection that does not block.
-    response : Response
-        Complete response; a client that does not read it loses it.
-    """
+    """Send a short response without waiting, and close the connection."""
     code, body = response.status_code, bytes(response.body)
     head = (
         f"HTTP/1.1 {code} {_REASONS.get(code, 'Refused')}\r\nContent-Type: text/plain; charset=utf-8\r\n"

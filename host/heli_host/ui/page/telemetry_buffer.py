@@ -14,28 +14,15 @@ from heli_host.link.telemetry import CHANNEL_COUNT
 
 @dataclass(frozen=True)
 class BufferRows:
-    """A copy of consecutive or thinned rows of a buffer.
+    """A copy of consecutive or thinned rows of a buffer."""
 
-    Parameters
-    ----------
-    tick : ndarray of int64, shape (n,)
-        Device time [tick of 1 ms], unwrapped beyond 2^32.
-    raw : ndarray of int32, shape (n, channels)
-        Raw numbers in the order of the declaration's ``CHANNELS``.
-    end : int
-        Position after the last row; the reader passes it to the next `TelemetryBuffer.rows_since`.
-    reset : bool
-        True if rows are missing between the reader's position and the first of these: the buffer was cleared,
-        or overwrote them before they were read.
-    thinned : bool
-        True if some rows were omitted, because there were more than the limit.
-    """
-
-    tick: npt.NDArray[np.int64]
-    raw: npt.NDArray[np.int32]
-    end: int
+    tick: npt.NDArray[np.int64]  # (n,): Device time [tick of 1 ms], unwrapped beyond 2^32
+    raw: npt.NDArray[np.int32]  # (n, channels): Raw numbers in the order of the declaration's ``CHANNELS``
+    end: int  # Position after the last row; the reader passes it to the next `TelemetryBuffer.rows_since`
     reset: bool
-    thinned: bool
+    """True if rows are missing between the reader's position and the first of these: the buffer was cleared,
+    or overwrote them before they were read."""
+    thinned: bool  # True if some rows were omitted, because there were more than the limit
 
 
 NO_ROWS = BufferRows(
@@ -69,15 +56,7 @@ class TelemetryBuffer:
             self._begin = self._written
 
     def append(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> None:
-        """Add rows.
-
-        Parameters
-        ----------
-        tick : ndarray of int64, shape (n,)
-            Device time [tick of 1 ms], increasing.
-        raw : ndarray of int32, shape (n, channels)
-            Raw numbers in the order of the declaration's ``CHANNELS``.
-        """
+        """Add rows. Shapes: `tick` (n,), `raw` (n, channels)."""
         capacity = len(self._tick)
         newest_tick, newest_raw = tick[-capacity:], raw[-capacity:]
         with self._lock:
@@ -90,16 +69,7 @@ class TelemetryBuffer:
             self._begin = max(self._begin, self._written - capacity)
 
     def rows_since(self, position: int, max_rows: int) -> BufferRows:
-        """Return a copy of the rows from a position to the newest.
-
-        Parameters
-        ----------
-        position : int
-            Position of the reader: `BufferRows.end` of its last call, or 0.
-        max_rows : int
-            Greatest number of rows. If there are more, every second, third, ... row is returned; the newest
-            is always included.
-        """
+        """Return a copy of the rows from a position to the newest."""
         with self._lock:
             start = max(position, self._begin)
             count = self._written - start

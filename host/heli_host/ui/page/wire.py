@@ -31,42 +31,20 @@ _HEADER = struct.Struct("<BBHIIBBHd")
 
 @dataclass(frozen=True)
 class Rows:
-    """Contents of a frame.
+    """Contents of a frame."""
 
-    Parameters
-    ----------
-    number : int
-        Number of the frame; the client acknowledges it by this number.
-    flags : int
-        `THINNED` and `RESET`, combined.
-    state, fault : int
-        State and fault of the board when the frame was sent; `heli_host.ui.page.source.UNKNOWN` if unknown.
-    tick : ndarray of int64, shape (n,)
-        Device time [tick of 1 ms], unwrapped beyond 2^32.
-    raw : ndarray of int32, shape (n, channels)
-        Raw numbers in the order of the declaration's ``CHANNELS``.
-    """
-
-    number: int
-    flags: int
+    number: int  # Number of the frame; the client acknowledges it by this number
+    flags: int  # `THINNED` and `RESET`, combined
     state: int
+    """state, fault: State and fault of the board when the frame was sent; `heli_host.ui.page.source.UNKNOWN`
+    if unknown."""
     fault: int
-    tick: npt.NDArray[np.int64]
-    raw: npt.NDArray[np.int32]
+    tick: npt.NDArray[np.int64]  # (n,): Device time [tick of 1 ms], unwrapped beyond 2^32
+    raw: npt.NDArray[np.int32]  # (n, channels): Raw numbers in the order of the declaration's ``CHANNELS``
 
 
 def pack(cut: BufferRows, number: int, state: tuple[int, int]) -> bytes:
-    """Encode a frame.
-
-    Parameters
-    ----------
-    cut : BufferRows
-        Rows of the frame; may be empty.
-    number : int
-        Number of the frame.
-    state : tuple of int
-        Present state and fault of the board.
-    """
+    """Encode a frame."""
     flags = THINNED * cut.thinned + RESET * cut.reset
     first = int(cut.tick[0]) if len(cut.tick) else 0
     rows, channels = cut.raw.shape
@@ -76,13 +54,7 @@ def pack(cut: BufferRows, number: int, state: tuple[int, int]) -> bytes:
 
 
 def unpack(frame: bytes) -> Rows:
-    """Decode a `frame` that `pack` made.
-
-    Raises
-    ------
-    LinkError
-        The bytes are not a complete frame of this version.
-    """
+    """Decode a `frame` that `pack` made."""
     if len(frame) < _HEADER.size:
         raise LinkError(
             "the dashboard sent an incomplete frame", "use the same version of heli-host at both ends"
@@ -100,12 +72,8 @@ def unpack(frame: bytes) -> Rows:
 
 
 def as_json(news: Mapping[str, Any]) -> tuple[str, bool]:
-    """Encode a message as JSON, with null for numbers that are not finite, and return whether there were any.
-
-    Parameters
-    ----------
-    news : Mapping of str to object
-        An event, a status or an answer.
+    """Encode a message as JSON, with null for numbers that are not finite, and return whether there were
+    any.
     """
     try:
         return json.dumps(news, allow_nan=False, separators=(",", ":")), False

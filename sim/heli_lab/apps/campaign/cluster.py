@@ -26,20 +26,7 @@ FIRST_WORKER_s: Final = 60.0
 
 @contextmanager
 def campaign_client(scheduler: str | None, processes: int) -> Iterator[Client]:
-    """Connect to a cluster, or start one on this machine, until the block ends.
-
-    Parameters
-    ----------
-    scheduler : str or None
-        Address of a running Dask scheduler; None starts a cluster on this machine.
-    processes : int
-        Number of cases that the cluster on this machine runs in parallel.
-
-    Raises
-    ------
-    CampaignError
-        When no scheduler answers at the address, no worker comes, or Dask is not installed.
-    """
+    """Connect to a cluster, or start one on this machine, until the block ends."""
     try:
         import dask
         import distributed
@@ -113,25 +100,8 @@ def _cluster_client(scheduler: str) -> Iterator[Client]:
 def workers_by_code(
     client: Client, code: str, works: tuple[str, ...], modules: str = ""
 ) -> tuple[list[str], dict[str, str]]:
-    """Sort the workers of a cluster by whether their code is that of the campaign.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        Connected to the cluster.
-    code : str
-        Digest of the campaign's code.
-    works : tuple of str
-        Functions that the digest covers.
-    modules : str
-        Folder of modules that are not installed.
-
-    Returns
-    -------
-    usable_workers : list of str
-        Addresses of the workers whose code has this digest.
-    unusable : dict of str
-        Why each of the other workers cannot be used, by address.
+    """Sort the workers of a cluster by whether their code is that of the campaign. Returns `usable_workers`,
+    `unusable`.
     """
     replies = client.run(code_difference, code, works, modules, on_error="return")
     unusable = {}

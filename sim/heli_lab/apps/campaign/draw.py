@@ -21,21 +21,12 @@ _FORMS: Final = ("share", "factor", "range")
 
 @dataclass(frozen=True)
 class RigDraw:
-    """A rig and effects with parameters drawn at random from one seed.
+    """A rig and effects with parameters drawn at random from one seed."""
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig with the drawn parameters.
-    effects : tuple of str
-        Effects as the command line spells them, each with its size.
-    numbers : Mapping of str to float
-        The drawn values: by the rig file's name of a parameter, in its unit, or by the name of an effect.
-    """
-
-    rig: Rig
-    effects: tuple[str, ...]
+    rig: Rig  # The rig with the drawn parameters
+    effects: tuple[str, ...]  # Effects as the command line spells them, each with its size
     numbers: Mapping[str, float]
+    """The drawn values: by the rig file's name of a parameter, in its unit, or by the name of an effect."""
 
     @property
     def row(self) -> dict[str, Cell]:
@@ -46,28 +37,7 @@ class RigDraw:
 def draw_rig(
     rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str, Any]], seed: int
 ) -> RigDraw:
-    """Draw parameters of a rig and sizes of effects at random.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig with its nominal parameters.
-    effects : sequence of str
-        Effects as the command line spells them. Effects whose size is drawn are given without a size.
-    draw : str or mapping
-        ``tolerances`` draws every parameter of the rig from a normal distribution whose standard deviation is
-        half the tolerance. Otherwise a mapping from the name of a parameter (wildcards allowed) or of an
-        effect to one of three distributions. ``share`` is uniform within that share of the value. ``factor``
-        is uniform in the logarithm, from the value divided by the factor to the value times the factor.
-        ``range`` is uniform between two values in the parameter's unit.
-    seed : int
-        Seed of the random generator; equal seeds draw equal values.
-
-    Raises
-    ------
-    CampaignError
-        When a name matches nothing, or a parameter cannot be drawn as `draw` states.
-    """
+    """Draw parameters of a rig and sizes of effects at random."""
     random = np.random.default_rng([seed, 17])
     if isinstance(draw, str):
         if draw != TOLERANCES:
@@ -106,14 +76,7 @@ def _draw_within_tolerances(rig: Rig, random: np.random.Generator) -> dict[str, 
 
 
 def check_distribution(name: str, distribution: object) -> None:
-    """Check the `distribution` of the parameter `name` in a campaign file.
-
-    Raises
-    ------
-    CampaignError
-        The distribution is not a table with one of ``share``, ``factor`` and ``range``, or has a wrong
-        number.
-    """
+    """Check the `distribution` of the parameter `name` in a campaign file."""
     if (
         not isinstance(distribution, Mapping)
         or len(distribution) != 1

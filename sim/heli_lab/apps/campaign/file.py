@@ -29,13 +29,7 @@ _FILES: Final = ("rig", "plan", "validate", "params", "effect_files")
 
 
 def load_campaign(path: Path) -> Campaign:
-    """Read the file of a campaign at `path`.
-
-    Raises
-    ------
-    CampaignError
-        When the file cannot be read or is not a campaign's file; the message names the wrong entry.
-    """
+    """Read the file of a campaign at `path`."""
     try:
         table = parse_toml(decode_text(read_file(path, TOML_BYTES)))
     except OSError as error:
@@ -89,15 +83,6 @@ def _case_per_combination(
     """Make one case per combination of settings.
 
     The name of a case consists of the settings that have several values.
-
-    Parameters
-    ----------
-    work : str
-        Function that runs the cases.
-    values : mapping of str to sequence
-        Values of each setting.
-    fixed : mapping
-        Settings that all cases share.
     """
     varied = [name for name, choices in values.items() if len(choices) > 1]
     cases = []

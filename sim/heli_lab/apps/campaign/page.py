@@ -76,21 +76,11 @@ def _varied_settings(campaign: Campaign) -> list[str]:
 
 @dataclass(frozen=True)
 class _Group:
-    """Cases with one value of a setting, for the page.
+    """Cases with one value of a setting, for the page."""
 
-    Parameters
-    ----------
-    value : str
-        Value of the setting.
-    cases : int
-        Number of cases with this value.
-    medians : list of float
-        Medians of the first columns over these cases.
-    """
-
-    value: str
-    cases: int
-    medians: list[float]
+    value: str  # Value of the setting
+    cases: int  # Number of cases with this value
+    medians: list[float]  # Medians of the first columns over these cases
 
 
 def _medians_by_value(summary: Summary, drawn: Sequence[Column]) -> dict[str, list[_Group]]:

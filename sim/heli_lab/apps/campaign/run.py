@@ -32,23 +32,16 @@ _NO_WORKER_REMEDY: Final = "install this version of heli-host on the workers, an
 
 @dataclass(frozen=True)
 class CampaignProgress:
-    """Progress of a campaign, after each case.
-
-    Parameters
-    ----------
-    ended, failed, cases : int
-        Number of cases that have ended, of those among them that failed, and of all cases.
-    newest : JobResult or None
-        The case that has just ended; None at the beginning.
-    note : str
-        A problem that is not a failed case, such as a worker that cannot be used; otherwise empty.
-    """
+    """Progress of a campaign, after each case."""
 
     ended: int
+    """ended, failed, cases: Number of cases that have ended, of those among them that failed, and of all
+    cases."""
     failed: int
     cases: int
-    newest: JobResult | None = None
+    newest: JobResult | None = None  # The case that has just ended; None at the beginning
     note: str = ""
+    """A problem that is not a failed case, such as a worker that cannot be used; otherwise empty."""
 
 
 def run_campaign(
@@ -208,19 +201,8 @@ def _run_jobs(
 def _run_on_workers(
     client: Client, jobs: dict[str, Job], unusable: set[str]
 ) -> Iterator[tuple[JobResult | None, str]]:
-    """Run jobs on a cluster. A job whose worker is lost, or has other code, is submitted again.
-
-    Parameters
-    ----------
-    unusable : set of str
-        Addresses of workers that have other code; newly found ones are added.
-
-    Yields
-    ------
-    result : JobResult or None
-        The next result; None with a note.
-    note : str
-        A problem with a worker; otherwise empty.
+    """Run jobs on a cluster. A job whose worker is lost, or has other code, is submitted again. Returns
+    `result`, `note`.
     """
     from distributed import as_completed
 
@@ -270,13 +252,7 @@ def _run_on_workers(
 def _result_of_task(
     future: Future[Any], job: Job, lost_workers: Counter[str]
 ) -> JobResult | CodeMismatch | None:
-    """Return the result of a task; None if its worker was lost and another worker should run the job.
-
-    Parameters
-    ----------
-    lost_workers : Counter of str
-        Number of workers that each case has lost, by its key; updated.
-    """
+    """Return the result of a task; None if its worker was lost and another worker should run the job."""
     from distributed import KilledWorker
 
     try:

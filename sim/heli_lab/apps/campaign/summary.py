@@ -31,21 +31,12 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Column:
-    """Distribution of a numeric result over the cases.
+    """Distribution of a numeric result over the cases."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the column; it ends in the unit.
-    values : ndarray (n,)
-        Values of the n cases that have one, in the column's unit.
-    mean, low, median, high : float
-        Mean, and the quantiles at 5, 50 and 95 %, in the column's unit.
-    """
-
-    name: str
+    name: str  # Name of the column; it ends in the unit
     values: np.ndarray[tuple[int], np.dtype[np.float64]]
-    mean: float
+    """(n,): Values of the n cases that have one, in the column's unit."""
+    mean: float  # mean, low, median, high: Mean, and the quantiles at 5, 50 and 95 %, in the column's unit
     low: float
     median: float
     high: float
@@ -53,34 +44,20 @@ class Column:
 
 @dataclass(frozen=True)
 class Summary:
-    """Summary of the results of a campaign.
+    """Summary of the results of a campaign."""
 
-    Parameters
-    ----------
-    cases : int
-        Cases that have ended.
-    columns : tuple of Column
-        Results that are numbers; true and false count as 1 and 0.
-    words : Mapping of str to Mapping of str to int
-        Columns that hold words: for each column, how often each word occurs.
-    groups : Mapping of str to Mapping of str to tuple of Row
-        Rows by setting and value, for settings that have several values but not a different one in each case.
-    worst : tuple of Row
-        The worst cases, worst first.
-    failed : tuple of Row
-        Cases without a result.
-    outcomes : Mapping of str to int
-        Number of flights by how they ended, the most frequent first: ``completed``, ``not_tracked``, or
-        ``aborted`` with the fault. Empty if the work does not report it.
-    """
-
-    cases: int
-    columns: tuple[Column, ...]
+    cases: int  # Cases that have ended
+    columns: tuple[Column, ...]  # Results that are numbers; true and false count as 1 and 0
     words: Mapping[str, Mapping[str, int]]
+    """Columns that hold words: for each column, how often each word occurs."""
     groups: Mapping[str, Mapping[str, tuple[Row, ...]]]
-    worst: tuple[Row, ...]
-    failed: tuple[Row, ...]
+    """Rows by setting and value, for settings that have several values but not a different one in each case.
+    """
+    worst: tuple[Row, ...]  # The worst cases, worst first
+    failed: tuple[Row, ...]  # Cases without a result
     outcomes: Mapping[str, int]
+    """Number of flights by how they ended, the most frequent first: ``completed``, ``not_tracked``, or
+    ``aborted`` with the fault. Empty if the work does not report it."""
 
     @property
     def not_completed(self) -> int:

@@ -19,69 +19,35 @@ from heli_lab.code_digest import code_digest
 
 @dataclass(frozen=True)
 class Job:
-    """A case with everything that a worker needs to run it.
+    """A case with everything that a worker needs to run it."""
 
-    Parameters
-    ----------
-    key : str
-        Key under which the result is stored.
-    case : Case
-        Case to run.
-    code : str
-        Digest of the campaign's code.
-    works : tuple of str
-        Functions that the digest covers.
-    limits : Limits
-        Limits of CPU time, time and threads.
-    cases : str
-        Folder of the results.
-    token : str
-        Text of the file ``store.txt`` next to the folder `cases`. A worker that reads the same text there
-        sees the same folder, and stores the result before it reports it.
-    modules : str
-        Folder of modules that are not installed.
-    """
-
-    case: Case
-    key: str
-    code: str
-    works: tuple[str, ...]
-    limits: Limits
-    cases: str
+    case: Case  # Case to run
+    key: str  # Key under which the result is stored
+    code: str  # Digest of the campaign's code
+    works: tuple[str, ...]  # Functions that the digest covers
+    limits: Limits  # Limits of CPU time, time and threads
+    cases: str  # Folder of the results
     token: str
-    modules: str = ""
+    """Text of the file ``store.txt`` next to the folder `cases`. A worker that reads the same text there sees
+    the same folder, and stores the result before it reports it."""
+    modules: str = ""  # Folder of modules that are not installed
 
 
 @dataclass(frozen=True)
 class CodeMismatch:
-    """Reply of a worker whose code differs from the campaign's.
+    """Reply of a worker whose code differs from the campaign's."""
 
-    Parameters
-    ----------
-    where : str
-        Name of the worker.
-    why : str
-        The difference, in one line.
-    """
-
-    where: str
-    why: str
+    where: str  # Name of the worker
+    why: str  # The difference, in one line
 
 
 @dataclass
 class _IdleProcesses:
-    """Processes of this worker that wait for a case. A case borrows one of them, or starts a new one.
+    """Processes of this worker that wait for a case. A case borrows one of them, or starts a new one."""
 
-    Parameters
-    ----------
-    idle : list of WorkerProcess
-        The processes.
-    lock : Lock
-        Held while the list changes, because a worker runs several cases in parallel.
-    """
-
-    idle: list[WorkerProcess] = field(default_factory=list)
+    idle: list[WorkerProcess] = field(default_factory=list)  # The processes
     lock: threading.Lock = field(default_factory=threading.Lock)
+    """Held while the list changes, because a worker runs several cases in parallel."""
 
     @contextmanager
     def borrowed(self, limits: Limits, modules: str) -> Iterator[WorkerProcess]:
@@ -128,17 +94,7 @@ def worker_name() -> str:
 
 
 def code_difference(code: str, works: tuple[str, ...], modules: str = "") -> str:
-    """Describe the difference between the code of this process and the campaign's; empty if there is none.
-
-    Parameters
-    ----------
-    code : str
-        Digest of the campaign's code.
-    works : tuple of str
-        Functions that the digest covers.
-    modules : str
-        Folder of modules that are not installed.
-    """
+    """Describe the difference between the code of this process and the campaign's; empty if there is none."""
     try:
         worker_code = code_digest(works, modules)
     except ImportError as error:

@@ -40,33 +40,16 @@ _WATCH_INTERVAL_s: Final = 0.1
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of CPU time, time and threads for one case.
+    """Limits of CPU time, time and threads for one case."""
 
-    Parameters
-    ----------
-    cpu_s : float
-        Largest CPU time [s]; counted in whole seconds, at least 1.
-    wait_s : float
-        Longest time by the clock [s], for a case that waits and uses no CPU time.
-    threads : int
-        Number of threads of the libraries for linear algebra, and of the fits.
-    """
-
-    cpu_s: float = 3600.0
-    wait_s: float = 36000.0
-    threads: int = 1
+    cpu_s: float = 3600.0  # Largest CPU time [s]; counted in whole seconds, at least 1
+    wait_s: float = 36000.0  # Longest time by the clock [s], for a case that waits and uses no CPU time
+    threads: int = 1  # Number of threads of the libraries for linear algebra, and of the fits
 
 
 class WorkerProcess:
     """Runs cases, one after the other, in a separate process. If a case ends the process, a new one is
     started.
-
-    Parameters
-    ----------
-    limits : Limits
-        Limits of each case.
-    modules : str
-        Folder of modules that are not installed; installed modules of the same name come first.
     """
 
     def __init__(self, limits: Limits, modules: str = "") -> None:
@@ -170,15 +153,7 @@ def _read_lines(pipe: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
 
 
 def serve_jobs(jobs: IO[bytes], replies: IO[bytes]) -> None:
-    """Run jobs until the pipe of jobs is closed, which ends this process.
-
-    Parameters
-    ----------
-    jobs : binary file
-        One JSON text per line: the function, its settings, and the limit of CPU time.
-    replies : binary file
-        Gets one line per job: a JSON text with the result.
-    """
+    """Run jobs until the pipe of jobs is closed, which ends this process."""
     waiting: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def read_jobs() -> None:

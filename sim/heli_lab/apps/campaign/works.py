@@ -193,24 +193,12 @@ def _nominal_and_drawn_rig(settings: Settings) -> tuple[Rig, RigDraw]:
 
 @dataclass(frozen=True)
 class _SimulatedFlight:
-    """A flight of a simulated rig.
+    """A flight of a simulated rig."""
 
-    Parameters
-    ----------
-    nominal : Rig
-        The rig of the file.
-    drawn : RigDraw
-        The rig that flew, and its effects.
-    flight : Flight
-        Log of the flight.
-    summary : FlightSummary
-        Outcome of the flight.
-    """
-
-    nominal: Rig
-    drawn: RigDraw
-    flight: Flight
-    summary: FlightSummary
+    nominal: Rig  # The rig of the file
+    drawn: RigDraw  # The rig that flew, and its effects
+    flight: Flight  # Log of the flight
+    summary: FlightSummary  # Outcome of the flight
 
 
 def _first_failed_outcome(*flights: _SimulatedFlight) -> str:
@@ -219,16 +207,7 @@ def _first_failed_outcome(*flights: _SimulatedFlight) -> str:
 
 
 def _fly_drawn_rig(settings: Settings, plan: str, seed_offset: int = 0) -> _SimulatedFlight:
-    """Fly a plan on the simulated rig of a case.
-
-    Parameters
-    ----------
-    plan : str
-        Name or file of the plan.
-    seed_offset : int
-        Added to the seed of encoders, line and disturbances, but not to that of the drawn parameters: a case
-        flies several times on the same rig.
-    """
+    """Fly a plan on the simulated rig of a case."""
     nominal, drawn = _nominal_and_drawn_rig(settings)
     model = _chosen_model(settings, nominal, effects_with(nominal, drawn.effects, settings["effect_files"]))
     seed = settings["seed"] + seed_offset

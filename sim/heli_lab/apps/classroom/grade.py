@@ -44,27 +44,17 @@ FlyTrial = Callable[[LawProgram | None, str, int], LawTrial]
 
 @dataclass(frozen=True)
 class FlightScore:
-    """Measures of how well one flight followed its setpoints.
-
-    Parameters
-    ----------
-    settling_s, overshoot_percent : float
-        Settling time and overshoot of the largest setpoint step of elevation or travel; nan if there is no
-        step, infinite if the axis did not settle.
-    elevation_rms_deg, travel_rms_deg : float
-        RMS tracking error; nan for an axis without setpoints.
-    effort_V : float
-        RMS of the motor voltages about their mean.
-    ended : str
-        Why the law did not complete the flight; empty if it did.
-    """
+    """Measures of how well one flight followed its setpoints."""
 
     settling_s: float = math.nan
+    """settling_s, overshoot_percent: Settling time and overshoot of the largest setpoint step of elevation or
+    travel; nan if there is no step, infinite if the axis did not settle."""
     overshoot_percent: float = math.nan
     elevation_rms_deg: float = math.nan
+    """elevation_rms_deg, travel_rms_deg: RMS tracking error; nan for an axis without setpoints."""
     travel_rms_deg: float = math.nan
-    effort_V: float = math.nan
-    ended: str = ""
+    effort_V: float = math.nan  # RMS of the motor voltages about their mean
+    ended: str = ""  # Why the law did not complete the flight; empty if it did
 
     @property
     def rms_deg(self) -> float:
@@ -83,28 +73,16 @@ NUMBERS: Final = ("settling_s", "overshoot_percent", "elevation_rms_deg", "trave
 
 @dataclass(frozen=True)
 class LawGrade:
-    """Grade of one law.
+    """Grade of one law."""
 
-    Parameters
-    ----------
-    label : str
-        Name for readers; each law has another one.
-    refused : str
-        Why the law did not fly at all; empty if it flew.
-    scores : tuple of FlightScore
-        One per rig and seed, in the order of the flights.
-    gain_margin, phase_margin_deg : float
-        Smaller margin of the collective and the differential on the first rig; nan if there is none.
-    flight : Flight or None
-        First flight, for the figure.
-    """
-
-    label: str
-    refused: str = ""
-    scores: tuple[FlightScore, ...] = ()
+    label: str  # Name for readers; each law has another one
+    refused: str = ""  # Why the law did not fly at all; empty if it flew
+    scores: tuple[FlightScore, ...] = ()  # One per rig and seed, in the order of the flights
     gain_margin: float = math.nan
+    """gain_margin, phase_margin_deg: Smaller margin of the collective and the differential on the first rig;
+    nan if there is none."""
     phase_margin_deg: float = math.nan
-    flight: Flight | None = None
+    flight: Flight | None = None  # First flight, for the figure
 
     @property
     def takeovers(self) -> int:
@@ -117,13 +95,7 @@ class LawGrade:
         return not self.refused and not self.takeovers
 
     def mean(self, name: str) -> float:
-        """Return the mean of a measure over the flights; nan if a flight lacks the measure.
-
-        Parameters
-        ----------
-        name : str
-            One of `NUMBERS`.
-        """
+        """Return the mean of a measure over the flights; nan if a flight lacks the measure."""
         values = [getattr(score, name) for score in self.scores]
         return float(np.mean(values)) if values else math.nan
 
@@ -170,16 +142,6 @@ def with_plan_setpoints(program: LawProgram) -> LawProgram:
 
     A law may log setpoints that it computes. A law that logs the measured angles as setpoints would have no
     error. Therefore, a grade uses the setpoints of the plan.
-
-    Parameters
-    ----------
-    program : LawProgram
-        Program of the law.
-
-    Raises
-    ------
-    BadLaw
-        The program has no room for the setpoints.
     """
     outputs = list(program.outputs)
     for axis in ("elevation", "travel"):
@@ -213,21 +175,7 @@ def grade(
     fly: FlyTrial,
     plant: LinearPlant | None = None,
 ) -> LawGrade:
-    """Fly a law on each rig with each seed, and grade it.
-
-    Parameters
-    ----------
-    label : str
-        Name for the reader.
-    program : LawProgram or None
-        The law; None for the board's own.
-    flights : sequence of (str, int)
-        Rig and seed of each flight.
-    fly : callable
-        Flies one of them.
-    plant : LinearPlant, optional
-        Linear rig for the margins of `program`.
-    """
+    """Fly a law on each rig with each seed, and grade it."""
     scores: list[FlightScore] = []
     first_flight: Flight | None = None
     try:

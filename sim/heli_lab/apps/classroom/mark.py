@@ -39,34 +39,19 @@ multiple, both get nothing; with a higher one, they get nearly the same."""
 
 @dataclass(frozen=True)
 class Mark:
-    """Mark of one submission.
+    """Mark of one submission."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the submission.
-    points : float
-        Points, from 0 to `FULL`.
-    reason : str
-        Why the submission was refused, or did not complete its flights; empty if it completed them.
-    scores : tuple of FlightScore
-        One per flight; empty if the submission was refused.
-    parts : dict of str to float
-        Points for each measure that the reference has, by the names in `POINTS`, mean over the flights; they
-        add up to `points`.
-    references : tuple of FlightScore
-        Flights of the board's own law, with which `scores` are compared.
-    rig : str
-        Outcome of the flight on the rig; empty if there was no such flight.
-    """
-
-    name: str
-    points: float = 0.0
+    name: str  # Name of the submission
+    points: float = 0.0  # Points, from 0 to `FULL`
     reason: str = ""
-    scores: tuple[FlightScore, ...] = ()
+    """Why the submission was refused, or did not complete its flights; empty if it completed them."""
+    scores: tuple[FlightScore, ...] = ()  # One per flight; empty if the submission was refused
     parts: dict[str, float] = field(default_factory=dict)
+    """Points for each measure that the reference has, by the names in `POINTS`, mean over the flights; they
+    add up to `points`."""
     references: tuple[FlightScore, ...] = ()
-    rig: str = ""
+    """Flights of the board's own law, with which `scores` are compared."""
+    rig: str = ""  # Outcome of the flight on the rig; empty if there was no such flight
 
     @property
     def refused(self) -> bool:
@@ -74,13 +59,7 @@ class Mark:
         return not self.scores
 
     def mean(self, measure: str) -> float:
-        """Return the mean of a measure over the flights; nan if a flight lacks it.
-
-        Parameters
-        ----------
-        measure : str
-            One of `WEIGHTS`.
-        """
+        """Return the mean of a measure over the flights; nan if a flight lacks it."""
         values = [getattr(score, measure) for score in self.scores]
         return sum(values) / len(values) if values else math.nan
 
@@ -108,13 +87,6 @@ def points_by_measure(score: FlightScore, reference: FlightScore) -> dict[str, f
     If the reference lacks a measure, such as the overshoot of a plan without a step, the other measures count
     more. Effort and overshoot earn at most the share of points that the RMS error earns, because motors that
     do nothing have little effort and no overshoot.
-
-    Parameters
-    ----------
-    score : FlightScore
-        Flight of the submission.
-    reference : FlightScore
-        The board's own law along the same plan.
     """
     shares = {name: _points_share(name, score, reference) for name in WEIGHTS}
     tracking_share = 1.0 if math.isnan(shares["rms_deg"]) else shares["rms_deg"]
@@ -150,15 +122,7 @@ def _points_share(name: str, score: FlightScore, reference: FlightScore) -> floa
 
 
 def mark_of(name: str, scores: Sequence[FlightScore], references: Sequence[FlightScore]) -> Mark:
-    """Compute the mark of a submission: the mean of the points of its flights.
-
-    Parameters
-    ----------
-    name : str
-        Name of the submission.
-    scores, references : sequence of FlightScore
-        Flights of the submission, and flights of the board's own law, in the same order.
-    """
+    """Compute the mark of a submission: the mean of the points of its flights."""
     flights = list(zip(scores, references, strict=True))
     by_flight = [points_by_measure(score, reference) for score, reference in flights]
     mean_by_measure = {

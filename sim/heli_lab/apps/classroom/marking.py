@@ -33,21 +33,11 @@ LOG, FIGURE, MARK = "flight.mcap", "figure.png", "mark.json"
 
 @dataclass(frozen=True)
 class MarkedSubmission:
-    """A submission after its flights in simulation.
+    """A submission after its flights in simulation."""
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the submission, into which log, figure and mark are written.
-    mark : Mark
-        Mark of the submission, or the reason why it has none.
-    submission : Submission or None
-        Content of the submission; None if it is invalid.
-    """
-
-    folder: Path
-    mark: Mark
-    submission: Submission | None
+    folder: Path  # Folder of the submission, into which log, figure and mark are written
+    mark: Mark  # Mark of the submission, or the reason why it has none
+    submission: Submission | None  # Content of the submission; None if it is invalid
 
     @property
     def may_fly(self) -> bool:
@@ -56,43 +46,19 @@ class MarkedSubmission:
 
 
 class Marking:
-    """Marks submissions by flights along one plan, compared with the board's own law.
-
-    Parameters
-    ----------
-    options : FlightOptions
-        Simulated board.
-    plan : Plan
-        Plan of the class; a submission with a plan flies that plan.
-    seeds : sequence of int
-        Seed of each flight.
-    limits : FileLimits
-        Limits of the processes that run the students' files.
-    """
+    """Marks submissions by flights along one plan, compared with the board's own law."""
 
     def __init__(self, options: FlightOptions, plan: Plan, seeds: Sequence[int], limits: FileLimits) -> None:
         self.options, self.plan, self.seeds, self.limits = options, plan, seeds, limits
         self._references: dict[tuple[str, int], FlightScore] = {}
 
     def fly_references(self) -> None:
-        """Fly the board's own law along the plan of the class.
-
-        Raises
-        ------
-        HeliError
-            An option of the simulated board is invalid. This is not the fault of a submission.
-        """
+        """Fly the board's own law along the plan of the class."""
         for seed in self.seeds:
             self._reference_score(self.plan, seed)
 
     def mark_submission(self, folder: Path) -> MarkedSubmission:
-        """Read, fly and mark a submission, and write log, figure and mark into its folder.
-
-        Parameters
-        ----------
-        folder : Path
-            Folder of the submission. If the submission has an error, the mark states the reason.
-        """
+        """Read, fly and mark a submission, and write log, figure and mark into its folder."""
         mark, submission = Mark(folder.name), None
         try:
             if folder.is_symlink():
@@ -142,13 +108,7 @@ class Marking:
 
 
 def _check_that_it_moves(submission: Submission) -> None:
-    """Refuse a submitted plan that only holds.
-
-    Raises
-    ------
-    HeliError
-        Its setpoints move less than `MIN_MOTION_deg`, and it excites no motor.
-    """
+    """Refuse a submitted plan that only holds."""
     plan = submission.plan
     if plan is None or any(segment.kind == "excite" for segment in plan.segments):
         return
@@ -162,22 +122,7 @@ def _check_that_it_moves(submission: Submission) -> None:
 def scored_flight(
     submission: Submission, options: FlightOptions, plan: Plan, parameters: Mapping[str, float]
 ) -> FlightScore:
-    """Fly a submission without output on the terminal, and score the flight.
-
-    Parameters
-    ----------
-    submission : Submission
-        The submission. If it has no law, the board's own law flies.
-    options : FlightOptions
-        Board, and files to write.
-    parameters : mapping of str to float
-        Parameters of the board to fly with.
-
-    Raises
-    ------
-    HeliError
-        The board refuses the flight, or does not answer.
-    """
+    """Fly a submission without output on the terminal, and score the flight."""
     program = with_plan_setpoints(submission.program) if submission.program is not None else None
     output_setting = QUIET.set(True)
     try:

@@ -44,24 +44,13 @@ _MAX_BYTES: Final = 1 << 20
 
 @dataclass(frozen=True)
 class NotebookCell:
-    """One cell of a notebook.
+    """One cell of a notebook."""
 
-    Parameters
-    ----------
-    text : str
-        Code, or Markdown without comment signs.
-    is_code : bool
-        Whether the cell is code instead of Markdown.
-    tags : tuple of str
-        Any of `solution`, `check`, `rubric`, which the module explains, and `long`, for tests.
-    task : str
-        Number of the task that the cell belongs to; empty before the first task.
-    """
-
-    text: str
-    is_code: bool
+    text: str  # Code, or Markdown without comment signs
+    is_code: bool  # Whether the cell is code instead of Markdown
     tags: tuple[str, ...] = ()
-    task: str = ""
+    """Any of `solution`, `check`, `rubric`, which the module explains, and `long`, for tests."""
+    task: str = ""  # Number of the task that the cell belongs to; empty before the first task
 
 
 class NotebookError(HeliError):
@@ -69,20 +58,7 @@ class NotebookError(HeliError):
 
 
 def cells_of(text: str, name: str) -> list[NotebookCell]:
-    """Split a Python file into the cells of a notebook.
-
-    Parameters
-    ----------
-    text : str
-        Content of the file.
-    name : str
-        Name of the file, for messages.
-
-    Raises
-    ------
-    NotebookError
-        A tag is unknown, or no cell begins.
-    """
+    """Split a Python file into the cells of a notebook."""
     heads_and_bodies = _HEAD.split(text)[1:]
     if not heads_and_bodies:
         raise NotebookError(f"{name} has no cells", "begin each cell with # %%")
@@ -101,20 +77,7 @@ def cells_of(text: str, name: str) -> list[NotebookCell]:
 
 
 def rubric_points(cells: Sequence[NotebookCell], name: str) -> dict[str, int]:
-    """Return the points of each task by its number, and of the check, from the rubric.
-
-    Parameters
-    ----------
-    cells : sequence of NotebookCell
-        Cells of a notebook.
-    name : str
-        Name of the file, for messages.
-
-    Raises
-    ------
-    NotebookError
-        The rubric is missing, or has no row for a task with a solution or for the check.
-    """
+    """Return the points of each task by its number, and of the check, from the rubric."""
     points = {task: int(number) for task, number in _ROW.findall(rubric_text(cells))}
     for cell in cells:
         if not {"solution", "check"} & set(cell.tags) or cell.task in points:
@@ -128,13 +91,7 @@ def rubric_points(cells: Sequence[NotebookCell], name: str) -> dict[str, int]:
 
 
 def student_cells(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
-    """Return the cells without solutions and rubric.
-
-    Parameters
-    ----------
-    cells : sequence of NotebookCell
-        Cells of a notebook.
-    """
+    """Return the cells without solutions and rubric."""
     return [
         replace(cell, text=_with_stub(cell)) if "solution" in cell.tags else cell
         for cell in _without_rubric(cells)
@@ -142,13 +99,7 @@ def student_cells(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
 
 
 def teacher_cells(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
-    """Return the cells without the rubric, with solutions between the marks of nbgrader.
-
-    Parameters
-    ----------
-    cells : sequence of NotebookCell
-        Cells of a notebook.
-    """
+    """Return the cells without the rubric, with solutions between the marks of nbgrader."""
     return [
         replace(cell, text=_with_solution_marks(cell.text))
         if "solution" in cell.tags and cell.is_code
@@ -158,26 +109,12 @@ def teacher_cells(cells: Sequence[NotebookCell]) -> list[NotebookCell]:
 
 
 def rubric_text(cells: Sequence[NotebookCell]) -> str:
-    """Return the rubric as Markdown.
-
-    Parameters
-    ----------
-    cells : sequence of NotebookCell
-        Cells of a notebook.
-    """
+    """Return the rubric as Markdown."""
     return "\n\n".join(cell.text for cell in cells if "rubric" in cell.tags) + "\n"
 
 
 def notebook_json(cells: Sequence[NotebookCell], points: dict[str, int]) -> str:
-    """Return the JSON text of a Jupyter notebook (format 4.5) with metadata of nbgrader.
-
-    Parameters
-    ----------
-    cells : sequence of NotebookCell
-        Cells of an edition.
-    points : dict of str to int
-        Points of each task and of the check. The last solution of a task, and the last check, carry them.
-    """
+    """Return the JSON text of a Jupyter notebook (format 4.5) with metadata of nbgrader."""
     # A task may have several cells; its last one carries the points.
     points_position: dict[str, int] = {}
     for position, cell in enumerate(cells):
@@ -218,24 +155,6 @@ def write_editions(sources: Sequence[Path], output: Path) -> list[Path]:
     """Write ``student/NAME.ipynb``, ``teacher/NAME.ipynb`` and ``teacher/NAME.rubric.md`` of each notebook.
 
     All sources are read before the first file is written.
-
-    Parameters
-    ----------
-    sources : sequence of Path
-        Python files with cells.
-    output : Path
-        Folder of the editions, created if it is missing. Existing editions are replaced, unless they were
-        edited.
-
-    Returns
-    -------
-    list of Path
-        Paths of the written files.
-
-    Raises
-    ------
-    NotebookError
-        A file cannot be read or written, or its tags or rubric are incomplete.
     """
     text_by_path: dict[Path, str] = {}
     for source in sources:
@@ -312,17 +231,7 @@ def _with_stub(cell: NotebookCell) -> str:
 
 
 def _grading_metadata(cell: NotebookCell, position: int, points: int, has_points: bool) -> dict[str, Any]:
-    """Return the nbgrader metadata of a cell.
-
-    Parameters
-    ----------
-    position : int
-        Position of the cell in the notebook, which makes its identifier unique.
-    points : int
-        Points of the cell's task.
-    has_points : bool
-        Whether this cell carries the points of its task.
-    """
+    """Return the nbgrader metadata of a cell."""
     is_solution = "solution" in cell.tags
     # A text that students write is always graded.
     has_grade = has_points or not is_solution or not cell.is_code

@@ -17,17 +17,7 @@ _TEMPLATE: Final = Path(__file__).with_name("grade.html")
 
 
 def write_grades(grades: Sequence[LawGrade], content: Mapping[str, Any], folder: Path) -> Path:
-    """Write index.html, result.json and the figures into a folder; return the path of the page.
-
-    Parameters
-    ----------
-    grades : sequence of LawGrade
-        Grades of all laws. Each figure compares some of them with the first one.
-    content : mapping
-        Result for JSON, with the settings of the flights.
-    folder : Path
-        The folder; it is created if it is missing.
-    """
+    """Write index.html, result.json and the figures into a folder; return the path of the page."""
     folder = folder_with(content, folder)
     drawing = Drawing()
     figures = [
@@ -47,13 +37,7 @@ def write_grades(grades: Sequence[LawGrade], content: Mapping[str, Any], folder:
 
 
 def _flights_per_figure(grades: Sequence[LawGrade]) -> list[tuple[dict[str, Flight], str]]:
-    """Divide the flights into figures, each of which contains the flight of the first grade.
-
-    Returns
-    -------
-    list of (dict of Flight, str)
-        For each figure: its flights by label, and the names of all but the first, for the caption.
-    """
+    """Divide the flights into figures, each of which contains the flight of the first grade."""
     # The flights differ by their seeds, so that the numbers of one differ from the means of the table.
     flight_by_label = {
         f"{grade.label}, first flight" + (", taken over" if grade.scores[0].ended else ""): grade.flight

@@ -32,22 +32,6 @@ def fly_on_rig(
 
     Each flight begins with the rig's parameters and the gains of the submission. Afterwards, the rig has its
     own parameters again.
-
-    Parameters
-    ----------
-    submissions : sequence of MarkedSubmission
-        Submissions that may fly.
-    options : FlightOptions
-        Port and rig.
-    plan : Plan
-        Plan of the class.
-    confirm : callable
-        Called before each flight.
-
-    Raises
-    ------
-    HeliError
-        The board does not answer before the first flight.
     """
     with _parameters_restored(options.port) as rig_parameters:
         for marked in submissions:
@@ -77,14 +61,8 @@ def fly_on_rig(
 
 
 def _confirm_flight(port: str | None, name: str, confirm: Confirm) -> tuple[bool | None, bool]:
-    """Ask the person at the rig whether a submission named `name` may fly.
-
-    Returns
-    -------
-    is_confirmed : bool or None
-        Answer of the person; None ends the session.
-    has_fault : bool
-        Whether the board reports a fault of an earlier flight, which the flight has to clear.
+    """Ask the person at the rig whether a submission named `name` may fly. Returns `is_confirmed`,
+    `has_fault`.
     """
     with open_board(port) as heli:
         has_fault, fault = heli.state is State.FAULT, heli.fault

@@ -44,34 +44,17 @@ setpoints with which a flight is compared."""
 
 @dataclass(frozen=True)
 class Submission:
-    """Work of one student, read and checked.
+    """Work of one student, read and checked."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the folder.
-    program : LawProgram or None
-        The student's control law; None for the board's own.
-    plan : Plan or None
-        The student's plan; None for the plan of the class.
-    gains : mapping of str to float
-        Gains of the board's own law from the student's parameter file, by name.
-    """
-
-    name: str
-    program: LawProgram | None = None
-    plan: Plan | None = None
+    name: str  # Name of the folder
+    program: LawProgram | None = None  # The student's control law; None for the board's own
+    plan: Plan | None = None  # The student's plan; None for the plan of the class
     gains: Mapping[str, float] = field(default_factory=dict)
+    """Gains of the board's own law from the student's parameter file, by name."""
 
 
 def submissions_in(folder: Path) -> list[Path]:
-    """Return the folders of the submissions, by name; hidden folders are left out.
-
-    Raises
-    ------
-    BadLaw
-        The folder is missing or has no submissions.
-    """
+    """Return the folders of the submissions, by name; hidden folders are left out."""
     if not folder.is_dir():
         raise BadLaw(f"{folder} is not a folder", "give the folder that has one folder per submission")
     folders = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
@@ -81,22 +64,7 @@ def submissions_in(folder: Path) -> list[Path]:
 
 
 def read_submission(folder: Path, limits: FileLimits, rig: str | None = None) -> Submission:
-    """Read a submission; the file of its law is run in a fenced process.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder with ``law.py`` or a single Python file, a plan, parameters, or several of these.
-    limits : FileLimits
-        Limits of the law's file.
-    rig : str or None
-        Name or path of the rig that the law is designed for; None for the file's default.
-
-    Raises
-    ------
-    HeliError
-        The submission is invalid; the message says why.
-    """
+    """Read a submission; the file of its law is run in a fenced process."""
     if folder.is_symlink():
         raise BadLaw(f"{folder.name} is a link", "submit the folder itself")
     scripts, tables = _scripts_and_tables(folder)
@@ -183,13 +151,7 @@ def _gains_of_file(content: Mapping[str, Any], path: Path) -> dict[str, float]:
 
 
 def new_rig_log(folder: Path) -> Path:
-    """Return an unused path for the log of a flight on the rig.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the submission.
-    """
+    """Return an unused path for the log of a flight on the rig."""
     names = (RIG_LOG, *(f"{Path(RIG_LOG).stem}-{number}.mcap" for number in range(2, 10 * _MAX_FILES)))
     return next(path for path in (folder / MARKED / name for name in names) if not path.exists())
 
@@ -201,11 +163,6 @@ def returned_files(folder: Path) -> Iterator[Path]:
 
     An existing ``marked`` is replaced, except for the files of flights on the rig. No file is written into
     the existing folder, because it may be a link to another place.
-
-    Raises
-    ------
-    HeliError
-        The folder cannot be written.
     """
     marked_folder = folder / MARKED
     _check_marked_folder(marked_folder)
@@ -230,13 +187,7 @@ def returned_files(folder: Path) -> Iterator[Path]:
 
 
 def _check_marked_folder(marked_folder: Path) -> None:
-    """Refuse to replace a folder or a file that no earlier mark has written.
-
-    Raises
-    ------
-    ForeignFile
-        It has something else.
-    """
+    """Refuse to replace a folder or a file that no earlier mark has written."""
     # A link is replaced without what it leads to, so that no link of a student leads the marks elsewhere.
     if marked_folder.is_symlink() or not marked_folder.exists() or FORCE.get():
         return

@@ -1,6 +1,6 @@
 """The helicopter as a Gymnasium environment; see README.md in this folder.
 
-Importing it registers ``HeliHover-v0``, so ``gymnasium.make("heli_lab.apps.gym:HeliHover-v0")`` needs no import.
+Importing it registers ``HeliHover-v0``, so ``gymnasium.make("heli_lab.gym:HeliHover-v0")`` needs no import.
 """
 
 from __future__ import annotations

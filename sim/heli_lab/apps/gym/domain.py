@@ -24,21 +24,12 @@ tolerance of some parameters exceeds their value."""
 
 @dataclass(frozen=True)
 class EpisodeRig:
-    """Rig and effects of one episode.
+    """Rig and effects of one episode."""
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig with its drawn parameters.
-    effects : tuple of Effect
-        Effects of the rig file and of the domain.
-    texts : tuple of str
-        Effects of the domain in the notation of the command line, such as ``rotor_lag=0.1``.
-    """
-
-    rig: Rig
-    effects: tuple[Effect, ...]
+    rig: Rig  # The rig with its drawn parameters
+    effects: tuple[Effect, ...]  # Effects of the rig file and of the domain
     texts: tuple[str, ...]
+    """Effects of the domain in the notation of the command line, such as ``rotor_lag=0.1``."""
 
 
 @dataclass(frozen=True)

@@ -42,51 +42,22 @@ _SETTLING_STEPS, _SETTLING_TICKS = 20, 20
 
 @dataclass(frozen=True)
 class StepResult:
-    """Measurement at the end of a step.
+    """Measurement at the end of a step."""
 
-    Parameters
-    ----------
-    angles_rad : ndarray (3,)
-        Elevation, pitch and travel, quantised by the encoders.
-    flying : bool
-        False if the arm is on its table, an axis is at its stop, or the board refuses voltages.
-    reason : str
-        Reason why the flight has ended; empty while it continues.
-    """
-
-    angles_rad: Floats
+    angles_rad: Floats  # (3,): Elevation, pitch and travel, quantised by the encoders
     flying: bool = True
-    reason: str = ""
+    """False if the arm is on its table, an axis is at its stop, or the board refuses voltages."""
+    reason: str = ""  # Reason why the flight has ended; empty while it continues
 
 
 class Simulator(Protocol):
     """Simulation that `HoverEnv` controls."""
 
     def reset(self, drawn: EpisodeRig, state: Floats, hover_V: Floats, seed: int) -> StepResult:
-        """Begin an episode with a rig in the air.
-
-        Parameters
-        ----------
-        drawn : EpisodeRig
-            The rig and its effects.
-        state : ndarray (6,)
-            Initial angles [rad] and rates [rad/s].
-        hover_V : ndarray (2,)
-            Front and back voltage before the episode [V]; a rotor lag starts settled at them.
-        seed : int
-            Seed of random effects.
-        """
+        """Begin an episode with a rig in the air. Shapes: `state` (6,), `hover_V` (2,)."""
 
     def step(self, volts_V: Floats, ticks: int) -> StepResult:
-        """Apply two voltages for some milliseconds.
-
-        Parameters
-        ----------
-        volts_V : ndarray (2,)
-            Front and back voltage [V].
-        ticks : int
-            Duration [ms].
-        """
+        """Apply two voltages for some milliseconds. Shapes: `volts_V` (2,)."""
 
     def close(self) -> None:
         """Release all resources."""

@@ -29,34 +29,16 @@ _HOVER_TOLERANCE_V: Final = 0.15
 
 @dataclass(frozen=True)
 class BenchTest:
-    """Experiment on a rig with some axes locked.
+    """Experiment on a rig with some axes locked."""
 
-    Parameters
-    ----------
-    name : str
-        Name in lists and records.
-    panel : str
-        Figure and panel of the paper, such as ``16 (a)``.
-    locked : tuple of bool
-        Whether elevation, pitch and travel are locked.
-    elevation_deg : float
-        Initial elevation; all axes are locked until the test starts.
-    pitch_deg : float
-        Initial pitch.
-    front_V, back_V : float
-        Voltages during the test; if both are 0, the motors are off.
-    duration_s : float
-        Duration of the test.
-    """
-
-    name: str
-    panel: str
-    locked: tuple[bool, bool, bool]
-    elevation_deg: float = 0.0
-    pitch_deg: float = 0.0
-    front_V: float = 0.0
+    name: str  # Name in lists and records
+    panel: str  # Figure and panel of the paper, such as ``16 (a)``
+    locked: tuple[bool, bool, bool]  # Whether elevation, pitch and travel are locked
+    elevation_deg: float = 0.0  # Initial elevation; all axes are locked until the test starts
+    pitch_deg: float = 0.0  # Initial pitch
+    front_V: float = 0.0  # front_V, back_V: Voltages during the test; if both are 0, the motors are off
     back_V: float = 0.0
-    duration_s: float = 15.0
+    duration_s: float = 15.0  # Duration of the test
 
 
 PITCH_RELEASES: Final = (
@@ -77,15 +59,7 @@ THRUST_V: Final[tuple[float, ...]] = (0.5, *(float(volts) for volts in range(1, 
 
 
 def check_rig(rig: Rig) -> None:
-    """Check that the voltages of these tests suit a rig.
-
-    Raises
-    ------
-    IdentifyError
-        When the rig's hover voltage differs from that of Table 2 by more than 0.15 V.
-    PlantError
-        When the rig cannot hover.
-    """
+    """Check that the voltages of these tests suit a rig."""
     hover_V = float(np.mean(trim(MultibodyModel(), rig).volts_V))
     if abs(hover_V - _HOVER_V) > _HOVER_TOLERANCE_V:
         raise IdentifyError(
@@ -96,13 +70,7 @@ def check_rig(rig: Rig) -> None:
 
 
 def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
-    """Convert the flight of a bench test to a record for fitting.
-
-    Raises
-    ------
-    IdentifyError
-        When a free axis reaches a stop, or rows are missing.
-    """
+    """Convert the flight of a bench test to a record for fitting."""
     angles_deg = np.rad2deg(flight.angles_rad)
     elevation_deg, pitch_deg, travel_deg = (angles_deg[:, axis] for axis in range(3))
     elevation_locked, pitch_locked, travel_locked = test.locked

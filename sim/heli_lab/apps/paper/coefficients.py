@@ -17,31 +17,15 @@ DEG: Final = math.degrees(1.0)
 
 @dataclass(frozen=True)
 class Printed:
-    """A coefficient of (30) as printed in a table of the paper.
+    """A coefficient of (30) as printed in a table of the paper."""
 
-    Parameters
-    ----------
-    name : str
-        P_1 to P_18.
-    table : int
-        Number of the table: 3, 4 or 5.
-    value, tolerance : float
-        Printed value and tolerance.
-    unit : str
-        Unit in which the printed value is most plausible; the tables state none.
-    per_si : float
-        Factor from rad, s and V of U+ and U- to this unit.
-    term : str
-        Term of (30) that the coefficient multiplies.
-    """
-
-    name: str
-    table: int
-    value: float
+    name: str  # P_1 to P_18
+    table: int  # Number of the table: 3, 4 or 5
+    value: float  # value, tolerance: Printed value and tolerance
     tolerance: float
-    unit: str
-    per_si: float
-    term: str
+    unit: str  # Unit in which the printed value is most plausible; the tables state none
+    per_si: float  # Factor from rad, s and V of U+ and U- to this unit
+    term: str  # Term of (30) that the coefficient multiplies
 
     @property
     def si_unit(self) -> str:
@@ -74,13 +58,7 @@ PRINTED: Final[tuple[Printed, ...]] = (
 
 
 def printed_inertias_kg_m2(rig: Rig, elevation_rad: float = 0.0, pitch_rad: float = 0.0) -> dict[str, float]:
-    """Compute J_theta, J_phi and J_psi [kg m^2] by (27), (28) and (29) as printed in the paper.
-
-    Parameters
-    ----------
-    elevation_rad, pitch_rad : float
-        Attitude of the rig, on which these moments of inertia depend.
-    """
+    """Compute J_theta, J_phi and J_psi [kg m^2] by (27), (28) and (29) as printed in the paper."""
     value = {name: number.value for name, number in rig.items()}
     rotors_kg, rotor_distance2_m2 = value["M_f"] + value["M_b"], value["L_h"] ** 2 + value["L_phi"] ** 2
     arm_offset2_m2, cos_elevation = value["L_theta"] ** 2, math.cos(elevation_rad)
@@ -105,12 +83,6 @@ def analytic(rig: Rig, corrected: bool = True) -> dict[str, float]:
     """Compute P_1 to P_18 from a rig's parameters, by the formulas that the paper prints below (30).
 
     The results are in rad, s and V of U+ and U-.
-
-    Parameters
-    ----------
-    corrected : bool
-        If true, P_18 is 0, and P_13 and P_16 contain the lever arm L_a of the drag (22). If false, use the
-        formulas as printed.
     """
     value = {name: number.value for name, number in rig.items()}
     inertia = printed_inertias_kg_m2(rig)

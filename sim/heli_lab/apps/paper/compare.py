@@ -19,31 +19,17 @@ from heli_lab.fit.identify.shooting import solve
 
 @dataclass(frozen=True)
 class ModelError:
-    """Error of open-loop simulations of a model on a flight.
+    """Error of open-loop simulations of a model on a flight."""
 
-    Parameters
-    ----------
-    model : str
-        Name of the model.
-    rms_deg : dict of float
-        RMS error of each axis, by its name [deg]; the initial state of each window is fitted.
-    normalised : float
-        RMS error of all axes in standard deviations of the quantisation; 1 is the smallest possible value.
-    """
-
-    model: str
+    model: str  # Name of the model
     rms_deg: dict[str, float]
+    """RMS error of each axis, by its name [deg]; the initial state of each window is fitted."""
     normalised: float
+    """RMS error of all axes in standard deviations of the quantisation; 1 is the smallest possible value."""
 
 
 def model_errors(models: Sequence[Model], rig: Rig, flight: Flight) -> list[ModelError]:
-    """Simulate a flight open loop with each model, in windows of 2 s.
-
-    Raises
-    ------
-    IdentifyError
-        When no part of the flight is in the air.
-    """
+    """Simulate a flight open loop with each model, in windows of 2 s."""
     record = prepare(flight, rig)
     errors = []
     for model in models:

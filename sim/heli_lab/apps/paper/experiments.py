@@ -82,22 +82,7 @@ duration_s = 60
 
 @contextlib.contextmanager
 def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[Heli, SilWorld]]:
-    """Start a simulated board on a rig with level pitch, all axes locked, until the block ends.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the encoders' initial positions.
-    elevation_deg : float
-        Elevation of the locked arm, which also becomes the rest elevation of the board.
-
-    Yields
-    ------
-    Heli
-        Connected host; the board is idle.
-    SilWorld
-        Simulation of board and rig.
-    """
+    """Start a simulated board on a rig with level pitch, all axes locked, until the block ends."""
     world = world_of(plant, seed)
     state = world.state
     state[0] = np.deg2rad(elevation_deg)
@@ -111,13 +96,7 @@ def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[He
 
 
 def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
-    """Run a bench test, and return its flight with one row per tick; time 0 is at the release.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the encoders' initial positions.
-    """
+    """Run a bench test, and return its flight with one row per tick; time 0 is at the release."""
     powered = test.front_V > 0.0 or test.back_V > 0.0
     with board_on(plant, seed, test.elevation_deg) as (heli, world), tempfile.TemporaryDirectory() as folder:
         if powered:
@@ -147,12 +126,8 @@ def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
 
 
 def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
-    """Measure thrust over voltage with scales under the rotors, at the voltages of Fig. 15, with locked axes.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the encoders' initial positions.
+    """Measure thrust over voltage with scales under the rotors, at the voltages of Fig. 15, with locked
+    axes.
     """
     scale = ThrustScale(plant)
     motor_volts_V, thrust_N = [], []
@@ -176,21 +151,7 @@ def fly_plan(
     seed: int = 1,
     on_progress: Callable[[float], None] | None = None,
 ) -> PaperFlight:
-    """Fly one of the plans behind Figs. 21 to 25; a flight that ends with a fault is also returned.
-
-    Parameters
-    ----------
-    name : str
-        Name of the plan, a key of `PLANS`.
-    label : str
-        Label of the flight in the figure.
-    gains : str or None
-        Gains by their name for ``--gains``; None for the board's defaults.
-    seed : int
-        Seed of the encoders' initial positions.
-    on_progress : callable, optional
-        Called with the completed share of the flight, 0 to 1.
-    """
+    """Fly one of the plans behind Figs. 21 to 25; a flight that ends with a fault is also returned."""
     plan = Plan.parse(PLANS[name], f"plan {name}", name)
     length_s = plan.duration_s + plan.start.settle_s
 

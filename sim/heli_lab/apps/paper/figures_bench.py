@@ -67,15 +67,7 @@ def thrust_figure(curve: ThrustCurve) -> Figure:
 
 
 def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
-    """Draw one of Figs. 16 to 18: both bench tests of a table, measured, and simulated with (30).
-
-    Parameters
-    ----------
-    table : Table
-        The table, with its fit of the coefficients.
-    records : sequence of Record
-        Records of the tests.
-    """
+    """Draw one of Figs. 16 to 18: both bench tests of a table, measured, and simulated with (30)."""
     from matplotlib.figure import Figure
 
     tests, axis = TESTS_OF_TABLE[table.number], _AXIS_OF_TABLE[table.number]

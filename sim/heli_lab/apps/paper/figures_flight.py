@@ -41,24 +41,12 @@ _SETTLE_S: Final = 1.0
 
 @dataclass(frozen=True)
 class PaperFlight:
-    """Closed-loop flight for a figure.
+    """Closed-loop flight for a figure."""
 
-    Parameters
-    ----------
-    label : str
-        Name of the gains.
-    flight : Flight
-        Closed-loop part of a log; time 0 is the take-off.
-    desired_deg : ndarray (n, 3)
-        Planned elevation and travel, and the setpoint of the pitch loop [deg].
-    outcome : str
-        ``completed``, or the reason why the flight ended.
-    """
-
-    label: str
-    flight: Flight
-    desired_deg: Floats
-    outcome: str
+    label: str  # Name of the gains
+    flight: Flight  # Closed-loop part of a log; time 0 is the take-off
+    desired_deg: Floats  # (n, 3): Planned elevation and travel, and the setpoint of the pitch loop [deg]
+    outcome: str  # ``completed``, or the reason why the flight ended
 
     @property
     def error_deg(self) -> Floats:
@@ -67,21 +55,8 @@ class PaperFlight:
 
 
 def closed_loop_flight(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> PaperFlight:
-    """Cut out the closed-loop part of a log, from take-off to the end of the plan.
-
-    Parameters
-    ----------
-    label : str
-        Name of the gains.
-    desired_deg : ndarray (n, 3)
-        Planned elevation, pitch and travel at each row [deg]; pitch is ignored.
-    outcome : str
-        ``completed``, or the reason why the flight ended.
-
-    Raises
-    ------
-    IdentifyError
-        When the log contains no closed-loop flight.
+    """Cut out the closed-loop part of a log, from take-off to the end of the plan. Shapes: `desired_deg` (n,
+    3).
     """
     names = {name: number for number, name in flight.state_names.items()}
     if flight.state is None or flight.setpoints_rad is None:

@@ -18,15 +18,7 @@ from heli_lab.apps.paper.coefficients import PRINTED
 
 
 class Coefficients(Effect):
-    """Coefficients P_1 to P_18 of the paper's equations (30) as parameters, in rad, s and V of U+ and U-.
-
-    Parameters
-    ----------
-    values : Mapping[str, float]
-        Prior means, which are also the start of a fit.
-    prior_std : Mapping[str, float]
-        Prior standard deviations.
-    """
+    """Coefficients P_1 to P_18 of the paper's equations (30) as parameters, in rad, s and V of U+ and U-."""
 
     def __init__(self, values: Mapping[str, float], prior_std: Mapping[str, float]) -> None:
         super().__init__(

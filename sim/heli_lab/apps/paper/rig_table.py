@@ -51,47 +51,28 @@ _NOT_IN_TABLE: Final = ("dead_zone", "friction_elevation", "friction_pitch", "fr
 
 @dataclass(frozen=True)
 class RigRow:
-    """Row of the reproduced Table 2: one parameter of the rig.
+    """Row of the reproduced Table 2: one parameter of the rig."""
 
-    Parameters
-    ----------
-    name, unit : str
-        Name and unit as in the rig file.
-    printed : float or None
-        Value printed in Table 2; None if the table does not contain the parameter.
-    value, tolerance : float
-        Value and tolerance in the rig file.
-    estimate, half : float or None
-        Estimate from the tests that identify it best, and half its 95 % interval; None if no test does.
-    note : str
-        Source of the estimate, or a remark on the printed value.
-    """
-
-    name: str
+    name: str  # name, unit: Name and unit as in the rig file
     unit: str
-    printed: float | None
-    value: float
+    printed: float | None  # Value printed in Table 2; None if the table does not contain the parameter
+    value: float  # value, tolerance: Value and tolerance in the rig file
     tolerance: float
     estimate: float | None = None
+    """estimate, half: Estimate from the tests that identify it best, and half its 95 % interval; None if no
+    test does."""
     half: float | None = None
-    note: str = ""
+    note: str = ""  # Source of the estimate, or a remark on the printed value
 
 
 @dataclass(frozen=True)
 class RigTable:
-    """Table 2 with the estimates from the bench tests.
+    """Table 2 with the estimates from the bench tests."""
 
-    Parameters
-    ----------
-    rows : tuple of RigRow
-        One row per parameter, then the moments of inertia.
-    normalised : dict of float
-        RMS error of the multibody model on the tests of each of Tables 3 to 5, over the free axes, in
-        standard deviations of the quantisation.
-    """
-
-    rows: tuple[RigRow, ...]
+    rows: tuple[RigRow, ...]  # One row per parameter, then the moments of inertia
     normalised: dict[int, float]
+    """RMS error of the multibody model on the tests of each of Tables 3 to 5, over the free axes, in standard
+    deviations of the quantisation."""
 
 
 class _ParameterEstimate(NamedTuple):
@@ -111,22 +92,6 @@ def fit_rig(
     """Fit the multibody model to the bench tests of each table.
 
     Each estimate is from the tests that identify the parameter best.
-
-    Parameters
-    ----------
-    rig : Rig
-        Prior values and tolerances.
-    records : Mapping of int to sequence of Record
-        Records of the tests in `TESTS_OF_TABLE`, by table.
-    line : Line
-        Line through the thrust curve of Fig. 15.
-    on_progress : callable, optional
-        Called with the completed share of the work, 0 to 1.
-
-    Raises
-    ------
-    IdentifyError
-        When the tests cannot be fitted.
     """
     best = {
         "thrust_gain": _ParameterEstimate(line.gain_N_per_V, line.gain_half, "Fig. 15"),

@@ -19,18 +19,10 @@ _STEP_s: Final = 0.01
 
 @dataclass(frozen=True)
 class SensitivityCase:
-    """One curve of the figure: a step response with some coefficients changed.
+    """One curve of the figure: a step response with some coefficients changed."""
 
-    Parameters
-    ----------
-    label : str
-        Text in the legend.
-    changes : Mapping of str to float
-        Factors on coefficients, by name; 0 neglects a coefficient.
-    """
-
-    label: str
-    changes: Mapping[str, float]
+    label: str  # Text in the legend
+    changes: Mapping[str, float]  # Factors on coefficients, by name; 0 neglects a coefficient
 
 
 CASES: Final[tuple[SensitivityCase, ...]] = (
@@ -45,21 +37,10 @@ CASES: Final[tuple[SensitivityCase, ...]] = (
 
 
 def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats) -> Floats:
-    """Simulate the elevation of (30) after a step of both voltages, with pitch and travel locked.
+    """Simulate the elevation of (30) after a step of both voltages, with pitch and travel locked. Shapes:
+    `t_s` (n,); returns (n,).
 
     The arm starts on its table; there is no upper stop. The integration is a fourth-order Runge-Kutta method.
-
-    Parameters
-    ----------
-    coefficients : Mapping of str to float
-        P_1 to P_6, in rad, s and V of U+.
-    t_s : ndarray (n,)
-        Evenly spaced times.
-
-    Returns
-    -------
-    ndarray (n,)
-        Elevation [deg].
     """
     p, sum_V = coefficients, test.front_V + test.back_V
     table_rad = math.radians(TABLE_DEG)

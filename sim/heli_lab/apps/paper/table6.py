@@ -42,51 +42,25 @@ _STEP_s, _STEPS = 0.01, 30_000
 
 @dataclass(frozen=True)
 class LoopVerdict:
-    """Stability and step response of pitch and travel for one interpretation of Table 6.
+    """Stability and step response of pitch and travel for one interpretation of Table 6."""
 
-    Parameters
-    ----------
-    gains : str
-        ``printed``, or ``corrected``, with P and I of travel exchanged.
-    reading : str
-        ``degrees`` if the travel PID gives the pitch setpoint in degrees, ``u3`` if it gives sin(phi) U+ in
-        volts.
-    derivative : str
-        Signal of the derivative: the ``error``, as in (34), or the ``measurement``.
-    growth_1_per_s : float
-        Real part of the dominant pole; negative if it decays.
-    period_s : float
-        Period of the dominant pole; infinite if it is real.
-    lag_s : float
-        Longest stable thrust lag; 0 if no lag is stable.
-    peak_deg : float
-        Peak of travel after a setpoint step of `SETTLING_STEP_DEG`, without limits; infinite if unstable.
-    settling_time_s : float
-        Time from the step until travel stays within half a degree of the setpoint; infinite if unstable.
-    """
-
-    gains: str
+    gains: str  # ``printed``, or ``corrected``, with P and I of travel exchanged
     reading: str
-    derivative: str
-    growth_1_per_s: float
-    period_s: float
-    lag_s: float
+    """``degrees`` if the travel PID gives the pitch setpoint in degrees, ``u3`` if it gives sin(phi) U+ in
+    volts."""
+    derivative: str  # Signal of the derivative: the ``error``, as in (34), or the ``measurement``
+    growth_1_per_s: float  # Real part of the dominant pole; negative if it decays
+    period_s: float  # Period of the dominant pole; infinite if it is real
+    lag_s: float  # Longest stable thrust lag; 0 if no lag is stable
     peak_deg: float
+    """Peak of travel after a setpoint step of `SETTLING_STEP_DEG`, without limits; infinite if unstable."""
     settling_time_s: float
+    """Time from the step until travel stays within half a degree of the setpoint; infinite if unstable."""
 
 
 def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
-    """Analyse pitch and travel of a linearised rig with every interpretation of Table 6, printed gains first.
-
-    Parameters
-    ----------
-    model : Model
-        Equations of motion without effects.
-
-    Raises
-    ------
-    PlantError
-        When the rig cannot hover.
+    """Analyse pitch and travel of a linearised rig with every interpretation of Table 6, printed gains
+    first.
     """
     plant = _TiltPlant.of(model, rig)
     results = []
@@ -113,33 +87,16 @@ def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
 
 @dataclass(frozen=True)
 class _TiltGains:
-    """Gains of the pitch and the travel loop.
+    """Gains of the pitch and the travel loop."""
 
-    Parameters
-    ----------
-    pitch, travel : ndarray (3,)
-        Gains kp, ki and kd, in V/rad and rad/rad.
-    differentiates_error : bool
-        Whether the pitch loop differentiates its error instead of the measured pitch.
-    """
-
-    pitch: Floats
+    pitch: Floats  # pitch, travel: (3,): Gains kp, ki and kd, in V/rad and rad/rad
     travel: Floats
     differentiates_error: bool
+    """Whether the pitch loop differentiates its error instead of the measured pitch."""
 
     @staticmethod
     def of(gains: str, pitch_per_unit: float, derivative: Derivative) -> _TiltGains:
-        """Convert the gains of Table 6 from degrees to radians.
-
-        Parameters
-        ----------
-        gains : str
-            ``printed`` or ``corrected``.
-        pitch_per_unit : float
-            Result of `_TiltPlant.pitch_per_unit`.
-        derivative : str
-            Signal that the pitch loop differentiates.
-        """
+        """Convert the gains of Table 6 from degrees to radians."""
         table = paper_gains(gains)
         pitch = np.array([table[f"pitch_{name}"] for name in ("kp", "ki", "kd")]) * _DEG
         travel = np.array([table[f"travel_{name}"] for name in ("kp", "ki", "kd")]) * pitch_per_unit
@@ -148,19 +105,11 @@ class _TiltGains:
 
 @dataclass(frozen=True)
 class _TiltPlant:
-    """Pitch and travel at hover without thrust lag, linearised: x' = A x + B U-.
+    """Pitch and travel at hover without thrust lag, linearised: x' = A x + B U-."""
 
-    Parameters
-    ----------
-    A, B : ndarray (4, 4), (4,)
-        State and input matrix. States: pitch, travel, their rates.
-    sum_V : float
-        Sum U+ of the voltages at hover.
-    """
-
-    A: Floats
+    A: Floats  # A, B: (4, 4): State and input matrix. States: pitch, travel, their rates.
     B: Floats
-    sum_V: float
+    sum_V: float  # Sum U+ of the voltages at hover
 
     @staticmethod
     def of(model: Model, rig: Rig) -> _TiltPlant:
@@ -219,16 +168,10 @@ def _dominant_pole(A: Floats) -> complex:
 
 
 def _travel_step_metrics(A: Floats) -> tuple[float, float]:
-    """Simulate a step of the travel setpoint with the closed-loop state matrix `A`, shape (n, n).
+    """Simulate a step of the travel setpoint with the closed-loop state matrix `A`, shape (n, n). Returns
+    `peak_deg`, `settling_time_s`.
 
     The derivative kick of the setpoint is left out.
-
-    Returns
-    -------
-    peak_deg : float
-        Peak of travel [deg].
-    settling_time_s : float
-        Settling time [s]; infinite if travel does not settle.
     """
     state = np.zeros(len(A))
     # Travel is simulated as the deviation from its setpoint.

@@ -47,27 +47,14 @@ TESTS_OF_TABLE: Final[Mapping[int, tuple[BenchTest, ...]]] = {
 
 @dataclass(frozen=True)
 class _FitPlan:
-    """Coefficients of (30) in the fit of a table.
+    """Coefficients of (30) in the fit of a table."""
 
-    Parameters
-    ----------
-    free : tuple of str
-        Estimated coefficients.
-    absorbed : tuple of str
-        Coefficients that are set to 0, because a free coefficient contains their terms in these tests.
-    offset : str
-        Angle zero that is also estimated.
-    unidentified : Mapping of str to str
-        Reasons why coefficients of the table have no estimate, by name.
-    per_test : tuple of str
-        Coefficients with one value per test.
-    """
-
-    free: tuple[str, ...]
+    free: tuple[str, ...]  # Estimated coefficients
     absorbed: tuple[str, ...]
-    offset: str
-    unidentified: Mapping[str, str]
-    per_test: tuple[str, ...] = ()
+    """Coefficients that are set to 0, because a free coefficient contains their terms in these tests."""
+    offset: str  # Angle zero that is also estimated
+    unidentified: Mapping[str, str]  # Reasons why coefficients of the table have no estimate, by name
+    per_test: tuple[str, ...] = ()  # Coefficients with one value per test
 
 
 _PLANS: Final[Mapping[int, _FitPlan]] = {
@@ -92,76 +79,37 @@ _PLANS: Final[Mapping[int, _FitPlan]] = {
 
 @dataclass(frozen=True)
 class TableRow:
-    """Coefficient, or sum of coefficients, in the unit of its table.
+    """Coefficient, or sum of coefficients, in the unit of its table."""
 
-    Parameters
-    ----------
-    name : str
-        Name, such as P_3, or P_1 + P_5.
-    unit : str
-        Unit of all values.
-    printed, tolerance : float or None
-        Printed value and tolerance; None if the table does not contain it.
-    analytic : float
-        Value from the rig's masses, lengths and friction, by the formulas below (30).
-    estimate, half : float or None
-        Estimate from the bench tests and half its 95 % interval; None if the tests do not identify it.
-    note : str
-        Reason why it is not identified, or the source of the estimate.
-    """
-
-    name: str
-    unit: str
+    name: str  # Name, such as P_3, or P_1 + P_5
+    unit: str  # Unit of all values
     printed: float | None
+    """printed, tolerance: Printed value and tolerance; None if the table does not contain it."""
     tolerance: float | None
-    analytic: float
+    analytic: float  # Value from the rig's masses, lengths and friction, by the formulas below (30)
     estimate: float | None
+    """estimate, half: Estimate from the bench tests and half its 95 % interval; None if the tests do not
+    identify it."""
     half: float | None
-    note: str = ""
+    note: str = ""  # Reason why it is not identified, or the source of the estimate
 
 
 @dataclass(frozen=True)
 class Table:
-    """One of Tables 3 to 5 with the estimates from the bench tests.
+    """One of Tables 3 to 5 with the estimates from the bench tests."""
 
-    Parameters
-    ----------
-    number : int
-        Number of the table: 3, 4 or 5.
-    rows : tuple of TableRow
-        Coefficients of the table, then identifiable combinations of the others.
-    normalised : float
-        RMS error of (30) over windows of 4 s, over the free axes, in standard deviations of the quantisation;
-        1 is the smallest possible value.
-    fit : Fit
-        The fit of the coefficients.
-    """
-
-    number: int
-    rows: tuple[TableRow, ...]
+    number: int  # Number of the table: 3, 4 or 5
+    rows: tuple[TableRow, ...]  # Coefficients of the table, then identifiable combinations of the others
     normalised: float
-    fit: Fit
+    """RMS error of (30) over windows of 4 s, over the free axes, in standard deviations of the quantisation;
+    1 is the smallest possible value."""
+    fit: Fit  # The fit of the coefficients
 
 
 def fit_table(
     number: int, rig: Rig, records: Sequence[Record], on_progress: Callable[[float], None] | None = None
 ) -> Table:
-    """Fit (30) to the bench tests of a table.
-
-    Parameters
-    ----------
-    number : int
-        Number of the table: 3, 4 or 5.
-    rig : Rig
-        Rig whose analytic coefficients are the start of the fit.
-    on_progress : callable, optional
-        Called with the completed share of the work, 0 to 1.
-
-    Raises
-    ------
-    IdentifyError
-        When the tests cannot be fitted.
-    """
+    """Fit (30) to the bench tests of a table."""
     from_masses, plan = analytic(rig), _PLANS[number]
     # A coefficient that contains the terms of absorbed ones starts at their sum.
     start = from_masses | dict.fromkeys(plan.absorbed, 0.0)
@@ -185,13 +133,7 @@ def fit_table(
 
 
 def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
-    """Return the RMS error of a fit over the free axes, in standard deviations of the quantisation.
-
-    Parameters
-    ----------
-    locked : tuple of bool
-        Whether elevation, pitch and travel are locked.
-    """
+    """Return the RMS error of a fit over the free axes, in standard deviations of the quantisation."""
     free_axes = [axis for axis, is_locked in zip(AXES, locked, strict=True) if not is_locked]
     flights = [check(fit, index) for index in range(len(fit.problem.records))]
     squares = [flight.axis_normalised[axis] ** 2 for flight in flights for axis in free_axes]

@@ -23,13 +23,7 @@ class ThrustScale:
 
     def read_N(self, state: Floats, volts_V: Sequence[float]) -> Floats:
         """Return the thrust of the front and the back rotor [N], shape (2,), rounded to the resolution.
-
-        Parameters
-        ----------
-        state : ndarray (n,)
-            State of the plant.
-        volts_V : sequence of float
-            Front and back voltage at the motors [V].
+        Shapes: `state` (n,).
         """
         exact = np.asarray(self._thrust_N(state, np.asarray(volts_V))).ravel()
         return np.round(exact / SCALE_N) * SCALE_N

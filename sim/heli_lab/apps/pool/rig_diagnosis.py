@@ -21,19 +21,11 @@ Below it, the estimate without the prior is a difference of nearly equal numbers
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """Estimate or prior of one parameter of a rig.
+    """Estimate or prior of one parameter of a rig."""
 
-    Parameters
-    ----------
-    value, std : float
-        Value and standard error, in `unit`.
-    unit : str
-        Unit as in rig files.
-    """
-
-    value: float
+    value: float  # value, std: Value and standard error, in `unit`
     std: float
-    unit: str
+    unit: str  # Unit as in rig files
 
 
 @dataclass(frozen=True)
@@ -112,16 +104,6 @@ def without_prior(value: float, std: float, prior: ParameterEstimate) -> Paramet
 
     The posterior density is the product of the prior and the marginal likelihood of the flights. For normal
     densities, the precision of the flights is the posterior precision minus the prior precision.
-
-    Parameters
-    ----------
-    value, std : float
-        Estimate with its standard error, in the prior's unit.
-
-    Returns
-    -------
-    ParameterEstimate or None
-        None if the flights add almost no information.
     """
     posterior_precision, prior_precision = std**-2.0, prior.std**-2.0
     precision = posterior_precision - prior_precision

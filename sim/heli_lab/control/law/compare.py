@@ -15,16 +15,6 @@ def flight_of_law(path: Path) -> Flight:
 
     A law that was uploaded over the link has priority; otherwise, the rows of a controller on the host or of
     the board's own control law are returned.
-
-    Parameters
-    ----------
-    path : Path
-        Log or table of a flight with setpoints.
-
-    Raises
-    ------
-    FlightDataError
-        The flight has no setpoints, or no control law flew it.
     """
     flight = read_flight(path, allow_gaps=True)
     if flight.setpoints_rad is None:

@@ -17,18 +17,7 @@ from heli_lab.control.law.sums import SUM, with_sums
 
 
 def compile_program(law: LawFunction) -> LawProgram:
-    """Compile a control law into a program for the board.
-
-    Parameters
-    ----------
-    law : LawFunction
-        Control law that the board is to run.
-
-    Raises
-    ------
-    BadLaw
-        The board cannot run this law.
-    """
+    """Compile a control law into a program for the board."""
     function = law.function.expand() if not law.function.is_a("SXFunction") else law.function
     program, outputs = _translate_to_values(law, function)
     program, outputs = with_sums(program, outputs)
@@ -48,15 +37,7 @@ def compile_program(law: LawFunction) -> LawProgram:
 
 
 def _translate_to_values(law: LawFunction, function: ca.Function) -> tuple[Program, list[int]]:
-    """Translate CasADi's instructions into values.
-
-    Returns
-    -------
-    program : Program
-        The values.
-    outputs : list of int
-        Indices of the values of the outputs: voltages, setpoints, signals, new states.
-    """
+    """Translate CasADi's instructions into values. Returns `program`, `outputs`."""
     program = Program(law.name)
     argument_kinds = ("input", "state", "parameter")
     output_count = FIXED_OUTPUTS + len(law.signals)
@@ -112,16 +93,10 @@ def _without_unused_values(program: Program, outputs: list[int]) -> tuple[Progra
 def _assign_cells(
     law: LawFunction, program: Program, outputs: list[int]
 ) -> tuple[list[Instruction], list[int]]:
-    """Assign a cell of the board's memory to every value, and write the instructions.
+    """Assign a cell of the board's memory to every value, and write the instructions. Returns
+    `instructions`, `output_cells`.
 
     A cell is free again after the last operation that reads its value.
-
-    Returns
-    -------
-    instructions : list of Instruction
-        One per operation.
-    output_cells : list of int
-        Cells of the outputs.
     """
     first_cell = {"input": 0, "constant": len(LAW_INPUTS)}
     first_cell["parameter"] = first_cell["constant"] + len(program.constants)

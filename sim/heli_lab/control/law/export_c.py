@@ -12,13 +12,7 @@ from heli_lab.control.law.law import Law
 
 
 def c_source(law: Law) -> str:
-    """Return the law as C: CasADi's function ``law`` in single precision, with a comment on its arguments.
-
-    Parameters
-    ----------
-    law : Law
-        Control law to write as C.
-    """
+    """Return the law as C: CasADi's function ``law`` in single precision, with a comment on its arguments."""
     lines = [
         f"/* {law.name}: a control law, called {law.rate_Hz:g} times a second.",
         "   int law(const float** arg, float** res, long long* iw, float* w, int mem);",

@@ -43,40 +43,14 @@ set from run to run."""
 
 
 def check_files(paths: Sequence[Path]) -> None:
-    """Check that files exist, before the work with them begins.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files of control laws.
-
-    Raises
-    ------
-    BadLaw
-        One of them is not a file.
-    """
+    """Check that files exist, before the work with them begins."""
     for path in paths:
         if not path.is_file():
             raise BadLaw(f"{path} is not a file", "give a Python file that ends with LAW = ...")
 
 
 def load_law(path: Path, limit_s: float = FILE_LIMIT_s, rig: str | None = None) -> Law:
-    """Run a file in a separate process, and return its ``LAW``.
-
-    Parameters
-    ----------
-    path : Path
-        The file; its code is run, with its folder on the path of imports. Its output goes to standard error.
-    limit_s : float
-        Longest time that the file may run [s].
-    rig : str or None
-        Name or path of the rig that `heli_lab.law.law_rig` returns to the file; None for the file's default.
-
-    Raises
-    ------
-    BadLaw
-        The file is missing, fails, does not end in time, or has no law.
-    """
+    """Run a file in a separate process, and return its ``LAW``."""
     check_files([path])
     try:
         pickled, status = _run_in_process(path, limit_s, rig)
@@ -100,20 +74,6 @@ def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawP
     The process has limits of time and memory, and can write no file, open no socket and start no process. Its
     answer is checked, and everything that it prints is discarded. The file can still read all files that you
     can read.
-
-    Parameters
-    ----------
-    path : Path
-        The file; its code is run, with its folder on the path of imports.
-    limits : FileLimits
-        Processor time and memory; the file may take five times this time, because the processor is shared.
-    rig : str or None
-        As for `load_law`.
-
-    Raises
-    ------
-    BadLaw
-        As `load_law`, or the file breaks a limit.
     """
     # Reading a pipe or a device of this name would never end.
     check_files([path])
@@ -153,29 +113,7 @@ def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawP
 def _run_in_process(
     path: Path, limit_s: float, rig: str | None, options: tuple[str, ...] = (), max_bytes: int = -1
 ) -> tuple[bytes, int]:
-    """Run a law file in another process, and return its answer.
-
-    Parameters
-    ----------
-    limit_s : float
-        Longest time that the file may run [s].
-    options : tuple of str
-        Limits of a fenced process; empty for a trusted file.
-    max_bytes : int
-        Longest answer that is read; -1 for any length.
-
-    Returns
-    -------
-    answer : bytes
-        Answer of the process; empty if the process failed.
-    status : int
-        Exit status of a process without an answer, otherwise 0.
-
-    Raises
-    ------
-    TimeoutError
-        The process does not end in time.
-    """
+    """Run a law file in another process, and return its answer. Returns `answer`, `status`."""
     fenced = bool(options)
     process = subprocess.Popen(
         # -P: a file in the present folder cannot replace a module of Python.
@@ -240,18 +178,5 @@ def _kill_process_group(process: subprocess.Popen[bytes]) -> None:
 
 
 def load_program(path: Path, rig: str | None = None) -> LawProgram:
-    """Compile the ``LAW`` of a file; the entry point ``heli_host.laws``.
-
-    Parameters
-    ----------
-    path : Path
-        The file; its code is run.
-    rig : str or None
-        As for `load_law`.
-
-    Raises
-    ------
-    BadLaw
-        The file is missing, fails, does not end or has no law, or the board cannot run the law.
-    """
+    """Compile the ``LAW`` of a file; the entry point ``heli_host.laws``."""
     return load_law(path, rig=rig).program

@@ -98,31 +98,14 @@ class Law(LawFunction):
 
 
 class Runner:
-    """Runs a law with numpy, one call at a time.
-
-    Attributes
-    ----------
-    state : ndarray (n,)
-        States after the last call.
-    """
+    """Runs a law with numpy, one call at a time. `state` has shape (n,)."""
 
     def __init__(self, law: Law) -> None:
         self.law = law
         self.state: Floats = np.array([*law.states.values()], float)
 
     def __call__(self, inputs: npt.ArrayLike) -> Floats:
-        """Call the law once, and keep its new states.
-
-        Parameters
-        ----------
-        inputs : array_like, shape (17,)
-            Inputs of the law, in the order of ``LAW_INPUTS``.
-
-        Returns
-        -------
-        ndarray, shape (5 + signals,)
-            Voltages [V], setpoints [rad], signals.
-        """
+        """Call the law once, and keep its new states. Shapes: `inputs` (17,); returns (5 + signals,)."""
         outputs, state = self.law.evaluated(
             ca.DM(np.asarray(inputs, float)), self.state, [*self.law.parameters.values()]
         )
@@ -210,13 +193,7 @@ def _call_with_symbols(
     state: SimpleNamespace,
     parameter: SimpleNamespace,
 ) -> Command:
-    """Call the user's `function` with symbols.
-
-    Raises
-    ------
-    BadLaw
-        The function fails, or does not return a Command; the message explains the line.
-    """
+    """Call the user's `function` with symbols."""
     if not _takes_three_arguments(function):
         raise BadLaw(
             f"the law {law_name} does not take three arguments",

@@ -71,16 +71,8 @@ def _check_signals(signals: Sequence[str]) -> None:
 
 
 def _check_values(kind: str, values: Mapping[str, float], remedy: str) -> None:
-    """Raise a BadLaw if there are too many states or parameters, or if a value is not a number of the board.
-
-    Parameters
-    ----------
-    kind : str
-        ``state`` or ``parameter``, for messages.
-    values : Mapping of str to float
-        Values by name.
-    remedy : str
-        What to do if there are too many.
+    """Raise a BadLaw if there are too many states or parameters, or if a value is not a number of the
+    board.
     """
     if len(values) > MAX_STATES:
         raise BadLaw(
@@ -93,15 +85,7 @@ def _check_values(kind: str, values: Mapping[str, float], remedy: str) -> None:
 def casadi_function(
     inputs: ca.SX, states: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], new_states: Sequence[ca.SX]
 ) -> ca.Function:
-    """Return the CasADi function of a law, as `LawFunction` describes it, from its symbols and results.
-
-    Parameters
-    ----------
-    inputs, states, parameters : SX
-        Symbols in columns: (17, 1), (n, 1) and (m, 1).
-    outputs, new_states : sequence of SX
-        Scalars.
-    """
+    """Return the CasADi function of a law, as `LawFunction` describes it, from its symbols and results."""
     return ca.Function(
         "law",
         [inputs, states, parameters],

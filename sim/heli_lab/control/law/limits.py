@@ -48,18 +48,10 @@ _REFUSED: Final[Mapping[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True)
 class FileLimits:
-    """Limits of the process that runs a stranger's law file.
+    """Limits of the process that runs a stranger's law file."""
 
-    Parameters
-    ----------
-    cpu_s : float
-        Processor time [s], rounded up.
-    memory_MB : int
-        Address space [MB].
-    """
-
-    cpu_s: float
-    memory_MB: int = MEMORY_LIMIT_MB
+    cpu_s: float  # Processor time [s], rounded up
+    memory_MB: int = MEMORY_LIMIT_MB  # Address space [MB]
 
 
 def fence_process(limits: FileLimits) -> None:
@@ -160,13 +152,7 @@ def _filter_system_calls() -> None:
 
 
 def _system_call_filter(machine: str) -> list[tuple[int, int, int, int]]:
-    """Write the filter for a processor: a list of instructions of the kernel's packet filter (BPF).
-
-    Returns
-    -------
-    list of (int, int, int, int)
-        For each instruction: code, jump if true, jump if false, operand.
-    """
+    """Write the filter for a processor: a list of instructions of the kernel's packet filter (BPF)."""
     processor_column = list(_ARCHITECTURES).index(machine)
     lines = [
         (_LOAD, 0, 0, _ARCHITECTURE_AT),

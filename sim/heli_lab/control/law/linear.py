@@ -30,24 +30,17 @@ _PROBE_rad_s: Final = np.radians(1.0)
 
 @dataclass(frozen=True)
 class LinearisedLaw:
-    """Poles and stability margins of a law near hover.
-
-    Parameters
-    ----------
-    poles : ndarray of complex
-        Poles of the closed loop, converted to those of a continuous system [1/s].
-    gain_up, phase_deg : tuple of float
-        Gain margin (largest factor on the gain) and phase margin, at the collective and at the differential,
-        with the other loop closed; nan if the closed loop is not stable.
-    nonlinearity_V : float
-        Largest difference between the law's voltages and the linear law [V], over errors of `_PROBE_rad` and
-        `_PROBE_rad_s`. If it is large, poles and margins do not describe the law.
-    """
+    """Poles and stability margins of a law near hover."""
 
     poles: npt.NDArray[np.complex128]
+    """Poles of the closed loop, converted to those of a continuous system [1/s]."""
     gain_up: tuple[float, float]
+    """gain_up, phase_deg: Gain margin (largest factor on the gain) and phase margin, at the collective and at
+    the differential, with the other loop closed; nan if the closed loop is not stable."""
     phase_deg: tuple[float, float]
     nonlinearity_V: float
+    """Largest difference between the law's voltages and the linear law [V], over errors of `_PROBE_rad` and
+    `_PROBE_rad_s`. If it is large, poles and margins do not describe the law."""
 
     @property
     def stable(self) -> bool:
@@ -56,15 +49,7 @@ class LinearisedLaw:
 
 
 def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
-    """Linearise a law at level hover, and close the loop around a linear rig, both at the law's rate.
-
-    Parameters
-    ----------
-    law : Law
-        The control law.
-    plant : LinearPlant
-        The rig, linearised at level hover.
-    """
+    """Linearise a law at level hover, and close the loop around a linear rig, both at the law's rate."""
     regulator = _linear_regulator(law)
     rig = control.append(
         control.ss(plant.elevation_A, plant.elevation_B[:, None], np.eye(2, 3), 0),
@@ -92,13 +77,6 @@ def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
 def _poles_of_motion(closed: control.StateSpace, dt_s: float) -> npt.NDArray[np.complex128]:
     """Return the discrete poles of a closed loop without those of states that stay and move no axis, such as
     a clock of the law.
-
-    Parameters
-    ----------
-    closed : control.StateSpace
-        Closed loop whose outputs are the angles and rates of all axes.
-    dt_s : float
-        Time step [s].
     """
     poles, modes = np.linalg.eig(np.asarray(closed.A))
     seen = np.linalg.norm(np.asarray(closed.C) @ modes, axis=0)
@@ -155,13 +133,7 @@ def _linear_regulator(law: Law) -> control.StateSpace:
 
 def _margins(loop: control.StateSpace, channel: int) -> tuple[float, float]:
     """Compute gain and phase margin of a loop at one of its two channels, with the other loop closed.
-
-    Returns
-    -------
-    gain : float
-        Largest factor on the gain for which the loop is stable; infinite without a limit.
-    phase_deg : float
-        Phase margin [deg]; infinite if the gain never crosses 1.
+    Returns `gain`, `phase_deg`.
     """
     other_channel = 1 - channel
     A, B, C, D = (np.asarray(matrix) for matrix in (loop.A, loop.B, loop.C, loop.D))

@@ -19,13 +19,7 @@ _CHECKED_OPERANDS: Final = {
 
 
 def with_nan_propagation(function: ca.Function) -> ca.Function:
-    """Return the function of a law in which each operation returns NaN if an operand is NaN.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Function of a control law.
-    """
+    """Return the function of a law in which each operation returns NaN if an operand is NaN."""
     function = function.expand() if not function.is_a("SXFunction") else function
     inputs = [ca.SX.sym(function.name_in(k), function.size1_in(k)) for k in range(function.n_in())]
     outputs = [ca.SX(function.size1_out(k), 1) for k in range(function.n_out())]

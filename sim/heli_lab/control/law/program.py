@@ -38,39 +38,17 @@ _NAMES: Final = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name
 
 @dataclass(frozen=True)
 class Value:
-    """A value of the program: the result of an operation, or an input, constant, parameter or state.
+    """A value of the program: the result of an operation, or an input, constant, parameter or state."""
 
-    Parameters
-    ----------
-    kind : str
-        ``input``, ``constant``, ``parameter``, ``state``, or the operation's name.
-    detail : int
-        For an input, constant, parameter or state, its index among those of its kind. For a sum of products,
-        bit k is set if product k is subtracted. For any other operation, 0.
-    operands : tuple of int
-        Indices of the values from which this value is computed.
-    """
-
-    kind: str
+    kind: str  # ``input``, ``constant``, ``parameter``, ``state``, or the operation's name
     detail: int = 0
-    operands: tuple[int, ...] = ()
+    """For an input, constant, parameter or state, its index among those of its kind. For a sum of products,
+    bit k is set if product k is subtracted. For any other operation, 0."""
+    operands: tuple[int, ...] = ()  # Indices of the values from which this value is computed
 
 
 class Program:
-    """Values in the order of their computation; the same operation on the same values occurs once.
-
-    Parameters
-    ----------
-    name : str
-        Name of the law, for messages.
-
-    Attributes
-    ----------
-    values : list of Value
-        The values; operations name their operands by index in this list.
-    constants : list of float
-        The constants, in single precision.
-    """
+    """Values in the order of their computation; the same operation on the same values occurs once."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -80,13 +58,7 @@ class Program:
         self._index: dict[Value, int] = {}
 
     def put(self, value: Value) -> int:
-        """Add a value, unless the program has it already; return its index.
-
-        Parameters
-        ----------
-        value : Value
-            The value, whose operands the program has already.
-        """
+        """Add a value, unless the program has it already; return its index."""
         index = self._index.get(value)
         if index is None:
             index = self._index[value] = len(self.values)
@@ -96,15 +68,8 @@ class Program:
     def copy_value(self, other: Program, index: int, new_index: dict[int, int]) -> None:
         """Copy a value of another program, and add its new index to `new_index`.
 
-        Parameters
-        ----------
-        other : Program
-            The program to copy from.
-        index : int
-            Index of the value in `other`.
-        new_index : dict of int to int
-            For each value copied so far, its index in this program by its index in `other`. The operands of
-            the value must be among them.
+        `new_index`: For each value copied so far, its index in this program by its index in `other`. The
+        operands of the value must be among them.
         """
         value = other.values[index]
         if value.kind == "constant":
@@ -114,18 +79,7 @@ class Program:
             new_index[index] = self.put(replace(value, operands=operands))
 
     def constant(self, number: float) -> int:
-        """Add a constant; return the index of its value.
-
-        Parameters
-        ----------
-        number : float
-            The constant, which is rounded to single precision.
-
-        Raises
-        ------
-        BadLaw
-            The constant is not finite, or beyond single precision.
-        """
+        """Add a constant; return the index of its value."""
         if not math.isfinite(number):
             raise BadLaw(
                 f"the law {self.name} contains the constant {number}",
@@ -144,26 +98,12 @@ class Program:
         return self.put(Value("constant", self.constants.index(single)))
 
     def constant_number(self, index: int) -> float | None:
-        """Return the number of a value that is a constant; None for any other value.
-
-        Parameters
-        ----------
-        index : int
-            Index of the value in the program.
-        """
+        """Return the number of a value that is a constant; None for any other value."""
         value = self.values[index]
         return self.constants[value.detail] if value.kind == "constant" else None
 
     def append(self, name: str, *operands: int) -> int:
-        """Append an operation, or a cheaper one with the same result; return the index of its value.
-
-        Parameters
-        ----------
-        name : str
-            Name of the operation.
-        *operands : int
-            Indices of its operands.
-        """
+        """Append an operation, or a cheaper one with the same result; return the index of its value."""
         numbers = [self.constant_number(operand) for operand in operands]
         compute = _CONSTANT_FOLDING.get(name)
         if compute is not None and None not in numbers:
@@ -179,20 +119,7 @@ class Program:
         return self.put(Value(name, 0, operands))
 
     def append_casadi(self, code: int, a: int, b: int) -> int:
-        """Append an operation of CasADi, composed of those of the board; return the index of its value.
-
-        Parameters
-        ----------
-        code : int
-            CasADi's code of the operation.
-        a, b : int
-            Indices of its operands; `b` is ignored for an operation with one operand.
-
-        Raises
-        ------
-        BadLaw
-            The board cannot compute the operation.
-        """
+        """Append an operation of CasADi, composed of those of the board; return the index of its value."""
         if code in _ON_BOARD:
             name = _ON_BOARD[code]
             return self.append(name, a, b) if CODE[name] in BINARY else self.append(name, a)

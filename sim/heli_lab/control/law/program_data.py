@@ -58,18 +58,7 @@ def program_json(program: LawProgram) -> str:
 
 
 def program_of_json(text: str) -> LawProgram:
-    """Read a program that an untrusted process wrote; every entry is checked.
-
-    Parameters
-    ----------
-    text : str
-        As `program_json` writes it.
-
-    Raises
-    ------
-    BadLaw
-        The text is not that of a program, or the board cannot run the program.
-    """
+    """Read a program that an untrusted process wrote; every entry is checked."""
     try:
         content = json.loads(text)
         return _check_and_convert(content)
@@ -106,18 +95,7 @@ def _check_and_convert(content: Mapping[str, Any]) -> LawProgram:
 
 
 def law_of_program(program: LawProgram) -> Law:
-    """Return the law that a program computes, to linearise it or run it with numpy.
-
-    Parameters
-    ----------
-    program : LawProgram
-        Program of the board.
-
-    Raises
-    ------
-    BadLaw
-        A name is invalid, or a cell is read before it is written.
-    """
+    """Return the law that a program computes, to linearise it or run it with numpy."""
     inputs = ca.SX.sym("inputs", len(LAW_INPUTS))
     states, parameters = (
         ca.SX.sym(kind, len(values))

@@ -40,13 +40,7 @@ def law_rig(default: str | Path = "makki2024") -> Rig:
 
 
 def rig_environment(rig: str | None) -> Mapping[str, str]:
-    """Return the environment variable that states the rig for `law_rig` in another process.
-
-    Parameters
-    ----------
-    rig : str or None
-        Name or path, as typed. With None, the file uses its default rig.
-    """
+    """Return the environment variable that states the rig for `law_rig` in another process."""
     if rig is None:
         return {}
     path = Path(rig)

@@ -1,4 +1,4 @@
-"""Run the file of a law in a separate process: ``python -m heli_lab.control.law.run_file FILE [CPU_S MEMORY_MB]``.
+"""Run the file of a law: ``python -m heli_lab.control.law.run_file FILE [CPU_S MEMORY_MB]``.
 
 Standard output gets a line when the file begins to run, and then the answer: a pickle of the law, or of the
 error's cause and fix. If limits are given, the file is not trusted: its process is fenced, and the answer is
@@ -42,15 +42,7 @@ def answer_to(path: Path) -> dict[str, Any]:
 def program_or_error(path: Path) -> dict[str, str]:
     """Run an untrusted file, and compile its law.
 
-    Parameters
-    ----------
-    path : Path
-        The file. The limits of this process must be set before.
-
-    Returns
-    -------
-    dict of str
-        ``program`` as JSON; or ``cause`` and ``remedy`` of an error.
+    `path`: The file. The limits of this process must be set before.
     """
     answer = answer_to(path)
     law = answer["law"]
@@ -63,13 +55,7 @@ def program_or_error(path: Path) -> dict[str, str]:
 
 
 def run_law(path: Path) -> Law:
-    """Run a file in this process and return its ``LAW``.
-
-    Raises
-    ------
-    BadLaw
-        It fails, or holds no law.
-    """
+    """Run a file in this process and return its ``LAW``."""
     try:
         with _importing_from(path.parent):
             variables = runpy.run_path(str(path))

@@ -16,11 +16,6 @@ class _RateFilter:
     """Estimates the rate of a signal by two low-pass filters in series, as in firmware/core/control.
 
     The rate is the slope of the second filter.
-
-    Parameters
-    ----------
-    cutoff_Hz : float
-        Cut-off frequency of both filters [Hz].
     """
 
     def __init__(self, cutoff_Hz: float) -> None:
@@ -41,13 +36,7 @@ class _RateFilter:
 
 
 class _Shaper:
-    """Moves a setpoint to its target within limits of rate and acceleration, as on the board.
-
-    Parameters
-    ----------
-    rate_rad_s, acceleration_rad_s2 : float
-        Largest rate [rad/s] and acceleration [rad/s^2].
-    """
+    """Moves a setpoint to its target within limits of rate and acceleration, as on the board."""
 
     def __init__(self, rate_rad_s: float, acceleration_rad_s2: float) -> None:
         self.rate_rad_s, self.acceleration_rad_s2 = rate_rad_s, acceleration_rad_s2
@@ -76,20 +65,6 @@ class Streamed:
     The board has no setpoints while voltages are streamed. The setpoints are therefore those given to
     `follow`, shaped here as the board would. The number of steps of the law depends on the times of the
     samples: a law of 1 kHz that is called at 200 Hz takes five steps per call, with the same inputs.
-
-    Parameters
-    ----------
-    runner : callable
-        Takes one step of the law: it takes the inputs, shape (17,), and returns the outputs.
-    dt_s : float
-        Time from one step of the law to the next [s].
-    params : mapping of str to float
-        The board's parameters.
-
-    Attributes
-    ----------
-    setpoints_rad : mapping of str to float
-        Setpoints of the law at its last call, by axis [rad].
     """
 
     def __init__(self, runner: Callable[[Floats], Floats], dt_s: float, params: Mapping[str, float]) -> None:
@@ -110,23 +85,11 @@ class Streamed:
         self.setpoints_rad: Mapping[str, float] = dict.fromkeys(AXES, 0.0)
 
     def follow(self, **target_rad: float) -> None:
-        """Set the targets of the setpoints.
-
-        Parameters
-        ----------
-        **target_rad : float
-            Angle of an axis, by its name [rad].
-        """
+        """Set the targets of the setpoints."""
         self._target_rad.update(target_rad)
 
     def __call__(self, sample: Any) -> tuple[float, float]:
-        """Return the voltages of the front and the back motor [V].
-
-        Parameters
-        ----------
-        sample : Sample
-            The newest sample of telemetry.
-        """
+        """Return the voltages of the front and the back motor [V]."""
         elapsed_s = self._dt_s if self._tick is None else (sample.tick - self._tick) * TICK_S
         self._tick = sample.tick
         values: dict[str, float] = {}

@@ -21,39 +21,16 @@ _LINEAR: Final = frozenset(("add", "subtract", "negate", "multiply"))
 
 @dataclass(frozen=True)
 class _Product:
-    """A term of a sum.
+    """A term of a sum."""
 
-    Parameters
-    ----------
-    factor : float
-        Constant factor.
-    first : int
-        Index of the value that the factor multiplies.
-    second : int or None
-        Index of a second value that is multiplied; None if there is none.
-    """
-
-    factor: float
-    first: int
-    second: int | None = None
+    factor: float  # Constant factor
+    first: int  # Index of the value that the factor multiplies
+    second: int | None = None  # Index of a second value that is multiplied; None if there is none
 
 
 def with_sums(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
-    """Replace additions and multiplications by sums of products where these cost less.
-
-    Parameters
-    ----------
-    program : Program
-        Values in the order of their computation.
-    outputs : list of int
-        Indices of the values of the outputs.
-
-    Returns
-    -------
-    program : Program
-        The program with sums.
-    outputs : list of int
-        Indices of its outputs.
+    """Replace additions and multiplications by sums of products where these cost less. Returns `program`,
+    `outputs`.
     """
     readers = Counter(operand for value in program.values for operand in value.operands)
     readers.update(outputs)
@@ -96,17 +73,6 @@ def _expand_to_products(
     """Expand a value of the program, times a factor, into products.
 
     A value that several operations read is not expanded, because it is computed once anyway.
-
-    Parameters
-    ----------
-    readers : Counter of int
-        Number of operations that read each value.
-    index : int
-        Index of the value.
-    factor : float
-        Factor on the value.
-    is_root : bool
-        Whether the value is the result of the sum, which is expanded in any case.
     """
     value = program.values[index]
     if value.kind not in _LINEAR or (readers[index] > 1 and not is_root):

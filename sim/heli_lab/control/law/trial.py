@@ -26,18 +26,10 @@ _TOLERANCE_deg: Final = 180.0
 
 @dataclass(frozen=True)
 class LawTrial:
-    """Result of a test flight of a law.
+    """Result of a test flight of a law."""
 
-    Parameters
-    ----------
-    flight : Flight
-        The rows that the law flew, with time from the first of them on.
-    taken_over : str
-        Why the board's own law took over; empty if it did not.
-    """
-
-    flight: Flight
-    taken_over: str = ""
+    flight: Flight  # The rows that the law flew, with time from the first of them on
+    taken_over: str = ""  # Why the board's own law took over; empty if it did not
 
     @staticmethod
     def of_log(log: Path, taken_over: str = "") -> LawTrial:

@@ -136,32 +136,15 @@ def find_gains(
 
 @dataclass(frozen=True)
 class _TakeOff:
-    """Take-off by which the elevation gains are evaluated.
+    """Take-off by which the elevation gains are evaluated."""
 
-    Parameters
-    ----------
-    plants : sequence of LinearPlant
-        The rig at each lag, then the corners of its spread.
-    path_deg : ndarray (n, 3)
-        Setpoint with its first and second derivative, in degrees and seconds.
-    feedforward : ndarray (n,)
-        Feed-forward of hover voltage and acceleration [V deg/rad].
-    """
-
-    plants: Sequence[LinearPlant]
-    path_deg: Floats
-    feedforward: Floats
+    plants: Sequence[LinearPlant]  # The rig at each lag, then the corners of its spread
+    path_deg: Floats  # (n, 3): Setpoint with its first and second derivative, in degrees and seconds
+    feedforward: Floats  # (n,): Feed-forward of hover voltage and acceleration [V deg/rad]
 
     def error_deg(self, pid: Pid, closed: Floats) -> Floats:
         """Simulate the take-off on all plants, and return the error of the elevation [deg], shape (n,
-        plants).
-
-        Parameters
-        ----------
-        pid : Pid
-            Gains of the elevation loop.
-        closed : ndarray (plants, 6, 6)
-            State matrices of the closed loops with these gains, from `loops.elevation_closed`.
+        plants). Shapes: `closed` (plants, 6, 6).
         """
         nominal_V = self.plants[0].hover_V
         # Inputs: the collective, the setpoint, and a constant.
@@ -227,37 +210,20 @@ def _design_elevation(
 
 @dataclass(frozen=True)
 class _TiltDesign:
-    """Gains of the pitch and the travel loop.
+    """Gains of the pitch and the travel loop."""
 
-    Parameters
-    ----------
-    pitch, travel : Pid
-        Gains in V/rad and rad/rad.
-    pitch_hold : float
-        Feed-forward from the pitch setpoint to the differential [V/rad].
-    parameters : dict of float
-        The board's parameters of path, feed-forward and limits, by their declared names.
-    """
-
-    pitch: Pid
+    pitch: Pid  # pitch, travel: Gains in V/rad and rad/rad
     travel: Pid
-    pitch_hold: float
+    pitch_hold: float  # Feed-forward from the pitch setpoint to the differential [V/rad]
     parameters: dict[str, float]
+    """The board's parameters of path, feed-forward and limits, by their declared names."""
 
 
 def _tilt_loops(
     pitch: Pid, travel: Pid, pitch_hold: float, to_pitch: ComplexArray, to_travel: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Compute the open loops of pitch, of travel, and of the differential voltage that both loops share.
-
-    Parameters
-    ----------
-    pitch, travel : Pid
-        Controllers. Travel demands a pitch, which the pitch loop and the feed-forward turn into a voltage.
-    pitch_hold : float
-        Feed-forward that holds a tilt [V/rad].
-    to_pitch, to_travel : ndarray (plants, frequencies)
-        Responses of both angles to the differential voltage.
+    Shapes: `to_pitch, to_travel` (plants, frequencies).
     """
     pitch_loop = pitch.response(loops.FREQUENCY_rad_s) * to_pitch
     volts_per_demand = pitch.kp + pitch_hold + pitch.ki / (1j * loops.FREQUENCY_rad_s)

@@ -21,13 +21,7 @@ _FONT_SIZE: Final = 8
 
 
 def figure_of_design(design: Design, flights: Sequence[tuple[str, Flight]]) -> Figure:
-    """Draw a design and flights with its gains.
-
-    Parameters
-    ----------
-    flights : sequence of (str, Flight)
-        Label and data of each flight; angles and the front motor's voltage are drawn over time.
-    """
+    """Draw a design and flights with its gains."""
     figure = Figure(figsize=(14, 7.2), layout="constrained")
     grid = figure.add_gridspec(4, 4, width_ratios=[1.0, 1.0, 1.1, 1.1])
     first = figure.add_subplot(grid[0, :2])

@@ -20,15 +20,11 @@ from heli_lab.control.tune.design import TRAVEL_STEP_DEG
 
 @dataclass(frozen=True)
 class Phases:
-    """Times of the phases of a test flight, on the flight's time axis [s].
-
-    Parameters
-    ----------
-    take_off_s, step_s, back_s, sine_s, end_s : float
-        Beginning of the take-off, of the travel step, of the step back and of the sines; end of the sines.
-    """
+    """Times of the phases of a test flight, on the flight's time axis [s]."""
 
     take_off_s: float
+    """take_off_s, step_s, back_s, sine_s, end_s: Beginning of the take-off, of the travel step, of the step
+    back and of the sines; end of the sines."""
     step_s: float
     back_s: float
     sine_s: float
@@ -37,45 +33,22 @@ class Phases:
 
 @dataclass(frozen=True)
 class FlightMetrics:
-    """Performance of a set of gains in a test flight.
+    """Performance of a set of gains in a test flight."""
 
-    Parameters
-    ----------
-    outcome : str
-        ``completed``, or the reason why the flight ended.
-    take_off_s : float
-        Settling time of the take-off; infinite if it never settles.
-    overshoot_percent : float
-        Overshoot of the travel step, the larger one of both directions.
-    settling_time_s : float
-        Settling time of the travel step, the longer one of both directions; infinite if it never settles.
-    travel_rms_deg, elevation_rms_deg : float
-        RMS tracking error along the sines.
-    pitch_max_deg : float
-        Largest absolute pitch.
-    """
-
-    outcome: str
-    take_off_s: float
-    overshoot_percent: float
+    outcome: str  # ``completed``, or the reason why the flight ended
+    take_off_s: float  # Settling time of the take-off; infinite if it never settles
+    overshoot_percent: float  # Overshoot of the travel step, the larger one of both directions
     settling_time_s: float
-    travel_rms_deg: float
+    """Settling time of the travel step, the longer one of both directions; infinite if it never settles."""
+    travel_rms_deg: float  # travel_rms_deg, elevation_rms_deg: RMS tracking error along the sines
     elevation_rms_deg: float
-    pitch_max_deg: float
+    pitch_max_deg: float  # Largest absolute pitch
 
 
 def flight_metrics(
     flight: Flight, path_deg: Callable[[Floats], Floats], phases: Phases, outcome: str
 ) -> FlightMetrics:
-    """Measure a test flight; metrics of phases that it did not reach are infinite.
-
-    Parameters
-    ----------
-    path_deg : callable
-        Returns the planned elevation, pitch and travel [deg], shape (n, 3), at times (n,) of the flight.
-    outcome : str
-        ``completed``, or the reason why the flight ended.
-    """
+    """Measure a test flight; metrics of phases that it did not reach are infinite."""
     t_s, angles_deg = flight.t_s, np.rad2deg(flight.angles_rad)
     elevation, pitch, travel = angles_deg.T
     in_take_off = _rows_between(t_s, phases.take_off_s, phases.step_s)

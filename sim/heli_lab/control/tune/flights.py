@@ -44,21 +44,11 @@ _STEP_S, _SINE_S = 8.0, 60.0
 
 @dataclass(frozen=True)
 class Trial:
-    """Test flight with a set of gains.
+    """Test flight with a set of gains."""
 
-    Parameters
-    ----------
-    label : str
-        Short description of the simulated rig, such as ``lag 120 ms``.
-    flight : Flight
-        The flight in closed loop; time 0 is its beginning.
-    metrics : FlightMetrics
-        Overshoot, settling time and tracking errors.
-    """
-
-    label: str
-    flight: Flight
-    metrics: FlightMetrics
+    label: str  # Short description of the simulated rig, such as ``lag 120 ms``
+    flight: Flight  # The flight in closed loop; time 0 is its beginning
+    metrics: FlightMetrics  # Overshoot, settling time and tracking errors
 
 
 def try_gains(
@@ -71,22 +61,6 @@ def try_gains(
     """Fly a set of parameters on a simulated rig, with the flight code and the link.
 
     A flight that ends with a fault also gives a trial; its metrics state the fault as outcome.
-
-    Parameters
-    ----------
-    parameters : Mapping of str to float
-        Parameters of the board that differ from their defaults.
-    label : str
-        Short description of the simulated rig.
-    seed : int
-        Seed of the encoders' initial positions.
-    on_progress : callable, optional
-        Called with the completed share of the flight, 0 to 1.
-
-    Raises
-    ------
-    ParameterError
-        When the board refuses one of the parameters.
     """
     plan = Plan.parse(PLAN, "plan of the trial", "trial")
     length_s = plan.duration_s + plan.start.settle_s

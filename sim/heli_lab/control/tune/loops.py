@@ -149,14 +149,9 @@ def tilt_output(pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
 def open_loops(
     plant: LinearPlant, law: CascadeGains, frequency_rad_s: Floats = FREQUENCY_rad_s
 ) -> dict[str, ComplexArray]:
-    """Return the complex loop gain L of every loop in `LOOPS`, shape (n,).
+    """Return the complex loop gain L of every loop in `LOOPS`, shape (n,). Shapes: `frequency_rad_s` (n,).
 
     The sign convention is that of negative feedback: a Nyquist curve through -1 is marginally stable.
-
-    Parameters
-    ----------
-    frequency_rad_s : ndarray (n,)
-        Angular frequencies [rad/s].
     """
     s = 1j * frequency_rad_s
     # The matrices approximate the delay of the voltages by additional lag; replace it by the exact delay.
@@ -230,22 +225,11 @@ def _sign_changes(
     grid: dict[str, ComplexArray],
     value: Callable[[ComplexArray], Floats],
 ) -> dict[str, tuple[Floats, ComplexArray]]:
-    """Find the frequencies at which a real function of each loop gain changes sign, by bisection.
+    """Find the frequencies at which a real function of each loop gain changes sign, by bisection. Shapes:
+    `grid` (n,); returns (k,).
 
     All loops are bisected together: `control.stability_margins` interpolates one point per call and takes a
     hundred times as long.
-
-    Parameters
-    ----------
-    grid : dict of ndarray (n,)
-        Loop gains at `MARGIN_FREQUENCY_rad_s`, by name of the loop.
-    value : callable
-        The function: `_sine_of_phase` for phase crossings, `_log_magnitude` for gain crossings.
-
-    Returns
-    -------
-    dict of (ndarray (k,), ndarray (k,))
-        By name of the loop, the frequencies [rad/s], and the loop gains there.
     """
     changes = {name: np.flatnonzero(np.diff(np.sign(value(loop)))) for name, loop in grid.items()}
     # One element per crossing: its interval of the grid, and the number of its loop.
@@ -278,16 +262,7 @@ def is_stable(plant: LinearPlant, law: CascadeGains) -> bool:
 
 def _with_rate_filters(A: Floats, measured: tuple[int, ...], pids: tuple[Pid, ...]) -> Floats:
     """Extend a state matrix by the two states of each rate filter, and by zeros for the integral of each
-    loop.
-
-    Parameters
-    ----------
-    A : ndarray (n, n)
-        State matrix of the plant.
-    measured : tuple of int
-        State with the measured angle of each loop.
-    pids : tuple of Pid
-        Gains of each loop, with the cut-off frequency of its filter.
+    loop. Shapes: `A` (n, n).
     """
     count, loops = A.shape[0], len(measured)
     closed = np.zeros((count + 3 * loops, count + 3 * loops))
@@ -301,15 +276,7 @@ def _with_rate_filters(A: Floats, measured: tuple[int, ...], pids: tuple[Pid, ..
 
 
 def _controller_output_row(size: int, angle: int, first: int, pid: Pid) -> Floats:
-    """Return the row from the states to the proportional and derivative output of a controller.
-
-    Parameters
-    ----------
-    size : int
-        Number of states.
-    angle, first : int
-        Numbers of the states with the measured angle, and with the first output of its rate filter.
-    """
+    """Return the row from the states to the proportional and derivative output of a controller."""
     row = np.zeros(size)
     cutoff = 2.0 * np.pi * pid.filter_Hz
     row[angle] = -pid.kp

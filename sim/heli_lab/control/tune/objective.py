@@ -43,16 +43,9 @@ def slowest_pole_1_s(closed: Floats) -> float:
 
 
 def log_cost(squares: Floats, nominal_count: int) -> float:
-    """Combine the mean squared errors of all plants into one cost.
+    """Combine the mean squared errors of all plants into one cost. Shapes: `squares` (plants,).
 
     The cost is the mean of two logarithms: that of the nominal plants' mean, and that of the corners' mean.
-
-    Parameters
-    ----------
-    squares : ndarray (plants,)
-        Mean squared error of each plant; the nominal plants come first.
-    nominal_count : int
-        Number of nominal plants.
     """
     return float(0.5 * (np.log(squares[:nominal_count].mean()) + np.log(squares[nominal_count:].mean())))
 
@@ -63,17 +56,11 @@ def bound_penalty(peak: float, bound: float) -> float:
 
 
 def minimise_positive(cost: Callable[[Floats], float], start: Floats) -> Floats:
-    """Find the positive gains with the lowest cost, by the Nelder-Mead method in their logarithms.
+    """Find the positive gains with the lowest cost, by the Nelder-Mead method in their logarithms. Shapes:
+    `start` (k,).
 
     The search is restarted with a new simplex, because a small simplex can get stuck. It ends when the cost
     falls by less than 0.01, which means that errors fall by less than 0.5 %.
-
-    Parameters
-    ----------
-    cost : callable
-        Takes gains, shape (k,), and returns their cost.
-    start : ndarray (k,)
-        Start values of the gains.
     """
     from scipy.optimize import minimize
 

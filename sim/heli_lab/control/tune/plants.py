@@ -228,20 +228,6 @@ def spread_plants(
     """Linearise the nominal rig at every lag of the spread, then the corners of the spread at every lag.
 
     Corners that cannot hover are left out: a counterweight 3 % heavier lifts some arms without any thrust.
-
-    Parameters
-    ----------
-    spread : Spread
-        Uncertainty of the rig's parameters.
-    model : type of Model
-        Equations of motion.
-    loop_effects : LoopEffects, optional
-        Effects of the rig; the lags are those of the spread.
-
-    Raises
-    ------
-    PlantError
-        When the nominal rig cannot hover.
     """
     corners = itertools.product(
         spread.lag_s,

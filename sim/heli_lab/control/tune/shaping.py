@@ -18,25 +18,8 @@ _SMOOTHING: Final = 0.01
 def shaped_step(
     distance: float, slew: float, acceleration: float, duration_s: float, every_s: float
 ) -> Floats:
-    """Return the shaped setpoint after a step of the target, as the board computes it.
-
-    Parameters
-    ----------
-    distance : float
-        Size of the step, in degrees or any other unit.
-    slew : float
-        Largest rate of the setpoint [unit/s].
-    acceleration : float
-        Largest acceleration of the setpoint [unit/s^2].
-    duration_s : float
-        Length of the path [s].
-    every_s : float
-        Time between two rows of the result [s], a whole number of milliseconds.
-
-    Returns
-    -------
-    ndarray (n, 3)
-        Setpoint, its rate, and the smoothed acceleration for the feed-forward.
+    """Return the shaped setpoint after a step of the target, as the board computes it. Returns shape (n,
+    3).
     """
     # All changes are per tick: `step` of the setpoint, `change` of the step.
     max_step, max_change = slew * _TICK_s, acceleration * _TICK_s**2

@@ -19,26 +19,14 @@ carried over to the next. 250 points take 32 steps in Python instead of 250."""
 
 @dataclass(frozen=True)
 class DiscretePlants:
-    """Linear plants in discrete time, with inputs constant over a step of `SIMULATION_STEP_s`.
+    """Linear plants in discrete time, with inputs constant over a step of `SIMULATION_STEP_s`."""
 
-    Parameters
-    ----------
-    transition : ndarray (plants, n, n)
-        State transition matrices over one step.
-    inputs : ndarray (plants, n, m)
-        Input matrices over one step.
-    """
-
-    transition: Floats
-    inputs: Floats
+    transition: Floats  # (plants, n, n): State transition matrices over one step
+    inputs: Floats  # (plants, n, m): Input matrices over one step
 
     def simulate(self, inputs: Floats) -> Floats:
-        """Simulate all plants from rest, and return the states, shape (times, plants, n).
-
-        Parameters
-        ----------
-        inputs : ndarray (times, m)
-            Inputs of every plant, in steps of `SIMULATION_STEP_s`.
+        """Simulate all plants from rest, and return the states, shape (times, plants, n). Shapes: `inputs`
+        (times, m).
         """
         count, size = self.transition.shape[:2]
         blocks = -(-len(inputs) // _BLOCK)
@@ -63,13 +51,7 @@ class DiscretePlants:
         return states.transpose(3, 0, 1, 2).reshape(-1, count, size)[: len(inputs)]
 
     def step_response(self, times: int) -> Floats:
-        """Return the zero-state response to a unit step of each input, shape (plants, n, m, times).
-
-        Parameters
-        ----------
-        times : int
-            Number of points in steps of `SIMULATION_STEP_s`; at the first, all states are 0.
-        """
+        """Return the zero-state response to a unit step of each input, shape (plants, n, m, times)."""
         count, size, width = self.inputs.shape
         # Doubling: the response after 2 m steps is that after m steps, propagated by m steps, plus itself.
         response, power = self.inputs[..., None], self.transition
@@ -82,14 +64,8 @@ class DiscretePlants:
 
 
 def discretise(closed: Floats, input_matrices: Floats) -> DiscretePlants:
-    """Discretise plants exactly for inputs that are constant over a step.
-
-    Parameters
-    ----------
-    closed : ndarray (plants, n, n)
-        State matrices in continuous time.
-    input_matrices : ndarray (plants, n, m)
-        Input matrices in continuous time.
+    """Discretise plants exactly for inputs that are constant over a step. Shapes: `closed` (plants, n, n),
+    `input_matrices` (plants, n, m).
     """
     count, size, width = input_matrices.shape
     augmented = np.zeros((count, size + width, size + width))

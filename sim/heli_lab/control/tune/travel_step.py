@@ -27,48 +27,20 @@ _FINAL_ERROR_WEIGHT: Final = 30.0
 
 @dataclass(frozen=True)
 class TravelStep:
-    """Travel step and constant loads, by which the gains of pitch and travel are evaluated.
+    """Travel step and constant loads, by which the gains of pitch and travel are evaluated."""
 
-    Parameters
-    ----------
-    plants : sequence of LinearPlant
-        The rig at each lag, then the corners of its spread.
-    pitch_hold : float
-        Feed-forward of the pitch setpoint [V/rad].
-    path : ndarray (n, 3)
-        Setpoint of travel with its first and second derivative, in degrees and seconds.
-    arrival_row : int
-        Row of the path at which the setpoint has arrived.
-    loads_deg_s2 : dict of int to (float, float)
-        Constant acceleration [deg/s^2] and weight of its effect, by number of the state.
-    """
-
-    plants: Sequence[LinearPlant]
-    pitch_hold: float
-    path: Floats
-    arrival_row: int
+    plants: Sequence[LinearPlant]  # The rig at each lag, then the corners of its spread
+    pitch_hold: float  # Feed-forward of the pitch setpoint [V/rad]
+    path: Floats  # (n, 3): Setpoint of travel with its first and second derivative, in degrees and seconds
+    arrival_row: int  # Row of the path at which the setpoint has arrived
     loads_deg_s2: Mapping[int, tuple[float, float]]
+    """Constant acceleration [deg/s^2] and weight of its effect, by number of the state."""
 
     def simulate(
         self, pitch: Pid, travel: Pid, acceleration_ff: float, closed: Floats
     ) -> tuple[Floats, float]:
-        """Simulate the step on all plants, and the loads on the corners.
-
-        Parameters
-        ----------
-        pitch, travel : Pid
-            Gains of both loops.
-        acceleration_ff : float
-            Feed-forward from the acceleration of the travel setpoint to the pitch setpoint [s^2].
-        closed : ndarray (plants, 11, 11)
-            State matrices of the closed loops, from `loops.tilt_closed`.
-
-        Returns
-        -------
-        squares : ndarray (plants,)
-            Weighted mean squared error of travel [deg^2].
-        largest_V : float
-            Largest differential of the nominal plants [V].
+        """Simulate the step on all plants, and the loads on the corners. Shapes: `closed` (plants, 11, 11);
+        returns `squares` (plants,).
         """
         plants = self._discrete_plants(pitch, closed)
         setpoint_deg = self.path @ np.array([travel.kp, travel.kd, acceleration_ff])
@@ -92,14 +64,10 @@ class TravelStep:
         return discretise(closed, input_matrices)
 
     def _step_squares(self, error_deg: Floats) -> Floats:
-        """Compute the weighted mean square of the travel error during the step, shape (plants,).
+        """Compute the weighted mean square of the travel error during the step, shape (plants,). Shapes:
+        `error_deg` (times, plants).
 
         The error and the overshoot after the setpoint has arrived have additional weights.
-
-        Parameters
-        ----------
-        error_deg : ndarray (times, plants)
-            Travel minus its setpoint.
         """
         final_deg = error_deg[self.arrival_row :]
         squares = np.mean(error_deg**2, axis=0)
@@ -138,11 +106,6 @@ def constant_loads_deg_s2(rig: Rig, spread: Spread) -> dict[int, tuple[float, fl
 
     A torque on travel that the rig file states acts in every flight, and has the weight of the final error. A
     torque that is only possible has weight 1.
-
-    Returns
-    -------
-    dict of (float, float)
-        Acceleration [deg/s^2] and weight, by number of the state in `loops.tilt_closed`.
     """
     inertia = inertias_kg_m2({name: number.value for name, number in rig.items()})
     unbalance_Nm = spread.rotor * rig["M_f"].value * rig["g"].value * rig["L_h"].value

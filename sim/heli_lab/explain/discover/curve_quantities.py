@@ -48,21 +48,8 @@ def quantity_unit(name: str) -> str:
 def best_quantity(
     quantities_by_flight: Sequence[Mapping[str, Floats]], contribution: Floats, cause: Candidate
 ) -> str | None:
-    """Return the name of the quantity of which a contribution is nearly a function.
-
-    Parameters
-    ----------
-    quantities_by_flight : sequence of Mapping[str, ndarray]
-        Quantities of each flight by name, shape (n,) each.
-    contribution : ndarray (n of all flights,)
-        Torque or angle that the cause contributes.
-    cause : Candidate
-        The cause; the quantity of a spline term is known.
-
-    Returns
-    -------
-    str or None
-        None if no curve over a single quantity explains `CURVE_SHARE` of the contribution.
+    """Return the name of the quantity of which a contribution is nearly a function. Shapes: `contribution`
+    (n of all flights,).
     """
     if isinstance(cause.effect, SplineTerm):
         return cause.effect.on

@@ -21,57 +21,34 @@ class EquationParameter(NamedTuple):
 
 @dataclass(frozen=True)
 class Rival:
-    """A term that was not accepted.
+    """A term that was not accepted."""
 
-    Parameters
-    ----------
-    key : str
-        The term as text, such as ``torque.pitch: elevation``.
-    log_likelihood_ratio : float
-        Log-likelihood ratio of the proposed equation over the one with this term, penalties included, nats.
-    """
-
-    key: str
+    key: str  # The term as text, such as ``torque.pitch: elevation``
     log_likelihood_ratio: float
+    """Log-likelihood ratio of the proposed equation over the one with this term, penalties included, nats."""
 
 
 @dataclass(frozen=True, eq=False)
 class Discovery:
-    """An equation that explains what a model lacks; compared by identity.
+    """An equation that explains what a model lacks; compared by identity."""
 
-    Parameters
-    ----------
-    equation : Equation
-        The terms.
-    base, hypothesis : Hypothesis
-        The model without and with the equation, each with its own estimate of the disturbances.
-    penalty : float
-        Complexity penalty for the parameters and for multiple testing, nats.
-    held_out : float or None
-        Log-likelihood ratio on the held-out flights, nats; None without such flights.
-    curve : float or None
-        Gain of spline terms in the place of the equation on the fitted flights, nats; None if there were
-        none.
-    rivals : tuple of Rival
-        Terms that were not accepted, the closest first.
-    tried : int
-        Number of groups of terms that were scored.
-    superfluous : tuple of str
-        Ids of causes that are not significant any more in the model with the equation.
-    elsewhere : (Estimate, Estimate) or None
-        Estimates of the held-out flights, without and with the equation; None without such flights.
-    """
-
-    equation: Equation
+    equation: Equation  # The terms
     base: Hypothesis
+    """base, hypothesis: The model without and with the equation, each with its own estimate of the
+    disturbances."""
     hypothesis: Hypothesis
-    penalty: float
-    held_out: float | None
+    penalty: float  # Complexity penalty for the parameters and for multiple testing, nats
+    held_out: float | None  # Log-likelihood ratio on the held-out flights, nats; None without such flights
     curve: float | None
-    rivals: tuple[Rival, ...]
-    tried: int
+    """Gain of spline terms in the place of the equation on the fitted flights, nats; None if there were none.
+    """
+    rivals: tuple[Rival, ...]  # Terms that were not accepted, the closest first
+    tried: int  # Number of groups of terms that were scored
     superfluous: tuple[str, ...] = ()
+    """Ids of causes that are not significant any more in the model with the equation."""
     elsewhere: tuple[Estimate, Estimate] | None = None
+    """(Estimate, Estimate): Estimates of the held-out flights, without and with the equation; None without
+    such flights."""
 
     @property
     def effect(self) -> EquationEffect:

@@ -11,24 +11,8 @@ from heli_lab.fit.identify.model_along import model_along
 
 
 def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats, Floats]:
-    """Compute the acceleration that an effect contributes along the filtered trajectory of a flight.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        The model with the effect.
-    name : str
-        Name of the effect.
-    index : int
-        Index of the flight.
-
-    Returns
-    -------
-    t_s : ndarray (n,)
-        Times since the first sample of the flight.
-    change_rad_s2 : ndarray (n, 3)
-        Acceleration of elevation, pitch and travel with the effect less that without it; zero for a delay and
-        for an effect on measurements.
+    """Compute the acceleration that an effect contributes along the filtered trajectory of a flight. Returns
+    shape `t_s` (n,), `change_rad_s2` (n, 3).
     """
     linear = estimate.filtered().linearised_flights[index]
     model = linear.model.source

@@ -44,18 +44,10 @@ def rotor_signs(channel: str) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class EquationTerm:
-    """A term and the channel that it acts on.
+    """A term and the channel that it acts on."""
 
-    Parameters
-    ----------
-    channel : str
-        One of `CHANNELS`.
-    term : Term
-        The product of factors that is added, without its coefficient.
-    """
-
-    channel: str
-    term: Term
+    channel: str  # One of `CHANNELS`
+    term: Term  # The product of factors that is added, without its coefficient
 
     @property
     def coefficient_unit(self) -> Unit:
@@ -69,27 +61,16 @@ class EquationTerm:
 
 
 class InnerParameter(NamedTuple):
-    """Parameter inside a function of an equation, such as the periods per turn of a sine.
+    """Parameter inside a function of an equation, such as the periods per turn of a sine."""
 
-    Parameters
-    ----------
-    term, factor : int
-        Index of the term in the equation, and of the factor in the term.
-    name_in_factor, name : str
-        Name in the factor, such as ``k``, and in the equation, such as ``k1b``.
-    value : float
-        Value in the grammar, in `unit`.
-    is_sign_width : bool
-        Whether it is the width over which a sign is smoothed, which is never estimated.
-    """
-
-    term: int
+    term: int  # term, factor: Index of the term in the equation, and of the factor in the term
     factor: int
     name_in_factor: str
+    """name_in_factor, name: Name in the factor, such as ``k``, and in the equation, such as ``k1b``."""
     name: str
-    value: float
+    value: float  # Value in the grammar, in `unit`
     unit: Unit
-    is_sign_width: bool
+    is_sign_width: bool  # Whether it is the width over which a sign is smoothed, which is never estimated
 
 
 @dataclass(frozen=True)
@@ -157,18 +138,10 @@ class Equation:
 
 @dataclass(frozen=True)
 class TermGroup:
-    """Terms that are scored together, as one.
+    """Terms that are scored together, as one."""
 
-    Parameters
-    ----------
-    terms : tuple of EquationTerm
-        A single term, or sine and cosine of one angle: a wave of any phase.
-    complexity : int
-        Number of factors, of functions other than the identity, and of lags.
-    """
-
-    terms: tuple[EquationTerm, ...]
-    complexity: int
+    terms: tuple[EquationTerm, ...]  # A single term, or sine and cosine of one angle: a wave of any phase
+    complexity: int  # Number of factors, of functions other than the identity, and of lags
 
     @property
     def key(self) -> str:
@@ -191,19 +164,9 @@ def lag_state_name(i: int, j: int) -> str:
 
 @dataclass(frozen=True)
 class EquationEffect(Effect):
-    """An equation as an effect of a model.
+    """An equation as an effect of a model."""
 
-    Parameters
-    ----------
-    name, parameters, values, states, priors, delay, stage, noise_inputs, measured_as
-        Inherited from `Effect`; `equation_effect` makes them.
-    multimodal, direction_of, linearisable
-        Inherited from `Effect` as well.
-    equation : Equation
-        The terms.
-    """
-
-    equation: Equation = Equation(())
+    equation: Equation = Equation(())  # The terms
 
     def __hash__(self) -> int:
         return hash((self.name, self.equation, frozenset(self.values.items())))
@@ -284,19 +247,7 @@ def equation_effect(
     held: Collection[str] = (),
     name: str = NAME,
 ) -> EquationEffect:
-    """Make the effect of an equation with all coefficients at 0.
-
-    Parameters
-    ----------
-    equation : Equation
-        The terms.
-    prior_std : Mapping[str, float]
-        Prior standard deviation of each coefficient, by name without prefix.
-    held : collection of str
-        Inner parameters that are not estimated, by name without prefix.
-    name : str
-        Id of the effect; its parameters have it as prefix.
-    """
+    """Make the effect of an equation with all coefficients at 0."""
     prefix = name.replace(".", "_")
     values, priors, parameters = dict[str, float](), dict[str, Prior](), []
     for coefficient, term in zip(equation.coefficients, equation.terms, strict=True):

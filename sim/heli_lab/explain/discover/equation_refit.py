@@ -17,27 +17,14 @@ from heli_lab.explain.thresholds import MIN_MARGIN, MIN_STD_SHARE, NEAR_REST_NAT
 
 @dataclass(frozen=True)
 class RefittedEquation:
-    """An equation as a term of the model, refitted.
+    """An equation as a term of the model, refitted."""
 
-    Parameters
-    ----------
-    equation : Equation
-        Its terms.
-    hypothesis : Hypothesis
-        The model with the equation as its last candidate.
-    penalty : float
-        Complexity penalty of all its terms, nats.
-    group : TermGroup
-        The terms that were added last.
-    held : frozenset of str
-        Inner parameters at fixed values, by name without the effect's prefix.
-    """
-
-    equation: Equation
-    hypothesis: Hypothesis
-    penalty: float
-    group: TermGroup
+    equation: Equation  # Its terms
+    hypothesis: Hypothesis  # The model with the equation as its last candidate
+    penalty: float  # Complexity penalty of all its terms, nats
+    group: TermGroup  # The terms that were added last
     held: frozenset[str] = frozenset()
+    """Inner parameters at fixed values, by name without the effect's prefix."""
 
     @property
     def margin(self) -> float:
@@ -64,22 +51,13 @@ class RefittedEquation:
 
 @dataclass
 class EquationRefits:
-    """Refits equations together with the causes that were named.
-
-    Parameters
-    ----------
-    base : Hypothesis
-        The model with the named causes.
-    name : str
-        Name of the effect that an equation becomes.
-    tried : dict of int to int
-        Number of groups of terms of each size or smaller, for the penalty of multiple testing.
-    """
+    """Refits equations together with the causes that were named."""
 
     comparison: ModelComparison
-    base: Hypothesis
-    name: str
+    base: Hypothesis  # The model with the named causes
+    name: str  # Name of the effect that an equation becomes
     tried: dict[int, int] = field(default_factory=dict)
+    """Number of groups of terms of each size or smaller, for the penalty of multiple testing."""
 
     def penalty(self, group: TermGroup, equation: Equation, held: frozenset[str]) -> float:
         """Return the complexity penalty, in nats, of the terms of a `group` in an `equation`.
@@ -104,21 +82,7 @@ class EquationRefits:
         warm_start: Hypothesis,
         held: frozenset[str] = frozenset(),
     ) -> Hypothesis:
-        """Estimate the model with an equation.
-
-        Parameters
-        ----------
-        equation : Equation
-            Its terms.
-        signals : TermSignals
-            Terms along the flights, from which the priors of the coefficients follow.
-        start : Mapping[str, float]
-            Values of the equation's parameters to start from, by name without prefix.
-        warm_start : Hypothesis
-            Model whose parameters and disturbances to start from.
-        held : frozenset of str
-            Inner parameters to hold at their start values.
-        """
+        """Estimate the model with an equation."""
         effect = equation_effect(equation, self.prior_std(equation, signals), held, self.name)
         values = {f"{effect.prefix}_{name}": value for name, value in start.items()}
         # Parameters without a prior are not estimated.
@@ -141,19 +105,7 @@ class EquationRefits:
         current: RefittedEquation | None,
         signals: TermSignals,
     ) -> RefittedEquation:
-        """Refit an equation that has one more group of terms.
-
-        Parameters
-        ----------
-        scored : ScoredTermGroup
-            The group, with its score test.
-        equation : Equation
-            The equation with the group's terms at its end.
-        current : RefittedEquation or None
-            The equation without them; None if it has no other terms.
-        signals : TermSignals
-            Terms along the flights.
-        """
+        """Refit an equation that has one more group of terms."""
         start = current.values if current else {}
         first_new = len(equation.terms) - len(scored.group.terms)
         for i, value in enumerate(scored.coefficients):
@@ -170,13 +122,6 @@ class EquationRefits:
         """Return the prior standard deviations of an equation's coefficients, by name without prefix.
 
         They follow from the root mean square of its terms in `signals`.
-
-        Parameters
-        ----------
-        equation : Equation
-            The terms.
-        signals : TermSignals
-            Terms along the flights.
         """
         prior_std = {}
         for name, term in zip(equation.coefficients, equation.terms, strict=True):
@@ -224,13 +169,6 @@ class EquationRefits:
 
         Effects that repeat with each turn, such as the error of an encoder, have a whole number of periods
         per turn.
-
-        Parameters
-        ----------
-        refitted : RefittedEquation
-            Equation with estimated periods.
-        signals : TermSignals
-            Terms of the equation along the flights.
         """
         whole_periods = self._nearly_whole_periods(refitted)
         if not whole_periods:

@@ -49,14 +49,7 @@ _RIG_QUANTITIES: Final = (*AXES, *_RATES, "thrust", "thrust_difference")
 
 
 def groups(spans: Mapping[str, tuple[float, float]]) -> list[TermGroup]:
-    """List all groups of terms on all channels.
-
-    Parameters
-    ----------
-    spans : Mapping[str, (float, float)]
-        Lowest and highest value of each quantity in the flights, SI units, by name; bumps are placed between
-        them.
-    """
+    """List all groups of terms on all channels."""
     single_factors = list(_single_factor_products(spans))
     two_factors = list(_two_factor_products())
     three_factors = list(_three_factor_products())

@@ -32,24 +32,12 @@ from heli_lab.explain.thresholds import (
 
 @dataclass
 class ListedEffects:
-    """Search for an effect of the catalogue that explains the flights as well as an equation does.
+    """Search for an effect of the catalogue that explains the flights as well as an equation does."""
 
-    Parameters
-    ----------
-    comparison : ModelComparison
-        Estimates models on the flights.
-    base : Hypothesis
-        The model with the named causes, without the equation.
-    kinds : Mapping[str, EffectSpec]
-        Catalogue by effect id.
-    say : callable
-        Called with the present step in words.
-    """
-
-    comparison: ModelComparison
-    base: Hypothesis
-    kinds: Mapping[str, EffectSpec]
-    say: Callable[[str], None]
+    comparison: ModelComparison  # Estimates models on the flights
+    base: Hypothesis  # The model with the named causes, without the equation
+    kinds: Mapping[str, EffectSpec]  # Catalogue by effect id
+    say: Callable[[str], None]  # Called with the present step in words
 
     def equivalent_effect(self, equation: Equation, warm_start: Hypothesis, penalty: float) -> str | None:
         """Find an effect of the catalogue that explains all flights as well as an equation does.
@@ -58,18 +46,6 @@ class ListedEffects:
         count if the equation encompasses it, see `encompasses`.
 
         Effects are refitted in the order of their scores, until no further effect can be good enough.
-
-        Parameters
-        ----------
-        warm_start : Hypothesis
-            The model with the equation.
-        penalty : float
-            Complexity penalty of the equation, nats.
-
-        Returns
-        -------
-        str or None
-            Id of the effect; None if there is none.
         """
         # Like a spline, an equation must exceed an effect by a share of its own margin over the base.
         equation_margin = warm_start.log_likelihood - penalty + self.held_out(warm_start)
@@ -164,17 +140,6 @@ class ListedEffects:
 
         It does if, in a model with both, the equation exceeds its penalty and the effect adds less. This is
         the J test (Davidson and MacKinnon, Econometrica 49 (1981) 781) by likelihoods.
-
-        Parameters
-        ----------
-        warm_start : Hypothesis
-            The model with the equation.
-        rival : Hypothesis
-            The model with the effect in place of the equation.
-        effect : Candidate
-            Effect of the catalogue that fits equally well.
-        penalty : float
-            Complexity penalty of the equation, nats.
         """
         equation = warm_start.candidates[-1]
         start = {name: rival.values[name] for name in effect.effect.priors if name in rival.values}
@@ -196,15 +161,7 @@ class ListedEffects:
         return 0.5 * len(effect.effect.priors) * math.log(self.comparison.rows) + math.log(CANDIDATES_TRIED)
 
     def without_superfluous(self, with_equation: Hypothesis) -> tuple[Hypothesis, tuple[str, ...]]:
-        """Remove causes that are not significant in the model `with_equation`.
-
-        Returns
-        -------
-        Hypothesis
-            The model with the other causes and the equation.
-        tuple of str
-            Ids of the removed causes.
-        """
+        """Remove causes that are not significant in the model `with_equation`."""
         final, removed_ids = with_equation, list[str]()
         for candidate in self.base.candidates:
             other_causes = [other for other in final.candidates[:-1] if other.id != candidate.id]

@@ -23,39 +23,22 @@ class MissingTerm:
     The arrays have one row per measurement of the filter for a torque, and one row per point of a curve for
     an angle. All values are in display units. The mean of a torque is subtracted, because every model has a
     constant torque as a parameter.
-
-    Parameters
-    ----------
-    id : str
-        The cause: an effect's id, or ``spline:CHANNEL:QUANTITY``.
-    what, unit : str
-        ``torque`` in mN m, or ``angle`` in degrees.
-    axis : str
-        ``elevation``, ``pitch`` or ``travel``.
-    on, on_unit : str
-        Quantity that the cause depends on, in words, and its display unit; `TIME` if the cause depends on
-        several quantities.
-    quantity : ndarray (n,)
-        Values of the quantity.
-    missing, std : ndarray (n,)
-        Torque or angle that the model lacks without the cause, and its standard error.
-    remaining : ndarray (n,)
-        Torque or angle that the model lacks with the cause.
-    contribution : ndarray (n,)
-        Torque or angle by the equation of the cause.
     """
 
-    id: str
-    what: str
+    id: str  # The cause: an effect's id, or ``spline:CHANNEL:QUANTITY``
+    what: str  # what, unit: ``torque`` in mN m, or ``angle`` in degrees
     unit: str
-    axis: str
+    axis: str  # ``elevation``, ``pitch`` or ``travel``
     on: str
+    """on, on_unit: Quantity that the cause depends on, in words, and its display unit; `TIME` if the cause
+    depends on several quantities."""
     on_unit: str
-    quantity: Floats
+    quantity: Floats  # (n,): Values of the quantity
     missing: Floats
+    """missing, std: (n,): Torque or angle that the model lacks without the cause, and its standard error."""
     std: Floats
-    remaining: Floats
-    contribution: Floats
+    remaining: Floats  # (n,): Torque or angle that the model lacks with the cause
+    contribution: Floats  # (n,): Torque or angle by the equation of the cause
 
     @property
     def is_spline(self) -> bool:

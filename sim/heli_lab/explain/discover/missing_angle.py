@@ -44,17 +44,7 @@ class _SplineCoefficients(NamedTuple):
 
 
 def missing_angle(estimate: Estimate, reduced: Estimate, cause: Candidate) -> MissingTerm:
-    """Estimate the error of an encoder that a model lacks without a cause, as a spline over one quantity.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        The model with the cause, whose parameters are fixed.
-    reduced : Estimate
-        The model without the cause.
-    cause : Candidate
-        The cause, which acts on an encoder.
-    """
+    """Estimate the error of an encoder that a model lacks without a cause, as a spline over one quantity."""
     screening, reduced_screening = Screening(estimate), Screening(reduced)
     flights = screening.filtered.linearised_flights
     contribution_rad = _contributed_angles_rad(flights, reduced_screening.filtered.linearised_flights)

@@ -58,19 +58,9 @@ class _MeasurementBlocks:
 
 
 def contributed_torques_Nm(estimate: Estimate, reduced: Estimate) -> list[Floats]:
-    """Compute the torque that is equivalent to an effect along each flight.
+    """Compute the torque that is equivalent to an effect along each flight. Returns shape (n, 3).
 
     The torque causes the difference between the accelerations with and without the effect.
-
-    Parameters
-    ----------
-    estimate, reduced : Estimate
-        The model with and without the effect.
-
-    Returns
-    -------
-    list of ndarray (n, 3)
-        Torques about the axes for each flight; 0 if the effect acts on an encoder only.
     """
     return [
         flight_without.disturbance_for(_accelerations_rad_s2(flight) - _accelerations_rad_s2(flight_without))
@@ -83,17 +73,7 @@ def contributed_torques_Nm(estimate: Estimate, reduced: Estimate) -> list[Floats
 def missing_torque(
     estimate: Estimate, reduced: Estimate, cause: Candidate, torques_Nm: Sequence[Floats]
 ) -> MissingTerm:
-    """Estimate the torque that a model lacks without a cause.
-
-    Parameters
-    ----------
-    estimate, reduced : Estimate
-        The model with and without the cause.
-    cause : Candidate
-        An effect on torques or thrusts, or a spline term there.
-    torques_Nm : sequence of ndarray (n, 3)
-        Result of `contributed_torques_Nm`.
-    """
+    """Estimate the torque that a model lacks without a cause. Shapes: `torques_Nm` (n, 3)."""
     filtered, reduced_filtered = estimate.filtered(), reduced.filtered()
     blocks_by_flight = [_MeasurementBlocks(linear) for linear in reduced_filtered.linearised_flights]
     contribution_Nm = np.concatenate(

@@ -108,17 +108,7 @@ def sentence(equation: Equation, numbers: Mapping[str, float]) -> str:
 
 
 def effect_file(effect: EquationEffect, numbers: Mapping[str, tuple[float, float, str]], head: str) -> str:
-    """Write an equation as an effect file for `heli-host fly`.
-
-    Parameters
-    ----------
-    effect : EquationEffect
-        The refitted equation with the priors of its parameters.
-    numbers : Mapping[str, (float, float, str)]
-        Value, standard error and unit of each parameter, by name without prefix.
-    head : str
-        Docstring of the file: where the equation comes from.
-    """
+    """Write an equation as an effect file for `heli-host fly`."""
     equation = effect.equation
     values = {name: value for name, (value, _, _) in numbers.items()}
     formula = sentence(equation, values)

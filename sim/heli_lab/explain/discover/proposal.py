@@ -29,75 +29,44 @@ from heli_lab.fit.estimation import smoothed_disturbances
 
 @dataclass(frozen=True)
 class SupportedRange:
-    """Part of the fitted flights in which an equation matters on one channel.
+    """Part of the fitted flights in which an equation matters on one channel."""
 
-    Parameters
-    ----------
-    channel : str
-        Channel on which it acts.
-    rms, largest : float
-        Root mean square and largest value of its terms less their mean, in the channel's unit.
-    ranges : Mapping[str, (float, float)]
-        Range of each quantity of the equation in which the terms are at least half of their largest value:
-        5 % and 95 % quantiles over time, SI units.
-    share : float
-        Share of the flight time in which the terms are that large, 0 to 1.
-    """
-
-    channel: str
+    channel: str  # Channel on which it acts
     rms: float
+    """rms, largest: Root mean square and largest value of its terms less their mean, in the channel's unit.
+    """
     largest: float
     ranges: Mapping[str, tuple[float, float]]
-    share: float
+    """Range of each quantity of the equation in which the terms are at least half of their largest value: 5 %
+    and 95 % quantiles over time, SI units."""
+    share: float  # Share of the flight time in which the terms are that large, 0 to 1
 
 
 @dataclass(frozen=True)
 class TermTrace:
-    """Torque of an equation along a flight, and the torque that the model without it lacks.
+    """Torque of an equation along a flight, and the torque that the model without it lacks."""
 
-    Parameters
-    ----------
-    label, axis : str
-        Name of the flight, and axis about which the equation acts most.
-    t_s : ndarray (n,)
-        Times since the first sample of the flight.
-    term_Nm, missing_Nm, std_Nm : ndarray (n,)
-        Torque of the equation; smoothed torque that the model without it lacks, and its standard error; both
-        torques less their means.
-    on, unit : str
-        First quantity that the equation depends on, and its unit.
-    value : ndarray (n,)
-        Values of the quantity.
-    """
-
-    label: str
+    label: str  # label, axis: Name of the flight, and axis about which the equation acts most
     axis: str
-    t_s: Floats
+    t_s: Floats  # (n,): Times since the first sample of the flight
     term_Nm: Floats
+    """term_Nm, missing_Nm, std_Nm: (n,): Torque of the equation; smoothed torque that the model without it
+    lacks, and its standard error; both torques less their means."""
     missing_Nm: Floats
     std_Nm: Floats
-    on: str
+    on: str  # on, unit: First quantity that the equation depends on, and its unit
     unit: str
-    value: Floats
+    value: Floats  # (n,): Values of the quantity
 
 
 @dataclass(frozen=True)
 class ProposedTerm:
-    """An equation proposed for what no effect of the catalogue explains.
+    """An equation proposed for what no effect of the catalogue explains."""
 
-    Parameters
-    ----------
-    discovery : Discovery
-        The equation, its evidence and its rivals.
-    supported : tuple of SupportedRange
-        Where in the fitted flights it matters, by channel.
-    trace : TermTrace
-        The equation along the first held-out flight, or along the first fitted flight if none is held out.
-    """
-
-    discovery: Discovery
-    supported: tuple[SupportedRange, ...]
+    discovery: Discovery  # The equation, its evidence and its rivals
+    supported: tuple[SupportedRange, ...]  # Where in the fitted flights it matters, by channel
     trace: TermTrace
+    """The equation along the first held-out flight, or along the first fitted flight if none is held out."""
 
     @property
     def equation(self) -> Equation:

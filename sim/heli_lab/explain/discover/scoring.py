@@ -46,24 +46,12 @@ _CONSTANT_RANGE: Final = 1e-6
 
 @dataclass(frozen=True)
 class ScoredTermGroup:
-    """Score test of a group of terms.
+    """Score test of a group of terms."""
 
-    Parameters
-    ----------
-    group : TermGroup
-        The terms.
-    log_likelihood_gain : float
-        Gain that the score test predicts, nats.
-    coefficients : ndarray (g,)
-        Estimated coefficients of the terms.
-    prior_std : tuple of float
-        Prior standard deviations of the coefficients.
-    """
-
-    group: TermGroup
-    log_likelihood_gain: float
-    coefficients: Floats
-    prior_std: tuple[float, ...]
+    group: TermGroup  # The terms
+    log_likelihood_gain: float  # Gain that the score test predicts, nats
+    coefficients: Floats  # (g,): Estimated coefficients of the terms
+    prior_std: tuple[float, ...]  # Prior standard deviations of the coefficients
 
 
 class TermSignals:
@@ -143,22 +131,7 @@ class TermSignals:
         return lagged if factor.lag_filter == "lag" else lagged - x
 
     def signal(self, index: int, term: EquationTerm, value: Floats) -> Floats:
-        """Change by one unit of a term's coefficient.
-
-        Parameters
-        ----------
-        index : int
-            Number of the flight, from 0.
-        term : EquationTerm
-            Determines the channel.
-        value : ndarray (n, 1) or (n, 2)
-            Its values, from `values`.
-
-        Returns
-        -------
-        ndarray (n, states, 1) or (n, 3, 1)
-            Change of the rates, or of the measured angles if the term acts on an encoder.
-        """
+        """Change by one unit of a term's coefficient. Shapes: `value` (n, 1); returns (n, states, 1)."""
         if term.channel.startswith(("torque", "measurement")):
             influence = self._influence_of_channel(index, term.channel)
             return influence * value[:, None, :]
@@ -192,22 +165,7 @@ class TermSignals:
 
 
 def score(screening: Screening, signals: TermSignals, groups: Sequence[TermGroup]) -> list[ScoredTermGroup]:
-    """Score groups of terms, each by itself.
-
-    Parameters
-    ----------
-    screening : Screening
-        Scores about the present estimate.
-    signals : TermSignals
-        Values of the terms along the flights.
-    groups : sequence of TermGroup
-        The groups, those of a channel one after the other.
-
-    Returns
-    -------
-    list of ScoredTermGroup
-        The highest score first, without groups that are constant along the flights.
-    """
+    """Score groups of terms, each by itself."""
     channel_batches = [
         (channel, batch)
         for channel, channel_groups in itertools.groupby(groups, lambda group: group.terms[0].channel)
@@ -286,16 +244,9 @@ def _regressors(
 
 
 def _gain_and_coefficients(information: Floats, gradient: Floats, std: Floats) -> tuple[float, Floats]:
-    """Maximise the quadratic log-likelihood of a score test with a normal prior.
+    """Maximise the quadratic log-likelihood of a score test with a normal prior. Returns shape (g,).
 
     A single coefficient is solved directly, because most of the thousands of groups have only one.
-
-    Returns
-    -------
-    float
-        Gain of the log-likelihood, nats.
-    ndarray (g,)
-        Coefficients.
     """
     if len(std) == 1:
         value = gradient / (information[0, 0] + std[0] ** -2.0)

@@ -19,26 +19,16 @@ _CURVE_POINTS: Final = 200
 
 @dataclass(frozen=True)
 class SplineCurve:
-    """A torque, a share of the thrust or an angle as a curve over one quantity.
+    """A torque, a share of the thrust or an angle as a curve over one quantity."""
 
-    Parameters
-    ----------
-    channel : str
-        Channel on which it acts, such as ``torque.pitch``.
-    on : str
-        Quantity that it depends on, such as ``elevation``.
-    quantity, value, std : ndarray (n,)
-        The quantity over its range in the fitted flights, the curve less its mean, and its standard error.
-    quantity_unit, value_unit : str
-        Display units: degrees, mN m, per cent.
-    """
-
-    channel: str
-    on: str
+    channel: str  # Channel on which it acts, such as ``torque.pitch``
+    on: str  # Quantity that it depends on, such as ``elevation``
     quantity: Floats
+    """quantity, value, std: (n,): The quantity over its range in the fitted flights, the curve less its mean,
+    and its standard error."""
     value: Floats
     std: Floats
-    quantity_unit: str
+    quantity_unit: str  # quantity_unit, value_unit: Display units: degrees, mN m, per cent
     value_unit: str
 
     @property

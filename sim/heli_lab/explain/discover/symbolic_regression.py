@@ -42,40 +42,18 @@ _NO_DRIFT_Nm: Final = 2e-5
 
 @dataclass
 class EquationSearch:
-    """Forward selection of the terms of an equation: each round adds the group of terms of largest margin.
+    """Forward selection of the terms of an equation: each round adds the group of terms of largest margin."""
 
-    Parameters
-    ----------
-    refits : EquationRefits
-        Refits equations, and knows their penalties.
-    say : callable
-        Called with the present step in words.
-    rivals : dict of str to float
-        Terms that were not accepted: log-likelihood ratio of the accepted term over each, penalties included,
-        nats.
-    """
-
-    refits: EquationRefits
-    say: Callable[[str], None]
+    refits: EquationRefits  # Refits equations, and knows their penalties
+    say: Callable[[str], None]  # Called with the present step in words
     rivals: dict[str, float] = field(default_factory=dict)
+    """Terms that were not accepted: log-likelihood ratio of the accepted term over each, penalties included,
+    nats."""
 
     def round(
         self, current: RefittedEquation | None, disturbances: DisturbanceModel
     ) -> RefittedEquation | None:
-        """Add one more group of terms.
-
-        Parameters
-        ----------
-        current : RefittedEquation or None
-            The equation so far.
-        disturbances : DisturbanceModel
-            Disturbances for the score tests.
-
-        Returns
-        -------
-        RefittedEquation or None
-            The extended equation; None if no group exceeds its penalty.
-        """
+        """Add one more group of terms."""
         warm_start = current.hypothesis if current else self.refits.base
         screening = Screening(replace(warm_start.estimate, disturbances=disturbances))
         signals = TermSignals(screening)
@@ -137,17 +115,6 @@ class EquationSearch:
 
         A slow disturbance of its size explains a term of slow quantities such as travel, so that the term has
         hardly any score.
-
-        Parameters
-        ----------
-        warm_start : Hypothesis
-            The model so far.
-        disturbances : DisturbanceModel
-            Its disturbances; if about no axis the slow part is larger than the fast one, nothing is scored.
-        signals : TermSignals
-            Values of all terms along the flights.
-        all_groups : sequence of TermGroup
-            Groups of terms; those on encoders are not scored.
         """
         is_slow = disturbances.slow_std > disturbances.fast_std
         if not is_slow.any():
@@ -221,19 +188,7 @@ class _ConfirmedEquation(NamedTuple):
 def _select_terms(
     search: EquationSearch, disturbances: DisturbanceModel, without: Estimate | None, max_refits: float
 ) -> _ConfirmedEquation | None:
-    """Add groups of terms until none exceeds its penalty or is confirmed by the held-out flights.
-
-    Parameters
-    ----------
-    search : EquationSearch
-        Adds a group of terms per round.
-    disturbances : DisturbanceModel
-        Disturbances for the score tests of the first round.
-    without : Estimate or None
-        Estimate of the held-out flights without an equation; None if no flight is held out.
-    max_refits : float
-        Refits of all models after which no further round begins.
-    """
+    """Add groups of terms until none exceeds its penalty or is confirmed by the held-out flights."""
     comparison = search.refits.comparison
     confirmed: _ConfirmedEquation | None = None
     previous_held_out = 0.0
@@ -268,30 +223,7 @@ def discover(
     refits: float = math.inf,
     say: Callable[[str], None] | None = None,
 ) -> Discovery | None:
-    """Search for an equation of what a model lacks.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights; those held out confirm the equation.
-    base : Hypothesis
-        The model with the causes that were named.
-    curve : Hypothesis, optional
-        The same model with spline terms in the place of what is missing: the score tests use its
-        disturbances, and its log-likelihood shows how much there is to explain.
-    kinds : Mapping[str, EffectSpec], optional
-        Catalogue by effect id: an equation that one of its effects fits equally well is dropped.
-    refits : float
-        Refits after which no further term is tried.
-    say : callable, optional
-        Called with the present step in words.
-
-    Returns
-    -------
-    Discovery or None
-        None if no equation exceeds its penalty, explains most of what spline terms do, is confirmed by the
-        held-out flights, and fits better than the effects of the catalogue.
-    """
+    """Search for an equation of what a model lacks."""
     # An equation that was proposed earlier may be in the rig or among the causes, from its effect file.
     name = free_name({*base.ids, *(effect.name for effect in comparison.model.effects)})
     search = EquationSearch(EquationRefits(comparison, base, name), say or (lambda _step: None))

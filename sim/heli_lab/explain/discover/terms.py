@@ -35,28 +35,15 @@ _UNIT_AND_SIGN_WIDTH: Final[Mapping[str, tuple[str, float]]] = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity that a term may depend on.
-
-    Parameters
-    ----------
-    value : callable
-        Returns its expression for operands of the model; shape (2, 1), front and back, if each rotor has its
-        own.
-    latex : str
-        LaTeX symbol.
-    python : str
-        Python expression in an effect file, with the operands ``at``.
-    kind : str
-        ``angle``, ``rate``, ``thrust``, ``voltage`` or ``time``.
-    per_rotor : bool
-        Whether each rotor has its own.
-    """
+    """A quantity that a term may depend on."""
 
     value: Callable[[Operands], ca.SX]
-    latex: str
-    python: str
-    kind: str
-    per_rotor: bool = False
+    """Returns its expression for operands of the model; shape (2, 1), front and back, if each rotor has its
+    own."""
+    latex: str  # LaTeX symbol
+    python: str  # Python expression in an effect file, with the operands ``at``
+    kind: str  # ``angle``, ``rate``, ``thrust``, ``voltage`` or ``time``
+    per_rotor: bool = False  # Whether each rotor has its own
 
     @property
     def unit(self) -> Unit:
@@ -113,29 +100,17 @@ SYMBOLS: Final[Mapping[str, Quantity]] = {
 
 @dataclass(frozen=True)
 class Form:
-    """A shape of function, of one quantity.
-
-    Parameters
-    ----------
-    value : callable
-        Returns its value for a module (numpy or casadi), the quantity and the function's parameters.
-    sympy, latex, python : str
-        Notations, with ``{x}`` for the quantity and ``{NAME}`` for a parameter.
-    power : int or None
-        Power of the quantity's unit that its unit is; None for a pure number.
-    parameter_names : tuple of str
-        Names of its parameters, in the order of the arguments of `value`.
-    needs_angle : bool
-        Whether the quantity must be an angle.
-    """
+    """A shape of function, of one quantity."""
 
     value: Callable[..., _Expression]
+    """Returns its value for a module (numpy or casadi), the quantity and the function's parameters."""
     sympy: str
+    """sympy, latex, python: Notations, with ``{x}`` for the quantity and ``{NAME}`` for a parameter."""
     latex: str
     python: str
-    power: int | None
-    parameter_names: tuple[str, ...] = ()
-    needs_angle: bool = False
+    power: int | None  # Power of the quantity's unit that its unit is; None for a pure number
+    parameter_names: tuple[str, ...] = ()  # Names of its parameters, in the order of the arguments of `value`
+    needs_angle: bool = False  # Whether the quantity must be an angle
 
 
 FORMS: Final[Mapping[str, Form]] = {
@@ -186,30 +161,15 @@ FORMS: Final[Mapping[str, Form]] = {
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor of a term: a function of one quantity, or of its lagged value.
+    """A factor of a term: a function of one quantity, or of its lagged value."""
 
-    Parameters
-    ----------
-    form : str
-        Function, a key of `FORMS`.
-    quantity : str
-        Quantity, a key of `SYMBOLS`.
-    parameters : tuple of (str, float)
-        Name and value of the function's parameters, and of ``s``, the time constant of a lag in seconds.
-    lag_filter : str
-        Empty for the quantity itself, ``lag`` for the quantity behind a first-order lag, ``washout`` for the
-        lagged quantity less the quantity.
-
-    Raises
-    ------
-    ValueError
-        If the function is a sine or cosine and the quantity is no angle.
-    """
-
-    form: str
-    quantity: str
+    form: str  # Function, a key of `FORMS`
+    quantity: str  # Quantity, a key of `SYMBOLS`
     parameters: tuple[tuple[str, float], ...] = ()
+    """Name and value of the function's parameters, and of ``s``, the time constant of a lag in seconds."""
     lag_filter: str = ""
+    """Empty for the quantity itself, ``lag`` for the quantity behind a first-order lag, ``washout`` for the
+    lagged quantity less the quantity."""
 
     def __post_init__(self) -> None:
         if FORMS[self.form].needs_angle and not SYMBOLS[self.quantity].unit.is_number:
@@ -227,17 +187,7 @@ class Factor:
         return SYMBOLS[self.quantity].per_rotor
 
     def value(self, module: Any, x: _Expression, parameters: Mapping[str, Any] | None = None) -> _Expression:
-        """Evaluate the function.
-
-        Parameters
-        ----------
-        module : module
-            ``numpy`` or ``casadi``.
-        x : ndarray or SX
-            Values of the quantity, lag included.
-        parameters : Mapping[str, Any], optional
-            Parameters by name that replace the factor's own.
-        """
+        """Evaluate the function."""
         values = {**dict(self.parameters), **(parameters or {})}
         form = FORMS[self.form]
         return form.value(module, x, *(values[name] for name in form.parameter_names))
@@ -253,15 +203,6 @@ class Factor:
 
         SymPy has functions for a lagged quantity, and LaTeX a subscript. In Python, a lagged quantity is a
         state of the effect, and `x` is the code that reads it.
-
-        Parameters
-        ----------
-        notation : str
-            ``sympy``, ``latex`` or ``python``.
-        symbols : Mapping[str, str]
-            Text for each parameter, by name.
-        x : str, optional
-            Text for the quantity with its lag; by default that of the notation.
         """
         quantity = SYMBOLS[self.quantity]
         if x is None:

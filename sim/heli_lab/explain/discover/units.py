@@ -14,25 +14,13 @@ _FACTOR: Final = re.compile(r"([A-Za-z]+)(-?\d+)?")
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit as a product of powers.
+    """A unit as a product of powers."""
 
-    Parameters
-    ----------
-    exponents : tuple of int
-        Exponent of each unit of `BASE`.
-    """
-
-    exponents: tuple[int, ...] = (0,) * len(BASE)
+    exponents: tuple[int, ...] = (0,) * len(BASE)  # Exponent of each unit of `BASE`
 
     @classmethod
     def parse(cls, text: str) -> Unit:
-        """Parse a `text` in the spelling of rig files, such as ``N m s2/rad2`` or ``1``.
-
-        Raises
-        ------
-        ValueError
-            If a unit is not in `BASE`.
-        """
+        """Parse a `text` in the spelling of rig files, such as ``N m s2/rad2`` or ``1``."""
         exponents = dict.fromkeys(BASE, 0)
         for sign, part in zip((1, -1), text.partition("/")[::2], strict=True):
             for name, power in _FACTOR.findall(part):

@@ -23,15 +23,7 @@ from heli_lab.fit.identify.flight_model import RigParameters, model_functions
 
 
 def missing_term(estimate: Estimate, cause: Candidate) -> MissingTerm:
-    """Compute what a model lacks without one of its causes.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        The model with the cause.
-    cause : Candidate
-        The effect or spline term that is removed.
-    """
+    """Compute what a model lacks without one of its causes."""
     reduced = _without_effect(estimate, cause.effect.name)
     torques_Nm = contributed_torques_Nm(estimate, reduced)
     if any(torque_Nm.any() for torque_Nm in torques_Nm):

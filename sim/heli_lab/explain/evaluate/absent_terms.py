@@ -16,47 +16,20 @@ from heli_lab.fit.identify import Fit
 
 @dataclass(frozen=True)
 class AbsentTerm:
-    """A term of the baseline that the rig does not have.
+    """A term of the baseline that the rig does not have."""
 
-    Parameters
-    ----------
-    id : str
-        Id in the catalogue, such as ``removed.friction.travel``.
-    share, std : float
-        Share of the term that is absent, 0 to 1, and its standard error.
-    confidence : float
-        Posterior probability that the term is absent, see `absence_probability`.
-    z_from_zero : float
-        Distance of its parameter from 0 in standard errors; the largest if it has several parameters.
-    z_from_rig : float
-        Distance of its parameter from the rig file's value in standard errors; the smallest of several.
-    """
-
-    id: str
-    share: float
+    id: str  # Id in the catalogue, such as ``removed.friction.travel``
+    share: float  # share, std: Share of the term that is absent, 0 to 1, and its standard error
     std: float
-    confidence: float
+    confidence: float  # Posterior probability that the term is absent, see `absence_probability`
     z_from_zero: float
+    """Distance of its parameter from 0 in standard errors; the largest if it has several parameters."""
     z_from_rig: float
+    """Distance of its parameter from the rig file's value in standard errors; the smallest of several."""
 
 
 def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectSpec]) -> tuple[AbsentTerm, ...]:
-    """Find terms whose parameters are zero within their standard errors.
-
-    Parameters
-    ----------
-    fit : Fit
-        The final model on the fitted flights.
-    rig : Rig
-        Nominal values of the parameters.
-    kinds : Mapping[str, EffectSpec]
-        Catalogue by effect id; kinds that remove a term are tested.
-
-    Returns
-    -------
-    tuple of AbsentTerm
-        Terms that are absent with a probability of `ABSENT_MIN_CONFIDENCE` and more, the most probable first.
-    """
+    """Find terms whose parameters are zero within their standard errors."""
     values, reported_std = fit.values, fit.std
     terms = []
     for id_, kind in kinds.items():
@@ -88,16 +61,6 @@ def absence_probability(value: float, std: float) -> float:
     """Return the posterior probability that a parameter is zero, by Bayes' rule.
 
     The alternative hypothesis is a parameter that is log-normal about the rig file's value.
-
-    Parameters
-    ----------
-    value, std : float
-        Estimate and standard error, in units of the rig file's value.
-
-    Returns
-    -------
-    float
-        Probability, at most `MAX_CONFIDENCE`.
     """
     std = max(std, thresholds.ABSENT_MIN_STD)
     # The alternative is integrated over a logarithmic grid of values.

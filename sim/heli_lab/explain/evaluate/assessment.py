@@ -18,43 +18,21 @@ from heli_lab.explain.thresholds import MATTERS_COUNTS
 
 @dataclass(frozen=True)
 class Assessment:
-    """Remaining errors and predictions of the model with the causes, and the verdict.
+    """Remaining errors and predictions of the model with the causes, and the verdict."""
 
-    Parameters
-    ----------
-    residual_analysis : ResidualAnalysis
-        Analysis of the residuals of the final model.
-    extended : Hypothesis
-        The model with the named causes of the catalogue, without spline terms and without effects that are
-        too small to matter: the one that a simulator can fly.
-    before, after : Prediction
-        Free runs of the refitted baseline and of the extended model over all flights.
-    absent : tuple of AbsentTerm
-        Terms of the baseline whose parameters the fit estimated as zero.
-    verdict : Verdict
-        The verdict and its causes.
-    """
-
-    residual_analysis: ResidualAnalysis
+    residual_analysis: ResidualAnalysis  # Analysis of the residuals of the final model
     extended: Hypothesis
+    """The model with the named causes of the catalogue, without spline terms and without effects that are too
+    small to matter: the one that a simulator can fly."""
     before: Prediction
+    """before, after: Free runs of the refitted baseline and of the extended model over all flights."""
     after: Prediction
-    absent: tuple[AbsentTerm, ...]
-    verdict: Verdict
+    absent: tuple[AbsentTerm, ...]  # Terms of the baseline whose parameters the fit estimated as zero
+    verdict: Verdict  # The verdict and its causes
 
 
 def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, EffectSpec]) -> Assessment:
-    """Assess the result of a search: residuals, predictions, effects too small to matter, and the verdict.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights.
-    search : Search
-        The result.
-    kinds : Mapping[str, EffectSpec]
-        Catalogue by effect id.
-    """
+    """Assess the result of a search: residuals, predictions, effects too small to matter, and the verdict."""
     train, held_out = comparison.train, comparison.held_out
     held_out_screenings = []
     if comparison.can_test_held_out:

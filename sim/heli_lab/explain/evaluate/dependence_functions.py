@@ -37,11 +37,6 @@ def dependence_functions(linearised_flights: Sequence[LinearisedFlight]) -> dict
     """Return test functions along each flight, shape (n, s), by name.
 
     They are standardised quantities, products of two of them, past thrusts, and rates near rest.
-
-    Parameters
-    ----------
-    linearised_flights : sequence of LinearisedFlight
-        The flights; the quantities are standardised over all of them.
     """
     # Each list has one entry per flight.
     quantities = [quantity_values(linear.model.source, linear.trajectory) for linear in linearised_flights]

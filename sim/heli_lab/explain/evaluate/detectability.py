@@ -15,18 +15,7 @@ from heli_lab.fit.identify.estimation_problem import uninformed_parameters
 def undetectable_effects(
     screened: Sequence[ScoredCandidate], kinds: Mapping[str, EffectSpec]
 ) -> tuple[str, ...]:
-    """Find the effects that would not be significant in these flights at their typical size.
-
-    Parameters
-    ----------
-    screened : sequence of ScoredCandidate
-        Score test of each effect about the final model.
-
-    Returns
-    -------
-    tuple of str
-        Ids of the effects, sorted.
-    """
+    """Find the effects that would not be significant in these flights at their typical size."""
     undetectable = []
     for scored in screened:
         kind = kinds[scored.candidate.id]

@@ -17,19 +17,13 @@ _RESAMPLES: Final = 2000
 
 @dataclass(frozen=True)
 class ErrorReduction:
-    """Free-run error of one axis before and after an extension.
-
-    Parameters
-    ----------
-    before_deg, after_deg : float
-        Root mean square error of the baseline and of the extended model.
-    interval95 : (float, float)
-        95 % interval of the ratio after/before, by a bootstrap over windows of 2 s.
-    """
+    """Free-run error of one axis before and after an extension."""
 
     before_deg: float
+    """before_deg, after_deg: Root mean square error of the baseline and of the extended model."""
     after_deg: float
     interval95: tuple[float, float]
+    """(float, float): 95 % interval of the ratio after/before, by a bootstrap over windows of 2 s."""
 
     @property
     def ratio(self) -> float:
@@ -39,33 +33,19 @@ class ErrorReduction:
 
 @dataclass(frozen=True)
 class HeldOutComparison:
-    """Free runs of two models on the same flights.
-
-    Parameters
-    ----------
-    before, after : tuple of FreeRun
-        Free runs of the baseline and of the extended model, one per flight.
-    horizons : Mapping[str, Mapping[str, ErrorReduction]]
-        Error reductions by horizon, a key of `HORIZONS`, and by axis.
-    """
+    """Free runs of two models on the same flights."""
 
     before: tuple[FreeRun, ...]
+    """before, after: Free runs of the baseline and of the extended model, one per flight."""
     after: tuple[FreeRun, ...]
     horizons: Mapping[str, Mapping[str, ErrorReduction]]
+    """Error reductions by horizon, a key of `HORIZONS`, and by axis."""
 
 
 def compare_free_runs(
     before: Sequence[FreeRun], after: Sequence[FreeRun], seed: int = 0
 ) -> HeldOutComparison:
-    """Compare the free runs of two models over the same flights.
-
-    Parameters
-    ----------
-    before, after : sequence of FreeRun
-        Free runs of the baseline and of the extended model, one per flight.
-    seed : int
-        Seed of the bootstrap.
-    """
+    """Compare the free runs of two models over the same flights."""
     return HeldOutComparison(
         tuple(before),
         tuple(after),
@@ -81,20 +61,7 @@ def compare_free_runs(
 def error_reduction(
     before: Sequence[WindowErrors], after: Sequence[WindowErrors], seed: int = 0
 ) -> dict[str, ErrorReduction]:
-    """Compare the errors of two models by axis.
-
-    Parameters
-    ----------
-    before, after : sequence of WindowErrors
-        Errors of the two models, one per flight, in the same windows.
-    seed : int
-        Seed of the bootstrap.
-
-    Returns
-    -------
-    dict
-        Error reduction by axis.
-    """
+    """Compare the errors of two models by axis."""
     rows = np.concatenate([run.rows for run in before])
     squares_before = np.concatenate([run.squares_rad2 for run in before])
     squares_after = np.concatenate([run.squares_rad2 for run in after])

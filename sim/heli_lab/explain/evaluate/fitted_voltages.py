@@ -18,36 +18,18 @@ _ROTORS: Final = ("front", "back")
 
 @dataclass(frozen=True)
 class Extrapolation:
-    """Windows of a flight whose voltages are outside of those of the fitted flights.
+    """Windows of a flight whose voltages are outside of those of the fitted flights."""
 
-    Parameters
-    ----------
-    label : str
-        Name of the flight.
-    ranges_V : Mapping[str, (float, float)]
-        Voltages of each rotor in the fitted flights, without the tails.
-    windows : int
-        Number of windows of 2 s that are predicted.
-    spans_s : tuple of (float, float)
-        Begin and end of each window that has other voltages for more than `OUTSIDE_SHARE` of its time.
-    """
-
-    label: str
+    label: str  # Name of the flight
     ranges_V: dict[str, tuple[float, float]]
-    windows: int
+    """Voltages of each rotor in the fitted flights, without the tails."""
+    windows: int  # Number of windows of 2 s that are predicted
     spans_s: tuple[tuple[float, float], ...]
+    """Begin and end of each window that has other voltages for more than `OUTSIDE_SHARE` of its time."""
 
 
 def extrapolations(fitted: Sequence[Record], runs: Sequence[FreeRun]) -> tuple[Extrapolation, ...]:
-    """Find the windows of free runs in which the model extrapolates.
-
-    Parameters
-    ----------
-    fitted : sequence of Record
-        The fitted flights.
-    runs : sequence of FreeRun
-        Free runs over other flights.
-    """
+    """Find the windows of free runs in which the model extrapolates."""
     voltages_V = np.concatenate(
         [record.voltages_V[start:stop] for record in fitted for start, stop in record.segments]
     )

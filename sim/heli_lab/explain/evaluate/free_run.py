@@ -43,17 +43,10 @@ class WindowErrors:
     """Squared errors of free runs at one horizon, summed over each window of 2 s.
 
     The windows are the same at all horizons, because a bootstrap must resample nearly independent units.
-
-    Parameters
-    ----------
-    squares_rad2 : ndarray (w, 3)
-        Sum of squared errors of each axis.
-    rows : ndarray (w,)
-        Number of samples of each window.
     """
 
-    squares_rad2: Floats
-    rows: Floats
+    squares_rad2: Floats  # (w, 3): Sum of squared errors of each axis
+    rows: Floats  # (w,): Number of samples of each window
 
     @property
     def rms_deg(self) -> Floats:
@@ -64,32 +57,20 @@ class WindowErrors:
 
 @dataclass(frozen=True)
 class FreeRun:
-    """Prediction of a flight by a model, after constants of the flight were calibrated on its beginning.
+    """Prediction of a flight by a model, after constants of the flight were calibrated on its beginning."""
 
-    Parameters
-    ----------
-    label : str
-        Name of the flight.
-    calibrated_s, evaluated_s : float
-        Duration of free flight used for the calibration, and predicted after it.
-    constants : Mapping[str, (float, float)]
-        Calibrated zeros and torques by parameter name: value and standard error, in the rig file's units;
-        empty if nothing was calibrated.
-    priors : Mapping[str, Prior]
-        Priors of the constants.
-    errors : Mapping[str, WindowErrors]
-        Errors by horizon, a key of `HORIZONS`.
-    fit : Fit
-        The predicted part in windows of 2 s, for `heli_lab.fit.identify.trace`; only initial states were fitted.
-    """
-
-    label: str
+    label: str  # Name of the flight
     calibrated_s: float
+    """calibrated_s, evaluated_s: Duration of free flight used for the calibration, and predicted after it."""
     evaluated_s: float
     constants: Mapping[str, tuple[float, float]]
-    priors: Mapping[str, Prior]
-    errors: Mapping[str, WindowErrors]
+    """Calibrated zeros and torques by parameter name: value and standard error, in the rig file's units;
+    empty if nothing was calibrated."""
+    priors: Mapping[str, Prior]  # Priors of the constants
+    errors: Mapping[str, WindowErrors]  # Errors by horizon, a key of `HORIZONS`
     fit: Fit
+    """The predicted part in windows of 2 s, for `heli_lab.fit.identify.trace`; only initial states were
+    fitted."""
 
 
 def free_run(
@@ -101,22 +82,7 @@ def free_run(
     threads: int | None = None,
     horizons: Sequence[str] = tuple(HORIZONS),
 ) -> FreeRun:
-    """Calibrate constants of a flight on its beginning, and predict the flight after that.
-
-    Parameters
-    ----------
-    rig : Rig
-        Parameters that `values` lacks, and tolerances from which the constants' priors follow.
-    values : Mapping[str, float]
-        Parameters by name, as fitted to other flights. Those of the constants are means of their priors, see
-        `flight_constants`.
-    calibrate_s : float
-        Duration of free flight to calibrate on; with 0 the whole flight is predicted with `values`.
-    threads : int, optional
-        Threads of the simulation, see `Problem`.
-    horizons : sequence of str
-        Keys of `HORIZONS` to predict; the fit of the result is that of the last.
-    """
+    """Calibrate constants of a flight on its beginning, and predict the flight after that."""
     parameters = {**_mean_by_name(model, [model.parameter_values(rig)]), **values}
     calibration, prediction = split(record, calibrate_s)
     priors = flight_constants(model, rig, parameters)
@@ -151,15 +117,7 @@ def free_run(
 def estimated_free_runs(
     estimate: Estimate, flights: Sequence[Record], calibrate_s: float | None, horizons: Sequence[str]
 ) -> tuple[FreeRun, ...]:
-    """Predict `flights` with an `estimate` of other flights in innovations form, each after a calibration.
-
-    Parameters
-    ----------
-    calibrate_s : float, optional
-        Duration to calibrate on, at most `CALIBRATE_SHARE` of each flight.
-    horizons : sequence of str
-        Keys of `HORIZONS` to predict.
-    """
+    """Predict `flights` with an `estimate` of other flights in innovations form, each after a calibration."""
     vector = estimate.parameter_vector
     parameters = [vector.parameters(estimate.theta, index) for index in range(len(estimate.references))]
     values = _mean_by_name(vector.model, parameters)
@@ -174,18 +132,7 @@ def estimated_free_runs(
 def free_runs(
     fit: Fit, validation: Sequence[Record], calibrate_s: float | None = None
 ) -> tuple[FreeRun, ...]:
-    """Predict flights with fitted parameters.
-
-    Parameters
-    ----------
-    fit : Fit
-        The model and its parameters.
-    validation : sequence of Record
-        Flights to predict, each after a calibration; if there is none, the fitted flights are predicted with
-        their fitted constants.
-    calibrate_s : float, optional
-        Duration to calibrate on, limited by `calibration_s`.
-    """
+    """Predict flights with fitted parameters."""
     problem = fit.problem
     parameters = [problem.parameters(fit.theta, index) for index in range(len(problem.records))]
 
@@ -202,18 +149,7 @@ def free_runs(
 
 
 def calibration_s(record: Record, requested_s: float | None = None) -> float:
-    """Limit the duration of a calibration to `CALIBRATE_SHARE` of a flight's free flight.
-
-    Parameters
-    ----------
-    requested_s : float, optional
-        Requested duration; `CALIBRATE_s` by default.
-
-    Raises
-    ------
-    IdentifyError
-        If the requested duration is negative, or leaves nothing to predict.
-    """
+    """Limit the duration of a calibration to `CALIBRATE_SHARE` of a flight's free flight."""
     max_s = CALIBRATE_SHARE * record.used_s
     if requested_s is None:
         return min(CALIBRATE_s, max_s)
@@ -244,15 +180,6 @@ def windows_problem(
 ) -> Problem:
     """Return the problem of simulating flights in windows of 2 s, in which the constants of each flight that
     are in `priors` are free.
-
-    Parameters
-    ----------
-    values : Mapping[str, float]
-        All other parameters by name; those of the `rig` where one is missing.
-    records : sequence of Record
-        The flights.
-    threads : int or None
-        Threads of the simulation, see `Problem`.
     """
     return Problem(
         model,

@@ -15,21 +15,13 @@ from heli_lab.explain.thresholds import CALIBRATE_s
 
 @dataclass(frozen=True)
 class HeldOutEvaluation:
-    """Free-run errors on the held-out flights, or on the fitted flights if none is held out.
+    """Free-run errors on the held-out flights, or on the fitted flights if none is held out."""
 
-    Parameters
-    ----------
-    extension : HeldOutComparison
-        Refitted baseline against the extended model.
-    splines : Mapping[str, ErrorReduction]
-        Baseline against the final model with its spline terms, by axis, over 2 s; empty without spline terms.
-    requested_s : float
-        Requested duration of free flight to calibrate on.
-    """
-
-    extension: HeldOutComparison
+    extension: HeldOutComparison  # Refitted baseline against the extended model
     splines: Mapping[str, ErrorReduction]
-    requested_s: float
+    """Baseline against the final model with its spline terms, by axis, over 2 s; empty without spline terms.
+    """
+    requested_s: float  # Requested duration of free flight to calibrate on
 
     @property
     def reductions(self) -> Mapping[str, ErrorReduction]:
@@ -39,18 +31,10 @@ class HeldOutEvaluation:
 
 @dataclass(frozen=True)
 class HypothesisEvaluation:
-    """Free runs of one model, compared with the baseline's.
+    """Free runs of one model, compared with the baseline's."""
 
-    Parameters
-    ----------
-    prediction : Prediction
-        Free runs over all flights.
-    reductions : Mapping[str, ErrorReduction]
-        Error reductions on the held-out flights over 2 s, by axis.
-    """
-
-    prediction: Prediction
-    reductions: Mapping[str, ErrorReduction]
+    prediction: Prediction  # Free runs over all flights
+    reductions: Mapping[str, ErrorReduction]  # Error reductions on the held-out flights over 2 s, by axis
 
 
 def evaluate_hypothesis(
@@ -59,17 +43,7 @@ def evaluate_hypothesis(
     runs_before: Sequence[FreeRun],
     calibrate_s: float | None,
 ) -> HypothesisEvaluation:
-    """Simulate a model on all flights, and compare it with the baseline.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights, and the seed of the bootstrap.
-    runs_before : sequence of FreeRun
-        Free runs of the baseline.
-    calibrate_s : float, optional
-        Requested duration to calibrate on.
-    """
+    """Simulate a model on all flights, and compare it with the baseline."""
     prediction = predict(hypothesis.estimate, comparison.train, comparison.held_out)
     runs = free_runs(prediction.fit, comparison.held_out, calibrate_s)
     reductions = compare_free_runs(runs_before, runs, comparison.seed).horizons["2"]
@@ -79,16 +53,7 @@ def evaluate_hypothesis(
 def evaluate_held_out(
     comparison: ModelComparison, search: Search, assessment: Assessment, calibrate_s: float | None = None
 ) -> HeldOutEvaluation:
-    """Compare baseline, extended model and spline terms on the held-out flights.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights, and the seed of the bootstrap.
-    calibrate_s : float, optional
-        Duration of each flight's beginning to calibrate on, at most a third of its free flight; `CALIBRATE_s`
-        by default.
-    """
+    """Compare baseline, extended model and spline terms on the held-out flights."""
     before, after, flights = assessment.before, assessment.after, comparison.held_out
     runs_before = free_runs(before.fit, flights, calibrate_s)
     runs_after = runs_before if after is before else free_runs(after.fit, flights, calibrate_s)
@@ -106,19 +71,7 @@ def evaluate_extension(
     whole: HeldOutEvaluation,
     calibrate_s: float | None,
 ) -> HeldOutEvaluation:
-    """Compare the baseline and another extended model on the held-out flights.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights, and the seed of the bootstrap.
-    before, after : Prediction
-        Free runs of the baseline and of the other model.
-    whole : HeldOutEvaluation
-        The evaluation of the model with all causes; the baseline's free runs are its own.
-    calibrate_s : float, optional
-        Requested duration to calibrate on.
-    """
+    """Compare the baseline and another extended model on the held-out flights."""
     runs_before = whole.extension.before
     runs_after = runs_before if after is before else free_runs(after.fit, comparison.held_out, calibrate_s)
     return replace(whole, extension=compare_free_runs(runs_before, runs_after, comparison.seed))

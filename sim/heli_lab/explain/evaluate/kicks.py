@@ -26,18 +26,10 @@ _STD_PER_MAD: Final = 1.4826
 
 @dataclass(frozen=True)
 class Kicks:
-    """Kicks about one axis in all fitted flights.
+    """Kicks about one axis in all fitted flights."""
 
-    Parameters
-    ----------
-    count : int
-        Number of kicks.
-    largest_Nms : float
-        Largest angular impulse, a torque times its duration, without its sign.
-    """
-
-    count: int
-    largest_Nms: float
+    count: int  # Number of kicks
+    largest_Nms: float  # Largest angular impulse, a torque times its duration, without its sign
 
 
 def kicks(
@@ -47,15 +39,6 @@ def kicks(
 
     The most significant impulse is subtracted before the next one is sought, because it also raises the
     statistics of instants close to it.
-
-    Parameters
-    ----------
-    filtered : InnovationsModel
-        The final model along the flights.
-    disturbances : DisturbanceModel
-        Sizes and correlation times of the random torques.
-    error : list, optional
-        As in `auxiliary_residuals`.
     """
     error = filtered.perturbed_residual() if error is None else error
     impulses_Nms: dict[str, list[float]] = {}
@@ -79,11 +62,6 @@ def with_impulse(
     """Return the `error` of a model with one more impulse, so that the next one can be sought.
 
     The torque acts in the first step of a measurement interval.
-
-    Parameters
-    ----------
-    flight, interval, axis : int
-        Number of the flight, of the interval among all of the flight, and of the axis.
     """
     changed = [list(windows) for windows in error]
     for number, blocks in enumerate(filtered.linearised_flights[flight].blocks):

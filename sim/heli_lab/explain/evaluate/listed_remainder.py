@@ -46,19 +46,7 @@ def with_listed_remainder(
     tried: Mapping[str, EffectSpec],
     kinds: Mapping[str, EffectSpec],
 ) -> tuple[Search, Assessment]:
-    """Add one more listed effect to a search if it explains what would otherwise be `unexplained`.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights.
-    search, assessment : Search and Assessment
-        Result of the search, and its assessment; they are returned if no listed effect explains the rest.
-    tried : Mapping[str, EffectSpec]
-        Effects that may be added, by id.
-    kinds : Mapping[str, EffectSpec]
-        Catalogue by effect id.
-    """
+    """Add one more listed effect to a search if it explains what would otherwise be `unexplained`."""
     if assessment.verdict.label == "unexplained" and not assessment.verdict.unlisted:
         wider = with_remainder(comparison, search, tried)
         if wider is not None:
@@ -71,24 +59,7 @@ def with_listed_remainder(
 def with_remainder(
     comparison: ModelComparison, search: Search, kinds: Mapping[str, EffectSpec]
 ) -> Search | None:
-    """Add the listed effect that explains best what remains on all flights.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights; some of them are held out.
-    search : Search
-        Result of the search.
-    kinds : Mapping[str, EffectSpec]
-        Effects that may be added, by id.
-
-    Returns
-    -------
-    Search or None
-        The search with one more cause; None if no effect would be accepted, were all flights fitted, or if
-        the fitted flights are too short for a test on others. The gain of the cause on the fitted flights is
-        less than its penalty, so its confidence is about even odds.
-    """
+    """Add the listed effect that explains best what remains on all flights."""
     if not comparison.can_test_held_out:
         return None
     final, acceptance = search.final, Acceptance(comparison, kinds)

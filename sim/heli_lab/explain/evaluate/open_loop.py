@@ -20,21 +20,8 @@ _RIDGE: Final = 1e-9
 
 
 def open_loop_squares(linear: LinearisedFlight, rates: Floats) -> tuple[Floats, int]:
-    """Sum up the squares of the change of the outputs in all windows of a flight.
-
-    Parameters
-    ----------
-    linear : LinearisedFlight
-        The model linearised along the flight.
-    rates : ndarray (n, states)
-        Additional rates of the states.
-
-    Returns
-    -------
-    squares : ndarray (m,)
-        Sum of squares by output, in squared counts of its encoder.
-    rows : int
-        Number of rows of the windows.
+    """Sum up the squares of the change of the outputs in all windows of a flight. Shapes: `rates` (n,
+    states); returns `squares` (m,).
     """
     length = max(1, round(_WINDOW_s / linear.reference.step_s))
     starts = np.array(

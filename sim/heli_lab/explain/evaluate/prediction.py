@@ -20,37 +20,23 @@ class NormalisedError:
     """Root mean square free-run error, in standard deviations of the encoders' quantisation.
 
     It is 1 if the model is right.
-
-    Parameters
-    ----------
-    total : float
-        Over all axes.
-    axes : ndarray (3,)
-        By axis: elevation, pitch, travel.
     """
 
-    total: float
-    axes: Floats
+    total: float  # Over all axes
+    axes: Floats  # (3,): By axis: elevation, pitch, travel
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Free runs of a model whose parameters are estimated, and their errors.
+    """Free runs of a model whose parameters are estimated, and their errors."""
 
-    Parameters
-    ----------
-    fit : Fit
-        Parameters with their covariance, and free runs over the fitted flights.
-    held_out_fit : Fit or None
-        Free runs over the held-out flights, for which only encoder zeros, constant torques and initial states
-        were estimated; None if no flight is held out.
-    train, held_out : NormalisedError
-        Errors on the fitted and on the held-out flights; the same if no flight is held out.
-    """
-
-    fit: Fit
+    fit: Fit  # Parameters with their covariance, and free runs over the fitted flights
     held_out_fit: Fit | None
+    """Free runs over the held-out flights, for which only encoder zeros, constant torques and initial states
+    were estimated; None if no flight is held out."""
     train: NormalisedError
+    """train, held_out: Errors on the fitted and on the held-out flights; the same if no flight is held out.
+    """
     held_out: NormalisedError
 
 
@@ -59,15 +45,6 @@ def predict(estimate: Estimate, train: Sequence[Record], held_out: Sequence[Reco
 
     Quantities that differ from flight to flight (encoder zeros, a constant torque about each axis) are
     estimated from the free runs themselves, because innovations carry little information about constants.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        Model and parameters.
-    train : sequence of Record
-        The flights of the estimate.
-    held_out : sequence of Record
-        Other flights.
     """
     fit = _free_run(estimate, train, own_calibration=True)
     held_out_fit = _free_run(estimate, held_out, own_calibration=False) if held_out else None

@@ -16,43 +16,25 @@ from heli_lab.fit.identify import Fit
 
 @dataclass(frozen=True)
 class EstimateWithoutPrior:
-    """Estimate of a parameter from the flights alone.
-
-    Parameters
-    ----------
-    value, std : float
-        Estimate and standard error without the priors of this and all other conflicting parameters.
-    log_likelihood_gain : float
-        Gain of the flights' log-likelihood without all these priors, nats.
-    """
+    """Estimate of a parameter from the flights alone."""
 
     value: float
+    """value, std: Estimate and standard error without the priors of this and all other conflicting
+    parameters."""
     std: float
-    log_likelihood_gain: float
+    log_likelihood_gain: float  # Gain of the flights' log-likelihood without all these priors, nats
 
 
 @dataclass(frozen=True)
 class PriorConflict:
-    """A parameter of the rig whose estimate conflicts with its prior.
+    """A parameter of the rig whose estimate conflicts with its prior."""
 
-    Parameters
-    ----------
-    name, unit : str
-        Name of the parameter, and its unit in rig files.
-    value, std : float
-        Estimate and standard error.
-    prior : Prior
-        Prior from the rig file.
-    freed : EstimateWithoutPrior or None
-        Estimate without the prior; None if it was not computed.
-    """
-
-    name: str
+    name: str  # name, unit: Name of the parameter, and its unit in rig files
     unit: str
-    value: float
+    value: float  # value, std: Estimate and standard error
     std: float
-    prior: Prior
-    freed: EstimateWithoutPrior | None = None
+    prior: Prior  # Prior from the rig file
+    freed: EstimateWithoutPrior | None = None  # Estimate without the prior; None if it was not computed
 
     @property
     def deviations(self) -> float:
@@ -76,20 +58,7 @@ def prior_conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
 
 
 def tried_without(conflicts: Sequence[PriorConflict], estimate: Estimate) -> tuple[PriorConflict, ...]:
-    """Estimate a model again without the priors of conflicting parameters.
-
-    Parameters
-    ----------
-    conflicts : sequence of PriorConflict
-        The parameters.
-    estimate : Estimate
-        The model with all priors.
-
-    Returns
-    -------
-    tuple of PriorConflict
-        The same conflicts, each with its estimate without priors.
-    """
+    """Estimate a model again without the priors of conflicting parameters."""
     if not conflicts:
         return ()
     parameters = estimate.parameter_vector

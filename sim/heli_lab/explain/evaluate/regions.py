@@ -36,84 +36,42 @@ _PLANES: Final = (*_MOTION, "thrust", "thrust_difference")
 
 @dataclass(frozen=True)
 class PlaneTrajectory:
-    """One flight in the plane of the two quantities.
+    """One flight in the plane of the two quantities."""
 
-    Parameters
-    ----------
-    x, y : ndarray (n,)
-        The quantities every 40 ms, in SI units.
-    torque_Nm : ndarray (n,)
-        Torque about the axis that the model lacks, less its mean.
-    """
-
-    x: Floats
+    x: Floats  # x, y: (n,): The quantities every 40 ms, in SI units
     y: Floats
-    torque_Nm: Floats
+    torque_Nm: Floats  # (n,): Torque about the axis that the model lacks, less its mean
 
 
 @dataclass(frozen=True)
 class RegionTest:
-    """Tests of all cells for one model.
-
-    Parameters
-    ----------
-    z : ndarray (cells, cells)
-        Score of each cell in standard deviations, x along the first index; nan if the flights were there too
-        briefly.
-    fails : ndarray of bool (cells, cells)
-        Cells in which the model fails.
-    share : float
-        Share of the flight time in these cells, 0 to 1.
-    rms_Nm : float
-        Root mean square of the torque about the axis that the model lacks.
-    flights : tuple of PlaneTrajectory
-        The flights in the plane.
-    """
+    """Tests of all cells for one model."""
 
     z: Floats
-    fails: Booleans
-    share: float
-    rms_Nm: float
-    flights: tuple[PlaneTrajectory, ...]
+    """(cells, cells): Score of each cell in standard deviations, x along the first index; nan if the flights
+    were there too briefly."""
+    fails: Booleans  # (cells, cells): Cells in which the model fails
+    share: float  # Share of the flight time in these cells, 0 to 1
+    rms_Nm: float  # Root mean square of the torque about the axis that the model lacks
+    flights: tuple[PlaneTrajectory, ...]  # The flights in the plane
 
 
 @dataclass(frozen=True)
 class FailingRegions:
-    """Regions in which a model fails, before and after it was extended.
+    """Regions in which a model fails, before and after it was extended."""
 
-    Parameters
-    ----------
-    axis : str
-        Axis of the missing torque.
-    x, y : str
-        Names of the two quantities of the plane, keys of `QUANTITIES`.
-    x_edges, y_edges : ndarray (cells + 1,)
-        Edges of the cells, in SI units.
-    before, after : RegionTest
-        Tests of the model before and after the extension.
-    """
-
-    axis: str
-    x: str
+    axis: str  # Axis of the missing torque
+    x: str  # x, y: Names of the two quantities of the plane, keys of `QUANTITIES`
     y: str
-    x_edges: Floats
+    x_edges: Floats  # x_edges, y_edges: (cells + 1,): Edges of the cells, in SI units
     y_edges: Floats
-    before: RegionTest
+    before: RegionTest  # before, after: Tests of the model before and after the extension
     after: RegionTest
 
 
 def failing_regions(before: Estimate, after: Estimate, axis: str, first: str = "") -> FailingRegions:
     """Find the plane in which the model fails most clearly, and test its cells before and after the
     extension.
-
-    Parameters
-    ----------
-    before, after : Estimate
-        The model before and after the extension, estimated on the same flights.
-    axis : str
-        Axis of the missing torque.
-    first : str, optional
-        One of the two quantities, if it is known what the missing torque depends on.
     """
     # Before the extension, disturbances explain what is missing: test against those that remain after it.
     screening = Screening(replace(before, disturbances=after.disturbances))
@@ -227,14 +185,10 @@ def _test_cells(
 
 def adjusted_p_values(p_values: Floats) -> Floats:
     """Adjust p-values so that a limit on them controls the false discovery rate (Benjamini and Hochberg).
+    Shapes: `p_values` (k,).
 
     The result equals that of ``scipy.stats.false_discovery_control``, but to import scipy.stats takes half a
     second of CPU time.
-
-    Parameters
-    ----------
-    p_values : ndarray (k,)
-        p-values of k tests; k may be 0.
     """
     count = len(p_values)
     order = np.argsort(p_values)

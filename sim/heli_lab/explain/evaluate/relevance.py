@@ -26,23 +26,6 @@ def prediction_changes(
     The model with all causes is compared with the refitted model without the cause, on the axis where they
     differ most. The change is the root mean square difference of their predictions on the fitted flights. If
     the model without the cause adds a larger error on the held-out flights, the change is that error.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights.
-    search : Search
-        Its baseline is the model without any cause.
-    extended : Hypothesis
-        The model with all causes of the catalogue.
-    before, after : Prediction
-        Open-loop predictions of the two.
-
-    Returns
-    -------
-    dict
-        Encoder counts, by effect id. An effect is missing if its evidence shows that it matters; all are
-        missing if the disturbances are so large that every significant cause matters.
     """
     if not extended.candidates or after.train.total > DISTURBED_STD:
         return {}

@@ -38,20 +38,13 @@ _NO_OTHER_FLIGHT: Final = (
 
 @dataclass(frozen=True)
 class CauseReplication:
-    """Whether a cause holds in both directions.
-
-    Parameters
-    ----------
-    forward, reverse : float or None
-        Log-likelihood ratios, nats: on the held-out flights with parameters from the fitted flights, and the
-        reverse; None if a ratio was not computed.
-    why_not : str
-        Why the cause is not confirmed, in words; empty if it is.
-    """
+    """Whether a cause holds in both directions."""
 
     forward: float | None
+    """forward, reverse: Log-likelihood ratios, nats: on the held-out flights with parameters from the fitted
+    flights, and the reverse; None if a ratio was not computed."""
     reverse: float | None
-    why_not: str
+    why_not: str  # Why the cause is not confirmed, in words; empty if it is
 
     @property
     def confirmed(self) -> bool:
@@ -61,47 +54,26 @@ class CauseReplication:
 
 @dataclass(frozen=True)
 class WorseAxis:
-    """An axis whose open-loop error grows by more than its bootstrap interval.
+    """An axis whose open-loop error grows by more than its bootstrap interval."""
 
-    Parameters
-    ----------
-    axis : str
-        Elevation, pitch or travel.
-    fitted, judged : str
-        Labels of the flights that estimated the parameters, and of the flights that are predicted.
-    reduction : ErrorReduction
-        The errors at `WORSE_HORIZON`.
-    """
-
-    axis: str
+    axis: str  # Elevation, pitch or travel
     fitted: str
+    """fitted, judged: Labels of the flights that estimated the parameters, and of the flights that are
+    predicted."""
     judged: str
-    reduction: ErrorReduction
+    reduction: ErrorReduction  # The errors at `WORSE_HORIZON`
 
 
 @dataclass(frozen=True)
 class Replication:
-    """Confirmed causes, and the model with them alone.
+    """Confirmed causes, and the model with them alone."""
 
-    Parameters
-    ----------
-    causes : Mapping[str, CauseReplication]
-        By effect id.
-    model : Hypothesis
-        The model with the confirmed causes, and with events that happened in one of its flights only.
-    prediction : Prediction
-        Its free runs over all flights.
-    evaluation : HeldOutEvaluation
-        Its free-run errors on the held-out flights.
-    worse : tuple of WorseAxis
-        Axes that the model with all named causes predicts worse.
-    """
-
-    causes: Mapping[str, CauseReplication]
+    causes: Mapping[str, CauseReplication]  # By effect id
     model: Hypothesis
-    prediction: Prediction
-    evaluation: HeldOutEvaluation
-    worse: tuple[WorseAxis, ...]
+    """The model with the confirmed causes, and with events that happened in one of its flights only."""
+    prediction: Prediction  # Its free runs over all flights
+    evaluation: HeldOutEvaluation  # Its free-run errors on the held-out flights
+    worse: tuple[WorseAxis, ...]  # Axes that the model with all named causes predicts worse
 
     @property
     def unconfirmed(self) -> dict[str, CauseReplication]:
@@ -116,21 +88,7 @@ def replicate(
     evaluation: HeldOutEvaluation,
     calibrate_s: float | None = None,
 ) -> Replication:
-    """Determine which causes are confirmed, and evaluate the model with these causes alone.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights.
-    search : Search
-        Its final model is fitted in the reverse direction, from the estimates that exist.
-    assessment : Assessment
-        Its extended model has all named causes.
-    evaluation : HeldOutEvaluation
-        Free-run errors of the extended model.
-    calibrate_s : float, optional
-        Requested duration to calibrate held-out flights on.
-    """
+    """Determine which causes are confirmed, and evaluate the model with these causes alone."""
     ids = [cause.effect for cause in assessment.verdict.causes]
     if not ids:
         return Replication({}, assessment.extended, assessment.after, evaluation, ())

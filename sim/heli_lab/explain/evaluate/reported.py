@@ -16,33 +16,15 @@ from heli_lab.fit.identify import Fit
 
 @dataclass(frozen=True)
 class CauseParameter:
-    """An estimated parameter of a cause.
+    """An estimated parameter of a cause."""
 
-    Parameters
-    ----------
-    value, std : float
-        Estimate and standard error, in `unit`.
-    unit : str
-        SI unit; ``1`` for a parameter without one.
-    """
-
-    value: float
+    value: float  # value, std: Estimate and standard error, in `unit`
     std: float
-    unit: str
+    unit: str  # SI unit; ``1`` for a parameter without one
 
 
 def cause_parameters(fit: Fit, kind: EffectSpec, start: Mapping[str, float]) -> dict[str, CauseParameter]:
-    """Parameters of an effect by full name, as they are reported.
-
-    Parameters
-    ----------
-    fit : Fit
-        The model with the effect.
-    kind : EffectSpec
-        The effect's entry in the catalogue.
-    start : Mapping[str, float]
-        Values of parameters that were not estimated, by full name.
-    """
+    """Parameters of an effect by full name, as they are reported."""
     std = limited_std(kind, fit.values, fit.std, fit.problem.records[0])
     return {
         q.name: CauseParameter(fit.values.get(q.name, start[q.name]), std.get(q.name, 0.0), q.unit)
@@ -52,31 +34,15 @@ def cause_parameters(fit: Fit, kind: EffectSpec, start: Mapping[str, float]) -> 
 
 @dataclass(frozen=True)
 class FamilyNumber:
-    """The number that a cause shares with the effects that may replace it, such as the lag of the rotors.
+    """The number that a cause shares with the effects that may replace it, such as the lag of the rotors."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the family.
-    value, std : float
-        Estimate and standard error, in `unit`.
-    unit : str
-        SI unit.
-    sentence : str
-        The number in words.
-    unclear : str
-        Statement that flights do not distinguish its members.
-    members : tuple of str
-        Ids of the family's effects.
-    """
-
-    name: str
-    value: float
+    name: str  # Name of the family
+    value: float  # value, std: Estimate and standard error, in `unit`
     std: float
-    unit: str
-    sentence: str
-    unclear: str
-    members: tuple[str, ...]
+    unit: str  # SI unit
+    sentence: str  # The number in words
+    unclear: str  # Statement that flights do not distinguish its members
+    members: tuple[str, ...]  # Ids of the family's effects
 
 
 def family_number(
@@ -89,23 +55,6 @@ def family_number(
     """Compute the number that an effect shares with its family, such as the sum of a lag and a delay.
 
     The number is a weighted sum of the effect's parameters. Its standard error follows from their covariance.
-
-    Parameters
-    ----------
-    fit : Fit
-        The model with the effect.
-    kind : EffectSpec
-        The effect's entry in the catalogue `kinds`.
-    parameters : Mapping[str, CauseParameter]
-        What `cause_parameters` returns.
-    ambiguous_with : collection of str
-        Ids of the effects that the flights do not distinguish from it. Some families have a common number
-        only if the flights do not distinguish their members.
-
-    Returns
-    -------
-    FamilyNumber or None
-        None if the effect has no such number.
     """
     family = kind.family
     members = tuple(other.id for other in kinds.values() if other.family == family)

@@ -48,25 +48,15 @@ second."""
 
 @dataclass(frozen=True)
 class Dependence:
-    """Test of one function of states and inputs as a regressor of the innovations.
+    """Test of one function of states and inputs as a regressor of the innovations."""
 
-    Parameters
-    ----------
-    what : str
-        ``CHANNEL on QUANTITY``.
-    log_likelihood_gain : float
-        Log-likelihood ratio of the model with the regressor over the model without it, nats.
-    penalty : float
-        Gain above which the regressor is significant, nats.
-    change_counts : float
-        Root mean square change of the 2 s open-loop prediction by the regressor, encoder counts, on the axis
-        where it is largest; only for significant regressors.
-    """
-
-    what: str
+    what: str  # ``CHANNEL on QUANTITY``
     log_likelihood_gain: float
-    penalty: float
+    """Log-likelihood ratio of the model with the regressor over the model without it, nats."""
+    penalty: float  # Gain above which the regressor is significant, nats
     change_counts: float = math.inf
+    """Root mean square change of the 2 s open-loop prediction by the regressor, encoder counts, on the axis
+    where it is largest; only for significant regressors."""
 
     @property
     def is_significant(self) -> bool:
@@ -81,41 +71,22 @@ class Dependence:
 
 @dataclass(frozen=True)
 class ResidualAnalysis:
-    """Disturbances and innovations of the final model.
+    """Disturbances and innovations of the final model."""
 
-    Parameters
-    ----------
-    disturbances : DisturbanceModel
-        Estimated disturbance torques about each axis.
-    gains : ndarray (3,)
-        Log-likelihood ratio of the disturbances about each axis over no disturbance there, nats.
-    autocorrelation : ndarray (l, 3)
-        Autocorrelation of the innovations of each axis at the lags `lags_s`.
-    lags_s : tuple of float
-        40 ms to half a second.
-    bound : float
-        Three standard deviations of the autocorrelation of white noise.
-    measurements : int
-        Number of innovations of all axes.
-    dependences : tuple of Dependence
-        Significant regressors of the innovations; empty if the innovations are white. Regressors that matter
-        come first, and the strongest of them before the others.
-    kicks : Mapping[str, Kicks]
-        Kicks by axis; empty if there are none.
-    thrust_gains : ndarray (g,)
-        Log-likelihood ratio of each random variation of the thrust over none, nats; empty if the model has
-        none.
-    """
-
-    disturbances: DisturbanceModel
+    disturbances: DisturbanceModel  # Estimated disturbance torques about each axis
     gains: Floats
-    autocorrelation: Floats
-    lags_s: tuple[float, ...]
-    bound: float
-    measurements: int
+    """(3,): Log-likelihood ratio of the disturbances about each axis over no disturbance there, nats."""
+    autocorrelation: Floats  # (l, 3): Autocorrelation of the innovations of each axis at the lags `lags_s`
+    lags_s: tuple[float, ...]  # 40 ms to half a second
+    bound: float  # Three standard deviations of the autocorrelation of white noise
+    measurements: int  # Number of innovations of all axes
     dependences: tuple[Dependence, ...]
-    kicks: Mapping[str, Kicks] = field(default_factory=dict)
+    """Significant regressors of the innovations; empty if the innovations are white. Regressors that matter
+    come first, and the strongest of them before the others."""
+    kicks: Mapping[str, Kicks] = field(default_factory=dict)  # Kicks by axis; empty if there are none
     thrust_gains: Floats = field(default_factory=lambda: np.zeros(0))
+    """(g,): Log-likelihood ratio of each random variation of the thrust over none, nats; empty if the model
+    has none."""
 
     @property
     def predictable_share(self) -> float:
@@ -130,14 +101,7 @@ class ResidualAnalysis:
 
 
 def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
-    """Test the innovations of a model.
-
-    Parameters
-    ----------
-    screenings : sequence of Screening
-        Scores about the model on the fitted flights, whose disturbances are reported, and, if there are any,
-        on the held-out flights. Their memory is released.
-    """
+    """Test the innovations of a model."""
     first = screenings[0]
     significant = sorted(
         (dependence for dependence in dependences(screenings) if dependence.is_significant),
@@ -212,15 +176,7 @@ def _ratios_over(
 
 
 def _autocorrelation(screening: Screening) -> tuple[Floats, float]:
-    """Compute the autocorrelation of the innovations of all flights.
-
-    Returns
-    -------
-    ndarray (lags, 3)
-        Autocorrelation at `_WHITE_LAGS`, by measured axis.
-    float
-        Three standard errors of the autocorrelation of white innovations.
-    """
+    """Compute the autocorrelation of the innovations of all flights. Returns shape (lags, 3)."""
     innovations = screening.filtered.innovations(screening.estimate.disturbances)
     innovation = np.concatenate([flight[:, 0] for flight in innovations.flights]).reshape(-1, 3)
     variance = np.maximum((innovation**2).mean(axis=0), 1e-12)
@@ -236,16 +192,6 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
     """Test functions of states and inputs as regressors of the innovations of all flights.
 
     The coefficients of a function are the same in all flights; free parameters are projected out of each.
-
-    Parameters
-    ----------
-    screenings : sequence of Screening
-        Scores about the model, one per set of flights.
-
-    Returns
-    -------
-    list of Dependence
-        All tests, the largest gain first.
     """
     linearised_flights = [
         linear for screening in screenings for linear in screening.filtered.linearised_flights
@@ -281,21 +227,11 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
 
 
 class _Test(NamedTuple):
-    """A test of one function of states and inputs.
+    """A test of one function of states and inputs."""
 
-    Parameters
-    ----------
-    name : str
-        ``CHANNEL on QUANTITY``.
-    prior_std : ndarray (g,)
-        Prior standard deviations of its coefficients.
-    source : Candidate or list of ndarray (n, g)
-        Spline term, or the curves of a torque in each flight.
-    """
-
-    name: str
-    prior_std: Floats
-    source: Candidate | list[Floats]
+    name: str  # ``CHANNEL on QUANTITY``
+    prior_std: Floats  # (g,): Prior standard deviations of its coefficients
+    source: Candidate | list[Floats]  # (n, g): Spline term, or the curves of a torque in each flight
 
 
 def _dependence(
@@ -369,18 +305,7 @@ def _is_of_own_rate(dependence: str) -> bool:
 
 
 def correlates(splines: Sequence[ScoredCandidate]) -> list[str]:
-    """Name the dependences with the best scores.
-
-    Parameters
-    ----------
-    splines : sequence of ScoredCandidate
-        Spline terms, the best score first.
-
-    Returns
-    -------
-    list of str
-        ``CHANNEL on QUANTITY``, the best first.
-    """
+    """Name the dependences with the best scores."""
     best = splines[0].log_likelihood_gain if splines else 0.0
     min_gain = max(thresholds.CORRELATE_SHARE * best, thresholds.CHANCE_NATS)
     return [

@@ -20,13 +20,6 @@ def justified_thrust_noise(
 
     It is needed if the verdict is ``unexplained``. It is justified if it adds more to the log-likelihood of
     all flights than its BIC penalty, and more than the predictors and splines that it is to replace.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights, with torques as the only disturbances.
-    search, assessment : Search, Assessment
-        Result with these disturbances.
     """
     if assessment.verdict.label != "unexplained":
         return None

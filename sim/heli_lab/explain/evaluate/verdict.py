@@ -21,92 +21,47 @@ from heli_lab.fit.identify import Fit
 
 @dataclass(frozen=True)
 class NamedCause(Cause):
-    """A cause that the verdict names; its attributes have the names of the JSON.
-
-    Parameters
-    ----------
-    candidate, train, held_out, penalty, alternatives
-        As in `Cause`, which also has ``effect`` and ``ambiguous_with``.
-    parameters : Mapping[str, CauseParameter]
-        By full name, such as ``rotor_lag_s``: ``value``, ``std`` and ``unit``.
-    confidence : float
-        Probability that the cause is named correctly, 0 to 1.
-    sentence : str
-        The cause with its parameters in a sentence, without its full stop.
-    equation : str
-        The term that the effect adds to the model, in LaTeX.
-    family : FamilyNumber or None
-        The number that this effect shares with effects that may replace it, such as the lag of the rotors.
-    """
+    """A cause that the verdict names; its attributes have the names of the JSON."""
 
     parameters: Mapping[str, CauseParameter]
-    confidence: float
-    sentence: str
-    equation: str
+    """By full name, such as ``rotor_lag_s``: ``value``, ``std`` and ``unit``."""
+    confidence: float  # Probability that the cause is named correctly, 0 to 1
+    sentence: str  # The cause with its parameters in a sentence, without its full stop
+    equation: str  # The term that the effect adds to the model, in LaTeX
     family: FamilyNumber | None = None
+    """The number that this effect shares with effects that may replace it, such as the lag of the rotors."""
 
 
 @dataclass(frozen=True)
 class SmallEffect:
-    """A significant effect that is too small to matter.
+    """A significant effect that is too small to matter."""
 
-    Parameters
-    ----------
-    cause : NamedCause
-        The effect with its evidence.
-    change_counts : float
-        Root mean square change of the 2 s open-loop prediction, encoder counts.
-    """
-
-    cause: NamedCause
-    change_counts: float
+    cause: NamedCause  # The effect with its evidence
+    change_counts: float  # Root mean square change of the 2 s open-loop prediction, encoder counts
 
 
 @dataclass(frozen=True)
 class SmallRemainder:
-    """A significant dependence that no effect of the catalogue explains, and that is too small to matter.
+    """A significant dependence that no effect of the catalogue explains, and that is too small to matter."""
 
-    Parameters
-    ----------
-    what : str
-        ``CHANNEL on QUANTITY``.
-    change_counts : float
-        Root mean square change of the 2 s open-loop prediction, encoder counts.
-    log_likelihood_gain : float
-        Log-likelihood ratio of the model with it to the model without it, nats.
-    """
-
-    what: str
-    change_counts: float
-    log_likelihood_gain: float
+    what: str  # ``CHANNEL on QUANTITY``
+    change_counts: float  # Root mean square change of the 2 s open-loop prediction, encoder counts
+    log_likelihood_gain: float  # Log-likelihood ratio of the model with it to the model without it, nats
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict of a diagnosis.
+    """Verdict of a diagnosis."""
 
-    Parameters
-    ----------
-    label : str
-        ``explained``, ``cause_found``, ``ambiguous`` or ``unexplained``.
-    causes : tuple of NamedCause
-        Effects of the catalogue, the strongest first.
-    unlisted : tuple of Cause
-        Spline terms in the place of causes that the catalogue lacks, the strongest first.
-    random_torque : bool
-        Whether a random torque acts about a single axis, unlike the disturbances that every rig has.
-    small : tuple of SmallEffect
-        Significant effects that are too small to matter.
-    remainder : tuple of SmallRemainder
-        Significant dependences that no effect explains, and that are too small to matter.
-    """
-
-    label: str
-    causes: tuple[NamedCause, ...]
+    label: str  # ``explained``, ``cause_found``, ``ambiguous`` or ``unexplained``
+    causes: tuple[NamedCause, ...]  # Effects of the catalogue, the strongest first
     unlisted: tuple[Cause, ...]
+    """Spline terms in the place of causes that the catalogue lacks, the strongest first."""
     random_torque: bool
-    small: tuple[SmallEffect, ...] = ()
+    """Whether a random torque acts about a single axis, unlike the disturbances that every rig has."""
+    small: tuple[SmallEffect, ...] = ()  # Significant effects that are too small to matter
     remainder: tuple[SmallRemainder, ...] = ()
+    """Significant dependences that no effect explains, and that are too small to matter."""
 
 
 def judge(
@@ -124,24 +79,6 @@ def judge(
     the measure of effects. Otherwise it is
     ``ambiguous`` if one of the causes has a close alternative, ``cause_found`` if there is a cause, and
     ``explained`` if the baseline needs none.
-
-    Parameters
-    ----------
-    search : Search
-        Causes and spline terms of the final model.
-    residual : ResidualAnalysis
-        Analysis of the residuals of the final model.
-    after : Prediction
-        Free runs of the extended model. If their errors are as small as the quantisation, every remaining
-        structure is too small to matter, however significant it is.
-    kinds : Mapping[str, EffectSpec]
-        Catalogue by effect id.
-    absent : bool
-        Whether the fit estimated a term of the baseline as zero, which is a cause too.
-    small : tuple of SmallEffect
-        Effects that are not causes, because they are too small to matter.
-    spline_counts : float
-        Change of the 2 s open-loop prediction by the spline terms together, encoder counts.
     """
     small_ids = {effect.cause.effect for effect in small}
     splines = tuple(cause for cause in search.causes if cause.candidate.is_spline)
@@ -187,15 +124,7 @@ def _small_remainder(
 
 
 def with_confirmation(verdict: Verdict, unconfirmed: Collection[str]) -> Verdict:
-    """Lower the confidence of causes that are not confirmed; names and label stay.
-
-    Parameters
-    ----------
-    verdict : Verdict
-        Verdict of `judge`, which does not depend on the confirmation.
-    unconfirmed : collection of str
-        Ids of the causes that are not confirmed.
-    """
+    """Lower the confidence of causes that are not confirmed; names and label stay."""
 
     def with_limited_confidence(cause: NamedCause) -> NamedCause:
         """Return a cause with a limited confidence if it is not confirmed."""
@@ -209,19 +138,7 @@ def with_confirmation(verdict: Verdict, unconfirmed: Collection[str]) -> Verdict
 def small_effects(
     search: Search, changes: Mapping[str, float], kinds: Mapping[str, EffectSpec], fit: Fit
 ) -> tuple[SmallEffect, ...]:
-    """Describe effects that are too small to matter.
-
-    Parameters
-    ----------
-    search : Search
-        Evidence of the effects.
-    changes : Mapping[str, float]
-        Change of the prediction by each of them, encoder counts, by id.
-    kinds : Mapping[str, EffectSpec]
-        Catalogue by effect id.
-    fit : Fit
-        Parameters of the model that has them.
-    """
+    """Describe effects that are too small to matter."""
     return tuple(
         SmallEffect(_named_cause(cause, kinds, fit, unexplained=False), changes[cause.effect])
         for cause in search.causes
@@ -266,13 +183,6 @@ def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectSpec
 
     The fast disturbance must be significant about one axis only, and have a notable size and correlation
     time. A thrust that varies at random disturbs all axes, so it excludes a random torque.
-
-    Parameters
-    ----------
-    residual : ResidualAnalysis
-        Analysis of the residuals, with the estimated disturbances.
-    kinds : Mapping[str, EffectSpec]
-        Catalogue by effect id, which contains the typical size of a random torque.
     """
     if residual.thrust_gains.size:
         return False
@@ -293,13 +203,6 @@ def confidence(cause: Cause, unexplained: bool = False) -> float:
 
     The probability grows with the lead over the closest rival, which may be the model without the cause, and
     with the log-likelihood ratio on the held-out flights.
-
-    Parameters
-    ----------
-    cause : Cause
-        The cause with its evidence.
-    unexplained : bool
-        Whether something unexplained remains. The cause may imitate it, so the confidence is lower.
     """
     lead_over_no_cause = cause.train - cause.penalty
     leads = [alternative.log_likelihood_ratio for alternative in cause.alternatives]
@@ -314,11 +217,7 @@ def confidence(cause: Cause, unexplained: bool = False) -> float:
 
 
 def unconfirmed_confidence(probability: float) -> float:
-    """Limit the confidence of a cause that is not confirmed, because its evidence comes from one direction.
-
-    Parameters
-    ----------
-    probability : float
-        Confidence of the same cause if it were confirmed, 0 to 1.
+    """Limit the confidence of a cause that is not confirmed, because its evidence comes from one
+    direction.
     """
     return min(probability, thresholds.MAX_CONFIDENCE_UNCONFIRMED)

@@ -138,58 +138,26 @@ def segment_for(kind: EffectSpec) -> str:
 
 
 def compose_experiment(reason: str, parts: Iterable[str]) -> ExperimentDesign:
-    """Compose a plan of segments.
-
-    Parameters
-    ----------
-    reason : str
-        A sentence that says why another flight is needed.
-    parts : iterable of str
-        Keys of the segments; if there is none, the plan excites every axis.
-    """
+    """Compose a plan of segments."""
     chosen = [key for key in _SEGMENTS if key in set(parts)] or list(_DEFAULT)
     return ExperimentDesign(f"{reason} Fly {_purposes_text(chosen)}.", _plan_toml(chosen))
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two hypotheses that the flights do not distinguish.
+    """Two hypotheses that the flights do not distinguish."""
 
-    Parameters
-    ----------
-    first, second : Hypothesis
-        The hypotheses.
-    names : (str, str)
-        Ids of the effects in which they differ.
-    log_likelihood_ratio : float
-        Ratio of the first over the second on these flights, penalties included, nats.
-    """
-
-    first: Hypothesis
+    first: Hypothesis  # first, second: The hypotheses
     second: Hypothesis
-    names: tuple[str, str]
+    names: tuple[str, str]  # (str, str): Ids of the effects in which they differ
     log_likelihood_ratio: float
+    """Ratio of the first over the second on these flights, penalties included, nats."""
 
 
 def discriminating_experiment(
     pair: Pair, comparison: ModelComparison, kinds: Mapping[str, EffectSpec]
 ) -> ExperimentDesign:
-    """Choose the plan of the largest expected log-likelihood ratio between two hypotheses.
-
-    Parameters
-    ----------
-    pair : Pair
-        The hypotheses.
-    comparison : ModelComparison
-        Model and rig.
-    kinds : Mapping[str, EffectSpec]
-        Catalogue by effect id.
-
-    Returns
-    -------
-    ExperimentDesign
-        If the simulated rig can fly none of the plans: the segments that excite the two effects best.
-    """
+    """Choose the plan of the largest expected log-likelihood ratio between two hypotheses."""
     reason = (
         f"These flights do not distinguish {pair.names[0]} from {pair.names[1]}: their log-likelihoods "
         f"differ by {abs(pair.log_likelihood_ratio):.1f}, and {MIN_MARGIN:.0f} are needed."
@@ -220,17 +188,7 @@ def discriminating_experiment(
 def informative_experiment(
     reason: str, undetectable: Iterable[str], baseline: Hypothesis, kinds: Mapping[str, EffectSpec]
 ) -> ExperimentDesign:
-    """Choose the plan that excites undetectable effects, and count those that it makes detectable.
-
-    Parameters
-    ----------
-    reason : str
-        A sentence that says why another flight is needed.
-    undetectable : iterable of str
-        Ids of the effects.
-    baseline : Hypothesis
-        The refitted baseline, with which the plan is simulated.
-    """
+    """Choose the plan that excites undetectable effects, and count those that it makes detectable."""
     wanted_kinds = [kinds[id_] for id_ in undetectable]
     flight = compose_experiment(reason, {segment_for(kind) for kind in wanted_kinds})
     record = simulate_experiment(baseline.estimate, flight.plan)

@@ -26,18 +26,7 @@ def propose_experiment(
     kinds: Mapping[str, EffectSpec],
     undetectable: Sequence[str],
 ) -> ExperimentDesign | None:
-    """Propose the next flight.
-
-    Parameters
-    ----------
-    undetectable : sequence of str
-        Ids of effects that these flights would not show.
-
-    Returns
-    -------
-    ExperimentDesign or None
-        None if these flights leave nothing open.
-    """
+    """Propose the next flight."""
     label = assessment.verdict.label
     pair = _closest_pair(comparison, search, assessment) if label == "ambiguous" else None
     if pair is not None:

@@ -26,20 +26,7 @@ _SEED: Final = 0
 
 
 def simulate_experiment(estimate: Estimate, plan: str) -> Record | None:
-    """Fly a plan on the simulated rig.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        Model, effects and parameters of the rig.
-    plan : str
-        The plan as TOML.
-
-    Returns
-    -------
-    Record or None
-        The flight, prepared for fitting; None if this rig cannot fly the plan.
-    """
+    """Fly a plan on the simulated rig."""
     parameter_vector = estimate.parameter_vector
     model = parameter_vector.model
     values = parameter_vector.shared_by_name(estimate.theta)
@@ -67,24 +54,7 @@ def simulate_experiment(estimate: Estimate, plan: str) -> Record | None:
 def expected_log_likelihood_ratio(
     truth: Hypothesis, alternative: Hypothesis, comparison: ModelComparison, plan: str
 ) -> float | None:
-    """Simulate a plan under one hypothesis, and compare both hypotheses on that flight.
-
-    Parameters
-    ----------
-    truth, alternative : Hypothesis
-        The hypothesis that is simulated, and its alternative. All parameters of both are refitted with the
-        rig's priors, so that only the new flight counts.
-    comparison : ModelComparison
-        Model, rig and seed.
-    plan : str
-        The plan as TOML.
-
-    Returns
-    -------
-    float or None
-        Log-likelihood ratio of the truth over the alternative, nats; None if the plan cannot be flown or
-        fitted.
-    """
+    """Simulate a plan under one hypothesis, and compare both hypotheses on that flight."""
     record = simulate_experiment(truth.estimate, plan)
     if record is None:
         return None

@@ -77,15 +77,7 @@ class Acceptance:
 
 
 def min_margin(id_: str, present: Collection[str]) -> float:
-    """Return the log-likelihood ratio by which an effect must exceed its penalty, nats.
-
-    Parameters
-    ----------
-    id_ : str
-        Id of the effect.
-    present : collection of str
-        Ids of the effects of the model.
-    """
+    """Return the log-likelihood ratio by which an effect must exceed its penalty, nats."""
     family, _, axis = id_.partition(".")
     if family == "backlash" and f"coulomb_friction.{axis}" in present:
         return thresholds.PLAY_NEXT_TO_FRICTION_NATS
@@ -95,17 +87,7 @@ def min_margin(id_: str, present: Collection[str]) -> float:
 def is_significant(
     hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectSpec], record: Record
 ) -> bool:
-    """Whether a size of an effect differs from its neutral value by two standard errors (Wald test).
-
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        The model with the effect.
-    candidate : Candidate
-        The effect; one that the catalogue lacks counts as significant. One significant size is enough.
-    record : Record
-        A flight of the fit, whose resolution limits the standard errors.
-    """
+    """Whether a size of an effect differs from its neutral value by two standard errors (Wald test)."""
     kind = kinds.get(candidate.id)
     if kind is None:
         return True
@@ -114,17 +96,7 @@ def is_significant(
 
 
 def is_resolved(hypothesis: Hypothesis, kind: EffectSpec, record: Record) -> bool:
-    """Whether each size of an effect differs from its neutral value by two standard errors.
-
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        The model with the effect.
-    kind : EffectSpec
-        The effect's entry in the catalogue.
-    record : Record
-        A flight of the fit, whose resolution limits the standard errors.
-    """
+    """Whether each size of an effect differs from its neutral value by two standard errors."""
     return all(_significant_sizes(hypothesis, kind, record))
 
 
@@ -145,13 +117,6 @@ def is_neutral(hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str,
     """Whether all sizes of an effect ended at their neutral values.
 
     A gain of such a refit comes from better estimates of the other parameters.
-
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        The model with the effect.
-    candidate : Candidate
-        The effect; one that the catalogue lacks, or that has no free size, has no neutral values.
     """
     kind = kinds.get(candidate.id)
     if kind is None:

@@ -20,39 +20,23 @@ Compared = tuple[Alternative, Hypothesis]
 
 @dataclass
 class BackwardElimination:
-    """Removes causes from the model that forward selection ended with.
-
-    Parameters
-    ----------
-    baseline : Hypothesis
-        The model without any cause.
-    rounds : sequence of Round
-        The rounds of the forward selection.
-    contradicted_ids : set of str
-        Ids of the causes so far that held-out flights contradict.
-    replaced_ids : set of str
-        Ids of the causes so far in whose place another effect is more probable.
-    """
+    """Removes causes from the model that forward selection ended with."""
 
     comparison: ModelComparison
     acceptance: Acceptance
     progress: Progress
-    baseline: Hypothesis
-    rounds: Sequence[Round]
+    baseline: Hypothesis  # The model without any cause
+    rounds: Sequence[Round]  # The rounds of the forward selection
     contradicted_ids: set[str] = field(default_factory=set)
+    """Ids of the causes so far that held-out flights contradict."""
     replaced_ids: set[str] = field(default_factory=set)
+    """Ids of the causes so far in whose place another effect is more probable."""
     _round_ids: dict[str, str] = field(default_factory=dict, init=False)
     """The cause that was accepted in a round, by the id of the cause that took its place."""
 
     def eliminate(self, final: Hypothesis) -> tuple[Hypothesis, list[Cause]]:
-        """Remove causes from the model `final` that are not significant or that held-out flights contradict.
-
-        Returns
-        -------
-        Hypothesis
-            The model with the other causes.
-        list of Cause
-            Evidence of these causes, the strongest first.
+        """Remove causes from the model `final` that are not significant or that held-out flights
+        contradict.
         """
         final, reduced_by_id = self._remove_superfluous(with_held_out_moments(self.comparison, final))
         held_out_ratios = self._held_out_ratios(final, reduced_by_id)
@@ -116,15 +100,6 @@ class BackwardElimination:
 
         A spline may have followed a peculiarity of one flight. Then the causes before its round are restored,
         and the best accepted effect of its round.
-
-        Parameters
-        ----------
-        final : Hypothesis
-            The model with the cause.
-        cause_id : str
-            Id of the contradicted cause.
-        reduced : Hypothesis
-            The model without it.
         """
         round_ = self._round_of(cause_id)
         cause = next(candidate for candidate in final.candidates if candidate.id == cause_id)
@@ -155,15 +130,7 @@ class BackwardElimination:
         return next((round_ for round_ in reversed(self.rounds) if round_.accepted_id == accepted_id), None)
 
     def _remove_superfluous(self, final: Hypothesis) -> tuple[Hypothesis, dict[str, Hypothesis]]:
-        """Remove causes one by one until all are significant.
-
-        Returns
-        -------
-        Hypothesis
-            The model with the significant causes.
-        dict of Hypothesis
-            The model without a cause, by the id of each cause.
-        """
+        """Remove causes one by one until all are significant."""
         while True:
             causes = final.candidates
             reduced_by_id: dict[str, Hypothesis] = {}

@@ -29,31 +29,16 @@ _START_SHARE: Final = 0.99
 
 @dataclass(frozen=True)
 class RemovedTerm:
-    """A term of the baseline that the model is to be refitted without.
+    """A term of the baseline that the model is to be refitted without."""
 
-    Parameters
-    ----------
-    candidate : Candidate
-        The removal of the term as an effect.
-    start : Mapping[str, float]
-        Parameter values to refit from, by full name.
-    log_likelihood_gain : float
-        Gain that is expected of the refit, nats.
-    """
-
-    candidate: Candidate
-    start: Mapping[str, float]
-    log_likelihood_gain: float
+    candidate: Candidate  # The removal of the term as an effect
+    start: Mapping[str, float]  # Parameter values to refit from, by full name
+    log_likelihood_gain: float  # Gain that is expected of the refit, nats
 
 
 def tightly_specified(kind: EffectSpec, rig: Rig) -> bool:
     """Whether a `rig` file gives the parameters of a term such narrow priors that no fit estimates them as
     zero; False if the rig does not have the term.
-
-    Parameters
-    ----------
-    kind : EffectSpec
-        The removal of the term.
     """
     return bool(kind.override) and all(
         name in rig and 0.0 < rig[name].tolerance < thresholds.TIGHT_TOLERANCE * rig[name].value
@@ -66,15 +51,6 @@ def tightly_specified_terms(
 ) -> list[RemovedTerm]:
     """Find tightly specified terms that the score test removes nearly as a whole, or whose parameters the fit
     has made much smaller than their priors allow.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The model and the rig.
-    kinds : iterable of EffectSpec
-        Kinds of the catalogue; those that remove a term are tested.
-    screening : Screening
-        Scores about the present estimate.
     """
     present_names = {effect.name for effect in screening.estimate.parameter_vector.model.effects}
     removals = [

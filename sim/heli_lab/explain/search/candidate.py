@@ -14,25 +14,15 @@ from heli_sim.model.effects.spec import EffectSpec
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect or spline term that may be added to the model, at one point of its grid.
+    """An effect or spline term that may be added to the model, at one point of its grid."""
 
-    Parameters
-    ----------
-    id : str
-        Id of the effect, or ``spline:CHANNEL:QUANTITY``.
-    effect : Effect
-        The effect with the parameter values at which its influence is computed.
-    linear_parameters : tuple of str
-        Parameters that enter linearly; each gives one regressor. If there is none, the only regressor is the
-        difference between the effect at these values and no effect.
-    grid : Mapping[str, float]
-        Values of the parameters in which the likelihood is multimodal, by full name.
-    """
-
-    id: str
-    effect: Effect
+    id: str  # Id of the effect, or ``spline:CHANNEL:QUANTITY``
+    effect: Effect  # The effect with the parameter values at which its influence is computed
     linear_parameters: tuple[str, ...]
+    """Parameters that enter linearly; each gives one regressor. If there is none, the only regressor is the
+    difference between the effect at these values and no effect."""
     grid: Mapping[str, float] = field(default_factory=dict)
+    """Values of the parameters in which the likelihood is multimodal, by full name."""
 
     @property
     def neutral(self) -> dict[str, float]:
@@ -79,26 +69,15 @@ def typical_candidate(kind: EffectSpec) -> Candidate:
 
 @dataclass(frozen=True)
 class ScoredCandidate:
-    """Score test of a candidate at the best point of its grid.
+    """Score test of a candidate at the best point of its grid."""
 
-    Parameters
-    ----------
-    candidate : Candidate
-        The candidate at that point.
-    log_likelihood_gain : float
-        Gain that the score test predicts, nats, with all other parameters refitted and the disturbances
-        unchanged.
-    coefficients, std : ndarray (g,)
-        Coefficients of its regressors, and their standard errors.
-    tried : int
-        Number of points of the grid that were tried.
-    """
-
-    candidate: Candidate
+    candidate: Candidate  # The candidate at that point
     log_likelihood_gain: float
-    coefficients: Floats
+    """Gain that the score test predicts, nats, with all other parameters refitted and the disturbances
+    unchanged."""
+    coefficients: Floats  # coefficients, std: (g,): Coefficients of its regressors, and their standard errors
     std: Floats
-    tried: int
+    tried: int  # Number of points of the grid that were tried
 
 
 def effect_candidates(kind: EffectSpec, seconds: float) -> list[Candidate]:
@@ -117,16 +96,6 @@ def effect_candidates(kind: EffectSpec, seconds: float) -> list[Candidate]:
 
 
 def may_join(id_: str, present: Iterable[str], kinds: Mapping[str, EffectSpec]) -> bool:
-    """Whether a model with the effects `present` may have the effect `id_` too.
-
-    Parameters
-    ----------
-    id_ : str
-        Id of a candidate.
-    present : iterable of str
-        Ids of the effects and candidates of the model.
-    kinds : Mapping[str, EffectSpec]
-        The catalogue. Spline terms, equations and removed terms are not in it, and exclude nothing.
-    """
+    """Whether a model with the effects `present` may have the effect `id_` too."""
     kind = kinds.get(id_)
     return kind is None or all(kind.compatible_with(kinds[other]) for other in present if other in kinds)

@@ -35,22 +35,7 @@ def with_concentrated_scores(
     worth_a_refit: Callable[[Sequence[ScoredCandidate]], Sequence[ScoredCandidate]],
     screened: Sequence[ScoredCandidate],
 ) -> list[ScoredCandidate]:
-    """Replace the scores of effects that happen at a moment, if the plain score would not lead to a refit.
-
-    Parameters
-    ----------
-    screening : Screening
-        Scores about the present estimate.
-    worth_a_refit : callable
-        Returns those of some effects whose scores lead to a refit.
-    screened : sequence of ScoredCandidate
-        Effects with their scores.
-
-    Returns
-    -------
-    list of ScoredCandidate
-        The effects, the highest score first.
-    """
+    """Replace the scores of effects that happen at a moment, if the plain score would not lead to a refit."""
     shortlist_ids = {scored.candidate.id for scored in worth_a_refit(screened)}
     low_scores = [
         scored
@@ -71,22 +56,7 @@ def hidden_in_disturbances(
     worth_a_refit: Callable[[Sequence[ScoredCandidate]], Sequence[ScoredCandidate]],
     low_scores: Sequence[ScoredCandidate],
 ) -> list[ScoredCandidate]:
-    """Find effects that are worth a refit only if the disturbances are estimated again with them.
-
-    Parameters
-    ----------
-    screening : Screening
-        Scores about the present estimate.
-    worth_a_refit : callable
-        Returns those of some effects whose scores lead to a refit.
-    low_scores : sequence of ScoredCandidate
-        Effects whose plain score does not lead to a refit, the highest score first.
-
-    Returns
-    -------
-    list of ScoredCandidate
-        The effects that are worth a refit, the highest concentrated score first.
-    """
+    """Find effects that are worth a refit only if the disturbances are estimated again with them."""
     possible = [scored for scored in low_scores if scored.log_likelihood_gain > _MIN_NATS]
     if not possible:
         return []

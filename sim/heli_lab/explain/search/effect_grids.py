@@ -47,21 +47,11 @@ class _EventTimes(NamedTuple):
 
 @dataclass
 class EffectGrids:
-    """Lays out the grid of an effect over flights, with points where the missing torque suggests them.
+    """Lays out the grid of an effect over flights, with points where the missing torque suggests them."""
 
-    Parameters
-    ----------
-    filtered : InnovationsModel
-        The present model along the flights.
-    disturbances : DisturbanceModel
-        Its disturbances, as which the torques that it lacks are smoothed.
-    seconds : float
-        Duration of the longest flight.
-    """
-
-    filtered: InnovationsModel
-    disturbances: DisturbanceModel
-    seconds: float
+    filtered: InnovationsModel  # The present model along the flights
+    disturbances: DisturbanceModel  # Its disturbances, as which the torques that it lacks are smoothed
+    seconds: float  # Duration of the longest flight
 
     def candidates(self, kind: EffectSpec) -> list[Candidate]:
         """Return the points of the grid of an effect, at several sizes if it is not linear in its size."""

@@ -40,20 +40,7 @@ _DISTURBANCES: Final = ("fast_std", "correlation_time_s", "slow_std", "quantisat
 
 
 class EstimateCache:
-    """Estimates by key, in memory and optionally in a file of one JSON object per line.
-
-    Parameters
-    ----------
-    path : Path, optional
-        File to read and to append to; it is made if it is missing.
-    search_fingerprint : str
-        `fingerprint` of everything that the estimates of a search share.
-
-    Raises
-    ------
-    IdentifyError
-        If the file has another fingerprint, or is not a file of a search.
-    """
+    """Estimates by key, in memory and optionally in a file of one JSON object per line."""
 
     def __init__(self, path: Path | None = None, search_fingerprint: str = "") -> None:
         self._path = path
@@ -99,19 +86,7 @@ class EstimateCache:
         references: Sequence[ReferenceTrajectory],
         compute: Callable[[ModelFunctions], Estimate],
     ) -> Estimate:
-        """Look up an estimate, or compute and store it. Threads may compute different keys together.
-
-        Parameters
-        ----------
-        key : str
-            `cache_key` of the estimate.
-        parameter_vector : RigParameters
-            Free parameters of the estimate.
-        references : sequence of ReferenceTrajectory
-            Its flights.
-        compute : callable
-            Computes the estimate from the functions of the model; called only if it is not in the cache.
-        """
+        """Look up an estimate, or compute and store it. Threads may compute different keys together."""
         functions = model_functions(parameter_vector.model, parameter_vector.quantities)
         self.used_keys.add(key)
         cached = self._entries.get(key)
@@ -166,21 +141,7 @@ def cache_key(
     warm_start: Estimate | None,
     disturbances: DisturbanceModel | None = None,
 ) -> str:
-    """Return a digest of everything that an estimate depends on in addition to the `fingerprint`.
-
-    Parameters
-    ----------
-    flights : str
-        Name of the fitted flights within the search, such as ``train`` or ``held out``.
-    candidates : iterable of Candidate
-        Candidates with all their values.
-    start : Mapping[str, float]
-        Start values by name.
-    warm_start : Estimate or None
-        Estimate whose parameters and disturbances to start from.
-    disturbances : DisturbanceModel, optional
-        Disturbances to start from if there is no `warm_start`.
-    """
+    """Return a digest of everything that an estimate depends on in addition to the `fingerprint`."""
     digest = hashlib.sha256(flights.encode())
     for candidate in candidates:
         candidate_values = (

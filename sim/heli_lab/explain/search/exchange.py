@@ -20,11 +20,6 @@ def exchange(
 ) -> Hypothesis:
     """Replace effects by wider ones of which the flights resolve each size, and those of which they do not by
     narrower ones, until nothing changes.
-
-    Parameters
-    ----------
-    final : Hypothesis
-        The model that forward selection ended with.
     """
     final = _without_unresolved_sizes(comparison, acceptance, progress, final)
     kinds = acceptance.kinds

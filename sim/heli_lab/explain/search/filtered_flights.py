@@ -21,30 +21,14 @@ time it moves by less than a hundredth of the quantisation (simulated and field 
 
 @dataclass(frozen=True)
 class FilteredFlights:
-    """Flights with filtered states, and the baseline that was estimated to filter them.
+    """Flights with filtered states, and the baseline that was estimated to filter them."""
 
-    Parameters
-    ----------
-    references : tuple of ReferenceTrajectory
-        Filtered states of each flight.
-    baseline : Estimate
-        Estimate of the baseline on these flights.
-    """
-
-    references: tuple[ReferenceTrajectory, ...]
-    baseline: Estimate
+    references: tuple[ReferenceTrajectory, ...]  # Filtered states of each flight
+    baseline: Estimate  # Estimate of the baseline on these flights
 
     def with_thrust_noise(self, model: Model, rig: Rig, records: Sequence[Record]) -> FilteredFlights:
-        """Estimate the baseline again with a thrust that varies at random; the filtered states are unchanged.
-
-        Parameters
-        ----------
-        model : Model
-            The baseline with thrust noise.
-        rig : Rig
-            Start values and priors of its parameters.
-        records : sequence of Record
-            The flights.
+        """Estimate the baseline again with a thrust that varies at random; the filtered states are
+        unchanged.
         """
         vector = RigParameters(model, rig, records)
         functions = model_functions(model, vector.quantities)
@@ -57,15 +41,6 @@ def filter_with_baseline(model: Model, rig: Rig, records: Sequence[Record]) -> F
     """Estimate a baseline on some flights, and filter their states with it.
 
     Estimation and filtering alternate, because each needs the result of the other.
-
-    Parameters
-    ----------
-    model : Model
-        The baseline.
-    rig : Rig
-        Start values and priors of its parameters.
-    records : sequence of Record
-        The flights.
     """
     references = tuple(filter_record(record) for record in records)
     parameter_vector = RigParameters(model, rig, records)

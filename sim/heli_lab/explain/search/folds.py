@@ -10,15 +10,7 @@ from heli_lab.fit.identify.thresholds import MIN_SEGMENT_S
 
 
 def split(record: Record, seconds: float) -> tuple[Record, Record]:
-    """Split the free flight of a `record` after so many `seconds`.
-
-    Returns
-    -------
-    Record
-        The beginning.
-    Record
-        The rest, without segments shorter than `MIN_SEGMENT_S` if it has longer ones.
-    """
+    """Split the free flight of a `record` after so many `seconds`."""
     rows_left = round(seconds / record.step_s)
     beginning, rest = [], []
     for start, stop in record.segments:

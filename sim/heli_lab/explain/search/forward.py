@@ -28,37 +28,17 @@ from heli_lab.fit.estimation.reference_trajectory import RETURN_s
 
 @dataclass
 class ForwardSelection:
-    """Adds causes to a model, one per round, until no candidate is accepted.
-
-    Parameters
-    ----------
-    removable : sequence of EffectSpec
-        Terms of the baseline that may be removed.
-    excluded_ids : collection of str
-        Ids of candidates that are not tried.
-    rounds : list of Round
-        The rounds so far.
-    """
+    """Adds causes to a model, one per round, until no candidate is accepted."""
 
     comparison: ModelComparison
     acceptance: Acceptance
     progress: Progress
-    removable: Sequence[EffectSpec]
-    excluded_ids: Collection[str] = ()
-    rounds: list[Round] = field(default_factory=list)
+    removable: Sequence[EffectSpec]  # Terms of the baseline that may be removed
+    excluded_ids: Collection[str] = ()  # Ids of candidates that are not tried
+    rounds: list[Round] = field(default_factory=list)  # The rounds so far
 
     def select(self, hypothesis: Hypothesis) -> tuple[Hypothesis, Screening, bool]:
-        """Add causes to a `hypothesis`.
-
-        Returns
-        -------
-        Hypothesis
-            The model with all accepted causes.
-        Screening
-            Scores of all candidates about that model.
-        bool
-            False if a limit, and not a lack of candidates, ended the selection.
-        """
+        """Add causes to a `hypothesis`."""
         while True:
             number = len(self.rounds)
             self.progress.round(number)
@@ -106,31 +86,18 @@ class ForwardSelection:
 
 @dataclass
 class RoundRefits:
-    """Refits of one round of the forward selection.
-
-    Parameters
-    ----------
-    number : int
-        Number of the round, from 0.
-    base : Hypothesis
-        The model before the round.
-    screened : sequence of ScoredCandidate
-        All effects with their scores, the best first.
-    refits : list of Refit
-        The refits so far.
-    tried_ids : set of str
-        Ids of the effects whose turn has come, whether or not the limit of refits left them out, and of
-        those that are excluded.
-    """
+    """Refits of one round of the forward selection."""
 
     comparison: ModelComparison
     acceptance: Acceptance
     progress: Progress
-    number: int
-    base: Hypothesis
-    screened: Sequence[ScoredCandidate]
-    refits: list[Refit] = field(default_factory=list)
+    number: int  # Number of the round, from 0
+    base: Hypothesis  # The model before the round
+    screened: Sequence[ScoredCandidate]  # All effects with their scores, the best first
+    refits: list[Refit] = field(default_factory=list)  # The refits so far
     tried_ids: set[str] = field(default_factory=set)
+    """Ids of the effects whose turn has come, whether or not the limit of refits left them out, and of those
+    that are excluded."""
 
     @property
     def best(self) -> Refit | None:
@@ -254,18 +221,7 @@ class RoundRefits:
 def refit_on_grid(
     comparison: ModelComparison, acceptance: Acceptance, base: Hypothesis, scored: ScoredCandidate
 ) -> Refit:
-    """Refit a model with one more candidate; search the grid of a parameter that has no prior.
-
-    Parameters
-    ----------
-    acceptance : Acceptance
-        Knows the penalty and the grids of the catalogue.
-    base : Hypothesis
-        The model before.
-    scored : ScoredCandidate
-        The candidate at the best point of its grid by score; the search goes up and down from there as long
-        as the likelihood grows.
-    """
+    """Refit a model with one more candidate; search the grid of a parameter that has no prior."""
     (nearest,), *directions = _grid_neighbours(scored, acceptance.kinds)
     best = comparison.refit([*base.candidates, nearest], nearest.start_values(scored.coefficients), base)
     for neighbours in directions:
@@ -286,15 +242,6 @@ def resting_friction(
 ) -> list[ScoredCandidate]:
     """Propose dry friction of typical size for axes that rest for long: a score test linearises, and friction
     that holds an axis has no derivative.
-
-    Parameters
-    ----------
-    base : Hypothesis
-        The present model.
-    screening : Screening
-        Scores about it; shows when each axis rests.
-    refitted_ids : collection of str
-        Effects that the round has refitted.
     """
     shares = _flagged_share(reference.at_rest[reference.rows] for reference in _references(screening))
     return _typical_proposals(
@@ -309,15 +256,6 @@ def paused_play(
     changes the variance of measurements within it. On four simulated flights with a play, scores were 29 to
     243 nats, and refits gained 625 to 1958 nats (2026-11). Next to other causes a score may be too low for a
     refit.
-
-    Parameters
-    ----------
-    base : Hypothesis
-        The present model.
-    screening : Screening
-        Scores about it; shows when the count of each axis pauses.
-    refitted_ids : collection of str
-        Effects that the round has refitted.
     """
     shares = _flagged_share(
         reference.pause_s[reference.rows] > RETURN_s for reference in _references(screening)

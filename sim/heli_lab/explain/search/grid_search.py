@@ -27,38 +27,15 @@ _MIN_REFINED_NATS: Final = 0.5 * MIN_MARGIN
 
 @dataclass(frozen=True)
 class GridSearch:
-    """Search for the point of an effect's grid that has the highest score.
+    """Search for the point of an effect's grid that has the highest score."""
 
-    Parameters
-    ----------
-    score : callable
-        Scores candidates, each by itself, in their order.
-    seconds : float
-        Length of the longest flight [s], which limits how well frequencies are distinguished.
-    """
-
-    score: Callable[[Sequence[Candidate]], list[Score]]
-    seconds: float
+    score: Callable[[Sequence[Candidate]], list[Score]]  # Scores candidates, each by itself, in their order
+    seconds: float  # Length of the longest flight [s], which limits how well frequencies are distinguished
 
     def best_point(
         self, kind: EffectSpec, candidates: Sequence[Candidate], scores: Sequence[Score]
     ) -> ScoredCandidate | None:
-        """Return the best point of an effect's grid, or a better one between its points.
-
-        Parameters
-        ----------
-        kind : EffectSpec
-            The effect.
-        candidates : sequence of Candidate
-            The points of its grid.
-        scores : sequence of Score
-            Their scores.
-
-        Returns
-        -------
-        ScoredCandidate or None
-            None if the priors forbid the signs of the coefficients at all points.
-        """
+        """Return the best point of an effect's grid, or a better one between its points."""
         allowed = [
             index
             for index, (candidate, score) in enumerate(zip(candidates, scores, strict=True))

@@ -13,18 +13,10 @@ from heli_lab.fit.estimation import Estimate
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A model with some candidates, estimated on the flights; compared by identity.
+    """A model with some candidates, estimated on the flights; compared by identity."""
 
-    Parameters
-    ----------
-    candidates : tuple of Candidate
-        The candidates in the order in which they were added.
-    estimate : Estimate
-        The estimate in innovations form.
-    """
-
-    candidates: tuple[Candidate, ...]
-    estimate: Estimate
+    candidates: tuple[Candidate, ...]  # The candidates in the order in which they were added
+    estimate: Estimate  # The estimate in innovations form
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -52,28 +44,17 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A refit of a model with one more candidate; compared by identity.
+    """A refit of a model with one more candidate; compared by identity."""
 
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        The model with the candidate.
-    gain : float
-        Log-likelihood ratio over the model without it, each with its own estimate of the disturbances, nats.
-    penalty : float
-        BIC penalty of its parameters and of the number of tests, nats.
-    score : float
-        Gain that the score test predicted, nats.
-    added_id : str
-        Id of the candidate that was added, if it may not be the last one: the same model may have been
-        estimated before, with its candidates in another order.
-    """
-
-    hypothesis: Hypothesis
+    hypothesis: Hypothesis  # The model with the candidate
     gain: float
-    penalty: float
-    score: float
+    """Log-likelihood ratio over the model without it, each with its own estimate of the disturbances, nats.
+    """
+    penalty: float  # BIC penalty of its parameters and of the number of tests, nats
+    score: float  # Gain that the score test predicted, nats
     added_id: str = ""
+    """Id of the candidate that was added, if it may not be the last one: the same model may have been
+    estimated before, with its candidates in another order."""
 
     @property
     def candidate(self) -> Candidate:
@@ -89,68 +70,35 @@ class Refit:
 
 @dataclass(frozen=True)
 class Round:
-    """One round of the forward selection.
+    """One round of the forward selection."""
 
-    Parameters
-    ----------
-    base : Hypothesis
-        The model before the round.
-    screened : tuple of ScoredCandidate
-        All effects with their scores, the best first.
-    splines : tuple of ScoredCandidate
-        All spline terms with their scores, the best first.
-    refits : tuple of Refit
-        Candidates that were refitted, the largest margin first.
-    accepted_id : str
-        Id of the candidate that was added to the model; empty if none was.
-    """
-
-    base: Hypothesis
-    screened: tuple[ScoredCandidate, ...]
-    splines: tuple[ScoredCandidate, ...]
-    refits: tuple[Refit, ...]
-    accepted_id: str
+    base: Hypothesis  # The model before the round
+    screened: tuple[ScoredCandidate, ...]  # All effects with their scores, the best first
+    splines: tuple[ScoredCandidate, ...]  # All spline terms with their scores, the best first
+    refits: tuple[Refit, ...]  # Candidates that were refitted, the largest margin first
+    accepted_id: str  # Id of the candidate that was added to the model; empty if none was
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another effect in the place of a cause.
+    """Another effect in the place of a cause."""
 
-    Parameters
-    ----------
-    id : str
-        Id of the effect.
-    log_likelihood_ratio : float
-        Log-likelihood ratio of the cause over the effect, penalties included, nats.
-    """
-
-    id: str
-    log_likelihood_ratio: float
+    id: str  # Id of the effect
+    log_likelihood_ratio: float  # Log-likelihood ratio of the cause over the effect, penalties included, nats
 
 
 @dataclass(frozen=True)
 class Cause:
-    """An effect, or a spline term in the place of an unlisted one, with its evidence.
+    """An effect, or a spline term in the place of an unlisted one, with its evidence."""
 
-    Parameters
-    ----------
-    candidate : Candidate
-        The effect or spline term.
-    train : float
-        Log-likelihood ratio of the final model over the model without the cause, on the fitted flights, nats.
-    held_out : float or None
-        The same ratio on the held-out flights, which had no part in its choice; None without such flights.
-    penalty : float
-        BIC penalty, nats.
-    alternatives : tuple of Alternative
-        Other effects that were refitted in its place, the closest first.
-    """
-
-    candidate: Candidate
+    candidate: Candidate  # The effect or spline term
     train: float
+    """Log-likelihood ratio of the final model over the model without the cause, on the fitted flights, nats.
+    """
     held_out: float | None
-    penalty: float
-    alternatives: tuple[Alternative, ...]
+    """The same ratio on the held-out flights, which had no part in its choice; None without such flights."""
+    penalty: float  # BIC penalty, nats
+    alternatives: tuple[Alternative, ...]  # Other effects that were refitted in its place, the closest first
 
     @property
     def effect(self) -> str:

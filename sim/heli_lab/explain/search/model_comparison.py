@@ -40,28 +40,6 @@ class ModelComparison:
     """Estimates models with different candidates on the same flights.
 
     `refit` estimates a model on the fitted flights; `held_out_estimate` evaluates it on the held-out flights.
-
-    Parameters
-    ----------
-    model : Model
-        The baseline model, to which candidates are added.
-    rig : Rig
-        Start values and priors of its parameters.
-    train : sequence of Record
-        Flights on which candidates are chosen and parameters are estimated.
-    held_out : sequence of Record
-        Flights for the evaluation.
-    seed : int
-        Seed of the bootstrap behind the intervals.
-    cache : EstimateCache, optional
-        Cached estimates.
-    side : str
-        Prefix of the keys in the cache, which distinguishes comparisons that share a cache.
-
-    Attributes
-    ----------
-    fits : int
-        Number of refits so far, from the cache or not; a repeated one does not count.
     """
 
     def __init__(
@@ -180,21 +158,9 @@ class ModelComparison:
     ) -> Hypothesis:
         """Estimate the model with some candidates.
 
-        Parameters
-        ----------
-        candidates : sequence of Candidate
-            All candidates of the model.
-        start : Mapping[str, float], optional
-            Start values by name; by default those of `warm_start`, of the rig and of the candidates.
-        warm_start : Hypothesis, optional
-            Hypothesis whose parameters and disturbances to start from. If `candidates` contain all of its
-            candidates, the result must be at least as likely; if it is not, the estimation is repeated from
-            values at which the new candidates have no influence.
-
-        Returns
-        -------
-        Hypothesis
-            The most likely estimate so far of a model with these candidates.
+        `warm_start`: Hypothesis whose parameters and disturbances to start from. If `candidates` contain all
+        of its candidates, the result must be at least as likely; if it is not, the estimation is repeated
+        from values at which the new candidates have no influence.
         """
         previous_count = len(self._cache.used_keys)
         result = self._estimate(candidates, start or {}, warm_start)
@@ -309,11 +275,6 @@ class ModelComparison:
 
         Only constants of each flight, such as encoder zeros, and disturbances are estimated. Parameters that
         all flights share stay at their values in the hypothesis.
-
-        Parameters
-        ----------
-        warm_start : Estimate, optional
-            Estimate of the held-out flights whose constants and disturbances are the start values.
         """
         fitted = hypothesis.estimate
         shared = fitted.parameter_vector.shared_by_name(fitted.theta)

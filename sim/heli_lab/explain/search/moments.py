@@ -22,15 +22,7 @@ of the filter 40 ms."""
 
 
 def with_held_out_moments(comparison: ModelComparison, hypothesis: Hypothesis) -> Hypothesis:
-    """Return a model in which events have their moments in the held-out flights too, if these show them.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights.
-    hypothesis : Hypothesis
-        The model. Its estimate on the fitted flights is unchanged.
-    """
+    """Return a model in which events have their moments in the held-out flights too, if these show them."""
     for index, candidate in enumerate(hypothesis.candidates):
         if not candidate.effect.flight:
             continue
@@ -41,17 +33,7 @@ def with_held_out_moments(comparison: ModelComparison, hypothesis: Hypothesis) -
 
 
 class _HeldOutMoment:
-    """Search for the moment of one event in one held-out flight.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights.
-    record : Record
-        The held-out flight.
-    index : int
-        Which candidate of the model is the event, from 0.
-    """
+    """Search for the moment of one event in one held-out flight."""
 
     def __init__(self, comparison: ModelComparison, record: Record, index: int) -> None:
         self.comparison, self.record, self.index = comparison, record, index

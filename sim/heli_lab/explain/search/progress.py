@@ -18,28 +18,18 @@ beforehand."""
 
 @dataclass
 class Progress:
-    """Reports what a search does, and says whether it may go on.
+    """Reports what a search does, and says whether it may go on."""
 
-    Parameters
-    ----------
-    comparison : ModelComparison
-        Counts the refits.
-    say : callable
-        Called with the present step in words, and with the share of the whole diagnosis that is done, 0 to 1.
-    max_refits : float
-        Refits after which no further cause is tried. They include one refit for each accepted cause, which
-        the elimination needs.
-    accepted : int
-        Causes that were accepted so far.
-    reached : float
-        Largest share that was reported so far; a second turn of the search does not report less.
-    """
-
-    comparison: ModelComparison
+    comparison: ModelComparison  # Counts the refits
     say: Callable[[str, float], None]
+    """Called with the present step in words, and with the share of the whole diagnosis that is done, 0 to 1.
+    """
     max_refits: float
-    accepted: int = 0
+    """Refits after which no further cause is tried. They include one refit for each accepted cause, which the
+    elimination needs."""
+    accepted: int = 0  # Causes that were accepted so far
     reached: float = 0.0
+    """Largest share that was reported so far; a second turn of the search does not report less."""
 
     def refits_left(self) -> bool:
         """Whether another candidate may be refitted."""

@@ -40,18 +40,10 @@ _MIN_RANGE: Final = 1e-6
 
 
 class CandidateSignals(NamedTuple):
-    """Changes of a flight by one unit of each coefficient of a candidate, or of several candidates.
+    """Changes of a flight by one unit of each coefficient of a candidate, or of several candidates."""
 
-    Parameters
-    ----------
-    rates : ndarray (n, states, g)
-        Change of the rate of each state; g counts the coefficients.
-    measured_rad : ndarray (n, 3, g) or None
-        Direct change of the measured angles; None if there is none.
-    """
-
-    rates: Floats
-    measured_rad: Floats | None
+    rates: Floats  # (n, states, g): Change of the rate of each state; g counts the coefficients
+    measured_rad: Floats | None  # (n, 3, g): Direct change of the measured angles; None if there is none
 
 
 class ChangeAlongTrajectory(NamedTuple):
@@ -77,17 +69,7 @@ class ChangeFunctions:
         self._extended_models: dict[str, ExtendedModel] = {}
 
     def extended(self, name: str, effect: Effect, linear_parameters: Sequence[str]) -> ExtendedModel:
-        """Return the model extended by an effect.
-
-        Parameters
-        ----------
-        name : str
-            Key under which it is cached.
-        effect : Effect
-            Its parameter values do not matter; `ExtendedModel.run` has its own.
-        linear_parameters : sequence of str
-            As in `ExtendedModel`.
-        """
+        """Return the model extended by an effect."""
         if name not in self._extended_models:
             self._extended_models[name] = ExtendedModel(self.model, effect, linear_parameters)
         return self._extended_models[name]
@@ -99,15 +81,7 @@ class ChangeFunctions:
 
 
 class Regressors:
-    """Computes the signals of candidates along one flight.
-
-    Parameters
-    ----------
-    linear : LinearisedFlight
-        The model linearised along the flight.
-    functions : ChangeFunctions
-        Functions of the same model, which the regressors of all flights share.
-    """
+    """Computes the signals of candidates along one flight."""
 
     def __init__(self, linear: LinearisedFlight, functions: ChangeFunctions) -> None:
         self.linear = linear
@@ -159,11 +133,6 @@ class Regressors:
         """Return the change of the flight by one unit on a channel, such as 1 N m about pitch.
 
         It is computed once per channel, because all spline terms of a channel share it.
-
-        Parameters
-        ----------
-        term : SplineTerm
-            Any term of the channel.
         """
         if term.channel not in self._channel_changes:
             extended_model = self._functions.extended(f"spline:{term.channel}", term, ())
@@ -219,24 +188,6 @@ class ExtendedModel:
 
     An effect that is linear in some parameters is described by derivatives: the change by one unit of each.
     Any other effect is described by a difference: the model with it less the model without it.
-
-    Parameters
-    ----------
-    model : Model
-        The model without the effect.
-    effect : Effect
-        Effect that is added; changes are evaluated at any values of its parameters.
-    linear_parameters : sequence of str
-        Parameters that enter linearly, by full name; empty for a difference.
-
-    Attributes
-    ----------
-    extended_model : Model
-        The model with the effect.
-    effect : Effect
-        The effect as the extended model has it.
-    effect_states : EffectStates or None
-        Integrator of the effect's states; None if it has no states.
     """
 
     def __init__(self, model: Model, effect: Effect, linear_parameters: Sequence[str]) -> None:
@@ -297,17 +248,7 @@ class ExtendedModel:
     def run(
         self, trajectory: Trajectory, values: Mapping[str, float], directions: Floats | None = None
     ) -> ChangeAlongTrajectory:
-        """Evaluate the changes by the effect along a trajectory.
-
-        Parameters
-        ----------
-        trajectory : Trajectory
-            States, voltages and parameters of the model without the effect.
-        values : Mapping[str, float]
-            Parameters of the effect by full name.
-        directions : ndarray (n, 3), optional
-            Direction in which each axis was last seen to turn, for effects that depend on it.
-        """
+        """Evaluate the changes by the effect along a trajectory. Shapes: `directions` (n, 3)."""
         parameters = np.empty(len(self.extended_model.parameters))
         parameters[self._model_parameters] = trajectory.parameters
         for name, place in self._effect_parameters.items():
@@ -335,15 +276,7 @@ def _rows(column: ca.SX, rows: Sequence[int]) -> ca.SX:
 
 
 def spline_candidates(linearised_flights: Sequence[LinearisedFlight], number: int = 0) -> list[Candidate]:
-    """Make the spline terms of all channels on all quantities.
-
-    Parameters
-    ----------
-    linearised_flights : sequence of LinearisedFlight
-        The flights, whose range of each quantity the knots cover.
-    number : int
-        Distinguishes spline terms of one model.
-    """
+    """Make the spline terms of all channels on all quantities."""
     model = linearised_flights[0].model.source
     quantities_by_flight = [quantity_values(model, linear.trajectory) for linear in linearised_flights]
     candidates = []

@@ -24,24 +24,14 @@ _NO_FLIGHT: Final = "\0"
 
 @dataclass(frozen=True)
 class Direction:
-    """Result of fitting causes on some flights and comparing them on other flights.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        Parameters are estimated on its fitted flights, and causes are compared on its held-out flights.
-    baseline : Hypothesis
-        The model without causes on the fitted flights.
-    whole : Hypothesis
-        The model with all causes on the fitted flights.
-    log_likelihood_ratio : Mapping[str, float]
-        Log-likelihood ratio of each cause on the held-out flights of the comparison, nats, by id.
-    """
+    """Result of fitting causes on some flights and comparing them on other flights."""
 
     comparison: ModelComparison
-    baseline: Hypothesis
-    whole: Hypothesis
+    """Parameters are estimated on its fitted flights, and causes are compared on its held-out flights."""
+    baseline: Hypothesis  # The model without causes on the fitted flights
+    whole: Hypothesis  # The model with all causes on the fitted flights
     log_likelihood_ratio: Mapping[str, float]
+    """Log-likelihood ratio of each cause on the held-out flights of the comparison, nats, by id."""
 
 
 def direction(
@@ -51,16 +41,6 @@ def direction(
 
     All of them are fitted on the fitted flights of a comparison, and compared on its held-out flights. No
     cause is searched for, and the fits start from existing estimates.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The flights.
-    final : Hypothesis
-        The model, perhaps estimated on other flights.
-    fitted_start, held_out_start : Estimate
-        Estimates of the fitted and of the held-out flights. The fits start from their constants of each
-        flight and from their disturbances.
     """
     candidates = with_fixed_moments(final)
     baseline = comparison.filtering_baseline

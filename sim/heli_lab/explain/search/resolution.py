@@ -20,20 +20,6 @@ def limited_std(
     Three limits apply. A time constant or delay is uncertain by a part of a sample, because voltages are held
     over a sample. A size is uncertain by a share of itself, because the model averages over its steps. An
     effect between an axis and its encoder is uncertain by a part of a count.
-
-    Parameters
-    ----------
-    kind : EffectSpec
-        The effect; it determines which parameters are sizes, and on what they act.
-    values, std : Mapping[str, float]
-        Estimates and standard errors of a fit, by full name.
-    record : Record
-        A flight of the fit.
-
-    Returns
-    -------
-    dict
-        Standard error by full name, of the effect's parameters that `std` has.
     """
     channel, _, axis = kind.acts_on.partition(".")
     std_by_name = {}
@@ -55,12 +41,5 @@ def time_std_s(std_s: float, step_s: float) -> float:
 
     Voltages are held over a step, so a time is uncertain by a part of it, and by what a controller answers
     within it.
-
-    Parameters
-    ----------
-    std_s : float
-        Standard error of the fit [s].
-    step_s : float
-        Sampling interval of the flights [s].
     """
     return math.hypot(thresholds.TIME_STD_FACTOR * std_s, 0.5 * step_s)

@@ -23,13 +23,6 @@ def better_rival(comparison: ModelComparison, best: Refit, accepted: Sequence[Re
     hidden in a measured flight, and 516 nats less on the held-out flight. Since a rest counts once, the
     fitted flights alone would have made the same choice in 16 simulated and measured flights; in one of
     them, it is wrong (2026-11).
-
-    Parameters
-    ----------
-    best : Refit
-        The refit of the largest margin in a round.
-    accepted : sequence of Refit
-        All refits of the round that are accepted.
     """
     family, _, axis = best.candidate.id.partition(".")
     if family not in PAUSE_FAMILIES or not comparison.held_out:

@@ -49,26 +49,6 @@ class Screening:
 
     A score test predicts the gain of the log-likelihood if a candidate were added to the model. The
     prediction is of first order. All free parameters count as refitted, and the disturbances as unchanged.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        The model, estimated on the flights.
-    prior : NormalDistribution, optional
-        Prior of the free parameters; by default that of the estimate.
-
-    Attributes
-    ----------
-    filtered : InnovationsModel
-        The model linearised along the flights.
-    regressors : tuple of Regressors
-        For each flight, the source of the candidates' signals.
-    seconds : float
-        Length of the longest flight [s].
-    batch : int
-        Number of regressors that are filtered together, one flight after the other.
-    measurements : int
-        Number of innovations of all flights.
     """
 
     def __init__(self, estimate: Estimate, prior: NormalDistribution | None = None) -> None:
@@ -145,35 +125,17 @@ class Screening:
     def information(
         self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int]
     ) -> list[ScoreStatistics]:
-        """Compute Fisher information and score of each candidate's coefficients over all flights.
-
-        Parameters
-        ----------
-        signals : iterable of (ndarray, ndarray or None)
-            For each flight, the `CandidateSignals` of all candidates, with the coefficients along the last
-            axis.
-        sizes : sequence of int
-            Number of regressors of each candidate.
+        """Compute Fisher information and score of each candidate's coefficients over all flights. Shapes:
+        `signals` (ndarray, ndarray or None).
         """
         return self.projected(self.filtered.regressors(self.estimate.disturbances, signals), sizes)
 
     def projected(self, regressors: Iterable[Floats], sizes: Sequence[int]) -> list[ScoreStatistics]:
-        """Compute Fisher information and score from derivatives of the innovations.
+        """Compute Fisher information and score from derivatives of the innovations. Shapes: `regressors` (m,
+        s).
 
         The free parameters are projected out (partitioned regression, Frisch-Waugh): with X the regressors
         of a candidate and Z those of the free parameters, the information is X'X - X'Z (Z'Z)^-1 Z'X.
-
-        Parameters
-        ----------
-        regressors : iterable of ndarray (m, s)
-            For each flight, derivatives of the innovations to the coefficients of all candidates.
-        sizes : sequence of int
-            Number of regressors of each candidate.
-
-        Returns
-        -------
-        list of ScoreStatistics
-            Those of each candidate.
         """
         candidate_columns = [
             slice(stop - size, stop) for size, stop in zip(sizes, np.cumsum(sizes), strict=True)

@@ -25,17 +25,11 @@ frequencies wide, raises this median itself. More: the slope of the spectrum mak
 
 def peak_frequencies_Hz(impulse_scores: Sequence[Floats], step_s: float) -> tuple[float, ...]:
     """Return the frequencies at which a periodic torque is most significant, the most significant first.
+    Shapes: `impulse_scores` (k,).
 
     The score of a periodic torque is the Fourier transform of the scores of an impulse at every instant.
     Disturbances and quantisation alone give this transform a smooth spectrum, which the median of
     neighbouring frequencies estimates. A peak counts by its ratio to that median.
-
-    Parameters
-    ----------
-    impulse_scores : sequence of ndarray (k,)
-        For each flight, derivative of the log-likelihood to an impulse of torque at every instant.
-    step_s : float
-        Time between two instants [s].
     """
     point_count = _PADDING * max(map(len, impulse_scores))
     windowed = [(score - score.mean()) * np.hanning(len(score)) for score in impulse_scores]

@@ -81,22 +81,11 @@ SPLINE_CHANNELS: Final = (
 
 @dataclass(frozen=True)
 class SplineTerm(Effect):
-    """Effect of a cubic B-spline: a smooth dependence of one channel on one quantity.
-
-    Parameters
-    ----------
-    name, parameters, values, states, priors, delay, stage
-        Inherited from `Effect`; set by `spline_term`.
-    noise_inputs, measured_as, direction_of, multimodal, linearisable
-        Inherited from `Effect`; empty.
-    channel : str
-        Channel, one of `SPLINE_CHANNELS`: ``torque`` in N m, ``thrust`` as a share, ``measurement`` in rad.
-    on : str
-        Quantity, a key of `QUANTITIES`.
-    """
+    """Effect of a cubic B-spline: a smooth dependence of one channel on one quantity."""
 
     channel: str = ""
-    on: str = ""
+    """Channel, one of `SPLINE_CHANNELS`: ``torque`` in N m, ``thrust`` as a share, ``measurement`` in rad."""
+    on: str = ""  # Quantity, a key of `QUANTITIES`
 
     @property
     def knots(self) -> tuple[float, float]:
@@ -147,20 +136,7 @@ def bspline(distance: ca.SX) -> ca.SX:
 
 
 def spline_term(channel: str, on: str, low: float, step: float, number: int = 0) -> SplineTerm:
-    """Make a spline term with all coefficients at 0.
-
-    Parameters
-    ----------
-    channel : str
-        Channel, one of `SPLINE_CHANNELS`.
-    on : str
-        Quantity, a key of `QUANTITIES`.
-    low, step : float
-        Start of the curve, at the centre of its second basis function, and distance of the knots, in the
-        quantity's unit.
-    number : int
-        Distinguishes spline terms of one model.
-    """
+    """Make a spline term with all coefficients at 0."""
     name = f"spline{number}"
     unit, std = _UNIT_AND_STD[channel.partition(".")[0]]
     _, quantity_unit = QUANTITIES[on]
@@ -180,33 +156,14 @@ def spline_term(channel: str, on: str, low: float, step: float, number: int = 0)
 
 
 def knot_span(values: Floats) -> tuple[float, float]:
-    """Place the knots of a curve over the range of a quantity's `values`, shape (n,).
-
-    Returns
-    -------
-    low, step : float
-        Second knot, and distance of the knots.
-    """
+    """Place the knots of a curve over the range of a quantity's `values`, shape (n,)."""
     low, high = np.quantile(values, [_TAIL_SHARE, 1.0 - _TAIL_SHARE])
     step = max(float(high - low), 1e-9) / (KNOTS - 3)
     return float(low), step
 
 
 def bspline_basis(values: Floats, low: float, step: float) -> Floats:
-    """Evaluate the B-spline basis of a curve.
-
-    Parameters
-    ----------
-    values : ndarray (n,)
-        Values of the quantity.
-    low, step : float
-        Second knot and distance of the knots, from `knot_span`.
-
-    Returns
-    -------
-    ndarray (n, KNOTS)
-        Values of the basis functions; each row sums to 1.
-    """
+    """Evaluate the B-spline basis of a curve. Shapes: `values` (n,); returns (n, KNOTS)."""
     position = np.clip(1.0 + (values - low) / step, 1.0, KNOTS - 2.0)
     distance = np.abs(position[:, None] - np.arange(KNOTS))
     basis: Floats = (np.maximum(2.0 - distance, 0.0) ** 3 - 4.0 * np.maximum(1.0 - distance, 0.0) ** 3) / 6.0

@@ -33,30 +33,15 @@ More: time."""
 
 @dataclass(frozen=True)
 class Search:
-    """Result of a search.
+    """Result of a search."""
 
-    Parameters
-    ----------
-    baseline : Hypothesis
-        The refitted model without causes.
-    final : Hypothesis
-        The model with all causes, spline terms included.
-    causes : tuple of Cause
-        Effects and spline terms of the final model with their evidence, the strongest first.
-    rounds : tuple of Round
-        Rounds of the forward selection.
-    screening : Screening
-        Scores of candidates about the final model.
-    complete : bool
-        False if the limit of refits ended the search.
-    """
-
-    baseline: Hypothesis
-    final: Hypothesis
+    baseline: Hypothesis  # The refitted model without causes
+    final: Hypothesis  # The model with all causes, spline terms included
     causes: tuple[Cause, ...]
-    rounds: tuple[Round, ...]
-    screening: Screening
-    complete: bool
+    """Effects and spline terms of the final model with their evidence, the strongest first."""
+    rounds: tuple[Round, ...]  # Rounds of the forward selection
+    screening: Screening  # Scores of candidates about the final model
+    complete: bool  # False if the limit of refits ended the search
 
 
 def search(
@@ -67,22 +52,7 @@ def search(
     say: Callable[[str, float], None] | None = None,
     refits: float = math.inf,
 ) -> Search:
-    """Search for the causes of what a model lacks.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        The model and the flights.
-    kinds : Mapping[str, EffectSpec]
-        Effects that may be added, by id.
-    removable : sequence of EffectSpec
-        Kinds that remove a term of the baseline whose parameters the rig file specifies tightly.
-    say : callable, optional
-        Called with the present step in words, and with the share of the diagnosis that is done, 0 to 1.
-    refits : float
-        Refits after which no further cause is tried. The elimination needs one more for each cause. If the
-        limit ends the search, the causes so far are the result.
-    """
+    """Search for the causes of what a model lacks."""
     progress = Progress(comparison, say or (lambda _step, _share: None), refits)
     acceptance = Acceptance(comparison, kinds)
     progress.baseline()

@@ -19,20 +19,7 @@ NO_BLOCKS: Final = np.zeros((0, 0), np.int64)
 
 
 def per_flight_columns(columns: Sequence[Integers], size: int) -> Integers:
-    """Find the unknowns that only one flight depends on.
-
-    Parameters
-    ----------
-    columns : sequence of ndarray
-        For each flight, indices of the unknowns that it depends on.
-    size : int
-        Number of unknowns.
-
-    Returns
-    -------
-    ndarray (flights, k)
-        Indices of the k unknowns of each flight; k is 0 for a single flight.
-    """
+    """Find the unknowns that only one flight depends on. Returns shape (flights, k)."""
     flight_count = np.zeros(size, int)
     for unknowns in columns:
         flight_count[unknowns] += 1
@@ -42,21 +29,8 @@ def per_flight_columns(columns: Sequence[Integers], size: int) -> Integers:
 
 
 def solve_arrowhead(matrix: Floats, right: Floats, per_flight: Integers) -> Floats:
-    """Solve a positive definite arrowhead system.
-
-    Parameters
-    ----------
-    matrix : ndarray (f, f)
-        Matrix of the system; 0 between unknowns of different flights.
-    right : ndarray (f,) or (f, r)
-        Right-hand side, or several.
-    per_flight : ndarray (flights, k)
-        Unknowns of single flights, from `per_flight_columns`.
-
-    Returns
-    -------
-    ndarray (f,) or (f, r)
-        Solution, in the shape of the right-hand side.
+    """Solve a positive definite arrowhead system. Shapes: `matrix` (f, f), `right` (f,), `per_flight`
+    (flights, k); returns (f,).
     """
     columns = right[:, None] if right.ndim == 1 else right
     shared, gain, complement, blocks = _eliminate_per_flight(matrix, per_flight)
@@ -70,14 +44,8 @@ def solve_arrowhead(matrix: Floats, right: Floats, per_flight: Integers) -> Floa
 
 
 def invert_arrowhead(matrix: Floats, per_flight: Integers) -> Floats:
-    """Invert a positive definite arrowhead matrix; return the full inverse, shape (f, f).
-
-    Parameters
-    ----------
-    matrix : ndarray (f, f)
-        0 between unknowns of different flights.
-    per_flight : ndarray (flights, k)
-        Unknowns of single flights, from `per_flight_columns`.
+    """Invert a positive definite arrowhead matrix; return the full inverse, shape (f, f). Shapes: `matrix`
+    (f, f), `per_flight` (flights, k).
     """
     shared, gain, complement, blocks = _eliminate_per_flight(matrix, per_flight)
     inverse = np.empty(matrix.shape)
@@ -95,18 +63,8 @@ def invert_arrowhead(matrix: Floats, per_flight: Integers) -> Floats:
 
 
 def _eliminate_per_flight(matrix: Floats, per_flight: Integers) -> tuple[Integers, Floats, Floats, Floats]:
-    """Eliminate the unknowns of single flights.
-
-    Returns
-    -------
-    shared : ndarray of int64 (s,)
-        Indices of the shared unknowns.
-    gain : ndarray (flights, k, s)
-        Minus the change of each flight's unknowns per unit of the shared ones.
-    complement : ndarray (s, s)
-        Schur complement: the system of the shared unknowns alone.
-    blocks : ndarray (flights, k, k)
-        Systems of the unknowns of each flight.
+    """Eliminate the unknowns of single flights. Returns shape `shared` (s,), `gain` (flights, k, s),
+    `complement` (s, s), `blocks` (flights, k, k).
     """
     shared = np.setdiff1d(np.arange(len(matrix)), per_flight.ravel())
     blocks = matrix[per_flight[:, :, None], per_flight[:, None, :]]

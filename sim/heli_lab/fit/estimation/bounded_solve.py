@@ -17,27 +17,12 @@ rounding."""
 def bounded_solve(
     matrix: Floats, right: Floats, low: Floats, high: Floats, per_flight: Integers = NO_BLOCKS
 ) -> Floats:
-    """Minimise xᵀ matrix x / 2 - rightᵀ x within bounds, for a positive definite matrix.
+    """Minimise xᵀ matrix x / 2 - rightᵀ x within bounds, for a positive definite matrix. Shapes: `matrix`
+    (f, f), `right` (f,), `low, high` (f,), `per_flight` (flights, k); returns (f,).
 
     First, all unknowns that would leave their bounds are fixed on them, until none would leave. Then unknowns
     whose gradient points inside are released one by one (BVLS: Stark and Parker, Comput. Stat. 10 (1995)
     129).
-
-    Parameters
-    ----------
-    matrix : ndarray (f, f)
-        Matrix of the system.
-    right : ndarray (f,)
-        Right-hand side of the system.
-    low, high : ndarray (f,)
-        Bounds of the solution.
-    per_flight : ndarray (flights, k), optional
-        Unknowns that belong to a single flight, as `arrowhead.per_flight_columns` returns them.
-
-    Returns
-    -------
-    ndarray (f,)
-        The x of the minimum.
     """
 
     def minimum(x: Floats, free: Booleans) -> Floats:

@@ -37,18 +37,11 @@ differ by tenths of a nat."""
 
 @dataclass(frozen=True)
 class _IndependentDisturbances:
-    """Disturbances that affect innovations of different outputs, so that they are differentiated together.
-
-    Parameters
-    ----------
-    parameters : ndarray (k, n)
-        Indices of the n parameters of each disturbance in the vector of all logarithms.
-    affected : ndarray of bool (k, m)
-        Outputs whose innovations each disturbance affects.
-    """
+    """Disturbances that affect innovations of different outputs, so that they are differentiated together."""
 
     parameters: Integers
-    affected: Booleans
+    """(k, n): Indices of the n parameters of each disturbance in the vector of all logarithms."""
+    affected: Booleans  # (k, m): Outputs whose innovations each disturbance affects
 
     def likelihoods(self, values: Floats) -> Floats:
         """Add up the log-likelihoods of the outputs that each disturbance affects, shape (k,), from those of
@@ -64,11 +57,6 @@ class _Likelihood:
     Derivatives are numerical. The disturbance of one output hardly affects the innovations of another one, so
     that the disturbances of all outputs are differentiated together: their four parameters cost four
     evaluations. A disturbance of a gain affects all innovations, and its two parameters cost two evaluations.
-
-    Parameters
-    ----------
-    value, start, std_range
-        As in `maximise`.
     """
 
     def __init__(
@@ -100,19 +88,8 @@ class _Likelihood:
         return np.clip(point, self.low, self.high)
 
     def gradient(self, point: Floats, values: Floats) -> Floats:
-        """Differentiate the log-likelihood by the logarithms.
-
-        Parameters
-        ----------
-        point : ndarray (f,)
-            Logarithms at which the derivatives are computed.
-        values : ndarray (m,)
-            Log-likelihood of each output's innovations at this point.
-
-        Returns
-        -------
-        ndarray (f,)
-            Derivatives; 0 if the point is at a bound and the derivative points outside.
+        """Differentiate the log-likelihood by the logarithms. Shapes: `point` (f,), `values` (m,); returns
+        (f,).
         """
         # Near the upper bound, a difference goes downwards.
         steps = np.where(point > self.high - _DIFFERENCE, -_DIFFERENCE, _DIFFERENCE)
@@ -130,15 +107,8 @@ class _Likelihood:
         return gradient
 
     def curvature(self, point: Floats) -> tuple[Floats, Floats]:
-        """Compute the log-likelihood at a point, and its negative second derivatives near it.
-
-        Returns
-        -------
-        values : ndarray (m,)
-            Log-likelihood of each output's innovations at the point.
-        curvature : ndarray (f, f)
-            Negative second derivatives to the logarithms, taken inside the bounds; 0 between different
-            disturbances.
+        """Compute the log-likelihood at a point, and its negative second derivatives near it. Returns shape
+        `values` (m,), `curvature` (f, f).
         """
         h = 3 * _DIFFERENCE
         inside = np.clip(point, self.low + h, self.high - h)
@@ -168,14 +138,8 @@ class _Likelihood:
         return values, curvature
 
     def newton_move(self, gradient: Floats, curvature: Floats) -> Floats:
-        """Compute a Newton step of the logarithms, shape (f,), separately for each disturbance.
-
-        Parameters
-        ----------
-        gradient : ndarray (f,)
-            Derivatives of the log-likelihood; a logarithm whose derivative is 0 stays.
-        curvature : ndarray (f, f)
-            Negative second derivatives.
+        """Compute a Newton step of the logarithms, shape (f,), separately for each disturbance. Shapes:
+        `gradient` (f,), `curvature` (f, f).
         """
         move = np.zeros(len(gradient))
         for group in self.groups:
@@ -193,21 +157,8 @@ def maximise(
     tolerance_nats: float = _CONVERGED_NATS,
     start_values: Floats | None = None,
 ) -> DisturbanceModel:
-    """Maximise a likelihood over the disturbances by Newton's method with backtracking.
-
-    Parameters
-    ----------
-    value : callable
-        Takes several disturbance models, and returns the log-likelihood of each output's innovations under
-        each of them [nats], shape (w, m). Four models cost little more than one.
-    start : DisturbanceModel
-        Start of the search, with the curvature there if it is known.
-    std_range : (float, float)
-        Bounds of the standard deviations, in the unit of the disturbed parameters.
-    tolerance_nats : float
-        The search ends when a step is predicted to gain less than this, or gains less.
-    start_values : ndarray (m,), optional
-        The log-likelihoods at `start`, if they are known.
+    """Maximise a likelihood over the disturbances by Newton's method with backtracking. Shapes: `std_range`
+    (float, float), `start_values` (m,).
     """
     likelihood = _Likelihood(value, start, std_range)
     point, curvature = likelihood.inside(start.logarithms), start.curvature

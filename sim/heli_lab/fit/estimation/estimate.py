@@ -154,40 +154,21 @@ def _linearised(
 
 @dataclass
 class _Iterate:
-    """One point of the search.
+    """One point of the search."""
 
-    Parameters
-    ----------
-    theta : ndarray (f,)
-        Free parameters.
-    disturbances : DisturbanceModel
-        Disturbances and quantisation.
-    filtered : InnovationsModel or None
-        The model linearised at `theta`. None after its memory is released: ten minutes of flight take 100 MB.
-    step : PosteriorStep
-        Gauss-Newton step from this point.
-    log_posterior : float
-        Logarithm of the posterior density [nats], without its constant.
-    log_likelihoods : ndarray (m,)
-        Log-likelihood of each output's innovations [nats].
-    """
-
-    theta: Floats
-    disturbances: DisturbanceModel
+    theta: Floats  # (f,): Free parameters
+    disturbances: DisturbanceModel  # Disturbances and quantisation
     filtered: InnovationsModel | None
-    step: PosteriorStep
-    log_posterior: float
-    log_likelihoods: Floats
+    """The model linearised at `theta`. None after its memory is released: ten minutes of flight take 100 MB.
+    """
+    step: PosteriorStep  # Gauss-Newton step from this point
+    log_posterior: float  # Logarithm of the posterior density [nats], without its constant
+    log_likelihoods: Floats  # (m,): Log-likelihood of each output's innovations [nats]
 
 
 class _GaussNewton:
     """Search for the largest posterior density: Gauss-Newton steps of the parameters alternate with Newton
     steps of the disturbances, and no step reduces the density.
-
-    Parameters
-    ----------
-    parameter_vector, references, functions
-        As in `estimate`.
     """
 
     def __init__(
@@ -207,16 +188,8 @@ class _GaussNewton:
     def iterate_at(
         self, theta: Floats, disturbances: DisturbanceModel, filtered: InnovationsModel
     ) -> _Iterate:
-        """Compute the log-posterior and the Gauss-Newton step at one point of the search.
-
-        Parameters
-        ----------
-        theta : ndarray (f,)
-            Free parameters.
-        disturbances : DisturbanceModel
-            Disturbances and quantisation.
-        filtered : InnovationsModel
-            The model linearised at `theta`.
+        """Compute the log-posterior and the Gauss-Newton step at one point of the search. Shapes: `theta`
+        (f,).
         """
         innovations = filtered.innovations(disturbances)
         information, score = innovations.information(), innovations.score()
@@ -248,11 +221,6 @@ class _GaussNewton:
         """Take a step of the parameters with backtracking.
 
         The linearised model of `iterate` is released first, because two need too much memory.
-
-        Returns
-        -------
-        _Iterate or None
-            None if no length of the step improves the posterior enough.
         """
         iterate.filtered = None
         share = 1.0

@@ -76,18 +76,8 @@ class ActingInputs:
 def mean_inputs(
     recording: Recording, every: int, count: int, parameters: Floats, free: Collection[str]
 ) -> ActingInputs:
-    """Average the recorded inputs over each step, for a model whose inputs act without delay.
-
-    Parameters
-    ----------
-    recording : Recording
-        Recorded inputs; only the first `every * count` rows are used.
-    every, count : int
-        Rows per step, and number of steps.
-    parameters : ndarray (p,)
-        All parameters of the model.
-    free : collection of str
-        Parameters by which derivatives are taken.
+    """Average the recorded inputs over each step, for a model whose inputs act without delay. Shapes:
+    `parameters` (p,).
     """
     rows = recording.inputs[: every * count]
     return ActingInputs(rows.reshape(count, every, rows.shape[1]).mean(axis=1))

@@ -37,26 +37,17 @@ class FilterSystem(NamedTuple):
     Its fields are the leading arguments of the functions of `_kalman`; the signals follow. There are m + g
     inputs, the disturbed parameters. Each has a fast and a slow Gauss-Markov state: first come all fast ones,
     then all slow ones.
-
-    Parameters
-    ----------
-    transition, part_input, measurement : ndarray
-        As in `Blocks`.
-    measurement_variance : ndarray (b, m)
-        Variance of each measurement.
-    autocorrelation, disturbance_variance : ndarray (2 (m + g),)
-        Autocorrelation over a step and stationary variance of each disturbance.
-    initial_variance : ndarray (states,)
-        Variance of each state at the beginning of the window.
     """
 
-    transition: Floats
+    transition: Floats  # transition, part_input, measurement: As in `Blocks`
     part_input: Floats
     measurement: Floats
-    measurement_variance: Floats
+    measurement_variance: Floats  # (b, m): Variance of each measurement
     autocorrelation: Floats
+    """autocorrelation, disturbance_variance: (m + g): Autocorrelation over a step and stationary variance of
+    each disturbance."""
     disturbance_variance: Floats
-    initial_variance: Floats
+    initial_variance: Floats  # (states,): Variance of each state at the beginning of the window
 
 
 class InnovationsModel:
@@ -168,21 +159,8 @@ class InnovationsModel:
         drive: Floats,
         measured: Floats | None = None,
     ) -> tuple[Floats, Floats]:
-        """Filter s signals in one window of a flight.
-
-        Parameters
-        ----------
-        drive : ndarray (b, states, s)
-            First array of `ModelErrors`.
-        measured : ndarray (b, m, s), optional
-            Second array of `ModelErrors`; by default 0.
-
-        Returns
-        -------
-        innovations : ndarray (m b, s)
-            Innovations in standard deviations, one row per output and block.
-        log_variances : ndarray (m,)
-            Sum over the blocks of the logarithm of each innovation's variance.
+        """Filter s signals in one window of a flight. Shapes: `drive` (b, states, s), `measured` (b, m, s);
+        returns `innovations` (m b, s), `log_variances` (m,).
         """
         if measured is None:
             measured = np.zeros((len(drive), self._outputs, drive.shape[2]))
@@ -273,18 +251,13 @@ class InnovationsModel:
 def _repetition_correction_nats(
     linearised: LinearisedFlight, blocks: Blocks, models: Sequence[DisturbanceModel]
 ) -> Floats:
-    """Correct a window's log-likelihood for measurements that repeat one error.
+    """Correct a window's log-likelihood for measurements that repeat one error. Returns shape (models, m).
 
     While an axis crosses its play, or is at rest, N measurements have the same error, of variance v. The
     filter treats them as N measurements with independent errors of variance N v, which give the same
     information. But their density must be that of one measurement: the other N - 1 get the density of
     independent, uniform rounding errors. Otherwise, a smaller variance would become more likely the longer a
     count stays the same, whatever the measurements are.
-
-    Returns
-    -------
-    ndarray (models, m)
-        Number to add to the log-likelihood of each output under each disturbance model [nats].
     """
     at_rest = linearised.at_rest[blocks.rows]
     if not (linearised.model.known_directions or at_rest.any()):

@@ -42,24 +42,12 @@ IterateT = TypeVar("IterateT", bound=HasCost)
 
 @dataclass(frozen=True)
 class DampedStep(Generic[IterateT]):
-    """Levenberg-Marquardt step, and the evaluation of the model after it.
+    """Levenberg-Marquardt step, and the evaluation of the model after it."""
 
-    Parameters
-    ----------
-    move : ndarray (f,)
-        Step of the free parameters.
-    std : ndarray (f,)
-        Standard errors of the free parameters.
-    promised : float
-        Predicted reduction of the cost by the step, as if the cost were quadratic.
-    evaluate : callable
-        Evaluates the model after the step, and returns the iterate there.
-    """
-
-    move: Floats
-    std: Floats
-    promised: float
-    evaluate: Callable[[], IterateT]
+    move: Floats  # (f,): Step of the free parameters
+    std: Floats  # (f,): Standard errors of the free parameters
+    promised: float  # Predicted reduction of the cost by the step, as if the cost were quadratic
+    evaluate: Callable[[], IterateT]  # Evaluates the model after the step, and returns the iterate there
 
 
 class LeastSquares(Protocol[IterateT]):
@@ -77,22 +65,13 @@ class LeastSquares(Protocol[IterateT]):
 
 @dataclass(frozen=True)
 class Minimum(Generic[IterateT]):
-    """Result of a search.
+    """Result of a search."""
 
-    Parameters
-    ----------
-    iterate : HasCost
-        The iterate of the lowest cost.
-    converged : bool
-        Whether a further step would be small, or gain little. False if the steps or the budget ran out first,
-        or if the model diverges after every step.
-    damping : float
-        Damping that a further step would have.
-    """
-
-    iterate: IterateT
+    iterate: IterateT  # The iterate of the lowest cost
     converged: bool
-    damping: float
+    """Whether a further step would be small, or gain little. False if the steps or the budget ran out first,
+    or if the model diverges after every step."""
+    damping: float  # Damping that a further step would have
 
 
 class _Damping:
@@ -125,23 +104,7 @@ def minimise(
     idle_share: float = 1.0,
     on_step: Callable[[int, float], None] = lambda number, cost: None,
 ) -> Minimum[IterateT]:
-    """Minimise the cost by Levenberg-Marquardt steps, until the steps are small or gain little.
-
-    Parameters
-    ----------
-    problem : LeastSquares
-        Solves for the steps and evaluates them.
-    start : HasCost
-        The first iterate.
-    damping : float
-        Damping of the first step; 0 for a Gauss-Newton step.
-    max_steps : int
-        Largest number of steps.
-    idle_share : float
-        Factor on the gain below which two steps in a row end the search.
-    on_step : callable
-        Called before each step with its number and the cost.
-    """
+    """Minimise the cost by Levenberg-Marquardt steps, until the steps are small or gain little."""
     iterate, control = start, _Damping(damping)
     states_are_refined, idle_steps = False, 0
     for number in range(max_steps):

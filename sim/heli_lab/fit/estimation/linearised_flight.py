@@ -76,56 +76,31 @@ class Derivatives:
 
 @dataclass(frozen=True)
 class Blocks:
-    """A window as the input of the filter: b blocks of steps, with one measurement per block.
+    """A window as the input of the filter: b blocks of steps, with one measurement per block."""
 
-    Parameters
-    ----------
-    rows : ndarray (b,)
-        First step of each block.
-    transition : ndarray (b, states, states)
-        Transition matrix of the deviation over a block.
-    part_input : ndarray (steps of a block, b, states, m + g)
-        Change of the deviation at the end of a block by a disturbance of 1 during one of its steps.
-    measurement : ndarray (b, m, states)
-        Derivatives of the outputs by the state.
-    variance : ndarray (b, m)
-        Variance of each measurement, as in `Derivatives`.
-    drive : ndarray (b, states, 1 + f)
-        Change of the deviation over a block. Column 0: the change by the model's error. Further columns: the
-        reduction of this change per unit of each free parameter.
-    measured : ndarray (b, m, 1 + f)
-        Errors of the measured outputs, in the same columns as `drive`.
-    """
-
-    rows: Integers
-    transition: Floats
+    rows: Integers  # (b,): First step of each block
+    transition: Floats  # (b, states, states): Transition matrix of the deviation over a block
     part_input: Floats
-    measurement: Floats
-    variance: Floats
+    """(steps of a block, b, states, m + g): Change of the deviation at the end of a block by a disturbance of
+    1 during one of its steps."""
+    measurement: Floats  # (b, m, states): Derivatives of the outputs by the state
+    variance: Floats  # (b, m): Variance of each measurement, as in `Derivatives`
     drive: Floats
-    measured: Floats
+    """(b, states, 1 + f): Change of the deviation over a block. Column 0: the change by the model's error.
+    Further columns: the reduction of this change per unit of each free parameter."""
+    measured: Floats  # (b, m, 1 + f): Errors of the measured outputs, in the same columns as `drive`
 
 
 @dataclass(frozen=True)
 class Steps:
-    """A model linearised in each step of a flight, with its errors.
+    """A model linearised in each step of a flight, with its errors."""
 
-    Parameters
-    ----------
-    Phi, Gamma, by_disturbance, C : ndarray
-        As in `Derivatives`.
-    drive : ndarray (n, states, 1)
-        Change of the deviation in each step by the model's error.
-    output_error : ndarray (n, m, 1)
-        Measured outputs minus the model's at the trajectory.
-    """
-
-    Phi: Floats
+    Phi: Floats  # Phi, Gamma, by_disturbance, C: As in `Derivatives`
     Gamma: Floats
     by_disturbance: Floats
     C: Floats
-    drive: Floats
-    output_error: Floats
+    drive: Floats  # (n, states, 1): Change of the deviation in each step by the model's error
+    output_error: Floats  # (n, m, 1): Measured outputs minus the model's at the trajectory
 
 
 class LinearisedFlight:

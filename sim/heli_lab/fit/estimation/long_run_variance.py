@@ -9,24 +9,11 @@ from heli_host.arrays import Floats
 
 
 def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Floats:
-    """Estimate the autocovariance of residuals about zero, from pairs of rows in the same window.
+    """Estimate the autocovariance of residuals about zero, from pairs of rows in the same window. Shapes:
+    `residual` (m, a); returns (lags + 1, a).
 
     At each lag, the sum of products is divided by the number of all rows, not of all pairs. This keeps the
     spectrum positive.
-
-    Parameters
-    ----------
-    residual : ndarray (m, a)
-        Residuals, one column per axis.
-    windows : sequence of slice
-        Rows of each window.
-    lags : int
-        Largest lag, in rows.
-
-    Returns
-    -------
-    ndarray (lags + 1, a)
-        Autocovariance by lag and axis.
     """
     sums = np.zeros((lags + 1, residual.shape[1]))
     for window in windows:
@@ -43,17 +30,7 @@ def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Flo
 
 def newey_west_variance(covariance: Floats) -> Floats:
     """Estimate the long-run variance of a series with Bartlett's weights (Newey and West, Econometrica 55,
-    1987, eq. 5).
-
-    Parameters
-    ----------
-    covariance : ndarray (lags + 1, a)
-        Autocovariance of each column, as `autocovariance` returns it.
-
-    Returns
-    -------
-    ndarray (a,)
-        Variance of each column, in the unit of the autocovariance; negative by rounding at most.
+    1987, eq. 5). Shapes: `covariance` (lags + 1, a); returns (a,).
     """
     taper = 1.0 - np.arange(len(covariance)) / len(covariance)
     return np.asarray(2.0 * (taper[:, None] * covariance).sum(axis=0) - covariance[0])

@@ -14,21 +14,12 @@ from heli_lab.fit.estimation.parameter_vector import ParameterVector
 
 @dataclass(frozen=True)
 class PosteriorStep:
-    """A step of the free parameters.
+    """A step of the free parameters."""
 
-    Parameters
-    ----------
-    move : ndarray (f,)
-        The step; within the bounds.
-    covariance : ndarray (f, f)
-        Inverse of the damped information, priors included.
-    promised_nats : float
-        Increase of the log-posterior by the step, less the damping term, if the log-posterior is quadratic.
-    """
-
-    move: Floats
-    covariance: Floats
+    move: Floats  # (f,): The step; within the bounds
+    covariance: Floats  # (f, f): Inverse of the damped information, priors included
     promised_nats: float
+    """Increase of the log-posterior by the step, less the damping term, if the log-posterior is quadratic."""
 
     @property
     def std(self) -> Floats:
@@ -46,25 +37,8 @@ def posterior_step(
     is_fixed: Booleans | None = None,
     per_flight: Integers = NO_BLOCKS,
 ) -> PosteriorStep:
-    """Solve for the step to the maximum of the linearised posterior, within the bounds.
-
-    Parameters
-    ----------
-    parameter_vector : ParameterVector
-        Priors and bounds.
-    theta : ndarray (f,)
-        Parameters at which the model is linearised.
-    information : ndarray (f, f)
-        Fisher information, without the priors.
-    score : ndarray (f,)
-        Derivatives of the log-likelihood by the parameters.
-    damping : float
-        Levenberg-Marquardt damping, in units of the priors' precision: poorly determined combinations of
-        parameters then move as far as their priors allow, and no further.
-    is_fixed : ndarray of bool (f,), optional
-        Parameters that keep their values.
-    per_flight : ndarray (flights, k)
-        Parameters of one flight alone, as `arrowhead.per_flight_columns` returns them.
+    """Solve for the step to the maximum of the linearised posterior, within the bounds. Shapes: `theta`
+    (f,), `information` (f, f), `score` (f,), `is_fixed` (f,), `per_flight` (flights, k).
     """
     precision = 1.0 / parameter_vector.std**2
     matrix = information + np.diag((1.0 + damping) * precision)

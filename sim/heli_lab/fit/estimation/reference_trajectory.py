@@ -181,14 +181,8 @@ def kinematic_filter(record: Recording, kinematics: KinematicModel) -> Reference
 
 
 def _centred_means(record: Recording, rows: Integers, half: int) -> tuple[Floats, Floats]:
-    """Average the outputs around each of some rows, over at most `half` rows on either side.
-
-    Returns
-    -------
-    mean : ndarray (n, m)
-        Means over equally many rows before and after; fewer at the ends of the record.
-    count : ndarray (n, 1)
-        Number of rows in each mean.
+    """Average the outputs around each of some rows, over at most `half` rows on either side. Returns shape
+    `mean` (n, m), `count` (n, 1).
     """
     sums = np.vstack((np.zeros(record.outputs.shape[1]), np.cumsum(record.outputs, axis=0)))
     low, high = np.maximum(rows - half, 0), np.minimum(rows + half + 1, len(record.t_s))
@@ -205,6 +199,7 @@ def _count_changes(record: Recording) -> Booleans:
 
 def _directions_in_play(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Floats]:
     """Estimate the position of each output within its play, from the directions in which its count moved.
+    Shapes: `nodes` (n,); returns `directions` (n, m), `variance` (n, m), `pause_s` (n, m).
 
     The position is 1 or -1, the direction of the last move, while the count changes. If an axis reverses, its
     position changes with the square of the time since the count stopped. If the count rests for long and then
@@ -213,20 +208,6 @@ def _directions_in_play(record: Recording, nodes: Integers) -> tuple[Floats, Flo
     Within the play, the count does not depend on the position of the axis, so that the play is one wide cell
     of a quantiser (Widrow and Kollar, Quantization Noise, 2008). The position has a beta distribution between
     both sides, uniform if its mean is in the middle; its variance is (1 - mean^2) / 3.
-
-    Parameters
-    ----------
-    nodes : ndarray of int64 (n,)
-        Rows of the flight at which the position is estimated.
-
-    Returns
-    -------
-    directions : ndarray (n, m)
-        Position within the play, -1 to 1.
-    variance : ndarray (n, m)
-        Variance of the error of this position.
-    pause_s : ndarray (n, m)
-        Time for which the count stays the same [s].
     """
     changed = _count_changes(record)
     directions = np.zeros((len(nodes), changed.shape[1]))
@@ -279,18 +260,7 @@ def _filter_kinematics(
     measured: Floats, variance: Floats, step_s: float, kinematics: KinematicModel
 ) -> tuple[Floats, Floats]:
     """Estimate positions and rates by a Kalman filter, for positions that random accelerations drive.
-
-    Parameters
-    ----------
-    measured, variance : ndarray (n, m)
-        Measured outputs with the variance of their errors.
-    step_s : float
-        Time from one measurement to the next [s].
-
-    Returns
-    -------
-    predicted, filtered : ndarray (n, 2 m)
-        Positions and rates before and after each measurement.
+    Shapes: `measured, variance` (n, m); returns `predicted, filtered` (n, 2 m).
     """
     step_count, output_count = measured.shape
     identity, zero = np.eye(output_count), np.zeros((output_count, output_count))

@@ -61,21 +61,6 @@ class _ExpressionList:
 
     The value of operation k depends on the values of earlier operations only, so that one pass over the list
     evaluates the function.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Function of dense inputs and outputs.
-
-    Attributes
-    ----------
-    outputs : list of list of int
-        Operations that give the elements of each output, row by row.
-
-    Raises
-    ------
-    IdentifyError
-        When the function has an operation that `_expression_vm` lacks.
     """
 
     def __init__(self, function: ca.Function) -> None:

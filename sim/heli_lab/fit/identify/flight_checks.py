@@ -26,17 +26,10 @@ half a degree: far more than any other error. Below 1, times in whole millisecon
 
 
 def encoder_counts(flight: Flight, rig: Rig) -> tuple[Floats, list[str]]:
-    """Return the angle of one count of each encoder of a flight.
+    """Return the angle of one count of each encoder of a flight. Returns shape `count_rad` (3,).
 
     A log of the board states this angle. In a table, it is the smallest step of the angles. If the angles are
     not in whole counts, the count of the rig file is used.
-
-    Returns
-    -------
-    count_rad : ndarray (3,)
-        Angle of one count [rad].
-    notes : list of str
-        A sentence for each encoder whose count is that of the rig.
     """
     counts, notes = count_rad(flight), []
     for index, axis in enumerate(AXES):
@@ -52,16 +45,6 @@ def even_step_s(flight: Flight, label: str) -> float:
     """Return the mean time from row to row [s], and check that the rows are evenly spaced.
 
     The mean is more exact than one difference, because times are often printed in whole milliseconds.
-
-    Parameters
-    ----------
-    label : str
-        Name of the flight in messages.
-
-    Raises
-    ------
-    IdentifyError
-        Times deviate from even steps.
     """
     steps_s = np.diff(flight.t_s)
     steps_s = np.delete(steps_s, flight.gaps)
@@ -79,22 +62,7 @@ def even_step_s(flight: Flight, label: str) -> float:
 
 
 def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> None:
-    """Refuse a flight in which no axis moves, or in which a voltage is constant.
-
-    Parameters
-    ----------
-    label : str
-        Name of the flight in messages.
-    count_rad : ndarray (3,)
-        Angle of one count of each encoder.
-
-    Raises
-    ------
-    NotExcited
-        No axis moves.
-    IdentifyError
-        A voltage is constant.
-    """
+    """Refuse a flight in which no axis moves, or in which a voltage is constant. Shapes: `count_rad` (3,)."""
     rows = len(flight)
     moved = np.ptp(flight.angles_rad, axis=0) / count_rad
     if np.all(moved < _MIN_MOTION_COUNTS):
@@ -116,18 +84,7 @@ def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> No
 
 
 def refuse_duty_cycles(flight: Flight, label: str, rig: Rig) -> None:
-    """Refuse voltages that never leave the dead zone of the motors: they are probably duty cycles.
-
-    Parameters
-    ----------
-    label : str
-        Name of the flight in messages.
-
-    Raises
-    ------
-    IdentifyError
-        Neither voltage leaves the dead zone.
-    """
+    """Refuse voltages that never leave the dead zone of the motors: they are probably duty cycles."""
     dead_zone = rig["dead_zone"]
     min_V = dead_zone.value - dead_zone.tolerance
     size_V = {name: np.abs(getattr(flight, name)) for name in ("front_V", "back_V")}
@@ -142,20 +99,7 @@ def refuse_duty_cycles(flight: Flight, label: str, rig: Rig) -> None:
 
 
 def refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], ...]) -> None:
-    """Refuse angles that jump within a segment, as an angle does that was not unwrapped.
-
-    Parameters
-    ----------
-    label : str
-        Name of the flight in messages.
-    segments : tuple of (int, int)
-        First row and last row plus one of each segment.
-
-    Raises
-    ------
-    IdentifyError
-        An angle jumps.
-    """
+    """Refuse angles that jump within a segment, as an angle does that was not unwrapped."""
     for index, axis in enumerate(AXES):
         for start, stop in segments:
             moves = np.abs(np.diff(flight.angles_rad[start:stop, index]))

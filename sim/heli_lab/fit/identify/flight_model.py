@@ -68,13 +68,7 @@ def with_measured_angles(model: Model) -> Model:
 
 
 def known_directions(effects: Sequence[Effect]) -> tuple[tuple[int, int], ...]:
-    """List the states of effects that hold the direction in which an axis moves.
-
-    Returns
-    -------
-    tuple of (int, int)
-        Number of the state among all states of the effects, and number of the axis.
-    """
+    """List the states of effects that hold the direction in which an axis moves."""
     names = [state.name for effect in effects for state in effect.states]
     axes = {name: axis for effect in effects for name, axis in effect.direction_of.items()}
     return tuple((names.index(name), AXES.index(axis)) for name, axis in axes.items())
@@ -132,15 +126,6 @@ def filter_record(record: Record) -> ReferenceTrajectory:
 class RigParameters(ParameterVector):
     """Free parameters of a rig in several flights: all flights share those of the rig and of the effects;
     each flight has its own encoder zeros and constant torques.
-
-    Parameters
-    ----------
-    model : Model
-        Equations with their effects.
-    rig : Rig
-        Values and priors of its parameters.
-    fixed : Mapping[str, float], optional
-        Values of parameters that are not estimated.
     """
 
     def __init__(

@@ -35,21 +35,7 @@ FLIGHT_CONSTANTS: Final = (*PER_FLIGHT, *FLIGHT_TORQUES)
 def free_parameters(
     model: Model, rig: Rig, free: Sequence[str] | None, priors: Mapping[str, AnyPrior]
 ) -> tuple[FreeParameter, ...]:
-    """Choose the free parameters of a model, in the order of `free`, or otherwise of the model.
-
-    Parameters
-    ----------
-    free : sequence of str or None
-        Names of the free parameters. None chooses every rig parameter that the model uses and that has a
-        tolerance, except those in `NOT_FREE`, and every parameter of the model's effects that has a prior.
-    priors : Mapping[str, Prior]
-        Priors that replace those of the rig and of the effects.
-
-    Raises
-    ------
-    IdentifyError
-        When a name is unknown, or a parameter has no prior.
-    """
+    """Choose the free parameters of a model, in the order of `free`, or otherwise of the model."""
     known = {quantity.name: quantity for quantity in model.parameters}
     all_priors: dict[str, AnyPrior] = {
         name: prior for effect in model.effects for name, prior in effect.priors.items()
@@ -76,13 +62,7 @@ def free_parameters(
 
 
 def parameter_values(model: Model, rig: Rig, values: Mapping[str, float]) -> Floats:
-    """Return all parameters of a model, shape (p,): those of the rig, some of them replaced by `values`.
-
-    Raises
-    ------
-    IdentifyError
-        When the model has no parameter of a name in `values`.
-    """
+    """Return all parameters of a model, shape (p,): those of the rig, some of them replaced by `values`."""
     result = model.parameter_values(rig)
     for name, value in values.items():
         if name not in model.parameter_names:
@@ -92,20 +72,7 @@ def parameter_values(model: Model, rig: Rig, values: Mapping[str, float]) -> Flo
 
 
 def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: Sequence[str]) -> list[str]:
-    """Return the names of the free parameters without the fixed ones.
-
-    Parameters
-    ----------
-    free : sequence of str or None
-        As in `free_parameters`.
-    fixed : sequence of str
-        Names of parameters that are not estimated.
-
-    Raises
-    ------
-    IdentifyError
-        When a name is unknown or both free and fixed, or when every parameter is fixed.
-    """
+    """Return the names of the free parameters without the fixed ones."""
     for name in fixed:
         if name not in model.parameter_names:
             raise _unknown_parameter_error(model, name)
@@ -127,19 +94,6 @@ def flight_constants(model: Model, rig: Rig, about: Mapping[str, float] | None =
     The priors are weak: a few seconds of flight outweigh them. The standard deviation of an encoder zero is
     half its tolerance in the rig file. The standard deviation of a torque is half its tolerance too, where
     cables add a tolerance of their own, `UNSTATED`: 0.05, 0.02 and 0.1 N m about elevation, pitch and travel.
-
-    Parameters
-    ----------
-    about : Mapping[str, float], optional
-        Parameters by name, fitted to other flights of the rig. They are then the means of the priors, because
-        fitted masses, zeros and torques compensate for each other and only hold together. Without them, the
-        priors have the means of the rig file.
-
-    Returns
-    -------
-    dict of Prior
-        By name, in the model's order. A zero whose tolerance is 0 is left out. The tolerance of a torque is
-        that of the cables if `about` is given, otherwise the larger one of rig file and cables.
     """
     known = {**{name: rig[name].value for name in FLIGHT_CONSTANTS}, **(about or {})}
     priors = {}

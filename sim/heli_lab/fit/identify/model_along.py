@@ -13,13 +13,7 @@ from heli_lab.fit.estimation import AlongTrajectory
 def model_along(
     model: Model, expressions: Callable[[ca.SX, ca.SX, ca.SX, ca.SX], Sequence[ca.SX]]
 ) -> AlongTrajectory:
-    """Compile expressions of a `model`, so that they can be evaluated along trajectories.
-
-    Parameters
-    ----------
-    expressions : callable
-        Takes symbols of states x, inputs u, parameters p and time t, and returns the expressions.
-    """
+    """Compile expressions of a `model`, so that they can be evaluated along trajectories."""
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     results = [ca.densify(ca.SX(expression)) for expression in expressions(x, u, p, t)]

@@ -182,19 +182,7 @@ def prepare_all(
     start_s: float | None = None,
     stop_s: float | None = None,
 ) -> tuple[Record, ...]:
-    """Prepare those flights that are not prepared yet.
-
-    Parameters
-    ----------
-    flights : sequence of Flight or Record
-        Prepared ones are taken as they are.
-    rig, start_s, stop_s
-        As in `prepare`.
-    labels : sequence of str, optional
-        Names of the flights; by default their `role` and number.
-    role : str
-        Use of the flights, in a word.
-    """
+    """Prepare those flights that are not prepared yet."""
     names = labels if labels is not None else [f"{role} {number}" for number in range(1, len(flights) + 1)]
     return tuple(
         flight if isinstance(flight, Record) else prepare(flight, rig, name, start_s=start_s, stop_s=stop_s)
@@ -205,20 +193,7 @@ def prepare_all(
 def _reasons_to_cut(
     flight: Flight, rig: Rig, step_s: float, start_s: float | None, stop_s: float | None
 ) -> tuple[list[tuple[Booleans, str]], list[str]]:
-    """Find the rows of a flight that are not free flight.
-
-    Parameters
-    ----------
-    start_s, stop_s : float, optional
-        Times of the flight between which the rows are wanted [s]; None for its beginning and its end.
-
-    Returns
-    -------
-    reasons : list of (ndarray of bool (n,), str)
-        Rows that each reason cuts out, and the reason in a few words; the first one that applies counts.
-    notes : list of str
-        Remarks on stops that the flight shows to be elsewhere than in the rig file.
-    """
+    """Find the rows of a flight that are not free flight. Returns shape `reasons` (n,)."""
     reasons: list[tuple[Booleans, str]] = []
     if start_s is not None or stop_s is not None:
         low_s = -math.inf if start_s is None else start_s
@@ -325,16 +300,7 @@ def _last_descent(flight: Flight, near_table: Booleans, step_s: float) -> Boolea
 def _contacts_with_stops(
     angles_rad: Floats, rig: Rig, step_s: float
 ) -> tuple[list[tuple[Booleans, str]], list[str]]:
-    """Find the contacts with the mechanical stops.
-
-    Returns
-    -------
-    reasons : list of (ndarray of bool (n,), str)
-        For each axis that reaches its stop, the rows in contact and shortly around them, and the name of the
-        stop.
-    notes : list of str
-        A remark on each axis that goes far beyond the stop in the rig file.
-    """
+    """Find the contacts with the mechanical stops. Returns shape `reasons` (n,)."""
     reasons: list[tuple[Booleans, str]] = []
     notes = []
     lag_rows = round(thresholds.LAG_S / step_s)
@@ -358,21 +324,8 @@ def _contacts_with_stops(
 def _segments_and_cuts(
     reasons: list[tuple[Booleans, str]], flight: Flight, min_rows: int
 ) -> tuple[tuple[tuple[int, int], ...], tuple[Cut, ...]]:
-    """Divide a flight into segments of free flight and cuts.
-
-    Parameters
-    ----------
-    reasons : list of (ndarray of bool (n,), str)
-        Rows that each reason cuts out, and the reason in a few words; the first one that applies counts.
-    min_rows : int
-        Rows of the shortest segment.
-
-    Returns
-    -------
-    segments : tuple of (int, int)
-        First row and last row plus one of each free segment.
-    cuts : tuple of Cut
-        All other parts.
+    """Divide a flight into segments of free flight and cuts. Shapes: `reasons` (n,). Returns `segments`,
+    `cuts`.
     """
     t_s = flight.t_s
     # Per row: 0 in free flight, otherwise 1 + index of the reason. The first reason is written last and wins.

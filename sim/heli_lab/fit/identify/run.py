@@ -51,42 +51,7 @@ def identify(
     on_progress: Callable[[FitProgress], None] | None = None,
     skip_sign_check: bool = False,
 ) -> Identification:
-    """Estimate a model's parameters from flights, and validate them on others.
-
-    Parameters
-    ----------
-    model : Model
-        Equations of motion with their effects.
-    rig : Rig
-        Start values of the parameters, and their priors by its tolerances.
-    flights, validation : sequence of Flight or Record
-        Flights that are fitted, and flights that are only predicted.
-    free : sequence of str, optional
-        Names of the free parameters; see `Problem`.
-    fixed : sequence of str
-        Names of parameters that stay as they are, though they would be free otherwise.
-    labels, validation_labels : sequence of str, optional
-        Names of the flights.
-    start_s, stop_s : float, optional
-        Fit only this part of each flight [s of its time column].
-    window_s : float
-        Length of the windows of the open-loop simulation [s].
-    max_fit_s : float
-        Longest time on this computer for preparation and fit [s].
-    threads : int, optional
-        Threads of the predictions; see `Problem`.
-    on_progress : callable, optional
-        Called with the progress of the work.
-    skip_sign_check : bool
-        Accept flights whose motion the voltages do not explain, such as noise.
-
-    Raises
-    ------
-    IdentifyError
-        When nothing can be identified from the flights.
-    NotExcited
-        When the voltages do not explain a flight's motion; see `heli_lab.fit.identify.results.explained`.
-    """
+    """Estimate a model's parameters from flights, and validate them on others."""
     started_s = time.perf_counter()
     report = on_progress or (lambda _: None)
     report(FitProgress("finding the free flight", 0.0, 0.0))
@@ -123,13 +88,7 @@ def _free_runs(fit: Fit) -> tuple[tuple[Trace, ...], tuple[FreeRunErrors, ...]]:
 
 
 def _start_values(problem: Problem) -> dict[str, float] | None:
-    """Find start values of the free parameters from which long windows do not diverge.
-
-    Returns
-    -------
-    dict of float or None
-        Values by name, from a fit of short windows; None if the values of the rig file are near enough.
-    """
+    """Find start values of the free parameters from which long windows do not diverge."""
     start = problem.parameter_vector.start
     initial_states = initial_state_guess(problem, start)
     for index, record in enumerate(problem.records):

@@ -19,19 +19,7 @@ SaveFigure = Callable[[str, Any], Picture | None]
 def cause_section(
     cause: dict[str, Any], meanings: Mapping[str, str], certain: bool, save_figure: SaveFigure
 ) -> dict[str, Any]:
-    """Return the section of a `cause` as the template of the page expects it.
-
-    Parameters
-    ----------
-    cause : dict
-        The cause as JSON.
-    meanings : Mapping[str, str]
-        Meanings of parameters by full name.
-    certain : bool
-        Whether the verdict is certain, so that a cause may be stated as a fact.
-    save_figure : callable
-        Writes the figure of the equation; it takes a name and the figure.
-    """
+    """Return the section of a `cause` as the template of the page expects it."""
     ambiguous_effects = ", ".join(cause["ambiguous_with"])
     equation_figure = figures.figure_of_latex(cause["equation"])
     parameters = cause["parameters"]

@@ -82,13 +82,6 @@ def figure_of_equation(proposed: ProposedTerm) -> Figure:
 def figure_of_failing_regions(all_regions: Sequence[FailingRegions], models: Sequence[str]) -> Figure:
     """Draw the fitted flights in the plane of each axis, coloured by the missing torque; cells in which a
     model fails are outlined.
-
-    Parameters
-    ----------
-    all_regions : sequence of FailingRegions
-        One row each.
-    models : sequence of str
-        Names of the models before and after, one column each; without the second, the first is drawn alone.
     """
     from matplotlib.figure import Figure
 

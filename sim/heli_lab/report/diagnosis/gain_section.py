@@ -10,13 +10,7 @@ from heli_lab.report.diagnosis.cause_sections import plus_minus
 
 
 def gain_rows(gain: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
-    """Return a table row for each axis: errors before and after [deg], their ratio and its 95 % interval.
-
-    Parameters
-    ----------
-    gain : mapping
-        The key ``gain`` of the result as JSON, without its calibration.
-    """
+    """Return a table row for each axis: errors before and after [deg], their ratio and its 95 % interval."""
     return [
         [
             axis,
@@ -32,11 +26,6 @@ def gain_rows(gain: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
 def calibration_tables(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return a table for each calibrated validation flight, with the zeros and constant torques of baseline
     and extended model.
-
-    Parameters
-    ----------
-    flights : sequence of dict
-        The key ``calibration`` of the gain in the result as JSON.
     """
     tables = []
     for flight in flights:

@@ -56,22 +56,7 @@ _EXCITATION_PAGE: Final = Path(__file__).with_name("insufficient_excitation.html
 
 
 def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | None = None) -> Path:
-    """Write a report: index.html, result.json, figures as PNG, and the effect file of a proposed equation.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        The result.
-    folder : str or Path
-        Folder to write into; it is made if it is missing.
-    drawing : Drawing, optional
-        Draws the figures, in a second process if it has one.
-
-    Returns
-    -------
-    Path
-        The page.
-    """
+    """Write a report: index.html, result.json, figures as PNG, and the effect file of a proposed equation."""
     drawing = drawing or Drawing()
     numbers = to_json(diagnosis)
     folder = folder_with(numbers, folder)

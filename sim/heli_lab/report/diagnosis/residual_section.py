@@ -8,13 +8,7 @@ _BEFORE_AFTER: Final = ("before", "after")
 
 
 def residual_section(residual: dict[str, Any]) -> dict[str, Any]:
-    """Return the table of normalised errors and autocorrelations before and after, and a note on it.
-
-    Parameters
-    ----------
-    residual : dict
-        Entry ``residual`` of the JSON object of a diagnosis.
-    """
+    """Return the table of normalised errors and autocorrelations before and after, and a note on it."""
     role = "held_out" if "held_out" in residual["white"] else "train"
     correlation = residual["correlation"][role]
     rows = [

@@ -131,16 +131,6 @@ def figure_of_prediction(
     """Draw free runs of 2 s: the angle of an axis, and the errors of all three axes.
 
     A circle marks the start of a run, and a grey band the rounding of the encoder.
-
-    Parameters
-    ----------
-    before, after : Fit
-        Fits of the baseline and of the extended model to the same flight; only one curve if they are the
-        same. If the flight is long, only the part with the largest errors of the baseline is drawn.
-    first : str
-        The axis whose angle is drawn.
-    outside_s : sequence of (float, float)
-        Times at which the model extrapolates; they are shaded.
     """
     from matplotlib.figure import Figure
 
@@ -242,16 +232,7 @@ def figure_of_gain(
     horizons: Mapping[str, Mapping[str, ErrorReduction]], extended: bool, rounding_rad: Floats
 ) -> Figure:
     """Draw free-run errors before and after by horizon, one panel per axis, with 95 % intervals of their
-    ratio, and the rms error that the encoders' rounding makes.
-
-    Parameters
-    ----------
-    horizons : Mapping[str, Mapping[str, ErrorReduction]]
-        Error reductions by horizon and axis.
-    extended : bool
-        Whether there is an extended model; otherwise only errors of the baseline are drawn.
-    rounding_rad : ndarray (3,)
-        Root mean square of each encoder's rounding.
+    ratio, and the rms error that the encoders' rounding makes. Shapes: `rounding_rad` (3,).
     """
     from matplotlib.figure import Figure
 

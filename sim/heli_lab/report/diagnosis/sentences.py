@@ -189,18 +189,7 @@ def _confirmation_text(cause: Mapping[str, Any]) -> str:
 
 
 def unconfirmed_in_rig(result: Diagnosis, with_term: bool = False, with_unconfirmed: bool = False) -> str:
-    """State in a sentence which causes are not confirmed, and whether a saved rig has them.
-
-    Parameters
-    ----------
-    with_term, with_unconfirmed : bool
-        Options of the rig, as in `Diagnosis.rig`.
-
-    Returns
-    -------
-    str
-        Empty if every cause is confirmed.
-    """
+    """State in a sentence which causes are not confirmed, and whether a saved rig has them."""
     reasons = {id_: cause.why_not for id_, cause in result.replication.unconfirmed.items()}
     if not result.has_other_flight:
         reasons |= dict.fromkeys(result.random_torque, "no other flight was given")

@@ -87,19 +87,11 @@ _MEANINGS_BY_EFFECT: Final[Mapping[str, Mapping[str, str]]] = {
 
 @dataclass(frozen=True)
 class Meaning:
-    """A symbol for a page, and its meaning.
+    """A symbol for a page, and its meaning."""
 
-    Parameters
-    ----------
-    letter, index : str
-        The symbol and its subscript, which may be empty.
-    text : str
-        The meaning in words.
-    """
-
-    letter: str
+    letter: str  # letter, index: The symbol and its subscript, which may be empty
     index: str
-    text: str
+    text: str  # The meaning in words
 
 
 def symbols_of(equation: str) -> list[str]:
@@ -108,17 +100,7 @@ def symbols_of(equation: str) -> list[str]:
 
 
 def legend(effect: str, equation: str, parameters: Sequence[str] = ()) -> list[Meaning]:
-    """Explain the symbols of an `equation` that no parameter of the `effect` explains.
-
-    Parameters
-    ----------
-    effect : str
-        Id of the effect.
-    equation : str
-        Its equation in LaTeX.
-    parameters : sequence of str
-        Meanings of its parameters, which contain their symbols.
-    """
+    """Explain the symbols of an `equation` that no parameter of the `effect` explains."""
     meanings = {**_MEANINGS, **_MEANINGS_BY_EFFECT.get(effect.partition(".")[0], {})}
     return [
         Meaning(*_letter_and_index(symbol), meanings[symbol])

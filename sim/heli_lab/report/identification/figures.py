@@ -21,15 +21,7 @@ _MIN_AXIS_COUNTS = 1.0
 
 
 def identification_figure(trace: Trace, role: str) -> Figure:
-    """Draw measured and predicted angles, with the error below each axis: six panels on one time axis.
-
-    Parameters
-    ----------
-    trace : Trace
-        Measured and predicted angles of one flight.
-    role : str
-        Use of the flight, for the title: ``train`` or ``validation``.
-    """
+    """Draw measured and predicted angles, with the error below each axis: six panels on one time axis."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 9), layout="constrained")

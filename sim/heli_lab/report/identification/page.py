@@ -22,16 +22,7 @@ from heli_lab.report.page.drawing import Drawing
 def write_identification_report(
     identification: Identification, folder: str | Path, drawing: Drawing | None = None
 ) -> Path:
-    """Write index.html, result.json and the figures into a folder; return the path of the page.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Folder of the report, created if it is missing.
-    drawing : Drawing, optional
-        Separate process that draws the figures. If it was started during the fit, the report is ready
-        earlier.
-    """
+    """Write index.html, result.json and the figures into a folder; return the path of the page."""
     drawing = drawing or Drawing()
     folder = folder_with(identification.json(), folder)
     flights = [

@@ -37,15 +37,7 @@ def _finite(value: Any) -> Any:
 
 
 def write_page(folder: Path, template: Path, **content: Any) -> Path:
-    """Write index.html into a `folder` from a jinja2 template, and return the path of the page.
-
-    Parameters
-    ----------
-    template : Path
-        Template, which may extend ``base.html`` of this package.
-    content
-        Variables of the template, by name; they are escaped.
-    """
+    """Write index.html into a `folder` from a jinja2 template, and return the path of the page."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(

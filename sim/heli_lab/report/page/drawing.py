@@ -34,15 +34,6 @@ class Picture:
     """A figure that is, or will be, rendered into a PNG file with 110 dots per inch.
 
     ``str(picture)`` waits for the image and returns it as a data URL, so that a page needs no other file.
-
-    Parameters
-    ----------
-    drawing : Drawing
-        Renderer to which the figure was added.
-    figure : matplotlib.figure.Figure
-        The figure, which must stay unchanged.
-    path : Path
-        The PNG file.
     """
 
     def __init__(self, drawing: Drawing, figure: Figure, path: Path) -> None:
@@ -65,17 +56,6 @@ class Picture:
 class Drawing:
     """A queue of figures: a second process renders from the beginning of the queue, this process from its
     end.
-
-    Parameters
-    ----------
-    use_process : bool
-        Whether to start the second process, which takes a second. If that process cannot start or ends early,
-        this process renders all figures.
-
-    Attributes
-    ----------
-    process : subprocess.Popen or None
-        The second process, if it has started.
     """
 
     def __init__(self, use_process: bool = False) -> None:

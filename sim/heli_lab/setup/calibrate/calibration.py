@@ -46,27 +46,14 @@ SOURCE: Final = "heli-host calibrate"
 
 @dataclass(frozen=True)
 class BenchCalibration:
-    """Result of a calibration.
+    """Result of a calibration."""
 
-    Parameters
-    ----------
-    encoders : EncoderResult
-        Directions and rest angle.
-    motors : tuple of MotorResult
-        Results of the front output and the back output; empty if only the encoders were calibrated.
-    rig : Rig
-        The rig with the measured numbers.
-    parameters : Mapping of str to float
-        Parameters that the board should have.
-    notes : tuple of str
-        Reasons why something was not measured, and changes to make by hand.
-    """
-
-    encoders: EncoderResult
+    encoders: EncoderResult  # Directions and rest angle
     motors: tuple[MotorResult, ...]
-    rig: Rig
-    parameters: Mapping[str, float]
-    notes: tuple[str, ...]
+    """Results of the front output and the back output; empty if only the encoders were calibrated."""
+    rig: Rig  # The rig with the measured numbers
+    parameters: Mapping[str, float]  # Parameters that the board should have
+    notes: tuple[str, ...]  # Reasons why something was not measured, and changes to make by hand
 
     @property
     def motors_exchanged(self) -> bool:
@@ -99,32 +86,6 @@ def calibrate(
 
     Parameters of the board change in its memory only, and are restored at the end. Before that, the motors
     are switched off, also after an error.
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected; the board is idle.
-    operator : Operator
-        Moves the rig, confirms pulses, and sees which rotor turns.
-    rig : Rig
-        Rig with everything that is not measured.
-    limits : PulseLimits, optional
-        Bounds of the pulses; those of `default_limits` if omitted.
-    name : str
-        Name of the resulting rig; empty for the name of `rig`.
-    motors : bool
-        False calibrates the encoders only: no motor runs.
-    mark : callable taking str
-        Gets the name of each part of the calibration, for the log.
-    check : callable
-        Called repeatedly; raises when the log cannot be written.
-
-    Raises
-    ------
-    CalibrationError
-        The board is not idle, or a movement or a pulse has no clear answer.
-    FlightAborted
-        The operator or the board ended a pulse.
     """
     _check_idle(heli)
     _check_counts(heli, rig)
@@ -151,18 +112,7 @@ def calibrate(
 
 
 def set_parameters(heli: Heli, operator: Operator, values: Mapping[str, float]) -> None:
-    """Set parameters on the board with the arm at rest, zero its encoders, and save.
-
-    Parameters
-    ----------
-    values : Mapping of str to float
-        New values of parameters, by name.
-
-    Raises
-    ------
-    CommandRefused
-        The board refused a parameter. Those set before it have their old values again, and nothing is saved.
-    """
+    """Set parameters on the board with the arm at rest, zero its encoders, and save."""
     operator.act(HandAction.REST)
     heli.params.restore(values)
     heli.zero()
@@ -266,15 +216,7 @@ def _calibration(
 
 
 def _motor_signs(motors: Sequence[MotorResult]) -> tuple[dict[str, float], list[str]]:
-    """Return the signs of the motors as board parameters.
-
-    Returns
-    -------
-    parameters : dict of float
-        Parameters by name; empty if the plugs of the motors are exchanged.
-    notes : list of str
-        Notes for the operator.
-    """
+    """Return the signs of the motors as board parameters. Returns `parameters`, `notes`."""
     rotors = [motor.rotor for motor in motors]
     if len(set(rotors)) < len(rotors):
         raise CalibrationError(
@@ -291,15 +233,7 @@ def _motor_signs(motors: Sequence[MotorResult]) -> tuple[dict[str, float], list[
 
 
 def _thrust_numbers(motors: Sequence[MotorResult], rig: Rig) -> tuple[dict[str, Number], list[str]]:
-    """Return thrust gain and dead zone of the rig: the mean of both rotors.
-
-    Returns
-    -------
-    numbers : dict of Number
-        ``thrust_gain`` and ``dead_zone``; empty unless both rotors were measured.
-    notes : list of str
-        Reasons why a rotor has no measurement, and a warning if the rotors differ.
-    """
+    """Return thrust gain and dead zone of the rig: the mean of both rotors. Returns `numbers`, `notes`."""
     lines = {motor.rotor: motor.thrust for motor in motors if isinstance(motor.thrust, ThrustLine)}
     notes = [
         f"thrust of the {motor.rotor} rotor is not known: {motor.thrust}; the rig's values stay"

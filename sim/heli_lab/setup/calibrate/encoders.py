@@ -33,33 +33,17 @@ _MOVES: Final = (
 
 @dataclass(frozen=True)
 class EncoderResult:
-    """Directions and zeros of the encoders, measured by movements by hand.
-
-    Parameters
-    ----------
-    direction : Mapping of str to int
-        By axis: 1 if the encoder counts up when the angle grows, -1 if it counts down. This is the direction
-        of the encoder itself; the sign of the board's parameter is not included.
-    rest_deg : float
-        Elevation at rest on the table, if the operator's level is 0 [deg].
-    moved_deg : Mapping of str to float
-        Change of each axis in its movement, as the board showed it [deg].
-    """
+    """Directions and zeros of the encoders, measured by movements by hand."""
 
     direction: Mapping[str, int]
-    rest_deg: float
-    moved_deg: Mapping[str, float]
+    """By axis: 1 if the encoder counts up when the angle grows, -1 if it counts down. This is the direction
+    of the encoder itself; the sign of the board's parameter is not included."""
+    rest_deg: float  # Elevation at rest on the table, if the operator's level is 0 [deg]
+    moved_deg: Mapping[str, float]  # Change of each axis in its movement, as the board showed it [deg]
 
 
 def calibrate_encoders(heli: Heli, operator: Operator) -> EncoderResult:
-    """Let the operator move each axis, and read its encoder.
-
-    Raises
-    ------
-    CalibrationError
-        In each of three attempts, no encoder, another one, or two encoders counted; or the elevation did not
-        return to its rest angle.
-    """
+    """Let the operator move each axis, and read its encoder."""
     operator.act(HandAction.REST)
     heli.zero()
     heli.wait(_SETTLE_S)

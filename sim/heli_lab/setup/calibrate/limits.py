@@ -21,18 +21,6 @@ def temporary_parameters(
 
     Before that, the motors are switched off, also after an error. If the board refuses a previous value, the
     new value stays until the board is restarted.
-
-    Parameters
-    ----------
-    values : Mapping of str to float
-        Temporary values of parameters, by name.
-    warn : callable
-        Takes a line about a refused value, if the block ended by an error.
-
-    Raises
-    ------
-    CalibrationError
-        The board refuses a previous value, and the block ended without an error.
     """
     previous_values = {name: heli.params[name] for name in values}
     try:
@@ -74,23 +62,7 @@ _PITCH_SETPOINT_MARGIN_deg: Final = 1.0
 
 
 def pulse_limits(heli: Heli, *, max_V: float, max_angle_deg: float) -> dict[str, float]:
-    """Return the parameters by which the board itself bounds voltage and motion of the pulses.
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected, with the arm blocked above its table.
-    max_V : float
-        Highest voltage of a pulse [V].
-    max_angle_deg : float
-        Largest angle [deg] of pitch from level, of elevation above its present value, and of travel beyond
-        its present value in both directions.
-
-    Returns
-    -------
-    dict of str to float
-        Values by name of the parameter, each within the range that the board permits.
-    """
+    """Return the parameters by which the board itself bounds voltage and motion of the pulses."""
     spec_of = heli.params.spec
     values = {
         "excitation_max_V": max_V,

@@ -65,67 +65,34 @@ _ARM_RETRY_s: Final = 0.05
 
 @dataclass(frozen=True)
 class PulseLimits:
-    """Bounds of the pulses.
+    """Bounds of the pulses."""
 
-    Parameters
-    ----------
-    start_V, max_V : float
-        First and highest voltage of the pulses [V].
-    max_angle_deg : float
-        Angle by which an axis may move in a pulse [deg]. Beyond it, the motors are switched off and the
-        calibration ends.
-    """
-
-    start_V: float
+    start_V: float  # start_V, max_V: First and highest voltage of the pulses [V]
     max_V: float
     max_angle_deg: float
+    """Angle by which an axis may move in a pulse [deg]. Beyond it, the motors are switched off and the
+    calibration ends."""
 
 
 @dataclass(frozen=True)
 class MotorResult:
-    """Rotor, direction, dead zone and thrust of one output, measured by pulses.
+    """Rotor, direction, dead zone and thrust of one output, measured by pulses."""
 
-    Parameters
-    ----------
-    output : str
-        ``front`` or ``back``.
-    rotor : str
-        Rotor that the output drives.
-    sign : int
-        Value of the board's sign parameter, 1 or -1, with which a positive voltage lifts this rotor.
-    begins_V : float
-        Lowest voltage at which pitch moved [V].
-    thrust : ThrustLine or str
-        Line of thrust over voltage, or the reason why there is none.
-    """
-
-    output: str
-    rotor: str
-    sign: int
-    begins_V: float
-    thrust: ThrustLine | str
+    output: str  # ``front`` or ``back``
+    rotor: str  # Rotor that the output drives
+    sign: int  # Value of the board's sign parameter, 1 or -1, with which a positive voltage lifts this rotor
+    begins_V: float  # Lowest voltage at which pitch moved [V]
+    thrust: ThrustLine | str  # Line of thrust over voltage, or the reason why there is none
 
 
 @dataclass
 class _Series:
-    """Result of pulses of rising voltage at one output, with one sign of the voltage.
+    """Result of pulses of rising voltage at one output, with one sign of the voltage."""
 
-    Parameters
-    ----------
-    pulses : list of Pulse
-        Pulses that moved pitch.
-    rotor : str
-        Rotor that turned, ``front`` or ``back``; empty before the first movement.
-    turn : int
-        Sign of the pitch change, 1 or -1.
-    begins_V : float
-        Lowest voltage at which pitch moved [V].
-    """
-
-    pulses: list[Pulse] = field(default_factory=list)
-    rotor: str = ""
-    turn: int = 0
-    begins_V: float = 0.0
+    pulses: list[Pulse] = field(default_factory=list)  # Pulses that moved pitch
+    rotor: str = ""  # Rotor that turned, ``front`` or ``back``; empty before the first movement
+    turn: int = 0  # Sign of the pitch change, 1 or -1
+    begins_V: float = 0.0  # Lowest voltage at which pitch moved [V]
 
 
 def calibrate_motor(
@@ -135,28 +102,6 @@ def calibrate_motor(
 
     If the rotor pushes down or does not move pitch, the pulses are repeated with the opposite sign. The
     board's sign parameter has its first value again when the function returns.
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected, the board idle with low limits; see `heli_lab.setup.calibrate.limits.pulse_limits`.
-    operator : Operator
-        Confirms each pulse and sees which rotor turns.
-    output : str
-        ``front`` or ``back``.
-    rig : Rig
-        Rig whose inertia gives thrust.
-    limits : PulseLimits
-        Voltages and angle.
-    check : callable
-        Called repeatedly; raises when the log cannot be written.
-
-    Raises
-    ------
-    CalibrationError
-        The output moves nothing with either sign, or the operator and pitch contradict each other.
-    FlightAborted
-        The operator or the board ended a pulse, or an axis moved too far.
     """
     sign_parameter = f"motor_{output}_sign"
     first_sign = int(heli.params[sign_parameter])
@@ -238,13 +183,7 @@ class _Pulser:
         return series
 
     def _next_step(self, peaks: list[tuple[float, float]]) -> float:
-        """Return the next increase of the voltage [V], small enough that pitch stays far below its limit.
-
-        Parameters
-        ----------
-        peaks : list of (float, float)
-            Voltage [V] and largest pitch angle [deg] of each pulse, which are extrapolated linearly.
-        """
+        """Return the next increase of the voltage [V], small enough that pitch stays far below its limit."""
         volts_V, peak_deg = peaks[-1]
         previous_V, previous_deg = peaks[-2] if len(peaks) > 1 else (volts_V - STEP_V, 0.0)
         deg_per_V = max((peak_deg - previous_deg) / (volts_V - previous_V), 1e-3)
@@ -300,13 +239,7 @@ class _Pulser:
                 return
 
     def _drive(self, volts_V: float) -> Samples:
-        """Give one voltage pulse with the armed board, and return the samples around the pulse.
-
-        Raises
-        ------
-        FlightAborted
-            The board stops, an axis moves too far, or the operator stops.
-        """
+        """Give one voltage pulse with the armed board, and return the samples around the pulse."""
         heli = self._heli
         start_deg = angles_deg(heli)
         heli.control(Axes(0))

@@ -21,17 +21,7 @@ _TIMEOUT_s: Final = 10.0
 
 
 class SimulatedOperator:
-    """Moves the rig of a simulated board in this process, and confirms every pulse.
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected to that board.
-    world : SilWorld
-        The simulation behind it.
-    report : callable taking str
-        Gets each line that a person would read.
-    """
+    """Moves the rig of a simulated board in this process, and confirms every pulse."""
 
     def __init__(self, heli: Heli, world: SilWorld, report: Callable[[str], None]) -> None:
         self._heli = heli

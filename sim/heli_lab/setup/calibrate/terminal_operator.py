@@ -15,15 +15,7 @@ _STOP = "stop"
 
 
 class TerminalOperator:
-    """Asks a person, or a script, by lines of text.
-
-    Parameters
-    ----------
-    answers : TextIO
-        Terminal or pipe from which answers are read, one per line.
-    show : callable taking str
-        Shows a line.
-    """
+    """Asks a person, or a script, by lines of text."""
 
     def __init__(self, answers: TextIO, show: Callable[[str], None]) -> None:
         self._answers = answers
@@ -63,13 +55,7 @@ class TerminalOperator:
         return bool(ready)
 
     def _read_answer(self, *, may_stop: bool = True) -> str:
-        """Read the next line, in lower case.
-
-        Raises
-        ------
-        FlightAborted
-            The input has ended, or the line is ``stop``.
-        """
+        """Read the next line, in lower case."""
         line = self._answers.readline()
         answer = line.strip().lower()
         if not line:

@@ -36,59 +36,31 @@ _GEOMETRY: Final = ("M_f", "M_b", "M_h", "L_h", "L_phi")
 
 @dataclass(frozen=True)
 class Pulse:
-    """Pitch around one pulse.
+    """Pitch around one pulse."""
 
-    Parameters
-    ----------
-    volts_V : float
-        Voltage of the output during the pulse.
-    pitch_rad : Floats
-        Pitch from BEFORE_s before the pulse to AFTER_s after it, in steps of PULSE_GRID_s.
-    """
-
-    volts_V: float
-    pitch_rad: Floats
+    volts_V: float  # Voltage of the output during the pulse
+    pitch_rad: Floats  # Pitch from BEFORE_s before the pulse to AFTER_s after it, in steps of PULSE_GRID_s
 
 
 @dataclass(frozen=True)
 class ThrustLine:
-    """Straight line of thrust over voltage: gain (V - dead zone).
-
-    Parameters
-    ----------
-    gain_N_per_V, gain_std : float
-        Slope, and its standard error by the jackknife over the pulses.
-    dead_zone_V, dead_zone_std : float
-        Voltage at which the line is zero, and its standard error.
-    pulses : int
-        Pulses that the line is fitted to.
-    """
+    """Straight line of thrust over voltage: gain (V - dead zone)."""
 
     gain_N_per_V: float
+    """gain_N_per_V, gain_std: Slope, and its standard error by the jackknife over the pulses."""
     gain_std: float
     dead_zone_V: float
+    """dead_zone_V, dead_zone_std: Voltage at which the line is zero, and its standard error."""
     dead_zone_std: float
-    pulses: int
+    pulses: int  # Pulses that the line is fitted to
 
 
 def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
     """Compute the design matrix of pitch around a pulse, of which measured pitch is a linear combination.
+    Returns shape (times, 4).
 
     Pitch obeys phi'' = -stiffness phi - damping phi' + a, where the acceleration a by the thrust follows the
     voltage with a first-order lag.
-
-    Parameters
-    ----------
-    stiffness, damping : float
-        Coefficients of the equation [1/s^2] and [1/s].
-    lag_s : float
-        Lag of the thrust [s].
-
-    Returns
-    -------
-    ndarray (times, 4)
-        Responses to a unit acceleration during the pulse, to a constant offset, to an initial angle, and to
-        an initial rate.
     """
     lag_s = max(lag_s, 1e-3)
     state_matrix = np.array(
@@ -122,12 +94,8 @@ class _PitchDynamics:
     lag_s: float
 
     def accelerations(self, measured: Floats) -> Floats:
-        """Estimate the pitch acceleration that each pulse caused [rad/s^2], shape (n,).
-
-        Parameters
-        ----------
-        measured : ndarray (times, n)
-            Pitch around each pulse [rad].
+        """Estimate the pitch acceleration that each pulse caused [rad/s^2], shape (n,). Shapes: `measured`
+        (times, n).
         """
         design = response_design(self.stiffness, self.damping, self.lag_s)
         return np.asarray(_least_squares(design, measured)[0])
@@ -163,17 +131,11 @@ def _fit_pitch_dynamics(measured: Floats, start: _PitchDynamics) -> _PitchDynami
 
 
 def response_counts(pulse: Pulse, count_rad: float, drifting: Rig | None = None) -> tuple[float, float]:
-    """Measure how much a pulse moves pitch, in encoder counts of `count_rad` [rad].
+    """Measure how much a pulse moves pitch, in encoder counts of `count_rad` [rad]. Returns `change_counts`,
+    `std_counts`.
 
     If the short arm drifts, because its rotors differ by a few grams, the drift is estimated together with
     the response, with the dynamics of the rig file `drifting`.
-
-    Returns
-    -------
-    change_counts : float
-        Largest change of pitch by the pulse, with its sign.
-    std_counts : float
-        Its standard error; of a still arm, the standard deviation of pitch before the pulse.
     """
     before, during = round(BEFORE_s / PULSE_GRID_s), round(PULSE_s / PULSE_GRID_s)
     before_rad = pulse.pitch_rad[:before]
@@ -197,20 +159,6 @@ def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> ThrustLine | str:
     """Estimate thrust gain and dead zone of a rotor from the pulses that moved pitch.
 
     Standard errors are those of the jackknife: the estimate is repeated without each pulse.
-
-    Parameters
-    ----------
-    pulses : sequence of Pulse
-        Pulses with positive thrust.
-    sign : int
-        Sign of the pitch that this rotor's thrust causes: 1 for the front rotor.
-    rig : Rig
-        Rig whose inertia and lever turn an acceleration into thrust.
-
-    Returns
-    -------
-    ThrustLine or str
-        The line, or the reason why there is none.
     """
     if len(pulses) < MIN_PULSES:
         return f"{len(pulses)} pulses moved pitch, and a line needs {MIN_PULSES}"

@@ -22,36 +22,18 @@ _MAX_ALTERNATIVES: Final = 4
 
 @dataclass(frozen=True)
 class SignChanges:
-    """Changes of sign after which all axes follow the equations of motion.
+    """Changes of sign after which all axes follow the equations of motion."""
 
-    Parameters
-    ----------
-    elevation, pitch, travel : float
-        Factor of the column: 1, or -1 if it has the opposite sign.
-    motors_swapped : bool
-        Whether the front and back columns are exchanged, or the difference column is back minus front.
-    """
-
-    elevation: float
+    elevation: float  # elevation, pitch, travel: Factor of the column: 1, or -1 if it has the opposite sign
     pitch: float
     travel: float
     motors_swapped: bool
+    """Whether the front and back columns are exchanged, or the difference column is back minus front."""
 
 
 def assignment_ambiguities(ranked: list[ColumnAssignment]) -> tuple[list[Ambiguity], list[str]]:
     """Report other assignments of the columns that are nearly as likely, or that fit the motion better.
-
-    Parameters
-    ----------
-    ranked : list of ColumnAssignment
-        All candidate assignments, the most likely first.
-
-    Returns
-    -------
-    ambiguities : list of Ambiguity
-        One at most.
-    evidence : list of str
-        One sentence on the most likely assignment.
+    Returns `ambiguities`, `evidence`.
     """
     best = ranked[0]
     others = [assignment for assignment in ranked if not assignment.same_as(best)]
@@ -108,19 +90,7 @@ def voltage_ambiguities(
     columns: list[str],
     dropped: dict[str, str],
 ) -> list[Ambiguity]:
-    """List the ambiguity of the voltages' columns, if their sum hardly explains elevation.
-
-    Parameters
-    ----------
-    regressions : dict of str to RegressionFit
-        Fit of each axis with this assignment.
-    assignment : ColumnAssignment
-        The most likely assignment.
-    columns : list of str
-        Columns that may be an angle or a voltage.
-    dropped : dict of str
-        Columns that were left out, with the reason.
-    """
+    """List the ambiguity of the voltages' columns, if their sum hardly explains elevation."""
     nats = regressions["elevation"].log_likelihood_ratio
     if nats >= thresholds.DECISIVE_NATS:
         return []
@@ -147,19 +117,7 @@ def _assignment_text(assignment: ColumnAssignment) -> str:
 def unit_ambiguities(
     possible: list[Scale], motion: MeasuredMotion, reference: Reference, rig: Rig
 ) -> list[Ambiguity]:
-    """List ambiguities of the units.
-
-    Parameters
-    ----------
-    possible : list of Scale
-        All choices of units, the most likely first.
-    motion : MeasuredMotion
-        Motion in the units of the file, and the units that its header states.
-    reference : Reference
-        Gains, voltages and table angle of the rig.
-    rig : Rig
-        Rig that the units are compared with, for messages.
-    """
+    """List ambiguities of the units."""
     best = possible[0]
     return [
         *_equally_likely_units(possible, motion, reference, rig),
@@ -300,16 +258,7 @@ def sign_ambiguities(
     mirrored: bool,
     rig: Rig,
 ) -> list[Ambiguity]:
-    """List ambiguities of the signs: weakly excited axes, and which rotor is the front one.
-
-    Parameters
-    ----------
-    torque_nats : float
-        Log-likelihood of these signs less that of their mirror image, by the constant torque of travel
-        [nats].
-    mirrored : bool
-        Whether the profile states the mirror image.
-    """
+    """List ambiguities of the signs: weakly excited axes, and which rotor is the front one."""
     ambiguities = []
     for axis in AXES:
         nats = regressions[axis].log_likelihood_ratio

@@ -24,35 +24,15 @@ _LOWEST_deg: Final = 3.0
 
 @dataclass(frozen=True)
 class RestElevation:
-    """Elevation at the beginning of a flight, where the arm may rest on its table.
+    """Elevation at the beginning of a flight, where the arm may rest on its table."""
 
-    Parameters
-    ----------
-    deg : float or None
-        Elevation at rest [deg], with its sign; None if the flight does not begin at rest.
-    median_deg : float
-        Median of the elevation in the flight [deg].
-    begins_lowest : bool
-        Whether the flight begins at its lowest elevation.
-    """
-
-    deg: float | None
-    median_deg: float
-    begins_lowest: bool
+    deg: float | None  # Elevation at rest [deg], with its sign; None if the flight does not begin at rest
+    median_deg: float  # Median of the elevation in the flight [deg]
+    begins_lowest: bool  # Whether the flight begins at its lowest elevation
 
 
 def rest_elevation(signals: Signals, column: str, deg_per_unit: float) -> RestElevation:
-    """Find the elevation at which the arm rests at the beginning of a flight.
-
-    Parameters
-    ----------
-    signals : Signals
-        Columns of the flight.
-    column : str
-        Name of the elevation's column.
-    deg_per_unit : float
-        Degrees per unit of the column, negative if its sign is wrong.
-    """
+    """Find the elevation at which the arm rests at the beginning of a flight."""
     elevation_deg = deg_per_unit * signals.raw[column]
     # An unsigned counter that starts below 0 has an offset of one turn.
     elevation_deg = elevation_deg - 360.0 * np.round(np.median(elevation_deg) / 360.0)
@@ -69,24 +49,11 @@ def rest_elevation(signals: Signals, column: str, deg_per_unit: float) -> RestEl
 
 
 def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, list[Ambiguity]]:
-    """Decide which angle to add to the elevation so that it is 0 at level.
+    """Decide which angle to add to the elevation so that it is 0 at level. Returns `offset_deg`,
+    `ambiguities`.
 
     Programs zero the elevation either at level or at rest on the table. The rest at the beginning of the
     flight shows which, because the rig file states the angle of the arm on its table.
-
-    Parameters
-    ----------
-    rest : RestElevation
-        Elevation at the beginning of the flight.
-    reference : Reference
-        Table angle of the rig file.
-
-    Returns
-    -------
-    offset_deg : float
-        Angle to add to the elevation [deg].
-    ambiguities : list of Ambiguity
-        One if the file does not decide the zero.
     """
     table_deg = reference.rest_deg
     tolerance_deg = thresholds.REST_TOLERANCE_DEG + reference.rest_tolerance_deg

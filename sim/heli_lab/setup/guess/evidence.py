@@ -42,39 +42,16 @@ file that excludes it [nats]."""
 
 @dataclass(frozen=True)
 class PreparedFile:
-    """One file with its filtered signals.
+    """One file with its filtered signals."""
 
-    Parameters
-    ----------
-    table : Table
-        The longest part of the file in which times rise and no angle jumps.
-    clock : Clock
-        Time column of the file.
-    signals : Signals
-        All other columns of the file, at even times.
-    encoders : frozenset of str
-        Columns that are quantised by an encoder of the rig.
-    """
-
-    table: Table
-    clock: Clock
-    signals: Signals
-    encoders: frozenset[str]
+    table: Table  # The longest part of the file in which times rise and no angle jumps
+    clock: Clock  # Time column of the file
+    signals: Signals  # All other columns of the file, at even times
+    encoders: frozenset[str]  # Columns that are quantised by an encoder of the rig
 
 
 def prepare_file(table: Table, reference: Reference, rate_Hz: float | None) -> PreparedFile:
-    """Find the times of an aligned table, cut its longest part, and filter its columns.
-
-    Parameters
-    ----------
-    rate_Hz : float or None
-        Sampling rate [Hz], for a table without times.
-
-    Raises
-    ------
-    FlightDataError
-        When no column is the time, and no `rate_Hz` is given.
-    """
+    """Find the times of an aligned table, cut its longest part, and filter its columns."""
     clock = Clock("", "s", True) if rate_Hz else clock_of(table)
     if not rate_Hz and (not clock.column or not clock.unit):
         raise FlightDataError(f"{table.source}: no column is the time ({clock.alternative})", NO_RATE)
@@ -89,20 +66,7 @@ def prepare_file(table: Table, reference: Reference, rate_Hz: float | None) -> P
 def common_candidates(
     files: Sequence[PreparedFile], known: Mapping[str, str]
 ) -> tuple[list[str], dict[str, str]]:
-    """List the columns that may be an angle or a voltage in all files.
-
-    Parameters
-    ----------
-    known : Mapping[str, str]
-        Roles that the user knows, by column.
-
-    Returns
-    -------
-    columns : list of str
-        Names of the columns.
-    dropped : dict of str
-        The reason for each of the other columns.
-    """
+    """List the columns that may be an angle or a voltage in all files. Returns `columns`, `dropped`."""
     lists = [candidates(file.signals, file.encoders, known) for file in files]
     columns, dropped = lists[0]
     for others, reasons in lists[1:]:
@@ -115,25 +79,9 @@ def common_candidates(
 def rank(
     files: Sequence[PreparedFile], columns: list[str], reference: Reference, known: KnownEntries
 ) -> tuple[list[ColumnAssignment], list[MeasuredMotion]]:
-    """Rank the assignments of columns by the evidence of all files.
+    """Rank the assignments of columns by the evidence of all files. Returns `ranked`, `motions`.
 
     The likelihood of an assignment includes that of its best units: wrong columns have implausible gains.
-
-    Parameters
-    ----------
-    files : sequence of PreparedFile
-        Files of one rig.
-    columns : list of str
-        Columns that may be an angle or a voltage.
-    known : KnownEntries
-        Entries of the profile that the user knows.
-
-    Returns
-    -------
-    ranked : list of ColumnAssignment
-        The assignments, the most likely first.
-    motions : list of MeasuredMotion
-        Motion of the axes in each file, under the first assignment.
     """
     ranked = _sum_over_files(
         [assignments(file.signals, reference, columns, file.encoders, known.columns) for file in files]
@@ -166,11 +114,6 @@ def _sum_over_files(ranked_by_file: Sequence[list[ColumnAssignment]]) -> list[Co
 
     The evidence of the motion is added up. The evidence of the columns' names counts once, because all files
     have the same names.
-
-    Parameters
-    ----------
-    ranked_by_file : sequence of list of ColumnAssignment
-        Assignments of each file.
     """
     if len(ranked_by_file) == 1:
         return ranked_by_file[0]
@@ -252,13 +195,7 @@ def _measured_motion(
     regressions: dict[str, RegressionFit],
     reference: Reference,
 ) -> MeasuredMotion:
-    """Measure gains, ranges and quantisation steps of the assigned columns of one file.
-
-    Parameters
-    ----------
-    regressions : dict of RegressionFit
-        Regression of each axis' acceleration on its cause, by axis.
-    """
+    """Measure gains, ranges and quantisation steps of the assigned columns of one file."""
     first, second = voltages(signals, assignment)
     voltage_sum = first if assignment.summed else first + second
     rows = free_rows(signals, assignment.elevation)
@@ -293,13 +230,7 @@ def _limited_motions(
     regressions: dict[str, RegressionFit],
 ) -> dict[VoltageScale, LimitedMotion]:
     """Measure the motion with commands limited to the supply, for each unit in which a few exceed it.
-
-    Parameters
-    ----------
-    rows : ndarray of bool (n,)
-        Rows in flight.
-    regressions : dict of RegressionFit
-        Regressions of the axes with the commands as logged.
+    Shapes: `rows` (n,).
     """
     limited = {}
     for choice in voltage_scales(assignment.summed):

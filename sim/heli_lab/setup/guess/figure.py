@@ -23,17 +23,7 @@ _LAG_S = 0.1
 
 
 def draw(guess: Guess, flight: Flight, path: Path) -> Path:
-    """Draw the evidence of a guess: one regression per axis, and the errors of each choice of signs.
-
-    Parameters
-    ----------
-    guess : Guess
-        The guess, with its simulated sign choices.
-    flight : Flight
-        The file, converted with the profile of the guess.
-    path : Path
-        PNG to write; it is also returned.
-    """
+    """Draw the evidence of a guess: one regression per axis, and the errors of each choice of signs."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -57,27 +47,13 @@ def draw(guess: Guess, flight: Flight, path: Path) -> Path:
 
 @dataclass(frozen=True)
 class _Regression:
-    """Acceleration of an axis, and the signal that drives it.
+    """Acceleration of an axis, and the signal that drives it."""
 
-    Parameters
-    ----------
-    axis : str
-        Name of the axis.
-    cause_label : str
-        Name of the signal, with its unit.
-    cause : ndarray (n,)
-        The signal.
-    angle : Signal
-        Angle of the axis, low-passed, with its derivatives [rad].
-    rows : ndarray of int (k,)
-        Rows to draw.
-    """
-
-    axis: str
-    cause_label: str
-    cause: Floats
-    angle: Signal
-    rows: Integers
+    axis: str  # Name of the axis
+    cause_label: str  # Name of the signal, with its unit
+    cause: Floats  # (n,): The signal
+    angle: Signal  # Angle of the axis, low-passed, with its derivatives [rad]
+    rows: Integers  # (k,): Rows to draw
 
     @property
     def points(self) -> tuple[Floats, Floats]:

@@ -32,13 +32,7 @@ def digest(paths: Sequence[Path]) -> str:
 
 
 def output_names(paths: Sequence[Path]) -> list[str]:
-    """Name the flights of the files `paths`: by the file, and by its folder too if names are equal.
-
-    Raises
-    ------
-    FlightDataError
-        Two flights would have the same name, so that one would replace the other.
-    """
+    """Name the flights of the files `paths`: by the file, and by its folder too if names are equal."""
     stems = [_stem(path) for path in paths]
     counts = Counter(stems)
     names = [
@@ -66,21 +60,11 @@ def _stem(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Target:
-    """Files into which the flights of one source are imported.
+    """Files into which the flights of one source are imported."""
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the files.
-    name : str
-        Name of the files, without number and ending.
-    sha : str
-        Digest of the source, from `digest`.
-    """
-
-    folder: Path
-    name: str
-    sha: str
+    folder: Path  # Folder of the files
+    name: str  # Name of the files, without number and ending
+    sha: str  # Digest of the source, from `digest`
 
     def path(self, number: int | None) -> Path:
         """Path of the flight, or of its part with this `number`."""
@@ -91,13 +75,7 @@ class Target:
         return replace(flight, meta={**flight.meta, _DIGEST_NOTE: self.sha})
 
     def refuse_to_replace_another(self) -> None:
-        """Refuse to overwrite flights that were imported from another source.
-
-        Raises
-        ------
-        FlightDataError
-            When such a flight has the same name.
-        """
+        """Refuse to overwrite flights that were imported from another source."""
         for target in (self.path(None), self.path(1)):
             known = _digest_in(target)
             if known is not None and known != self.sha:
@@ -108,13 +86,7 @@ class Target:
 
 
 def _digest_in(path: Path) -> str | None:
-    """Read the digest of its source from an imported flight at `path`.
-
-    Returns
-    -------
-    str or None
-        Empty if the flight states no digest; None if there is no such file.
-    """
+    """Read the digest of its source from an imported flight at `path`."""
     try:
         # Tables of older versions hold their notes in their first lines.
         with path.open(encoding="utf-8", errors="replace") as file:
@@ -131,14 +103,7 @@ def _digest_in(path: Path) -> str | None:
 
 
 def entry_lines(text: str) -> dict[str, int]:
-    """Find the line of each entry in the `text` of a profile.
-
-    Returns
-    -------
-    dict of int
-        Line, from 1, by entry, such as ``pitch.sign``; for an entry that is not written, the line of its
-        section.
-    """
+    """Find the line of each entry in the `text` of a profile."""
     lines: dict[str, int] = {}
     section = ""
     for number, line in enumerate(text.splitlines(), 1):

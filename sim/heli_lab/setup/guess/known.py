@@ -18,18 +18,10 @@ _ROLES: Final = ("elevation", "pitch", "travel", *VOLTAGE_ROLES)
 
 @dataclass(frozen=True)
 class KnownEntries:
-    """Entries of a profile file that need not be complete.
+    """Entries of a profile file that need not be complete."""
 
-    Parameters
-    ----------
-    entries : Mapping
-        The file's content.
-    source : str
-        The file, for messages.
-    """
-
-    entries: Mapping[str, Any] = field(default_factory=dict)
-    source: str = ""
+    entries: Mapping[str, Any] = field(default_factory=dict)  # The file's content
+    source: str = ""  # The file, for messages
 
     @property
     def columns(self) -> dict[str, str]:

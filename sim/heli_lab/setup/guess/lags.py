@@ -13,21 +13,9 @@ _TYPICAL_LAG_s = 0.1
 
 
 def lag_ambiguities(regressions: dict[str, RegressionFit]) -> tuple[list[Ambiguity], str]:
-    """List implausible delays between the columns as ambiguities.
+    """List implausible delays between the columns as ambiguities. Returns `ambiguities`, `evidence`.
 
     The guess removes no delay by itself, because a flight cannot separate a rotor lag from a late column.
-
-    Parameters
-    ----------
-    regressions : dict of RegressionFit
-        Regression of each axis' acceleration on its cause, by axis.
-
-    Returns
-    -------
-    ambiguities : list of Ambiguity
-        One per implausible delay.
-    evidence : str
-        A sentence with all delays.
     """
     possible = (
         _travel_delay(regressions),

@@ -35,20 +35,7 @@ def supply_limits(
 def one_way_nats(
     regress: Callable[[tuple[float, float]], Mapping[str, RegressionFit]], limits: tuple[float, float]
 ) -> float:
-    """Compare motors that do not reverse with motors that do.
-
-    Parameters
-    ----------
-    regress : callable
-        Regressions of the axes, by axis, for a smallest and largest voltage.
-    limits : tuple of (float, float)
-        Smallest and largest voltage of a motor that reverses, in the unit of the columns.
-
-    Returns
-    -------
-    float
-        Log-likelihood ratio of elevation and pitch, positive for motors that do not reverse [nats].
-    """
+    """Compare motors that do not reverse with motors that do."""
     reversing, one_way = regress(limits), regress((0.0, limits[1]))
     return sum(
         one_way[axis].log_likelihood_ratio - reversing[axis].log_likelihood_ratio for axis in _DRIVEN_AXES
@@ -58,26 +45,8 @@ def one_way_nats(
 def limited(
     tables: Sequence[Table], profile: Profile, reference: Reference, nats_for_one_way: Callable[[], float]
 ) -> tuple[Profile, list[Ambiguity]]:
-    """Add voltage limits to a profile, so that commands are clipped to what the amplifier gives.
-
-    Parameters
-    ----------
-    tables : sequence of Table
-        Files of one rig.
-    profile : Profile
-        Profile without limits.
-    reference : Reference
-        Supply of the rig file, and whether its motors reverse.
-    nats_for_one_way : callable
-        Computes the evidence for motors that do not reverse, from `one_way_nats` [nats]; called only if some
-        voltages are negative.
-
-    Returns
-    -------
-    limited : Profile
-        The profile with its limits.
-    ambiguities : list of Ambiguity
-        One for each limit that the file does not decide.
+    """Add voltage limits to a profile, so that commands are clipped to what the amplifier gives. Returns
+    `limited`, `ambiguities`.
     """
     profile, supply_ambiguities = _clipped_to_supply(tables, profile, reference.supply_V)
     profile, zero_ambiguities = _clipped_to_zero(tables, profile, reference, nats_for_one_way)

@@ -66,15 +66,7 @@ def _times_s(table: Table, clock: Clock) -> Floats | None:
 
 def _merge_partner(number: int, tables: Sequence[Table], times_s: Sequence[Floats | None]) -> int:
     """Find the file with which a file without times is merged row by row; both are positions in `tables`.
-
-    Parameters
-    ----------
-    number : int
-        The file without times.
-    tables : sequence of Table
-        All files.
-    times_s : sequence of ndarray (n,) or None
-        Times of each file [s]; None if it has none.
+    Shapes: `times_s` (n,).
     """
     rows = len(tables[number])
     no_file_has_times = all(t_s is None for t_s in times_s)

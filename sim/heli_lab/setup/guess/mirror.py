@@ -37,24 +37,6 @@ def travel_torque_nats(
 
     Cables and the rotors' drag exert a constant torque about travel. A mirror image inverts travel, and thus
     also the direction of this torque.
-
-    Parameters
-    ----------
-    signals : Signals
-        Columns of one file.
-    assignment : ColumnAssignment
-        Column of each angle and voltage.
-    reference : Reference
-        Constant acceleration of travel by the rig file.
-    rad : Mapping[str, float]
-        Radians per unit of each angle.
-    sign : float
-        Sign of travel in the proposed profile.
-
-    Returns
-    -------
-    float
-        Log-likelihood of the flight less that of its mirror image [nats]; 0 if the rig file states no torque.
     """
     if not reference.travel_rad_s2:
         return 0.0
@@ -84,13 +66,6 @@ def prefers_mirror(signs: SignChanges, torque_nats: float) -> bool:
 
     The travel torque speaks for one of the two. Each change of sign or exchange of motors that the mirror
     image needs in addition counts `SIGN_CHANGE_NATS` against the mirror image.
-
-    Parameters
-    ----------
-    signs : SignChanges
-        Proposed changes of sign.
-    torque_nats : float
-        Result of `travel_torque_nats`.
     """
     changes = signs.motors_swapped + (signs.pitch < 0.0) + (signs.travel < 0.0)
     changes_of_mirror = (not signs.motors_swapped) + (signs.pitch > 0.0) + (signs.travel > 0.0)

@@ -96,13 +96,7 @@ def _is_distinctive(word: str) -> bool:
 
 
 def role_of(name: str) -> str:
-    """Return the role, one of `ROLES`, that a column's `name` states.
-
-    Returns
-    -------
-    str
-        Empty if the name states no role, or means a derived signal such as a setpoint or a rate.
-    """
+    """Return the role, one of `ROLES`, that a column's `name` states."""
     words = words_of(name)
     if _DERIVED_SIGNALS.intersection(words):
         return ""

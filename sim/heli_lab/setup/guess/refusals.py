@@ -14,17 +14,7 @@ _FIX = "give a log with three angles and both motor voltages; if they are in two
 
 
 def too_few_columns(source: str, columns: Sequence[str], dropped: Mapping[str, str]) -> FlightDataError:
-    """Describe a table with fewer than five columns that may be an angle or a voltage.
-
-    Parameters
-    ----------
-    source : str
-        The file.
-    columns : sequence of str
-        Columns that may be an angle or a voltage.
-    dropped : Mapping[str, str]
-        Columns that were left out, with the reason.
-    """
+    """Describe a table with fewer than five columns that may be an angle or a voltage."""
     roles = {names.role_of(name) for name in (*columns, *dropped)}
     left_out = ", ".join(f"{name} ({reason})" for name, reason in dropped.items())
     detail = f"; left out: {left_out}" if left_out else ""
@@ -45,23 +35,7 @@ def names_state_voltages(assignment: ColumnAssignment) -> bool:
 def check_voltages(
     source: str, regressions: Mapping[str, RegressionFit], assignment: ColumnAssignment
 ) -> None:
-    """Check that the assigned voltage columns move the axes.
-
-    Parameters
-    ----------
-    source : str
-        The file.
-    regressions : Mapping[str, RegressionFit]
-        Regression of each axis on its cause.
-    assignment : ColumnAssignment
-        Columns by role.
-
-    Raises
-    ------
-    FlightDataError
-        When neither elevation nor pitch follows these columns, or when the names of both mean setpoints,
-        rates or estimates.
-    """
+    """Check that the assigned voltage columns move the axes."""
     are_other_signals = all(names.is_no_voltage(column) for column in assignment.voltages)
     nats = max(regressions[axis].log_likelihood_ratio for axis in ("elevation", "pitch"))
     if are_other_signals or nats < thresholds.DECISIVE_NATS:

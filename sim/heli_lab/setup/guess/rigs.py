@@ -95,24 +95,7 @@ def guess_by_rigs(
 def _compare_with_second(
     proposals: Mapping[str, Guess], chosen: str, *, is_given: bool
 ) -> tuple[list[str], list[Ambiguity]]:
-    """Compare the chosen rig file with the best of all others.
-
-    Parameters
-    ----------
-    proposals : mapping of str to Guess
-        Proposed profile by name of the rig.
-    chosen : str
-        Name of the rig that is used.
-    is_given : bool
-        Whether the user gave this rig.
-
-    Returns
-    -------
-    evidence : list of str
-        One sentence on the comparison; empty without another rig.
-    ambiguities : list of Ambiguity
-        One if the other rig would give another profile, and the flights do not decide.
-    """
+    """Compare the chosen rig file with the best of all others. Returns `evidence`, `ambiguities`."""
     others = [name for name in proposals if name != chosen]
     # Rigs that give the same profile are not an ambiguity, but the better fit is reported.
     profile = profile_text(proposals[chosen].profile)

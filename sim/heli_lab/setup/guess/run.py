@@ -70,28 +70,11 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
 def propose(
     tables: Sequence[Table], rig: Rig, rate_Hz: float | None = None, known: KnownEntries = NOTHING_KNOWN
 ) -> tuple[Guess, list[Table]]:
-    """Propose one profile for the files of one rig, without simulating it.
+    """Propose one profile for the files of one rig, without simulating it. Returns `proposed`,
+    `longest_parts`.
 
     The evidence of all files is added up. Names and the rig's deviation from its rig file count once,
     because all files share them.
-
-    Parameters
-    ----------
-    tables : sequence of Table
-        Logs of one rig, from one program.
-    rig : Rig
-        Rig file, as in `guess`.
-    rate_Hz : float, optional
-        Sampling rate [Hz], for tables without times.
-    known : KnownEntries
-        Entries of the profile that the user knows.
-
-    Returns
-    -------
-    proposed : Guess
-        The guess.
-    longest_parts : list of Table
-        The longest part of each table with rising times, to which the guess applies.
     """
     reference = reference_of(rig)
     # Which column is which: by names, and by how well each assignment explains the motion.
@@ -151,27 +134,13 @@ def propose(
 
 @dataclass(frozen=True)
 class _FlightsInUnits:
-    """Files whose columns have been assigned and whose units are chosen.
+    """Files whose columns have been assigned and whose units are chosen."""
 
-    Parameters
-    ----------
-    files : sequence of PreparedFile
-        The files.
-    assignment : ColumnAssignment
-        Column of each angle and voltage.
-    scale : Scale
-        Units of the columns.
-    reference : Reference
-        Gains, hover voltage and encoders of the rig file.
-    limits : tuple of (float, float)
-        Smallest and largest voltage of a motor, in the unit of the columns.
-    """
-
-    files: Sequence[PreparedFile]
-    assignment: ColumnAssignment
-    scale: Scale
-    reference: Reference
-    limits: tuple[float, float]
+    files: Sequence[PreparedFile]  # The files
+    assignment: ColumnAssignment  # Column of each angle and voltage
+    scale: Scale  # Units of the columns
+    reference: Reference  # Gains, hover voltage and encoders of the rig file
+    limits: tuple[float, float]  # Smallest and largest voltage of a motor, in the unit of the columns
 
     @property
     def rad(self) -> dict[str, float]:
@@ -235,20 +204,7 @@ class _FlightsInUnits:
 
 
 def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]]:
-    """Find the time column that all files share.
-
-    Returns
-    -------
-    clock : Clock
-        The time column with its unit.
-    ambiguities : list of Ambiguity
-        One if column or unit is unsure.
-
-    Raises
-    ------
-    FlightDataError
-        When the files have their times in different columns or units.
-    """
+    """Find the time column that all files share. Returns `clock`, `ambiguities`."""
     first = files[0]
     for file in files[1:]:
         if (file.clock.column, file.clock.unit) != (first.clock.column, first.clock.unit):
@@ -265,21 +221,7 @@ def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]
 
 
 def check_by_simulation(proposed: Guess, tables: Sequence[Table], rig: Rig) -> list[Guess]:
-    """Check the signs of a guess by simulation of the baseline model of a `rig`.
-
-    Parameters
-    ----------
-    proposed : Guess
-        A guess from `propose`.
-    tables : sequence of Table
-        The tables to which it applies.
-
-    Returns
-    -------
-    list of Guess
-        One per table, with its simulated sign choices. All have an ambiguity if another choice fits
-        about as well in the mean of all tables.
-    """
+    """Check the signs of a guess by simulation of the baseline model of a `rig`."""
     longest = [max(flights_of(table, proposed.profile), key=len) for table in tables]
     choices = [try_sign_choices(flight, rig) for flight in longest]
     simulated = [trials for trials in choices if trials]
@@ -316,15 +258,8 @@ def check_by_simulation(proposed: Guess, tables: Sequence[Table], rig: Rig) -> l
 def fewest_sign_changes(
     regressions: Mapping[str, RegressionFit], feedback: float, known: KnownEntries
 ) -> SignChanges:
-    """Find the fewest changes of sign after which all axes follow their causes, and which agree with `known`.
-
-    Parameters
-    ----------
-    regressions : Mapping[str, RegressionFit]
-        Regression of each axis' acceleration on its cause, by axis.
-    feedback : float
-        Positive if the sum of the voltages grows with the rate of elevation, negative if it falls,
-        otherwise 0.
+    """Find the fewest changes of sign after which all axes follow their causes, and which agree with
+    `known`.
     """
     elevation = 1.0 if regressions["elevation"].gain >= 0.0 else -1.0
     if feedback and regressions["elevation"].log_likelihood_ratio < thresholds.DECISIVE_NATS:

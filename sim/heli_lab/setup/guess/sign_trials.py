@@ -34,11 +34,6 @@ def try_sign_choices(flight: Flight, rig: Rig) -> tuple[SignChoice, ...]:
     """Fit and simulate a flight with each of the eight choices of the three angles' signs.
 
     Exchanging the motors needs no choice of its own: it equals inverting pitch and travel.
-
-    Returns
-    -------
-    tuple of SignChoice
-        The unchanged flight is the first element. Empty if too little of the flight is in the air.
     """
     try:
         record = _most_excited_part(prepare(flight, rig))
@@ -85,12 +80,8 @@ def _most_excited_part(record: Record) -> Record:
 
 
 def _fitted_error_deg(record: Record, rig: Rig) -> Floats:
-    """Fit the baseline model to a record, and return the rms error of its open-loop simulations.
-
-    Returns
-    -------
-    ndarray (3,)
-        Error of each axis [deg]; 180 if the simulation diverges.
+    """Fit the baseline model to a record, and return the rms error of its open-loop simulations. Returns
+    shape (3,).
     """
     problem = Problem(MultibodyModel(), rig, [record], window_s=TRIAL_WINDOW_S, step_s=0.02)
     try:

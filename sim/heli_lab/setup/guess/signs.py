@@ -31,21 +31,11 @@ _DEGREES_RATIO: Final = (0.4 * 180.0 / math.pi, 2.5 * 180.0 / math.pi)
 
 @dataclass(frozen=True)
 class WrongSign:
-    """One wrong sign, zero or unit of a flight.
+    """One wrong sign, zero or unit of a flight."""
 
-    Parameters
-    ----------
-    description : str
-        The evidence and its cause, in a few words.
-    remedy : str
-        How to correct the flight.
-    inverted_axes : tuple of str
-        Axes whose sign has to change; empty for a wrong zero or unit.
-    """
-
-    description: str
-    remedy: str
-    inverted_axes: tuple[str, ...] = ()
+    description: str  # The evidence and its cause, in a few words
+    remedy: str  # How to correct the flight
+    inverted_axes: tuple[str, ...] = ()  # Axes whose sign has to change; empty for a wrong zero or unit
 
 
 def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
@@ -53,18 +43,6 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
 
     A sign is wrong if an axis clearly accelerates against its cause, and the baseline model of the rig fits
     clearly better with the opposite sign. An unusual rig fulfils neither condition.
-
-    Parameters
-    ----------
-    flight : Flight
-        The flight, in radians and volts.
-    rig : Rig
-        Parameters of the rig before the fit.
-
-    Returns
-    -------
-    tuple of WrongSign
-        Empty if all signs are right, or if the flight does not decide them.
     """
     if flight.duration_s < MIN_DURATION_S:
         return ()
@@ -110,13 +88,7 @@ def _confirmed_by_simulation(suspects: list[WrongSign], flight: Flight, rig: Rig
 
 
 def _zeroed_at_rest(rest: RestElevation, reference: Reference) -> WrongSign | None:
-    """Report an elevation that was zeroed at rest on the table instead of at level.
-
-    Returns
-    -------
-    WrongSign or None
-        None if the elevation is right, or if the flight does not decide it.
-    """
+    """Report an elevation that was zeroed at rest on the table instead of at level."""
     if rest.deg is None or not rest.begins_lowest:
         return None
     tolerance_deg = thresholds.REST_TOLERANCE_DEG + reference.rest_tolerance_deg

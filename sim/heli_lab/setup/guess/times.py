@@ -41,24 +41,12 @@ _MIN_MOVING_SHARE: Final = 0.03
 
 @dataclass(frozen=True)
 class Clock:
-    """Time column of a table.
+    """Time column of a table."""
 
-    Parameters
-    ----------
-    column : str
-        Name of the column; empty if the table has no times.
-    unit : str
-        Unit: `s`, `ms`, `us`, `ns` or `min`; empty if no unit fits.
-    sure : bool
-        Whether column and unit are unambiguous.
-    alternative : str
-        Other meaning of the column, or the reason why no unit fits.
-    """
-
-    column: str
-    unit: str
-    sure: bool
-    alternative: str = ""
+    column: str  # Name of the column; empty if the table has no times
+    unit: str  # Unit: `s`, `ms`, `us`, `ns` or `min`; empty if no unit fits
+    sure: bool  # Whether column and unit are unambiguous
+    alternative: str = ""  # Other meaning of the column, or the reason why no unit fits
 
 
 def clock_of(table: Table) -> Clock:
@@ -86,17 +74,7 @@ def clock_of(table: Table) -> Clock:
 
 
 def _interpret_as_times(name: str, header_unit: str, step: float) -> Clock:
-    """Interpret a column that rises from row to row as times.
-
-    Parameters
-    ----------
-    name : str
-        Name of the column.
-    stated : str
-        Unit that the header of the column states; empty if it states none.
-    step : float
-        Median difference between two rows, in the unit of the column.
-    """
+    """Interpret a column that rises from row to row as times."""
     possible_units = [unit for unit, s in TIME_UNITS.items() if _MIN_STEP_S <= step * s <= _MAX_STEP_S]
     stated_unit = header_unit or split_unit(name)[1]
     if not stated_unit and set(names.words_of(name)) & {"millis"}:
@@ -132,19 +110,8 @@ def times_in_s(table: Table, clock: Clock) -> Floats:
 
 
 def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
-    """Cut out the longest part of a table in which times rise and no angle jumps.
-
-    Parameters
-    ----------
-    t_s : ndarray (n,)
-        Times of the rows [s].
-
-    Returns
-    -------
-    part : Table
-        The rows of that part.
-    t_s : ndarray (k,)
-        Its times [s].
+    """Cut out the longest part of a table in which times rise and no angle jumps. Shapes: `t_s` (n,);
+    returns `t_s` (k,).
     """
     known = np.flatnonzero(np.isfinite(t_s))
     breaks = set(known[1:][np.diff(t_s[known]) < 0.0].tolist())
@@ -160,13 +127,7 @@ def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
 
 
 def _jump_rows(values: Floats, t_s: Floats) -> set[int]:
-    """Find the rows at which an encoder's angle jumps, as when a program joins two flights in one log.
-
-    Returns
-    -------
-    set of int
-        Row after each jump; empty for a column that does not move like an encoder's angle.
-    """
+    """Find the rows at which an encoder's angle jumps, as when a program joins two flights in one log."""
     known = np.flatnonzero(np.isfinite(values) & np.isfinite(t_s))
     # Voltages jump with their setpoints; only encoders are quantised.
     if known.size < _MIN_ROWS or not quantisation_step(values):

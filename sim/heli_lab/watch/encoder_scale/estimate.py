@@ -64,27 +64,13 @@ _MOMENTS: Final = (0.25, 0.5, 0.75)
 
 @dataclass(frozen=True)
 class ScaleEstimate:
-    """Estimated scale of one encoder; all other parameters of the rig vary within their tolerances.
+    """Estimated scale of one encoder; all other parameters of the rig vary within their tolerances."""
 
-    Parameters
-    ----------
-    axis : str
-        Axis of the encoder: ``elevation``, ``pitch`` or ``travel``.
-    scale : float
-        Counts that the encoder shows per count that the model predicts; 1 for a correct encoder.
-    standard_error : float
-        Standard error of the scale.
-    nats : float
-        Log-likelihood ratio of this scale to a scale of 1, nats (6 nats: 400 times as likely).
-    converged : bool
-        Whether the search for it has converged; otherwise its value means nothing.
-    """
-
-    axis: str
-    scale: float
-    standard_error: float
-    nats: float
-    converged: bool = True
+    axis: str  # Axis of the encoder: ``elevation``, ``pitch`` or ``travel``
+    scale: float  # Counts that the encoder shows per count that the model predicts; 1 for a correct encoder
+    standard_error: float  # Standard error of the scale
+    nats: float  # Log-likelihood ratio of this scale to a scale of 1, nats (6 nats: 400 times as likely)
+    converged: bool = True  # Whether the search for it has converged; otherwise its value means nothing
 
     @property
     def sigmas(self) -> float:
@@ -94,42 +80,20 @@ class ScaleEstimate:
 
 @dataclass(frozen=True)
 class _Iterate:
-    """One point of the search for the scales.
+    """One point of the search for the scales."""
 
-    Parameters
-    ----------
-    free : ndarray (f,)
-        Free unknowns.
-    residuals : list of ndarray (k,)
-        Residuals of each axis [rad/s^2].
-    errors : ndarray (3 k,)
-        Residuals of all axes in standard deviations.
-    jacobian : ndarray (3 k, f)
-        Derivatives of the residuals by the free unknowns, in standard deviations of the residuals.
-    cost : float
-        Sum of squares of the errors, plus that of the priors.
-    """
-
-    free: Floats
-    residuals: list[Floats]
-    errors: Floats
+    free: Floats  # (f,): Free unknowns
+    residuals: list[Floats]  # (k,): Residuals of each axis [rad/s^2]
+    errors: Floats  # (3 k,): Residuals of all axes in standard deviations
     jacobian: Floats
-    cost: float
+    """(3 k, f): Derivatives of the residuals by the free unknowns, in standard deviations of the residuals.
+    """
+    cost: float  # Sum of squares of the errors, plus that of the priors
 
 
 class _ScaleProblem:
     """Least-squares problem of some encoder scales together with all other unknowns and their priors.
-
-    Parameters
-    ----------
-    weak_form : FlightInWeakForm
-        The flight.
-    noise : ndarray (3,)
-        Standard deviation of the residuals of each axis [rad/s2].
-    axes : sequence of int
-        Axes whose scales are free; `VOLTAGE_FACTOR` for the factor on the voltages.
-    start : ndarray (unknowns,)
-        Start values of all unknowns; those that are not free keep these values.
+    `noise` has shape (3,). `start` has shape (unknowns,).
     """
 
     def __init__(
@@ -185,81 +149,31 @@ class _ScaleProblem:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Result of a fit.
+    """Result of a fit."""
 
-    Parameters
-    ----------
-    unknowns : ndarray (unknowns,)
-        All unknowns, as in `FlightInWeakForm`.
-    covariance : ndarray (f, f)
-        Covariance of the free unknowns.
-    cost : float
-        Sum of squares, priors included.
-    residuals : list of ndarray (k,)
-        Residuals of each axis [rad/s^2].
-    converged : bool
-        Whether a further step would change the unknowns noticeably.
-    """
-
-    unknowns: Floats
-    covariance: Floats
-    cost: float
-    residuals: list[Floats]
-    converged: bool
+    unknowns: Floats  # (unknowns,): All unknowns, as in `FlightInWeakForm`
+    covariance: Floats  # (f, f): Covariance of the free unknowns
+    cost: float  # Sum of squares, priors included
+    residuals: list[Floats]  # (k,): Residuals of each axis [rad/s^2]
+    converged: bool  # Whether a further step would change the unknowns noticeably
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """Something other than an encoder's scale that explains a flight.
+    """Something other than an encoder's scale that explains a flight."""
 
-    Parameters
-    ----------
-    name : str
-        ``supply_V``, or the id of an effect of the catalogue.
-    nats : float
-        Log-likelihood ratio to the rig's model without it, nats.
-    factor : float
-        Factor on the voltages, if it is a wrong supply; otherwise 1.
-    """
-
-    name: str
-    nats: float
-    factor: float = 1.0
+    name: str  # ``supply_V``, or the id of an effect of the catalogue
+    nats: float  # Log-likelihood ratio to the rig's model without it, nats
+    factor: float = 1.0  # Factor on the voltages, if it is a wrong supply; otherwise 1
 
 
 def scales_of(flight: Flight, rig: Rig, model: Model) -> tuple[ScaleEstimate, ...]:
-    """Estimate the scale of each encoder, as if the other two encoders were correct.
-
-    Parameters
-    ----------
-    flight : Flight
-        Any flight of a board, gaps allowed.
-    rig : Rig
-        Values of the rig parameters, and tolerances, which are the priors.
-    model : Model
-        Equations of motion of the rig.
-
-    Returns
-    -------
-    tuple of ScaleEstimate
-        For elevation, pitch and travel; empty if less than `MIN_s` of the flight is free flight.
-    """
+    """Estimate the scale of each encoder, as if the other two encoders were correct."""
     return ScaleTest(FlightInWeakForm(flight, rig, model)).estimates
 
 
 class ScaleTest:
-    """Test of a flight for encoders with wrong scales, and for what else explains the same.
-
-    Parameters
-    ----------
-    weak_form : FlightInWeakForm
-        The flight.
-
-    Attributes
-    ----------
-    estimates : tuple of ScaleEstimate
-        As `scales_of` returns them.
-    """
+    """Test of a flight for encoders with wrong scales, and for what else explains the same."""
 
     def __init__(self, weak_form: FlightInWeakForm) -> None:
         self._weak_form = weak_form
@@ -278,11 +192,6 @@ class ScaleTest:
 
         Effects with states, such as a lag, are left out: the lag of the thrust is always fitted. A first
         step of a fit predicts which effects are likely.
-
-        Returns
-        -------
-        list of Explanation
-            The most likely first.
         """
         effects = [_EffectFit(kind, self._weak_form, self._all_one) for kind in kinds if _is_static(kind)]
         effects.sort(key=lambda effect: -effect.predicted_nats(self._noise))
@@ -306,17 +215,7 @@ class ScaleTest:
 
 
 class _EffectFit:
-    """An effect of the catalogue in the place of a wrong scale.
-
-    Parameters
-    ----------
-    kind : EffectSpec
-        The effect.
-    weak_form : FlightInWeakForm
-        The flight without it.
-    all_one : _Fit
-        Fit of the flight without it.
-    """
+    """An effect of the catalogue in the place of a wrong scale."""
 
     def __init__(self, kind: EffectSpec, weak_form: FlightInWeakForm, all_one: _Fit) -> None:
         self._kind, self._effect, self._all_one = kind, kind.make(), all_one
@@ -374,18 +273,7 @@ def _is_static(kind: EffectSpec) -> bool:
 def _estimate_scale_of_axis(
     weak_form: FlightInWeakForm, noise: Floats, axis: int, all_free: _Fit, all_one: _Fit
 ) -> ScaleEstimate:
-    """Estimate the scale of one axis, with the other two scales fixed at 1.
-
-    Parameters
-    ----------
-    noise : ndarray (3,)
-        Standard deviation of the residuals of each axis [rad/s^2].
-    axis : int
-        Number of the axis, 0 to 2.
-    all_free, all_one : _Fit
-        Fits with all three scales free, and with all scales fixed at 1. The search starts from each of them,
-        and the result with the lower cost counts.
-    """
+    """Estimate the scale of one axis, with the other two scales fixed at 1. Shapes: `noise` (3,)."""
     start = all_free.unknowns.copy()
     start[[other for other in range(3) if other != axis]] = 0.0
     fits = [_fit_scales(weak_form, noise, (axis,), initial) for initial in (start, all_one.unknowns)]
@@ -397,7 +285,8 @@ def _estimate_scale_of_axis(
 
 
 def _noise_of_axes(weak_form: FlightInWeakForm) -> tuple[Floats, _Fit]:
-    """Estimate the noise of each axis from the residuals of a fit in which all scales are free.
+    """Estimate the noise of each axis from the residuals of a fit in which all scales are free. Returns
+    shape `noise` (3,).
 
     A wrong scale does then not count as noise. The standard deviations follow from the residuals by three
     rules.
@@ -414,13 +303,6 @@ def _noise_of_axes(weak_form: FlightInWeakForm) -> tuple[Floats, _Fit]:
     3. If only disturbances move an axis, a small scale explains its angles as well as any other scale, and
     makes
        its residuals small. If the scale is below 1, the residuals are therefore divided by it.
-
-    Returns
-    -------
-    noise : ndarray (3,)
-        Standard deviation of the residuals of each axis [rad/s^2], for the weights of a fit.
-    fit : _Fit
-        The fit from which the noise is estimated.
     """
     noise, unknowns = np.full(3, _FIRST_rad_s2), weak_form.mean
     for _ in range(_NOISE_ROUNDS):

@@ -57,22 +57,6 @@ class FlightInWeakForm:
     The first unknowns are the logarithms of three scales and of a factor on the voltages, the lag of the
     thrust, and the zeros of the elevation and the pitch encoder. Parameters of the rig and of effects follow,
     and a constant torque about each axis.
-
-    Parameters
-    ----------
-    flight : Flight
-        Any flight of a board, gaps allowed.
-    rig : Rig
-        Values and tolerances of the rig parameters.
-    model : Model
-        Equations of motion. Effects that have states, and random effects, are left out.
-
-    Attributes
-    ----------
-    seconds : float
-        Duration of the free flight that is used [s].
-    mean, std : ndarray
-        Prior means and standard deviations of the unknowns.
     """
 
     def __init__(self, flight: Flight, rig: Rig, model: Model) -> None:
@@ -137,13 +121,7 @@ class FlightInWeakForm:
 
     def residuals(self, unknowns: Floats) -> tuple[list[Floats], list[Floats]]:
         """Compute measured minus predicted mean accelerations, and their derivatives by the `unknowns`.
-
-        Returns
-        -------
-        residuals : list of ndarray (k,)
-            For each axis, one residual per test function [rad/s^2].
-        jacobians : list of ndarray (k, unknowns)
-            For each axis, derivatives of its residuals by the unknowns.
+        Returns shape `residuals` (k,), `jacobians` (k, unknowns).
         """
         scales = np.exp(unknowns[:3])
         residuals: list[list[Floats]] = [[], [], []]
@@ -163,14 +141,8 @@ class FlightInWeakForm:
         )
 
     def _true_accelerations(self, part: Part, unknowns: Floats) -> tuple[Floats, Floats]:
-        """Compute the true accelerations by the equations of motion at every row of a part.
-
-        Returns
-        -------
-        accelerations : ndarray (n, 3)
-            Of elevation, pitch and travel [rad/s^2].
-        derivatives : ndarray (n, 3, unknowns)
-            Their derivatives by the unknowns.
+        """Compute the true accelerations by the equations of motion at every row of a part. Returns shape
+        `accelerations` (n, 3), `derivatives` (n, 3, unknowns).
         """
         scales, factor = np.exp(unknowns[:VOLTAGE_FACTOR]), np.exp(unknowns[VOLTAGE_FACTOR])
         first = SCALES_AND_FACTOR

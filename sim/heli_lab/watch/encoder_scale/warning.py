@@ -49,11 +49,6 @@ def finding_of(wrong: ScaleEstimate, explanations: Sequence[Explanation]) -> Fli
     """Return the finding for an encoder that counts otherwise than the rig's model predicts.
 
     It names the encoder only if none of the other `explanations` is as likely.
-
-    Parameters
-    ----------
-    explanations : sequence of Explanation
-        Everything else that may explain the flight, the most likely first.
     """
     best_nats = max([wrong.nats, *(other.nats for other in explanations)])
     # What is not significant by itself explains nothing, even if the scale is hardly significant either.
@@ -75,15 +70,7 @@ def warning_text(estimate: ScaleEstimate) -> str:
 
 
 def common_text(wrong: ScaleEstimate, others: Sequence[Explanation], is_encoder_likely: bool) -> str:
-    """Return the warning that a flight does not fit its rig, for a reason that may be no encoder.
-
-    Parameters
-    ----------
-    others : sequence of Explanation
-        The most likely reasons, the best first.
-    is_encoder_likely : bool
-        Whether the encoder's scale is as likely as these.
-    """
+    """Return the warning that a flight does not fit its rig, for a reason that may be no encoder."""
     names = [_explanation_text(other) for other in others]
     if len(names) > _MAX_NAMES:
         names = [*names[: _MAX_NAMES - 1], f"{len(names) - _MAX_NAMES + 1} other effects of the catalogue"]
@@ -113,25 +100,7 @@ def _ratio_text(estimate: ScaleEstimate) -> str:
 
 
 def check_flight(flight: Flight, rig: str) -> list[FlightFinding]:
-    """Check the scales of all encoders with a finished flight.
-
-    Parameters
-    ----------
-    flight : Flight
-        A finished flight.
-    rig : str
-        Name of the rig that flew, or path of its rig file.
-
-    Returns
-    -------
-    list of FlightFinding
-        One if the scale of an encoder is clearly wrong, or seems to be; empty otherwise.
-
-    Raises
-    ------
-    SimError
-        The rig file cannot be read.
-    """
+    """Check the scales of all encoders with a finished flight."""
     rig_file = load_rig(rig)
     model = model_named(rig_file.model or "multibody", effects_of(rig_file))
     test = ScaleTest(FlightInWeakForm(flight, rig_file, model))

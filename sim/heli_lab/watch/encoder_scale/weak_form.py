@@ -32,25 +32,14 @@ _SMOOTH_s: Final = 0.1
 
 @dataclass(frozen=True)
 class Part:
-    """Consecutive steps of free flight.
+    """Consecutive steps of free flight."""
 
-    Parameters
-    ----------
-    t_s : ndarray (n,)
-        Beginning of each step.
-    angles_rad, rates_rad_s : ndarray (n, 3)
-        Mean of the measured angles in each step, and their smoothed rates.
-    volts_V : ndarray (n, 2)
-        Mean of the voltages in each step.
-    step_s : float
-        Length of a step [s].
-    """
-
-    t_s: Floats
+    t_s: Floats  # (n,): Beginning of each step
     angles_rad: Floats
+    """angles_rad, rates_rad_s: (n, 3): Mean of the measured angles in each step, and their smoothed rates."""
     rates_rad_s: Floats
-    volts_V: Floats
-    step_s: float
+    volts_V: Floats  # (n, 2): Mean of the voltages in each step
+    step_s: float  # Length of a step [s]
 
     @property
     def seconds(self) -> float:
@@ -58,17 +47,8 @@ class Part:
         return len(self.angles_rad) * self.step_s
 
     def lagged_V(self, lag_s: float) -> Floats:
-        """Pass the voltages through a first-order lag that is settled at the first voltage.
-
-        Parameters
-        ----------
-        lag_s : float
-            Time constant of the lag [s].
-
-        Returns
-        -------
-        ndarray (n, 2)
-            Mean of the lagged voltages in each step [V].
+        """Pass the voltages through a first-order lag that is settled at the first voltage. Returns shape
+        (n, 2).
         """
         lag_s = max(lag_s, _MIN_LAG_s)
         decay = math.exp(-self.step_s / lag_s)
@@ -80,21 +60,10 @@ class Part:
 
 def _low_passed(values: Floats, decay: float) -> Floats:
     """Pass the columns of `values` through a first-order low-pass filter that is settled at the first row.
+    Returns shape (n, k).
 
     The filter is computed in blocks of rows, as a product of matrices for each block. SciPy has such a
     filter, but importing SciPy takes as long as filtering half a minute of flight.
-
-    Parameters
-    ----------
-    values : ndarray (n, k)
-        Inputs of the filter.
-    decay : float
-        Factor by which the output's distance from a constant input decreases per row.
-
-    Returns
-    -------
-    ndarray (n, k)
-        Output at the beginning of each row, before the input of that row acts.
     """
     rows, columns = values.shape
     blocks = -(-rows // _BLOCK)
@@ -115,13 +84,7 @@ def _low_passed(values: Floats, decay: float) -> Floats:
 
 def gap_free_parts(flight: Flight, rows: Booleans, min_V: float) -> list[Part]:
     """Cut a flight into parts without gaps, each longer than the longest test function, on a coarse grid.
-
-    Parameters
-    ----------
-    rows : ndarray of bool (n,)
-        Rows in free flight.
-    min_V : float
-        Dead zone [V]: lower voltages give no thrust either, and are raised to it.
+    Shapes: `rows` (n,).
     """
     step_s = flight.step_s
     if not step_s > 0.0:
@@ -185,16 +148,7 @@ class TestFunctions:
 
     def second_derivative(self, angles_rad: Floats) -> list[Floats]:
         """Compute the mean acceleration of each axis [rad/s^2], weighted by each of its test functions.
-
-        Parameters
-        ----------
-        angles_rad : ndarray (n, 3)
-            Angles in each step of the part.
-
-        Returns
-        -------
-        list of ndarray (k,)
-            For each axis, one mean per test function.
+        Shapes: `angles_rad` (n, 3); returns (k,).
         """
         return [
             _weighted_sums(second, starts, angles_rad[:, axis])

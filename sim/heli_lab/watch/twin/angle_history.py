@@ -11,15 +11,7 @@ from heli_lab.watch.twin.likelihood_ratio import LikelihoodRatio
 
 
 class AngleHistory:
-    """Angles at the ends of the latest blocks. Block k is in row k modulo the number of rows.
-
-    Parameters
-    ----------
-    blocks : int
-        Number of blocks that are kept.
-    scales : sequence of (int, int)
-        For each encoder scale among the changes, its column and its axis.
-    """
+    """Angles at the ends of the latest blocks. Block k is in row k modulo the number of rows."""
 
     def __init__(self, blocks: int, scales: Sequence[tuple[int, int]]) -> None:
         self._angles_rad: Floats = np.zeros((blocks, 3))

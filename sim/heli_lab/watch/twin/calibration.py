@@ -30,24 +30,13 @@ DEFAULT_DISTURBANCES: Final = replace(DISTURBANCE_START, quantisation=np.ones(3)
 
 @dataclass(frozen=True)
 class Calibration:
-    """Calibration of a twin.
+    """Calibration of a twin."""
 
-    Parameters
-    ----------
-    disturbances : DisturbanceModel
-        Gusts and drift of the rig, and the quantisation of its encoders.
-    tail : Tail
-        Tail of the evidence in nominal flights.
-    source : str
-        Flights from which both were estimated.
-    uncertainty : ParameterUncertainty
-        Errors of the rig's parameters, as far as these flights leave them open.
-    """
-
-    disturbances: DisturbanceModel
-    tail: Tail
-    source: str = ""
+    disturbances: DisturbanceModel  # Gusts and drift of the rig, and the quantisation of its encoders
+    tail: Tail  # Tail of the evidence in nominal flights
+    source: str = ""  # Flights from which both were estimated
     uncertainty: ParameterUncertainty = EXACT
+    """Errors of the rig's parameters, as far as these flights leave them open."""
 
     def threshold_nats(self, false_alarm_interval_h: float) -> float:
         """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`.
@@ -102,20 +91,7 @@ def write_calibration(path: Path, calibration: Calibration, rig: str) -> None:
 
 
 def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
-    """Read the calibration in a twin file.
-
-    Parameters
-    ----------
-    data : Mapping
-        Parsed TOML of the file.
-    name : str
-        Name of the file, for error messages.
-
-    Raises
-    ------
-    TwinError
-        A key is missing, or a value is invalid.
-    """
+    """Read the calibration in a twin file."""
     return Calibration(
         _parse_disturbances(_table_of(data, "disturbances", name), name),
         _parse_tail(_table_of(data, "tail", name), name),

@@ -25,36 +25,21 @@ at the onset."""
 
 @dataclass(frozen=True)
 class Change:
-    """A hypothesis: from an unknown onset on, one or two rig parameters are different.
+    """A hypothesis: from an unknown onset on, one or two rig parameters are different."""
 
-    Parameters
-    ----------
-    id : str
-        Id of the effect of the catalogue, or another unique name.
-    parameters : tuple of str
-        One or two parameters of the extended model that the change adds to, or `SUPPLY`, or one of `SCALES`.
-        Parameters joined by ``+`` change by the same amount.
-    sizes : tuple of float
-        Prior standard deviation of the change of each parameter, SI. A wider prior costs evidence (Occam's
-        razor).
-    unit : str
-        Unit of the first parameter.
-    positive_text, negative_text : str
-        Sentence if the first parameter grows or falls; ``{}`` is the amount.
-    is_ramp : bool
-        True if the change grows from its onset at a constant rate; False for a step.
-    non_negative : bool
-        True if the first parameter cannot fall.
-    """
-
-    id: str
+    id: str  # Id of the effect of the catalogue, or another unique name
     parameters: tuple[str, ...]
+    """One or two parameters of the extended model that the change adds to, or `SUPPLY`, or one of `SCALES`.
+    Parameters joined by ``+`` change by the same amount."""
     sizes: tuple[float, ...]
-    unit: str
+    """Prior standard deviation of the change of each parameter, SI. A wider prior costs evidence (Occam's
+    razor)."""
+    unit: str  # Unit of the first parameter
     positive_text: str
+    """positive_text, negative_text: Sentence if the first parameter grows or falls; ``{}`` is the amount."""
     negative_text: str
-    is_ramp: bool = False
-    non_negative: bool = False
+    is_ramp: bool = False  # True if the change grows from its onset at a constant rate; False for a step
+    non_negative: bool = False  # True if the first parameter cannot fall
 
     @property
     def is_scale(self) -> bool:

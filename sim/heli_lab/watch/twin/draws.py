@@ -37,17 +37,7 @@ History = list[tuple[float, float]]
 
 class Draws:
     """Innovations of healthy flights in another order: pieces from random places, with random signs.
-
-    Parameters
-    ----------
-    innovations : sequence of ndarray (n, 3)
-        Innovations of each flight, in standard deviations. Kicks are left out with `PIECE` measurements
-        before and after them: a kick is an event, not the noise between kicks, and the twin cuts its
-        evidence off.
-    count : int
-        Number of draws.
-    rng : numpy.random.Generator
-        Source of the random places and signs.
+    `innovations` has shape (n, 3).
     """
 
     def __init__(self, innovations: Sequence[Floats], count: int, rng: np.random.Generator) -> None:
@@ -135,21 +125,11 @@ class _DrawnTwin(Twin):
 
 @dataclass(frozen=True)
 class FollowedFlight:
-    """A flight that a twin followed without raising an alarm.
+    """A flight that a twin followed without raising an alarm."""
 
-    Parameters
-    ----------
-    history : list of (float, float)
-        Time [s] and evidence [nats] of each measurement.
-    innovations : ndarray (n, 3)
-        Innovations, in standard deviations.
-    kicks_s : tuple of float
-        Times of innovations above `CUT_OFF_STD` [s].
-    """
-
-    history: History
-    innovations: Floats
-    kicks_s: tuple[float, ...]
+    history: History  # Time [s] and evidence [nats] of each measurement
+    innovations: Floats  # (n, 3): Innovations, in standard deviations
+    kicks_s: tuple[float, ...]  # Times of innovations above `CUT_OFF_STD` [s]
 
     def history_without_kicks(self) -> History:
         """Return the history without the times at which a kick is in the window."""

@@ -24,40 +24,16 @@ these disturbances."""
 
 @dataclass(frozen=True)
 class TwinRig:
-    """A rig, its model and the calibration: everything that a twin needs.
+    """A rig, its model and the calibration: everything that a twin needs."""
 
-    Parameters
-    ----------
-    rig : Rig
-        Parameters of the rig.
-    model : Model
-        Equations of motion with the effects that the rig file states.
-    calibration : Calibration
-        Disturbances and tail of the evidence without a change.
-    name : str
-        Name of the rig, or path of its file.
-    """
-
-    rig: Rig
-    model: Model
-    calibration: Calibration
-    name: str
+    rig: Rig  # Parameters of the rig
+    model: Model  # Equations of motion with the effects that the rig file states
+    calibration: Calibration  # Disturbances and tail of the evidence without a change
+    name: str  # Name of the rig, or path of its file
 
 
 def open_rig(name: str) -> TwinRig:
-    """Read a rig file or a twin file.
-
-    Parameters
-    ----------
-    name : str
-        Name of a rig, path of its file, or path of a twin file. The path of a rig in a twin file is relative
-        to that file.
-
-    Raises
-    ------
-    SimError
-        The rig or the file does not exist or is invalid.
-    """
+    """Read a rig file or a twin file."""
     path = Path(name)
     calibration = DEFAULT_CALIBRATION
     rig_name = name

@@ -27,20 +27,7 @@ _MAX_TIME_ERROR_STEPS: Final = 0.3
 
 
 def samples_of(flight: Flight) -> tuple[Samples, float]:
-    """Convert the rows of a flight to samples that are numbered on an even grid.
-
-    Returns
-    -------
-    Samples
-        The rows.
-    float
-        Time between two numbers [s].
-
-    Raises
-    ------
-    TwinError
-        The rows are not evenly spaced.
-    """
+    """Convert the rows of a flight to samples that are numbered on an even grid."""
     t_s, step_s = flight.t_s, flight.step_s
     if abs(step_s - TICK_S) < 1e-5:
         # The rows are ticks of the board.
@@ -66,20 +53,7 @@ def samples_of(flight: Flight) -> tuple[Samples, float]:
 
 
 def samples_of_log(log: Log) -> tuple[Samples, float]:
-    """Convert a log to samples that are numbered by the board's ticks.
-
-    Returns
-    -------
-    Samples
-        The ticks.
-    float
-        Time of the board at 0 s of the log [s].
-
-    Raises
-    ------
-    TwinError
-        The log has no ticks, or no counts per turn of the encoders.
-    """
+    """Convert a log to samples that are numbered by the board's ticks."""
     count_rad = rad_per_count(log.parameters)
     if not len(log.ticks) or not np.all(np.isfinite(count_rad)):
         raise TwinError(f"{log.path} holds no ticks, or no counts of the encoders", "record the flight again")
@@ -90,17 +64,7 @@ def samples_of_log(log: Log) -> tuple[Samples, float]:
 
 
 def samples_of_ticks(tick: Integers, raw: npt.NDArray[np.int32], count_rad: Floats) -> Samples:
-    """Convert ticks of a board to samples.
-
-    Parameters
-    ----------
-    tick : ndarray of int64 (n,)
-        Device time [tick of 1 ms], unwrapped beyond 2^32.
-    raw : ndarray of int32 (n, channels)
-        Raw numbers in the order of the declaration's ``CHANNELS``.
-    count_rad : ndarray (3,)
-        Angle of one count of each encoder [rad].
-    """
+    """Convert ticks of a board to samples. Shapes: `tick` (n,), `raw` (n, channels), `count_rad` (3,)."""
     angles = np.column_stack(
         [numbers(raw, channel) * count_rad[axis] for axis, channel in enumerate(ENCODERS)]
     )

@@ -18,15 +18,7 @@ Shorter: the ground effect is taken for a change."""
 
 
 class FreeFlight:
-    """Decides for successive steps whether the flight is free.
-
-    Parameters
-    ----------
-    rig : Rig
-        Rig with the angles of its table and stops.
-    step_s : float
-        Length of a step [s].
-    """
+    """Decides for successive steps whether the flight is free."""
 
     def __init__(self, rig: Rig, step_s: float) -> None:
         self._settling_steps = round(SETTLE_s / step_s)
@@ -44,15 +36,7 @@ class FreeFlight:
         ]
 
     def update(self, angles_rad: Floats | None, flying: bool) -> bool:
-        """Return whether a step is free.
-
-        Parameters
-        ----------
-        angles_rad : ndarray (3,) or None
-            Angles at the beginning of the step [rad]; None without a measurement.
-        flying : bool
-            True if the motors may run.
-        """
+        """Return whether a step is free. Shapes: `angles_rad` (3,)."""
         if not flying:
             self._clear_steps = 0
         elif angles_rad is not None:

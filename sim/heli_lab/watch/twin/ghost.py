@@ -22,13 +22,6 @@ class Ghost:
     """Overlapping open-loop simulations, called runs.
 
     A run starts from the filter's state every 0.2 s. The oldest run, of `FREE_RUN_s`, is shown.
-
-    Parameters
-    ----------
-    twin : TwinModel
-        Equations of the rig.
-    step_s : float
-        Length of a step [s].
     """
 
     def __init__(self, twin: TwinModel, step_s: float) -> None:
@@ -46,18 +39,8 @@ class Ghost:
         self._torque_Nm, self._zero_rad = self._torque_Nm[:0], self._zero_rad[:0]
 
     def step(self, t_s: float, volts_V: Floats, state: Floats, torque_Nm: Floats, zero_rad: Floats) -> None:
-        """Start a run if one is due, and advance all runs by a step.
-
-        Parameters
-        ----------
-        t_s : float
-            Beginning of the step [s].
-        volts_V : ndarray (2,)
-            Acting voltages [V].
-        state : ndarray (states,)
-            State of the filter, from which a new run starts.
-        torque_Nm, zero_rad : ndarray (3,), ndarray (2,)
-            Steady torques [N m] and errors of the encoder zeros [rad] of a new run.
+        """Start a run if one is due, and advance all runs by a step. Shapes: `volts_V` (2,), `state`
+        (states,), `torque_Nm, zero_rad` (3,).
         """
         if self._steps % self._steps_between_runs == 0:
             newest = slice(max(0, len(self._runs) + 1 - _RUNS), None)

@@ -55,33 +55,14 @@ F = TypeVar("F", bound=AngleFilter)
 
 @dataclass
 class WithoutEncoder(Generic[F]):
-    """A filter with its likelihood ratio that does not use the measurements of a jumping encoder.
+    """A filter with its likelihood ratio that does not use the measurements of a jumping encoder."""
 
-    Parameters
-    ----------
-    kalman : AngleFilter
-        The filter; its `left_out` is the axis of the encoder.
-    ratio : LikelihoodRatio
-        The evidence of changes in its innovations.
-    """
-
-    kalman: F
-    ratio: LikelihoodRatio
+    kalman: F  # The filter; its `left_out` is the axis of the encoder
+    ratio: LikelihoodRatio  # The evidence of changes in its innovations
 
 
 class GlitchWatch(Generic[F]):
-    """Watches for jumps of the encoders that return.
-
-    Parameters
-    ----------
-    count_rad : ndarray (3,)
-        Angle of one count of each encoder [rad].
-
-    Attributes
-    ----------
-    alternative : WithoutEncoder or None
-        The second filter while it is open whether a jump returns; otherwise None.
-    """
+    """Watches for jumps of the encoders that return. `count_rad` has shape (3,)."""
 
     def __init__(self, count_rad: Floats) -> None:
         self._count_rad = count_rad

@@ -126,22 +126,6 @@ def fly_simulated(model: Model, rig: Rig, plans: Plan | Sequence[Plan], seed: in
     """Simulate a flight of plans with the flight code on the simulated board.
 
     A random constant torque acts about each axis.
-
-    Parameters
-    ----------
-    model : Model
-        Equations, with the disturbances among its effects.
-    rig : Rig
-        Parameters of the rig.
-    plans : Plan or sequence of Plan
-        Plans in the order of the flight.
-    seed : int
-        Seed of the disturbances, the encoders' start and the constant torques.
-
-    Raises
-    ------
-    FlightAborted
-        The motors never turned, because gusts moved the arm on the table and the board did not arm.
     """
     rng = np.random.default_rng(seed)
     rig_with_torques = rig.replace(

@@ -11,18 +11,7 @@ T = TypeVar("T")
 
 
 def independent_copy(original: T) -> T:
-    """Return a copy with separate arrays. Other attributes are shared; no update changes them in place.
-
-    Parameters
-    ----------
-    original : object
-        A filter whose updates change its arrays in place, or assign new values.
-
-    Returns
-    -------
-    object
-        The copy, of the same type.
-    """
+    """Return a copy with separate arrays. Other attributes are shared; no update changes them in place."""
     other = copy(original)
     for name, value in vars(original).items():
         if isinstance(value, np.ndarray):

@@ -19,58 +19,25 @@ longer than the lag of any rotor."""
 
 
 class Motion(NamedTuple):
-    """Measured motion and acting voltages over some steps.
+    """Measured motion and acting voltages over some steps."""
 
-    Parameters
-    ----------
-    times_s : ndarray (n,)
-        Times since the motors started [s].
-    angles_rad : ndarray (n, 3)
-        Measured angles [rad].
-    volts_V : ndarray (n, 2)
-        Acting voltages [V].
-    """
-
-    times_s: Floats
-    angles_rad: Floats
-    volts_V: Floats
+    times_s: Floats  # (n,): Times since the motors started [s]
+    angles_rad: Floats  # (n, 3): Measured angles [rad]
+    volts_V: Floats  # (n, 2): Acting voltages [V]
 
 
 @dataclass(frozen=True)
 class BlockEnd:
-    """The end of a block of steps, at which the filter uses a measurement.
+    """The end of a block of steps, at which the filter uses a measurement."""
 
-    Parameters
-    ----------
-    step : Step
-        The step that begins there, with the measured angles.
-    motor_time_s : float
-        Time since the motors started [s].
-    acting_V : ndarray (2,)
-        Voltages that act there [V].
-    """
-
-    step: Step
-    motor_time_s: float
-    acting_V: Floats
+    step: Step  # The step that begins there, with the measured angles
+    motor_time_s: float  # Time since the motors started [s]
+    acting_V: Floats  # (2,): Voltages that act there [V]
 
 
 class InputHistory:
-    """Inputs of the latest steps, with the delay between a voltage and its action.
-
-    Parameters
-    ----------
-    model : TwinModel
-        Contains the delay and the smallest voltage with a thrust.
-    step_s : float
-        Time between two steps [s].
-
-    Attributes
-    ----------
-    motor_time_s : float
-        Time since the motors started [s]; 0 while they are off.
-    acting_V : ndarray (2,)
-        Voltages that act at the present step [V].
+    """Inputs of the latest steps, with the delay between a voltage and its action. `acting_V` has shape
+    (2,).
     """
 
     def __init__(self, model: TwinModel, step_s: float) -> None:
@@ -94,12 +61,8 @@ class InputHistory:
         self.motor_time_s = 0.0 if math.isnan(self._motor_start_s) else t_s - self._motor_start_s
 
     def remember(self, measured_rad: Floats) -> None:
-        """Keep the present inputs with angles that were measured at the same step.
-
-        Parameters
-        ----------
-        measured_rad : ndarray (3,)
-            Measured angles [rad].
+        """Keep the present inputs with angles that were measured at the same step. Shapes: `measured_rad`
+        (3,).
         """
         self._motion.append((self.motor_time_s, measured_rad, self.acting_V))
 

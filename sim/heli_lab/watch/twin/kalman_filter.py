@@ -7,7 +7,7 @@ and a constant torque c. Over a step of 10 ms, the linearly implicit midpoint ru
     x+ = x + Gamma (f(x, u) + B (g + d + c)),
     Gamma = (I - h A / 2)^-1 h,   Phi = (I - h A / 2)^-1 (I + h A / 2),
 
-with the Jacobian A of f at the filter's state. `heli_lab.fit.estimation` linearises by the same rule. Let F be
+with the Jacobian A of f at the filter's state. `fit.estimation` linearises by the same rule. Let F be
 the transition of z. The sensitivity s of z to a change v of a parameter is propagated by
 s+ = F s + Gamma df/dv.
 """
@@ -55,36 +55,9 @@ axes show no friction."""
 
 
 class KalmanFilter:
-    """Extended Kalman filter of one free flight.
-
-    Parameters
-    ----------
-    twin : TwinModel
-        Equations and derivatives.
-    disturbances : DisturbanceModel
-        Gusts, drift and quantisation.
-    count_rad : ndarray (3,)
-        Angle of one count of each encoder [rad].
-    step_s : float
-        Length of a step [s].
-    steps_per_block : int
-        Number of steps between two measurements.
-    state : ndarray (n,)
-        Initial state of the model.
-    is_changed : bool
-        True if the rig has changed before: each possible change is then an unknown constant of the flight.
-
-    Attributes
-    ----------
-    mean : ndarray (order,)
-        Estimate of z, with the unknown errors of the parameters as its last part.
-    state_sensitivity : ndarray (order, columns, onsets)
-        Error of the filter's state per unit of each change from each onset. `LikelihoodRatio.begin_onset`
-        overwrites the columns of replaced onsets.
-    differences_rad, stds_rad : ndarray (3,)
-        Measured minus predicted angles of the latest measurement, and their standard deviations [rad].
-    left_out : int or None
-        Axis whose measurements are left out.
+    """Extended Kalman filter of one free flight. `count_rad` has shape (3,). `state` has shape (n,). `mean`
+    has shape (order,). `state_sensitivity` has shape (order, columns, onsets). `differences_rad,
+    stds_rad` has shape (3,).
     """
 
     def __init__(
@@ -226,18 +199,10 @@ class KalmanFilter:
         self._transition = transition @ self._transition
 
     def _propagate_root(self, transition: Floats, by_volts: Floats, volts_V: Floats) -> None:
-        """Propagate the root of the covariance by a QR decomposition (array algorithm).
+        """Propagate the root of the covariance by a QR decomposition (array algorithm). Shapes: `transition`
+        (order, order), `by_volts` (n, 2), `volts_V` (2,).
 
         Voltages that no nominal flight shows add process noise.
-
-        Parameters
-        ----------
-        transition : ndarray (order, order)
-            Transition of z over the step.
-        by_volts : ndarray (n, 2)
-            Derivative of the model's state after the step by the voltages.
-        volts_V : ndarray (2,)
-            Acting voltages [V].
         """
         # P+ = F P F' + Q = M' M for the rows M = (F R, Q^1/2)'. The triangle of its QR decomposition is R+'.
         rows = np.vstack(((transition @ self._root).T, self._noise))
@@ -250,19 +215,13 @@ class KalmanFilter:
         self._root = np.asarray(np.linalg.qr(rows, mode="r")).T
 
     def propagate_sensitivity(self, ages_s: Floats, is_ramp: npt.NDArray[np.bool_]) -> None:
-        """Propagate the sensitivities over the steps since the last call, s+ = F s + G w a.
+        """Propagate the sensitivities over the steps since the last call, s+ = F s + G w a. Shapes: `ages_s`
+        (columns, onsets), `is_ramp` (columns,).
 
         `predict` accumulates the transition F of z, and the derivative G of z by the free parameters. A unit
         of each change adds the twin's `weights` w to these parameters. The amount a of a change is 0 before
         its onset. After it, the amount of a step is 1, and the amount of a ramp is the time since the onset
         at the middle of the block.
-
-        Parameters
-        ----------
-        ages_s : ndarray (columns, onsets)
-            Time from each onset to now [s]; 0 or less for onsets in the future.
-        is_ramp : ndarray of bool (columns,)
-            True for changes that grow with time at a constant rate.
         """
         ramp_s = np.maximum(ages_s - 0.5 * self._block_s, 0.0)
         amount = np.where(ages_s > 0.0, np.where(is_ramp[:, None], ramp_s, 1.0), 0.0)
@@ -294,21 +253,8 @@ class KalmanFilter:
         onset_rad: Floats,
     ) -> Innovation:
         """Update with a measurement, one axis after the other, and return the normalised innovations.
-
-        Parameters
-        ----------
-        t_s : float
-            Time of the measurement [s].
-        measured_rad : ndarray (3,)
-            Measured angles [rad].
-        samples : int
-            Number of samples of which the angles are the mean.
-        volts_V : ndarray (2,)
-            Acting voltages [V].
-        amount : ndarray (columns, onsets)
-            1 for onsets in the past, otherwise 0.
-        onset_rad : ndarray (scales, onsets)
-            For each of the twin's `scales`, the angle of its axis at each onset [rad].
+        Shapes: `measured_rad` (3,), `volts_V` (2,), `amount` (columns, onsets), `onset_rad` (scales,
+        onsets).
         """
         angles, by_state, by_parameter = self.twin.measure(
             self.twin.at(t_s, self.state, volts_V, self.step_s)
@@ -334,18 +280,8 @@ class KalmanFilter:
     def _update_axes(
         self, residual_rad: Floats, output_matrix: Floats, direct_changes: Floats, variance_rad2: Floats
     ) -> Innovation:
-        """Update mean, root and sensitivities with one angle after the other.
-
-        Parameters
-        ----------
-        residual_rad : ndarray (3,)
-            Measured minus predicted angles [rad].
-        output_matrix : ndarray (3, order)
-            Derivatives of the angles by z.
-        direct_changes : ndarray (3, columns, onsets)
-            Direct increase of the measured angles by one unit of each change [rad].
-        variance_rad2 : ndarray (3,)
-            Variances of the measured angles.
+        """Update mean, root and sensitivities with one angle after the other. Shapes: `residual_rad` (3,),
+        `output_matrix` (3, order), `direct_changes` (3, columns, onsets), `variance_rad2` (3,).
         """
         innovation = np.zeros(3)
         sensitivity = np.empty((3, *self.state_sensitivity.shape[1:]))

@@ -69,21 +69,10 @@ Say = Callable[[str, float], None]
 def at_least_rounding(
     disturbances: DisturbanceModel, model: Model, rig: Rig, count_rad: Floats
 ) -> DisturbanceModel:
-    """Raise disturbances to the smallest ones that the encoders can show.
+    """Raise disturbances to the smallest ones that the encoders can show. Shapes: `count_rad` (3,).
 
     A gust is not detectable if it moves an axis within `DETECTABLE_WITHIN_s` by less than the standard
     deviation of the rounding, a count over the root of 12. Estimates below that bound are arbitrary.
-
-    Parameters
-    ----------
-    disturbances : DisturbanceModel
-        Estimated disturbances.
-    model : Model
-        Equations of motion.
-    rig : Rig
-        Parameters of the rig.
-    count_rad : ndarray (3,)
-        Angle of one count of each encoder [rad].
     """
     model_without_effects = type(model)()
     hover = trim(model_without_effects, rig)
@@ -119,18 +108,6 @@ def learn_rig(
 
     The parameters keep the rig's values; encoder zeros and constant torques are estimated per flight. The
     tolerances of the rig file are the priors.
-
-    Returns
-    -------
-    DisturbanceModel
-        Disturbances, with the bounds of `at_least_rounding`.
-    ParameterUncertainty
-        Posterior covariance of the rig's parameters, and the range of the voltages.
-
-    Raises
-    ------
-    IdentifyError
-        A flight is damaged, or has no free flight.
     """
     twin_model = TwinModel(model, rig).model
     records = [prepare(flight, rig, label) for flight, label in zip(healthy, labels, strict=True)]
@@ -190,33 +167,7 @@ def learn(
     seed: int = 1,
     say: Say = lambda _text, _share: None,
 ) -> Calibration:
-    """Estimate the calibration of a twin.
-
-    Parameters
-    ----------
-    model : Model
-        Equations with the rig's effects.
-    rig : Rig
-        Parameters of the rig.
-    healthy : sequence of Flight
-        Nominal flights. Without any, flights of the rig are simulated: the disturbances are those of a quiet
-        room and the parameters count as exact.
-    labels : sequence of str
-        Names of these flights.
-    drawn_s : float
-        Time of flight for which the evidence is drawn [s].
-    seed : int
-        Seed of the draws or of the simulated flights.
-    say : callable taking str and float
-        Called with the present stage and the share of the work that is done.
-
-    Raises
-    ------
-    IdentifyError
-        A flight is damaged, or has no free flight.
-    TwinError
-        The free flight is too short.
-    """
+    """Estimate the calibration of a twin."""
     if not healthy:
         return _calibrate_by_simulation(model, rig, seed, say)
     say("disturbances of the nominal flights", 0.0)

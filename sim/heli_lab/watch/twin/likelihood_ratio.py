@@ -43,82 +43,37 @@ looks like a jump by one. Larger: lost edges stay undetected."""
 
 @dataclass(frozen=True)
 class ChangeCandidate:
-    """A possible change with its most likely onset.
+    """A possible change with its most likely onset."""
 
-    Parameters
-    ----------
-    change : Change
-        The hypothesis.
-    onset_block : int
-        Number of the filter's block after which the change began.
-    size, std : float
-        Estimate and standard error of the change of the first parameter, SI.
-    log_evidence : float
-        Log-likelihood ratio of the change, averaged over its onsets, against no change [nats].
-    """
-
-    change: Change
-    onset_block: int
-    size: float
+    change: Change  # The hypothesis
+    onset_block: int  # Number of the filter's block after which the change began
+    size: float  # size, std: Estimate and standard error of the change of the first parameter, SI
     std: float
     log_evidence: float
+    """Log-likelihood ratio of the change, averaged over its onsets, against no change [nats]."""
 
 
 @dataclass(frozen=True)
 class Innovation:
-    """Innovations of the encoders' measurements, axis by axis, and their sensitivity to the changes.
+    """Innovations of the encoders' measurements, axis by axis, and their sensitivity to the changes."""
 
-    Parameters
-    ----------
-    value : ndarray (3,)
-        Measured minus predicted angles, in standard deviations; 0 without a measurement.
-    sensitivity : ndarray (3, columns, onsets)
-        Increase of the innovations by one unit of each change from each onset.
-    """
-
-    value: Floats
+    value: Floats  # (3,): Measured minus predicted angles, in standard deviations; 0 without a measurement
     sensitivity: Floats
+    """(3, columns, onsets): Increase of the innovations by one unit of each change from each onset."""
 
 
 class _Estimates(NamedTuple):
-    """Estimates of each change at each onset, with S, b and the prior covariance P of its parameters.
+    """Estimates of each change at each onset, with S, b and the prior covariance P of its parameters."""
 
-    Parameters
-    ----------
-    size : ndarray (draws, changes, onsets) or (changes, onsets)
-        Estimate of the first parameter.
-    std : ndarray (changes, onsets)
-        Its standard error.
-    quadratic_form : ndarray like size
-        b' (S + 1/P)^-1 b.
-    determinant : ndarray (changes, onsets)
-        det(1 + P S).
-    """
-
-    size: Floats
-    std: Floats
-    quadratic_form: Floats
-    determinant: Floats
+    size: Floats  # (draws, changes, onsets): Estimate of the first parameter
+    std: Floats  # (changes, onsets): Its standard error
+    quadratic_form: Floats  # b' (S + 1/P)^-1 b
+    determinant: Floats  # (changes, onsets): det(1 + P S)
 
 
 class LikelihoodRatio:
-    """Generalised likelihood ratio of every change at every onset, updated with each innovation.
-
-    Parameters
-    ----------
-    changes : sequence of Change
-        The hypotheses.
-    count_rad : ndarray (3,)
-        Angle of one count of each encoder [rad].
-    draws : int, optional
-        Number of sequences of innovations with the same sensitivities that are followed together; without it
-        there is one. The window keeps the onsets of the draw with the largest evidence. The last draw ranks
-        the changes.
-
-    Attributes
-    ----------
-    evidence : ndarray (changes, onsets)
-        Log-likelihood ratio of each change at each onset against no change [nats]; the largest of all draws.
+    """Generalised likelihood ratio of every change at every onset, updated with each innovation. `count_rad`
+    has shape (3,). `evidence` has shape (changes, onsets).
     """
 
     def __init__(self, changes: Sequence[Change], count_rad: Floats, draws: int | None = None) -> None:
@@ -170,16 +125,10 @@ class LikelihoodRatio:
         return np.where(np.isfinite(onset), onset, -1.0).astype(np.int64)
 
     def begin_onset(self, block: int, state_sensitivity: Floats) -> None:
-        """Add the onset after `block` in place of the oldest recent one.
+        """Add the onset after `block` in place of the oldest recent one. Shapes: `state_sensitivity` (order,
+        columns, onsets).
 
         Every half second the most likely recent onset of each change replaces the oldest one of the window.
-
-        Parameters
-        ----------
-        block : int
-            Number of the block after which a change may have begun.
-        state_sensitivity : ndarray (order, columns, onsets)
-            Array of the filter. The columns of the replaced onsets are overwritten.
         """
         # The recent onsets are a ring of the places 0 to RECENT - 1, the kept ones a ring of those after it.
         place = block % RECENT
@@ -218,14 +167,8 @@ class LikelihoodRatio:
         return float(max(cut_evidence.max(), jump_evidence.max(initial=-np.inf)))
 
     def update_draws(self, value: Floats, sensitivity: Floats) -> Floats:
-        """Add an innovation, and return the evidence of the most likely change and onset of each draw [nats].
-
-        Parameters
-        ----------
-        value : ndarray (3,) or (draws, 3)
-            Innovations in standard deviations.
-        sensitivity : ndarray (3, columns, onsets)
-            Sensitivity of the innovations to the changes, as in `Innovation`.
+        """Add an innovation, and return the evidence of the most likely change and onset of each draw
+        [nats]. Shapes: `value` (3,), `sensitivity` (3, columns, onsets).
         """
         self._add_to_sums(value, sensitivity)
         evidence = self._evidence_of_onsets()
@@ -279,14 +222,8 @@ class LikelihoodRatio:
         )
 
     def standard_error(self, change: str, onset_block: float) -> float | None:
-        """Return the standard error of the first parameter of a change, SI; None while the window is empty.
-
-        Parameters
-        ----------
-        change : str
-            Id of the change.
-        onset_block : float
-            Block near which the change began; the nearest onset counts.
+        """Return the standard error of the first parameter of a change, SI; None while the window is
+        empty.
         """
         row = [change_.id for change_ in self.changes].index(change)
         distance_blocks = np.abs(self._onset[row] - onset_block)

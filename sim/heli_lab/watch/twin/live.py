@@ -66,16 +66,6 @@ def open_twin(name: str) -> Callable[[Mapping[str, float], float], TickTwin]:
 
     The function takes the board's parameters and the mean time between two false alarms [h]. It raises a
     TwinError if the parameters do not give the counts of the encoders.
-
-    Parameters
-    ----------
-    name : str
-        Name of a rig, path of its file, or path of a twin's file.
-
-    Raises
-    ------
-    SimError
-        The rig or the file is unknown or invalid.
     """
     return partial(_make_twin, open_rig(name))
 

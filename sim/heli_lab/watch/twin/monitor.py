@@ -29,33 +29,16 @@ _MIN_JUDGED_s: Final = 2.0
 
 @dataclass(frozen=True)
 class TwinReport:
-    """Result of comparing a flight with a twin.
+    """Result of comparing a flight with a twin."""
 
-    Parameters
-    ----------
-    label : str
-        Name of the flight.
-    events : tuple of TwinEvent
-        Events in order of time.
-    evidence_nats : tuple of (float, float)
-        Time [s] and evidence [nats] of each measurement.
-    threshold_nats : float
-        Evidence above which an alarm is raised [nats].
-    free_s : float
-        Length of the part of the flight that was compared [s].
-    unjudged_s : float
-        Time in that part with voltages that the nominal flights do not contain; no alarm begins then [s].
-    flown_rig : str
-        Name of the rig in the flight's file; empty if it has none.
-    """
-
-    label: str
-    events: tuple[TwinEvent, ...]
-    evidence_nats: tuple[tuple[float, float], ...]
-    threshold_nats: float
-    free_s: float
+    label: str  # Name of the flight
+    events: tuple[TwinEvent, ...]  # Events in order of time
+    evidence_nats: tuple[tuple[float, float], ...]  # Time [s] and evidence [nats] of each measurement
+    threshold_nats: float  # Evidence above which an alarm is raised [nats]
+    free_s: float  # Length of the part of the flight that was compared [s]
     unjudged_s: float = 0.0
-    flown_rig: str = ""
+    """Time in that part with voltages that the nominal flights do not contain; no alarm begins then [s]."""
+    flown_rig: str = ""  # Name of the rig in the flight's file; empty if it has none
 
     @property
     def max_evidence_nats(self) -> float:
@@ -103,26 +86,7 @@ def monitor_flight(
     start_s: float | None = None,
     stop_s: float | None = None,
 ) -> TwinReport:
-    """Compare a flight with the twin of a rig.
-
-    Parameters
-    ----------
-    twin_rig : TwinRig
-        Rig, model and calibration.
-    flight : Flight
-        Flight of the rig; gaps are allowed.
-    label : str
-        Name of the flight.
-    false_alarm_interval_h : float
-        Mean time of free flight between two false alarms [h].
-    start_s, stop_s : float, optional
-        Beginning and end of the part to compare, on the flight's time axis [s].
-
-    Raises
-    ------
-    TwinError
-        The rows are not evenly spaced, or the part has no row.
-    """
+    """Compare a flight with the twin of a rig."""
     samples, sample_s = samples_of(flight)
     zero_s = float(samples.number[0]) * sample_s - float(flight.t_s[0])
     count_rad = count_rad_of(flight, twin_rig.rig)
@@ -142,13 +106,6 @@ def monitor_file(
 
     The other arguments and errors are those of `monitor_flight`. A file that holds no flight raises a
     HeliError.
-
-    Parameters
-    ----------
-    false_alarm_interval_h : float
-        Mean time of free flight between two false alarms [h].
-    start_s, stop_s : float, optional
-        Beginning and end of the part to compare [s].
     """
     if path.suffix.lower() != ".mcap":
         flight = read_flight(path, allow_gaps=True)

@@ -18,24 +18,12 @@ settle."""
 
 @dataclass(frozen=True)
 class ParameterUncertainty:
-    """Covariance of the errors of a rig's parameters, and the voltages for which these hold.
+    """Covariance of the errors of a rig's parameters, and the voltages for which these hold."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        Parameters of the model.
-    covariance : ndarray (n, n)
-        Covariance of their errors, SI.
-    supply_std : float
-        Standard deviation of the share by which the supply of a flight differs.
-    low_V, high_V : ndarray (2,)
-        Voltages of both rotors between which the parameters hold [V].
-    """
-
-    names: tuple[str, ...]
-    covariance: Floats
-    supply_std: float
-    low_V: Floats
+    names: tuple[str, ...]  # Parameters of the model
+    covariance: Floats  # (n, n): Covariance of their errors, SI
+    supply_std: float  # Standard deviation of the share by which the supply of a flight differs
+    low_V: Floats  # low_V, high_V: (2,): Voltages of both rotors between which the parameters hold [V]
     high_V: Floats
 
     def outside_V(self, volts_V: Floats) -> Floats:

@@ -20,27 +20,13 @@ Longer: the voltages in the gap are unknown. Shorter: every lost batch restarts 
 
 @dataclass(frozen=True)
 class Samples:
-    """Samples of a flight, in order of time.
+    """Samples of a flight, in order of time."""
 
-    Parameters
-    ----------
-    number : ndarray of int64 (n,)
-        Number of each sample on the even time grid of its log, such as the board's tick.
-    angles_rad : ndarray (n, 3)
-        Elevation, pitch and travel [rad].
-    volts_V : ndarray (n, 2)
-        Front and back voltage that act from each sample to the next [V].
-    flying : ndarray of bool (n,)
-        True where the motors may run.
-    landing : ndarray of bool (n,)
-        True where the board lands the arm.
-    """
-
-    number: Integers
-    angles_rad: Floats
-    volts_V: Floats
-    flying: npt.NDArray[np.bool_]
-    landing: npt.NDArray[np.bool_]
+    number: Integers  # (n,): Number of each sample on the even time grid of its log, such as the board's tick
+    angles_rad: Floats  # (n, 3): Elevation, pitch and travel [rad]
+    volts_V: Floats  # (n, 2): Front and back voltage that act from each sample to the next [V]
+    flying: npt.NDArray[np.bool_]  # (n,): True where the motors may run
+    landing: npt.NDArray[np.bool_]  # (n,): True where the board lands the arm
 
     def __len__(self) -> int:
         return len(self.number)
@@ -62,50 +48,21 @@ _NO_SAMPLES: Final = Samples(
 
 @dataclass(frozen=True)
 class Step:
-    """A step of the filter, about 10 ms of a flight.
+    """A step of the filter, about 10 ms of a flight."""
 
-    Parameters
-    ----------
-    index : int
-        Number of the step; `index` times the length of a step is the time on the clock of the log.
-    measured_rad : ndarray (3,) or None
-        Angles at its beginning [rad]: the mean of the samples within half a step; None without samples.
-    samples : int
-        Number of samples in that mean.
-    volts_V : ndarray (k, 2)
-        Voltages of its samples [V].
-    flying : bool
-        True if the motors may run during the whole step.
-    landing : bool
-        True if the board lands during a part of the step.
-    after_gap : bool
-        True if the step does not continue the previous one.
-    """
-
-    index: int
+    index: int  # Number of the step; `index` times the length of a step is the time on the clock of the log
     measured_rad: Floats | None
-    samples: int
-    volts_V: Floats
-    flying: bool
-    landing: bool
-    after_gap: bool
+    """(3,): Angles at its beginning [rad]: the mean of the samples within half a step; None without samples.
+    """
+    samples: int  # Number of samples in that mean
+    volts_V: Floats  # (k, 2): Voltages of its samples [V]
+    flying: bool  # True if the motors may run during the whole step
+    landing: bool  # True if the board lands during a part of the step
+    after_gap: bool  # True if the step does not continue the previous one
 
 
 class Stepper:
-    """Groups samples into steps. The borders of the steps do not depend on how the samples arrive.
-
-    Parameters
-    ----------
-    sample_s : float
-        Time between two successive numbers of the samples [s].
-
-    Attributes
-    ----------
-    samples_per_step : int
-        Number of samples in a step.
-    step_s : float
-        Length of a step [s].
-    """
+    """Groups samples into steps. The borders of the steps do not depend on how the samples arrive."""
 
     def __init__(self, sample_s: float) -> None:
         self.samples_per_step = max(1, int(STEP_s / sample_s + 1e-6))

@@ -37,30 +37,16 @@ _NODES: Final = 15
 
 @dataclass(frozen=True)
 class Tail:
-    """Generalised Pareto tail of the evidence without a change.
+    """Generalised Pareto tail of the evidence without a change."""
 
-    Parameters
-    ----------
-    level_nats : float
-        Lowest evidence that the tail describes [nats].
-    per_hour : float
-        Rate of excursions above the level, per hour of free flight.
-    scale_nats : float
-        Scale of the excesses over the level [nats]; their mean where the shape is 0.
-    excesses : int
-        Number of excursions from which scale and shape were estimated.
-    shape : float
-        Shape of the tail; 0 is an exponential one, more is a heavier one.
-    healthy_s : float
-        Length of the healthy flights along which the excursions were drawn [s]; infinite for simulated ones.
-    """
-
-    level_nats: float
-    per_hour: float
-    scale_nats: float
-    excesses: int
-    shape: float = 0.0
+    level_nats: float  # Lowest evidence that the tail describes [nats]
+    per_hour: float  # Rate of excursions above the level, per hour of free flight
+    scale_nats: float  # Scale of the excesses over the level [nats]; their mean where the shape is 0
+    excesses: int  # Number of excursions from which scale and shape were estimated
+    shape: float = 0.0  # Shape of the tail; 0 is an exponential one, more is a heavier one
     healthy_s: float = math.inf
+    """Length of the healthy flights along which the excursions were drawn [s]; infinite for simulated ones.
+    """
 
     @property
     def supported_interval_h(self) -> float:
@@ -128,13 +114,7 @@ chance."""
 
 
 def segment_maxima(history: Sequence[tuple[float, float]]) -> list[float]:
-    """Return the largest evidence [nats] of each segment of `SEGMENT_s`.
-
-    Parameters
-    ----------
-    history : sequence of (float, float)
-        Times [s] and evidence [nats].
-    """
+    """Return the largest evidence [nats] of each segment of `SEGMENT_s`."""
     t_s, evidence_nats = np.array(history, float).reshape(-1, 2).T
     is_known = np.isfinite(evidence_nats)
     t_s, evidence_nats = t_s[is_known], evidence_nats[is_known]
@@ -145,20 +125,7 @@ def segment_maxima(history: Sequence[tuple[float, float]]) -> list[float]:
 
 
 def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], healthy_s: float = math.inf) -> Tail:
-    """Fit the tail of the evidence to nominal flights.
-
-    Parameters
-    ----------
-    flights : sequence of sequence of (float, float)
-        Times [s] and evidence [nats] of each flight.
-    healthy_s : float
-        Length of the real flights along which these were drawn [s]; infinite for simulated ones.
-
-    Raises
-    ------
-    TwinError
-        The flights are too short.
-    """
+    """Fit the tail of the evidence to nominal flights."""
     maxima = [maximum for history in flights for maximum in segment_maxima(history)]
     if len(maxima) < 10:
         raise TwinError(

@@ -27,47 +27,10 @@ _RATE_STEPS: Final = 10
 
 
 class TwinModel:
-    """Equations of a rig with their derivatives by the state and by possible changes.
-
-    Parameters
-    ----------
-    model : Model
-        Equations with the rig's effects; effects with driving noise are left out, as the filter models the
-        disturbances.
-    rig : Rig
-        Parameters of the rig.
-    uncertainty : ParameterUncertainty
-        Errors of these parameters; exact without it.
-
-    Attributes
-    ----------
-    changes : tuple of Change
-        Possible changes of this rig. Each of their parameters is a column of the sensitivities.
-    parameters : ndarray (p,)
-        Values of all parameters of the model with the effects of all changes.
-    functions : ModelFunctions
-        Rates and their derivatives by the free parameters.
-    functions_without_derivatives : ModelFunctions
-        Rates without derivatives by parameters, which is faster.
-    directions : ndarray (free parameters + 1, errors)
-        Amount of each free parameter per standard deviation of each unknown error; the last row is the
-        supply.
-    weights : ndarray (free parameters + 1, columns)
-        Amount of each free parameter per unit of each parameter of the changes; the last row is the supply.
-    prior_sizes : ndarray (columns,)
-        Prior standard deviation of each parameter of the changes.
-    prior_changes : ndarray (free parameters + 1, columns)
-        Amount of each free parameter per prior standard deviation of each parameter of the changes.
-    measure : AlongTrajectory
-        Measured angles and their derivatives.
-    resets : AlongTrajectory or None
-        State after the effects that set states have acted; None without such effects.
-    frictions : list of (int, int)
-        Index among the free parameters, and axis, of each dry friction.
-    scales : list of (int, int)
-        Column and axis of each encoder scale among the changes.
-    min_thrust_V : float
-        Voltage below which a motor gives no thrust [V]; -inf without a dead zone.
+    """Equations of a rig with their derivatives by the state and by possible changes. `parameters` has shape
+    (p,). `directions` has shape (free parameters + 1, errors). `weights` has shape (free parameters + 1,
+    columns). `prior_sizes` has shape (columns,). `prior_changes` has shape (free parameters + 1,
+    columns).
     """
 
     def __init__(self, model: Model, rig: Rig, uncertainty: ParameterUncertainty = EXACT) -> None:
@@ -158,19 +121,7 @@ class TwinModel:
 
 def start_state(twin: TwinModel, t_s: Floats, angles_rad: Floats, volts_V: Floats, step_s: float) -> Floats:
     """Return the state from which the filter starts, (states,): that at the end of some measured steps.
-
-    Parameters
-    ----------
-    twin : TwinModel
-        Equations of the rig.
-    t_s : ndarray (n,)
-        Beginning of each step [s].
-    angles_rad : ndarray (n, 3)
-        Measured angles at these times [rad].
-    volts_V : ndarray (n, 2)
-        Mean voltages of each step [V].
-    step_s : float
-        Length of a step [s].
+    Shapes: `t_s` (n,), `angles_rad` (n, 3), `volts_V` (n, 2).
     """
     rate_steps = min(_RATE_STEPS, len(t_s) - 1)
     last_rate_rad_s = np.zeros(3)

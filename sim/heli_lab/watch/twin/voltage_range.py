@@ -27,13 +27,6 @@ class VoltageRange:
     """Compares the voltages of a flight with those of the nominal flights.
 
     Voltages that are outside of their range by less than `EXTRAPOLATED_SHARE` of its width count as known.
-
-    Parameters
-    ----------
-    uncertainty : ParameterUncertainty
-        Contains the voltages for which the rig's parameters hold.
-    step_s : float
-        Length of a step [s].
     """
 
     def __init__(self, uncertainty: ParameterUncertainty, step_s: float) -> None:

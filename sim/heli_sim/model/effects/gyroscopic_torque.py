@@ -29,11 +29,6 @@ def wheel_torque_Nm(at: Operands, momentum_Nms: ca.SX) -> ca.SX:
     """Return the gyroscopic torque of a wheel on the short arm about the three axes, shape (3, 1).
 
     It is n x omega H, with the angular velocity omega of the short arm and its thrust direction n.
-
-    Parameters
-    ----------
-    momentum_Nms : casadi.SX
-        Angular momentum H along n.
     """
     state = at.state
     cos_elevation, sin_elevation = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])

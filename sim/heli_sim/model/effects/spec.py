@@ -387,15 +387,6 @@ class EffectSpec:
 def format_estimate(value: float, std: float | None, unit: str) -> str:
     """Format an estimate with its standard error, such as ``0.12 ± 0.01 s``: two digits of the error; three
     digits of a number without an error.
-
-    Parameters
-    ----------
-    value : float
-        The number, in `unit`.
-    std : float or None
-        Its standard error.
-    unit : str
-        Unit of both; rad become degrees, N m mN m, shares per cent.
     """
     factor, unit_text = _SPELLED.get(unit, (1.0, f" {unit}"))
     value *= factor

@@ -21,17 +21,7 @@ class ThrustFade(Effect):
 
 
 def remaining_share(time_s: ca.SX, per_s: ca.SX, bend_per_s: ca.SX) -> ca.SX:
-    """Return the remaining share of a fading quantity: 1 - r (1 - exp(-b t)) / b, or 1 - r t if b is 0.
-
-    Parameters
-    ----------
-    time_s : casadi.SX
-        Time t.
-    per_s : casadi.SX
-        Share r that is lost per second at first.
-    bend_per_s : casadi.SX
-        Rate b at which the loss levels off.
-    """
+    """Return the remaining share of a fading quantity: 1 - r (1 - exp(-b t)) / b, or 1 - r t if b is 0."""
     bend = bend_per_s * time_s
     is_straight = ca.fabs(bend) < 1e-3  # a series avoids 0 / 0
     safe_bend = ca.if_else(is_straight, 1.0, bend)

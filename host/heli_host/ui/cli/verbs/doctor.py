@@ -100,13 +100,7 @@ def check_packages(is_installed: Callable[[str], bool] | None = None) -> Finding
 
 
 def check_extras(is_installed: Callable[[str], bool] | None = None) -> Iterator[Finding]:
-    """Yield the optional parts that work, and one note per part that lacks a package.
-
-    Parameters
-    ----------
-    is_installed : callable, optional
-        Whether the distribution of a name is installed; by default, whether it is here.
-    """
+    """Yield the optional parts that work, and one note per part that lacks a package."""
     from heli_host.errors import install_remedy
 
     is_installed = is_installed or _is_installed

@@ -100,13 +100,7 @@ def _writer_and_ending(
 
 
 def _check_ending(output: Path | None, suffix: str) -> None:
-    """Refuse a name that makes other programs, and heli-host itself, take the file for another format.
-
-    Raises
-    ------
-    typer.BadParameter
-        The name has another ending than files of this format. A device, such as /dev/null, may have any.
-    """
+    """Refuse a name that makes other programs, and heli-host itself, take the file for another format."""
     endings = {".csv": (".csv", ".csv.gz"), ".ros2.mcap": (".mcap",)}.get(suffix, (suffix,))
     is_file = output is not None and str(output) != "-" and (output.is_file() or not output.exists())
     if output is not None and is_file and not output.name.lower().endswith(endings):

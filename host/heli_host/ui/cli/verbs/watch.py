@@ -91,13 +91,6 @@ def _show_sample(heli: Heli, live: LiveDisplay, passed_s: float) -> None:
 def line(sample: Sample, counts: Mapping[str, int], illegal: Mapping[str, int]) -> str:
     """Say in one line what a board measures and does: for each axis counts, degrees and illegal transitions;
     then voltages, state and fault.
-
-    Parameters
-    ----------
-    sample : Sample
-        The newest.
-    counts, illegal : Mapping of str to int
-        Encoder counts and illegal transitions, by axis.
     """
     axes = [
         f"{axis} {counts[axis]:+6d} ({getattr(sample, f'{axis}_deg'):+7.2f} deg, {illegal[axis]} bad)"

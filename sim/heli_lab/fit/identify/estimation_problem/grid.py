@@ -18,24 +18,14 @@ from heli_lab.fit.identify.thresholds import BLOCK_S
 
 @dataclass(frozen=True)
 class Grid:
-    """Windows of a flight, divided into equal steps, with the voltages of each step and the measured angles.
-
-    Parameters
-    ----------
-    record : Record
-        The flight.
-    inputs : Inputs
-        Voltages in each step of each window.
-    rows : ndarray of int64 (m,)
-        Row of the flight at the beginning of each step.
-    every : int
-        Rows of the flight per step.
+    """Windows of a flight, divided into equal steps, with the voltages of each step and the measured
+    angles.
     """
 
-    record: Record
-    inputs: Inputs
-    rows: Integers
-    every: int
+    record: Record  # The flight
+    inputs: Inputs  # Voltages in each step of each window
+    rows: Integers  # (m,): Row of the flight at the beginning of each step
+    every: int  # Rows of the flight per step
 
     @property
     def measured_rad(self) -> Floats:
@@ -52,12 +42,8 @@ class Grid:
         ]
 
     def steps_of(self, windows: Integers) -> Integers:
-        """Return the numbers of all steps of the given windows, window after window.
-
-        Parameters
-        ----------
-        windows : ndarray of int64 (k,)
-            Numbers of the windows.
+        """Return the numbers of all steps of the given windows, window after window. Shapes: `windows`
+        (k,).
         """
         slices = self.slices
         return np.concatenate([np.arange(slices[i].start, slices[i].stop) for i in windows])
@@ -80,22 +66,7 @@ class Grid:
 
 
 def split_into_windows(record: Record, window_s: float, every: int, parts: int = 1) -> list[tuple[int, int]]:
-    """Split each free segment of a flight into windows of about equal length.
-
-    Parameters
-    ----------
-    window_s : float
-        Length that the windows approximate [s].
-    every : int
-        Rows per step; the rows of a window are a multiple of it.
-    parts : int
-        Number of shorter windows that each window is divided into.
-
-    Returns
-    -------
-    list of (int, int)
-        First row and number of rows of each window.
-    """
+    """Split each free segment of a flight into windows of about equal length."""
     windows = []
     for start, stop in record.segments:
         steps = (stop - start) // every
@@ -123,21 +94,8 @@ def make_grid(
     delay: tuple[str, float] | None = None,
     dead_zone_V: float | None = None,
 ) -> Grid:
-    """Divide windows of a flight into steps, and average the voltages over each step.
-
-    Parameters
-    ----------
-    windows : sequence of (int, int)
-        First row and number of rows of each window.
-    every : int
-        Rows in a step.
-    longest_step_s : float
-        Longest Runge-Kutta step.
-    delay : (str, float), optional
-        Name and value [s] of the parameter that delays the voltages; none if the model has no delay.
-    dead_zone_V : float, optional
-        Voltages below this give no thrust. They are raised to it before they are averaged over a step, so
-        that the mean voltage gives the mean thrust.
+    """Divide windows of a flight into steps, and average the voltages over each step. Shapes: `delay` (str,
+    float).
     """
     rows = np.concatenate([np.arange(first, first + count, every) for first, count in windows]).astype(
         np.int64
@@ -182,17 +140,6 @@ class WindowGrids:
     """Windows of all flights, each with a fine and a coarse grid that are computed when first needed.
 
     The fine grid compares every sample. The coarse grid compares samples about `step_s` apart.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        The flights.
-    window_s : float
-        Length that the windows approximate [s].
-    step_s : float
-        Time between compared samples of the coarse grid, and longest Runge-Kutta step of both [s].
-    parts : int
-        Number of shorter windows that each window is divided into.
     """
 
     def __init__(self, records: Sequence[Record], window_s: float, step_s: float, parts: int = 1) -> None:
@@ -222,20 +169,9 @@ class WindowGrids:
     def grid(
         self, index: int, fine: bool, delay: tuple[str, float] | None, dead_zone_V: float | None
     ) -> Grid:
-        """Return the grid of one flight, which is computed at its first use.
+        """Return the grid of one flight, which is computed at its first use. Shapes: `delay` (str, float).
 
         The coarse and the fine grid have the same windows.
-
-        Parameters
-        ----------
-        index : int
-            Number of the flight.
-        fine : bool
-            True for the fine grid, False for the coarse grid.
-        delay : (str, float) or None
-            Delay of the voltages, as in `make_grid`.
-        dead_zone_V : float or None
-            Dead zone, as in `make_grid`; the fine grid needs none.
         """
         key = (index, fine)
         arguments = (delay, None if fine else dead_zone_V)
@@ -260,30 +196,11 @@ class WindowGrids:
 def _mean_and_change(
     volts: Floats, row_s: float, rows: Integers, every: int, delay_s: float
 ) -> tuple[Floats, Floats]:
-    """Replace the delayed voltages within each step by a straight line.
+    """Replace the delayed voltages within each step by a straight line. Shapes: `volts` (n, 2), `rows` (m,);
+    returns `mean` (m, 2), `change` (m, 2).
 
     The line has the same first and second integral over the step as the voltages. A rotor and an axis, which
     integrate the voltage, then end the step with nearly the same speed and angle.
-
-    Parameters
-    ----------
-    volts : ndarray (n, 2)
-        Voltages, or their derivatives, constant from each row of the flight to the next.
-    row_s : float
-        Time from one row to the next [s].
-    rows : ndarray of int64 (m,)
-        Row at the beginning of each step.
-    every : int
-        Rows per step.
-    delay_s : float
-        Delay [s].
-
-    Returns
-    -------
-    mean : ndarray (m, 2)
-        Mean over each step.
-    change : ndarray (m, 2)
-        Change of the line from the beginning to the end of each step.
     """
     if every == 1 and delay_s == 0.0:
         return volts[rows], np.zeros((len(rows), 2))

@@ -13,17 +13,8 @@ from heli_lab.fit.identify.thresholds import SETTLED_S, SHORT_FIT_S, STATE_FIT_S
 
 
 def initial_state_guess(problem: Problem, theta: Floats) -> list[Floats]:
-    """Guess the initial states of all windows from the measured angles; see `states_at`.
-
-    Parameters
-    ----------
-    theta : ndarray (f,)
-        Free parameters, with which the states of effects are simulated.
-
-    Returns
-    -------
-    list of ndarray (w, states)
-        Initial states of the windows, for each record.
+    """Guess the initial states of all windows from the measured angles; see `states_at`. Shapes: `theta`
+    (f,); returns (w, states).
     """
     return [
         states_at(problem, index, problem.first_rows(index), theta) for index in range(len(problem.records))
@@ -31,25 +22,12 @@ def initial_state_guess(problem: Problem, theta: Floats) -> list[Floats]:
 
 
 def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Floats:
-    """Estimate the states of the model at given rows of a flight from the measured angles.
+    """Estimate the states of the model at given rows of a flight from the measured angles. Shapes: `rows`
+    (w,), `theta` (f,); returns (w, states).
 
     Angles and rates come from parabolas through the samples around each row. States of effects come from a
     free run (open-loop simulation) that ends at the row; a state that an encoder measures is the measured
     angle.
-
-    Parameters
-    ----------
-    index : int
-        Number of the flight.
-    rows : ndarray of int64 (w,)
-        Samples of the record at which windows begin.
-    theta : ndarray (f,)
-        Free parameters.
-
-    Returns
-    -------
-    ndarray (w, states)
-        State at each row.
     """
     record = problem.records[index]
     states = np.zeros((len(rows), problem.state_count))
@@ -66,24 +44,11 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
 
 def alternative_states(problem: Problem, index: int, theta: Floats, states: Floats) -> list[Floats]:
     """List other initial states to try for windows whose optimisation ended in a wrong local minimum.
+    Shapes: `theta` (f,), `states` (w, states); returns (w, states).
 
     The first alternative is the end of the previous window, if the two windows adjoin: friction and backlash
     depend on the motion before. The second has rates from a few samples only, which a jump of the torque
     nearby does not distort. The others are the alternatives that effects define.
-
-    Parameters
-    ----------
-    index : int
-        Number of the flight.
-    theta : ndarray (f,)
-        Free parameters.
-    states : ndarray (w, states)
-        Present initial states.
-
-    Returns
-    -------
-    list of ndarray (w, states)
-        One array per alternative.
     """
     short_fit = states.copy()
     short_fit[:, :RIGID_STATES] = _angles_and_rates_by_parabola(
@@ -130,23 +95,12 @@ def _starts_of_effects(problem: Problem, index: int, theta: Floats) -> list[Floa
 def _effect_states_after_run_in(
     problem: Problem, index: int, rows: Integers, states: Floats, theta: Floats
 ) -> Floats:
-    """Estimate the states of effects at given rows by simulations that end there.
+    """Estimate the states of effects at given rows by simulations that end there. Shapes: `rows` (w,),
+    `states` (w, states); returns (w, states - 6).
 
     A simulation begins `SETTLED_S` before its row, with effects at rest. It may begin before the segment of
     free flight, because the voltages drive the rotors also while the arm lies on its table. There, angles and
     rates are not those of free flight, and the simulation starts with the ones at its end instead.
-
-    Parameters
-    ----------
-    rows : ndarray of int64 (w,)
-        Rows of the record.
-    states : ndarray (w, states)
-        States at these rows, of which the angles and rates are known.
-
-    Returns
-    -------
-    ndarray (w, states - 6)
-        States of effects at these rows; 0 if a simulation diverges.
     """
     record, parameters = problem.records[index], problem.parameters(theta, index)
     effect_states = np.zeros((len(rows), problem.state_count - RIGID_STATES))
@@ -177,19 +131,8 @@ def _segment_of_rows(record: Record, rows: Integers) -> Integers:
 
 
 def _angles_and_rates_by_parabola(record: Record, rows: Integers, reach_s: float) -> Floats:
-    """Fit a parabola to the angles around each row, and return its value and slope there.
-
-    Parameters
-    ----------
-    rows : ndarray of int64 (w,)
-        Rows of the record.
-    reach_s : float
-        A parabola fits the samples of the same segment up to this time before and after its row [s].
-
-    Returns
-    -------
-    ndarray (w, 6)
-        Three angles [rad] and three rates [rad/s] at each row.
+    """Fit a parabola to the angles around each row, and return its value and slope there. Shapes: `rows`
+    (w,); returns (w, 6).
     """
     reach = max(3, round(reach_s / record.step_s))
     segments = _segment_of_rows(record, rows)

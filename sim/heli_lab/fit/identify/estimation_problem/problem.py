@@ -26,19 +26,12 @@ RIGID_STATES: Final = 6
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Residuals of one record for one guess, with the products of their derivatives.
+    """Residuals of one record for one guess, with the products of their derivatives."""
 
-    Parameters
-    ----------
-    residual : ndarray (m, 3)
-        Measured minus predicted angle, in standard deviations of the quantisation.
-    normal_matrix : ndarray (w, 3, z + 1, z + 1)
-        For each window and axis, products of the columns of [Jacobian | residual]. The Jacobian has z
-        columns: one per state, and one per free parameter that the record depends on.
-    """
-
-    residual: Floats
+    residual: Floats  # (m, 3): Measured minus predicted angle, in standard deviations of the quantisation
     normal_matrix: Floats
+    """(w, 3, z + 1, z + 1): For each window and axis, products of the columns of [Jacobian | residual]. The
+    Jacobian has z columns: one per state, and one per free parameter that the record depends on."""
 
     @property
     def squares(self) -> Floats:
@@ -281,17 +274,8 @@ class Problem:
 
 
 def delay_of(model: Model, parameters: Floats) -> tuple[str, float] | None:
-    """Find the parameter that delays the voltages of a model.
-
-    Parameters
-    ----------
-    parameters : ndarray (p,)
-        All parameters of the model.
-
-    Returns
-    -------
-    (str, float) or None
-        Name and value [s] of the parameter; None if the model has no delay.
+    """Find the parameter that delays the voltages of a model. Shapes: `parameters` (p,); returns (str,
+    float).
     """
     if not model.delay:
         return None

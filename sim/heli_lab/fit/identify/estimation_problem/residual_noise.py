@@ -18,26 +18,12 @@ It is 1 for a true model; a count that stays for several samples gives more."""
 
 def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
     """Estimate the long-run (HAC) variance of the residuals: the variance of a sum of many successive
-    residuals, divided by their number.
+    residuals, divided by their number. Shapes: `residual` (m, 3); returns (3,).
 
     Parameters of the rig change the prediction slowly. Their standard errors therefore depend not on the
     residuals' variance but on their spectral density at low frequencies (Newey and West, with Bartlett's
     weights). This density is larger if a count stays for several samples, and much larger if the model is
     wrong.
-
-    Parameters
-    ----------
-    residual : ndarray (m, 3)
-        Residuals in standard deviations of the quantisation.
-    windows : sequence of slice
-        Rows of each window.
-    step_s : float
-        Time from one row to the next [s].
-
-    Returns
-    -------
-    ndarray (3,)
-        Variance of each axis, in variances of the quantisation; at least 1.
     """
     lags = max(1, round(LONGEST_LAG_S / step_s))
     covariance = autocovariance(residual, windows, lags)
@@ -45,26 +31,13 @@ def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float)
 
 
 def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats:
-    """Raise small variances, so that a wrong model is not fitted to one axis alone.
+    """Raise small variances, so that a wrong model is not fitted to one axis alone. Shapes: `variance` (...,
+    3), `mean_square` (..., 3), `sigma_rad` (3,); returns (..., 3).
 
     The fit divides the squared residuals of each axis by their variance. If the model is wrong, this favours
     travel, in which free initial states can hide the error, and neglects pitch, which shows it. On measured
     flights, the error of pitch doubled. Therefore the variance of each axis, in
     rad^2, is at least `MIN_SHARE` of the largest variance that quantisation does not explain.
-
-    Parameters
-    ----------
-    variance : ndarray (..., 3)
-        As `long_run_variance` returns it.
-    mean_square : ndarray (..., 3)
-        Mean square of the residuals, in variances of the quantisation.
-    sigma_rad : ndarray (3,)
-        Standard deviation of the quantisation of each axis [rad].
-
-    Returns
-    -------
-    ndarray (..., 3)
-        Variances in the same unit; unchanged if the residuals are quantisation alone.
     """
     # Share of an axis' variance that counts as model error: none up to twice the quantisation.
     model_error_share = np.maximum(0.0, 1.0 - _QUANTISATION_ONLY / np.maximum(mean_square, 1e-12))
@@ -74,19 +47,11 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
 
 
 def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:
-    """Compute robust weights of the windows, shape (w,), so that a few disturbed windows do not decide a fit.
+    """Compute robust weights of the windows, shape (w,), so that a few disturbed windows do not decide a
+    fit. Shapes: `residual` (m, 3), `variance` (3,).
 
     The weight is 1 for a window with a usual error. If the rms error exceeds `OUTLIER` times the median, the
     weight reduces it to that limit. Beyond `GROSS` times the median, the weight falls to 0.
-
-    Parameters
-    ----------
-    residual : ndarray (m, 3)
-        Residuals.
-    windows : sequence of slice
-        Rows of each window.
-    variance : ndarray (3,)
-        Variance of each axis by which the fit divides its squared residuals.
     """
     rms = np.sqrt([np.mean(residual[window] ** 2 / variance) for window in windows])
     relative_rms = np.maximum(rms, 1e-12) / max(float(np.median(rms)), 1e-12)
@@ -102,23 +67,8 @@ def normalised(residual: Floats) -> float:
 
 
 def correlation_at(residual: Floats, windows: Sequence[slice], lag: int) -> tuple[Floats, float]:
-    """Compute the autocorrelation of the residuals at one lag, and its bound for white residuals.
-
-    Parameters
-    ----------
-    residual : ndarray (m, 3)
-        Residuals.
-    windows : sequence of slice
-        Rows of each window.
-    lag : int
-        Lag in rows.
-
-    Returns
-    -------
-    correlation : ndarray (3,)
-        Autocorrelation of each axis.
-    bound : float
-        Three standard deviations of it for white residuals taken every `lag` rows.
+    """Compute the autocorrelation of the residuals at one lag, and its bound for white residuals. Shapes:
+    `residual` (m, 3); returns `correlation` (3,).
     """
     covariance = autocovariance(residual, windows, lag)
     pairs = sum(max(0, window.stop - window.start - lag) for window in windows) / lag

@@ -22,22 +22,12 @@ def quantisation_scatter(
     covariance: Floats,
 ) -> Floats:
     """Simulate how quantisation scatters the estimates, by dither; return standard deviations, shape (f,).
+    Shapes: `theta` (f,), `states` (w, states), `covariance` (f, f).
 
     Quantisation errors are not white noise: while an axis hovers, the same count stays for seconds, and its
     error is the same in every window. Therefore the predicted angles are quantised again, many times, with
     the counts shifted by random phases. The scatter of the estimates under these errors is computed to first
     order, and that of the priors is added.
-
-    Parameters
-    ----------
-    theta : ndarray (f,)
-        Free parameters.
-    states : sequence of ndarray (w, states)
-        Initial states.
-    variance, weights : sequence of ndarray
-        As in `Fit`.
-    covariance : ndarray (f, f)
-        Covariance of the estimates.
     """
     random = np.random.default_rng(0)
     scores = np.zeros((DITHER_PHASES, len(theta)))
@@ -69,15 +59,11 @@ def quantisation_scatter(
 
 def timing_variance(problem: Problem) -> Floats:
     """Return the variance to add to each estimated time, such as a lag, because of the log's sample time.
+    Returns shape (f,).
 
     A row of a log holds the voltage of its tick, but not the moment within the tick at which the motors got
     it. Simulators differ in this moment by half a tick, while a fit finds the time to a fiftieth of a tick:
     its standard error alone would be too small.
-
-    Returns
-    -------
-    ndarray (f,)
-        For effect parameters in s, the variance of a uniform distribution over a tick [s^2]; otherwise 0.
     """
     effect_names = {name for effect in problem.model.effects for name in effect.priors}
     tick_s = max(record.step_s for record in problem.records)

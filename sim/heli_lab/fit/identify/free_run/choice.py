@@ -24,20 +24,7 @@ from heli_lab.threads import default_thread_count
 
 
 def kernel(model: Model, free: tuple[str, ...], threads: int | None = None) -> Kernel:
-    """Return the kernel of a model: compiled if there is a C compiler, otherwise interpreted.
-
-    Parameters
-    ----------
-    free : tuple of str
-        Parameters to which the kernel computes derivatives, in this order.
-    threads : int, optional
-        Threads that share the windows of the compiled kernel, by default `default_thread_count`.
-
-    Raises
-    ------
-    PlantError
-        When the compiler fails.
-    """
+    """Return the kernel of a model: compiled if there is a C compiler, otherwise interpreted."""
     functions, library = _functions_and_library(model, free)
     if library is None:
         return InterpretedKernel(functions)

@@ -35,11 +35,6 @@ def _chain_rule_macro(functions: Functions, function: ca.Function) -> str:
     The sensitivities are out = fx s + fp + fu du: the Jacobians fx, fp and fu to state, free parameters and
     voltages, the sensitivities s of the state, and the derivatives du of the voltages. Elements that are
     always zero are left out.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Returns a value and its Jacobians fx, fp and fu.
     """
     lines = []
     # In C, fx, fp and fu hold the nonzeros of the Jacobians to state, free parameters and voltages. The
@@ -95,38 +90,15 @@ def _row_address(array: Floats | Integers | None, row: int = 0) -> ctypes.c_void
 
 @dataclass(frozen=True)
 class _NormalMatrices:
-    """Normal matrices to be filled, with what their residuals need.
+    """Normal matrices to be filled, with what their residuals need."""
 
-    Parameters
-    ----------
-    measured_rad : ndarray (n, 3)
-        Measured angles.
-    sigma_rad : ndarray (3,)
-        Unit of the residuals.
-    result : ndarray (w, 3, states + f + 1, states + f + 1)
-        As in `Kernel.products`; filled by the call.
-    """
-
-    measured_rad: Floats
-    sigma_rad: Floats
-    result: Floats
+    measured_rad: Floats  # (n, 3): Measured angles
+    sigma_rad: Floats  # (3,): Unit of the residuals
+    result: Floats  # (w, 3, states + f + 1, states + f + 1): As in `Kernel.products`; filled by the call
 
 
 class CompiledKernel(Kernel):
-    """Simulates the windows with compiled code.
-
-    Parameters
-    ----------
-    library : str
-        Path of the shared library.
-    threads : int
-        Threads that share out the windows, 1 or more.
-
-    Raises
-    ------
-    PlantError
-        When the library does not load.
-    """
+    """Simulates the windows with compiled code."""
 
     def __init__(self, functions: Functions, library: str, threads: int = 1) -> None:
         self._threads = threads
@@ -171,21 +143,8 @@ class CompiledKernel(Kernel):
         jacobian: Floats | None = None,
         products: _NormalMatrices | None = None,
     ) -> tuple[Floats, Floats]:
-        """Simulate every window in C, and fill the arrays that are given.
-
-        Parameters
-        ----------
-        jacobian : ndarray (n, 3, states + f), optional
-            Filled with the derivatives of the angles.
-        products : _NormalMatrices, optional
-            Normal matrices to be filled.
-
-        Returns
-        -------
-        angles_rad : ndarray (n, 3)
-            Measured angles at the beginning of each step.
-        end : ndarray (w, states)
-            States at the end of each window.
+        """Simulate every window in C, and fill the arrays that are given. Shapes: `jacobian` (n, 3, states +
+        f); returns `angles_rad` (n, 3), `end` (w, states).
         """
         windows = len(inputs.steps)
         angles = np.empty((inputs.rows, 3))

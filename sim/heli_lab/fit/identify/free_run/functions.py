@@ -12,18 +12,10 @@ from heli_sim.model.base import Model
 
 @dataclass(frozen=True)
 class VoltageDerivative:
-    """Derivatives of the voltages to a parameter that changes them before they act, such as a delay.
+    """Derivatives of the voltages to a parameter that changes them before they act, such as a delay."""
 
-    Parameters
-    ----------
-    parameter : str
-        Name of the parameter.
-    of_mean, of_change : ndarray (n, 2)
-        Derivatives of `Inputs.mean_V` and of `Inputs.change_V`.
-    """
-
-    parameter: str
-    of_mean: Floats
+    parameter: str  # Name of the parameter
+    of_mean: Floats  # of_mean, of_change: (n, 2): Derivatives of `Inputs.mean_V` and of `Inputs.change_V`
     of_change: Floats
 
 
@@ -34,32 +26,16 @@ class Inputs:
     Within a step each voltage is a straight line, given by its mean and its change over the step. A step as
     long as the flight's sample has no change. A longer step keeps the first and the second integral of the
     voltage, so that speeds and angles are the same as with the voltages sample by sample.
-
-    Parameters
-    ----------
-    steps : ndarray of int64 (w,)
-        Number of steps of each window.
-    start_s : ndarray (w,)
-        Time of each window's first sample since the flight's first.
-    step_s : float
-        Length of a step.
-    mean_V : ndarray (n, 2)
-        Mean front and back voltage over each step.
-    change_V : ndarray (n, 2)
-        Change of the voltages from the beginning to the end of each step.
-    substeps : int
-        Runge-Kutta steps in each step.
-    voltage_derivatives : tuple of VoltageDerivative
-        One for each parameter that changes the voltages before they act.
     """
 
-    steps: Integers
-    start_s: Floats
-    step_s: float
-    mean_V: Floats
-    change_V: Floats
-    substeps: int = 1
+    steps: Integers  # (w,): Number of steps of each window
+    start_s: Floats  # (w,): Time of each window's first sample since the flight's first
+    step_s: float  # Length of a step
+    mean_V: Floats  # (n, 2): Mean front and back voltage over each step
+    change_V: Floats  # (n, 2): Change of the voltages from the beginning to the end of each step
+    substeps: int = 1  # Runge-Kutta steps in each step
     voltage_derivatives: tuple[VoltageDerivative, ...] = ()
+    """One for each parameter that changes the voltages before they act."""
 
     @property
     def first(self) -> Integers:
@@ -76,13 +52,6 @@ class Functions:
     """Rates, measured angles and reset map of a model as CasADi functions, each also with its Jacobians.
 
     All take the state x, the inputs u, the time t and the parameters p.
-
-    Parameters
-    ----------
-    model : Model
-        Equations of motion with their effects.
-    free : tuple of str
-        Parameters to which the Jacobians are, in this order.
     """
 
     def __init__(self, model: Model, free: tuple[str, ...]) -> None:

@@ -16,59 +16,21 @@ class Kernel(ABC):
 
     @abstractmethod
     def predict(self, inputs: Inputs, start: Floats, parameters: Floats) -> tuple[Floats, Floats]:
-        """Simulate every window from its initial state.
-
-        Parameters
-        ----------
-        start : ndarray (w, states)
-            Initial states.
-        parameters : ndarray (p,)
-            All parameters of the model.
-
-        Returns
-        -------
-        angles_rad : ndarray (n, 3)
-            Measured angles at the beginning of each step.
-        end : ndarray (w, states)
-            States at the end of each window.
+        """Simulate every window from its initial state. Shapes: `start` (w, states), `parameters` (p,);
+        returns `angles_rad` (n, 3), `end` (w, states).
         """
 
     @abstractmethod
     def jacobian(self, inputs: Inputs, start: Floats, parameters: Floats) -> tuple[Floats, Floats]:
-        """Simulate as `predict` does, with derivatives.
-
-        Parameters
-        ----------
-        start, parameters
-            As in `predict`.
-
-        Returns
-        -------
-        angles_rad : ndarray (n, 3)
-            Measured angles at the beginning of each step.
-        jacobian : ndarray (n, 3, states + free)
-            Their derivatives to the window's initial state and to the free parameters.
+        """Simulate as `predict` does, with derivatives. Returns shape `angles_rad` (n, 3), `jacobian` (n, 3,
+        states + free).
         """
 
     @abstractmethod
     def products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
-        """Simulate as `predict` does, and sum the products that the normal equations need.
-
-        Parameters
-        ----------
-        start, parameters
-            As in `predict`.
-        measured_rad : ndarray (n, 3)
-            Angles to compare with.
-        sigma_rad : ndarray (3,)
-            Unit of the residuals.
-
-        Returns
-        -------
-        angles_rad : ndarray (n, 3)
-            Measured angles at the beginning of each step.
-        normal_matrix : ndarray (w, 3, states + free + 1, states + free + 1)
-            For each window and axis, products of the columns of [Jacobian | residual], both divided by sigma.
+        """Simulate as `predict` does, and sum the products that the normal equations need. Shapes:
+        `measured_rad` (n, 3), `sigma_rad` (3,); returns `angles_rad` (n, 3), `normal_matrix` (w, 3,
+        states + free + 1, states + free + 1).
         """

@@ -17,19 +17,12 @@ from heli_lab.fit.identify.free_run.interface import Kernel
 
 @dataclass(frozen=True)
 class _States:
-    """States of some windows at one instant, with their sensitivities.
+    """States of some windows at one instant, with their sensitivities."""
 
-    Parameters
-    ----------
-    value : ndarray (w, states)
-        States.
-    sensitivity : ndarray (w, states, states + f)
-        Derivatives of the states to the window's initial state and to the free parameters. The last axis has
-        length 0 if no derivatives are computed.
-    """
-
-    value: Floats
+    value: Floats  # (w, states): States
     sensitivity: Floats
+    """(w, states, states + f): Derivatives of the states to the window's initial state and to the free
+    parameters. The last axis has length 0 if no derivatives are computed."""
 
     def moved(self, rate: _States, time_s: float) -> _States:
         """Return the states after `time_s` [s] at a constant `rate`; sensitivities change likewise."""
@@ -78,17 +71,8 @@ class InterpretedKernel(Kernel):
     def _simulate(
         self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
     ) -> tuple[Floats, Floats, Floats]:
-        """Simulate all windows step by step.
-
-        Returns
-        -------
-        angles_rad : ndarray (n, 3)
-            Measured angles at the beginning of each step.
-        jacobian : ndarray (n, 3, states + f)
-            Their derivatives to initial state and free parameters; the last axis is empty without
-            `derivatives`.
-        end : ndarray (w, states)
-            States at the end of each window.
+        """Simulate all windows step by step. Returns shape `angles_rad` (n, 3), `jacobian` (n, 3, states +
+        f), `end` (w, states).
         """
         state_count = self.functions.state_count
         column_count = state_count + len(self.functions.free_index) if derivatives else 0
@@ -114,36 +98,16 @@ class InterpretedKernel(Kernel):
 
 @dataclass(frozen=True)
 class _Step:
-    """One step of the windows that still run.
-
-    Parameters
-    ----------
-    rows : ndarray of int64 (w,)
-        Row of this step in `inputs`, for each window.
-    start_s : ndarray (w,)
-        Time at the beginning of the step since the flight's first sample.
-    parameters : ndarray (p,)
-        All parameters of the model.
-    """
+    """One step of the windows that still run."""
 
     kernel: InterpretedKernel
     inputs: Inputs
-    rows: Integers
-    start_s: Floats
-    parameters: Floats
+    rows: Integers  # (w,): Row of this step in `inputs`, for each window
+    start_s: Floats  # (w,): Time at the beginning of the step since the flight's first sample
+    parameters: Floats  # (p,): All parameters of the model
 
     def evaluate(self, name: str, share: float, states: _States) -> _States:
-        """Evaluate a function of the model within the step, and its sensitivities by the chain rule.
-
-        Parameters
-        ----------
-        name : str
-            ``rates``, ``angles`` or ``reset_map``.
-        share : float
-            Place within the step, 0 to 1.
-        states : _States
-            States there.
-        """
+        """Evaluate a function of the model within the step, and its sensitivities by the chain rule."""
         inputs, functions = self.inputs, self.kernel.functions
         # Each voltage is linear within a step.
         from_middle = share - 0.5

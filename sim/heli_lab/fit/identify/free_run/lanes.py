@@ -62,20 +62,7 @@ _EXPRESSIONS: Final = {
 
 
 def c_function(function: ca.Function) -> str:
-    """Write a CasADi function in C.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Function of state, inputs, time and parameters, whose name the C function has. Each window has its own
-        state, inputs and time, in arrays of ``Lanes``. All windows share the parameters, an array of
-        ``double``. The C function writes the nonzeros of each output into an array of ``Lanes``.
-
-    Raises
-    ------
-    IdentifyError
-        If the function has an operation that is not known here.
-    """
+    """Write a CasADi function in C."""
     lines: list[str] = []
     in_register: dict[int, str] = {}
     """C expression of the value that is now in each of CasADi's work registers."""
@@ -109,19 +96,7 @@ def c_function(function: ca.Function) -> str:
 
 
 def _c_operation(result: str, code: int, x: str, y: str, vectors: set[str]) -> str:
-    """Write one operation as a C statement.
-
-    Parameters
-    ----------
-    result : str
-        Name of the C variable for the result; it is added to `vectors` unless both operands are numbers.
-    code : int
-        Operation, as CasADi numbers it.
-    x, y : str
-        C expressions of the operands.
-    vectors : set of str
-        C expressions that are vectors.
-    """
+    """Write one operation as a C statement."""
     if code not in _EXPRESSIONS:
         raise IdentifyError(
             f"a model uses CasADi's operation {code}, which is not compiled here",

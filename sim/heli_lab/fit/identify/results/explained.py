@@ -20,14 +20,7 @@ from heli_lab.fit.identify.thresholds import MIN_MOTION, REST_COUNTS, UNEXPLAINE
 
 def unexplained_shares(flight: Trace) -> tuple[Floats, Floats]:
     """Measure the share of a flight's motion that its free run does not explain, and the size of the motion.
-
-    Returns
-    -------
-    shares : ndarray (3,)
-        Share of each axis' rms motion that no multiple of the free run explains: 0 for the same shape, 1 for
-        shapes that have nothing in common.
-    motion : ndarray (3,)
-        Rms motion of each axis, in standard deviations of the quantisation.
+    Returns shape `shares` (3,), `motion` (3,).
     """
     # Sums over all windows, after the parabolas are subtracted.
     cross_sum, measured_sum, predicted_sum = (np.zeros(len(AXES)) for _ in range(3))
@@ -53,11 +46,6 @@ def unexcited_axes(flights: Sequence[Trace]) -> dict[str, float]:
 
     Within each window, such an axis rests, or follows a parabola to within its encoder's quantisation. Any
     model predicts that.
-
-    Returns
-    -------
-    dict of float
-        Largest range of the axis in one flight [deg], by its name; 0 if the axis rests.
     """
     motion = np.array([unexplained_shares(flight)[1] for flight in flights])
     range_rad = np.array([np.ptp(flight.measured_rad, axis=0) for flight in flights])
@@ -69,13 +57,7 @@ def unexcited_axes(flights: Sequence[Trace]) -> dict[str, float]:
 
 
 def refuse_unexplained(flight: Trace) -> None:
-    """Refuse a flight whose motion does not resemble the free run on any axis.
-
-    Raises
-    ------
-    NotExcited
-        When more than `UNEXPLAINED` is unexplained on each axis that moves.
-    """
+    """Refuse a flight whose motion does not resemble the free run on any axis."""
     shares, motion = unexplained_shares(flight)
     moving = motion > MIN_MOTION
     if not moving.any():

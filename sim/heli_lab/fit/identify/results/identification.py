@@ -20,26 +20,17 @@ from heli_lab.fit.identify.thresholds import STRONG_CORRELATION
 
 @dataclass(frozen=True)
 class Identification:
-    """Result of an identification: a fit with its free runs.
+    """Result of an identification: a fit with its free runs."""
 
-    Parameters
-    ----------
-    fit : Fit
-        Estimates from the training flights.
-    training, validation : tuple of FreeRunErrors
-        Errors of the free runs, one per fitted and per validation flight.
-    training_traces, validation_traces : tuple of Trace
-        Measured and predicted angles of the same flights.
-    validation_converged : bool
-        Whether the initial states and zeros of the validation flights are those with the smallest error.
-    """
-
-    fit: Fit
+    fit: Fit  # Estimates from the training flights
     training: tuple[FreeRunErrors, ...]
+    """training, validation: Errors of the free runs, one per fitted and per validation flight."""
     validation: tuple[FreeRunErrors, ...]
     training_traces: tuple[Trace, ...]
+    """training_traces, validation_traces: Measured and predicted angles of the same flights."""
     validation_traces: tuple[Trace, ...]
     validation_converged: bool = True
+    """Whether the initial states and zeros of the validation flights are those with the smallest error."""
 
     @property
     def converged(self) -> bool:

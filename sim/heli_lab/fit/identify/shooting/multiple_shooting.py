@@ -28,22 +28,7 @@ end the search. It is less than 1 because the fit on the coarse grid is already 
 
 class MultipleShooting:
     """Gauss-Newton steps of a multiple-shooting fit, for the Levenberg-Marquardt search in `minimise`.
-
-    Parameters
-    ----------
-    cost : ShootingCost
-        The cost of a guess.
-    budget : Budget
-        Limits of the fit.
-    on_progress : callable or None
-        Called with the progress of the fit.
-
-    Attributes
-    ----------
-    damping : float
-        Damping of the next step.
-    is_fixed : ndarray of bool (f,)
-        Free parameters that keep their values for now.
+    `is_fixed` has shape (f,).
     """
 
     def __init__(
@@ -99,25 +84,8 @@ class MultipleShooting:
     def descend(
         self, iterate: Iterate, stage: str, work_done: tuple[float, float], max_steps: int
     ) -> tuple[Iterate, bool]:
-        """Reduce the cost by Levenberg-Marquardt steps until the steps are small.
-
-        Parameters
-        ----------
-        iterate : Iterate
-            Start of the search.
-        stage : str
-            Name of the stage for the progress, in a few words.
-        work_done : (float, float)
-            Share of the fit's work, 0 to 1, that is done before and after this search.
-        max_steps : int
-            Largest number of steps.
-
-        Returns
-        -------
-        iterate : Iterate
-            The iterate with the lowest cost.
-        converged : bool
-            False if the budget or the steps ran out first.
+        """Reduce the cost by Levenberg-Marquardt steps until the steps are small. Shapes: `work_done`
+        (float, float). Returns `iterate`, `converged`.
         """
 
         def report(number: int, cost: float) -> None:

@@ -19,28 +19,13 @@ information."""
 
 
 def eliminate(matrices: Floats, count: int, guard: float = 0.0) -> tuple[Floats, Floats]:
-    """Eliminate the leading unknowns of symmetric systems [[A, B], [B', C]] by the Schur complement.
+    """Eliminate the leading unknowns of symmetric systems [[A, B], [B', C]] by the Schur complement. Shapes:
+    `matrices` (..., m, m); returns `complement` (..., m - count, m - count), `gain` (..., count, m -
+    count).
 
     The right-hand side may be appended to a system as its last row and column. The last column of the
     complement is then the right-hand side of the reduced system. The last column of the gain is A^-1 times
     the first part of the right-hand side.
-
-    Parameters
-    ----------
-    matrices : ndarray (..., m, m)
-        The systems.
-    count : int
-        Number of leading unknowns, the order of A.
-    guard : float
-        Added to the diagonal of A, as a share of its largest entry, so that an unknown without information
-        does not make A singular.
-
-    Returns
-    -------
-    complement : ndarray (..., m - count, m - count)
-        C - B' A^-1 B.
-    gain : ndarray (..., count, m - count)
-        A^-1 B: minus the change of the eliminated unknowns for each unit of the others.
     """
     leading = matrices[..., :count, :count].copy()
     coupling = matrices[..., :count, count:]
@@ -57,18 +42,7 @@ def add_state_prior(
     problem: Problem, normal: Floats, states: Floats, reference: Floats, damping: float | Floats = 0.0
 ) -> None:
     """Add the prior of the effects' initial states to the windows' normal equations, and damp the states.
-
-    Parameters
-    ----------
-    normal : ndarray (w, m, m)
-        Normal matrices whose leading unknowns are the initial states and whose last column is the right-hand
-        side; changed in place.
-    states : ndarray (w, states)
-        Initial states.
-    reference : ndarray (w, states)
-        Prior means of the initial states of effects.
-    damping : float or ndarray (w,)
-        Increase of the diagonal of the states, as a share of itself.
+    Shapes: `normal` (w, m, m), `states` (w, states), `reference` (w, states), `damping` (w,).
     """
     state_count = problem.state_count
     diagonal, effect_rows = np.arange(state_count), np.arange(RIGID_STATES, state_count)
@@ -83,42 +57,20 @@ def add_state_prior(
 
 @dataclass(frozen=True)
 class ReducedSystem:
-    """Normal equations of the free parameters, from which the windows' initial states are eliminated.
+    """Normal equations of the free parameters, from which the windows' initial states are eliminated."""
 
-    Parameters
-    ----------
-    information : ndarray (f, f)
-        Normal matrix of the free parameters, without priors.
-    gradient : ndarray (f,)
-        Negative gradient of half the sum of squares, without priors.
-    state_steps : list of ndarray (w, states)
-        For each record, the step of the initial states if the parameters stay fixed.
-    state_responses : list of ndarray (w, states, k)
-        For each record, minus the change of the initial states per unit of each of the k parameters that the
-        record depends on.
-    predicted_reduction : float
-        Reduction of the sum of squares by `state_steps`, if the sum were quadratic.
-    """
-
-    information: Floats
-    gradient: Floats
+    information: Floats  # (f, f): Normal matrix of the free parameters, without priors
+    gradient: Floats  # (f,): Negative gradient of half the sum of squares, without priors
     state_steps: list[Floats]
+    """(w, states): For each record, the step of the initial states if the parameters stay fixed."""
     state_responses: list[Floats]
-    predicted_reduction: float
+    """(w, states, k): For each record, minus the change of the initial states per unit of each of the k
+    parameters that the record depends on."""
+    predicted_reduction: float  # Reduction of the sum of squares by `state_steps`, if the sum were quadratic
 
 
 def eliminate_states(cost: ShootingCost, iterate: Iterate, damping: float = 0.0) -> ReducedSystem:
-    """Eliminate the windows' initial states from the normal equations of all records.
-
-    Parameters
-    ----------
-    cost : ShootingCost
-        Variances and weights of the records, and prior means of the initial states of effects.
-    iterate : Iterate
-        Parameters and states at which the model is linearised.
-    damping : float
-        Increase of the diagonal of the states, as a share of itself.
-    """
+    """Eliminate the windows' initial states from the normal equations of all records."""
     problem = cost.problem
     state_count, free_count = problem.state_count, len(problem.free)
     information, gradient = np.zeros((free_count, free_count)), np.zeros(free_count)

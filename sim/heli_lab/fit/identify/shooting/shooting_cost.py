@@ -25,24 +25,12 @@ from heli_lab.fit.identify.estimation_problem.residual_noise import (
 
 @dataclass
 class Iterate:
-    """Values of the parameters and initial states, with everything that the next step needs.
+    """Values of the parameters and initial states, with everything that the next step needs."""
 
-    Parameters
-    ----------
-    theta : ndarray (f,)
-        Free parameters.
-    states : list of ndarray (w, states)
-        Initial states of the windows of each record.
-    evaluations : list of Evaluation
-        Predictions of each record with their derivatives.
-    cost : float
-        Weighted sum of squares plus priors.
-    """
-
-    theta: Floats
-    states: list[Floats]
-    evaluations: list[Evaluation]
-    cost: float = math.inf
+    theta: Floats  # (f,): Free parameters
+    states: list[Floats]  # (w, states): Initial states of the windows of each record
+    evaluations: list[Evaluation]  # Predictions of each record with their derivatives
+    cost: float = math.inf  # Weighted sum of squares plus priors
 
 
 def window_cost(
@@ -54,20 +42,8 @@ def window_cost(
     weights: Floats | float = 1.0,
 ) -> Floats:
     """Compute the cost of each window of a record, shape (w,): the weighted sum of squared residuals, plus
-    the prior of the initial states; infinite if a prediction diverges.
-
-    Parameters
-    ----------
-    squares : ndarray (w, 3)
-        Sum of the squared residuals of each window and axis.
-    states : ndarray (w, states)
-        Initial states.
-    prior_mean : ndarray (w, states)
-        Prior means of the initial states of effects.
-    variance : ndarray (3,)
-        Variance of each axis, by which its squared residuals are divided.
-    weights : ndarray (w,), optional
-        Weights of the windows.
+    the prior of the initial states; infinite if a prediction diverges. Shapes: `squares` (w, 3), `states`
+    (w, states), `prior_mean` (w, states), `variance` (3,), `weights` (w,).
     """
     deviation = (states - prior_mean)[:, RIGID_STATES:] / problem.state_std
     cost = weights * (squares / variance).sum(axis=1) + (deviation**2).sum(axis=1)
@@ -75,27 +51,8 @@ def window_cost(
 
 
 class ShootingCost:
-    """Cost of multiple shooting: each window is predicted from its own initial state.
-
-    Parameters
-    ----------
-    problem : Problem
-        The model and the windows.
-    robust : bool
-        Whether outlying windows lose weight.
-
-    Attributes
-    ----------
-    fine : bool
-        Whether every sample is compared, instead of the coarse grid.
-    variance : list of ndarray (3,)
-        For each record the variance by which the squares of each axis are divided.
-    weights : list of ndarray (w,)
-        Weights of the windows of each record.
-    state_prior : list of ndarray (w, states)
-        Prior means of the initial states of effects.
-    evaluations : int
-        Number of evaluations so far.
+    """Cost of multiple shooting: each window is predicted from its own initial state. `variance` has shape
+    (3,). `weights` has shape (w,). `state_prior` has shape (w, states).
     """
 
     def __init__(self, problem: Problem, robust: bool) -> None:
@@ -119,14 +76,8 @@ class ShootingCost:
         return [states.copy() for states in guess]
 
     def evaluate(self, theta: Floats, states: list[Floats]) -> Iterate:
-        """Predict all records, and return residuals, derivatives and cost.
-
-        Parameters
-        ----------
-        theta : ndarray (f,)
-            Free parameters.
-        states : list of ndarray (w, states)
-            Initial states of the windows of each record.
+        """Predict all records, and return residuals, derivatives and cost. Shapes: `theta` (f,), `states`
+        (w, states).
         """
         evaluations = [
             self.problem.evaluation(index, theta, start, fine=self.fine) for index, start in enumerate(states)
@@ -156,12 +107,8 @@ class ShootingCost:
         )
 
     def reweight(self, iterate: Iterate) -> float:
-        """Estimate variances and weights from the residuals of an `iterate`, and update its cost with them.
-
-        Returns
-        -------
-        float
-            Largest relative change of a variance; infinite the first time.
+        """Estimate variances and weights from the residuals of an `iterate`, and update its cost with
+        them.
         """
         before = self.variance
         estimates = [

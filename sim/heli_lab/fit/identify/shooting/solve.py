@@ -103,21 +103,11 @@ def solve(
 
 @dataclass(frozen=True)
 class _RoundResult:
-    """Result of one search for the minimum, and of the estimate of the weights after it.
+    """Result of one search for the minimum, and of the estimate of the weights after it."""
 
-    Parameters
-    ----------
-    iterate : Iterate
-        The best parameters and initial states.
-    search_converged : bool
-        False if the budget or the largest number of steps ended the search.
-    weights_settled : bool
-        Whether the weights changed so little that no further round is needed.
-    """
-
-    iterate: Iterate
-    search_converged: bool
-    weights_settled: bool
+    iterate: Iterate  # The best parameters and initial states
+    search_converged: bool  # False if the budget or the largest number of steps ended the search
+    weights_settled: bool  # Whether the weights changed so little that no further round is needed
 
     @property
     def converged(self) -> bool:
@@ -126,15 +116,7 @@ class _RoundResult:
 
 
 def _fit_coarse_grid(shooting: MultipleShooting, iterate: Iterate, warm_start: bool) -> _RoundResult:
-    """Fit on the coarse grid, in rounds until the weights settle; return the last round.
-
-    Parameters
-    ----------
-    iterate : Iterate
-        Start of the fit.
-    warm_start : bool
-        Stop after one round.
-    """
+    """Fit on the coarse grid, in rounds until the weights settle; return the last round."""
     problem, round_count = shooting.cost.problem, thresholds.ROUNDS
     multimodal = {name for effect in problem.model.effects for name in effect.multimodal}
     min_rounds = thresholds.ROUGH_ROUNDS + bool(multimodal)
@@ -180,15 +162,7 @@ def _fit_round(
     *,
     restart: bool,
 ) -> _RoundResult:
-    """Search for the minimum from an `iterate`, then estimate weights and state priors again.
-
-    Parameters
-    ----------
-    stage, work_done, max_steps
-        As in `MultipleShooting.descend`.
-    restart : bool
-        Whether outlying windows are also optimised from other initial states.
-    """
+    """Search for the minimum from an `iterate`, then estimate weights and state priors again."""
     cost = shooting.cost
     iterate, search_converged = shooting.descend(iterate, stage, work_done, max_steps)
     restarted = restart and not shooting.is_out_of_budget() and restart_outliers(cost, iterate)
@@ -214,15 +188,6 @@ def _copy_states(start: Fit, problem: Problem, states: list[Floats]) -> None:
     """Copy the initial states of an earlier fit into `states`, for the states and windows that both have.
 
     An effect's state is copied together with the rates of the arm, because the two compensate for each other.
-
-    Parameters
-    ----------
-    start : Fit
-        The earlier fit.
-    problem : Problem
-        The present problem.
-    states : list of ndarray (w, states)
-        Initial states of the present problem; changed in place.
     """
     old_columns = {state.name: column for column, state in enumerate(start.problem.model.states)}
     for new_column, state in enumerate(problem.model.states):
@@ -234,17 +199,7 @@ def _copy_states(start: Fit, problem: Problem, states: list[Floats]) -> None:
 
 
 def _collect_fit(shooting: MultipleShooting, iterate: Iterate, converged: bool, scatter: bool) -> Fit:
-    """Compute the covariance of the estimates, and collect the result of the fit.
-
-    Parameters
-    ----------
-    iterate : Iterate
-        The last parameters and initial states.
-    converged : bool
-        Whether the fit ended because further steps would not change the estimates noticeably.
-    scatter : bool
-        Widen the standard errors by the effects of quantisation and of sample times.
-    """
+    """Compute the covariance of the estimates, and collect the result of the fit."""
     cost, problem = shooting.cost, shooting.cost.problem
     information = eliminate_states(cost, iterate).information
     prior_information = np.diag(1.0 / problem.parameter_vector.std**2)

@@ -11,15 +11,7 @@ from heli_lab.fit.identify.shooting.window_states import refine_states, restart_
 
 
 def recover_windows(cost: ShootingCost, iterate: Iterate, before: Iterate) -> None:
-    """Optimise the diverged windows of an `iterate` separately; the others stay unchanged.
-
-    Parameters
-    ----------
-    iterate : Iterate
-        Result of a joint step; changed in place.
-    before : Iterate
-        The iterate before that step. A window has diverged if its cost has risen much since.
-    """
+    """Optimise the diverged windows of an `iterate` separately; the others stay unchanged."""
     for index in range(len(iterate.evaluations)):
         old_cost, new_cost = cost.window_cost(before, index), cost.window_cost(iterate, index)
         with np.errstate(invalid="ignore"):
@@ -30,13 +22,7 @@ def recover_windows(cost: ShootingCost, iterate: Iterate, before: Iterate) -> No
 
 
 def reoptimise_states(cost: ShootingCost, iterate: Iterate) -> Iterate | None:
-    """Optimise all initial states of an `iterate`, with its parameters fixed.
-
-    Returns
-    -------
-    Iterate or None
-        None if the cost hardly falls, because the states have converged.
-    """
+    """Optimise all initial states of an `iterate`, with its parameters fixed."""
     refined = Iterate(iterate.theta, list(iterate.states), list(iterate.evaluations), iterate.cost)
     for index, states in enumerate(iterate.states):
         refine_states(cost, refined, index, np.arange(len(states)), max_steps=6)
@@ -44,13 +30,7 @@ def reoptimise_states(cost: ShootingCost, iterate: Iterate) -> Iterate | None:
 
 
 def restart_outliers(cost: ShootingCost, iterate: Iterate) -> bool:
-    """Optimise the outlying windows of an `iterate` from alternative initial states; change it in place.
-
-    Returns
-    -------
-    bool
-        Whether the cost fell by more than the share `thresholds.WORTHWHILE_GAIN`.
-    """
+    """Optimise the outlying windows of an `iterate` from alternative initial states; change it in place."""
     problem, cost_before = cost.problem, iterate.cost
     for index in range(len(iterate.evaluations)):
         for turn in range(thresholds.RESTARTS):

@@ -33,21 +33,7 @@ def refine_states(
     max_steps: int = 4,
 ) -> None:
     """Improve the initial states of some windows of an `iterate`, each by its own Levenberg-Marquardt steps.
-
-    Parameters
-    ----------
-    cost : ShootingCost
-        Variances of the axes; the weights of windows do not matter here.
-    iterate : Iterate
-        Changed in place.
-    index : int
-        Number of the record.
-    windows : ndarray of int64 (k,)
-        Numbers of the windows to improve.
-    before : ndarray (w, states), optional
-        Other states to start from, for windows in which they cost less.
-    max_steps : int
-        Largest number of steps.
+    Shapes: `windows` (k,), `before` (w, states).
     """
     search = _WindowSearch(cost, iterate, index, windows)
     if before is not None:
@@ -60,13 +46,7 @@ def restart_states(
     cost: ShootingCost, iterate: Iterate, index: int, windows: Integers, start: Floats
 ) -> None:
     """Optimise some windows of an `iterate` from other initial states, and keep the result if it is better.
-
-    Parameters
-    ----------
-    cost, iterate, index, windows
-        As in `refine_states`.
-    start : ndarray (w, states)
-        Initial states to start from, of all windows of the record.
+    Shapes: `start` (w, states).
     """
     present = _WindowSearch(cost, iterate, index, windows)
     restarted = _WindowSearch(cost, iterate, index, windows)
@@ -79,30 +59,9 @@ def restart_states(
 
 
 class _WindowSearch:
-    """Best initial states so far of some windows of a record, each window with its own cost.
-
-    Attributes
-    ----------
-    windows : ndarray of int64 (k,)
-        Numbers of the windows in the record.
-    grid : Grid
-        Grid of these windows alone.
-    steps : ndarray of int64 (m,)
-        Numbers of their steps in the grid of the whole record.
-    variance : ndarray (3,)
-        Variance of each axis, by which its squared residuals are divided.
-    parameters : ndarray (p,)
-        All parameters of the model; fixed during the search.
-    prior_mean : ndarray (k, states)
-        Prior means of the initial states of effects.
-    states : ndarray (k, states)
-        Best initial states so far.
-    normal_matrix : ndarray (k, 3, z + 1, z + 1)
-        Normal matrices at these states, as in `Evaluation`.
-    residual : ndarray (m, 3)
-        Residuals at these states.
-    cost : ndarray (k,)
-        Cost of each window at these states.
+    """Best initial states so far of some windows of a record, each window with its own cost. `steps` has
+    shape (m,). `variance` has shape (3,). `parameters` has shape (p,). `prior_mean` has shape (k,
+    states). `normal_matrix` has shape (k, 3, z + 1, z + 1). `residual` has shape (m, 3).
     """
 
     def __init__(self, cost: ShootingCost, iterate: Iterate, index: int, windows: Integers) -> None:
@@ -119,11 +78,7 @@ class _WindowSearch:
 
     def replace_if_better(self, states: Floats) -> Booleans:
         """Replace the states of those windows for which other `states`, shape (k, states), cost less.
-
-        Returns
-        -------
-        ndarray of bool (k,)
-            The windows whose states were replaced.
+        Returns shape (k,).
         """
         evaluation = self._problem.evaluate_grid(self.grid, states, self.parameters)
         cost = self._window_costs(states, evaluation.squares)
@@ -159,12 +114,8 @@ class _WindowSearch:
             idle_steps = 0 if reduction > thresholds.WORTHWHILE_GAIN * cost_before else idle_steps + 1
 
     def _states_after_step(self, damping: Floats) -> Floats:
-        """Return the states after a Levenberg-Marquardt step of each window, shape (k, states).
-
-        Parameters
-        ----------
-        damping : ndarray (k,)
-            Increase of the diagonal of each window's normal matrix, as a share of itself.
+        """Return the states after a Levenberg-Marquardt step of each window, shape (k, states). Shapes:
+        `damping` (k,).
         """
         state_count = self._problem.state_count
         normal = np.einsum("a,waij->wij", 1.0 / self.variance, self.normal_matrix)

@@ -19,27 +19,16 @@ _DECIMATION: Final = 10
 
 @dataclass(frozen=True)
 class RegressionFit:
-    """Regression of an axis' acceleration on the signal that may drive it.
-
-    Parameters
-    ----------
-    log_likelihood_ratio : float
-        Log-likelihood with this signal minus log-likelihood with the axis' deflection and rate only [nats].
-    gain : float
-        Acceleration per unit of the signal, with its sign.
-    lag_s : float
-        Delay from the signal to the acceleration [s].
-    lag_range_s : tuple of (float, float)
-        Shortest and longest delay that are not decisively less likely [s].
-    no_rotor_lag_nats : float
-        Log-likelihood without a rotor lag minus log-likelihood with the best lag [nats]; 0 if not computed.
-    """
+    """Regression of an axis' acceleration on the signal that may drive it."""
 
     log_likelihood_ratio: float
-    gain: float
-    lag_s: float = 0.0
+    """Log-likelihood with this signal minus log-likelihood with the axis' deflection and rate only [nats]."""
+    gain: float  # Acceleration per unit of the signal, with its sign
+    lag_s: float = 0.0  # Delay from the signal to the acceleration [s]
     lag_range_s: tuple[float, float] = (-math.inf, math.inf)
+    """Shortest and longest delay that are not decisively less likely [s]."""
     no_rotor_lag_nats: float = 0.0
+    """Log-likelihood without a rotor lag minus log-likelihood with the best lag [nats]; 0 if not computed."""
 
 
 def regress_acceleration(
@@ -49,20 +38,8 @@ def regress_acceleration(
     stiffness: tuple[float, float],
     rows: Booleans,
 ) -> RegressionFit:
-    """Ridge regression of an axis' acceleration on a cause, with stiffness, damping and a constant.
-
-    Parameters
-    ----------
-    acceleration : ndarray (n,)
-        Acceleration of the axis, in the column's unit per s^2.
-    axis_terms : tuple of ndarray (n,)
-        Deflection and rate of the axis.
-    cause : ndarray (n,)
-        Signal that may drive the axis.
-    stiffness : tuple of float
-        Prior of the acceleration per deflection: mean and standard deviation [1/s^2].
-    rows : ndarray of bool (n,)
-        Rows to use.
+    """Ridge regression of an axis' acceleration on a cause, with stiffness, damping and a constant. Shapes:
+    `acceleration` (n,), `axis_terms` (n,), `cause` (n,), `rows` (n,).
     """
     deflection, rate, response, regressor = (
         signal[rows][::_DECIMATION] for signal in (*axis_terms, acceleration, cause)

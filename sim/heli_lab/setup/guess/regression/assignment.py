@@ -23,32 +23,16 @@ difference, two indices for the front and the back voltage."""
 
 @dataclass(frozen=True)
 class ColumnAssignment:
-    """Columns of a table, by role.
+    """Columns of a table, by role."""
 
-    Parameters
-    ----------
-    elevation, pitch, travel : str
-        Names of the angle columns.
-    voltages : tuple of (str, str)
-        Names of the voltage columns.
-    summed : bool
-        Whether the voltages are sum and difference instead of front and back.
-    polarity : tuple of (float, float)
-        Factors, 1 or -1, after which positive voltages lift.
-    log_likelihood : float
-        Log-likelihood of the motion and the columns' names [nats].
-    physics_log_likelihood : float
-        Log-likelihood of the motion alone [nats].
-    """
-
-    elevation: str
+    elevation: str  # elevation, pitch, travel: Names of the angle columns
     pitch: str
     travel: str
-    voltages: tuple[str, str]
-    summed: bool
-    polarity: tuple[float, float]
-    log_likelihood: float
-    physics_log_likelihood: float
+    voltages: tuple[str, str]  # Names of the voltage columns
+    summed: bool  # Whether the voltages are sum and difference instead of front and back
+    polarity: tuple[float, float]  # Factors, 1 or -1, after which positive voltages lift
+    log_likelihood: float  # Log-likelihood of the motion and the columns' names [nats]
+    physics_log_likelihood: float  # Log-likelihood of the motion alone [nats]
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -65,12 +49,8 @@ class ColumnAssignment:
 
 
 def free_rows(signals: Signals, name: str) -> Booleans:
-    """Select the rows in which the arm is off its table, if the column `name` is the elevation.
-
-    Returns
-    -------
-    ndarray of bool (n,)
-        All inner rows if the column does not begin at rest.
+    """Select the rows in which the arm is off its table, if the column `name` is the elevation. Returns
+    shape (n,).
     """
     raw = signals.raw[name]
     rest_rows = round(thresholds.REST_DURATION_S / thresholds.SAMPLE_STEP_s)
@@ -100,21 +80,7 @@ def assignments(
     encoders: Collection[str] = frozenset(),
     known: Mapping[str, str] = MappingProxyType({}),
 ) -> list[ColumnAssignment]:
-    """List the assignments of columns to roles with their log-likelihoods, the most likely first.
-
-    Parameters
-    ----------
-    signals : Signals
-        All columns.
-    reference : Reference
-        Prior of the stiffness of elevation and pitch.
-    columns : list of str
-        Names of the columns that may be an angle or a voltage.
-    encoders : collection of str
-        Columns quantised by an encoder: measured angles, not estimates or setpoints.
-    known : Mapping[str, str]
-        Roles that the user knows, by column.
-    """
+    """List the assignments of columns to roles with their log-likelihoods, the most likely first."""
     count = len(columns)
     if count < 5:
         return []
@@ -147,17 +113,8 @@ def assignments(
 def _elevation_nats(
     signals: Signals, columns: list[str], polarity: Floats, reference: Reference
 ) -> dict[ColumnIndices, Floats]:
-    """Weigh, for each sum of voltages, which column it drives as the elevation.
-
-    Parameters
-    ----------
-    polarity : ndarray (columns,)
-        Sign of each column as a voltage, from `polarity_of`.
-
-    Returns
-    -------
-    dict of ndarray (columns,)
-        Log-likelihood ratio of each column as the elevation [nats], by the columns of the sum.
+    """Weigh, for each sum of voltages, which column it drives as the elevation. Shapes: `polarity`
+    (columns,); returns (columns,).
     """
     filtered = [signals.filtered[name] for name in columns]
     lifting = [sign * signal.value for sign, signal in zip(polarity, filtered, strict=True)]
@@ -189,12 +146,8 @@ def _pitch_nats(
 
 
 def _travel_nats(signals: Signals, columns: list[str]) -> Floats:
-    """Weigh for each pair of columns whether the first, as pitch, drives the second, as travel.
-
-    Returns
-    -------
-    ndarray (columns, columns)
-        Log-likelihood ratio by pitch and travel [nats].
+    """Weigh for each pair of columns whether the first, as pitch, drives the second, as travel. Returns
+    shape (columns, columns).
     """
     filtered = [signals.filtered[name] for name in columns]
     nats = np.zeros((len(columns), len(columns)))
@@ -213,22 +166,7 @@ def _log_likelihood_table(
     stiffness: tuple[float, float],
 ) -> dict[ColumnIndices, Floats]:
     """Weigh for each cause and each column whether the cause drives the column as an angle, at the best lag.
-
-    Parameters
-    ----------
-    causes : dict of ndarray (n,)
-        Signals that may drive an axis, by the indices of the columns that they are made of.
-    filtered : sequence of Signal
-        The columns.
-    rows : list of ndarray of bool (n,)
-        Rows to use, for each column.
-    stiffness : (float, float)
-        As in `regress_acceleration`.
-
-    Returns
-    -------
-    dict of ndarray (columns,)
-        Log-likelihood ratio of each column [nats], by cause; 0 for the columns that the cause is made of.
+    Shapes: `causes` (n,), `rows` (n,), `stiffness` (float, float); returns (columns,).
     """
     table = {}
     for cause_columns, cause in causes.items():
@@ -274,22 +212,9 @@ def _best_angles(
     *,
     summed: bool,
 ) -> list[ColumnAssignment]:
-    """Find the three most likely choices of the angle columns for given voltage columns.
-
-    Parameters
-    ----------
-    columns : list of str
-        Names of all columns.
-    physics_nats : ndarray (columns, columns, columns)
-        Score of each choice of elevation, pitch and travel by the motion [nats].
-    name_nats : dict of ndarray (columns,)
-        Score of each column's name, by role [nats].
-    voltage_columns : (int, int)
-        Indices of the voltage columns: sum and difference if `summed`, otherwise the motors in any order.
-    polarity : ndarray (columns,)
-        Sign after which the mean of each column is positive.
-    summed : bool
-        Whether the voltages are sum and difference instead of front and back.
+    """Find the three most likely choices of the angle columns for given voltage columns. Shapes:
+    `physics_nats` (columns, columns, columns), `name_nats` (columns,), `voltage_columns` (int, int),
+    `polarity` (columns,).
     """
     names_nats = np.add.outer(np.add.outer(name_nats["elevation"], name_nats["pitch"]), name_nats["travel"])
     i, j = voltage_columns

@@ -33,21 +33,6 @@ def axis_regressions(
 
     The cause of elevation is the sum of the voltages, that of pitch is their difference, and that of travel
     is pitch.
-
-    Parameters
-    ----------
-    signals : Signals
-        Columns of one file.
-    assignment : ColumnAssignment
-        Column of each angle and voltage.
-    reference : Reference
-        Prior of the stiffness of elevation and pitch.
-    rad : Mapping[str, float], optional
-        Radians per unit of each angle, if known: the causes then include the sines and cosines of pitch.
-    bias : float
-        Bias that the logged sum of the voltages lacks, in the unit of the sum.
-    limits : tuple of (float, float)
-        Smallest and largest voltage of a motor, in the unit of the columns; commands beyond did not act.
     """
     total, difference = sum_and_difference(signals, assignment, bias, limits)
     pitch = signals.raw[assignment.pitch]
@@ -77,22 +62,11 @@ def responds_without_lag(lag_s: float) -> bool:
 
 
 def _no_rotor_lag_nats(signals: Signals, column: str, difference: Floats, reference: Reference) -> float:
-    """Compare rotors without a lag with rotors that lag while the logged voltages are too late.
+    """Compare rotors without a lag with rotors that lag while the logged voltages are too late. Shapes:
+    `difference` (n,).
 
     A lag of the rotors and late voltages can cancel on average: pitch then follows the voltages without a
     delay in both cases. But lagging rotors also smooth the voltages, which distinguishes the two.
-
-    Parameters
-    ----------
-    column : str
-        Column of pitch.
-    difference : ndarray (n,)
-        Difference of the motors' voltages.
-
-    Returns
-    -------
-    float
-        Log-likelihood without a rotor lag minus log-likelihood with the best lag and delay [nats].
     """
     pitch = filtered_signal(signals.raw[column], thresholds.ROTOR_LAG_CUTOFF_Hz)
     axis_terms = (pitch.value - pitch.value.mean(), pitch.rate)
@@ -122,23 +96,8 @@ def sum_and_difference(
     bias: float = 0.0,
     limits: tuple[float, float] = NO_LIMITS,
 ) -> tuple[Floats, Floats]:
-    """Compute the sum and the difference of the voltages that the motors received.
-
-    Parameters
-    ----------
-    signals : Signals
-        Columns of one file.
-    assignment : ColumnAssignment
-        Columns of the voltages.
-    bias : float
-        Bias that the logged sum lacks, in the unit of the sum.
-    limits : tuple of (float, float)
-        Smallest and largest voltage of a motor, in the unit of the columns.
-
-    Returns
-    -------
-    voltage_sum, voltage_difference : ndarray (n,)
-        Front plus back, and front minus back, in the unit of the columns.
+    """Compute the sum and the difference of the voltages that the motors received. Returns shape
+    `voltage_sum, voltage_difference` (n,).
     """
     first, second = voltages(signals, assignment)
     total, difference = (first + bias, second) if assignment.summed else (first + second, first - second)
@@ -163,15 +122,7 @@ def _fit_at_best_lag(
     signals: Signals, column: str, axis: str, cause: Floats, reference: Reference
 ) -> RegressionFit:
     """Regress the acceleration of an axis on its cause at each lag of `LAGS_S`; return the most likely fit.
-
-    Parameters
-    ----------
-    column : str
-        Column with the angle of the axis.
-    axis : str
-        Name of the axis.
-    cause : ndarray (n,)
-        Low-passed signal that drives the axis.
+    Shapes: `cause` (n,).
     """
     angle = signals.filtered[column]
     rows = free_rows(signals, column) if axis == "elevation" else signals.inner

@@ -26,27 +26,12 @@ logging program has filtered, and far narrower than the ratio of two factors, 57
 def candidates(
     signals: Signals, encoders: Collection[str] = frozenset(), known: Collection[str] = ()
 ) -> tuple[list[str], dict[str, str]]:
-    """List the columns of a table that may be an angle or a voltage; columns in `known` come first.
+    """List the columns of a table that may be an angle or a voltage; columns in `known` come first. Returns
+    `columns`, `dropped`.
 
     Constants, rates and duplicates are left out. One column of several duplicates stays: one in `encoders`,
     otherwise one that is not the rate of an angle. The second rule matters under state feedback: the sum of
     the voltages is then proportional to the rate of elevation, and is the column to keep.
-
-    Parameters
-    ----------
-    signals : Signals
-        All columns but the times.
-    encoders : collection of str
-        Columns quantised by an encoder.
-    known : collection of str
-        Columns whose roles the user knows.
-
-    Returns
-    -------
-    columns : list of str
-        The columns that may be an angle or a voltage.
-    dropped : dict of str
-        The reason for each of the other columns.
     """
     dropped = {name: "constant" for name, values in signals.raw.items() if np.ptp(values) == 0.0}
     moving = [name for name in signals.raw if name not in dropped]
@@ -78,14 +63,8 @@ def candidates(
 
 
 def _column_to_keep(signals: Signals, group: list[str], angle: str | None, *, is_rate: bool) -> str | None:
-    """Choose the column of a `group` of duplicates that may be an angle or a voltage; None if all are rates.
-
-    Parameters
-    ----------
-    angle : str or None
-        Column to whose rate the group is proportional, if there is one.
-    is_rate : bool
-        Whether the first column of the group is that rate.
+    """Choose the column of a `group` of duplicates that may be an angle or a voltage; None if all are
+    rates.
     """
     if angle is None:
         return group[0]
@@ -111,13 +90,7 @@ def _duplicates(signals: Signals, columns: list[str]) -> list[list[str]]:
 
 
 def _angle_of_feedback(signals: Signals, group: list[str], columns: list[str]) -> str | None:
-    """Find the angle whose rate explains a `group` of duplicates, as under state feedback.
-
-    Returns
-    -------
-    str or None
-        One of the `columns`; None for a group of one column, or if no rate explains the group.
-    """
+    """Find the angle whose rate explains a `group` of duplicates, as under state feedback."""
     if len(group) == 1:
         return None
     value = signals.filtered[group[0]].value
@@ -140,11 +113,6 @@ def _derivatives(signals: Signals, columns: list[str]) -> dict[str, str]:
     A column cannot be judged alone. Pitch drives travel, so the derivative of a logged travel rate resembles
     pitch; likewise that of a logged pitch rate resembles a voltage. Neither pitch nor the voltage is a logged
     rate. Therefore a column counts as a derivative only if its origin is not itself a derivative.
-
-    Returns
-    -------
-    dict of str
-        By name of the derivative: the column of which it is the derivative.
     """
     correlations = _derivative_correlations(signals, columns)
 
@@ -173,14 +141,7 @@ def _derivatives(signals: Signals, columns: list[str]) -> dict[str, str]:
 
 
 def _derivative_correlations(signals: Signals, columns: list[str]) -> dict[tuple[str, str], float]:
-    """Correlate each column with the time derivative of each other one.
-
-    Returns
-    -------
-    dict of float
-        Absolute correlation, by the names of the derivative and of its origin, for the pairs that may be
-        such. A column whose name states the role of an angle or voltage is no derivative.
-    """
+    """Correlate each column with the time derivative of each other one."""
     correlations: dict[tuple[str, str], float] = {}
     for name, origin in itertools.permutations(columns, 2):
         rate, value = signals.filtered[origin].rate, signals.filtered[name].value
@@ -194,19 +155,10 @@ def _derivative_correlations(signals: Signals, columns: list[str]) -> dict[tuple
 
 
 def _has_unit_slope(rate: Floats, value: Floats, counts_per_turn: Collection[float]) -> bool:
-    """Whether a signal is an angle's rate, in the unit of the angle or in another unit.
+    """Whether a signal is an angle's rate, in the unit of the angle or in another unit. Shapes: `rate` (n,),
+    `value` (n,).
 
     A negative slope is feedback: programs log an angle and its rate with the same sign.
-
-    Parameters
-    ----------
-    rate : ndarray (n,)
-        Rate of the angle.
-    value : ndarray (n,)
-        The signal that may be this rate.
-    counts_per_turn : collection of float
-        Counts per turn of the rig's encoders; the angle may be logged in counts, and its rate in rad/s or
-        deg/s.
     """
     variance = float(rate.var())
     slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
@@ -224,21 +176,7 @@ def _abs_correlation(first: Floats, second: Floats) -> float:
 
 def feedback_sign(voltage_sum: Floats, angle: Signal, counts_per_turn: Collection[float]) -> float:
     """Find whether the sum of the voltages is proportional to an angle's rate, as under state feedback.
-
-    Parameters
-    ----------
-    voltage_sum : ndarray (n,)
-        Low-passed column that may be the sum of the voltages. If it equals the rate in some unit, it is a
-        logged rate, not feedback.
-    angle : Signal
-        The angle with its rate.
-    counts_per_turn : collection of float
-        Counts per turn of the encoders in which the rate may be logged.
-
-    Returns
-    -------
-    float
-        Sign of the factor, 1 or -1; 0 if the sum is not proportional to the rate.
+    Shapes: `voltage_sum` (n,).
     """
     is_constant = np.ptp(voltage_sum) == 0.0 or np.ptp(angle.rate) == 0.0
     if is_constant or _has_unit_slope(angle.rate, voltage_sum, counts_per_turn):

@@ -23,39 +23,22 @@ and their rig files state 0."""
 
 @dataclass(frozen=True)
 class Reference:
-    """Gains and stiffnesses of a rig, linearised at hover.
-
-    Parameters
-    ----------
-    stiffness : Mapping[str, tuple]
-        By axis, elevation and pitch: acceleration per deflection, mean and standard deviation [1/s^2].
-    gain : Mapping[str, float]
-        By axis: elevation acceleration per sum of the voltages and pitch acceleration per their difference
-        [rad/s^2/V], travel acceleration per pitch [1/s^2].
-    hover_V : float
-        Sum of the voltages at hover [V].
-    rest_deg, rest_tolerance_deg : float
-        Elevation on the table, and its tolerance [deg].
-    counts : Mapping[str, float]
-        Encoder counts per turn, by axis.
-    supply_V : float
-        Largest voltage of a motor [V].
-    reverses : bool
-        Whether a rotor gives thrust at reversed voltage.
-    travel_rad_s2, travel_std_rad_s2 : float
-        Constant acceleration of travel at level pitch, and its standard deviation [rad/s^2]; both 0 if
-        the rig file states no torque.
-    """
+    """Gains and stiffnesses of a rig, linearised at hover."""
 
     stiffness: Mapping[str, tuple[float, float]]
+    """By axis, elevation and pitch: acceleration per deflection, mean and standard deviation [1/s^2]."""
     gain: Mapping[str, float]
-    hover_V: float
-    rest_deg: float
+    """By axis: elevation acceleration per sum of the voltages and pitch acceleration per their difference
+    [rad/s^2/V], travel acceleration per pitch [1/s^2]."""
+    hover_V: float  # Sum of the voltages at hover [V]
+    rest_deg: float  # rest_deg, rest_tolerance_deg: Elevation on the table, and its tolerance [deg]
     rest_tolerance_deg: float
-    counts: Mapping[str, float]
-    supply_V: float
-    reverses: bool = False
+    counts: Mapping[str, float]  # Encoder counts per turn, by axis
+    supply_V: float  # Largest voltage of a motor [V]
+    reverses: bool = False  # Whether a rotor gives thrust at reversed voltage
     travel_rad_s2: float = 0.0
+    """travel_rad_s2, travel_std_rad_s2: Constant acceleration of travel at level pitch, and its standard
+    deviation [rad/s^2]; both 0 if the rig file states no torque."""
     travel_std_rad_s2: float = 0.0
 
 
@@ -64,11 +47,6 @@ def reference_of(rig: Rig) -> Reference:
 
     Rows and columns of the matrices: elevation, pitch and travel are the states 0 to 2, their rates 3 to 5;
     the inputs are the front and the back voltage.
-
-    Raises
-    ------
-    IdentifyError
-        When the rig cannot hover.
     """
     model = MultibodyModel()
     try:

@@ -45,15 +45,11 @@ _QUANTISATION_NATS: Final = 3.0
 
 @dataclass(frozen=True)
 class VoltageScale:
-    """One possible unit of the voltage columns.
-
-    Parameters
-    ----------
-    unit, full_scale, factor, bias_removed
-        As `voltage`, `full_scale`, `factor` and `bias_removed` of `Scale`.
-    """
+    """One possible unit of the voltage columns."""
 
     unit: str
+    """unit, full_scale, factor, bias_removed: As `voltage`, `full_scale`, `factor` and `bias_removed` of
+    `Scale`."""
     full_scale: float
     factor: float
     bias_removed: bool
@@ -65,22 +61,13 @@ class VoltageScale:
 
 @dataclass(frozen=True)
 class LimitedMotion:
-    """Measured gains of the axes, if voltages above the supply are taken to be limited to it.
+    """Measured gains of the axes, if voltages above the supply are taken to be limited to it."""
 
-    Parameters
-    ----------
-    gain : Mapping[str, float]
-        Acceleration per voltage of each axis, as in `MeasuredMotion`.
-    mean_sum : float
-        Mean of the sum of the limited voltages in flight, in the unit of the columns.
-    log_likelihood_ratio : float
-        Log-likelihood of elevation and pitch with limited commands, less that with the commands as logged
-        [nats].
-    """
-
-    gain: Mapping[str, float]
-    mean_sum: float
+    gain: Mapping[str, float]  # Acceleration per voltage of each axis, as in `MeasuredMotion`
+    mean_sum: float  # Mean of the sum of the limited voltages in flight, in the unit of the columns
     log_likelihood_ratio: float
+    """Log-likelihood of elevation and pitch with limited commands, less that with the commands as logged
+    [nats]."""
 
 
 @dataclass(frozen=True)
@@ -88,69 +75,33 @@ class MeasuredMotion:
     """Measured gains, ranges and steps of the assigned columns, from which their units are inferred.
 
     All values are in the units of the columns.
-
-    Parameters
-    ----------
-    gain : Mapping[str, float]
-        Gain of each axis as in `Reference.gain`; the sign is ignored.
-    mean_sum : float
-        Mean of the sum of the voltages in flight.
-    peak : float
-        Largest voltage of a motor.
-    quantisation_step : Mapping[str, float]
-        Smallest step of each angle; 0 if the angle is not quantised.
-    integer_valued : Mapping[str, bool]
-        Whether each angle has whole numbers only.
-    stated_units : Mapping[str, str]
-        Units that names or the file state, by axis and for `voltage`; empty if none is stated.
-    summed : bool
-        Whether the voltages are sum and difference instead of front and back.
-    halved : bool
-        Whether a name states that these are half sums or half differences.
-    limited : Mapping[VoltageScale, LimitedMotion]
-        The motion with limited commands, for each unit in which some commands exceed the supply.
     """
 
-    gain: Mapping[str, float]
-    mean_sum: float
-    peak: float
-    quantisation_step: Mapping[str, float]
-    integer_valued: Mapping[str, bool]
+    gain: Mapping[str, float]  # Gain of each axis as in `Reference.gain`; the sign is ignored
+    mean_sum: float  # Mean of the sum of the voltages in flight
+    peak: float  # Largest voltage of a motor
+    quantisation_step: Mapping[str, float]  # Smallest step of each angle; 0 if the angle is not quantised
+    integer_valued: Mapping[str, bool]  # Whether each angle has whole numbers only
     stated_units: Mapping[str, str]
-    summed: bool
-    halved: bool = False
+    """Units that names or the file state, by axis and for `voltage`; empty if none is stated."""
+    summed: bool  # Whether the voltages are sum and difference instead of front and back
+    halved: bool = False  # Whether a name states that these are half sums or half differences
     limited: Mapping[VoltageScale, LimitedMotion] = field(default_factory=dict)
+    """The motion with limited commands, for each unit in which some commands exceed the supply."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """One choice of units for all columns, with its likelihood.
+    """One choice of units for all columns, with its likelihood."""
 
-    Parameters
-    ----------
-    angles : Mapping[str, str]
-        Unit of each axis.
-    voltage : str
-        Unit of both voltages.
-    full_scale : float
-        Value of full supply, for `pwm`.
-    factor : float
-        2 if the voltages are half sums and half differences, otherwise 1.
-    bias_removed : bool
-        Whether the sum was logged without its bias.
-    log_likelihood : float
-        Log-likelihood of this choice [nats].
-    deviation_std : Mapping[str, float]
-        Deviation from the rig file in standard deviations, by axis and for `hover`.
-    """
-
-    angles: Mapping[str, str]
-    voltage: str
-    full_scale: float
-    factor: float
-    bias_removed: bool
-    log_likelihood: float
+    angles: Mapping[str, str]  # Unit of each axis
+    voltage: str  # Unit of both voltages
+    full_scale: float  # Value of full supply, for `pwm`
+    factor: float  # 2 if the voltages are half sums and half differences, otherwise 1
+    bias_removed: bool  # Whether the sum was logged without its bias
+    log_likelihood: float  # Log-likelihood of this choice [nats]
     deviation_std: Mapping[str, float]
+    """Deviation from the rig file in standard deviations, by axis and for `hover`."""
 
     @property
     def voltage_scale(self) -> VoltageScale:
@@ -168,15 +119,7 @@ class Scale:
 
 
 def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
-    """Score all combinations of units of angles and voltages; return them, the most likely first.
-
-    Parameters
-    ----------
-    motion : MeasuredMotion
-        Gains, ranges and steps of the columns, in the units of the file.
-    reference : Reference
-        Gains, hover voltage and encoders of the rig file.
-    """
+    """Score all combinations of units of angles and voltages; return them, the most likely first."""
     ranked = []
     for choice in voltage_scales(motion.summed):
         mean_V = abs(motion.mean_sum * choice.volts(reference))
@@ -244,13 +187,6 @@ def _gain_deviations(
 ) -> dict[str, float]:
     """Compare each axis' measured gain with the rig file's; return deviations in standard deviations, by
     axis.
-
-    Parameters
-    ----------
-    angles : Mapping[str, str]
-        Unit of each axis.
-    choice : VoltageScale
-        Unit of the voltages.
     """
     volts, gain = choice.volts(reference), motion.limited.get(choice, motion).gain
     rad = {axis: rad_of(angles[axis], axis, reference) for axis in AXES}
@@ -265,15 +201,7 @@ def _gain_deviations(
 
 
 def _angle_score(angles: Mapping[str, str], axis: str, motion: MeasuredMotion, reference: Reference) -> float:
-    """Log-likelihood of the unit of an axis [nats], by the column's name and quantisation.
-
-    Parameters
-    ----------
-    angles : Mapping[str, str]
-        Unit of each axis.
-    axis : str
-        The axis.
-    """
+    """Log-likelihood of the unit of an axis [nats], by the column's name and quantisation."""
     stated, unit = motion.stated_units.get(axis, ""), angles[axis]
     nats = _unit_score(stated, unit) + _quantisation_score(motion, axis, unit, reference)
     return nats - (_MIXED_UNITS_NATS if not stated and unit != angles["elevation"] else 0.0)
@@ -348,14 +276,10 @@ def is_encoder(values: Floats, reference: Reference) -> bool:
 
 
 def quantisation_step(values: Floats) -> float:
-    """Find the quantisation step of a column, in its unit; 0 if the column is not quantised.
+    """Find the quantisation step of a column, in its unit; 0 if the column is not quantised. Shapes:
+    `values` (n,).
 
     A column is quantised if more than nine tenths of its small changes are multiples of the smallest one.
-
-    Parameters
-    ----------
-    values : ndarray (n,)
-        Values of the column.
     """
     changes = np.abs(np.diff(values[np.isfinite(values)]))
     # Without the rounding errors of floats.

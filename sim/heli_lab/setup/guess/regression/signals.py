@@ -41,45 +41,19 @@ class Signal:
 
 @dataclass(frozen=True)
 class Signals:
-    """Columns of a table at even times, by name.
+    """Columns of a table at even times, by name."""
 
-    Parameters
-    ----------
-    t_s : ndarray (n,)
-        Even times [s].
-    raw : Mapping[str, ndarray (n,)]
-        Values at these times, unwrapped, without low-pass filter.
-    filtered : Mapping[str, Signal]
-        Low-passed values with their derivatives.
-    inner : ndarray of bool (n,)
-        False for rows near both ends, where the filter has transients.
-    counts_per_turn : tuple of float
-        Counts per turn of the encoders that a column may come from.
-    """
-
-    t_s: Floats
-    raw: Mapping[str, Floats]
-    filtered: Mapping[str, Signal]
-    inner: Booleans
-    counts_per_turn: tuple[float, ...] = ()
+    t_s: Floats  # (n,): Even times [s]
+    raw: Mapping[str, Floats]  # (n,): Values at these times, unwrapped, without low-pass filter
+    filtered: Mapping[str, Signal]  # Low-passed values with their derivatives
+    inner: Booleans  # (n,): False for rows near both ends, where the filter has transients
+    counts_per_turn: tuple[float, ...] = ()  # Counts per turn of the encoders that a column may come from
 
 
 def column_signals(
     table: Table, t_s: Floats, names: list[str], counts_per_turn: Collection[float] = ()
 ) -> Signals:
-    """Resample columns of a table to even times, and low-pass them.
-
-    Parameters
-    ----------
-    table : Table
-        The table, with n rows.
-    t_s : ndarray (n,)
-        Time of each row [s]; rows whose time is missing or does not rise are left out.
-    names : list of str
-        Names of the columns.
-    counts_per_turn : collection of float
-        As in `unwrapped`.
-    """
+    """Resample columns of a table to even times, and low-pass them. Shapes: `t_s` (n,)."""
     has_time = np.isfinite(t_s)
     has_time[has_time] = np.concatenate(([True], np.diff(t_s[has_time]) > 0.0))
     even_s = np.arange(t_s[has_time][0], t_s[has_time][-1], SAMPLE_STEP_s)
@@ -130,17 +104,10 @@ def _butterworth_response(fft_rows: int, cutoff_Hz: float) -> NDArray[np.complex
 
 
 def unwrapped(values: Floats, counts_per_turn: Collection[float] = ()) -> Floats:
-    """Unwrap a column that jumps by one turn; return other columns unchanged.
+    """Unwrap a column that jumps by one turn; return other columns unchanged. Shapes: `values` (n,).
 
     At a wrap, the jump minus one turn is a step as small as the steps nearby. A voltage that is switched on
     may jump by nearly a turn too, but the difference from a turn is large; such a column stays unchanged.
-
-    Parameters
-    ----------
-    values : ndarray (n,)
-        The column, in any unit of an angle, or in counts of an encoder.
-    counts_per_turn : collection of float
-        Counts per turn of the encoders that the column may come from.
     """
     steps = np.abs(np.diff(values))
     # A wrap crosses almost the whole range of the column, and happens seldom.
@@ -160,20 +127,8 @@ def unwrapped(values: Floats, counts_per_turn: Collection[float] = ()) -> Floats
 
 
 def _median_steps_nearby(steps: Floats, is_jump: Booleans) -> Floats:
-    """Compute the typical step of a column around each of its jumps.
-
-    Parameters
-    ----------
-    steps : ndarray (n,)
-        Absolute changes from row to row.
-    is_jump : ndarray of bool (n,)
-        True for the k changes that are jumps.
-
-    Returns
-    -------
-    ndarray (k,)
-        Median of the changes within `_NEARBY_ROWS` of each jump, without the jumps; at least the smallest
-        change of the column, so that an angle at rest does not give 0.
+    """Compute the typical step of a column around each of its jumps. Shapes: `steps` (n,), `is_jump` (n,);
+    returns (k,).
     """
     small_steps = np.where(is_jump, 0.0, steps)
     smallest = float(np.min(small_steps[small_steps > 0.0], initial=np.inf))
