@@ -114,7 +114,7 @@ def test_a_file_without_a_law_to_fly_is_one_line_with_its_remedy(name: str, term
     line = refusal(terminal("law", "check", file), code=ASKED)
     assert cause in line
     assert remedy in line
-    assert "heli_lab" not in line.replace("of heli_lab.control.law", "")
+    assert "heli_lab" not in line.replace("of heli_lab.law", "")
 
 
 @pytest.mark.usefixtures("nothing_sent")

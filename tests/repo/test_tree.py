@@ -40,14 +40,13 @@ def folders() -> list[Path]:
 
 
 def purpose_of(folder: Path) -> str:
-    """Purpose of a folder: its README, or for tests the docstring of its package; or those of its
-    parent."""
+    """Purpose of a folder: its README or the docstring of its package; or those of its parent."""
     for place in (folder, folder.parent):
         for name in ("README.md", "__init__.py"):
             text = (place / name).read_text() if (place / name).exists() and place != ROOT else ""
             if name == "README.md" and text:
                 return text
-            if name == "__init__.py" and ROOT / "tests" in (place, *place.parents) and text:
+            if name == "__init__.py" and text:
                 return ast.get_docstring(ast.parse(text)) or ""
     return ""
 
