@@ -1,16 +1,16 @@
-"""Read and check the inputs of a fit: rig, model and flights."""
+"""Options and inputs that the verbs of fits share: rig, model and flights."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from heli_host.ui.cli.simulated import DEFAULT_RIG
 
 from heli_lab.errors import IdentifyError, NotExcited, WrongSigns
-from heli_lab.fit_options import DEFAULT_MODEL
 
 if TYPE_CHECKING:
     from heli_host.data.flight import Flight
@@ -18,6 +18,76 @@ if TYPE_CHECKING:
     from heli_sim.rig import Rig
 
     from heli_lab.fit.identify.record import Record
+
+
+DEFAULT_MODEL = "multibody"
+
+FlightsArgument = Annotated[
+    list[Path],
+    typer.Argument(metavar="FLIGHT...", help="Fit the model to these: .mcap, .csv or .csv.gz."),
+]
+ValidateOption = Annotated[
+    list[Path] | None,
+    typer.Option("--validate", metavar="FLIGHT...", help="Check the result on these other flights."),
+]
+KnownRigOption = Annotated[
+    str,
+    typer.Option(
+        "--rig",
+        metavar="NAME|FILE",
+        help=f"Use this rig's parameters and tolerances as priors.  [default: {DEFAULT_RIG}]",
+        show_default=False,
+    ),
+]
+EquationsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        metavar="NAME",
+        help=f"Use these equations of motion.  [default: the rig's, or {DEFAULT_MODEL}]",
+        show_default=False,
+    ),
+]
+OwnEffectsOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--effect-file", metavar="FILE.py...", help="Add the effects of these files, and run their code."
+    ),
+]
+FromOption = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--from",
+        "--from-s",
+        metavar="S...",
+        help="Ignore rows before this time in s: one for all fitted flights, or one each.",
+    ),
+]
+ToOption = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--to",
+        "--to-s",
+        metavar="S...",
+        help="Ignore rows from this time in s on: one value or several, as for --from.",
+    ),
+]
+GapsOption = Annotated[
+    bool, typer.Option("--allow-gaps", help="Skip missing rows instead of refusing the flight.")
+]
+SkipSignCheckOption = Annotated[
+    bool, typer.Option("--skip-sign-check", help="Fit even if signs, zeros, units or motion look wrong.")
+]
+ReportOption = Annotated[
+    Path | None,
+    typer.Option("--report", metavar="DIR", help="Write an HTML report with figures into this folder."),
+]
+SaveRigOption = Annotated[
+    Path | None, typer.Option("--save-rig", metavar="FILE", help="Write the estimated rig, TOML.")
+]
+SeedsOption = Annotated[
+    int, typer.Option("--seeds", metavar="N", min=1, max=100, help="Fly N times, with the seeds 1 to N.")
+]
 
 
 @dataclass(frozen=True)

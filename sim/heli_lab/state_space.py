@@ -1,4 +1,4 @@
-"""Linearise a rig, for control design with python-control."""
+"""Linear state-space systems: linearise a rig for python-control, and discretise linear equations."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from heli_host.arrays import Floats
 from heli_sim.model.effects import effects_of, parse_effects
 from heli_sim.model.linear import linearise as linearise_model
 from heli_sim.model.linear import trim
@@ -64,3 +65,21 @@ def linearise(
     equations = model_named(model or loaded_rig.model or MultibodyModel.name, rig_effects + given_effects)
     hover = trim(equations, loaded_rig, float(np.deg2rad(elevation_deg)))
     return linearise_model(equations, loaded_rig, hover)
+
+
+def matrix_exponentials(matrices: Floats) -> Floats:
+    """Compute the exponentials of `matrices`, shape (n, m, m), by scaling and squaring of a Taylor series.
+
+    scipy.linalg.expm uses a threaded solver for each matrix, and takes 3 ms instead of 0.1 ms for fifteen
+    matrices on a busy computer.
+    """
+    # Halve the matrices until the largest norm is at most 0.25, where nine terms of the series are exact.
+    halvings = max(0, int(np.ceil(np.log2(np.abs(matrices).sum(axis=2).max() / 0.25))))
+    halved = matrices / 2.0**halvings
+    result = unit = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape)
+    # Horner's scheme: 1 + x (1 + x / 2 (1 + x / 3 (...))).
+    for order in range(9, 0, -1):
+        result = unit + halved @ result / order
+    for _ in range(halvings):
+        result = result @ result
+    return np.asarray(result)

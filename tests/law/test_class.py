@@ -21,8 +21,16 @@ from heli_host.fly.plan import load_plan
 from heli_host.ui.cli import run
 from heli_host.ui.cli.flight_command import FlightOptions
 from heli_lab.apps.classroom.grade import FlightScore
-from heli_lab.apps.classroom.mark import FLOORS, POINTS, WEIGHTS, Mark, MIN_MOTION_deg, mark_of, points_of
-from heli_lab.apps.classroom.marking import Marking
+from heli_lab.apps.classroom.marking import (
+    FLOORS,
+    POINTS,
+    WEIGHTS,
+    Mark,
+    Marking,
+    MIN_MOTION_deg,
+    mark_of,
+    points_of,
+)
 from heli_lab.apps.classroom.submission import MARKED, new_rig_log, read_submission, returned_files
 from heli_lab.control.law.limits import FileLimits
 from heli_lab.verbs.class_ import _write_marks

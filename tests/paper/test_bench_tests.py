@@ -5,10 +5,15 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from heli_lab.apps.paper.bench_tests import PITCH_RELEASES, BenchTest, check_rig, record_of
-from heli_lab.apps.paper.experiments import read_thrust, run_bench_test
-from heli_lab.apps.paper.rig_table import fit_rig
-from heli_lab.apps.paper.tables import TESTS_OF_TABLE, Table, TableRow, fit_table
+from heli_lab.apps.paper.experiments import (
+    PITCH_RELEASES,
+    BenchTest,
+    check_rig,
+    read_thrust,
+    record_of,
+    run_bench_test,
+)
+from heli_lab.apps.paper.tables import TESTS_OF_TABLE, Table, TableRow, fit_rig, fit_table
 from heli_lab.errors import IdentifyError
 from heli_lab.fit.identify.record import Record
 from heli_sim.model import Model, MultibodyModel, Operands, PaperModel

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 from heli_host.ui.cli import app
-from heli_lab.apps.paper.bench_tests import ELEVATION_STEPS
-from heli_lab.apps.paper.coefficients import analytic
+from heli_lab.apps.paper.experiments import ELEVATION_STEPS
+from heli_lab.apps.paper.lumped import analytic
 from heli_sim.rig import load_rig
 from typer.testing import CliRunner
 

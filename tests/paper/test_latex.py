@@ -9,8 +9,7 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 import pytest
-from heli_lab.apps.paper.coefficients import analytic
-from heli_lab.apps.paper.lumped import Coefficients, LumpedModel
+from heli_lab.apps.paper.lumped import Coefficients, LumpedModel, analytic
 from heli_sim.model import Model, MultibodyModel, PaperModel, PaperPrintedModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.model.latex import Equation, equations, symbol

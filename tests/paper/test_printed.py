@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from heli_lab.apps.paper.coefficients import analytic, printed_inertias_kg_m2
+from heli_lab.apps.paper.lumped import analytic, printed_inertias_kg_m2
 from heli_sim.model import MultibodyModel, PaperModel, PaperPrintedModel
 from heli_sim.rig import load_rig
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from heli_host.arrays import Floats
 from heli_host.data.flight import Flight
-from heli_lab.apps.pool.rig_diagnosis import ParameterEstimate, without_prior
+from heli_lab.apps.pool import ParameterEstimate, without_prior
 from heli_lab.fit.estimation import estimate, refiltered
 from heli_lab.fit.identify import Record, prepare
 from heli_lab.fit.identify.flight_model import RigParameters, filter_record, model_functions

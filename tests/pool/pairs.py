@@ -26,8 +26,7 @@ from heli_benchmark.cases.disturbed_case import DisturbedCase
 from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.effects.listed import RotorLag
 from heli_benchmark.simulation.tracking import CONTROLLERS
-from heli_lab.apps.pool import pool
-from heli_lab.apps.pool.rig_diagnosis import ParameterEstimate, RigDiagnosis, without_prior
+from heli_lab.apps.pool import ParameterEstimate, RigDiagnosis, pool, without_prior
 from heli_lab.explain.evaluate import FreeRun, free_runs, predict
 from heli_lab.explain.search import Hypothesis, ModelComparison
 from heli_lab.fit.identify import Record, prepare

@@ -15,13 +15,12 @@ from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.ui.cli.simulated import DEFAULT_RIG, MAX_SPEED
 from heli_host.ui.cli.verb import Verb
 
-from heli_lab.fit_options import SeedsOption
+from heli_lab.fit_inputs import SeedsOption
 
 if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
 
-    from heli_lab.apps.classroom.mark import Mark
-    from heli_lab.apps.classroom.marking import MarkedSubmission
+    from heli_lab.apps.classroom.marking import Mark, MarkedSubmission
 
 _LOAD_s = 10.0
 """Longest processor time for loading a law's file [s]. The laws of the documents take under 2 s. Shorter: a
@@ -140,8 +139,7 @@ def _fly_on_rig(
     Only submissions that flew to the end of the simulation fly. After each flight, its mark and the `table`
     of all marks are written, so that no later error loses them.
     """
-    from heli_lab.apps.classroom.marking import MARK
-    from heli_lab.apps.classroom.rig_flights import fly_on_rig
+    from heli_lab.apps.classroom.marking import MARK, fly_on_rig
     from heli_lab.apps.classroom.submission import MARKED
 
     marks = {marked.folder: marked.mark for marked in all_marked}
@@ -169,7 +167,7 @@ def _write_marks(marks: Sequence[Mark], path: Path) -> None:
 
     from heli_host.output_files import write_text
 
-    from heli_lab.apps.classroom.mark import FULL, POINTS
+    from heli_lab.apps.classroom.marking import FULL, POINTS
 
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")

@@ -11,7 +11,7 @@ from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.ui.cli.simulated import DEFAULT_RIG
 from heli_host.ui.cli.verb import Verb
 
-from heli_lab import fit_options as option
+from heli_lab import fit_inputs as option
 
 if TYPE_CHECKING:
     from heli_lab.fit.identify.results import Identification

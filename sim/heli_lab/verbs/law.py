@@ -18,7 +18,7 @@ from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.ui.cli.simulated import DEFAULT_RIG, MAX_SPEED, SeedOption
 from heli_host.ui.cli.verb import Verb
 
-from heli_lab.fit_options import ReportOption, SeedsOption
+from heli_lab.fit_inputs import ReportOption, SeedsOption
 
 if TYPE_CHECKING:
     from heli_host.board.law_program import LawProgram
@@ -300,7 +300,7 @@ def grade(
         say(*grade_lines(grades))
     page = None
     if report is not None:
-        from heli_lab.apps.classroom.page import write_grades
+        from heli_lab.apps.classroom.grade import write_grades
 
         page = write_grades(grades, content, report)
     say_files((json, page))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from heli_sim.plant import Plant
     from matplotlib.figure import Figure
 
-    from heli_lab.apps.paper.figures_flight import PaperFlight
+    from heli_lab.apps.paper.experiments import PaperFlight
     from heli_lab.fit.identify.record import Record
 
 app = typer.Typer(
@@ -54,9 +54,7 @@ def tables(
     from heli_host.ui.cli.progress_bar import WorkBar
 
     from heli_lab.apps.paper.experiments import read_thrust
-    from heli_lab.apps.paper.rig_table import fit_rig
-    from heli_lab.apps.paper.tables import fit_table
-    from heli_lab.apps.paper.text import table_lines, tables_json
+    from heli_lab.apps.paper.tables import fit_rig, fit_table, table_lines, tables_json
 
     check_result_places(json)
     data_on_stdout(json)
@@ -87,8 +85,7 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonOption = None) -> None:
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig
 
-    from heli_lab.apps.paper.table6 import verdicts
-    from heli_lab.apps.paper.text import gain_lines
+    from heli_lab.apps.paper.table6 import gain_lines, verdicts
 
     check_result_places(json)
     data_on_stdout(json)
@@ -112,9 +109,8 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonOption = 
     from heli_host.ui.cli.progress_bar import WorkBar
     from heli_sim.model.named import MODELS, model_named
 
-    from heli_lab.apps.paper.compare import model_errors
     from heli_lab.apps.paper.experiments import fly_plan
-    from heli_lab.apps.paper.text import model_lines
+    from heli_lab.apps.paper.tables import model_errors, model_lines
 
     check_result_places(json)
     data_on_stdout(json)
@@ -167,8 +163,7 @@ def figures(
     from heli_host.ui.cli.outputs import check_result_places
     from heli_host.ui.cli.progress_bar import WorkBar
 
-    from heli_lab.apps.paper import figures_bench as bench
-    from heli_lab.apps.paper import figures_flight as flight
+    from heli_lab.apps.paper import figures
     from heli_lab.apps.paper.experiments import read_thrust
     from heli_lab.apps.paper.tables import fit_table
 
@@ -182,20 +177,20 @@ def figures(
 
     with WorkBar() as bar:
         bar.show("bench tests", 0.0)
-        write("fig15.png", bench.thrust_figure(read_thrust(plant, seed)))
+        write("fig15.png", figures.thrust_figure(read_thrust(plant, seed)))
         records = _run_bench_tests(plant, seed)
         for place, number in enumerate(records):
             bar.show(f"fitting Table {number}", 0.05 + 0.1 * place)
             table = fit_table(number, plant.rig, records[number])
-            write(f"fig{number + 13}.png", bench.bench_figure(table, records[number], plant.rig))
-        write("fig19.png", bench.sensitivity_figure(plant.rig))
+            write(f"fig{number + 13}.png", figures.bench_figure(table, records[number], plant.rig))
+        write("fig19.png", figures.sensitivity_figure(plant.rig))
         flights = _fly_plans(
             _with_heavier_rotor(plant), seed, lambda stage, done: bar.show(stage, 0.35 + 0.6 * done)
         )
-        write("fig21.png", flight.hover_figure(flights["hover"]))
+        write("fig21.png", figures.hover_figure(flights["hover"]))
         for name, path, number in (("irregular", "irregular path", 22), ("sine", "sine path", 24)):
-            write(f"fig{number}.png", flight.response_figure(flights[name], path, number))
-            write(f"fig{number + 1}.png", flight.performance_figure(flights[name], path, number + 1))
+            write(f"fig{number}.png", figures.response_figure(flights[name], path, number))
+            write(f"fig{number + 1}.png", figures.performance_figure(flights[name], path, number + 1))
     say_files(folder / name for name in figure_names)
     for name, flights_of_plan in flights.items():
         for plan_flight in flights_of_plan:
@@ -208,7 +203,7 @@ def _flyable_plant(rig: str, model: str) -> Plant:
     from heli_sim.plant import Plant
     from heli_sim.rig import load_rig
 
-    from heli_lab.apps.paper.bench_tests import check_rig
+    from heli_lab.apps.paper.experiments import check_rig
 
     loaded_rig = load_rig(rig)
     check_rig(loaded_rig)
@@ -225,8 +220,7 @@ def _with_heavier_rotor(plant: Plant) -> Plant:
 
 def _run_bench_tests(plant: Plant, seed: int) -> dict[int, list[Record]]:
     """Run all bench tests; return their records by the number of the table that they identify."""
-    from heli_lab.apps.paper.bench_tests import record_of
-    from heli_lab.apps.paper.experiments import run_bench_test
+    from heli_lab.apps.paper.experiments import record_of, run_bench_test
     from heli_lab.apps.paper.tables import TESTS_OF_TABLE
 
     return {
@@ -263,7 +257,7 @@ def _errors_text(flight: PaperFlight) -> str:
     """State the RMS errors of elevation and travel after the take-off; empty if there is no such part."""
     import numpy as np
 
-    from heli_lab.apps.paper.figures_flight import take_off_end_s
+    from heli_lab.apps.paper.figures import take_off_end_s
 
     error_deg = flight.error_deg[flight.flight.t_s > take_off_end_s(flight)]
     if not len(error_deg):

@@ -10,7 +10,7 @@ from heli_host.ui.cli.options import JsonOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.ui.cli.verb import Verb
 
-from heli_lab.fit_options import SaveRigOption
+from heli_lab.fit_inputs import SaveRigOption
 
 if TYPE_CHECKING:
     from heli_lab.apps.pool import RigPopulation

@@ -15,7 +15,7 @@ from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.ui.cli.simulated import DEFAULT_RIG, EffectFilesOption, SeedOption
 from heli_host.ui.cli.verb import Verb
 
-from heli_lab.fit_options import DEFAULT_MODEL, EquationsOption
+from heli_lab.fit_inputs import DEFAULT_MODEL, EquationsOption
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

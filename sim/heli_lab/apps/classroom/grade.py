@@ -1,17 +1,19 @@
-"""Grade control laws by flights along the same plan, on the same rigs, with the same seeds."""
+"""Grade control laws by their flights and stability margins, and write the page that compares them."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from heli_host.board.law_program import LawProgram
 from heli_host.data.flight import Flight
 from heli_host.data.flight.response import effort_V, responses
+from heli_host.data.log.comparison import figure_of_flights, split_into_figures
 from heli_host.data.text_table import table_lines
 from heli_host.declaration import AXES, LAW_INPUTS
 from heli_host.errors import BadLaw, FlightAborted, FlightDataError, HeliError
@@ -20,6 +22,8 @@ from heli_lab.control.law.linear import linearised
 from heli_lab.control.law.program_data import law_of_program
 from heli_lab.control.law.trial import LawTrial
 from heli_lab.control.tune.plants import LinearPlant
+from heli_lab.report.page import folder_with, write_page
+from heli_lab.report.page.drawing import Drawing
 
 REFERENCE: Final = "the board's own"
 """Label of the control law to which the others are compared."""
@@ -244,3 +248,43 @@ def reasons(grades: Sequence[LawGrade]) -> list[str]:
 def _format_number(value: float, form: str) -> str:
     """Format a number as the format specification `form` says; nan becomes a dash."""
     return "–" if math.isnan(value) else f"{value:{form}}"
+
+
+_TEMPLATE: Final = Path(__file__).with_name("grade.html")
+
+
+def write_grades(grades: Sequence[LawGrade], content: Mapping[str, Any], folder: Path) -> Path:
+    """Write index.html, result.json and the figures into a folder; return the path of the page."""
+    folder = folder_with(content, folder)
+    drawing = Drawing()
+    figures = [
+        {"address": drawing.add(figure_of_flights(flights), folder / f"flights-{number}.png"), "names": names}
+        for number, (flights, names) in enumerate(_flights_per_figure(grades), 1)
+    ]
+    return write_page(
+        folder,
+        _TEMPLATE,
+        title="Grades of control laws",
+        heads=HEADS,
+        rows=[grade.row() for grade in grades],
+        reasons=reasons(grades),
+        figures=figures,
+        settings=content,
+    )
+
+
+def _flights_per_figure(grades: Sequence[LawGrade]) -> list[tuple[dict[str, Flight], str]]:
+    """Divide the flights into figures, each of which contains the flight of the first grade."""
+    # The flights differ by their seeds, so that the numbers of one differ from the means of the table.
+    flight_by_label = {
+        f"{grade.label}, first flight" + (", taken over" if grade.scores[0].ended else ""): grade.flight
+        for grade in grades
+        if grade.flight is not None
+    }
+    if not flight_by_label:
+        return []
+    figures = []
+    for flights in split_into_figures(flight_by_label):
+        labels = list(flights)
+        figures.append((flights, ", ".join(labels[1:] or labels)))
+    return figures

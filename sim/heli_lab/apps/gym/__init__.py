@@ -1,4 +1,4 @@
-"""The helicopter as a Gymnasium environment; see README.md in this folder.
+"""The helicopter as a Gymnasium environment, for learned control laws.
 
 Importing it registers ``HeliHover-v0``, so ``gymnasium.make("heli_lab.gym:HeliHover-v0")`` needs no import.
 """
@@ -14,9 +14,9 @@ try:
 except ImportError as missing:
     raise LearningError("heli_lab.apps.gym needs gymnasium", install_remedy("gym")) from missing
 
-from heli_lab.apps.gym.domain import Domain
 from heli_lab.apps.gym.environment import EPISODE_S, ACTION_STEP_s, HoverEnv
 from heli_lab.apps.gym.search import LinearPolicy, cross_entropy, mean_return
+from heli_lab.apps.gym.simulator import Domain
 
 __all__ = ["EPISODE_S", "ACTION_STEP_s", "Domain", "HoverEnv", "LinearPolicy", "cross_entropy", "mean_return"]
 

@@ -12,8 +12,7 @@ from heli_sim.model.linear import trim
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.rig import load_rig
 
-from heli_lab.apps.gym.domain import Domain
-from heli_lab.apps.gym.simulator import BoardInLockstep, PlantAlone, Simulator
+from heli_lab.apps.gym.simulator import BoardInLockstep, Domain, PlantAlone, Simulator
 from heli_lab.errors import LearningError
 
 Action = npt.NDArray[np.float32]

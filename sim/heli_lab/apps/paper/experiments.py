@@ -1,15 +1,21 @@
-"""Run the paper's experiments on the simulated rig, with the flight code and the link."""
+"""Run the experiments of the paper on the simulated rig, with the flight code and the link.
+
+The paper states which axes its bench tests lock and from which angles they release pitch, but neither
+voltages nor durations. They are chosen here so that the free axes move far without reaching a stop.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+import casadi as ca
 import numpy as np
+from heli_host.arrays import Floats
 from heli_host.board.published_gains import load_gains
 from heli_host.board.rest_check import ANGLE_SHIFTED
 from heli_host.data.flight import Flight
@@ -19,14 +25,114 @@ from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan, take_off
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import Progress
-from heli_sim.bench.thrust_curve import ThrustCurve
+from heli_sim.bench.thrust_curve import SCALE_N, ThrustCurve
+from heli_sim.model import MultibodyModel
+from heli_sim.model.linear import trim
 from heli_sim.plant import Plant
+from heli_sim.rig import Rig
+from heli_sim.rig.encoders import count_rad
 from heli_sim.sil.world import SilWorld
 
-from heli_lab.apps.paper.bench_tests import TABLE_DEG, THRUST_V, BenchTest
-from heli_lab.apps.paper.figures_flight import PaperFlight, closed_loop_flight
-from heli_lab.apps.paper.thrust import ThrustScale
+from heli_lab.errors import IdentifyError
+from heli_lab.fit.identify.record import Record
 from heli_lab.simulated_board import connected, fly_and_read, world_of
+
+TABLE_DEG: Final = -25.0
+"""Elevation of the arm on its table [deg]."""
+_HOVER_V: Final = 1.7
+"""Voltage of each motor at which the rig of Table 2 hovers [V]."""
+_HOVER_TOLERANCE_V: Final = 0.15
+"""Largest deviation of the hover voltage [V]; beyond it the elevation steps end at a stop or on the table."""
+
+
+@dataclass(frozen=True)
+class BenchTest:
+    """Experiment on a rig with some axes locked."""
+
+    name: str  # Name in lists and records
+    panel: str  # Figure and panel of the paper, such as ``16 (a)``
+    locked: tuple[bool, bool, bool]  # Whether elevation, pitch and travel are locked
+    elevation_deg: float = 0.0  # Initial elevation; all axes are locked until the test starts
+    pitch_deg: float = 0.0  # Initial pitch
+    front_V: float = 0.0  # front_V, back_V: Voltages during the test; if both are 0, the motors are off
+    back_V: float = 0.0
+    duration_s: float = 15.0  # Duration of the test
+
+
+PITCH_RELEASES: Final = (
+    BenchTest("pitch released from 13 deg", "16 (a)", (True, False, True), pitch_deg=13.0),
+    BenchTest("pitch released from 8.8 deg", "16 (b)", (True, False, True), pitch_deg=8.8),
+)
+ELEVATION_STEPS: Final = (
+    BenchTest("elevation, 1.5 V each", "17 (a)", (False, True, True), TABLE_DEG, 0.0, 1.5, 1.5, 30.0),
+    BenchTest("elevation, 1.7 V each", "17 (b)", (False, True, True), TABLE_DEG, 0.0, 1.7, 1.7, 30.0),
+)
+TRAVEL_STEPS: Final = (
+    BenchTest("travel, 1.85 V and 1.55 V", "18 (a)", (True, False, False), 0.0, 0.0, 1.85, 1.55, 7.5),
+    BenchTest("travel, 2.1 V and 1.6 V", "18 (b)", (True, False, False), 0.0, 0.0, 2.1, 1.6, 5.5),
+)
+
+THRUST_V: Final[tuple[float, ...]] = (0.5, *(float(volts) for volts in range(1, 11)))
+"""Voltages of the thrust curve in Fig. 15 [V]."""
+
+
+def check_rig(rig: Rig) -> None:
+    """Check that the voltages of these tests suit a rig."""
+    hover_V = float(np.mean(trim(MultibodyModel(), rig).volts_V))
+    if abs(hover_V - _HOVER_V) > _HOVER_TOLERANCE_V:
+        raise IdentifyError(
+            f"the paper's tests and flights need a rig that hovers at {_HOVER_V:g} V per motor, but rig "
+            f"'{rig.name}' hovers at {hover_V:.2f} V",
+            "give makki2024 or a similar rig",
+        )
+
+
+def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
+    """Convert the flight of a bench test to a record for fitting."""
+    angles_deg = np.rad2deg(flight.angles_rad)
+    elevation_deg, pitch_deg, travel_deg = (angles_deg[:, axis] for axis in range(3))
+    elevation_locked, pitch_locked, travel_locked = test.locked
+    reaches_stop = (
+        (not elevation_locked and elevation_deg.max() >= rig["elevation_max"].value)
+        or (not pitch_locked and np.abs(pitch_deg).max() >= rig["pitch_max"].value)
+        or (not travel_locked and np.abs(travel_deg).max() >= rig["travel_max"].value)
+    )
+    if reaches_stop:
+        raise IdentifyError(
+            f"{test.name}: rig '{rig.name}' reaches a stop; its parameters are too far from Table 2",
+            "give makki2024 or a similar rig",
+        )
+    if flight.gaps.size:
+        raise IdentifyError(f"{test.name}: rows are missing", "run the command again")
+    return Record(
+        label=test.name,
+        t_s=flight.t_s,
+        angles_rad=flight.angles_rad,
+        voltages_V=flight.voltages_V,
+        step_s=flight.step_s,
+        count_rad=count_rad(rig),
+        segments=((0, len(flight)),),
+        cuts=(),
+    )
+
+
+class ThrustScale:
+    """Scales under both rotors of a locked rig, with a resolution of one gram."""
+
+    def __init__(self, plant: Plant) -> None:
+        """Compile the thrust of both rotors of a plant as a function of state and voltages."""
+        model = plant.model
+        x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
+        driven = model.driven(x, u, ca.SX(model.parameter_values(plant.rig)))
+        self._thrust_N = ca.Function("thrust_N", [x, u], [driven.thrust_N])
+
+    def read_N(self, state: Floats, volts_V: Sequence[float]) -> Floats:
+        """Return the thrust of the front and the back rotor [N], shape (2,), rounded to the resolution.
+        Shapes: `state` (n,).
+        """
+        exact = np.asarray(self._thrust_N(state, np.asarray(volts_V))).ravel()
+        return np.round(exact / SCALE_N) * SCALE_N
+
 
 _BOOT_S = 0.5
 """Simulated time after which the board has started [s]."""
@@ -35,6 +141,9 @@ _SETTLE_S = 1.0
 _MARGIN_TICKS = 20
 """Ticks that are left out after the release and before the end, because locks and voltages change there."""
 _ALL_LOCKED = [True, True, True]
+_END_S: Final = 0.1
+"""Time at the end of a flight that is left out [s]: a streamed path arrives late on the board, and the
+landing begins."""
 
 
 _START = """
@@ -141,6 +250,45 @@ def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
             motor_volts_V.append(world.native.volts_V)
             thrust_N.append(scale.read_N(world.state, world.native.volts_V))
     return ThrustCurve(np.array(motor_volts_V), np.array(thrust_N))
+
+
+@dataclass(frozen=True)
+class PaperFlight:
+    """Closed-loop flight for a figure."""
+
+    label: str  # Name of the gains
+    flight: Flight  # Closed-loop part of a log; time 0 is the take-off
+    desired_deg: Floats  # (n, 3): Planned elevation and travel, and the setpoint of the pitch loop [deg]
+    outcome: str  # ``completed``, or the reason why the flight ended
+
+    @property
+    def error_deg(self) -> Floats:
+        """Measured minus desired angles [deg], shape (n, 3)."""
+        return np.rad2deg(self.flight.angles_rad) - self.desired_deg
+
+
+def closed_loop_flight(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> PaperFlight:
+    """Cut out the closed-loop part of a log, from take-off to the end of the plan. Shapes: `desired_deg` (n,
+    3).
+    """
+    names = {name: number for number, name in flight.state_names.items()}
+    if flight.state is None or flight.setpoints_rad is None:
+        raise IdentifyError(
+            f"{label}: the log contains no states or setpoints", "record it with heli-host fly"
+        )
+    rows = np.flatnonzero(flight.state == names["closed_loop"])
+    if rows.size == 0:
+        raise IdentifyError(
+            f"{label}: the board never closed its loops ({outcome})", "record a flight that takes off"
+        )
+    start_s, stop_s = float(flight.t_s[rows[0]]), float(flight.t_s[rows[-1]]) - _END_S
+    closed_loop = flight.between(start_s, stop_s)
+    is_closed_loop = (flight.t_s >= start_s) & (flight.t_s < stop_s)
+    closed_loop_desired_deg = desired_deg[is_closed_loop].copy()
+    # The travel loop gives the setpoint of pitch, and the plan does not.
+    closed_loop_desired_deg[:, 1] = np.rad2deg(flight.setpoints_rad[is_closed_loop, 1])
+    from_zero = replace(closed_loop, t_s=closed_loop.t_s - start_s)
+    return PaperFlight(label, from_zero, closed_loop_desired_deg, outcome)
 
 
 def fly_plan(

@@ -85,6 +85,28 @@ def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
     return results
 
 
+def gain_lines(verdicts: dict[str, list[LoopVerdict]]) -> list[str]:
+    """Format the stability of each interpretation of Table 6 for a terminal, by name of the model."""
+    reading = {"degrees": "pitch in deg", "u3": "u3 in V"}
+    lines = ["Table 6 on the linearised rig: are pitch and travel stable, and up to which lag (399 ms: any)?"]
+    for model, model_verdicts in verdicts.items():
+        lines += ["", f"model {model}"]
+        for verdict in model_verdicts:
+            if verdict.growth_1_per_s < 0.0:
+                step = (
+                    f"15 deg step peaks at {verdict.peak_deg:.1f}, settles in {verdict.settling_time_s:.0f} s"
+                )
+                lag = f"to {1e3 * verdict.lag_s:3.0f} ms of thrust lag"
+                text = f"stable,   decays at {-verdict.growth_1_per_s:.3f} 1/s, {lag}; {step}"
+            else:
+                text = (
+                    f"unstable, grows at {verdict.growth_1_per_s:5.3f} 1/s, period {verdict.period_s:.2f} s"
+                )
+            law = f"{verdict.gains:10} {reading[verdict.reading]:13} derivative of {verdict.derivative:12}"
+            lines.append(f"  {law} {text}")
+    return lines
+
+
 @dataclass(frozen=True)
 class _TiltGains:
     """Gains of the pitch and the travel loop."""

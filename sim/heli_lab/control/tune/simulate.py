@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from heli_host.arrays import Floats
 
-from heli_lab.matrix_exponential import matrix_exponentials
+from heli_lab.state_space import matrix_exponentials
 
 SIMULATION_STEP_s: Final = 0.04
 """Time between two points of a path; inputs are constant in between."""

@@ -12,7 +12,7 @@ from heli_host.arrays import Floats
 from heli_sim.rig import Rig
 from heli_sim.rig.inertia import inertias_kg_m2
 
-from heli_lab.matrix_exponential import matrix_exponentials
+from heli_lab.state_space import matrix_exponentials
 
 PULSE_GRID_s: Final = 0.005
 """Time step at which measured and modelled pitch are compared [s]."""

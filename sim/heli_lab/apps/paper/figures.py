@@ -1,4 +1,4 @@
-"""Draw Figs. 15 to 19: thrust, pitch releases, elevation and travel steps, sensitivity."""
+"""Draw the figures of the paper: 15 to 19 of bench tests, 21 to 25 of closed-loop flights."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from heli_host.data.flight.response import rms
 from heli_sim.bench.thrust_curve import ThrustCurve
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.apps.paper.bench_tests import ELEVATION_STEPS
-from heli_lab.apps.paper.coefficients import analytic
-from heli_lab.apps.paper.sensitivity import CASES, response_deg
+from heli_lab.apps.paper.experiments import ELEVATION_STEPS, PaperFlight
+from heli_lab.apps.paper.lumped import CASES, analytic, response_deg
 from heli_lab.apps.paper.tables import TESTS_OF_TABLE, Table
 from heli_lab.fit.identify.estimation_problem import Problem
 from heli_lab.fit.identify.record import Record
@@ -134,3 +134,88 @@ def _simulate_whole_test(table: Table, record: Record, rig: Rig) -> Trace:
     }
     problem = Problem(fit.problem.model, rig, [record], free=[], window_s=_SINGLE_WINDOW_s, values=values)
     return trace(solve(problem))
+
+
+_COLOURS: Final = (PRINTED_COLOUR, MODEL_COLOUR)
+_WIDTH, _HEIGHT = 7.0, 2.7
+_LEVEL_TOLERANCE_DEG: Final = 0.5
+"""Error of the elevation below which a take-off has reached its setpoint [deg]."""
+_TAKEN_OFF_DEG: Final = -1.0
+"""Setpoint of the elevation from which on a take-off is nearly over [deg]."""
+_TAKE_OFF_SETTLE_S: Final = 1.0
+"""Time after a take-off that is left out too [s]."""
+
+
+def hover_figure(flights: Sequence[PaperFlight]) -> Figure:
+    """Draw Fig. 21: pitch, elevation and travel over time at hover."""
+    figure, panels = _figure_with_panels(3, "Pitch, elevation and travel while hovering (after Fig. 21)")
+    for panel, axis in zip(panels, (1, 0, 2), strict=True):
+        _draw_angle(panel, flights, axis, desired=axis != 1)
+    return figure
+
+
+def response_figure(flights: Sequence[PaperFlight], path: str, number: int) -> Figure:
+    """Draw Fig. 22 or 24, its `number`: travel and elevation along a `path`, which the title names."""
+    figure, panels = _figure_with_panels(2, f"Response during flight along the {path} (after Fig. {number})")
+    for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
+        _draw_angle(panel, flights, axis, desired=True)
+        panel.set_title(f"({letter}) {AXES[axis]} angle", fontsize=9)
+    return figure
+
+
+def performance_figure(flights: Sequence[PaperFlight], path: str, number: int) -> Figure:
+    """Draw Fig. 23 or 25, its `number`: tracking errors of travel and elevation along a `path`, which the
+    title names.
+    """
+    figure, panels = _figure_with_panels(
+        2, f"Tracking performance along the {path} (after Fig. {number})", "; take-off left out"
+    )
+    for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
+        for flight, colour in zip(flights, _COLOURS, strict=False):
+            is_airborne = flight.flight.t_s > take_off_end_s(flight)
+            t_s, error_deg = flight.flight.t_s[is_airborne], flight.error_deg[is_airborne, axis]
+            label = f"{flight.label}: {rms(error_deg):.2f} deg rms"
+            panel.plot(t_s, error_deg, color=colour, lw=0.9, label=label)
+        panel.axhline(0.0, color=GREY_COLOUR, lw=0.8)
+        panel.set_title(f"({letter}) {AXES[axis]}", fontsize=9)
+        finish(panel, "error [deg]")
+    return figure
+
+
+def take_off_end_s(flight: PaperFlight) -> float:
+    """Return the end of a take-off [s]: one second after elevation first reaches its setpoint."""
+    near_setpoint = np.abs(flight.error_deg[:, 0]) < _LEVEL_TOLERANCE_DEG
+    after_take_off = near_setpoint & (flight.desired_deg[:, 0] > _TAKEN_OFF_DEG)
+    rows = np.flatnonzero(after_take_off)
+    return float(flight.flight.t_s[rows[0]]) + _TAKE_OFF_SETTLE_S if rows.size else 0.0
+
+
+def _figure_with_panels(count: int, title: str, note: str = "") -> tuple[Figure, list[Axes]]:
+    """Make a figure of `count` panels with a shared time axis; return the figure and its panels, the top one
+    first.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(_WIDTH, count * _HEIGHT), layout="constrained")
+    panels = list(figure.subplots(count, 1, sharex=True))
+    panels[-1].set_xlabel(f"time since the loops closed on the table [s]{note}")
+    figure.suptitle(title)
+    return figure, panels
+
+
+def _draw_angle(panel: Axes, flights: Sequence[PaperFlight], axis: int, *, desired: bool) -> None:
+    """Draw one angle of all flights over time; with `desired`, also the planned angle."""
+    if desired:
+        first = flights[0]
+        panel.plot(
+            first.flight.t_s, first.desired_deg[:, axis], "--", c=MEASURED_COLOUR, lw=1.0, label="desired"
+        )
+    for flight, colour in zip(flights, _COLOURS, strict=False):
+        fault = "" if flight.outcome == "completed" else f": {flight.outcome.split(';')[0]}"
+        label = f"{flight.label}{fault}"
+        angle_deg = np.rad2deg(flight.flight.angles_rad[:, axis])
+        panel.plot(flight.flight.t_s, angle_deg, color=colour, lw=0.9, label=label)
+        if axis == 1:
+            label = f"{flight.label}, setpoint"
+            panel.plot(flight.flight.t_s, flight.desired_deg[:, 1], ":", color=colour, lw=0.7, label=label)
+    finish(panel, f"{AXES[axis]} [deg]")

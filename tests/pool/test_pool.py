@@ -3,17 +3,34 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from heli_lab.apps.pool import RigPopulation, pool, read_rig_diagnosis
-from heli_lab.apps.pool.rig_diagnosis import ParameterEstimate, without_prior
+from heli_lab.apps.pool import (
+    ParameterEstimate,
+    RigPopulation,
+    der_simonian_laird,
+    pool,
+    read_rig_diagnosis,
+    share,
+    without_prior,
+)
 from heli_lab.errors import PoolError
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.cli.terminal import Terminal, terminal
+
+__all__ = [
+    "terminal",
+]
+
 
 RIG = load_rig("makki2024")
 
@@ -158,3 +175,93 @@ def test_rigs_of_two_types_and_of_one_name_are_refused(tmp_path: Path) -> None:
         pool([machine, replace(machine, label="again")])
     with pytest.raises(PoolError, match="no diagnosis to pool"):
         pool([])
+
+
+MEASURED = st.tuples(st.floats(-10.0, 10.0), st.floats(0.05, 5.0))
+
+
+@given(st.lists(MEASURED, min_size=2, max_size=12))
+@settings(max_examples=25, deadline=None)
+@pytest.mark.medium
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_it_is_what_statsmodels_has(measured: list[tuple[float, float]]) -> None:
+    from statsmodels.stats.meta_analysis import combine_effects
+
+    values, stds = (np.array(item) for item in zip(*measured, strict=True))
+    ours = der_simonian_laird(values.tolist(), stds.tolist())
+    theirs = combine_effects(values, stds**2, method_re="dl", use_t=True)
+    assert ours.tau**2 == pytest.approx(max(0.0, theirs.tau2), abs=1e-9)
+    # Theirs is a difference of sums as large as this one, and rounds as they do.
+    rounding = 2.0 * np.finfo(float).eps * float(np.sum((values / stds) ** 2))
+    assert ours.q == pytest.approx(theirs.q, rel=1e-9, abs=max(1e-12, rounding))
+    # Scatter below what the errors say is no variance below 0: they leave that to the reader.
+    kind = "random effect" if theirs.tau2 > 0.0 else "fixed effect"
+    row = theirs.summary_frame().loc[kind]
+    assert ours.mean == pytest.approx(row["eff"], abs=1e-9)
+    assert ours.std == pytest.approx(row["sd_eff"], rel=1e-9)
+    # The interval of Hartung and Knapp in statsmodels may be narrower than the standard errors allow.
+    scaled = theirs.summary_frame().loc[f"{kind} wls"]
+    wider = scaled if scaled["sd_eff"] > row["sd_eff"] else row
+    assert ours.interval == pytest.approx((wider["ci_low"], wider["ci_upp"]), abs=1e-6)
+
+
+def test_the_intervals_hold_the_make_and_the_next_machine() -> None:
+    random = np.random.default_rng(3)
+    held_mean = held_next = 0
+    for _ in range(400):
+        stds = random.uniform(0.5, 1.5, 12)
+        machines = random.normal(5.0, 1.0, 13)
+        seen = machines[:12] + stds * random.standard_normal(12)
+        estimate = der_simonian_laird(seen.tolist(), stds.tolist())
+        assert estimate.prediction is not None
+        held_mean += estimate.interval[0] < 5.0 < estimate.interval[1]
+        held_next += estimate.prediction[0] < machines[12] < estimate.prediction[1]
+    assert 0.92 < held_mean / 400 < 0.98
+    # The rigs differ as much as their standard errors, so that tau is uncertain.
+    assert 0.84 < held_next / 400 < 0.99
+
+
+def test_one_machine_is_itself_and_machines_that_agree_differ_by_nothing() -> None:
+    one_rig = der_simonian_laird([3.0], [0.2])
+    assert (one_rig.mean, one_rig.std, one_rig.tau, one_rig.prediction) == (
+        3.0,
+        pytest.approx(0.2),
+        0.0,
+        None,
+    )
+    same = der_simonian_laird([3.0, 3.0, 3.0], [0.3, 0.3, 0.3])
+    assert (same.tau, same.i2) == (0.0, 0.0)
+    assert same.std == pytest.approx(0.3 / math.sqrt(3.0))
+
+
+@pytest.mark.parametrize(
+    ("present", "detectable", "low", "high"),
+    # Table values of the exact interval: all of n has the lower end 0.025^(1/n).
+    [(5, 5, 0.025**0.2, 1.0), (0, 5, 0.0, 1.0 - 0.025**0.2), (1, 2, 0.01258, 0.98742)],
+)
+def test_a_share_has_its_exact_interval(present: int, detectable: int, low: float, high: float) -> None:
+    estimated_share = share(present, detectable)
+    assert estimated_share.interval == pytest.approx((low, high), abs=1e-4)
+    assert estimated_share.share == present / detectable
+
+
+def test_machines_are_pooled_and_a_prior_is_left(terminal: Terminal, tmp_path: Path) -> None:
+    gain = 1.1 * RIG["thrust_gain"].value
+    paths = [tmp_path / f"lab{n}.json" for n in range(3)]
+    for path, lag_s in zip(paths, (0.08, 0.09, 0.1), strict=True):
+        path.write_text(json.dumps(diagnosis(gain, lag_s)))
+    out, numbers = tmp_path / "pooled.toml", tmp_path / "pooled.json"
+    result = terminal("pool", *paths, "--save-rig", out, "--json", numbers)
+    assert result.code == 0, result.err
+    assert "3 rigs of type makki2024, model multibody" in result.out
+    assert "rotor_lag: on 3 of 3 rigs that could show it; 29 to 100 % of all rigs of this type" in result.out
+    assert load_rig(out)["thrust_gain"].value > 1.05 * RIG["thrust_gain"].value
+    content = json.loads(numbers.read_text())
+    assert content["numbers"]["rotor_lag_s"]["machines"] == 3
+    assert content["causes"]["rotor_lag"]["share"] == 1.0
+
+
+def test_what_is_no_diagnosis_is_one_line(terminal: Terminal, tmp_path: Path) -> None:
+    result = terminal("pool", tmp_path / "none.json")
+    assert result.code == 2
+    assert result.err.count("\n") == 1 and "none.json" in result.err
