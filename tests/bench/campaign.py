@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from heli_lab.apps.campaign import Campaign, Case, Store, run_campaign
-from heli_lab.apps.campaign.worker_process import Limits
+from heli_lab.apps.campaign.cases import Limits
 
 from tests.bench.result import Measured
 from tests.running.clock import spent_s

@@ -61,7 +61,7 @@ def test_a_run_on_a_cluster_gives_the_same_answers_and_continues(tmp_path: Path)
 def test_without_a_scheduler_the_run_ends_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("heli_lab.apps.campaign.cluster.CONNECT_s", 0.5)
+    monkeypatch.setattr("heli_lab.apps.campaign.run.CONNECT_s", 0.5)
     split, address = make(tmp_path / "small", cases=1), f"tcp://127.0.0.1:{free_port()}"
     with pytest.raises(CampaignError, match="no scheduler answers at"):
         run_method(split, "base_rates", tmp_path / "run", distribute=partial(run_on_cluster, address))

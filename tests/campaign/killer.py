@@ -13,6 +13,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from heli_lab.apps.campaign import Campaign, Case, Store, run_campaign
+from heli_lab.apps.campaign.cases import Limits
+
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_s = 120.0
 
@@ -98,3 +101,29 @@ def wait_until(done: Callable[[], bool], program: subprocess.Popen[bytes]) -> No
     until_s = time.monotonic() + PATIENCE_s
     while time.monotonic() < until_s and program.poll() is None and not done():
         time.sleep(0.01)
+
+
+CODE = "the code of a test"
+
+
+def gate_of(log: str | Path) -> Path:
+    """File that the last case waits for: no campaign ends before a test wants that."""
+    return Path(f"{log}.gate")
+
+
+def cases(count: int, nap_s: float, log: str) -> tuple[Case, ...]:
+    work = "tests.campaign.works:count"
+    gates = [*("" for _ in range(count - 1)), str(gate_of(log))]
+    settings = [
+        {"number": number, "nap_s": nap_s, "log": log, "gate": gate} for number, gate in enumerate(gates)
+    ]
+    return tuple(Case(f"case {values['number']:03d}", work, values) for values in settings)
+
+
+def main(folder: str, log: str, count: str, nap_s: str, address: str | None = None) -> None:
+    campaign = Campaign("squares", cases(int(count), float(nap_s), log), Limits(30.0, 300.0))
+    run_campaign(campaign, Store(Path(folder)), scheduler=address, processes=2, code=CODE)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

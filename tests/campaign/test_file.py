@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from heli_lab.apps.campaign.campaign import Campaign
-from heli_lab.apps.campaign.draw import draw_rig
+from heli_lab.apps.campaign.cases import Campaign
 from heli_lab.apps.campaign.file import load_campaign
+from heli_lab.apps.campaign.works import draw_rig
 from heli_lab.code_digest import code_digest
 from heli_lab.errors import CampaignError
 from heli_sim.rig import load_rig
@@ -100,6 +100,7 @@ TABLES = st.dictionaries(
 )
 
 
+@pytest.mark.medium
 @settings(max_examples=60, deadline=None)
 @given(TABLES, st.sampled_from(["fly", "diagnose", "a.b:c", None]))
 def test_any_table_is_a_campaign_or_refused(table: dict[str, Any], work: str | None) -> None:

@@ -14,8 +14,7 @@ from typing import Any
 import pytest
 from heli_lab.apps.campaign import Store
 
-from tests.campaign.driver import CODE, cases, gate_of
-from tests.campaign.killer import Cluster, children, kill_all, start_program, wait_until
+from tests.campaign.killer import CODE, Cluster, cases, children, gate_of, kill_all, start_program, wait_until
 from tests.running.long import samples
 
 pytestmark = pytest.mark.slow
@@ -58,7 +57,7 @@ def test_killed_at_random_it_ends_with_the_same_table_and_nothing_is_done_twice(
     chance = random.Random(5)
     folder, log = tmp_path / "out", tmp_path / "begun.txt"
     gate_of(log).touch()
-    arguments = ("-m", "tests.campaign.driver", str(folder), str(log), str(COUNT), str(NAP_s))
+    arguments = ("-m", "tests.campaign.killer", str(folder), str(log), str(COUNT), str(NAP_s))
     for number in range(KILLS):
         done, before = ended(folder), begun(log)
         program = start_program(*arguments)
@@ -81,7 +80,7 @@ def test_killed_at_random_it_ends_with_the_same_table_and_nothing_is_done_twice(
 
 def test_a_cluster_loses_workers_and_its_scheduler_and_the_campaign_goes_on(tmp_path: Path) -> None:
     folder, log = tmp_path / "out", tmp_path / "begun.txt"
-    arguments = ("-m", "tests.campaign.driver", str(folder), str(log), str(COUNT), str(NAP_s))
+    arguments = ("-m", "tests.campaign.killer", str(folder), str(log), str(COUNT), str(NAP_s))
     with Cluster() as cluster:
         program = start_program(*arguments, cluster.address)
         wait_until(lambda: len(ended(folder)) >= 5, program)

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
+import numpy as np
 import pytest
 from heli_lab.apps.campaign import works
+from heli_lab.fit.identify import Problem, prepare, solve
+from heli_lab.fit.identify.estimation_problem import Budget
+from heli_lab.fit.identify.flight_model import model_functions
+from heli_lab.fit.identify.run import identify
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig
 
+from tests.diagnose.hidden import flights
+from tests.identify.made import thinned
+
+MODEL = MultibodyModel(parse_effects(["rotor_lag=0.08", "coulomb_friction.travel=0.02"]))
 HOVER = "title = 'Short'\n[start]\nsettle_s = 3\n[[segment]]\nkind = 'hold'\nduration_s = 6\n"
 
 
@@ -54,3 +66,31 @@ def test_a_fit_is_compared_with_the_rig_that_flew() -> None:
     assert float(row["held_out_normalised"] or 9.9) < 1.1
     assert float(row["within_2_std"] or 0.0) > 0.8
     assert set(detail["standard_errors_off"]) <= set(detail["values"])
+
+
+@pytest.mark.medium
+def test_the_number_of_threads_changes_no_number() -> None:
+    rig = load_rig("makki2024")
+    record = prepare(thinned(flights("rotor_lag=0.08")[0], 2), rig, "a", stop_s=20.0)
+    fitted_values = [
+        identify(MultibodyModel(), rig, [record], free=["thrust_gain"], threads=threads).fit.values
+        for threads in (1, 3)
+    ]
+    assert fitted_values[0] == fitted_values[1]
+
+
+@pytest.mark.medium
+def test_a_fit_that_was_pickled_predicts_the_same() -> None:
+    rig = load_rig("makki2024")
+    record = prepare(thinned(flights("rotor_lag=0.08")[0], 4), rig, "a", stop_s=16.0)
+    problem = Problem(MultibodyModel(), rig, [record], free=["thrust_gain"], threads=1)
+    fit = solve(problem, budget=Budget(max_evaluations=4), scatter=False)
+    copied = pickle.loads(pickle.dumps(fit))
+    assert copied.values == fit.values
+    before, after = (each.problem.evaluation(0, each.theta, each.states[0]) for each in (fit, copied))
+    assert np.array_equal(before.residual, after.residual)
+    assert np.array_equal(before.normal_matrix, after.normal_matrix)
+    functions = pickle.loads(pickle.dumps(model_functions(MODEL, ("thrust_gain", "rotor_lag_s"))))
+    assert (functions.free, functions.extra_states) == (("thrust_gain", "rotor_lag_s"), 2)
+    with pytest.raises(TypeError):
+        pickle.loads(pickle.dumps(rig)).numbers["thrust_gain"] = rig["g"]

@@ -11,7 +11,7 @@ from heli_host.errors import ParameterError
 from heli_host.ui.cli import run
 from heli_host.ui.cli.gains import chosen_parameters
 from heli_lab.apps.campaign import works
-from heli_lab.apps.campaign.campaign import Campaign
+from heli_lab.apps.campaign.cases import Campaign
 
 DEFAULTS = {spec.name: spec.default for spec in PARAMS}
 

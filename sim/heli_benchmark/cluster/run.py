@@ -44,7 +44,7 @@ def run_on_cluster(
         return
     # Only a run on a cluster needs Dask.
     from heli_lab.apps.campaign import Campaign, Case, Store, campaign_results
-    from heli_lab.apps.campaign.worker_process import Limits
+    from heli_lab.apps.campaign.cases import Limits
 
     settings = {
         "method": method.text,

@@ -12,9 +12,9 @@ from heli_host.ui.cli.say import data_on_stdout, say, say_dropped, say_files, wr
 from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
-    from heli_lab.apps.campaign.campaign import Campaign
+    from heli_lab.apps.campaign.cases import Campaign
+    from heli_lab.apps.campaign.page import Summary
     from heli_lab.apps.campaign.run import CampaignProgress
-    from heli_lab.apps.campaign.summary import Summary
 
 
 def campaign(
@@ -65,10 +65,9 @@ def campaign(
     from heli_host.ui.cli.progress_bar import WorkBar
 
     from heli_lab.apps.campaign.file import load_campaign
-    from heli_lab.apps.campaign.page import write_summary
+    from heli_lab.apps.campaign.page import summarise, write_summary
     from heli_lab.apps.campaign.run import run_campaign
     from heli_lab.apps.campaign.store import TABLE, Store
-    from heli_lab.apps.campaign.summary import summarise
     from heli_lab.errors import CampaignError
 
     if scheduler is not None and workers is not None:

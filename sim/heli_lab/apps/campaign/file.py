@@ -11,11 +11,8 @@ from typing import Any, Final
 
 from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file
 
-from heli_lab.apps.campaign.campaign import Campaign
-from heli_lab.apps.campaign.case import Case
-from heli_lab.apps.campaign.draw import TOLERANCES, check_distribution
-from heli_lab.apps.campaign.worker_process import Limits
-from heli_lab.apps.campaign.works import DEFAULT_RANKING, DEFAULTS, WORKS
+from heli_lab.apps.campaign.cases import Campaign, Case, Limits
+from heli_lab.apps.campaign.works import DEFAULT_RANKING, DEFAULTS, TOLERANCES, WORKS, check_distribution
 from heli_lab.errors import CampaignError
 
 MAX_CASES: Final = 200_000

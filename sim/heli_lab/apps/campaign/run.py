@@ -1,32 +1,31 @@
-"""Run a campaign, or continue one that was interrupted."""
+"""Run a campaign on Dask: on a cluster of this machine, or on a running one; continue an interrupted one."""
 
 from __future__ import annotations
 
-import time
-from collections import Counter
+import logging
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from heli_host.errors import HeliError
+from heli_host.errors import HeliError, install_remedy
 
-from heli_lab.apps.campaign.campaign import Campaign
-from heli_lab.apps.campaign.case import Case, Cell, JobResult, natural_order
-from heli_lab.apps.campaign.cluster import campaign_client, workers_by_code
+from heli_lab.apps.campaign.cases import Campaign, Case, JobResult, natural_order
 from heli_lab.apps.campaign.store import Store, row_of
-from heli_lab.apps.campaign.worker import CodeMismatch, Job, release, run_job
+from heli_lab.apps.campaign.worker import CodeMismatchError, Job, code_difference, release, run_job
 from heli_lab.code_digest import code_digest
 from heli_lab.errors import CampaignError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-_FLUSH_s: Final = 5.0
-"""Time between two parts of the table [s]. Shorter: many small files. Longer: after a kill, more rows are
-made again from the JSON files; nothing is lost."""
-_MAX_LOST_WORKERS: Final = 20
-"""If a case has lost so many workers, it fails."""
+LOOPBACK: Final = "127.0.0.1:0"
+"""Address of Dask's HTTP server. Without one, it listens on every interface, even if its dashboard is off
+(measured with version 2026.8)."""
+CONNECT_s: Final = 10.0
+"""Longest wait for an answer of the scheduler [s]."""
+FIRST_WORKER_s: Final = 60.0
+"""Longest wait for the first worker of a cluster [s]; a batch system may still be starting its workers."""
 _NO_WORKER_REMEDY: Final = "install this version of heli-host on the workers, and start them again"
 
 
@@ -84,56 +83,90 @@ def run_campaign(
         When the cluster cannot be used, or stops before all cases have ended. All results up to then are
         stored.
     """
-    report = on_progress or (lambda _: None)
-    digest = _code_digest_of(campaign) if code is None else code
-    cases = {case.key(digest): case for case in campaign.cases}
-    with store.locked():
-        rows = _stored_rows(store, cases, again)
-        failed = sum(bool(row.get("failure")) for row in rows.values())
-        report(CampaignProgress(len(rows), failed, len(cases)))
-        # Even if results do not depend on the installed code, all workers need the same packages.
-        works, worker_code = (campaign.works, digest) if code is None else ((), code_digest())
-        open_cases = {key: case for key, case in cases.items() if key not in rows}
-        jobs = _jobs(campaign, store, open_cases, works, worker_code)
-        # Rows that are not in the table yet.
-        unwritten: list[dict[str, Cell]] = []
-        written_s = time.monotonic()
-        try:
-            for result, note in _run_jobs(jobs, scheduler, processes):
-                if result is None:
-                    report(CampaignProgress(len(rows), failed, len(cases), note=note))
-                    continue
-                store.write(result)
-                rows[result.key] = _table_row(cases[result.key], result)
-                unwritten.append(rows[result.key])
-                failed += bool(result.failure)
-                if time.monotonic() - written_s > _FLUSH_s:
-                    store.append(unwritten)
-                    unwritten, written_s = [], time.monotonic()
-                report(CampaignProgress(len(rows), failed, len(cases), newest=result))
-        finally:
-            store.append(unwritten)
-        store.write_table(rows.values())
+    rows: dict[str, dict[str, Any]] = {}
+    with closing(_run(campaign, store, rows, scheduler, processes, code, again)) as states:
+        for state in states:
+            if on_progress is not None:
+                on_progress(state)
     return sorted(rows.values(), key=lambda row: natural_order(str(row["case"])))
 
 
-def _jobs(
-    campaign: Campaign, store: Store, cases: dict[str, Case], works: tuple[str, ...], code: str
-) -> dict[str, Job]:
-    """Make the jobs of the `cases`, by key, for workers whose functions `works` have the digest `code`."""
-    return {
-        key: Job(
-            case=case,
-            key=key,
-            code=code,
-            works=works,
-            limits=campaign.limits,
-            cases=str(store.cases.resolve()),
-            token=store.token,
-            modules=campaign.modules,
-        )
-        for key, case in cases.items()
-    }
+def campaign_results(
+    campaign: Campaign,
+    store: Store,
+    *,
+    scheduler: str | None = None,
+    processes: int = 1,
+    code: str | None = None,
+    again: Callable[[JobResult], bool] | None = None,
+) -> Iterator[JobResult]:
+    """Run a campaign, and yield the result of each case as soon as the case has ended.
+
+    Cases whose result was stored before are not yielded.
+
+    Parameters
+    ----------
+    campaign, store, scheduler, processes, code, again
+        See `run_campaign`.
+
+    Raises
+    ------
+    CampaignError
+        When the cluster cannot be used, or stops before all cases have ended. All results up to then are
+        stored.
+    """
+    with closing(_run(campaign, store, {}, scheduler, processes, code, again)) as states:
+        for state in states:
+            if state.newest is not None:
+                # A worker that can write to the store leaves the details there, and reports the row only.
+                yield store.read([state.newest.key]).get(state.newest.key, state.newest)
+
+
+def _run(
+    campaign: Campaign,
+    store: Store,
+    rows: dict[str, dict[str, Any]],
+    scheduler: str | None,
+    processes: int,
+    code: str | None,
+    again: Callable[[JobResult], bool] | None,
+) -> Iterator[CampaignProgress]:
+    """Run the cases without a result, add the row of each case to `rows`, and yield the progress."""
+    digest = _code_digest_of(campaign) if code is None else code
+    # Even if results do not depend on the installed code, all workers need the same packages.
+    works, worker_code = (campaign.works, digest) if code is None else ((), code_digest())
+    cases = {case.key(digest): case for case in campaign.cases}
+    with store.locked():
+        stored = store.read(cases)
+        repeated = [key for key, result in stored.items() if again is not None and again(result)]
+        store.remove(repeated)
+        rows |= {key: _row(cases[key], result) for key, result in stored.items() if key not in repeated}
+        failed = sum(bool(row["failure"]) for row in rows.values())
+        jobs = [
+            Job(
+                case=case,
+                key=key,
+                code=worker_code,
+                works=works,
+                limits=campaign.limits,
+                cases=str(store.cases.resolve()),
+                token=store.token,
+                modules=campaign.modules,
+            )
+            for key, case in cases.items()
+            if key not in rows
+        ]
+        yield CampaignProgress(len(rows), failed, len(cases))
+        try:
+            for result, note in _run_jobs(jobs, scheduler, processes):
+                if result is not None:
+                    store.write(result)
+                    rows[result.key] = _row(cases[result.key], result)
+                    failed += bool(result.failure)
+                yield CampaignProgress(len(rows), failed, len(cases), result, note)
+        finally:
+            if rows:
+                store.write_table(rows.values())
 
 
 def _code_digest_of(campaign: Campaign) -> str:
@@ -147,9 +180,9 @@ def _code_digest_of(campaign: Campaign) -> str:
         ) from None
 
 
-def _table_row(case: Case, result: JobResult) -> dict[str, Cell]:
+def _row(case: Case, result: JobResult) -> dict[str, Any]:
     """Return the row of a case in the table; for a failed case, with the drawn values too."""
-    row = row_of(case, result)
+    row: dict[str, Any] = row_of(case, result)
     if result.failure:
         # Imported here, because a campaign with other functions does not need the simulation.
         from heli_lab.apps.campaign.works import WORKS, drawn_row
@@ -160,51 +193,38 @@ def _table_row(case: Case, result: JobResult) -> dict[str, Cell]:
     return row
 
 
-def _stored_rows(
-    store: Store, cases: dict[str, Case], again: Callable[[JobResult], bool] | None
-) -> dict[str, dict[str, Any]]:
-    """Return the rows of the cases that have a stored result, by key, and add missing ones to the table.
-
-    Results of cases that are run again, as in `run_campaign`, are removed from the store.
-    """
-    stored = store.read(cases)
-    if again is not None:
-        store.remove(key for key, result in stored.items() if again(result))
-        stored = {key: result for key, result in stored.items() if not again(result)}
-    rows: dict[str, dict[str, Any]] = {key: _table_row(cases[key], result) for key, result in stored.items()}
-    keys_in_table = {row["key"] for row in store.rows()}
-    store.append([row for key, row in rows.items() if key not in keys_in_table])
-    return rows
-
-
 def _run_jobs(
-    jobs: dict[str, Job], scheduler: str | None, processes: int
+    jobs: list[Job], scheduler: str | None, processes: int
 ) -> Iterator[tuple[JobResult | None, str]]:
     """Run the jobs, and yield each result as it arrives, or None with a note on a worker."""
     if not jobs:
         return
-    # Code, functions and modules are the same in all jobs.
-    any_job = next(iter(jobs.values()))
-    with campaign_client(scheduler, min(processes, len(jobs))) as client:
-        usable_workers, unusable = workers_by_code(client, any_job.code, any_job.works, any_job.modules)
-        for address, why in unusable.items():
+    with _client(scheduler, min(processes, len(jobs))) as client:
+        # Code, functions and modules are the same in all jobs.
+        code, works, modules = jobs[0].code, jobs[0].works, jobs[0].modules
+        replies = client.run(code_difference, code, works, modules, on_error="return")
+        unusable = {address for address, reply in replies.items() if reply}
+        for address in sorted(unusable):
+            reply = replies[address]
+            why = _one_line(reply) if isinstance(reply, BaseException) else reply
             yield None, f"worker {address} is not used: {why}"
-        if not usable_workers:
+        if len(unusable) == len(replies):
             raise CampaignError("no worker has this code", _NO_WORKER_REMEDY)
         try:
-            yield from _run_on_workers(client, jobs, set(unusable))
+            yield from _run_on_workers(client, jobs, unusable)
         finally:
             with suppress(Exception):
                 client.run(release, on_error="return")
 
 
 def _run_on_workers(
-    client: Client, jobs: dict[str, Job], unusable: set[str]
+    client: Client, jobs: list[Job], unusable: set[str]
 ) -> Iterator[tuple[JobResult | None, str]]:
-    """Run jobs on a cluster. A job whose worker is lost, or has other code, is submitted again. Returns
-    `result`, `note`.
+    """Run jobs on a cluster, and yield results as `_run_jobs`; Dask submits those of lost workers again.
+
+    A worker that joins late may have other code: its job is submitted again to the others.
     """
-    from distributed import as_completed
+    from distributed import KilledWorker, as_completed
 
     def submit(job: Job) -> Future[Any]:
         """Submit a job to the usable workers.
@@ -220,49 +240,109 @@ def _run_on_workers(
             run_job, job, pure=False, workers=workers or None, allow_other_workers=bool(workers)
         )
 
-    tasks = {submit(job): job for job in jobs.values()}
-    lost_workers: Counter[str] = Counter()
-    ended_count = 0
-    completed = as_completed(tasks)
-    for future in completed:
-        job = tasks.pop(future)
-        if future.cancelled():
+    job_of_task = {submit(job): job for job in jobs}
+    completed = as_completed(job_of_task)
+    ended = 0
+    for task in completed:
+        job = job_of_task.pop(task)
+        if task.cancelled():
             raise CampaignError(
-                f"the scheduler has stopped: {ended_count} of {len(jobs)} cases have ended in this run and "
-                "are saved",
+                f"the scheduler has stopped: {ended} of {len(jobs)} cases have ended in this run and are "
+                "saved",
                 "run the same command again to continue with the others",
             )
-        result = _result_of_task(future, job, lost_workers)
-        if isinstance(result, JobResult):
-            ended_count += 1
-            yield result, ""
-            continue
-        if result is not None:
-            is_new = result.where not in unusable
-            unusable.add(result.where)
-            if is_new:
-                yield None, f"worker {result.where} is not used: {result.why}"
-            elif not {*client.scheduler_info()["workers"]} - unusable:
-                raise CampaignError("no worker is left that has this code", _NO_WORKER_REMEDY)
-        task = submit(job)
-        tasks[task] = job
-        completed.add(task)
+        note, failure, result = "", "", None
+        try:
+            result = task.result()
+        except CodeMismatchError as mismatch:
+            worker, difference = mismatch.args
+            note = "" if worker in unusable else f"worker {worker} is not used: {difference}"
+            unusable.add(worker)
+            if not note and not {*client.scheduler_info()["workers"]} - unusable:
+                raise CampaignError("no worker is left that has this code", _NO_WORKER_REMEDY) from None
+            again = submit(job)
+            job_of_task[again] = job
+            completed.add(again)
+        except KilledWorker:
+            failure = "worker after worker was lost under it"
+        except Exception as error:  # noqa: BLE001 - whatever a worker raises belongs to the case
+            failure = f"its worker failed: {_one_line(error)}"
+        if failure:
+            result = JobResult(job.case.name, job.key, failure=failure)
+        ended += result is not None
+        if result is not None or note:
+            yield result, note
 
 
-def _result_of_task(
-    future: Future[Any], job: Job, lost_workers: Counter[str]
-) -> JobResult | CodeMismatch | None:
-    """Return the result of a task; None if its worker was lost and another worker should run the job."""
-    from distributed import KilledWorker
+def _one_line(error: BaseException) -> str:
+    """Describe an error in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+@contextmanager
+def _client(scheduler: str | None, processes: int) -> Iterator[Client]:
+    """Connect to a cluster, or start one on this machine, until the block ends."""
+    try:
+        import dask
+        import distributed
+    except ImportError as error:
+        raise CampaignError(f"a campaign needs {error.name}", install_remedy("campaign")) from None
+    # Dask logs each lost worker; the campaign reports those that matter.
+    logging.getLogger(distributed.__name__).setLevel(logging.CRITICAL)
+    settings: dict[str, Any] = {
+        "distributed.comm.timeouts.connect": f"{CONNECT_s:g}s",
+        "distributed.admin.tick.limit": "1h",
+        "distributed.worker.memory.terminate": False,
+        # A campaign does not need these pages, and other users of this machine must not see them.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
+    }
+    with dask.config.set(settings):
+        connected = _local_client(processes) if scheduler is None else _cluster_client(scheduler)
+        with connected as client:
+            yield client
+
+
+@contextmanager
+def _local_client(processes: int) -> Iterator[Client]:
+    """Start a cluster in this process, with one thread per parallel case; each thread waits for a process."""
+    from distributed import Client, LocalCluster
+
+    with (
+        LocalCluster(
+            n_workers=1,
+            threads_per_worker=processes,
+            processes=False,
+            dashboard_address=LOOPBACK,
+            worker_dashboard_address=LOOPBACK,
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=0,
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+@contextmanager
+def _cluster_client(scheduler: str) -> Iterator[Client]:
+    """Connect to the running cluster at the address `scheduler`, and wait for its first worker."""
+    from distributed import Client
 
     try:
-        result: JobResult | CodeMismatch = future.result()
-    except KilledWorker:
-        lost_workers[job.key] += 1
-        if lost_workers[job.key] < _MAX_LOST_WORKERS:
-            return None
-        return JobResult(job.case.name, job.key, failure="worker after worker was lost under it")
-    except Exception as error:  # noqa: BLE001 - whatever a worker raises belongs to the case
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-        return JobResult(job.case.name, job.key, failure=f"its worker failed: {text}")
-    return result
+        client = Client(scheduler, timeout=CONNECT_s)
+    except (OSError, ValueError, TimeoutError):
+        raise CampaignError(
+            f"no scheduler answers at {scheduler}",
+            "start one (dask scheduler), or leave out --scheduler to use this machine",
+        ) from None
+    try:
+        try:
+            client.wait_for_workers(1, timeout=FIRST_WORKER_s)
+        except TimeoutError:
+            raise CampaignError(
+                f"the scheduler at {scheduler} has no workers", f"start at least one: dask worker {scheduler}"
+            ) from None
+        yield client
+    finally:
+        with suppress(OSError, TimeoutError):
+            client.close(timeout=CONNECT_s)

@@ -1,9 +1,7 @@
-"""Store the results of a campaign on disk: one JSON file per case, and a table with one row per case.
+"""The results of a campaign in a folder: one JSON file per case, and a table with one row per case.
 
-If the campaign is killed, neither is damaged. The JSON files are authoritative: each is written under a
-temporary name and then renamed, so that a file is either complete or missing. Rows of the table are written
-in parts, in the same manner. A row that was not written before a kill is made again from its JSON file. At
-the end, the parts become one file.
+A killed campaign damages no result: each file is written under a temporary name and then renamed, so that it
+is either complete or missing. The table is made again from the JSON files.
 """
 
 from __future__ import annotations
@@ -14,17 +12,14 @@ import math
 import secrets
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from heli_host.errors import install_remedy
 
-from heli_lab.apps.campaign.case import Case, Cell, JobResult, natural_order
+from heli_lab.apps.campaign.cases import Case, Cell, JobResult, natural_order
 from heli_lab.errors import CampaignError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 STORED_PACKAGES: Final = ("distributed", "pyarrow")
 """Packages of the extra ``campaign`` that the other parts of the laboratory do not need."""
@@ -55,11 +50,10 @@ class Store:
     def __init__(self, folder: Path) -> None:
         _check_packages()
         self.folder = folder
-        self.cases, self._parts = folder / "cases", folder / "parts"
+        self.cases = folder / "cases"
+        token_file = folder / "store.txt"
         try:
-            for subfolder in (self.cases, self._parts):
-                subfolder.mkdir(parents=True, exist_ok=True)
-            token_file = folder / "store.txt"
+            self.cases.mkdir(parents=True, exist_ok=True)
             if not token_file.exists():
                 with _appears_complete(token_file) as file:
                     file.write_text(secrets.token_hex(16))
@@ -79,7 +73,7 @@ class Store:
             When another campaign has locked it.
         """
         # SQLite's locks exist on every system, and end with the process that holds them.
-        with closing(sqlite3.connect(self.folder / "lock", timeout=0.0)) as lock:
+        with closing(sqlite3.connect(self.folder / "lock", timeout=0.0, check_same_thread=False)) as lock:
             try:
                 lock.execute("BEGIN EXCLUSIVE")
             except sqlite3.Error:
@@ -107,30 +101,24 @@ class Store:
         results = {key: read_result(self.cases, key) for key in keys if key in stored}
         return {key: result for key, result in results.items() if result is not None}
 
-    def append(self, rows: Sequence[Mapping[str, Cell]]) -> None:
-        """Append `rows` to the table, as a separate file."""
-        if rows:
-            _write_parquet(self._parts / f"{secrets.token_hex(8)}.parquet", rows)
-
     def rows(self) -> list[dict[str, Any]]:
-        """Read all rows of the table and its parts, one per result."""
+        """Read the rows of the table, one per result; a cell without a value is left out."""
         import pyarrow.parquet as pq
 
-        rows: dict[str, dict[str, Any]] = {}
-        for path in (self.folder / TABLE, *sorted(self._parts.glob("*.parquet"))):
-            with suppress(FileNotFoundError):
-                for row in pq.read_table(path).to_pylist():
-                    rows[row["key"]] = {name: value for name, value in row.items() if value is not None}
-        return list(rows.values())
+        rows = pq.read_table(self.folder / TABLE).to_pylist()
+        return [{name: value for name, value in row.items() if value is not None} for row in rows]
 
     def write_table(self, rows: Iterable[Mapping[str, Cell]]) -> Path:
-        """Write all `rows` into one table, sorted by names of cases, and remove the parts; return its
-        file.
-        """
+        """Write all `rows` into one table, sorted by names of cases; return its file."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        ordered = sorted(rows, key=lambda row: natural_order(str(row["case"])))
+        names = dict.fromkeys(name for row in ordered for name in row)
         path = self.folder / TABLE
-        _write_parquet(path, sorted(rows, key=lambda row: natural_order(str(row["case"]))))
-        for part in self._parts.glob("*.parquet"):
-            part.unlink()
+        with _appears_complete(path) as file:
+            columns = {name: _column_values([row.get(name) for row in ordered]) for name in names}
+            pq.write_table(pa.table(columns), file)
         return path
 
 
@@ -158,9 +146,8 @@ def row_of(case: Case, result: JobResult) -> dict[str, Cell]:
 
 def write_result(folder: Path, result: JobResult) -> None:
     """Write a result into the `folder` of results as JSON, completely or not at all, unless it is stored."""
-    path = folder / f"{result.key}.json"
     if read_result(folder, result.key) is None:
-        with _appears_complete(path) as file:
+        with _appears_complete(folder / f"{result.key}.json") as file:
             file.write_text(json.dumps(result.to_json(), indent=1))
 
 
@@ -172,6 +159,14 @@ def read_result(folder: Path, key: str) -> JobResult | None:
         return None
 
 
+@contextmanager
+def _appears_complete(path: Path) -> Iterator[Path]:
+    """Lend a temporary name in place of `path`, and rename the file when the block ends."""
+    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    yield unfinished
+    unfinished.replace(path)
+
+
 def _cell_of_setting(value: Any) -> Cell:
     """Format a setting as one cell: a list as its items, a table as JSON."""
     if value is None or isinstance(value, str | int | float | bool):
@@ -181,41 +176,17 @@ def _cell_of_setting(value: Any) -> Cell:
     return json.dumps(value, sort_keys=True, default=str)
 
 
-@contextmanager
-def _appears_complete(path: Path) -> Iterator[Path]:
-    """Lend a temporary name in place of `path`, and rename the file when the block ends.
+def _column_values(values: Sequence[Cell]) -> list[Cell]:
+    """Make the values of a column equal in type: numbers stay numbers, other mixed types become texts.
 
-    Under its own name, the file is thus always complete.
+    A number that is not finite, such as the settling time of a step that never settles, is left out.
     """
-    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    yield unfinished
-    unfinished.replace(path)
-
-
-def _write_parquet(path: Path, rows: Sequence[Mapping[str, Cell]]) -> None:
-    """Write rows as a table, completely or not at all."""
-    import pyarrow.parquet as pq
-
-    with _appears_complete(path) as file:
-        pq.write_table(_arrow_table(rows), file)
-
-
-def _arrow_table(rows: Sequence[Mapping[str, Cell]]) -> pa.Table:
-    """Convert `rows` to a table with all their columns; a column of mixed types holds texts."""
-    import pyarrow as pa
-
-    columns: dict[str, list[Cell]] = {}
-    for name in dict.fromkeys(name for row in rows for name in row):
-        values = [row.get(name) for row in rows]
-        kinds = {type(value) for value in values if value is not None}
-        if kinds <= {int, float} and float in kinds:
-            # A number that is not finite, such as the settling time of a step that never settles, is left
-            # out.
-            values = [
-                float(value) if isinstance(value, int | float) and math.isfinite(value) else None
-                for value in values
-            ]
-        elif len(kinds) > 1:
-            values = [None if value is None else str(value) for value in values]
-        columns[name] = values
-    return pa.table(columns)
+    kinds = {type(value) for value in values if value is not None}
+    if kinds <= {int, float} and float in kinds:
+        return [
+            float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+            for value in values
+        ]
+    if len(kinds) > 1:
+        return [None if value is None else str(value) for value in values]
+    return list(values)

@@ -1,4 +1,4 @@
-"""The case of a campaign, its result, and the key under which the result is stored."""
+"""The cases of a campaign, their limits and results, and the key under which a result is stored."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Final
+
+from heli_lab.errors import CampaignError
 
 Cell = str | int | float | bool | None
 """Contents of a cell of a table."""
@@ -87,3 +89,55 @@ class JobResult:
         TypeError.
         """
         return cls(**{name: content[name] for name in cls.__dataclass_fields__})
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of CPU time, time and threads for one case."""
+
+    cpu_s: float = 3600.0  # Largest CPU time [s]; counted in whole seconds, at least 1
+    wait_s: float = 36000.0  # Longest time by the clock [s], for a case that waits and uses no CPU time
+    threads: int = 1  # Number of threads of the libraries for linear algebra, and of the fits
+
+
+_DEFAULT_LIMITS: Final = Limits()
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A set of cases that are run together, with the limits of each case.
+
+    Parameters
+    ----------
+    title : str
+        Title for readers.
+    cases : tuple of Case
+        The cases; their names are unique.
+    limits : Limits
+        Limits of time and threads for each case.
+    worst : str
+        Column of the table whose largest values are the worst. With a minus sign in front of the name, the
+        smallest values are the worst. Empty if the campaign ranks no column.
+    modules : str
+        Folder of modules that are not installed and that cases may use: the folder of the campaign file.
+    """
+
+    title: str
+    cases: tuple[Case, ...]
+    limits: Limits = _DEFAULT_LIMITS
+    worst: str = ""
+    modules: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.cases:
+            raise CampaignError("the campaign has no case", "give each list at least one value")
+        seen: set[str] = set()
+        for case in self.cases:
+            if case.name in seen:
+                raise CampaignError(f"two cases have the name {case.name}", "change a setting of one of them")
+            seen.add(case.name)
+
+    @property
+    def works(self) -> tuple[str, ...]:
+        """Functions that run the cases."""
+        return tuple(sorted({case.work for case in self.cases}))
