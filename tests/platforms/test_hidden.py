@@ -33,12 +33,6 @@ print(sample.elevation_deg)
 CAMPAIGNS = """
 import sys
 from pathlib import Path
-# psutil has other code for Windows, and may have what is hidden from us.
-path, sys.path = sys.path, [folder for folder in sys.path if not folder.endswith("without")]
-import psutil
-sys.path = path
-for name in ("resource", "fcntl"):
-    sys.modules.pop(name, None)
 from heli_lab.apps.campaign import Case
 from heli_lab.apps.campaign.cases import Limits
 from heli_lab.apps.campaign.worker import WorkerProcess

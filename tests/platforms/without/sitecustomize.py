@@ -4,7 +4,8 @@ import os
 import signal
 import sys
 
-# pyserial chooses its own part for the system by os.name: that is its business, and done before.
+# psutil and pyserial choose their own parts for the system: that is their business, and done before.
+import psutil  # noqa: F401
 import serial  # noqa: F401
 
 HIDDEN = {"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"}

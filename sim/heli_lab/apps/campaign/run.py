@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -130,7 +130,7 @@ def _run(
     processes: int,
     code: str | None,
     again: Callable[[JobResult], bool] | None,
-) -> Iterator[CampaignProgress]:
+) -> Generator[CampaignProgress, None, None]:
     """Run the cases without a result, add the row of each case to `rows`, and yield the progress."""
     digest = _code_digest_of(campaign) if code is None else code
     # Even if results do not depend on the installed code, all workers need the same packages.
