@@ -10,7 +10,7 @@ from heli_lab.apps.campaign import Campaign, Case, Store, run_campaign
 from heli_lab.apps.campaign.cases import Limits
 
 from tests.bench.result import Measured
-from tests.running.clock import spent_s
+from tests.running.alone import spent_s
 
 CASES, NAP_s = 200, 0.1
 """Cases that wait and use no core: what is measured is the campaign and not how many cores are free."""

@@ -30,13 +30,12 @@ from tests.mutants.generate import ROOT
 _PRELOADED: Final = (
     "numpy", "scipy.signal", "casadi", "hypothesis", "hypothesis.strategies", "serial", "cobs", "mcap.reader",
     "control", "matplotlib.pyplot", "typer", "ssl", "asyncio", "unittest.mock", "elftools.elf.elffile",
-    "heli_host.fly.heli", "heli_host.link.session", "heli_host.fly.runner", "tests.running.cost",
-    "tests.running.order", "tests.running.quick",
+    "heli_host.fly.heli", "heli_host.link.session", "heli_host.fly.runner", "tests.running.order",
 )  # fmt: skip
 EXTENSIONS: Final = ("heli_sim._native", "heli_test_native")
 _ARGUMENTS: Final = (
-    "-q", "-x", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "unmarked_cpu_s=1e9",
-    "-o", "medium_cpu_s=1e9", "--import-mode=importlib", "-o", "addopts=",
+    "-q", "-x", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist", "--import-mode=importlib",
+    "-o", "addopts=",
 )  # fmt: skip
 _DIE_WITH_PARENT: Final = 1  # PR_SET_PDEATHSIG
 _LAST_LINES: Final = 15

@@ -16,7 +16,7 @@ from tests.page.page_server import SHORT_PLAN
 ROOT: Final = Path(__file__).resolve().parents[2]
 MAKEFILE: Final = ROOT / "Makefile"
 TARGETS: Final = re.findall(r"^([a-z]+):(?!=)", MAKEFILE.read_text(), re.MULTILINE)
-FEW_TESTS: Final = "tests/running/test_long.py"
+FEW_TESTS: Final = "tests/running/test_helpers.py"
 
 
 @dataclass(frozen=True)

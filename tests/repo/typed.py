@@ -24,7 +24,7 @@ from types import TracebackType
 from typing import Any, Final, NoReturn
 
 from tests.repo.shortened import shorten
-from tests.running import clock
+from tests.running import alone
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 LIBRARIES: Final = (
@@ -76,7 +76,7 @@ class Typed:
             self._started.kill()
         self._started.communicate()
         # Waited for, it brings along what its commands took.
-        clock.charge(-self._charged_s)
+        alone.charge(-self._charged_s)
 
     def run(self, words: Sequence[str], folder: Path, shorter: Sequence[str] = ()) -> tuple[int, str]:
         """Run ``heli-host ...`` or ``python -c ...`` in a folder; its exit code, and what it said.
@@ -92,7 +92,7 @@ class Typed:
         self._started.stdin.flush()
         code, cpu_s = json.loads(self._started.stdout.readline() or "[-1, 0.0]")
         self._charged_s += cpu_s
-        clock.charge(cpu_s)
+        alone.charge(cpu_s)
         return code, self._output_file.read_text(encoding="utf-8", errors="replace")
 
 

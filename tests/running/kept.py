@@ -20,8 +20,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final, TypeVar
 
-from tests.running.clock import spent_s
-
 ROOT: Final = Path(__file__).resolve().parents[2]
 FLOWN: Final = ("firmware", "host", "sim/native", "sim/due", "sim/due_board", "sim/heli_sim")
 """Folders whose sources determine a flight: flight code, host, simulation."""
@@ -35,21 +33,9 @@ T = TypeVar("T")
 
 
 class Kept:
-    """A folder of results that tests share.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    root : Path
-        Folder of the project.
-    extensions : Path
-        Folder where the compiled extensions are installed.
-    """
+    """A folder of results that tests share, which sources in `root` and installed extensions determine."""
 
     def __init__(self, folder: Path, root: Path, extensions: Path) -> None:
-        self.saved_s = 0.0
-        """CPU time that made the results used so far, less the part that this process spent."""
         self.folder = folder
         self._root = root
         self._extensions = extensions
@@ -77,24 +63,17 @@ class Kept:
             Folders of the project that determine it.
         """
         stem = re.sub(r"[^\w.=-]+", "_", name)[:60] + "-" + hashlib.sha256(name.encode()).hexdigest()[:8]
-        path = self.folder / f"{stem}-{self._digest(rooms, made_by)[:16]}.pickle"
+        path = self.folder / f"{stem}-{self._digest(rooms, made_by)[:16]}.kept"
         self.folder.mkdir(parents=True, exist_ok=True)
-        start_s = self.charged_s()
         with (self.folder / f"{stem}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not path.exists():
                 self._write(path, make)
-                for other in self.folder.glob(f"{stem}-*.pickle"):
+                for other in self.folder.glob(f"{stem}-*.kept"):
                     if other != path:
                         other.unlink()
-            cost_s, value = pickle.loads(path.read_bytes())
-        self.saved_s += max(0.0, cost_s - (self.charged_s() - start_s))
-        kept: T = value
+            kept: T = pickle.loads(path.read_bytes())
         return kept
-
-    def charged_s(self) -> float:
-        """Return the CPU time as if this process had made all results that it used."""
-        return spent_s() + self.saved_s
 
     def extensions(self) -> list[Path]:
         """Return the installed extensions. They may be older than their sources, and they are what flies."""
@@ -102,11 +81,9 @@ class Kept:
         return [path for path in paths if path.suffix in (".so", ".elf")]
 
     def _write(self, path: Path, make: Callable[[], object]) -> None:
-        start_s = self.charged_s()
-        value = make()
         # Renamed when complete, so that an interrupted run leaves no incomplete result.
         unfinished = path.with_suffix(f".{os.getpid()}")
-        unfinished.write_bytes(pickle.dumps((self.charged_s() - start_s, value)))
+        unfinished.write_bytes(pickle.dumps(make()))
         unfinished.rename(path)
 
     def _digest(self, rooms: Iterable[str], made_by: Iterable[str | Path]) -> str:

@@ -1,4 +1,4 @@
-"""The tests of a file stay together, each document is a group, and the most expensive group is first."""
+"""The tests of a file stay together, the most expensive group is first, and a run says what is expensive."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import Any
 
 import pytest
 
-from tests.running import order
-from tests.running.cost import COSTS_KEY, plain
-from tests.running.order import REAL_TIME, group_of, pytest_collection_modifyitems
+from tests.running import alone
+from tests.running.order import REAL_TIME, group_of, plain, pytest_collection_modifyitems
 
 pytestmark = pytest.mark.medium
 
 pytest_plugins = ["pytester"]
 
 ROOT = Path(__file__).resolve().parents[2]
-TESTS = """
+MARKERS = "markers =\n  medium\n  slow\n  emulated\n  documents\n"
+TESTS = f"""
 import pytest
 
 def test_cheap(): pass
@@ -31,72 +31,47 @@ def test_document(): pass
 
 @pytest.mark.xdist_group("document-a.md")
 def test_other_document(): pass
-"""
-WAITS = f"""
+
 @pytest.mark.xdist_group("{REAL_TIME}")
 def test_that_waits(): pass
 """
 
 
 def ordered(
-    pytester: pytest.Pytester, known_s: dict[str, float], *, worker: bool = True, tests: str = TESTS
+    pytester: pytest.Pytester, known_s: dict[str, float], *, worker: bool = True
 ) -> list[pytest.Item]:
     """Return tests in the order in which a worker would run them."""
-    pytester.makeini("[pytest]\nmarkers =\n  slow\n  documents\n")
-    items = pytester.getitems(tests)
-    cache = SimpleNamespace(get={COSTS_KEY: known_s}.get)
-    config: Any = SimpleNamespace(cache=cache, **({"workerinput": {}} if worker else {}))
+    pytester.makeini(f"[pytest]\n{MARKERS}")
+    items = pytester.getitems(TESTS)
+    cache = SimpleNamespace(get=lambda key, default: known_s)
+    config: Any = SimpleNamespace(
+        cache=cache, getoption=lambda name: False, **({"workerinput": {}} if worker else {})
+    )
     pytest_collection_modifyitems(config, items)
     return items
 
 
 def names(items: list[pytest.Item]) -> list[str]:
-    return [item.name for item in items]
+    return [item.name.removeprefix("test_") for item in items]
 
 
-def test_without_known_costs_markers_decide_the_order(pytester: pytest.Pytester) -> None:
-    assert names(ordered(pytester, {})) == ["test_document", "test_cheap", "test_slow", "test_other_document"]
-
-
-def test_costs_of_the_last_run_decide_the_order(pytester: pytest.Pytester) -> None:
-    file = "test_costs_of_the_last_run_decide_the_order.py"
-    known_s = {
-        f"{file}::test_other_document": 50.0,
-        f"{file}::test_document": 1.0,
-        f"{file}::test_cheap": 9.0,
-    }
-    assert names(ordered(pytester, known_s)) == [
-        "test_other_document",
-        "test_cheap",
-        "test_slow",
-        "test_document",
-    ]
-
-
-def test_a_clone_that_has_run_nothing_uses_the_saved_costs(
-    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = "test_a_clone_that_has_run_nothing_uses_the_saved_costs.py"
-    monkeypatch.setattr(order, "saved_costs_s", lambda: {f"{file}::test_other_document": 9.0})
-    assert names(ordered(pytester, {}))[0] == "test_other_document"
-    # Costs of a run in this clone have priority.
-    assert names(ordered(pytester, {f"{file}::test_document": 0.3}))[0] == "test_document"
-
-
-def test_flights_in_real_time_run_before_more_expensive_tests(pytester: pytest.Pytester) -> None:
-    assert names(ordered(pytester, {}, tests=TESTS + WAITS))[0] == "test_that_waits"
-
-
-def test_each_file_and_each_document_is_a_group(pytester: pytest.Pytester) -> None:
-    groups = {item.name: group_of(item) for item in ordered(pytester, {})}
-    assert groups["test_cheap"] == groups["test_slow"] == "test_each_file_and_each_document_is_a_group.py"
+def test_flights_in_real_time_are_first_then_markers_or_known_costs_decide(pytester: pytest.Pytester) -> None:
+    items = ordered(pytester, {})
+    assert names(items) == ["that_waits", "document", "cheap", "slow", "other_document"]
+    groups = {item.name: group_of(item) for item in items}
+    file = items[0].nodeid.partition("::")[0]
+    assert groups["test_cheap"] == groups["test_slow"] == file
     assert groups["test_document"] == "document-b.md"
-    assert groups["test_other_document"] == "document-a.md"
+    known_s = {
+        f"{file}::test_{name}": cost_s
+        for name, cost_s in (("other_document", 50.0), ("document", 1.0), ("cheap", 9.0))
+    }
+    assert names(ordered(pytester, known_s)) == ["that_waits", "other_document", "cheap", "slow", "document"]
 
 
 def test_one_process_keeps_the_order_of_the_file(pytester: pytest.Pytester) -> None:
     items = ordered(pytester, {}, worker=False)
-    assert names(items) == ["test_cheap", "test_slow", "test_document", "test_other_document"]
+    assert names(items) == ["cheap", "slow", "document", "other_document", "that_waits"]
     assert not any(items[0].iter_markers("xdist_group"))
 
 
@@ -117,7 +92,11 @@ def test_the_tests_of_a_file_run_in_one_worker(
     """
     pytester.makepyfile(test_one=test, test_two=test)
     arguments = ("-n2", "-p", "tests.running.order", "-p", "no:cacheprovider")
-    pytester.runpytest_subprocess(*arguments).assert_outcomes(passed=12)
+    result = pytester.runpytest_subprocess(*arguments)
+    result.assert_outcomes(passed=12)
+    result.stdout.fnmatch_lines(
+        ["* s of CPU, of which * to start and collect; most expensive: test_of_a_file*"]
+    )
     workers = [set((pytester.path / f"test_{name}.txt").read_text().split()) for name in ("one", "two")]
     assert sorted(map(sorted, workers)) == [["gw0"], ["gw1"]]
 
@@ -133,3 +112,39 @@ def test_the_tests_of_a_file_run_in_one_worker(
 )
 def test_a_test_has_the_same_name_in_each_worker(nodeid: str, name: str) -> None:
     assert plain(nodeid) == name
+
+
+def test_quick_leaves_expensive_tests_out_and_does_not_import_their_files(pytester: pytest.Pytester) -> None:
+    pytester.makeini(f"[pytest]\n{MARKERS}")
+    pytester.makepyfile(
+        test_mixed=TESTS,
+        test_expensive="""
+        import pytest
+
+        pytestmark = pytest.mark.emulated
+
+        raise AssertionError("imported")
+        """,
+    )
+    result = pytester.runpytest_inprocess("-p", "tests.running.order", "--quick", "-p", "no:cacheprovider")
+    result.assert_outcomes(passed=3, deselected=2)
+
+
+def test_an_expensive_test_is_listed_unless_it_has_a_marker(pytester: pytest.Pytester) -> None:
+    pytester.makeini(f"[pytest]\n{MARKERS}")
+    pytester.makepyfile("""
+        import pytest
+        from tests.running import alone
+
+        def test_waiting(): alone.charge(1.5)
+
+        @pytest.mark.medium
+        def test_medium(): alone.charge(1.5)
+
+        @pytest.mark.slow
+        def test_slow(): alone.charge(9)
+        """)
+    result = pytester.runpytest_inprocess("-p", "tests.running.order", "-p", "no:cacheprovider")
+    alone.charge(-12.0)
+    listed = [line for line in result.outlines if line.startswith("make it cheaper")]
+    assert [line.rpartition("::")[2] for line in listed] == ["test_waiting: 1.5 s of CPU, limit 1 s"]
