@@ -55,74 +55,37 @@ class ReportError(Exception):
 
 @dataclass(frozen=True)
 class Function:
-    """One function of the machine code.
+    """One function of the machine code."""
 
-    Parameters
-    ----------
-    name : str
-        Linker symbol.
-    calls : frozenset of str
-        Functions that it calls or jumps to by name.
-    slots : frozenset of int or None
-        Calls through a pointer: the byte offset of a virtual call's function in its table, None for a
-        pointer from elsewhere.
-    stack_bytes : int
-        Upper bound of the stack that the function takes, without the functions that it calls.
-    """
-
-    name: str
-    calls: frozenset[str]
+    name: str  # Linker symbol
+    calls: frozenset[str]  # Functions that it calls or jumps to by name
+    # Calls through a pointer: the byte offset of a virtual call's function in its table, None for a
+    # pointer from elsewhere
     slots: frozenset[int | None]
-    stack_bytes: int
+    stack_bytes: int  # Upper bound of the stack that the function takes, without the functions that it calls
 
 
 @dataclass(frozen=True)
 class Image:
-    """Sizes, symbols, call graph and vectors of a linked firmware.
+    """Sizes, symbols, call graph and vectors of a linked firmware."""
 
-    Parameters
-    ----------
-    flash_bytes, ram_bytes : int
-        Sizes; `ram_bytes` includes the reserved stack.
-    stack_reserved_bytes : int
-        Stack that the linker script sets aside.
-    symbols : dict of str to int
-        Addresses of all symbols.
-    functions : dict of str to Function
-        The call graph.
-    pointed_at : frozenset of str
-        Functions whose address is stored outside the vectors and the virtual tables: any call through a
-        pointer may reach them.
-    virtual : dict of int to frozenset of str
-        Functions in the virtual tables, by their byte offset there: a virtual call may reach them too.
-    vectors : tuple of int
-        The vector table of the linked image.
-    """
-
-    flash_bytes: int
-    ram_bytes: int
-    stack_reserved_bytes: int
-    symbols: dict[str, int]
-    functions: dict[str, Function]
+    flash_bytes: int  # Sizes; `ram_bytes` includes the reserved stack
+    ram_bytes: int  # Sizes; `ram_bytes` includes the reserved stack
+    stack_reserved_bytes: int  # Stack that the linker script sets aside
+    symbols: dict[str, int]  # Addresses of all symbols
+    functions: dict[str, Function]  # The call graph
+    # Functions whose address is stored outside the vectors and the virtual tables: any call through a
+    # pointer may reach them
     pointed_at: frozenset[str]
+    # Functions in the virtual tables, by their byte offset there: a virtual call may reach them too
     virtual: Mapping[int, frozenset[str]]
-    vectors: tuple[int, ...]
+    vectors: tuple[int, ...]  # The vector table of the linked image
 
     def callees(self, name: str, idle_loop: bool = True) -> frozenset[str]:
         """Return the functions that one function may call.
 
-        Parameters
-        ----------
-        name : str
-            The caller.
-        idle_loop : bool
-            Whether the idle loop runs the caller. If an interrupt does, no virtual call reaches a function
-            that takes an `IdleLoop`: only the core's idle loop can construct one.
-
-        Returns
-        -------
-        frozenset of str
-            Their names.
+        If no `idle_loop` runs the caller, no virtual call reaches a function that takes an `IdleLoop`: only
+        the core's idle loop can construct one.
         """
         function = self.functions[name]
         called = function.calls
@@ -135,20 +98,7 @@ class Image:
         return called
 
     def reachable(self, name: str, idle_loop: bool = True) -> frozenset[str]:
-        """Return all functions that a function may call, directly or through others.
-
-        Parameters
-        ----------
-        name : str
-            Where to start; included in the result.
-        idle_loop : bool
-            As in `callees`.
-
-        Returns
-        -------
-        frozenset of str
-            Their names.
-        """
+        """Return all functions that a function may call, directly or through others."""
         reached: set[str] = set()
         to_visit = [name]
         while to_visit:
@@ -159,27 +109,7 @@ class Image:
         return frozenset(reached)
 
     def deepest(self, name: str, idle_loop: bool = True) -> tuple[int, list[str]]:
-        """Return the call chain from a function that takes the most stack.
-
-        Parameters
-        ----------
-        name : str
-            Where to start.
-        idle_loop : bool
-            As in `callees`.
-
-        Returns
-        -------
-        int
-            Bytes.
-        list of str
-            The chain, from `name` down.
-
-        Raises
-        ------
-        ReportError
-            When a function may call itself.
-        """
+        """Return the call chain from a function that takes the most stack."""
         measured: dict[str, tuple[int, list[str]]] = {}
 
         def measure(caller: str, above: tuple[str, ...]) -> tuple[int, list[str]]:
@@ -195,13 +125,7 @@ class Image:
         return measure(name, ())
 
     def stack_needed_bytes(self) -> int:
-        """Return the most stack that the idle loop and all interrupts, nested, may take.
-
-        Returns
-        -------
-        int
-            Bytes.
-        """
+        """Return the most stack that the idle loop and all interrupts, nested, may take."""
         return self.deepest(ENTRY)[0] + sum(
             EXCEPTION_FRAME_BYTES + self.deepest(name, idle_loop=False)[0] for name in INTERRUPTS
         )
@@ -320,25 +244,7 @@ def _disassembled(text: str) -> Iterable[tuple[str, list[tuple[int, str, str]]]]
 
 
 def read_symbols(elf: Path, cross: str = "arm-none-eabi-") -> dict[str, int]:
-    """Read where a linked firmware has its symbols.
-
-    Parameters
-    ----------
-    elf : Path
-        The linked file.
-    cross : str
-        Prefix of the names of the binary tools.
-
-    Returns
-    -------
-    dict of str to int
-        Addresses of all symbols.
-
-    Raises
-    ------
-    ReportError
-        When a tool is missing or does not take the file.
-    """
+    """Read where a linked firmware has its symbols."""
     return {name: address for name, _, address, _ in _symbols(elf, cross)}
 
 
@@ -368,25 +274,7 @@ def _flash_content(elf: Path, cross: str) -> bytes:
 
 
 def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
-    """Read sizes, call graph and vectors from a linked firmware.
-
-    Parameters
-    ----------
-    elf : Path
-        The linked file.
-    cross : str
-        Prefix of the names of the binary tools.
-
-    Returns
-    -------
-    Image
-        The sizes, symbols, call graph and vectors.
-
-    Raises
-    ------
-    ReportError
-        When a tool is missing or does not take the file.
-    """
+    """Read sizes, call graph and vectors from a linked firmware."""
     section_sizes = _section_sizes(elf, cross)
     symbols = {}
     code_at: dict[int, str] = {}
@@ -442,18 +330,7 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
 
 
 def findings(image: Image) -> list[str]:
-    """List the bounds that a firmware exceeds.
-
-    Parameters
-    ----------
-    image : Image
-        The firmware.
-
-    Returns
-    -------
-    list of str
-        One line for each; empty when all hold.
-    """
+    """List the bounds that a firmware exceeds."""
     problems = []
     if image.flash_bytes > FLASH_MAX_BYTES:
         problems.append(f"flash: {image.flash_bytes} bytes are more than {FLASH_MAX_BYTES}")
@@ -470,20 +347,7 @@ def findings(image: Image) -> list[str]:
 
 
 def report(image: Image, cross: str = "arm-none-eabi-") -> str:
-    """Write the sizes and the deepest call chains as text.
-
-    Parameters
-    ----------
-    image : Image
-        The firmware.
-    cross : str
-        Prefix of the names of the binary tools.
-
-    Returns
-    -------
-    str
-        Several lines.
-    """
+    """Write the sizes and the deepest call chains as text."""
     lines = [
         f"flash {image.flash_bytes:6d} of {FLASH_MAX_BYTES} bytes",
         f"RAM   {image.ram_bytes:6d} of {RAM_MAX_BYTES} bytes, with the stack",
@@ -497,13 +361,7 @@ def report(image: Image, cross: str = "arm-none-eabi-") -> str:
 
 
 def main() -> int:
-    """Judge one firmware from the command line.
-
-    Returns
-    -------
-    int
-        Exit code: 0 when every bound holds.
-    """
+    """Judge one firmware from the command line."""
     parser = argparse.ArgumentParser(description="Size, stack and calls of a firmware, against their bounds.")
     parser.add_argument("elf", type=Path)
     parser.add_argument("--output", type=Path, help="file to write the report to as well")

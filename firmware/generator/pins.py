@@ -51,47 +51,25 @@ bits with a margin. A BTS7960 cannot switch faster (datasheet, section 1)."""
 
 @dataclass(frozen=True)
 class Driver:
-    """Lines of one motor's driver, as pins of the Due such as ``D9``.
+    """Lines of one motor's driver, as pins of the Due such as ``D9``."""
 
-    Parameters
-    ----------
-    forward_pwm, reverse_pwm : str
-        RPWM and LPWM.
-    forward_enable, reverse_enable : str
-        R_EN and L_EN.
-    """
-
-    forward_pwm: str
-    reverse_pwm: str
-    forward_enable: str
-    reverse_enable: str
+    forward_pwm: str  # RPWM and LPWM
+    reverse_pwm: str  # RPWM and LPWM
+    forward_enable: str  # R_EN and L_EN
+    reverse_enable: str  # R_EN and L_EN
 
 
 @dataclass(frozen=True)
 class Wiring:
-    """Connections of the pins, and the meaning of their levels.
+    """Connections of the pins, and the meaning of their levels."""
 
-    Parameters
-    ----------
-    encoders : mapping of str to str
-        Axis by input: ``TC0``, ``TC2`` and ``interrupt``.
-    front, back : Driver
-        Drivers of the two motors.
-    pwm_Hz : int
-        Switching frequency.
-    pwm_inverted, enable_inverted : bool
-        Whether a low level means on.
-    stop_is_high : bool
-        Whether a high level stops.
-    """
-
-    encoders: Mapping[str, str]
-    front: Driver
-    back: Driver
-    pwm_Hz: int
-    pwm_inverted: bool
-    enable_inverted: bool
-    stop_is_high: bool
+    encoders: Mapping[str, str]  # Axis by input: ``TC0``, ``TC2`` and ``interrupt``
+    front: Driver  # Drivers of the two motors
+    back: Driver  # Drivers of the two motors
+    pwm_Hz: int  # Switching frequency
+    pwm_inverted: bool  # Whether a low level means on
+    enable_inverted: bool  # Whether a low level means on
+    stop_is_high: bool  # Whether a high level stops
 
     def encoder_pins(self, axis: str) -> tuple[str, str]:
         """Return the pins of an axis: A and B."""
@@ -99,13 +77,7 @@ class Wiring:
 
 
 def read_pins(path: Path) -> Wiring:
-    """Return the wiring in a file.
-
-    Raises
-    ------
-    DeclarationError
-        If the file is not TOML, lacks an entry, or has a pin or value that the board does not support.
-    """
+    """Return the wiring in a file."""
     tables = read_toml(path)
     for problem in _wrong_keys(tables):
         raise DeclarationError(problem)

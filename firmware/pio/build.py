@@ -86,13 +86,7 @@ def _write_wiring(path: Path) -> None:
 
 
 def main() -> int:
-    """Run PlatformIO in the prepared directory.
-
-    Returns
-    -------
-    int
-        PlatformIO's exit code; 1 when something is missing, 2 for a wiring that is refused.
-    """
+    """Run PlatformIO in the prepared directory."""
     arguments = sys.argv[1:]
     pins = Path(arguments[1]) if arguments[:1] == ["--pins"] and len(arguments) > 1 else None
     arguments = (arguments[2:] if pins else arguments) or ["run", "-e", "due"]

@@ -30,15 +30,7 @@ def processor() -> str:
 
 
 def measured_by(parts: Sequence[Part], console: Console) -> list[Measured]:
-    """Measure some parts, one after the other; a part that lacks something is skipped and says what.
-
-    Parameters
-    ----------
-    parts : sequence of Part
-        In the order in which they are measured.
-    console : Console
-        Shows what is measured next, and how long that takes.
-    """
+    """Measure some parts, one after the other; a part that lacks something is skipped and says what."""
     measured: list[Measured] = []
     for number, part in enumerate(parts, 1):
         console.print(f"[{number}/{len(parts)}] {part.what} (about {part.usual_time()})", markup=False)
@@ -51,15 +43,7 @@ def measured_by(parts: Sequence[Part], console: Console) -> list[Measured]:
 
 
 def table(measured: Sequence[Measured], whole: bool) -> tuple[Table, bool]:
-    """Return the table, and whether every promise holds.
-
-    Parameters
-    ----------
-    measured : sequence of Measured
-        Every number.
-    whole : bool
-        Whether a promised number that is not there is worth a row.
-    """
+    """Return the table, and whether every promise holds."""
     values = {result.key: result for result in measured}
     report = Table(box=None, pad_edge=False)
     for heading in ("number", "median", "worst", "bound", "", "what"):
@@ -87,13 +71,7 @@ def table(measured: Sequence[Measured], whole: bool) -> tuple[Table, bool]:
 
 
 def main(words: Sequence[str]) -> int:
-    """Run the bench; 1 when a promise does not hold.
-
-    Parameters
-    ----------
-    words : sequence of str
-        Names of parts; all where there are none.
-    """
+    """Run the bench; 1 when a promise does not hold."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.bench",
         description=__doc__,

@@ -53,18 +53,7 @@ def decode_mavlink(data: bytes) -> int:
 
 
 def measure(flight_bytes: bytes) -> list[Measured]:
-    """Decode the same number of ticks both ways, in turn.
-
-    Parameters
-    ----------
-    flight_bytes : bytes
-        Bytes that the board sent during a flight.
-
-    Returns
-    -------
-    list of Measured
-        Ours, theirs, and the ratio of each pair.
-    """
+    """Decode the same number of ticks both ways, in turn."""
     ticks = decode_ours(flight_bytes)
     theirs = mavlink_bytes(ticks)
     rates: list[tuple[float, float]] = []

@@ -58,19 +58,11 @@ excite = { signal = "multisine", front_V = 0.25, back_V = 0.25, start_Hz = 0.1, 
 
 @dataclass(frozen=True)
 class Spent:
-    """Time and memory of a process.
+    """Time and memory of a process."""
 
-    Parameters
-    ----------
-    elapsed_s, cpu_s : float
-        By the clock on the wall, and by its own time and that of its children.
-    peak_GB : float
-        Most memory that it held at once.
-    """
-
-    elapsed_s: float
-    cpu_s: float
-    peak_GB: float
+    elapsed_s: float  # By the clock on the wall, and by its own time and that of its children
+    cpu_s: float  # By the clock on the wall, and by its own time and that of its children
+    peak_GB: float  # Most memory that it held at once
 
 
 Run = Callable[[Sequence[str]], Spent]

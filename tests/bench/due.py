@@ -23,13 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def build(folder: Path) -> Path:
-    """Build the firmware and return the ELF.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to.
-    """
+    """Build the firmware and return the ELF."""
     elf = folder / "heli.elf"
     subprocess.run(["make", "-s", "-C", ROOT / "firmware" / "due", f"BUILD={folder}", elf], check=True)
     return elf
@@ -41,13 +35,7 @@ def has_cross_compiler() -> bool:
 
 
 def law_costs(elf: Path) -> dict[str, float]:
-    """Instructions of laws that came over the link, in flight.
-
-    Parameters
-    ----------
-    elf : Path
-        The linked firmware.
-    """
+    """Instructions of laws that came over the link, in flight."""
     instructions: dict[str, float] = {}
     for name in ("lqi", "mpc"):
         flight = Flight(elf, read_image(elf), (LAW_UPDATE,))

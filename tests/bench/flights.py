@@ -34,13 +34,7 @@ def demonstration() -> list[Plan]:
 
 
 def hover(duration_s: float) -> Plan:
-    """Return a plan that hovers for a while.
-
-    Parameters
-    ----------
-    duration_s : float
-        How long [s].
-    """
+    """Return a plan that hovers for a while."""
     return Plan.parse(
         f'[[segment]]\nkind = "hold"\nduration_s = {duration_s}\n', "hover of the bench", "hover"
     )

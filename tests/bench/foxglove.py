@@ -26,15 +26,7 @@ PRESSES_PER_BLOCK = 25
 
 @contextlib.contextmanager
 def watched_feed(heli: Heli, missing: list[int]) -> Iterator[FoxgloveFeed]:
-    """Serve a viewer that takes every tick; append how many it missed.
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected.
-    missing : list of int
-        Gets the number of missing ticks at the end.
-    """
+    """Serve a viewer that takes every tick; append how many it missed."""
     with foxglove_feed(heli, 0) as feed:
         assert feed is not None
         words = [sys.executable, "-m", "tests.link.foxglove_viewer", feed.address]
@@ -48,27 +40,13 @@ def watched_feed(heli: Heli, missing: list[int]) -> Iterator[FoxgloveFeed]:
 
 
 def server_busy_s(feed: FoxgloveFeed) -> float:
-    """Return the processor time of the feed's server [s]; Linux only.
-
-    Parameters
-    ----------
-    feed : FoxgloveFeed
-        Running.
-    """
+    """Return the processor time of the feed's server [s]; Linux only."""
     fields = Path(f"/proc/{feed.server_pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def busy_share(heli: Heli, feed: FoxgloveFeed | None = None) -> float:
-    """Return the share of a core that this process and a feed's server take [1].
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected.
-    feed : FoxgloveFeed or None
-        Running, if there is one.
-    """
+    """Return the share of a core that this process and a feed's server take [1]."""
     start_s, own_s, server_s = time.perf_counter(), time.process_time(), server_busy_s(feed) if feed else 0.0
     heli.wait(WATCHED_S)
     busy_s = time.process_time() - own_s + (server_busy_s(feed) - server_s if feed else 0.0)

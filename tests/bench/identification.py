@@ -39,13 +39,7 @@ def identify_flight_s() -> list[float]:
 
 
 def coverage(say: Callable[[str], None] = lambda _: None) -> list[Covered]:
-    """Draw fifty rigs, fly each twice, identify each.
-
-    Parameters
-    ----------
-    say : callable
-        Called now and then with the progress.
-    """
+    """Draw fifty rigs, fly each twice, identify each."""
     flights = []
     for seed in range(1, RIGS + 1):
         flights.append(cover(seed))
@@ -55,13 +49,7 @@ def coverage(say: Callable[[str], None] = lambda _: None) -> list[Covered]:
 
 
 def measure(say: Callable[[str], None] = lambda _: None) -> list[Measured]:
-    """Time a fit, then count over fifty rigs.
-
-    Parameters
-    ----------
-    say : callable
-        Called with the progress.
-    """
+    """Time a fit, then count over fifty rigs."""
     measured = [Measured("identify_60s_flight_s", identify_flight_s())]
     flights = coverage(say)
     return [

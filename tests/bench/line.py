@@ -47,15 +47,7 @@ def _ticks(sent: bytes) -> Ticks:
 
 
 def measure(sent: bytes, duration_s: float) -> list[Measured]:
-    """Count the bytes of a flight; one repetition, the simulation being deterministic.
-
-    Parameters
-    ----------
-    sent : bytes
-        Bytes that the board sent.
-    duration_s : float
-        In how many seconds.
-    """
+    """Count the bytes of a flight; one repetition, the simulation being deterministic."""
     with tapped_board() as (heli, _):
         batch_ticks = round(heli.params["telemetry_batch_ticks"])
     worst, ticks = worst_case_bytes(sent, batch_ticks)

@@ -29,15 +29,7 @@ BURN = "while True: pass"
 
 @contextlib.contextmanager
 def tabs(served: Served, count: int) -> Iterator[Callable[[str], str]]:
-    """Open tabs in a process of their own; what is yielded asks them.
-
-    Parameters
-    ----------
-    served : Served
-        The page.
-    count : int
-        How many.
-    """
+    """Open tabs in a process of their own; what is yielded asks them."""
     address = served.address
     words = [address.host, str(address.port), address.token, str(count)]
     with subprocess.Popen(
@@ -62,13 +54,7 @@ def tabs(served: Served, count: int) -> Iterator[Callable[[str], str]]:
 
 @contextlib.contextmanager
 def loaded_cores(count: int) -> Iterator[None]:
-    """Keep cores busy with processes that only count.
-
-    Parameters
-    ----------
-    count : int
-        How many.
-    """
+    """Keep cores busy with processes that only count."""
     burning = [subprocess.Popen([sys.executable, "-c", BURN]) for _ in range(count)]
     try:
         yield
@@ -79,13 +65,7 @@ def loaded_cores(count: int) -> Iterator[None]:
 
 
 def run_motors(heli: Heli) -> None:
-    """Bring the motors to a voltage within the dead zone.
-
-    Parameters
-    ----------
-    heli : Heli
-        Idle, or on its way there.
-    """
+    """Bring the motors to a voltage within the dead zone."""
     while heli.state is not State.ARMED:
         heli.session.release_stop(heli.session.stops)
         with contextlib.suppress(CommandRefused):
@@ -100,11 +80,6 @@ class ZeroDuty:
 
     That is later than the moment itself by the rest of a batch, the line and the reading of it, 10 to 30 ms:
     the number is an upper bound. The board's ticks say less where a loaded computer runs it in bursts.
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected.
     """
 
     def __init__(self, heli: Heli) -> None:
@@ -128,17 +103,7 @@ class ZeroDuty:
 
 
 def stop_latencies_ms(presses: int, press: Callable[[], float], heli: Heli) -> list[float]:
-    """Stop running motors again and again; from each press to zero duty [ms].
-
-    Parameters
-    ----------
-    presses : int
-        How often.
-    press : callable
-        Presses, and returns when, in the host's monotonic time [s].
-    heli : Heli
-        Connected.
-    """
+    """Stop running motors again and again; from each press to zero duty [ms]."""
     latencies, zero_duty = [], ZeroDuty(heli)
     for _ in range(presses):
         run_motors(heli)
@@ -156,15 +121,7 @@ def stop_under_load() -> list[float]:
 
 
 def core_share(heli: Heli, folder: Path) -> float:
-    """Share of a core that this process takes while it records [1].
-
-    Parameters
-    ----------
-    heli : Heli
-        Connected.
-    folder : Path
-        For the log.
-    """
+    """Share of a core that this process takes while it records [1]."""
     with Recorder(heli, folder / f"bench-{time.monotonic_ns()}.mcap"):
         start_s, busy_s = time.perf_counter(), time.process_time()
         heli.wait(HOVER_S)
@@ -172,13 +129,7 @@ def core_share(heli: Heli, folder: Path) -> float:
 
 
 def cost_and_gaps(watched_s: float = WATCHED_S) -> tuple[float, int]:
-    """Processor time with three tabs over that without any, and the ticks that three tabs missed.
-
-    Parameters
-    ----------
-    watched_s : float
-        How long they are watched [s].
-    """
+    """Processor time with three tabs over that without any, and the ticks that three tabs missed."""
     with TemporaryDirectory() as folder, page_of_a_simulated_board(Path(folder)) as served:
         share_alone = core_share(served.heli, Path(folder))
         with tabs(served, 3) as ask:

@@ -17,27 +17,13 @@ from tests.page.socket_page import SocketPage
 
 
 def missing(page: SocketPage) -> int:
-    """Count the ticks that a tab did not get, of those since the first frame, which may be thinned.
-
-    Parameters
-    ----------
-    page : SocketPage
-        Which.
-    """
+    """Count the ticks that a tab did not get, of those since the first frame, which may be thinned."""
     tick = np.concatenate([batch.tick for batch in list(page.rows)[1:]])
     return int((np.diff(tick) - 1).sum())
 
 
 def main(host: str, port: str, token: str, tabs: str) -> None:
-    """Open tabs and do what is asked, until the input ends.
-
-    Parameters
-    ----------
-    host, port, token : str
-        Where the page is served.
-    tabs : str
-        How many.
-    """
+    """Open tabs and do what is asked, until the input ends."""
     dice = random.Random(1)
     pages = [SocketPage(Address(host, int(port), token)) for _ in range(int(tabs))]
     print("ready", flush=True)

@@ -34,13 +34,7 @@ def nothing() -> str:
 
 
 def module(name: str) -> Callable[[], str]:
-    """Say whether a package is lacking.
-
-    Parameters
-    ----------
-    name : str
-        As it is imported.
-    """
+    """Say whether a package is lacking."""
     return lambda: "" if importlib.util.find_spec(name) else f"{name} is not installed; make bench does that"
 
 
@@ -57,26 +51,13 @@ def sent() -> tuple[bytes, float]:
 
 @dataclass(frozen=True)
 class Part:
-    """One part of the bench.
+    """One part of the bench."""
 
-    Parameters
-    ----------
-    name : str
-        Name on the command line.
-    what : str
-        What is measured, for the line before it begins.
-    usual_s : float
-        Usual time on two cores.
-    measure : callable
-        Measures; its argument shows the next step.
-    lack : callable
-        Says what is not installed without which it cannot measure; empty where nothing is lacking.
-    """
-
-    name: str
-    what: str
-    usual_s: float
-    measure: Callable[[Say], list[Measured]]
+    name: str  # Name on the command line
+    what: str  # What is measured, for the line before it begins
+    usual_s: float  # Usual time on two cores
+    measure: Callable[[Say], list[Measured]]  # Measures; its argument shows the next step
+    # Says what is not installed without which it cannot measure; empty where nothing is lacking
     lack: Callable[[], str] = nothing
 
     def usual_time(self) -> str:

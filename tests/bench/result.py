@@ -9,24 +9,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Promise:
-    """A bound on one number of bench.json.
+    """A bound on one number of bench.json."""
 
-    Parameters
-    ----------
-    key : str
-        Its key.
-    meaning : str
-        Meaning, for the table.
-    bound : float or None
-        Promised bound; None for a number that is only reported.
-    at_least : bool
-        Whether the bound is a lower one.
-    """
-
-    key: str
-    meaning: str
-    bound: float | None
-    at_least: bool = True
+    key: str  # Its key
+    meaning: str  # Meaning, for the table
+    bound: float | None  # Promised bound; None for a number that is only reported
+    at_least: bool = True  # Whether the bound is a lower one
 
     def holds(self, value: float) -> bool:
         if self.bound is None:
@@ -87,18 +75,10 @@ PROMISES = (
 
 @dataclass(frozen=True)
 class Measured:
-    """One number, measured several times.
+    """One number, measured several times."""
 
-    Parameters
-    ----------
-    key : str
-        Its key in bench.json.
-    repetitions : sequence of float
-        Every measurement.
-    """
-
-    key: str
-    repetitions: Sequence[float]
+    key: str  # Its key in bench.json
+    repetitions: Sequence[float]  # Every measurement
 
     @property
     def value(self) -> float:
@@ -106,15 +86,5 @@ class Measured:
 
 
 def repeat(key: str, count: int, measure: Callable[[], float]) -> Measured:
-    """Measure several times.
-
-    Parameters
-    ----------
-    key : str
-        Key in bench.json.
-    count : int
-        How often.
-    measure : callable
-        Returns the number.
-    """
+    """Measure several times."""
     return Measured(key, [measure() for _ in range(count)])

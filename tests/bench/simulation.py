@@ -28,16 +28,13 @@ LARGEST_ERROR_DEG = {"elevation": 0.5, "travel": 2.0}
 
 @dataclass(frozen=True)
 class Speed:
-    """How much faster than real time something flew.
+    """How much faster than real time something flew."""
 
-    Parameters
-    ----------
-    elapsed_x, cpu_x : float
-        By the clock on the wall, and by the time that this process had a core: on a machine with other work
-        only the second says what the code costs.
-    """
-
+    # By the clock on the wall, and by the time that this process had a core: on a machine with other work
+    # only the second says what the code costs
     elapsed_x: float
+    # By the clock on the wall, and by the time that this process had a core: on a machine with other work
+    # only the second says what the code costs
     cpu_x: float
 
 
@@ -72,13 +69,7 @@ def lockstep_flight() -> Speed:
 
 
 def due_flight(elf: Path) -> Speed:
-    """The same with the flight code's ELF on the emulated Due.
-
-    Parameters
-    ----------
-    elf : Path
-        The ELF.
-    """
+    """The same with the flight code's ELF on the emulated Due."""
     with heli_host.connect(f"sil://?board=due&elf={elf}&rig={RIG}&speed=max") as heli:
         watch = Stopwatch()
         return watch.speed(fly(heli, demonstration()).duration_s)
@@ -94,17 +85,7 @@ def measure_due() -> list[Measured]:
 
 
 def repeat_speed(name: str, count: int, fly_once: Callable[[], Speed]) -> list[Measured]:
-    """Measure a speed several times, by both clocks.
-
-    Parameters
-    ----------
-    name : str
-        Prefix of the keys.
-    count : int
-        How often.
-    fly_once : callable
-        Returns the speed.
-    """
+    """Measure a speed several times, by both clocks."""
     speeds = [fly_once() for _ in range(count)]
     return [
         Measured(f"{name}_x_realtime", [speed.elapsed_x for speed in speeds]),

@@ -26,15 +26,7 @@ _SOURCES = ("firmware", "host", "sim")
 
 
 class ChangedCopy:
-    """The sources in a folder of their own.
-
-    Parameters
-    ----------
-    root : Path
-        Folder to copy them into; must not exist.
-    source : Path
-        Tree to copy.
-    """
+    """The sources in a folder of their own."""
 
     def __init__(self, root: Path, source: Path = ROOT) -> None:
         self.root = root
@@ -68,11 +60,6 @@ class ChangedCopy:
 
         Unoptimised, which computes the same, and each library in one piece: 10 s of CPU instead of 34, most
         of which are headers that every file of the bindings' library reads again.
-
-        Parameters
-        ----------
-        optimised : str
-            How far, as an option of the compiler: for those who look at a clock.
         """
         build = self.root / "build"
         cmake = shutil.which("cmake") or str(Path(sys.executable).with_name("cmake"))

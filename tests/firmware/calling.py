@@ -34,17 +34,7 @@ def enter(board: Board, symbol: str, *arguments: int) -> int:
 
 
 def call(board: Board, symbol: str, *arguments: int) -> int:
-    """The result of a function, called at the processor's present instruction, to which it returns.
-
-    Parameters
-    ----------
-    board : Board
-        Stopped at the first instruction of a function of the idle loop: see `halt_at`.
-    symbol : str
-        Linker symbol of the function.
-    *arguments : int
-        At most four words.
-    """
+    """The result of a function, called at the processor's present instruction, to which it returns."""
     due = board.due
     saved = [due.reg(index) for index in range(16)]
     back = enter(board, symbol, *arguments)

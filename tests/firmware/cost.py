@@ -36,39 +36,18 @@ PERIOD_S: Final = 0.02
 
 @dataclass(frozen=True)
 class Costs:
-    """Instructions of the parts that must be quick.
+    """Instructions of the parts that must be quick."""
 
-    Parameters
-    ----------
-    tick_instructions_max, tick_instructions_mean : float
-        The whole control tick, from its vector to its return.
-    cascade_instructions_max : int
-        The control law alone, as a part of the tick.
-    encoder_isr_instructions_max : int
-        The interrupt at each edge of the travel encoder.
-    pid_v1_three_loops_instructions : int
-        Three loops of Arduino's PID_v1, for scale: arithmetic only, no filter, no mixer, no feed-forward.
-    """
-
-    tick_instructions_max: int
-    tick_instructions_mean: float
-    cascade_instructions_max: int
-    encoder_isr_instructions_max: int
+    tick_instructions_max: int  # The whole control tick, from its vector to its return
+    tick_instructions_mean: float  # The whole control tick, from its vector to its return
+    cascade_instructions_max: int  # The control law alone, as a part of the tick
+    encoder_isr_instructions_max: int  # The interrupt at each edge of the travel encoder
+    # Three loops of Arduino's PID_v1, for scale: arithmetic only, no filter, no mixer, no feed-forward
     pid_v1_three_loops_instructions: int
 
 
 class Flight:
-    """A flight that counts.
-
-    Parameters
-    ----------
-    elf : Path
-        The linked firmware.
-    image : Image
-        The same, taken apart.
-    probes : tuple of str
-        Starts of linker symbols of functions to count.
-    """
+    """A flight that counts."""
 
     def __init__(self, elf: Path, image: Image, probes: tuple[str, ...] = (CASCADE,)) -> None:
         self.board = Board(elf, image, Arm())
@@ -197,20 +176,7 @@ FLIGHTS: Final[tuple[Callable[[Flight], None], ...]] = (
 
 
 def fly_the_worst(elf: Path, probes: tuple[str, ...] = (CASCADE,)) -> list[Flight]:
-    """Fly what asks most of a tick: setpoints moving, excitation running, and every way to end.
-
-    Parameters
-    ----------
-    elf : Path
-        The linked firmware.
-    probes : tuple of str
-        Starts of linker symbols of functions to count.
-
-    Returns
-    -------
-    list of Flight
-        Their boards still hold the counts.
-    """
+    """Fly what asks most of a tick: setpoints moving, excitation running, and every way to end."""
     image = read_image(elf)
     flights = []
     for fly in FLIGHTS:
@@ -221,18 +187,7 @@ def fly_the_worst(elf: Path, probes: tuple[str, ...] = (CASCADE,)) -> list[Fligh
 
 
 def measure_pid_v1(cross: str = "arm-none-eabi-") -> int:
-    """Count three loops of Arduino's PID_v1, compiled with the firmware's flags.
-
-    Parameters
-    ----------
-    cross : str
-        Prefix of the cross-compiler's tools.
-
-    Returns
-    -------
-    int
-        Instructions of three loops, at most.
-    """
+    """Count three loops of Arduino's PID_v1, compiled with the firmware's flags."""
     with tempfile.TemporaryDirectory() as folder:
         elf = Path(folder) / "pid_v1.elf"
         object_file = Path(folder) / "pid_v1.o"
@@ -255,18 +210,7 @@ def measure_pid_v1(cross: str = "arm-none-eabi-") -> int:
 
 
 def measure_costs(elf: Path) -> Costs:
-    """Fly the firmware through its most expensive flights and count.
-
-    Parameters
-    ----------
-    elf : Path
-        The linked firmware.
-
-    Returns
-    -------
-    Costs
-        Over all of them.
-    """
+    """Fly the firmware through its most expensive flights and count."""
     flights = fly_the_worst(elf)
     ticks = [flight.tick() for flight in flights]
     return Costs(

@@ -9,58 +9,29 @@ from xml.etree import ElementTree
 
 @dataclass(frozen=True)
 class Register:
-    """One register.
+    """One register."""
 
-    Parameters
-    ----------
-    offset : int
-        From the start of its peripheral.
-    access : str
-        read-only, write-only or read-write.
-    count : int
-        Length of an array; 1 for a single register.
-    fields : dict of str to tuple of int
-        Lowest bit and width of each field.
-    values : dict of tuple of str to int
-        Values of fields that have names, by field and name.
-    """
-
-    offset: int
-    access: str
-    count: int
-    fields: dict[str, tuple[int, int]]
-    values: dict[tuple[str, str], int]
+    offset: int  # From the start of its peripheral
+    access: str  # read-only, write-only or read-write
+    count: int  # Length of an array; 1 for a single register
+    fields: dict[str, tuple[int, int]]  # Lowest bit and width of each field
+    values: dict[tuple[str, str], int]  # Values of fields that have names, by field and name
 
 
 @dataclass(frozen=True)
 class Peripheral:
-    """One peripheral.
+    """One peripheral."""
 
-    Parameters
-    ----------
-    address : int
-        Where it begins.
-    registers : dict of str to Register
-        By name, without the peripheral's prefix.
-    """
-
-    address: int
-    registers: dict[str, Register]
+    address: int  # Where it begins
+    registers: dict[str, Register]  # By name, without the peripheral's prefix
 
 
 @dataclass(frozen=True)
 class Description:
-    """The chip.
+    """The chip."""
 
-    Parameters
-    ----------
-    peripherals : dict of str to Peripheral
-        By name.
-    interrupts : dict of str to int
-        Number of each interrupt, which is also the identifier of the peripheral's clock.
-    """
-
-    peripherals: dict[str, Peripheral]
+    peripherals: dict[str, Peripheral]  # By name
+    # Number of each interrupt, which is also the identifier of the peripheral's clock
     interrupts: dict[str, int]
 
 
@@ -84,18 +55,7 @@ def _register(node: ElementTree.Element) -> Register:
 
 
 def read_description(path: Path) -> Description:
-    """Take the file apart.
-
-    Parameters
-    ----------
-    path : Path
-        As fetched.
-
-    Returns
-    -------
-    Description
-        Registers of the SAM3X8E.
-    """
+    """Take the file apart."""
     root = ElementTree.parse(path).getroot()
     nodes = {_text(node, "name"): node for node in root.iter("peripheral")}
     peripherals = {}

@@ -27,37 +27,18 @@ KICK_INTERVAL_MS: Final = 16
 
 @dataclass(frozen=True)
 class Hang:
-    """One way to hang.
-
-    Parameters
-    ----------
-    name : str
-        What hangs.
-    function : str
-        Linker symbol of the function whose first instructions are overwritten; empty for none.
-    code : bytes
-        With what.
-    edge : bool
-        Whether an edge of the travel encoder sets it off.
-    stopped_timer : bool
-        Whether the tick's timer is stopped.
-    """
+    """One way to hang."""
 
     name: str
+    # Linker symbol of the function whose first instructions are overwritten; empty for none
     function: str = ""
-    code: bytes = b""
-    edge: bool = False
-    stopped_timer: bool = False
+    code: bytes = b""  # With what
+    edge: bool = False  # Whether an edge of the travel encoder sets it off
+    stopped_timer: bool = False  # Whether the tick's timer is stopped
 
     @contextmanager
     def of(self, board: Board) -> Iterator[None]:
-        """Hang now; on the way out the program is whole again.
-
-        Parameters
-        ----------
-        board : Board
-            Running.
-        """
+        """Hang now; on the way out the program is whole again."""
         address = board.image.symbols[self.function] & ~1 if self.function else 0
         original_code = board.due.peek(address, len(self.code)) if self.code else b""
         if self.code:
@@ -87,17 +68,7 @@ HANGS: Final = (
 
 
 def armed_board(elf: Path, image: Image, slow_Hz: int) -> Board:
-    """A board with both bridges on and nothing on its motors.
-
-    Parameters
-    ----------
-    elf : Path
-        The linked firmware.
-    image : Image
-        The same, taken apart.
-    slow_Hz : int
-        The watchdog's clock [Hz].
-    """
+    """A board with both bridges on and nothing on its motors."""
     board = Board(elf, image)
     board.due.set_slow_clock(slow_Hz)
     board.connect().arm()
@@ -106,21 +77,7 @@ def armed_board(elf: Path, image: Image, slow_Hz: int) -> Board:
 
 
 def off_after_ms(elf: Path, image: Image, hang: Hang, slow_Hz: int, phase_ms: int) -> float:
-    """How long after a hang the bridges are off [ms].
-
-    Parameters
-    ----------
-    elf : Path
-        The linked firmware.
-    image : Image
-        The same, taken apart.
-    hang : Hang
-        What hangs.
-    slow_Hz : int
-        The watchdog's clock [Hz].
-    phase_ms : int
-        How long after arming [ms]; the watchdog is restarted every `KICK_INTERVAL_MS`.
-    """
+    """How long after a hang the bridges are off [ms]."""
     board = armed_board(elf, image, slow_Hz)
     board.advance(phase_ms)
     with hang.of(board):

@@ -37,13 +37,7 @@ ELSEWHERE: Final = {0: 0x2000_1000, 0x400E_0740: 0}
 
 
 class RomLoader:
-    """Answers one uploader, in a thread of its own; a context manager.
-
-    Parameters
-    ----------
-    due : Due
-        The chip, in its ROM; nobody else may touch it until the block ends.
-    """
+    """Answers one uploader, in a thread of its own; a context manager."""
 
     def __init__(self, due: Due) -> None:
         self._due = due

@@ -31,13 +31,7 @@ PATIENCE_MS: Final = 1000
 
 
 def boot_to_first_frame_ms(board: Board) -> float:
-    """Switch the power off and on; how long until a host that greets has the first frame [ms].
-
-    Parameters
-    ----------
-    board : Board
-        Any.
-    """
+    """Switch the power off and on; how long until a host that greets has the first frame [ms]."""
     board.cut_power()
     board.restore_power()
     start_us = board.due.now_us
@@ -66,13 +60,7 @@ def _frames_ok(board: Board) -> int:
 
 
 def rx_lost_bytes(board: Board) -> int:
-    """Send 20,000 bytes in a row under full telemetry; how many of them the firmware did not get.
-
-    Parameters
-    ----------
-    board : Board
-        Freshly powered.
-    """
+    """Send 20,000 bytes in a row under full telemetry; how many of them the firmware did not get."""
     board.advance(20)
     hello = encode_frame(MessageId.HELLO, 0, HelloMessage(1, LINK_HASH, 1).pack())
     _exchange(board, hello, MessageId.WELCOME)
@@ -89,13 +77,7 @@ def rx_lost_bytes(board: Board) -> int:
 
 
 def travel_counts_lost(board: Board) -> int:
-    """Turn the travel encoder to and fro at 200,000 edges a second while the law flies; edges not counted.
-
-    Parameters
-    ----------
-    board : Board
-        Freshly powered, without an arm.
-    """
+    """Turn the travel encoder to and fro at 200,000 edges a second while the law flies; edges not counted."""
     heli = board.connect()
     heli.arm()
     heli.control()
@@ -117,15 +99,7 @@ def travel_counts_lost(board: Board) -> int:
 
 
 def longest_off_after_hang_ms(elf: Path, image: Image) -> float:
-    """The longest that motors stay on after a hang, over its kinds, the watchdog's clock and the phase [ms].
-
-    Parameters
-    ----------
-    elf : Path
-        The linked firmware.
-    image : Image
-        The same, taken apart.
-    """
+    """Return the longest time [ms] that motors stay on after a hang, over all hangs, slow clocks and phases."""
     return max(
         off_after_ms(elf, image, hang, slow_Hz, phase_ms)
         for hang in HANGS

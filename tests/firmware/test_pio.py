@@ -39,21 +39,11 @@ def test_flags_are_in_one_place() -> None:
 
 @dataclass(frozen=True)
 class Uploaded:
-    """A copy of the project in a folder with spaces in its name, built and uploaded in one go.
+    """A copy of the project in a folder with spaces in its name, built and uploaded in one go."""
 
-    Parameters
-    ----------
-    project : Path
-        The copy.
-    printed : str
-        By PlatformIO.
-    calls : list of list of str
-        Words that the uploader, which is a stand-in, was called with.
-    """
-
-    project: Path
-    printed: str
-    calls: list[list[str]]
+    project: Path  # The copy
+    printed: str  # By PlatformIO
+    calls: list[list[str]]  # Words that the uploader, which is a stand-in, was called with
 
 
 @pytest.fixture(scope="module")

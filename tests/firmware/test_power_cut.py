@@ -46,18 +46,10 @@ ERASED = b"\xff" * 2 * SET
 
 @dataclass(frozen=True)
 class Cut:
-    """A moment at which power is lost.
+    """A moment at which power is lost."""
 
-    Parameters
-    ----------
-    stores : int
-        How many words have been stored to the page buffer, the command being the last.
-    programmed_us : float
-        How long the flash has been busy since then.
-    """
-
-    stores: int
-    programmed_us: float = 0.0
+    stores: int  # How many words have been stored to the page buffer, the command being the last
+    programmed_us: float = 0.0  # How long the flash has been busy since then
 
 
 CUTS = (

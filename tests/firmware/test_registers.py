@@ -40,21 +40,11 @@ ACCESS = {"ReadOnly": "read-only", "WriteOnly": "write-only", "ReadWrite": "read
 
 @dataclass(frozen=True)
 class Member:
-    """A register of the header.
+    """A register of the header."""
 
-    Parameters
-    ----------
-    block : str
-        Its structure.
-    access : str
-        Its type.
-    name : str
-        As in the datasheet.
-    """
-
-    block: str
-    access: str
-    name: str
+    block: str  # Its structure
+    access: str  # Its type
+    name: str  # As in the datasheet
 
 
 def text() -> str:

@@ -19,24 +19,7 @@ TRACKING = ("_following_max_deg", "_motion_V", "_motion_deg")
 
 
 class Harness:
-    """A board that has just been powered with the arm on the table.
-
-    Parameters
-    ----------
-    session : bool
-        Open a session (hello) at once.
-    law : flight.ToldLaw, optional
-        Row 0 of the board's controllers; the controllers that boards have if None.
-    other : flight.ToldLaw, optional
-        Row 1; there is none if None.
-    duty_full : int
-        Duty of the board's full voltage.
-    page_bytes : int
-        Length of a page of the board's flash.
-    tracked : bool
-        Whether axes that do not follow, or do not move when driven, are faults: most tests move the arm as
-        they please.
-    """
+    """A board that has just been powered with the arm on the table."""
 
     def __init__(
         self,

@@ -36,25 +36,15 @@ Laws = dict[str, tuple[Words, int]]
 
 @dataclass
 class Arm:
-    """The rig as the board's default parameters describe it, with dry friction and gusts.
+    """The rig as the board's default parameters describe it, with dry friction and gusts."""
 
-    Parameters
-    ----------
-    chance : random.Random
-        Decides on the gusts.
-    friction_rad_s2 : float
-        Acceleration of travel that dry friction takes up [rad/s2].
-    gust_rad_s2, stir_rad_s2 : float
-        Range of the disturbing acceleration of all axes, and of pitch if that differs [rad/s2].
-    gain : float
-        Acceleration of elevation and pitch, as a multiple of what the parameters say.
-    """
-
-    chance: random.Random
-    friction_rad_s2: float = 0.0
+    chance: random.Random  # Decides on the gusts
+    friction_rad_s2: float = 0.0  # Acceleration of travel that dry friction takes up [rad/s2]
+    # Range of the disturbing acceleration of all axes, and of pitch if that differs [rad/s2]
     gust_rad_s2: float = 0.0
+    # Range of the disturbing acceleration of all axes, and of pitch if that differs [rad/s2]
     stir_rad_s2: float = 0.0
-    gain: float = 1.0
+    gain: float = 1.0  # Acceleration of elevation and pitch, as a multiple of what the parameters say
     angle: list[float] = field(init=False, default_factory=lambda: [REST_DEG * RAD, 0.0, 0.0])
     rate: list[float] = field(init=False, default_factory=lambda: [0.0, 0.0, 0.0])
     lift_V: list[float] = field(init=False, default_factory=lambda: [0.0, 0.0])
@@ -90,15 +80,7 @@ class Arm:
 
 
 class Notes:
-    """Fingerprints in the order in which they come.
-
-    Parameters
-    ----------
-    chance : random.Random
-        Decides on everything that the script leaves open.
-    expected : list of str, optional
-        The recorded fingerprints. The first difference ends the script, because all that follows differs too.
-    """
+    """Fingerprints in the order in which they come."""
 
     def __init__(self, chance: random.Random, expected: list[str] | None = None) -> None:
         self.chance = chance
@@ -121,15 +103,7 @@ class Notes:
 
 
 class Board(Notes):
-    """The flight code with an arm, and the fingerprint of all that it does.
-
-    Parameters
-    ----------
-    chance, expected
-        See `Notes`.
-    arm : Arm
-        The arm that its motors move.
-    """
+    """The flight code with an arm, and the fingerprint of all that it does."""
 
     def __init__(self, chance: random.Random, expected: list[str] | None, arm: Arm) -> None:
         super().__init__(chance, expected)

@@ -22,19 +22,7 @@ PITCH_s = 0.2
 
 
 class Arm:
-    """An arm that flies level: pitch follows its setpoint with a lag, and turns travel against dry friction.
-
-    Parameters
-    ----------
-    dead : bool
-        Whether the travel encoder is out.
-    friction_deg : float
-        Tilt that dry friction holds.
-    calm : bool
-        Whether pitch stands still to the count, as only simulations do.
-    parameters : float
-        From the board.
-    """
+    """An arm that flies level: pitch lags its setpoint, and turns travel against dry friction."""
 
     def __init__(
         self,

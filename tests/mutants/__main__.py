@@ -7,12 +7,10 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.mutants import bench_core, bench_due, rotation, session
-from tests.mutants.declared import DeclarationError, read_declarations
-from tests.mutants.generate import ROOT, Mutant, mutants_of, sample, sources
-from tests.mutants.results import SURVIVED, Result, Results, table
-from tests.mutants.run import Runner
-from tests.mutants.tree import BUILD, BuildError, digest
+from tests.mutants import build_core, build_due, rotation, session
+from tests.mutants.generate import BUILD, ROOT, BuildError, Mutant, digest, mutants_of, sample, sources
+from tests.mutants.results import SURVIVED, DeclarationError, Result, Results, read_declarations, table
+from tests.mutants.session import Runner
 
 
 def main(words: list[str] | None = None) -> int:
@@ -20,7 +18,9 @@ def main(words: list[str] | None = None) -> int:
     options = _parser().parse_args(words)
     try:
         if options.rotating is not None:
-            return rotation.run(options.rotating, options.seed)
+            return rotation.repeat(rotation.killed(options.rotating, options.seed), on_due=False)
+        if options.mistakes is not None:
+            return rotation.repeat(rotation.mistakes(options.mistakes or None, options.seed), on_due=True)
         files = sources(only=options.files)
         if not files:
             print(
@@ -36,7 +36,7 @@ def main(words: list[str] | None = None) -> int:
             print("\n".join(f"{mutant.identity} {mutant.kind:<10} {mutant}" for mutant in chosen))
             return 0
         results = _run(chosen, options.tests)
-    except (DeclarationError, BuildError, session.ChildError) as error:
+    except (DeclarationError, BuildError, ValueError, session.ChildError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(table(results))
@@ -48,21 +48,21 @@ def main(words: list[str] | None = None) -> int:
 def _run(chosen: list[Mutant], tests: str) -> list[Result]:
     session.preload()
     matches: list[Result] = []
-    core = [mutant for mutant in chosen if mutant.file.startswith(bench_core.FOLDER)]
-    due = [mutant for mutant in chosen if mutant.file.startswith(bench_due.FOLDER)]
+    core = [mutant for mutant in chosen if mutant.file.startswith(build_core.FOLDER)]
+    due = [mutant for mutant in chosen if mutant.file.startswith(build_due.FOLDER)]
     BUILD.mkdir(parents=True, exist_ok=True)
     # A folder of this run: the suite, too, runs a few mutants.
     with tempfile.TemporaryDirectory(prefix="work-", dir=BUILD) as work:
         if core:
-            files = _of_tests(bench_core.test_files(), tests)
-            sources_digest, tests_digest = digest(*bench_core.SOURCES), digest(*files)
-            core_bench = bench_core.CoreBench(Path(work) / "core", files)
+            files = _of_tests(build_core.test_files(), tests)
+            sources_digest, tests_digest = digest(*build_core.SOURCES), digest(*files)
+            core_bench = build_core.CoreBench(Path(work) / "core", files)
             matches += _run_on(core_bench, core, sources_digest, tests_digest)
         if due:
-            files = _of_tests(bench_due.test_files(), tests)
-            sources_digest = digest(*bench_due.SOURCES)
-            tests_digest = digest(*(files if tests else bench_due.ROOMS))
-            due_bench = bench_due.DueBench(Path(work) / "due", files)
+            files = _of_tests(build_due.test_files(), tests)
+            sources_digest = digest(*build_due.SOURCES)
+            tests_digest = digest(*(files if tests else build_due.ROOMS))
+            due_bench = build_due.DueBench(Path(work) / "due", files)
             matches += _run_on(due_bench, due, sources_digest, tests_digest)
     return matches
 
@@ -78,7 +78,7 @@ def _of_tests(files: list[str], part: str) -> list[str]:
 
 
 def _run_on(
-    bench: bench_core.CoreBench | bench_due.DueBench,
+    bench: build_core.CoreBench | build_due.DueBench,
     mutants: list[Mutant],
     sources_digest: str,
     tests_digest: str,
@@ -97,7 +97,7 @@ def _run_on(
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
     parser.add_argument(
-        "--files", default=bench_core.FOLDER, help="part of the path of the files [default: %(default)s]"
+        "--files", default=build_core.FOLDER, help="part of the path of the files [default: %(default)s]"
     )
     parser.add_argument(
         "--tests",
@@ -112,6 +112,7 @@ def _parser() -> argparse.ArgumentParser:
         "--record", action="store_true", help="let the suite repeat the killed ones, in killed.json"
     )
     parser.add_argument("--rotating", type=int, help="so many of killed.json, each against its test only")
+    parser.add_argument("--mistakes", type=int, help="so many of mistakes.toml, likewise; 0: all")
     return parser
 
 

@@ -1,13 +1,16 @@
-"""Mutants of C++ sources: one small change each, found in the text and not in a syntax tree.
+"""Mutants of C++ sources, and a copy of the sources in which one file at a time has one.
 
-The sources are formatted by clang-format, which this relies on: a relation has spaces around it, the bracket
-of a template has none.
+Changes are found in the text and not in a syntax tree. The sources are formatted by clang-format, which this
+relies on: a relation has spaces around it, the bracket of a template has none.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import re
+import shutil
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +18,91 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final
 
-from tests.mutants.tokens import Lines, Token, partners, tokens_of
+_SKIPPED: Final = re.compile(
+    r"""(?P<skip>
+      //[^\n]* | /\*.*?\*/ | \s+
+    | (?:(?<=\n)|\A)[ \t]*\#(?:[^\n\\]|\\.)*          # a preprocessor line, with its continuations
+    )""",
+    re.VERBOSE | re.DOTALL,
+)
+_TOKEN: Final = re.compile(
+    r"""
+      (?P<string>(?:u8|[uUL])?R"(?P<d>[^()\s\\]*)\(.*?\)(?P=d)"
+        | (?:u8|[uUL])?"(?:[^"\\\n]|\\.)*" | '(?:[^'\\\n]|\\.)+')
+    | (?P<number>(?:0[xX][0-9a-fA-F']+ | 0[bB][01']+ | (?:\d[\d']*)?\.?\d[\d']*\.?(?:[eE][+-]?\d+)?)[uUlLfF]*)
+    | (?P<name>[A-Za-z_]\w*)
+    | (?P<punctuation><<=|>>=|->\*|\.\.\.|::|->|\+\+|--|<<|>>|<=|>=|==|!=|&&|\|\||[-+*/%&|^]=|.)
+    """,
+    re.VERBOSE | re.DOTALL,
+)
+_OPENING: Final = {"(": ")", "[": "]", "{": "}"}
+
+
+@dataclass(frozen=True)
+class Token:
+    """A token."""
+
+    kind: str  # ``name``, ``number``, ``string`` or ``punctuation``
+    text: str  # As it is written
+    start: int  # Offsets in the text
+    end: int  # Offsets in the text
+    # Whether there is white space on both sides. In formatted sources that distinguishes a relation from
+    # the brackets of a template, and a product from a pointer
+    spaced: bool
+
+
+def tokens_of(text: str) -> list[Token]:
+    """All tokens of a file."""
+    return list(_tokens(text))
+
+
+def _tokens(text: str) -> Iterator[Token]:
+    at = 0
+    while at < len(text):
+        skipped = _SKIPPED.match(text, at)
+        if skipped is not None and skipped.end() > at:
+            at = skipped.end()
+            continue
+        token = _TOKEN.match(text, at)
+        assert token is not None and token.lastgroup is not None
+        end = token.end()
+        kind = next(k for k in ("string", "number", "name", "punctuation") if token[k] is not None)
+        around = text[at - 1 : at] + text[end : end + 1]
+        yield Token(kind, token[0], at, end, len(around) == 2 and around.isspace())
+        at = end
+
+
+def partners(tokens: list[Token]) -> dict[int, int]:
+    """Index of the bracket that closes or opens what each bracket opens or closes."""
+    partner: dict[int, int] = {}
+    opened: list[int] = []
+    for index, token in enumerate(tokens):
+        if token.text in _OPENING and token.kind == "punctuation":
+            opened.append(index)
+        elif token.text in _OPENING.values() and token.kind == "punctuation" and opened:
+            partner[index] = opened.pop()
+            partner[partner[index]] = index
+    return partner
+
+
+class Lines:
+    """Line and column of an offset."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._starts = [0, *(match.end() for match in re.finditer("\n", text))]
+
+    def at(self, offset: int) -> tuple[int, int]:
+        """Line from 1 and column from 0."""
+        line = bisect_right(self._starts, offset)
+        return line, offset - self._starts[line - 1]
+
+    def text(self, line: int) -> str:
+        """A line without its end."""
+        start = self._starts[line - 1]
+        end = self._text.find("\n", start)
+        return self._text[start : end if end >= 0 else None]
+
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 FOLDERS: Final = ("firmware/core", "firmware/due")
@@ -53,38 +140,19 @@ _ENDS_LEFT: Final = {",", ";", "?", ":", "(", "[", "{", "=", "return", "||"}
 
 @dataclass(frozen=True)
 class Mutant:
-    """One small change of a source.
+    """One small change of a source."""
 
-    Parameters
-    ----------
-    file : str
-        Relative to the repository.
-    line, last_line : int
-        First and last line of the statement that it changes.
-    source_line : str
-        The line of the change without white space around it.
-    occurrence : int
-        How many equal lines come before it in the file.
-    column : int
-        Column of the change.
-    kind : str
-        ``relation``, ``arithmetic``, ``logic``, ``operand``, ``condition``, ``constant`` or ``statement``.
-    before, after : str
-        The text that is replaced, and its replacement.
-    start : int
-        Offset of the change in the file.
-    """
-
-    file: str
-    line: int
-    last_line: int
-    source_line: str
-    occurrence: int
-    column: int
+    file: str  # Relative to the repository
+    line: int  # First and last line of the statement that it changes
+    last_line: int  # First and last line of the statement that it changes
+    source_line: str  # The line of the change without white space around it
+    occurrence: int  # How many equal lines come before it in the file
+    column: int  # Column of the change
+    # ``relation``, ``arithmetic``, ``logic``, ``operand``, ``condition``, ``constant`` or ``statement``
     kind: str
-    before: str
-    after: str
-    start: int
+    before: str  # The text that is replaced, and its replacement
+    after: str  # The text that is replaced, and its replacement
+    start: int  # Offset of the change in the file
 
     @cached_property
     def identity(self) -> str:
@@ -387,3 +455,78 @@ def _other_numbers(text: str) -> list[str]:
         for number in changed_to
         if number != complete
     ]
+
+
+BUILD: Final = ROOT / "build" / "mutants"
+_INCLUDE: Final = re.compile(r'^\s*#\s*include\s*["<]([^">]+)[">]', re.MULTILINE)
+
+
+class BuildError(Exception):
+    """The compiler or the linker refuses what it is given."""
+
+
+class Tree:
+    """A copy of ``firmware/core`` and ``firmware/due``."""
+
+    def __init__(self, folder: Path, others: tuple[str, ...] = ()) -> None:
+        self.folder = folder
+        self._others = others
+        shutil.rmtree(folder, ignore_errors=True)
+        for part in ("core", "due"):
+            shutil.copytree(ROOT / "firmware" / part, folder / "firmware" / part)
+
+    @contextlib.contextmanager
+    def holding(self, mutant: Mutant) -> Iterator[None]:
+        """The tree with a mutant in it, until the end of the block."""
+        path = self.folder / mutant.file
+        text = path.read_text(encoding="utf-8")
+        path.write_text(mutant.apply(text), encoding="utf-8")
+        try:
+            yield
+        finally:
+            path.write_text(text, encoding="utf-8")
+
+    def path(self, source: str) -> Path:
+        """Where a source is that is compiled: copied ones in the tree, others in the repository."""
+        copied = self.folder / source
+        return copied if copied.exists() else ROOT / source
+
+    def dependents(self, file: str) -> list[str]:
+        """Sources that have to be compiled again when a file changes."""
+        return [
+            source for source in self.includes if source.endswith(".cpp") and file in self._closure(source)
+        ]
+
+    @cached_property
+    def includes(self) -> dict[str, set[str]]:
+        """Which files of the repository each source includes itself."""
+        folders = ("firmware/core", "firmware/due", *self._others)
+        paths = [path for folder in folders for path in sorted((ROOT / folder).rglob("*.[ch]pp"))]
+        names = {path.relative_to(ROOT).as_posix() for path in paths}
+        includes: dict[str, set[str]] = {}
+        for name in names:
+            places = [Path(name).parent.as_posix(), *folders]
+            included = _INCLUDE.findall((ROOT / name).read_text(encoding="utf-8"))
+            includes[name] = {p for part in included for p in (f"{at}/{part}" for at in places) if p in names}
+        return includes
+
+    def _closure(self, source: str) -> set[str]:
+        seen, waiting = {source}, [source]
+        while waiting:
+            new = self.includes[waiting.pop()] - seen
+            seen |= new
+            waiting += new
+        return seen
+
+
+def digest(*folders: str) -> str:
+    """Digest of the sources, tests and tables of folders or files."""
+    content = hashlib.sha256()
+    for folder in folders:
+        place = ROOT / folder
+        paths = [place] if place.is_file() else sorted(path for path in place.rglob("*") if path.is_file())
+        for path in paths:
+            if path.suffix != ".pyc":
+                content.update(path.relative_to(ROOT).as_posix().encode())
+                content.update(path.read_bytes())
+    return content.hexdigest()[:16]

@@ -17,9 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.mutants.generate import ROOT, Mutant
-from tests.mutants.tokens import tokens_of
-from tests.mutants.tree import BuildError
+from tests.mutants.generate import ROOT, BuildError, Mutant, tokens_of
 
 MAX_COST_S: Final = 3.0
 """CPU time above which a test is left out: such a test fits, or starts programs without the mutant."""
@@ -30,20 +28,11 @@ Hits = npt.NDArray[np.bool_]
 
 @dataclass
 class Reach:
-    """Lines that each test reaches.
+    """Lines that each test reaches."""
 
-    Parameters
-    ----------
-    costs_s : dict
-        CPU time of each test that passed, by name.
-    lines : dict
-        By file, by line: names of the tests that reach it.
-    others : dict
-        By file: names of the tests that may notice a mutant there although they were not seen to reach it.
-    """
-
-    costs_s: dict[str, float]
-    lines: dict[str, dict[int, frozenset[str]]]
+    costs_s: dict[str, float]  # CPU time of each test that passed, by name
+    lines: dict[str, dict[int, frozenset[str]]]  # By file, by line: names of the tests that reach it
+    # By file: names of the tests that may notice a mutant there although they were not seen to reach it
     others: dict[str, frozenset[str]] = field(default_factory=dict)
     _mentions: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
 
@@ -144,15 +133,7 @@ class Reach:
 
 
 class Watch:
-    """A plugin that notes what each test enters, and what it costs.
-
-    Parameters
-    ----------
-    take : callable
-        Gives what was entered since it was called last.
-    keeps_all : bool
-        Whether tests count that were not seen to enter anything.
-    """
+    """A plugin that notes what each test enters, and what it costs."""
 
     def __init__(self, take: Callable[[], set[int]], *, keeps_all: bool = False) -> None:
         self._take, self._keeps_all = take, keeps_all
@@ -234,13 +215,7 @@ class Watch:
 
 
 def require_passed(result: dict[str, Any]) -> None:
-    """Refuse a run in which a test failed without a mutant: the mutants that only it notices would survive.
-
-    Raises
-    ------
-    BuildError
-        It names the first tests that failed.
-    """
+    """Refuse a run in which a test failed without a mutant: mutants that only it notices would survive."""
     failed = [f"{name} ({reason})" for name, reason in result["failed"].items()]
     if failed:
         more = f", and {len(failed) - 3} more" if len(failed) > 3 else ""

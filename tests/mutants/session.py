@@ -18,14 +18,16 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import pytest
 
-from tests.mutants.generate import ROOT
+from tests.mutants.generate import ROOT, BuildError, Mutant
+from tests.mutants.reach import Reach
+from tests.mutants.results import DECLARED, Declaration, Result, Results, declared
 
 _PRELOADED: Final = (
     "numpy", "scipy.signal", "casadi", "hypothesis", "hypothesis.strategies", "serial", "cobs", "mcap.reader",
@@ -46,33 +48,15 @@ _MEMORY_BYTES: Final = 8 << 30
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of the tests of a build.
+    """Result of the tests of a build."""
 
-    Parameters
-    ----------
-    killed_by : str
-        The test that failed, or ran into its limit; empty if none.
-    reason : str
-        ``failed``, ``timeout``, ``crashed``, or empty.
-    spent_s : float
-        CPU time.
-    """
-
-    killed_by: str
-    reason: str
-    spent_s: float
+    killed_by: str  # The test that failed, or ran into its limit; empty if none
+    reason: str  # ``failed``, ``timeout``, ``crashed``, or empty
+    spent_s: float  # CPU time
 
 
 class ChildError(Exception):
-    """A process that looks which test reaches which line ended early.
-
-    Parameters
-    ----------
-    status : int
-        Exit status; negative for the number of a signal.
-    printed : str
-        Output of the process.
-    """
+    """A process that looks which test reaches which line ended early."""
 
     def __init__(self, status: int, printed: str) -> None:
         ended = f"signal {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
@@ -84,15 +68,7 @@ class ChildError(Exception):
 
 
 class Selection:
-    """A plugin that runs some tests in a given order, each with a limit of CPU time.
-
-    Parameters
-    ----------
-    limits_s : dict
-        By name of the test, in the order to run them; a test that needs more ends the process.
-    report : int
-        A file descriptor that gets one line for each test that starts, and for each that fails.
-    """
+    """A plugin that runs some tests in a given order, each with a limit of CPU time."""
 
     def __init__(self, limits_s: dict[str, float], report: int) -> None:
         self._limits_s = limits_s
@@ -144,15 +120,7 @@ def load_extensions(library: Path) -> None:
 
 
 def use_firmware(elf: Path, drivers: Path | None = None) -> None:
-    """Let the tests of the Due's firmware take another ELF, and other drivers, than those of the sources.
-
-    Parameters
-    ----------
-    elf : Path
-        The linked firmware.
-    drivers : Path, optional
-        Its folder ``firmware/due``, for tests that read text.
-    """
+    """Let the tests of the Due's firmware take another ELF, and other drivers, than those of the sources."""
     built: Any = importlib.import_module("tests.firmware.built")
     built.built_elf = lambda: elf
     if drivers is not None:
@@ -160,17 +128,7 @@ def use_firmware(elf: Path, drivers: Path | None = None) -> None:
 
 
 def run_tests(prepare: Callable[[], None], limits_s: dict[str, float], most_s: float) -> Outcome:
-    """Run tests in a fork until one fails.
-
-    Parameters
-    ----------
-    prepare : callable
-        Called in the fork before any test is imported.
-    limits_s : dict
-        Limit of CPU time of each test, by its name, in the order to run them.
-    most_s : float
-        Limit of the real time of all, for tests that wait for what never comes.
-    """
+    """Run tests in a fork until one fails."""
     if not limits_s:
         return Outcome("", "", 0.0)
     reading, writing = os.pipe()
@@ -271,13 +229,7 @@ def _read_until_end(reading: int, most_s: float) -> tuple[bytes, bool]:
 
 
 def call_in_fork(run: Callable[[], object]) -> Any:
-    """The result of a function, as JSON, from a fork of this process.
-
-    Raises
-    ------
-    ChildError
-        The function failed, or the process ended before it returned; the message has its last lines.
-    """
+    """The result of a function, as JSON, from a fork of this process."""
     with (
         tempfile.NamedTemporaryFile(suffix=".json") as file,
         tempfile.NamedTemporaryFile(suffix=".txt") as printed,
@@ -295,3 +247,99 @@ def call_in_fork(run: Callable[[], object]) -> Any:
                 os.waitstatus_to_exitcode(status), Path(printed.name).read_text(errors="replace")
             )
         return json.loads(Path(file.name).read_text(encoding="utf-8"))
+
+
+_LIMIT_TIMES: Final = 20.0
+_MIN_LIMIT_s: Final = 2.0
+"""CPU time that a test may take on a mutant: so many times its cost on the original, and at least this.
+
+Below, a busy machine kills mutants that no test notices; above, endless loops cost more than all others.
+"""
+_MIN_REAL_s: Final = 60.0
+_REAL_TIMES: Final = 60.0
+"""Real time that all tests may take, for those that wait for what never comes: so many times their CPU time.
+
+A busy machine gives a test a tenth of a processor.
+"""
+_RECORDED: Final = "tests/flight/test_baseline.py"
+
+
+class Bench(Protocol):
+    """Where mutants of a part of the firmware are built and run."""
+
+    def build(self, mutant: Mutant) -> Callable[[], None]:
+        """Compile a mutant; what to call in a fork before its tests."""
+
+    def is_same_code(self, mutant: Mutant) -> bool:
+        """Whether the compiler makes the same code of it."""
+
+
+class Runner:
+    """Finds out what becomes of mutants."""
+
+    def __init__(
+        self,
+        bench: Bench,
+        reach: Reach,
+        declarations: list[Declaration],
+        results: Results,
+        sources: str,
+        tests: str,
+    ) -> None:
+        self._bench, self._reach, self._declarations = bench, reach, declarations
+        self._results, self._sources, self._tests = results, sources, tests
+
+    def run(self, mutants: Iterable[Mutant]) -> Iterator[Result]:
+        """The result of each mutant, as soon as it is known."""
+        for mutant in mutants:
+            reason = declared(mutant, self._declarations)
+            if reason is not None:
+                yield self._result(mutant, DECLARED, reason.reason, 0.0)
+                continue
+            known = self._results.known(mutant.identity, self._sources, self._tests)
+            if known is None:
+                known = self._try(mutant)
+                self._results.add(known)
+            yield known
+
+    def _try(self, mutant: Mutant) -> Result:
+        try:
+            prepare = self._bench.build(mutant)
+        except BuildError as error:
+            proven = "static assertion failed" in str(error)
+            first = next((line for line in str(error).splitlines() if "error:" in line), str(error)[:200])
+            return self._result(mutant, "static_assert" if proven else "invalid", first, 0.0)
+        names = self._reach.tests_for(mutant)
+        spent_s = 0.0
+        # The recorded scripts by themselves first: most mutants need no other file of tests to be imported.
+        for part in (
+            [n for n in names if n.startswith(_RECORDED)],
+            [n for n in names if not n.startswith(_RECORDED)],
+        ):
+            outcome = run_tests(prepare, limits_s(self._reach, part), self._real_s(part))
+            spent_s += outcome.spent_s
+            if outcome.killed_by:
+                return self._result(mutant, outcome.reason, outcome.killed_by, spent_s)
+        if self._bench.is_same_code(mutant):
+            return self._result(mutant, "same code", "", spent_s)
+        return self._result(mutant, "survived" if names else "unreached", "", spent_s)
+
+    def _real_s(self, names: list[str]) -> float:
+        return _MIN_REAL_s + _REAL_TIMES * sum(self._reach.costs_s[name] for name in names)
+
+    def _result(self, mutant: Mutant, outcome: str, by: str, spent_s: float) -> Result:
+        return Result(
+            mutant.identity,
+            mutant.file,
+            str(mutant),
+            outcome,
+            by,
+            round(spent_s, 2),
+            self._sources,
+            self._tests,
+        )
+
+
+def limits_s(reach: Reach, names: Iterable[str]) -> dict[str, float]:
+    """CPU time that each test may take."""
+    return {name: max(_MIN_LIMIT_s, _LIMIT_TIMES * reach.costs_s[name]) for name in names}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,11 +12,10 @@ from pathlib import Path
 import pytest
 
 from tests.mutants import rotation, session
-from tests.mutants.declared import DeclarationError, read_declarations
-from tests.mutants.generate import ROOT, Mutant, mutants_of, sample, sources
+from tests.mutants.generate import ROOT, BuildError, Mutant, digest, mutants_of, sample, sources
 from tests.mutants.reach import Reach, Watch, require_passed
-from tests.mutants.results import Result, Results, table
-from tests.mutants.tree import BuildError, digest
+from tests.mutants.results import DeclarationError, Result, Results, read_declarations, table
+from tests.running.long import LONG
 
 SOURCE = """\
 #include <cstdint>
@@ -33,8 +33,8 @@ bool Guard::check(int a, int b) {
   return !enabled_;
 }
 """
-ROTATING = 10
-"""Mutants that the suite repeats, others after each change of the flight code."""
+ROTATING, MISTAKES = 10, 30
+"""Generated and chosen mutants that the suite repeats."""
 
 
 def changes(kind: str) -> set[tuple[int, str, str]]:
@@ -244,24 +244,32 @@ def test_the_table_lists_survivors_and_leaves_out_what_is_no_other_program() -> 
     assert "not counted: 1" in text
 
 
-@pytest.mark.slow
-def test_some_mutants_that_were_killed_once_are_killed_again() -> None:
-    """Other ones after each change of the flight code."""
-    if len(rotation.rotating(ROTATING, "any")) < ROTATING:
-        pytest.fail(
-            "killed.json names few mutants that the sources still have; run make mutants with --record"
-        )
-    command = [
-        sys.executable,
-        "-m",
-        "tests.mutants",
-        "--rotating",
-        str(ROTATING),
-        "--seed",
-        digest("firmware/core"),
-    ]
+def repeated(*options: str) -> list[str]:
+    """Outcomes of mutants, others after each change of the firmware, against the test of each."""
+    command = [sys.executable, "-m", "tests.mutants", *options, "--seed", digest("firmware")]
     process = subprocess.run(
         command, cwd=ROOT, capture_output=True, text=True, check=False, env={**os.environ, "HELI_LONG": ""}
     )
     assert process.returncode == 0, process.stdout + process.stderr
-    assert len(process.stdout.splitlines()) == ROTATING
+    return process.stdout.splitlines()
+
+
+@pytest.mark.slow
+def test_some_mutants_that_were_killed_once_are_killed_again() -> None:
+    assert len(repeated("--rotating", str(ROTATING))) == ROTATING, "run make mutants with --record"
+
+
+@pytest.mark.emulated
+def test_some_mistakes_of_every_driver_are_noticed_by_the_tests_that_must() -> None:
+    for tool in ("arm-none-eabi-g++", "make"):
+        if shutil.which(tool) is None:
+            pytest.skip(f"{tool} is not installed: make firmware")
+    mistakes = repeated("--mistakes", "0" if LONG else str(MISTAKES))
+    assert len(mistakes) >= MISTAKES
+
+
+def test_every_driver_has_a_mistake() -> None:
+    # These two have no register of their own: arithmetic, and memory.
+    without = {"firmware/due/memory.cpp", "firmware/due/due_board.cpp"}
+    drivers = {file for file in sources(only="firmware/due") if file.endswith(".cpp")} - without
+    assert drivers <= {mutant.file for mutant, _ in rotation.mistakes(None, "")}

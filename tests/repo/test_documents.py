@@ -31,24 +31,12 @@ FENCE = re.compile(r"^```(\w+)(?: (run|long))?\n(.*?)^```$", re.MULTILINE | re.D
 
 @dataclass(frozen=True)
 class Block:
-    """A fence of a document.
+    """A fence of a document."""
 
-    Parameters
-    ----------
-    language : str
-        Language of the block.
-    runs : bool
-        Whether it is to be run.
-    is_long : bool
-        Whether on shorter flights, but for `make long`.
-    text : str
-        Its content.
-    """
-
-    language: str
-    runs: bool
-    is_long: bool
-    text: str
+    language: str  # Language of the block
+    runs: bool  # Whether it is to be run
+    is_long: bool  # Whether on shorter flights, but for `make long`
+    text: str  # Its content
 
     @property
     def commands(self) -> list[list[str]]:

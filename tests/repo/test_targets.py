@@ -21,21 +21,11 @@ FEW_TESTS: Final = "tests/running/test_helpers.py"
 
 @dataclass(frozen=True)
 class Small:
-    """A small run of a target.
+    """A small run of a target."""
 
-    Parameters
-    ----------
-    variables : tuple of str
-        Variables of the Makefile that make it small.
-    says : str
-        Pattern of what it prints.
-    statuses : tuple of int
-        Exit statuses of make that are good.
-    """
-
-    variables: tuple[str, ...]
-    says: str
-    statuses: tuple[int, ...] = (0,)
+    variables: tuple[str, ...]  # Variables of the Makefile that make it small
+    says: str  # Pattern of what it prints
+    statuses: tuple[int, ...] = (0,)  # Exit statuses of make that are good
 
 
 SMALL: Final = {

@@ -45,13 +45,7 @@ PATIENCE_S: Final = 900
 
 
 class Typed:
-    """Commands and programs, run one after the other.
-
-    Parameters
-    ----------
-    output_file : Path
-        File for what they print.
-    """
+    """Commands and programs, run one after the other."""
 
     def __init__(self, output_file: Path) -> None:
         self._output_file = output_file
@@ -79,13 +73,7 @@ class Typed:
         alone.charge(-self._charged_s)
 
     def run(self, words: Sequence[str], folder: Path, shorter: Sequence[str] = ()) -> tuple[int, str]:
-        """Run ``heli-host ...`` or ``python -c ...`` in a folder; its exit code, and what it said.
-
-        Parameters
-        ----------
-        shorter : sequence of str
-            Parts that are shortened, see `tests.repo.shortened`.
-        """
+        """Run ``heli-host ...`` or ``python -c ...`` in a folder; its exit code, and what it said."""
         assert self._started.stdin is not None
         assert self._started.stdout is not None
         self._started.stdin.write(json.dumps([str(folder), list(shorter), *words]) + "\n")

@@ -49,19 +49,7 @@ class Kept:
         made_by: Iterable[str | Path],
         rooms: Iterable[str] = FITTED,
     ) -> T:
-        """Return a kept result, or make it.
-
-        Parameters
-        ----------
-        name : str
-            Name of the result, with all arguments that determine it.
-        make : callable
-            Makes the result, which is pickled. It never runs in two processes at once.
-        made_by : iterable of str or Path
-            Files of the tests that determine the result.
-        rooms : iterable of str
-            Folders of the project that determine it.
-        """
+        """Return a kept result, or make it."""
         stem = re.sub(r"[^\w.=-]+", "_", name)[:60] + "-" + hashlib.sha256(name.encode()).hexdigest()[:8]
         path = self.folder / f"{stem}-{self._digest(rooms, made_by)[:16]}.kept"
         self.folder.mkdir(parents=True, exist_ok=True)

@@ -14,30 +14,12 @@ T = TypeVar("T")
 
 
 def samples(full: int, share: int) -> int:
-    """Return the number of samples to try: `full` in ``make long``, otherwise `share`.
-
-    Parameters
-    ----------
-    full : int
-        Number in ``make long``.
-    share : int
-        Number in ``make test``: enough to show a mistake that is not rare. The first samples are used.
-    """
+    """Return the number of samples to try: `full` in ``make long``, otherwise `share`."""
     return full if LONG else share
 
 
 def parallel_map(cases: Sequence[T], every: int, kind: Callable[[T], object] = lambda _: None) -> list[T]:
-    """Return the cases of a matrix to run: all in ``make long``, otherwise a share of each kind.
-
-    Parameters
-    ----------
-    cases : sequence
-        All cases, in a fixed order.
-    every : int
-        ``make test`` runs one in this many cases of each kind.
-    kind : callable
-        Kind of a case. At least one case of each kind runs.
-    """
+    """Return the cases of a matrix to run: all in ``make long``, otherwise a share of each kind."""
     if LONG:
         return list(cases)
     seen: Counter[object] = Counter()

@@ -29,13 +29,7 @@ NOT_PAGES = ("docs/figures/README.md", "docs/laws/README.md", "docs/matlab/READM
 
 
 def allowances() -> Counter[tuple[str, str]]:
-    """Findings that are allowed for now, counted by file and rule.
-
-    Raises
-    ------
-    SystemExit
-        An exception has no reason.
-    """
+    """Findings that are allowed for now, counted by file and rule."""
     table = tomllib.loads((HERE / "exceptions.toml").read_text()).get("allow", [])
     allowed: Counter[tuple[str, str]] = Counter()
     for row in table:

@@ -117,15 +117,7 @@ def abbreviations(glossary: str) -> dict[str, str]:
 
 
 def unexplained(texts: list[Text], meanings: dict[str, str]) -> Iterator[Finding]:
-    """Yield the abbreviations that a page uses before it has expanded them.
-
-    Parameters
-    ----------
-    texts : list of Text
-        Texts of one page, in its order.
-    meanings : dict of str
-        Meaning of each abbreviation; the page expands it with these words, before or next to its first use.
-    """
+    """Yield the abbreviations that a page uses before it has expanded them."""
     for short, meaning in meanings.items():
         for position, text in enumerate(texts):
             if re.search(rf"\b{short}s?\b", text.content):

@@ -40,30 +40,15 @@ END = re.compile(
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph, heading, cell, docstring part or message.
+    """A paragraph, heading, cell, docstring part or message."""
 
-    Parameters
-    ----------
-    file : str
-        Path from the repository's root.
-    line : int
-        First line of the paragraph, counted from 1.
-    kind : str
-        ``document``, ``docstring``, ``message``, ``help`` or ``test``.
-    is_prose : bool
-        False for a heading, a cell of a table or a message: these have words, and no sentences to count.
-    content : str
-        Without markup; code is replaced by `CODE`.
-    has_remedy : bool
-        False for the message of an error for the user that does not say what to do.
-    """
-
-    file: str
-    line: int
-    kind: str
+    file: str  # Path from the repository's root
+    line: int  # First line of the paragraph, counted from 1
+    kind: str  # ``document``, ``docstring``, ``message``, ``help`` or ``test``
+    # False for a heading, a cell of a table or a message: these have words, and no sentences to count
     is_prose: bool
-    content: str
-    has_remedy: bool = True
+    content: str  # Without markup; code is replaced by `CODE`
+    has_remedy: bool = True  # False for the message of an error for the user that does not say what to do
 
 
 def sources(root: Path) -> list[Path]:

@@ -14,35 +14,32 @@ from pathlib import Path
 from typing import Any, Final
 
 from tests.mutants import session
-from tests.mutants.generate import ROOT, Mutant
+from tests.mutants.generate import BUILD, ROOT, BuildError, Mutant, Tree, digest
 from tests.mutants.reach import Reach, Watch, reach_of, require_passed
-from tests.mutants.tree import BUILD, BuildError, Tree, digest
 
 FOLDER: Final = "firmware/due"
 ROOMS: Final = ("tests/firmware",)
 SOURCES: Final = ("firmware/core", "firmware/due", "sim/due")
-_LEFT_OUT: Final = ("test_mutations.py", "test_pio.py", "test_upload.py", "test_gdb.py", "test_support.py")
+_LEFT_OUT: Final = ("test_tools.py",)
 """Tests that build firmware of their own, or look at files and not at the firmware that is given to them."""
 _LIMIT_s: Final = 60.0
 _REAL_s: Final = 900.0
 """CPU time of one test, and real time of all, on the firmware without a mutant: they take 15 s together."""
 _CROSS: Final = "arm-none-eabi-"
+_STRIPPED: Final = "-Wl,--strip-debug"
 _FUNCTION: Final = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
 _PLACE: Final = re.compile(r"^(/\S+):(\d+)")
 
 
 class DueBench:
-    """Builds the Due's firmware with mutants and lets the tests of the emulated board run on it.
+    """Builds the Due's firmware with mutants and lets tests of the emulated board, in `files`, run on it.
 
-    Parameters
-    ----------
-    work : Path
-        A folder of this process.
-    files : list of str
-        Files of the tests that run.
+    It takes over the objects of the firmware that the tests link.
     """
 
     def __init__(self, work: Path, files: list[str]) -> None:
+        built: Any = importlib.import_module("tests.firmware.built")
+        objects = built.built_elf().parent
         work.mkdir(parents=True, exist_ok=True)
         self._work = work
         self._files = files
@@ -50,13 +47,15 @@ class DueBench:
         flags = (ROOT / FOLDER / "compile.flags").read_text(encoding="utf-8").split()
         self._flags = [flag for flag in flags if flag != "-g" and not flag.startswith("-W")] + ["-w"]
         self._sources = [source for source in self._tree.includes if source.endswith(".cpp")]
-        self._original = self._compile(self._sources, "original", self._flags)
+        self._original = {
+            source: (objects / source.removeprefix("firmware/")).with_suffix(".o") for source in self._sources
+        }
         self._code = self._link(self._original, "original.elf").read_bytes()
 
     def build(self, mutant: Mutant) -> Callable[[], None]:
         """Compile a mutant; what to call in a fork before its tests."""
         with self._tree.holding(mutant):
-            objects = self._compile(self._tree.dependents(mutant.file), "mutant", self._flags)
+            objects = self._compile(self._tree.dependents(mutant.file))
             drivers = self._work / "drivers"
             shutil.rmtree(drivers, ignore_errors=True)
             shutil.copytree(self._tree.folder / FOLDER, drivers)
@@ -71,16 +70,13 @@ class DueBench:
         """Which test was seen to enter which function; these go first, and the others follow.
 
         A probe counts when its function returns. Fault handlers never do, a test that cuts the power or calls
-        a function itself may not let it, and `test_registers.py` reads the text of a header.
+        a function itself may not let it, and tests of registers read the text of a header.
         """
         part = hashlib.sha256("\0".join(self._files).encode()).hexdigest()[:8]
         kept = BUILD / f"reach-due-{digest(*SOURCES, *ROOMS)}-{part}.json"
         if not kept.exists():
-            # The same code, with lines: other code would fail the tests of its cost and of its places.
-            drivers = [source for source in self._sources if source.startswith(FOLDER)]
-            objects = self._compile(drivers, "covered", [*self._flags, "-g", "-gdwarf-4"])
-            elf = self._link(self._original | objects, "covered.elf")
-            functions = _functions_of(elf, self._tree.folder)
+            elf = self._link(self._original, "covered.elf", stripped=False)
+            functions = _functions_of(elf)
             looked = session.call_in_fork(lambda: _look(elf, sorted(functions), self._files))
             require_passed(looked)
             seen = reach_of(looked, functions)
@@ -103,19 +99,22 @@ class DueBench:
                 f"{outcome.killed_by} fails without a mutant ({outcome.reason}); make it pass first"
             )
 
-    def _compile(self, sources: list[str], name: str, flags: list[str]) -> dict[str, Path]:
+    def _compile(self, sources: list[str]) -> dict[str, Path]:
         objects = {}
+        folder = self._work / "mutant"
+        folder.mkdir(exist_ok=True)
+        include = [f"-I{self._tree.folder}/firmware/core", f"-I{self._tree.folder}/firmware/due"]
         for source in sources:
-            to = self._work / name / (source.replace("/", "+").removesuffix(".cpp") + ".o")
-            to.parent.mkdir(exist_ok=True)
-            include = [f"-I{self._tree.folder}/firmware/core", f"-I{self._tree.folder}/firmware/due"]
-            _run([f"{_CROSS}g++", *flags, *include, "-c", str(self._tree.path(source)), "-o", str(to)])
-            objects[source] = to
+            objects[source] = folder / (source.replace("/", "+").removesuffix(".cpp") + ".o")
+            output = ["-c", str(self._tree.path(source)), "-o", str(objects[source])]
+            _run([f"{_CROSS}g++", *self._flags, *include, *output])
         return objects
 
-    def _link(self, objects: dict[str, Path], name: str) -> Path:
+    def _link(self, objects: dict[str, Path], name: str, stripped: bool = True) -> Path:
         elf = self._work / name
         flags = shlex.split((ROOT / FOLDER / "link.flags").read_text(encoding="utf-8"))
+        if stripped:
+            flags.append(_STRIPPED)
         script = f"-T{ROOT / FOLDER / 'due.ld'}"
         files = [str(objects[source]) for source in self._sources]
         _run([f"{_CROSS}gcc", *flags, script, *files, "-lm", "-o", str(elf)])
@@ -128,7 +127,7 @@ def test_files() -> list[str]:
     return [path.relative_to(ROOT).as_posix() for path in paths if path.name not in _LEFT_OUT]
 
 
-def _functions_of(elf: Path, folder: Path) -> dict[int, set[tuple[str, int]]]:
+def _functions_of(elf: Path) -> dict[int, set[tuple[str, int]]]:
     """By the address of each function of the drivers: files and lines of its code."""
     command = [f"{_CROSS}objdump", "-d", "-l", "--no-show-raw-insn", str(elf)]
     listing = subprocess.run(command, capture_output=True, text=True, check=True).stdout
@@ -137,8 +136,8 @@ def _functions_of(elf: Path, folder: Path) -> dict[int, set[tuple[str, int]]]:
     for row in listing.splitlines():
         if function := _FUNCTION.match(row):
             address = int(function[1], 16)
-        elif (place := _PLACE.match(row)) and place[1].startswith(f"{folder}/{FOLDER}/"):
-            lines_at[address].add((place[1].removeprefix(f"{folder}/"), int(place[2])))
+        elif (place := _PLACE.match(row)) and place[1].startswith(f"{ROOT}/{FOLDER}/"):
+            lines_at[address].add((place[1].removeprefix(f"{ROOT}/"), int(place[2])))
     return dict(lines_at)
 
 
