@@ -10,8 +10,8 @@ from tempfile import TemporaryDirectory
 from firmware.due.report import read_image
 from tests.bench.result import Measured
 from tests.firmware.cost import LAW_UPDATE, Flight, measure_costs
-from tests.firmware.desk import Board
-from tests.firmware.measures import (
+from tests.firmware.desk import (
+    Board,
     boot_to_first_frame_ms,
     longest_off_after_hang_ms,
     rx_lost_bytes,

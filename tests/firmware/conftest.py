@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from firmware.due.report import Image, read_image
-from tests.due import fetch_svd
 from tests.firmware.built import built_elf
-from tests.firmware.description import Description, read_description
 
 if TYPE_CHECKING:
     from tests.firmware.desk import Board
@@ -34,12 +32,3 @@ def board(elf: Path, image: Image) -> Board:
     from tests.firmware.desk import Board
 
     return Board(elf, image)
-
-
-@pytest.fixture(scope="session")
-def description() -> Description:
-    """The vendor's description of the chip."""
-    path = fetch_svd.find()
-    if path is None:
-        pytest.skip(fetch_svd.MISSING)
-    return read_description(path)

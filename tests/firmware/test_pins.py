@@ -137,7 +137,7 @@ def test_another_wiring_flies_and_stops(tmp_path: Path) -> None:
     pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
     pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
     from firmware.due.report import read_image
-    from tests.firmware.rewired import RewiredBoard
+    from tests.firmware.desk import RewiredBoard
 
     (tmp_path / "my.toml").write_text(OTHER)
     elf = build(tmp_path / "my.toml", tmp_path)

@@ -24,8 +24,6 @@ from tests.running.long import samples
 
 pytestmark = pytest.mark.emulated
 
-pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
-pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 WRITE_PAGE = "_ZN4heli3due5flash10write_pageEjPKhj"
 PAGE = 256

@@ -13,17 +13,33 @@ from heli_host.fly.heli import Heli
 from heli_host.link.events import BOARD_RESTARTED
 
 from firmware.due.report import Image
-from tests.firmware.desk import ENABLE_PINS, TICK_INTERRUPT, Board, flying_board_and_host
-from tests.firmware.hangs import HANGS, POLL, TICK, FASTEST_Hz, Hang, SLOWEST_Hz, off_after_ms
-from tests.firmware.test_board import open_loop
+from tests.firmware.desk import (
+    ENABLE_PINS,
+    GPBR,
+    HANGS,
+    MAGIC,
+    MAX_MS,
+    POLL,
+    TICK,
+    TICK_INTERRUPT,
+    TRAVEL_INTERRUPT,
+    Board,
+    FASTEST_Hz,
+    Hang,
+    SLOWEST_Hz,
+    flying_board_and_host,
+    halt_at,
+    off_after_ms,
+    open_loop,
+    recorded,
+    store,
+)
 
 pytestmark = pytest.mark.emulated
 
 PWM_FPE1, PWM_FPE2 = 0x4009406C, 0x40094070
 STOP_INPUT = 1 << 2
 
-pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
-pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 UNDEFINED = b"\x00\xde"
 SUPERVISOR_CALL = b"\x00\xdf"
@@ -31,13 +47,8 @@ PUSH_FOR_EVER = b"\xff\xb5\xfd\xe7"
 NVIC_ISER, NVIC_ISPR, SCB_ICSR = 0xE000E100, 0xE000E200, 0xE000ED04
 NMI_PENDING, PENDSV_PENDING, SYSTICK_PENDING = 1 << 31, 1 << 28, 1 << 26
 UNEXPECTED_INTERRUPTS = tuple(number for number in range(45) if number not in (14, 30))
-MAX_MS = 300.0
 AT_ONCE_MS = 0.02
 A_TICK_MS = 1.1
-
-
-def store(board: Board, address: int, value: int) -> None:
-    board.due.poke(address, struct.pack("<I", value))
 
 
 def pend(board: Board, interrupt: int) -> None:
@@ -394,3 +405,132 @@ def test_a_stop_input_that_is_not_wired_keeps_the_motors_off(board: Board) -> No
     with pytest.raises(Exception, match="stop"):
         heli.arm()
     assert board.off()
+
+
+SCB_CCR = 0xE000ED14
+GIVE_UP = "_ZN4heli3due6faults7give_upEv"
+HARD_FAULT = 3
+NOWHERE = 0x50000000
+
+LOAD_FROM_NOWHERE = struct.pack("<3H", 0x2050, 0x0600, 0x6800)
+DIVISION_BY_ZERO = struct.pack("<3H", 0x2000, 0xFBB0, 0xF0F0)
+UNALIGNED_LOAD = struct.pack("<3H", 0x4668, 0x3001, 0x6800)
+BFARVALID, UNDEFINSTR, UNALIGNED, DIVBYZERO = 1 << 15, 1 << 16, 1 << 24, 1 << 25
+
+
+def assert_off_before(board: Board, symbol: str) -> None:
+    """From the start of a function of the firmware on, the bridges go off before anything is recorded."""
+    halt_at(board, symbol)
+    assert board.on()
+    before = recorded(board)
+    while not (board.off() and board.pwm_low()):
+        assert recorded(board) == before
+        board.due.step()
+    assert recorded(board) == before
+
+
+@pytest.mark.parametrize(
+    ("code", "place", "flag"),
+    [
+        (UNDEFINED, 0, UNDEFINSTR),
+        (DIVISION_BY_ZERO, 2, DIVBYZERO),
+        (UNALIGNED_LOAD, 4, UNALIGNED),
+        (LOAD_FROM_NOWHERE, 4, BFARVALID),
+    ],
+)
+def test_a_fault_is_recorded_with_its_place_its_caller_and_its_cause(
+    board: Board, code: bytes, place: int, flag: int
+) -> None:
+    for check in ("unaligned", "unmapped"):
+        board.due.set_check(check, False)
+    board.connect().arm()
+    resets = board.due.resets
+    address = board.image.symbols[POLL] & ~1
+    original_code = board.due.peek(address, len(code))
+    board.due.poke(address, code)
+    halt_at(board, "fault_handler")
+    while board.due.resets == resets:
+        record, pc, lr, cfsr, bfar, _ = recorded(board)
+        board.due.step()
+    board.due.poke(address, original_code)
+    assert pc == address + place
+    assert board.due.describe(lr).startswith("heli::due::run()")
+    assert record == MAGIC | HARD_FAULT << 8 | Fault.HARD_FAULT
+    assert cfsr & flag
+    assert flag != BFARVALID or bfar == NOWHERE
+    welcome = board.connect().session.welcome
+    assert (welcome.reset, welcome.boot_fault) == (Reset.SOFTWARE, Fault.HARD_FAULT)
+
+
+def test_an_unexpected_interrupt_is_recorded_with_its_number(board: Board) -> None:
+    board.connect().arm()
+    resets = board.due.resets
+    pend(board, 8)
+    while board.due.resets == resets:
+        record = recorded(board)[0]
+        board.due.step()
+    assert record == MAGIC | (16 + 8) << 8 | Fault.UNEXPECTED_INTERRUPT
+
+
+def test_the_bridges_go_off_before_a_fault_is_recorded(board: Board) -> None:
+    board.connect().arm()
+    pend(board, 8)
+    assert_off_before(board, "fault_handler")
+
+
+def test_the_bridges_go_off_before_giving_up_is_recorded(board: Board) -> None:
+    board.connect().arm()
+    store(board, board.image.symbols["__stack_bottom"], 0)
+    assert_off_before(board, GIVE_UP)
+
+
+def test_no_interrupt_gets_between_giving_up_and_the_reset(board: Board) -> None:
+    board.connect().arm()
+    store(board, board.image.symbols["__stack_bottom"], 0)
+    halt_at(board, GIVE_UP)
+    resets = board.due.resets
+    served = board.due.exception_stats(TRAVEL_INTERRUPT)[0]
+    for _ in range(10):
+        board.due.step()
+    board.due.schedule_step(2, 1, board.due.now_us)
+    board.wait_for_reset(resets)
+    assert board.due.exception_stats(TRAVEL_INTERRUPT)[0] == served
+
+
+def hang(board: Board) -> Fault:
+    """Let the idle loop of an armed board hang, and return the report of the next start."""
+    board.connect().arm()
+    resets = board.due.resets
+    with HANGS[1].of(board):
+        board.milliseconds_until_off(max_ms=MAX_MS)
+        board.wait_for_reset(resets)
+    welcome = board.connect().session.welcome
+    assert welcome.reset == Reset.WATCHDOG
+    return Fault(welcome.boot_fault)
+
+
+def test_a_record_is_reported_after_the_next_reset_and_never_again(board: Board) -> None:
+    board.advance(20)
+    store(board, GPBR, MAGIC | Fault.HARD_FAULT)
+    assert hang(board) is Fault.HARD_FAULT
+    assert hang(board) is Fault.WATCHDOG
+
+
+def test_a_record_from_before_a_reset_by_the_user_is_old(board: Board) -> None:
+    board.advance(20)
+    store(board, GPBR, MAGIC | Fault.HARD_FAULT)
+    board.reset()
+    welcome = board.connect().session.welcome
+    assert (welcome.reset, welcome.boot_fault) == (Reset.USER, Fault.NONE)
+    assert hang(board) is Fault.WATCHDOG
+
+
+def test_a_register_without_a_record_reports_nothing(board: Board) -> None:
+    board.advance(20)
+    store(board, GPBR, Fault.HARD_FAULT)
+    assert hang(board) is Fault.WATCHDOG
+
+
+def test_zero_division_and_unaligned_access_trap_and_stacks_are_aligned(board: Board) -> None:
+    board.advance(20)
+    assert board.register(SCB_CCR) == 1 << 9 | 1 << 4 | 1 << 3

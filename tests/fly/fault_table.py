@@ -18,8 +18,8 @@ from heli_sim import _native
 from heli_sim.sil.boards import EmulatedDue
 from heli_sim.sil.world import SilWorld
 
-from tests.firmware.hangs import BRANCH_TO_SELF, SLOWEST_Hz
-from tests.firmware.hangs import TICK as TICK_SYMBOL
+from tests.firmware.desk import BRANCH_TO_SELF, SLOWEST_Hz
+from tests.firmware.desk import TICK as TICK_SYMBOL
 from tests.fly.fault_flights import Case, KilledError, Outcome, Struck, flown
 
 _UNDEFINED: Final = b"\x00\xde"

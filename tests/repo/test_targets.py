@@ -52,7 +52,7 @@ ELSEWHERE: Final = {
     "fuzz": (".ci/test", ".ci/fuzz"),
     "blind": ("tests/benchmark/test_blind.py", "As `make blind` does"),
     "docs": ("tests/repo/test_site.py", "def test_the_site_builds_without_a_warning"),
-    "firmware": ("tests/firmware/test_pio.py", "def test_platformio_builds_the_same_program"),
+    "firmware": ("tests/firmware/test_tools.py", "def test_platformio_builds_the_same_program"),
 }
 """Targets that a step of `make test` or another test runs, because they take a minute: file and words."""
 
