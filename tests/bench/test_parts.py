@@ -8,8 +8,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from tests.bench.__main__ import main, measured_by, table
-from tests.bench.parts import PARTS, Part, module
+from tests.bench.__main__ import PARTS, Part, main, measured_by, module, table
 from tests.bench.result import PROMISES, Measured
 
 

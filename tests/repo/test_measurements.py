@@ -51,7 +51,7 @@ def test_no_measurement_imports_a_test_and_no_package_imports_from_tests() -> No
 
 def test_a_wrong_import_is_noticed(tmp_path: Path) -> None:
     for name, line in {
-        "tests/bench/line.py": "from tests.link.test_core import frames",
+        "tests/bench/board.py": "from tests.link.test_core import frames",
         "tests/bench/test_parts.py": "from tests.link.test_core import frames",
         "tests/bench/page.py": "from tests.page.page_server import Served",
         "sim/heli_lab/link.py": "from tests import link",
@@ -60,7 +60,7 @@ def test_a_wrong_import_is_noticed(tmp_path: Path) -> None:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(f"{line}\n")
     assert wrong_imports(tmp_path) == [
-        "tests/bench/line.py imports tests.link.test_core.frames",
+        "tests/bench/board.py imports tests.link.test_core.frames",
         "sim/heli_lab/link.py imports tests.link",
         "sim/heli_lab/page.py imports tests.page",
     ]
