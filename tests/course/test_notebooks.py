@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.repo.shortened import WORK
-from tests.repo.typed import Typed
+from tests.repo.typed import WORK, Typed
 from tests.running.long import LONG
 
 COURSE = Path(__file__).resolve().parents[2] / "docs" / "course"

@@ -17,8 +17,7 @@ import pytest
 import typer.main
 from heli_host.ui.cli import app
 
-from tests.repo.shortened import PLANS, WORK
-from tests.repo.typed import Typed
+from tests.repo.typed import PLANS, WORK, Typed
 from tests.running.long import LONG
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,7 +1,8 @@
-"""The contracts of layers notice what breaks them, and the host knows its packages by entry points alone."""
+"""The contracts of layers hold and notice what breaks them: of packages, C++ folders, and tests."""
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shutil
@@ -9,7 +10,7 @@ import subprocess
 import sys
 import sysconfig
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -25,137 +26,27 @@ sys.exit(lint_imports(no_cache=True, no_logo=True))
 """
 
 
-@dataclass(frozen=True)
-class Wrong:
-    """An import that a contract forbids: a line put at the end of a file, and what the report says of it."""
-
-    file: str
-    line: str
-    report: str
-
-
 WRONG = {
-    "packages": Wrong(
-        "host/heli_host/board/setpoints.py",
-        "def _wrong() -> None:\n    import heli_lab.report.page",
-        "heli_host.board.setpoints -> heli_lab.report.page",
-    ),
-    "the emulated Due": Wrong(
-        "sim/due/due_emulator/gdb.py",
-        "from heli_host import errors",
-        "due_emulator.gdb -> heli_host.errors",
-    ),
-    "emulated Due: ": Wrong(
-        "sim/due/due_emulator/image.py",
-        "from due_emulator import machine",
-        "due_emulator.image -> due_emulator.machine",
-    ),
-    "benchmark: commands": Wrong(
-        "sim/heli_benchmark/engine/bodies.py",
-        "from heli_benchmark.effects import listed",
-        "heli_benchmark.engine.bodies -> heli_benchmark.effects.listed",
-    ),
-    "benchmark: what flies": Wrong(
-        "sim/heli_benchmark/effects/disturbances.py",
-        "from heli_sim.model import parts",
-        "heli_benchmark.effects.disturbances -> heli_sim.model.parts",
-    ),
-    "benchmark: methods know": Wrong(
-        "sim/heli_benchmark/methods/base_rates.py",
-        "from heli_benchmark.cases import published",
-        "heli_benchmark.methods.base_rates -> heli_benchmark.cases.published",
-    ),
-    "benchmark: only our own": Wrong(
-        "sim/heli_benchmark/task/case.py",
-        "from heli_lab import code_digest",
-        "heli_benchmark.task.case -> heli_lab.code_digest",
-    ),
-    "host": Wrong(
-        "host/heli_host/link/frames.py",
+    "host/heli_host/link/frames.py": (
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from heli_host.fly import plan",
         "heli_host.link.frames -> heli_host.fly.plan",
     ),
-    "command line": Wrong(
-        "host/heli_host/ui/cli/options.py",
-        "from heli_host.ui.cli import board",
-        "heli_host.ui.cli.options -> heli_host.ui.cli.board",
-    ),
-    "simulation": Wrong(
-        "sim/heli_sim/rig/compare.py",
-        "from heli_sim import plant",
-        "heli_sim.rig.compare -> heli_sim.plant",
-    ),
-    "laboratory": Wrong(
-        "sim/heli_lab/fit/identify/free_run/interface.py",
-        "from heli_lab.control.tune import loops",
-        "heli_lab.fit.identify.free_run.interface -> heli_lab.control.tune.loops",
-    ),
-    "diagnosis: ": Wrong(
-        "sim/heli_lab/explain/search/exchange.py",
-        "from heli_lab.explain import evaluate",
-        "heli_lab.explain.search.exchange -> heli_lab.explain.evaluate",
-    ),
-    "search of a diagnosis": Wrong(
-        "sim/heli_lab/watch/twin/changes.py",
-        "from heli_lab.explain.search import screening",
-        "heli_lab.watch.twin.changes -> heli_lab.explain.search.screening",
-    ),
-    "evaluation of a diagnosis": Wrong(
-        "sim/heli_lab/report/diagnosis/sentences.py",
-        "from heli_lab.explain.evaluate import verdict",
-        "heli_lab.report.diagnosis.sentences -> heli_lab.explain.evaluate.verdict",
-    ),
-    "discovery of a diagnosis": Wrong(
-        "sim/heli_lab/report/diagnosis/sentences.py",
-        "from heli_lab.explain.discover import terms",
-        "heli_lab.report.diagnosis.sentences -> heli_lab.explain.discover.terms",
-    ),
-    "report of a diagnosis": Wrong(
-        "sim/heli_lab/verbs/diagnose.py",
-        "from heli_lab.report.diagnosis import page",
-        "heli_lab.verbs.diagnose -> heli_lab.report.diagnosis.page",
-    ),
-    "the estimation core": Wrong(
-        "sim/heli_lab/fit/estimation/arrowhead.py",
-        "from heli_sim.model import parts",
-        "heli_lab.fit.estimation.arrowhead -> heli_sim.model.parts",
-    ),
-    "verbs do not know": Wrong(
-        "host/heli_host/ui/cli/verbs/plot.py",
-        "from heli_host.ui.cli.verbs import info",
-        "heli_host.ui.cli.verbs.plot -> heli_host.ui.cli.verbs.info",
-    ),
-    "a flight is studied": Wrong(
-        "host/heli_host/data/log/clock.py",
-        "from heli_host.link import session",
-        "heli_host.data.log.clock -> heli_host.link.session",
-    ),
-    "the simulation knows no": Wrong(
-        "sim/heli_sim/sil/clock.py",
-        "from heli_host.data.log import table",
-        "heli_sim.sil.clock -> heli_host.data.log.table",
-    ),
-    "only verbs and checks": Wrong(
-        "sim/heli_lab/control/tune/shaping.py",
-        "from heli_host.ui.cli import report",
-        "heli_lab.control.tune.shaping -> heli_host.ui.cli.report",
-    ),
-    "identification knows": Wrong(
-        "sim/heli_lab/fit/identify/estimation_problem/grid.py",
-        "from heli_host.link import frames",
-        "heli_lab.fit.identify.estimation_problem.grid -> heli_host.link.frames",
-    ),
-    "no circles": Wrong(
-        "host/heli_host/fly/route.py",
-        "from heli_host.fly import runner",
-        "No cycles are allowed in heli_host.fly.",
-    ),
+    "sim/due/due_emulator/gdb.py": ("from heli_host import errors", "due_emulator.gdb -> heli_host.errors"),
 }
-
-
-def contracts() -> list[str]:
-    table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    return [contract["name"] for contract in table["tool"]["importlinter"]["contracts"]]
+"""Imports that contracts forbid, also for types only: a line put at the end of a file, and its report."""
+SIMULATION = ("sim/native", "sim/due", "sim/due_board")
+FORBIDDEN_INCLUDES = {
+    "firmware/core/params/store.cpp": "control/controller.hpp",
+    "firmware/core/control/cascade.hpp": "law/simplex.hpp",
+    "firmware/core/link/bytes.hpp": "params/params.hpp",
+    "firmware/core/flight/limits.hpp": "law/guard.hpp",
+    "firmware/core/core.hpp": "due_board.hpp",
+    "firmware/due/motors.cpp": "control/mixer.hpp",
+    "sim/native/world.cpp": "flight/supervisor.hpp",
+    "sim/due/chip/uart.cpp": "board.hpp",
+    "sim/due/chip/adc.cpp": "sim_board.hpp",
+    "sim/due/bus/bus.cpp": "wiring.hpp",
+}
 
 
 def copy_to(folder: Path) -> None:
@@ -194,23 +85,6 @@ def lint(folder: Path) -> dict[str, str]:
     return reports
 
 
-@pytest.fixture(scope="module")
-def spoiled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Messages of the linter about a copy with every wrong import, and a module in no layer."""
-    pytest.importorskip("importlinter", reason="skipped: no import-linter, which make setup installs")
-    folder = tmp_path_factory.mktemp("layers")
-    copy_to(folder)
-    for wrong in WRONG.values():
-        with (folder / wrong.file).open("a", encoding="utf-8") as file:
-            file.write(f"\n{wrong.line}\n")
-    (folder / "host" / "heli_host" / "stray.py").write_text("")
-    return lint(folder)
-
-
-def test_every_contract_has_an_import_that_breaks_it() -> None:
-    assert [name for name in contracts() if not any(name.startswith(start) for start in WRONG)] == []
-
-
 def test_no_contract_has_an_exception() -> None:
     table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
     assert not [
@@ -222,15 +96,16 @@ def test_no_contract_has_an_exception() -> None:
     assert not table.get("exclude_type_checking_imports", False)
 
 
-@pytest.mark.parametrize("start", WRONG)
-def test_a_wrong_import_breaks_its_contract(start: str, spoiled: dict[str, str]) -> None:
-    (name,) = (name for name in contracts() if name.startswith(start))
-    assert WRONG[start].report in re.sub(r"\s+", " ", spoiled.get(name, "")), f"{name} did not notice"
-
-
-def test_a_module_in_no_layer_is_noticed(spoiled: dict[str, str]) -> None:
-    (name,) = (name for name in contracts() if name.startswith("host: "))
-    assert "heli_host.stray" in spoiled[name]
+def test_wrong_imports_and_a_module_in_no_layer_are_noticed(tmp_path: Path) -> None:
+    pytest.importorskip("importlinter", reason="skipped: no import-linter, which make setup installs")
+    copy_to(tmp_path)
+    for file, (line, _) in WRONG.items():
+        with (tmp_path / file).open("a", encoding="utf-8") as source:
+            source.write(f"\n{line}\n")
+    (tmp_path / "host" / "heli_host" / "stray.py").write_text("")
+    report = re.sub(r"\s+", " ", " ".join(lint(tmp_path).values()))
+    for text in ("heli_host.stray", *(text for _, text in WRONG.values())):
+        assert text in report
 
 
 def test_the_host_names_no_package_above_it() -> None:
@@ -243,31 +118,116 @@ def test_the_host_names_no_package_above_it() -> None:
     assert not imports, "a package above the host comes in by an entry point"
 
 
-@pytest.mark.parametrize(
-    ("included", "layer"), [("board.hpp", "board"), ("sim_board.hpp", "native"), ("wiring.hpp", "wired Due")]
-)
-def test_the_emulator_s_sources_include_nothing_of_the_project(
-    included: str, layer: str, tmp_path: Path
-) -> None:
-    shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    for name in ("firmware/core/board.hpp", "sim/native/sim_board.hpp", "sim/due_board/wiring.hpp"):
-        (tmp_path / name).parent.mkdir(parents=True)
-        (tmp_path / name).touch()
-    (tmp_path / "sim" / "due" / "chip").mkdir(parents=True)
-    (tmp_path / "sim" / "due" / "chip" / "uart.cpp").write_text(f'#include "{included}"\n')
-    process = subprocess.run(
-        [sys.executable, ROOT / ".ci" / "includes", tmp_path], capture_output=True, text=True, check=False
-    )
-    assert process.returncode == 1
-    assert (
-        f"sim/due/chip/uart.cpp: layer emulated Due may not include {included} of layer {layer}"
-        in process.stdout
-    )
-
-
 def test_the_emulator_s_tests_import_nothing_of_the_project() -> None:
     sources = sorted((ROOT / "tests" / "due").rglob("*.py"))
     assert len(sources) > 20
     assert not [
         path.name for path in sources if re.search(r"^\s*(from|import) heli_", path.read_text(), re.M)
+    ]
+
+
+@pytest.fixture(scope="module")
+def cpp_tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("includes")
+    for folder in (
+        "firmware/core",
+        "firmware/due",
+        "firmware/proofs",
+        "sim/native",
+        "sim/due",
+        "sim/due_board",
+    ):
+        shutil.copytree(ROOT / folder, root / folder, ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", root)
+    return root
+
+
+def includes_checked(root: Path) -> tuple[int, str]:
+    command = [sys.executable, str(ROOT / ".ci" / "includes"), str(root)]
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    return process.returncode, process.stdout + process.stderr
+
+
+def test_the_sources_keep_the_contract(cpp_tree: Path) -> None:
+    code, output = includes_checked(cpp_tree)
+    assert code == 0, output
+
+
+@pytest.mark.parametrize(("file", "included"), FORBIDDEN_INCLUDES.items())
+def test_a_forbidden_include_fails(cpp_tree: Path, file: str, included: str) -> None:
+    path = cpp_tree / file
+    text = path.read_text(encoding="utf-8")
+    path.write_text(f'#include "{included}"\n{text}', encoding="utf-8")
+    try:
+        code, output = includes_checked(cpp_tree)
+    finally:
+        path.write_text(text, encoding="utf-8")
+    assert code == 1
+    assert f"{file}: layer" in output
+    assert included in output
+
+
+def test_a_file_without_a_layer_fails(cpp_tree: Path) -> None:
+    text = (cpp_tree / "pyproject.toml").read_text(encoding="utf-8")
+    (cpp_tree / "pyproject.toml").write_text(
+        text.replace('"firmware/due/*"', '"firmware/due/m*"'), encoding="utf-8"
+    )
+    code, output = includes_checked(cpp_tree)
+    (cpp_tree / "pyproject.toml").write_text(text, encoding="utf-8")
+    assert code == 1
+    assert "firmware/due/clock.cpp: no layer" in output
+
+
+PACKAGES = ("host", "sim", "firmware", "docs")
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Modules and names that a file imports, in full."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+
+
+def wrong_imports(root: Path) -> list[str]:
+    """Imports of tests by measurements and helpers, and of anything in ``tests`` by packages."""
+    mistakes = []
+    for path in sorted((root / "tests").rglob("*.py")):
+        name = path.relative_to(root).as_posix()
+        if not path.name.startswith(("test_", "conftest")):
+            mistakes += [
+                f"{name} imports {full}"
+                for full in imported(path)
+                if full.startswith("tests.") and any(part.startswith("test_") for part in full.split("."))
+            ]
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            mistakes += [
+                f"{path.relative_to(root).as_posix()} imports {full}"
+                for full in imported(path)
+                if full.split(".")[0] == "tests"
+            ]
+    return mistakes
+
+
+@pytest.mark.medium
+def test_no_measurement_imports_a_test_and_no_package_imports_from_tests() -> None:
+    assert wrong_imports(ROOT) == []
+
+
+def test_a_wrong_import_is_noticed(tmp_path: Path) -> None:
+    for name, line in {
+        "tests/bench/board.py": "from tests.link.test_core import frames",
+        "tests/bench/test_parts.py": "from tests.link.test_core import frames",
+        "tests/bench/page.py": "from tests.page.page_server import Served",
+        "sim/heli_lab/link.py": "from tests import link",
+        "sim/heli_lab/page.py": "import tests.page",
+    }.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f"{line}\n")
+    assert wrong_imports(tmp_path) == [
+        "tests/bench/board.py imports tests.link.test_core.frames",
+        "sim/heli_lab/link.py imports tests.link",
+        "sim/heli_lab/page.py imports tests.page",
     ]

@@ -1,4 +1,4 @@
-"""Nothing in the tree depends on the machine that it was written on; folders and files say what they are."""
+"""Files and folders say what they are, names state what things are, and nothing depends on one machine."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import ast
 import re
 import subprocess
 import tomllib
+from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 
 import heli_host
@@ -142,3 +144,166 @@ def test_nothing_is_left_unfinished() -> None:
         if marks.search(line)
     ]
     assert not unfinished
+
+
+NO_NOUNS = frozenset({"one", "found", "own", "taken", "told", "asked", "said", "usual"})
+"""Words that name nothing: the reader has to find out what was found."""
+
+
+def names_of(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Yield line and name of each variable, argument, field, function and class of a file."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.id
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield node.lineno, node.name
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.attr
+        elif isinstance(node, ast.ExceptHandler) and node.name:
+            yield node.lineno, node.name
+
+
+def meaningless(source: str) -> list[tuple[int, str]]:
+    """Line and name of each name that states nothing; `left` is a side if the file also has a `right`."""
+    names = list(names_of(ast.parse(source)))
+    sides = {"left", "right"}.issubset(name for _, name in names)
+    words = NO_NOUNS if sides else NO_NOUNS | {"left"}
+    return [(line, name) for line, name in names if name.strip("_") in words]
+
+
+@pytest.mark.slow
+def test_no_name_in_python_is_a_word_without_meaning() -> None:
+    files = [path for path in tracked() if path.suffix == ".py"]
+    assert len(files) > 1000
+    places = [
+        f"{path.relative_to(ROOT)}:{line}: {name}"
+        for path in files
+        for line, name in meaningless(path.read_text(encoding="utf-8"))
+    ]
+    assert not places, "name the thing, such as `entry` for `found`:\n" + "\n".join(places)
+
+
+def test_a_word_without_meaning_is_noticed_as_variable_argument_field_and_function() -> None:
+    source = """
+class A:
+    found: int = 0
+
+    def told(self, own):
+        self._said = [one for one in own]
+"""
+    assert meaningless(source) == [(5, "told"), (3, "found"), (5, "own"), (6, "_said"), (6, "one")]
+    assert meaningless("left = 3\n") == [(1, "left")]
+    assert meaningless("left, right = 3, 4\n") == []
+
+
+PACKAGES = {
+    "due_emulator": "sim/due",
+    "heli_host": "host",
+    "heli_sim": "sim",
+    "heli_lab": "sim",
+    "heli_benchmark": "sim",
+}
+INTERFACES = {
+    "ENTRY_POINT_GROUP": "each file that looks up plug-ins states its group",
+    "SPEC": "each file of effects states what it is",
+    "SPECS": "the same, for several effects in a file",
+    "main": "each module that can be run with python -m has one",
+    "diagnose": "a work of campaigns and the function that it runs have the name of the analysis",
+    "identify": "the same",
+}
+"""Names that every implementation of an interface has, and why."""
+
+
+def public_names_of(path: Path) -> Iterator[str]:
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            yield from (target.id for target in targets if isinstance(target, ast.Name))
+
+
+def ambiguous(folder: Path) -> dict[str, set[str]]:
+    """Public names that more than one module defines; modules of verbs are named as their commands."""
+    where = defaultdict(set)
+    for path in folder.rglob("*.py"):
+        if "verbs" not in path.parts:
+            for name in public_names_of(path):
+                if not name.startswith("_"):
+                    where[name].add(str(path.relative_to(folder)))
+    return {name: places for name, places in where.items() if len(places) > 1 and name not in INTERFACES}
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_public_name_is_defined_in_one_module_of_a_package(package: str) -> None:
+    assert ambiguous(ROOT / PACKAGES[package] / package) == {}
+
+
+def test_the_same_name_in_two_modules_is_noticed(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("class Law: ...\n_LIMIT = 1\n")
+    (tmp_path / "b.py").write_text("Law: int = 2\n_LIMIT = 2\n")
+    assert ambiguous(tmp_path) == {"Law": {"a.py", "b.py"}}
+
+
+ROOMS = ("host/heli_host/ui/cli", "sim/heli_sim/verbs", "sim/heli_lab/verbs")
+SAFE = {"printable"}
+
+
+def raw_prints(source: str) -> Iterator[int]:
+    """Yield the lines that print something else than a constant or what `SAFE` returned."""
+    for node in ast.walk(ast.parse(source)):
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id == "print"
+            and not all(map(_is_safe, node.args))
+        ):
+            yield node.lineno
+        # As a callback, it prints whatever it is given.
+        if isinstance(node, ast.Call | ast.keyword):
+            given = [node.value] if isinstance(node, ast.keyword) else node.args
+            if any(isinstance(argument, ast.Name) and argument.id == "print" for argument in given):
+                yield node.lineno if isinstance(node, ast.Call) else node.value.lineno
+
+
+def _is_safe(value: ast.expr) -> bool:
+    if isinstance(value, ast.JoinedStr):
+        return all(map(_is_safe, value.values))
+    if isinstance(value, ast.FormattedValue):
+        return _is_safe(value.value)
+    if isinstance(value, ast.Call):
+        return isinstance(value.func, ast.Name) and value.func.id in SAFE
+    return isinstance(value, ast.Constant)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_verb_prints_a_name_raw(room: str) -> None:
+    files = [file for file in (ROOT / room).rglob("*.py") if file.name != "say.py"]
+    assert len(files) > 2
+    prints = [f"{file.relative_to(ROOT)}:{line}" for file in files for line in raw_prints(file.read_text())]
+    assert not prints, f"print these with heli_host.ui.cli.say: {', '.join(prints)}"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "print(path)",
+        'print(f"{path}")',
+        'print("a", path)',
+        'print(f"{printable(cause)} {path}")',
+        "listen(print)",
+        "listen(answer=print)",
+        "listen(partial(print, flush=True))",
+        "print(*lines)",
+    ],
+)
+def test_a_raw_print_is_seen(line: str) -> None:
+    assert list(raw_prints(line)) == [1]
+
+
+def test_constants_and_printable_text_are_let_through() -> None:
+    for line in ("print()", 'print("a", end="")', 'print(f"b {printable(c)}")', "print(printable(d))"):
+        assert not list(raw_prints(line))

@@ -1,4 +1,4 @@
-"""The documents of the hardware agree with firmware and host."""
+"""Pages of the reference agree with the code: glossary, faults, hardware, and what is generated."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ import os
 import pty
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
@@ -23,7 +25,68 @@ from tests.cli.terminal import Process, command
 from tests.repo.test_documents import ROOT, blocks, verbs
 from tests.sil.patient import PATIENT
 
+TEXT = (ROOT / "docs" / "reference" / "glossary.md").read_text()
+PACKAGES = {"heli_host": "host", "heli_sim": "sim", "heli_lab": "sim", "heli_benchmark": "sim"}
+CELLS = [
+    [cell.strip() for cell in line.split("|")[1:-1]] for line in TEXT.splitlines() if line.startswith("| ")
+]
+ROWS = {cells[0]: (cells[3], cells[4]) for cells in CELLS if len(cells) == 5 and cells[0] != "term"}
+REFERENCES = set(re.findall(r"^- \[([^]]+)\]", TEXT, re.MULTILINE))
+
+
+@pytest.mark.parametrize("term", ROWS)
+def test_term_leads_to_the_code_and_to_a_reference(term: str) -> None:
+    where, references = ROWS[term]
+    path, _, name = where.strip("`").partition(":")
+    package = path.partition("/")[0]
+    file = ROOT / PACKAGES[package] / path if package in PACKAGES else ROOT / path
+    assert file.is_file(), f"{term}: there is no {path}"
+    defined = rf"^(?:class|def) {name}\b|^{name}(?::| =)"
+    assert not name or re.search(defined, file.read_text(), re.MULTILINE), f"{term}: {path} defines no {name}"
+    assert set(re.findall(r"\[([^]]+)\]", references)) <= REFERENCES
+
+
+@pytest.mark.parametrize(
+    "term",
+    ["Kalman filter", "innovations", "score test", "Schur complement", "quantisation", "whiteness test"],
+)
+def test_the_field_s_word_is_there(term: str) -> None:
+    assert term in ROWS
+
+
 DOCS = ROOT / "docs"
+DECLARED = {fault["name"] for fault in tomllib.loads((ROOT / "firmware/link.toml").read_text())["fault"]}
+PARAMETERS = {param["name"] for param in tomllib.loads((ROOT / "firmware/link.toml").read_text())["param"]}
+FIRST_CELL = re.compile(r"^\| ([^|]*) \|", re.MULTILINE)
+
+
+def section(page: str, heading: str) -> str:
+    """The text of one section of a page."""
+    text = (DOCS / page).read_text()
+    return text.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+
+
+def named(text: str) -> list[str]:
+    """Names in backticks in the first cells of a table."""
+    return [name for cell in FIRST_CELL.findall(text) for name in re.findall(r"`(\w+)`", cell)]
+
+
+def test_troubleshooting_has_each_fault_of_the_board_once() -> None:
+    faults = named(section("how-to/troubleshooting.md", "Faults of the board"))
+    assert sorted(faults) == sorted(DECLARED)
+
+
+def test_troubleshooting_names_parameters_that_the_board_has() -> None:
+    text = section("how-to/troubleshooting.md", "Signs, scales and supply")
+    given = set(re.findall(r"`(\w+_(?:per_rev|sign|V|deg))`", text))
+    assert given
+    assert given <= PARAMETERS
+
+
+def test_a_missing_fault_is_noticed() -> None:
+    assert named("| `pitch_rate`, `travel_rate` | fast |\n| fault | x |\n") == ["pitch_rate", "travel_rate"]
+
+
 PINS = ROOT / "firmware/pins.toml"
 CHECKLIST = DOCS / "how-to/first-power-up.md"
 # Programs of others whose options no test here can know.
@@ -189,3 +252,61 @@ def test_what_is_to_be_rehearsed_ends_as_the_checklist_says(
         server.communicate(timeout=60)
     os.close(keyboard)
     os.close(stdin)
+
+
+pytestmark = pytest.mark.medium
+
+SOURCE = "firmware/link.toml"
+GENERATED = (
+    "firmware/core/link/declaration.hpp",
+    "host/heli_host/declaration.py",
+    "docs/reference/link.md",
+    "docs/reference/faults.md",
+    "docs/reference/parameters.md",
+    "docs/matlab/heli_declaration.m",
+)
+
+
+def check(root: Path) -> int:
+    command = [sys.executable, str(ROOT / "firmware/generate.py"), "--check", "--root", str(root)]
+    return subprocess.run(command, capture_output=True, check=False).returncode
+
+
+@pytest.fixture
+def copy_of_tree(tmp_path: Path) -> Path:
+    for name in (*GENERATED, SOURCE):
+        target = tmp_path / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, target)
+    return tmp_path
+
+
+def test_generated_files_are_fresh() -> None:
+    assert check(ROOT) == 0, "run: python firmware/generate.py"
+
+
+@pytest.mark.parametrize("name", GENERATED)
+def test_an_edited_generated_file_is_noticed(copy_of_tree: Path, name: str) -> None:
+    path = copy_of_tree / name
+    path.write_text(path.read_text().replace("elevation", "altitude", 1))
+    assert check(copy_of_tree) == 1
+
+
+def test_a_changed_declaration_is_noticed(copy_of_tree: Path) -> None:
+    path = copy_of_tree / SOURCE
+    path.write_text(path.read_text().replace("default = 1.4", "default = 1.5", 1))
+    assert check(copy_of_tree) == 1
+
+
+def test_a_copy_is_as_fresh_as_the_tree(copy_of_tree: Path) -> None:
+    assert check(copy_of_tree) == 0
+
+
+@pytest.mark.parametrize("name", GENERATED)
+def test_a_missing_generated_file_is_written_again(copy_of_tree: Path, name: str) -> None:
+    (copy_of_tree / name).unlink()
+    assert check(copy_of_tree) == 1
+    command = [sys.executable, str(ROOT / "firmware/generate.py"), "--root", str(copy_of_tree)]
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert output == f"{name}: written\n"
+    assert (copy_of_tree / name).read_text() == (ROOT / name).read_text()
