@@ -13,7 +13,7 @@ import casadi as ca
 import heli_host
 import matplotlib.pyplot as plt
 import numpy as np
-from heli_host.data.views import rate as slope
+from heli_host.data.flight import rate as slope
 from heli_sim.model import MultibodyModel
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig

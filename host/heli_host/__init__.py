@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from heli_host.board.samples import Sample, Samples
     from heli_host.data.flight import Flight
-    from heli_host.data.log.flight_file import read_flight
+    from heli_host.data.log.reader import read_flight
     from heli_host.declaration import Axes, Excitation, Fault, Flags, State
     from heli_host.errors import HeliError
     from heli_host.fly.heli import Heli, connect
@@ -52,7 +52,7 @@ _WHERE = {
     "connect": "heli_host.fly.heli",
     "join": "heli_host.ui.page.client",
     "Flight": "heli_host.data.flight",
-    "read_flight": "heli_host.data.log.flight_file",
+    "read_flight": "heli_host.data.log.reader",
     "Axes": "heli_host.declaration",
     "Excitation": "heli_host.declaration",
     "Fault": "heli_host.declaration",
@@ -65,7 +65,7 @@ _WHERE = {
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from heli_host.release import installed_version
+        from heli_host.link.installation import installed_version
 
         return installed_version()
     if name in _WHERE:

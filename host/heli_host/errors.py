@@ -87,7 +87,7 @@ def file_remedy(error: OSError) -> str:
     if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", None)):
         return "free disk space, or choose another disk"
     if error.errno == errno.EFBIG:
-        # `heli_host.files.read_file` states a limit of reading; the system means the disk.
+        # `heli_host.data.files.read_file` states a limit of reading; the system means the disk.
         is_limit_of_reading = str(error.strerror).startswith("it has more than")
         return "cut it into pieces" if is_limit_of_reading else "choose another disk"
     if error.errno == errno.EISDIR:

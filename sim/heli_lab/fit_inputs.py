@@ -193,7 +193,7 @@ def read_parts(
     show: Callable[[str, float], None],
 ) -> Iterator[Flight | Record]:
     """Read flight files, refuse wrong signs, and return the part of each flight that a fit uses."""
-    from heli_host.data.log.flight_file import read_flight
+    from heli_host.data.log.reader import read_flight
 
     from heli_lab.fit.identify.record import prepare
 

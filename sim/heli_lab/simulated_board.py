@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.data.log.summary import FlightSummary
 from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan

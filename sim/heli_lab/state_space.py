@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model.effects import effects_of, parse_effects
 from heli_sim.model.linear import linearise as linearise_model
 from heli_sim.model.linear import trim

@@ -10,7 +10,7 @@ from typing import Final
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_sim import _native
 from heli_sim.compiled import compile_function

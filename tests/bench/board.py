@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 import heli_host
 import numpy as np
 import numpy.typing as npt
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.declaration import BAUD, CHANNELS, Channel, MessageId
 from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan, load_plan

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from heli_benchmark.cases.clean import TRAIN_S, VALIDATE_S, clean_cases
 from heli_benchmark.simulation.flight_code import flown, plan
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.data.log.table import write_csv
 
 from tests.identify import made

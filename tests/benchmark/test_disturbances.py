@@ -21,7 +21,7 @@ from heli_benchmark.effects.measured import MEASURED_EFFECTS
 from heli_benchmark.effects.unlisted import DISTURBED
 from heli_benchmark.engine.plant import STEP_S, Moment
 from heli_benchmark.engine.true_trajectory import TrueTrajectory
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_sim.rig import load_rig
 from heli_sim.rig.encoders import count_rad

@@ -32,7 +32,7 @@ from heli_benchmark.task import (
     write_answer,
 )
 from heli_benchmark.task.split import causes_of
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.ui.cli.entry import run
 
 from tests.benchmark.small_split import TRUTHS, informed, make

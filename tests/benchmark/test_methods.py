@@ -12,7 +12,7 @@ from heli_benchmark.methods.stepwise import selected
 from heli_benchmark.methods.terms import ResidualRegression, Standardisation, Term
 from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, Estimate
 from heli_benchmark.task.answer import check_answer
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_lab.diagnose import to_json
 from heli_sim.model import MultibodyModel

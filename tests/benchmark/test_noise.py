@@ -10,7 +10,7 @@ from heli_benchmark.cases.noise import NOISE_KINDS, noise_case
 from heli_benchmark.effects.noise import NOISE
 from heli_benchmark.engine.plant import Moment
 from heli_benchmark.runs.noise import NoiseCounts
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 
 def test_twenty_seeds_give_each_kind_twice_alone_and_with_one_and_two_causes() -> None:

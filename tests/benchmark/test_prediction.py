@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from heli_benchmark.leaderboard.prediction import WORST_RATIO, prediction_ratio, true_errors
 from heli_benchmark.task import Answer, AxisSeries, BenchmarkCase, Causes, Estimate
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from tests.benchmark.test_methods import CAUSES, RIG, SPRING, STIFFNESS, flown
 

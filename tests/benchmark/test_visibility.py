@@ -18,7 +18,7 @@ from heli_benchmark.reference.visibility import (
     residual_norm,
     visibility,
 )
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.rig.encoders import count_rad
 
 from tests.running.long import samples

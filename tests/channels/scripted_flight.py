@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 from heli_host.board.open_loop import ALL_AXES
-from heli_host.data.log.export import export_mat, export_parquet
-from heli_host.data.log.flight_file import read_flight
-from heli_host.data.log.table import write_csv
+from heli_host.data.log.reader import read_flight
+from heli_host.data.log.table import export_mat, export_parquet, write_csv
 from heli_host.data.log.writer import LogWriter
 from heli_host.declaration import (
     LINK_HASH,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.declaration import CHANNELS
 
 from tests.channels import through_the_host

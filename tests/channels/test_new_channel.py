@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_host.data.flight import OWN_COLUMNS
-from heli_host.data.log.flight_file import read_flight
-from heli_host.data.log.reader import read_log
+from heli_host.data.log.reader import read_flight, read_log
 from heli_host.declaration import Channel, Fault, State
 
 from tests.channels import changed_copy, scripted_flight
@@ -206,7 +205,7 @@ def test_an_older_host_reads_the_log_of_a_longer_declaration_and_the_other_way_r
     program = """
 import sys
 from heli_host.errors import LogError
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.data.log.reader import read_log
 flight = read_flight(sys.argv[1])
 assert not {"tick_echo", "tilt_rate_rad_s"} & set(flight.extra)

@@ -11,10 +11,8 @@ from pathlib import Path
 
 import numpy as np
 from heli_host.board.samples import Scales
-from heli_host.data.log.export import export_mat, export_parquet
-from heli_host.data.log.flight_file import read_flight
-from heli_host.data.log.reader import read_log
-from heli_host.data.log.table import write_csv
+from heli_host.data.log.reader import read_flight, read_log
+from heli_host.data.log.table import export_mat, export_parquet, write_csv
 from heli_host.data.log.writer import LogWriter
 from heli_host.declaration import CHANNELS, PARAMS, Channel
 from heli_host.link.channels import rad_per_count

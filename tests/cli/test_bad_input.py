@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.data.log.records import McapBytes
+from heli_host.data.log.writer import McapBytes
 from heli_host.errors import file_remedy
 from heli_sim.rig import load_rig, write_rig
 from serial.tools import list_ports

@@ -19,7 +19,7 @@ import pytest
 from heli_host.declaration import State
 from heli_host.errors import CommandRefused
 from heli_host.fly.heli import Heli
-from heli_host.link.requests import Command
+from heli_host.link.engine import Command
 from heli_host.link.session import Session
 from heli_host.ui.cli.verbs import motors
 from heli_sim.sil.process import SilProcess

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 from heli_host.board.twins import EVENT
 from heli_host.data.log.blind import blind, hide
-from heli_host.data.log.flight_file import read_flight
-from heli_host.data.log.reader import read_log
+from heli_host.data.log.reader import read_flight, read_log
 from heli_host.data.log.table import notes_path
 from heli_sim.rig import load_rig, write_rig
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_sim.model.effects import catalogue, effect_numbers
 from heli_sim.rig import Rig, load_rig, write_rig
 

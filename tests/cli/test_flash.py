@@ -17,7 +17,7 @@ from heli_host.board.flash import bossac as uploading
 from heli_host.board.flash.bossac import Bossac, find_bossac, write_image
 from heli_host.board.flash.image import FLASH_START, RAM_START, VECTORS, read_image
 from heli_host.board.flash.touch import ERASE_S, ERASING_BAUD, erase_chip, restart_chip
-from heli_host.board.parameter_file import read_parameter_set
+from heli_host.board.parameters import read_parameter_set
 from heli_host.declaration import BAUD, LINK_HASH, PARAMS_HASH, State
 from heli_host.errors import FlashError, ImageError, UploaderError
 from heli_host.ui.cli.verbs import flash as flash_verb
@@ -126,7 +126,7 @@ def test_parameters_that_were_changed_are_kept_in_a_file_that_restores_them(
 def other_link(monkeypatch: pytest.MonkeyPatch) -> None:
     """This host was built from another declaration of the link than the board."""
     monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
-    monkeypatch.setattr("heli_host.link.handshake.LINK_HASH", LINK_HASH ^ 1)
+    monkeypatch.setattr("heli_host.link.engine.LINK_HASH", LINK_HASH ^ 1)
 
 
 @pytest.mark.slow

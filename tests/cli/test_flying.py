@@ -13,8 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from heli_host.data.log.flight_file import read_flight
-from heli_host.data.log.reader import Log, read_log
+from heli_host.data.log.reader import Log, read_flight, read_log
 
 from tests.cli.terminal import Terminal, command, process
 from tests.running.long import LONG, samples

@@ -10,12 +10,11 @@ from pathlib import Path
 import pytest
 import rich
 import zstandard
+from heli_host.data.files import parse_toml, read_file, toml_string
 from heli_host.data.log import scan, table
-from heli_host.data.log.flight_file import read_flight
-from heli_host.data.log.reader import read_log
+from heli_host.data.log.reader import read_flight, read_log
 from heli_host.data.log.summary import summarise
 from heli_host.errors import FlightDataError, LogError, PlanError, printable
-from heli_host.files import parse_toml, read_file, toml_string
 from heli_host.fly.plan import Plan
 from heli_host.ui.cli.progress import LiveLine
 from heli_host.ui.cli.progress_bar import WorkBar
@@ -270,7 +269,7 @@ def test_a_log_that_unpacks_to_more_than_any_flight_is_refused(
     ],
 )
 def test_an_impossible_event_costs_its_chunk_and_is_reported(tmp_path: Path, body: bytes) -> None:
-    from heli_host.data.log.records import EVENT_CHANNEL, JsonMessage
+    from heli_host.data.log.writer import EVENT_CHANNEL, JsonMessage
 
     writer = open_writer(tmp_path / "a.mcap")
     writer.write_ticks(*make_samples(200))

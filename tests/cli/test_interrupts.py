@@ -8,7 +8,7 @@ import sys
 import threading
 
 import pytest
-from heli_host.interrupts import Interrupts
+from heli_host.board.interrupts import Interrupts
 from heli_host.ui.cli import entry, run
 
 LOADING = """
@@ -53,7 +53,7 @@ def test_a_verb_that_is_interrupted_says_so(
 def test_a_signal_after_the_end_of_a_flight_does_not_break_its_result(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("heli_host.interrupts._interrupted", threading.Event())
+    monkeypatch.setattr("heli_host.board.interrupts._interrupted", threading.Event())
     before = signal.signal(signal.SIGINT, entry._raise_interrupt)
     try:
         with Interrupts(), pytest.raises(KeyboardInterrupt):

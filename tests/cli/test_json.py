@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from heli_host import output_files
+from heli_host.data import files
 from heli_host.ui.cli.entry import command_line
 
 from tests.cli.terminal import Terminal
@@ -73,13 +73,13 @@ def test_a_result_on_standard_output_is_json_alone(
 
 def test_law_fly_writes_its_result_once(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     written: list[str] = []
-    write_bytes = output_files.write_bytes
+    write_bytes = files.write_bytes
 
     def noted(path: Path, content: bytes, **options: Any) -> None:
         written.append(Path(path).name)
         write_bytes(path, content, **options)
 
-    monkeypatch.setattr(output_files, "write_bytes", noted)
+    monkeypatch.setattr(files, "write_bytes", noted)
     result = terminal("law", "fly", LAW, *SIL, "--duration", "1", "--log", "c.mcap", "--json", "c.json")
     assert result.code == 0, result.err
     assert written.count("c.json") == 1

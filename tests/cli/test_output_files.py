@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from heli_host.output_files import (
+from heli_host.data.files import (
     FORCE,
     ForeignFile,
     check_replaceable,
@@ -266,10 +266,9 @@ def test_a_folder_and_a_missing_file_are_no_foreign_files(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_every_writer_of_the_program_leaves_a_file_that_it_recognises(tmp_path: Path) -> None:
-    from heli_host.data.log.export import export_mat, export_parquet
-    from heli_host.data.log.flight_file import read_flight
+    from heli_host.data.log.reader import read_flight
     from heli_host.data.log.ros2 import export_ros2
-    from heli_host.data.log.table import notes_path, write_csv
+    from heli_host.data.log.table import export_mat, export_parquet, notes_path, write_csv
 
     log = tmp_path / "flight.mcap"
     assert run(["record", "--sil", "--speed", "max", "--duration", "1", "-o", str(log), "--quiet"]) == 0
@@ -296,8 +295,8 @@ DIRECT = re.compile(
     r"\.write_text\(|\.write_bytes\(|\.savefig\(|open\([^()]*[\"'][wax]b?[\"']|pq\.write_table\("
 )
 STATE = {
-    "host/heli_host/output_files.py": "the rule itself",
-    "host/heli_host/data/views.py": "a picture in memory",
+    "host/heli_host/data/files.py": "the rule itself",
+    "host/heli_host/data/flight.py": "a picture in memory",
     "host/heli_host/data/log/blind.py": "within replacing",
     "host/heli_host/data/log/ros2.py": "within replacing",
     "host/heli_host/data/log/table.py": "within replacing",

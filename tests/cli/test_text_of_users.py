@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.board.parameter_file import read_parameter_set
+from heli_host.board.parameters import read_parameter_set
+from heli_host.data.files import decode_text
 from heli_host.data.log import table
 from heli_host.data.log.reader import read_log
 from heli_host.data.log.table import read_csv
 from heli_host.data.tables import read_profile
 from heli_host.errors import FlightDataError, LogError
-from heli_host.files import decode_text
 from heli_host.fly.plan import load_plan
 from heli_host.link.transport import PortInfo
 from heli_host.ui.cli.board import is_due, is_due_native

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import State
 from heli_host.errors import FlightAborted

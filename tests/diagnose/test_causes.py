@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heli_host.arrays import Booleans, Floats
+from heli_host.data.arrays import Booleans, Floats
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
 from heli_lab.explain.discover.effect_contribution import accelerations
 from heli_lab.explain.evaluate import compare_free_runs

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_lab.diagnose import Diagnosis, diagnose, to_json
 from heli_lab.fit.estimation import AlongTrajectory, Trajectory, _kalman
 from heli_sim.model import MultibodyModel

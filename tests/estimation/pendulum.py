@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_lab.fit.estimation import DisturbanceModel, GreyBoxModel
 from heli_lab.fit.estimation.grey_box import no_reset
 from scipy.integrate import solve_ivp

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_lab.fit.estimation import DisturbanceModel, GainDisturbance
 from heli_lab.fit.estimation.disturbance_search import maximise
 

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_lab.fit.estimation import (
     BLOCK_s,
     Derivatives,

@@ -15,7 +15,7 @@ from heli_benchmark.runs.ask import timed_diagnosis
 from heli_benchmark.scoring.judge import RANDOM_TORQUE
 from heli_benchmark.task.combined_causes import PARTS, of_parts
 from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_sim.rig import load_rig
 
 DATA: Final = Path(__file__).resolve().parents[3] / "shared" / "data"

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.errors import HeliError
 from heli_host.fly.heli import Heli
 from heli_host.fly.plan import plan_names

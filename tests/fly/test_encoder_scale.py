@@ -14,7 +14,7 @@ import heli_host
 import numpy as np
 import pytest
 from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.ui.cli import run
 from heli_lab.watch.encoder_scale.estimate import Explanation, ScaleEstimate, scales_of
 from heli_lab.watch.encoder_scale.warning import finding_of, warning_text, wrong_scale

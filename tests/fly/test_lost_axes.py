@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.board.published_gains import load_gains
+from heli_host.board.parameters import load_gains
 from heli_host.declaration import PARAMS, Axes, Fault, State
 from heli_host.errors import HeliError
 from heli_host.fly.heli import connect

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heli_host.data.flight.flown import TAKE_OFF
+from heli_host.data.response import TAKE_OFF
 from heli_host.declaration import PARAMS
 from heli_host.errors import PlanError
 from heli_host.fly.plan import Plan, load_plan, plan_names, take_off

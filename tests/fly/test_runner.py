@@ -13,15 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.data.log.flight_file import read_flight
-from heli_host.data.log.reader import Log, read_log
+from heli_host.data.log.reader import Log, read_flight, read_log
 from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import Axes, Flags, State
 from heli_host.errors import LogWriteError, PlanError
 from heli_host.fly.heli import Heli, connect
+from heli_host.fly.pilot import RouteStream
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.recorder import Recorder
-from heli_host.fly.route_stream import RouteStream
 from heli_host.fly.runner import Progress, fly
 from heli_host.fly.tracking import TrackingMonitor
 from heli_host.link.telemetry import Ticks

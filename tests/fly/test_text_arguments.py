@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from heli_host.board.samples import Sample
 from heli_host.data.flight import Flight
-from heli_host.data.flight.response import steps
+from heli_host.data.response import steps
 from heli_host.declaration import State
 from heli_host.errors import HeliError
 from heli_host.fly.controller import run_controller

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_host.data.tables import Angle, Profile, Voltage
 from heli_sim.rig import Rig, load_rig

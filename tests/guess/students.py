@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 
 BIAS_V = 7.3

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.tables import Angle, Column, Profile, Table, Voltage
 from heli_lab.setup.guess.evidence import pooled_fits
 from heli_lab.setup.guess.lags import lag_ambiguities

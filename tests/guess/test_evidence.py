@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.tables import Angle, Column, Profile, Table, Voltage
 from heli_host.errors import FlightDataError
 from heli_lab.setup.guess import merge_tables

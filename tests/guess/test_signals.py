@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_lab.setup.guess.regression.signals import filtered_signal, unwrapped
 from heli_lab.setup.guess.thresholds import CUTOFF_Hz, SAMPLE_STEP_s
 

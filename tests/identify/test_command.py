@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.data.log.table import write_csv
 from heli_host.ui.cli.progress_bar import WorkBar
 from heli_host.ui.cli.variadic import spread

@@ -10,7 +10,7 @@ import heli_sim.compiled
 import numpy as np
 import pytest
 from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_lab.fit.identify import Budget, Problem, check, prepare, solve
 from heli_lab.fit.identify.free_run.interpreted import InterpretedKernel
 from heli_lab.fit.identify.results import Identification

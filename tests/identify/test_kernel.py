@@ -7,7 +7,7 @@ from pathlib import Path
 import heli_sim.compiled
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_lab.code_digest import package_digest
 from heli_lab.fit.identify.free_run import Functions, Inputs, VoltageDerivative, kernel
 from heli_lab.fit.identify.free_run.compiled import CompiledKernel

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_lab.fit.identify import Problem, combinations, prepare, solve, uninformed_parameters
 from heli_lab.fit.identify.estimation_problem.residual_noise import (
     correlation_at,

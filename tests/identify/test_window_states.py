@@ -7,7 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_lab.fit.identify import Problem, check, prepare, solve, validate
 from heli_lab.fit.identify.estimation_problem.initial_states import alternative_states, initial_state_guess

@@ -10,7 +10,7 @@ from typing import Final
 
 import heli_host
 import pytest
-from heli_host.board.laws import read_law
+from heli_host.board.law_program import read_law
 from heli_host.errors import BadLaw
 from heli_lab.control.law import files
 from heli_lab.control.law.files import load_law

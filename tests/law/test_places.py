@@ -13,10 +13,10 @@ import heli_host
 import numpy as np
 import numpy.typing as npt
 import pytest
-from heli_host.arrays import Floats
-from heli_host.data.flight.response import responses
+from heli_host.data.arrays import Floats
 from heli_host.data.log.reader import read_log
 from heli_host.data.log.summary import summarise
+from heli_host.data.response import responses
 from heli_host.declaration import LAW_INPUTS
 from heli_host.fly.recorder import Recorder
 from heli_lab.control.law import Command, Law, control_law
@@ -103,10 +103,9 @@ def test_a_law_flies_over_the_link_and_its_errors_are_reported(name: str, place:
 
 @pytest.mark.medium
 def test_the_names_of_signals_travel_into_log_tables_and_figures(tmp_path: Path) -> None:
-    from heli_host.data.log.export import export_mat, export_parquet
     from heli_host.data.log.figure import draw
-    from heli_host.data.log.flight_file import read_flight
-    from heli_host.data.log.table import write_csv
+    from heli_host.data.log.reader import read_flight
+    from heli_host.data.log.table import export_mat, export_parquet, write_csv
     from scipy.io import loadmat
 
     law = law_of(LAWS / "sliding_mode.py")

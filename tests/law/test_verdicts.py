@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.data.flight.response import responses
+from heli_host.data.response import responses
 from heli_lab.apps.classroom.grade import FlightScore, LawGrade, score_of_trial
 from heli_lab.control.law import Command, control_law, from_gain
 from heli_lab.control.law.linear import linearised

@@ -7,9 +7,8 @@ import random
 import numpy as np
 import pytest
 from heli_host.declaration import Channel
-from heli_host.link.accounting import TickAccount
 from heli_host.link.clock import ClockEstimate, ClockFit
-from heli_host.link.telemetry import Ticks
+from heli_host.link.telemetry import TickAccount, Ticks
 
 
 def arrivals(

@@ -8,9 +8,8 @@ import signal
 import threading
 
 import pytest
-from heli_host.link.driver import Driver
 from heli_host.link.engine import Engine
-from heli_host.link.subscribers import Subscribers
+from heli_host.link.session import Driver, Subscribers
 
 from tests.link.fake_board import FakeBoard, FakeLine
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from heli_host.declaration import Channel, Event, EventMessage, Fault, State, Trigger
 from heli_host.link.events import LinkEvent, event_text
-from heli_host.link.missed_events import MissedEvents, insert_missed
 from heli_host.link.session import Session
-from heli_host.link.telemetry import CHANNEL_COUNT, Ticks
+from heli_host.link.telemetry import CHANNEL_COUNT, MissedEvents, Ticks, insert_missed
 
 from tests.link.fake_board import FakeBoard, FakeLine
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from heli_host.board.parameter_file import parameters_text, read_parameter_set
+from heli_host.board.parameters import parameters_text, read_parameter_set
 from heli_host.declaration import PARAMS, PARAMS_HASH
 from heli_host.errors import ParameterError
 from heli_host.ui.cli import run

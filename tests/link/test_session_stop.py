@@ -16,8 +16,8 @@ from heli_host.declaration import (
     State,
 )
 from heli_host.errors import LinkError
+from heli_host.link.engine import RequestNumbers
 from heli_host.link.frames import FrameParser
-from heli_host.link.requests import RequestNumbers
 
 from tests.link.fake_board import FakeBoard, FakeLine, connected_session, ticks_of_received
 

@@ -10,10 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_host.data.flight import Flight
-from heli_host.data.flight.counts import count_rad
-from heli_host.data.flight.flown import of_its_law
-from heli_host.data.flight.response import effort_V, responses, steps
 from heli_host.data.log.table import write_csv
+from heli_host.data.response import count_rad, effort_V, of_its_law, responses, steps
 from heli_host.declaration import Flags
 
 from tests.cli.terminal import Terminal, refusal, terminal

@@ -15,9 +15,8 @@ import pytest
 from heli_host.data.log import disk
 from heli_host.data.log.disk import BackgroundFile, DirectFile, check_free_space, check_new
 from heli_host.data.log.reader import read_log
-from heli_host.data.log.records import last_record
 from heli_host.data.log.summary import summarise
-from heli_host.data.log.writer import CHUNK_TICKS, LogWriter
+from heli_host.data.log.writer import CHUNK_TICKS, LogWriter, last_record
 from heli_host.errors import LogWriteError
 
 from tests.log.made import RAD_PER_COUNT, WALL_NS, make_samples

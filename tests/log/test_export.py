@@ -10,13 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_host.data.flight import Flight
-from heli_host.data.flight.flown import flown_rows
-from heli_host.data.log.export import export_mat, export_parquet
 from heli_host.data.log.figure import draw, write_figure
-from heli_host.data.log.flight_file import read_flight
-from heli_host.data.log.reader import read_log
+from heli_host.data.log.reader import read_flight, read_log
 from heli_host.data.log.summary import summarise, tracking_errors_deg
-from heli_host.data.log.table import write_csv
+from heli_host.data.log.table import export_mat, export_parquet, write_csv
+from heli_host.data.response import flown_rows
 from heli_host.declaration import Axis, Channel, State
 from heli_host.errors import LogWriteError
 

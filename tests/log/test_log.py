@@ -13,11 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.data.log.clock import TickClock
-from heli_host.data.log.flight_file import read_flight
-from heli_host.data.log.reader import read_log
+from heli_host.data.log.reader import read_flight, read_log
 from heli_host.data.log.schema import TICK_LAYOUT, TICK_SCHEMA, TICK_TOPIC, parse_layout
-from heli_host.data.log.writer import CHUNK_TICKS, LogWriter
+from heli_host.data.log.writer import CHUNK_TICKS, LogWriter, TickClock
 from heli_host.declaration import Channel
 from heli_host.errors import HeliError, LogError, LogWriteError, TruncatedLog
 from hypothesis import given, settings

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.data.log.ros2 import export_ros2
 from heli_host.errors import LogWriteError
 from hypothesis import given, settings

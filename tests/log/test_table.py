@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_host.data.flight import REQUIRED_COLUMNS, Flight
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.data.log.table import notes_path, write_csv
 from heli_host.errors import FlightDataError, HeliError, LogWriteError
 from hypothesis import given, settings
@@ -265,7 +265,7 @@ def test_studying_a_flight_imports_no_session_and_no_port(tmp_path: Path) -> Non
     write_made_log(tmp_path / "a.mcap", 2000)
     script = (
         "import sys\n"
-        "from heli_host.data.log.flight_file import read_flight\n"
+        "from heli_host.data.log.reader import read_flight\n"
         "from heli_host.data.log.table import write_csv\n"
         f"write_csv(read_flight({str(tmp_path / 'a.mcap')!r}), {str(tmp_path / 'a.csv')!r})\n"
         "print(*sorted(sys.modules))\n"

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
-from heli_host.data.views import rate
+from heli_host.data.flight import Flight, rate
+from heli_host.data.log.reader import read_flight
 
 from tests.log.made import write_made_log
 

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_lab.explain.evaluate import HORIZONS, ErrorReduction, FreeRun, compare_free_runs, free_runs
 from heli_lab.explain.evaluate.error_reduction import error_reduction
 from heli_lab.explain.evaluate.free_run import free_run

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_lab.explain.evaluate import compare_free_runs, free_runs
 from heli_lab.fit.identify import Fit
 from heli_lab.fit.identify.thresholds import UNINFORMED

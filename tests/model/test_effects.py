@@ -9,7 +9,7 @@ from statistics import NormalDist
 import casadi as ca
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_lab.fit.identify.free_run import Functions, Inputs, kernel
 from heli_lab.fit.identify.free_run.interpreted import InterpretedKernel
 from heli_sim.errors import PlantError

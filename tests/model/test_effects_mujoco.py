@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_benchmark.engine.bodies import JOINTS, mujoco_rig
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.plant import Plant

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_lab.fit.identify.estimation_problem import Problem
 from heli_sim.errors import PlantError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.board.published_gains import paper_gains
+from heli_host.board.parameters import paper_gains
 from heli_host.ui.cli import app
 from heli_lab.apps.paper.experiments import fly_plan
 from heli_lab.apps.paper.table6 import LoopVerdict, verdicts

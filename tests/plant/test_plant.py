@@ -10,7 +10,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim import _native, compiled
 from heli_sim.model import Model, PaperModel
 from heli_sim.model.effect import Operands

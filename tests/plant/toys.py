@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model import Effect, Model, Operands, Quantity
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_host.fly.process_limits import limit_process
+from heli_host.data.files import limit_process
 
 resource = pytest.importorskip("resource")
 

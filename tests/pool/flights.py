@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_lab.apps.pool import ParameterEstimate, without_prior
 from heli_lab.fit.estimation import estimate, refiltered

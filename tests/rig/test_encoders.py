@@ -8,7 +8,7 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
-from heli_host.board.parameter_file import parameters_text, read_parameter_set
+from heli_host.board.parameters import parameters_text, read_parameter_set
 from heli_host.board.rig_check import BoardProperty, check_rig, rig_differences, rig_parameters
 from heli_host.declaration import AXES
 from heli_host.errors import RigMismatch

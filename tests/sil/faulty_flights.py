@@ -15,9 +15,8 @@ from heli_host.declaration import Event, EventMessage, Fault, MessageId, State, 
 from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import Progress, fly
-from heli_host.link.accounting import LinkCounters
 from heli_host.link.frames import FrameParser
-from heli_host.link.telemetry import TelemetryDecoder, Ticks
+from heli_host.link.telemetry import LinkCounters, TelemetryDecoder, Ticks
 from heli_sim import _native
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.world import SilWorld

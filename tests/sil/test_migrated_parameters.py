@@ -8,7 +8,7 @@ from pathlib import Path
 
 import heli_host
 import pytest
-from heli_host.board.parameter_origin import read_origin
+from heli_host.board.parameters import read_origin
 from heli_host.declaration import PARAMS, PARAMS_HASH, ParamsSource
 from heli_host.ui.cli.board import open_board
 from heli_sim.sil.flash_pages import saved

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
-from heli_host.data.tables import limits, read_table, sizes
+from heli_host.data.tables import limits, read_table
 from heli_host.errors import FlightDataError
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="skipped: only Linux limits memory")
@@ -233,7 +233,7 @@ def test_a_table_at_the_limits_is_read(tmp_path: Path, monkeypatch: pytest.Monke
     import pandas
 
     monkeypatch.setattr(limits, "MAX_NUMBERS", 600)
-    monkeypatch.setattr(sizes, "MAX_ROWS", 200)
+    monkeypatch.setattr(limits, "MAX_ROWS", 200)
     frame = pandas.DataFrame({"t": np.arange(200) * 0.01, "x": np.ones(200), "y": np.zeros(200)})
     frame.to_parquet(tmp_path / "a.parquet")
     assert len(read_table(tmp_path / "a.parquet")) == 200

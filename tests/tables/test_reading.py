@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_host.data.tables import Table, read_table
-from heli_host.data.tables.units import split_unit
+from heli_host.data.tables.table import split_unit
 from heli_host.errors import FlightDataError
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from heli_host import declaration as d
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.fly import route
 from heli_host.link.channels import physical
 from heli_host.link.frames import FrameParser, encode_frame

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
-from heli_host.board.published_gains import paper_gains
+from heli_host.board.parameters import paper_gains
+from heli_host.data.arrays import Floats
 from heli_host.declaration import PARAMS
 from heli_host.errors import ParameterError
 from heli_lab.control.tune import (

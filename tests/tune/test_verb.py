@@ -9,8 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from heli_host.board.parameter_file import read_parameter_set
-from heli_host.board.parameters import checked
+from heli_host.board.parameters import checked, read_parameter_set
 from heli_host.ui.cli.entry import run
 from heli_lab.control.tune.flight_metrics import FlightMetrics
 from heli_lab.verbs.tune import _flight_lines

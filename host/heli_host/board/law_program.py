@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Final, Protocol
 
 from heli_host.declaration import (
@@ -34,6 +35,7 @@ from heli_host.declaration import (
     TICK_US,
 )
 from heli_host.errors import BadLaw
+from heli_host.link.installation import plugins
 
 TICK_Hz: Final = 1_000_000 // TICK_US
 DIVISORS: Final = tuple(d for d in range(1, 256) if TICK_Hz % d == 0)
@@ -294,3 +296,19 @@ def _bits_of_single(value: float) -> int:
     """Return the 32 bits of a number in single precision."""
     bits: int = struct.unpack("<I", struct.pack("<f", value))[0]
     return bits
+
+
+ENTRY_POINT_GROUP: Final = "heli_host.laws"
+FILE_LIMIT_s: Final = 30.0
+"""How long the file of a law may run [s]. The laws of the documents take under 2 s. A shorter limit refuses
+files that solve a large problem first; with a longer limit people wait longer for a loop without an end."""
+
+LawReader = Callable[[Path, str | None], LawProgram]
+
+
+def read_law(path: Path, rig: str | None = None) -> LawProgram:
+    """Compile the law in a file to a program; the code of the file is run."""
+    for entry in plugins(ENTRY_POINT_GROUP):
+        reader: LawReader = entry.load()
+        return reader(path, rig)
+    raise BadLaw("no installed package can read control laws", "reinstall heli-host")

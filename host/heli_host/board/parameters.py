@@ -4,23 +4,38 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import errno
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from heli_host.data.files import TOML_BYTES, decode_text, parse_toml, read_file
 from heli_host.declaration import (
     PARAMS,
+    PARAMS_HASH,
+    ControllerMessage,
+    ControllerReadMessage,
     Param,
     ParamsDefaultMessage,
     ParamSetMessage,
+    ParamsOriginMessage,
+    ParamsOriginReadMessage,
     ParamSpec,
     ParamsSaveMessage,
+    ParamsSource,
     Result,
 )
-from heli_host.errors import CommandRefused, HeliError, LinkError, ParameterError, range_text
+from heli_host.errors import CommandRefused, HeliError, LinkError, ParameterError, file_remedy, range_text
 from heli_host.link.events import BOARD_RESTARTED, LinkEvent
 from heli_host.link.session import Session
+
+if TYPE_CHECKING:
+    from heli_host.link.session import Session
+
 
 _INDEX = {spec.name: spec.index for spec in PARAMS}
 
@@ -157,3 +172,198 @@ def _range(spec: ParamSpec) -> str:
 def shortest_decimal(value: float) -> float:
     """Return the shortest decimal number that equals `value` in single precision: 0.35, not 0.349999994."""
     return float(str(np.float32(value)))
+
+
+TABLE = "parameters"
+"""Table of the file that holds the values."""
+UNITS = "units"
+"""Table of the file that holds their units."""
+SCHEMA = "schema"
+"""Entry of the file with the digest of the parameter schema under which it was written."""
+_REMEDY = "give a file that params dump wrote"
+
+
+def parameters_text(values: Mapping[str, float], comment: str) -> str:
+    """Write parameters as TOML that `read_parameter_set` reads."""
+    units = {name: spec_of(name).unit for name in values}
+    lines = [f"# {comment}", f'{SCHEMA} = "{PARAMS_HASH:08x}"', "", f"[{TABLE}]"]
+    for name, value in values.items():
+        lines.append(f"{name} = {value!r}" + (f"  # {units[name]}" if units[name] else ""))
+    lines += ["", f"[{UNITS}]", *(f'{name} = "{unit}"' for name, unit in units.items())]
+    return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """Parameters of a file, as far as this host's declaration takes them."""
+
+    values: dict[str, float]  # Values by name, in declared units
+    dropped: tuple[str, ...]  # One reason per value that is not used
+    new: tuple[str, ...]  # Declared parameters that the file does not name
+
+
+def read_parameter_set(file: Path) -> ParameterSet:
+    """Read parameters that may have been written under another schema of the parameters."""
+    try:
+        content = parse_toml(decode_text(read_file(file, TOML_BYTES)))
+    except OSError as error:
+        if error.errno == errno.EFBIG:
+            raise ParameterError(
+                f"{file} is too large for a file of parameters", "give a TOML file of params dump or tune"
+            ) from error
+        raise ParameterError(f"cannot read {file}: {error.strerror or error}", file_remedy(error)) from error
+    except ValueError as error:
+        raise ParameterError(f"{file} is not TOML: {error}", _REMEDY) from error
+    return parameter_set(content, file)
+
+
+def parameter_set(content: Mapping[str, object], file: Path) -> ParameterSet:
+    """Check the tables of a parameter file.
+
+    If the file has this host's schema or no schema, each value must be valid. From a file of another schema,
+    known parameters with the declared unit and a valid value are used, and the others are dropped.
+    """
+    values = _numbers_by_name(content, file)
+    units = content.get(UNITS)
+    other_schema = content.get(SCHEMA, f"{PARAMS_HASH:08x}") != f"{PARAMS_HASH:08x}"
+    accepted: dict[str, float] = {}
+    dropped: list[str] = []
+    for name, value in values.items():
+        try:
+            unit = checked(name, value).unit
+        except ParameterError as error:
+            if not other_schema:
+                raise
+            dropped.append(error.cause)
+            continue
+        stated = units.get(name, unit) if isinstance(units, dict) else unit
+        if other_schema and stated != unit:
+            dropped.append(f"{name} was in {stated or 'no unit'} and is in {unit or 'no unit'} now")
+        else:
+            accepted[name] = value
+    return ParameterSet(
+        accepted, tuple(dropped), tuple(spec.name for spec in PARAMS if spec.name not in values)
+    )
+
+
+def _numbers_by_name(content: Mapping[str, object], file: Path) -> dict[str, float]:
+    """Return the numbers of a parameter file by name."""
+    table = content.get(TABLE)
+    if not isinstance(table, dict) or not table:
+        raise ParameterError(f"{file} has no table [{TABLE}]", _REMEDY)
+    values: dict[str, float] = {}
+    for name, value in table.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ParameterError(f"{file}: {name} is not a number", "correct that line")
+        values[name] = float(value)
+    return values
+
+
+@dataclass(frozen=True)
+class ParameterOrigin:
+    """Origin of the parameters on a board: kept, dropped and new ones."""
+
+    source: ParamsSource  # Source of the parameters in force
+    kept: int  # Stored values in force
+    dropped: int  # Stored values that no parameter takes: unknown, or out of range
+    new: tuple[str, ...]  # Parameters at their defaults, because the stored set had no usable value
+
+
+def read_origin(session: Session) -> ParameterOrigin:
+    """Ask the board which parameters its stored set gave."""
+    answer = ParamsOriginMessage.unpack(session.request(ParamsOriginReadMessage(0)).payload)
+    bits = answer.new_0 | answer.new_1 << 32 | answer.new_2 << 64
+    return ParameterOrigin(
+        source=ParamsSource(answer.source),
+        kept=answer.kept,
+        dropped=answer.dropped,
+        new=tuple(spec.name for spec in PARAMS if bits >> spec.index & 1),
+    )
+
+
+def migration_text(origin: ParameterOrigin) -> str:
+    """Describe the migration of parameters stored under another schema; empty if there was none."""
+    if origin.source is not ParamsSource.MIGRATED:
+        return ""
+    new = f"{', '.join(origin.new)} at the default" if origin.new else "none new"
+    return (
+        f"the board saved its parameters under another schema: {origin.kept} kept, {new}, {origin.dropped} "
+        "dropped; check them, then heli-host params save"
+    )
+
+
+PAPER_SETS: Final = ("printed", "corrected")
+SETS: Final = {"paper": "corrected", "paper-printed": "printed"}
+"""Table 6 of the paper under the names that ``--gains`` takes."""
+
+# (34) is three bare PIDs on the error, in degrees and volts. What the board adds to them is set aside: no
+# feed-forward but the setpoint's rate (which makes the derivative one of the error), no dead zone, and limits
+# that only the supply sets. (34) does not filter its derivative; 20 Hz is the least that 4096 counts allow.
+_BARE: Final[Mapping[str, float]] = {
+    "dead_zone_V": 0.0,
+    "hover_V": 0.0,
+    "hover_slope": 0.0,
+    "elevation_rate_ff": 1.0,
+    "elevation_acceleration_ff": 0.0,
+    "pitch_hold_ff": 0.0,
+    "travel_rate_ff": 1.0,
+    "travel_acceleration_ff": 0.0,
+    "elevation_integral_max_V": 20.0,
+    "pitch_integral_max_V": 20.0,
+    "travel_integral_max_deg": 45.0,
+    "elevation_filter_Hz": 20.0,
+    "pitch_filter_Hz": 20.0,
+    "travel_filter_Hz": 20.0,
+    "pitch_setpoint_max_deg": 30.0,
+    "differential_max_V": 12.0,
+    "pitch_slew_deg_s": 1000.0,
+    # Without hover_V and dead zone the integrators wind up to 16 V before the arm lifts, and the printed
+    # row of travel swings by 60 degrees: those are no faults of these sets.
+    "elevation_motion_V": 40.0,
+    "travel_following_max_deg": 90.0,
+}
+_PITCH: Final = {"pitch_kp": 0.66, "pitch_ki": 3.0, "pitch_kd": 0.1}
+_ELEVATION: Final = {"elevation_kp": 0.5, "elevation_ki": 1.0, "elevation_kd": 0.1}
+_TRAVEL: Final[Mapping[str, Mapping[str, float]]] = {
+    "printed": {"travel_kp": 0.13, "travel_ki": 0.7, "travel_kd": 1.462},
+    "corrected": {"travel_kp": 0.7, "travel_ki": 0.13, "travel_kd": 1.462},
+}
+
+
+def paper_gains(which: str) -> dict[str, float]:
+    """Return the gains in Table 6 of the paper as parameters of the board, in declared units.
+
+    The gains convert errors in degrees to volts; those of travel convert to the pitch setpoint in degrees.
+    """
+    if which not in _TRAVEL:
+        raise ParameterError(f"Table 6 has no set '{which}'", f"give {' or '.join(PAPER_SETS)}")
+    return {**_BARE, **_ELEVATION, **_PITCH, **_TRAVEL[which]}
+
+
+def load_gains(parameters: Parameters, gains: str | None) -> None:
+    """Set published `gains`, a name of `SETS`, in the memory of an idle board by its `parameters`; None
+    leaves the board's own, and nothing is saved.
+    """
+    if gains is None:
+        return
+    for name, value in paper_gains(SETS[gains]).items():
+        parameters[name] = value
+
+
+def controller_names(session: Session) -> tuple[str, ...]:
+    """Ask the board for the names of its compiled controllers."""
+    # No board has more; a damaged answer must not keep the host asking.
+    count = min(_ask_row(session, 0).count, round(PARAMS[Param.CONTROLLER].max) + 1)
+    return tuple(controller_name(session, row) for row in range(count))
+
+
+def controller_name(session: Session, selected: float) -> str:
+    """Ask the board for the name of one controller."""
+    answer = _ask_row(session, round(selected))
+    words = (answer.name_0, answer.name_1, answer.name_2, answer.name_3)
+    text = b"".join(word.to_bytes(4, "little") for word in words).rstrip(b"\0")
+    return text.decode("ascii", "replace")
+
+
+def _ask_row(session: Session, row: int) -> ControllerMessage:
+    return ControllerMessage.unpack(session.request(ControllerReadMessage(0, row & 0xFF)).payload)

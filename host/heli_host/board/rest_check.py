@@ -14,8 +14,8 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from heli_host.arrays import Floats
 from heli_host.board.samples import Sample, Samples
+from heli_host.data.arrays import Floats
 from heli_host.declaration import Channel, State
 from heli_host.link.telemetry import Ticks
 

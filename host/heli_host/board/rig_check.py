@@ -16,7 +16,7 @@ from typing import Final
 
 from heli_host.board.parameters import spec_of
 from heli_host.errors import HeliError, RigMismatch
-from heli_host.plugins import plugins
+from heli_host.link.installation import plugins
 
 ENTRY_POINT_GROUP: Final = "heli_host.rig_parameters"
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.arrays import Floats
-from heli_host.data.views import AngleViews, shares
+from heli_host.data.arrays import Floats
+from heli_host.data.flight import AngleViews, shares
 from heli_host.declaration import CHANNELS, Channel, ChannelArrays, ChannelValues, State
 from heli_host.link.channels import is_whole, numbers, rad_per_count
 from heli_host.link.clock import TICK_S

@@ -9,12 +9,10 @@ from heli_host.board.parameters import Parameters
 from heli_host.board.samples import Sample, SampleRing, Samples, Scales
 from heli_host.declaration import Fault, ParamsSource, Reset, State
 from heli_host.errors import LinkError, WaitTimeout, fault_text
-from heli_host.link.accounting import LinkCounters
 from heli_host.link.clock import TICK_S, ClockEstimate
 from heli_host.link.events import BOARD_RESTARTED, LinkEvent
-from heli_host.link.session import Session
-from heli_host.link.subscribers import EventCallback, Unsubscribe
-from heli_host.link.telemetry import Ticks
+from heli_host.link.session import EventCallback, Session, Unsubscribe
+from heli_host.link.telemetry import LinkCounters, Ticks
 
 HISTORY_S = 120.0
 

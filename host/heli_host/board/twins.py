@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from heli_host.declaration import TICK_US
 from heli_host.errors import HeliError
-from heli_host.plugins import plugins
+from heli_host.link.installation import plugins
 
 if TYPE_CHECKING:
     import numpy as np

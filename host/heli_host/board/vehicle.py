@@ -11,6 +11,7 @@ from typing import Final, Literal, Self, get_args
 
 import numpy as np
 
+from heli_host.board.interrupts import Interrupts, name_of
 from heli_host.board.open_loop import ALL_AXES, OpenLoopCommands
 from heli_host.board.rest_check import RestAngles
 from heli_host.board.samples import Sample, Samples
@@ -36,7 +37,6 @@ from heli_host.errors import (
     announce,
     fault_text,
 )
-from heli_host.interrupts import Interrupts, name_of
 from heli_host.link.clock import TICK_S
 from heli_host.link.events import BOARD_RESTARTED
 from heli_host.link.session import Session

@@ -1,34 +1,407 @@
-"""Flies a route: a setpoint every 20 ms of device time, commands when they are due, and a landing at the end.
-
-Setpoints go out from the callback that brings the samples, so they follow the device's time and not the
-host's, at any speed of a simulation. Commands, which wait for an answer, go out from the thread that called
-`Pilot.fly`. In lockstep both are the same thread, and the flight is the same every time.
-"""
+"""Device time of a flight, from the newest sample."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
+from heli_host.board.interrupts import Interrupts, name_of, was_interrupted
 from heli_host.board.rest_check import ANGLE_SHIFTED
 from heli_host.data.log.schema import LEVEL_WARNING
-from heli_host.declaration import Axes
-from heli_host.errors import CommandRefused, FlightAborted, HeliError, LinkLost
-from heli_host.fly.flight_monitor import FLYING, FlightMonitor
-from heli_host.fly.landing import Landing
-from heli_host.fly.progress import Progress, ProgressReports
-from heli_host.fly.route import Route
-from heli_host.fly.route_stream import RouteStream
-from heli_host.fly.ticks import newest_tick, wait_ticks
+from heli_host.data.response import LANDING, TAKE_OFF
+from heli_host.declaration import AXES, Axes, Channel, Event, Fault, SetpointMessage, State, Takeover, Trigger
+from heli_host.errors import CommandRefused, FlightAborted, HeliError, LinkLost, fault_text
+from heli_host.fly.route import Piece, Route
 from heli_host.fly.tracking import Tolerance, TrackingMonitor
-from heli_host.interrupts import Interrupts, name_of, was_interrupted
 from heli_host.link.channels import rad_per_count
+from heli_host.link.clock import TICK_S
+from heli_host.link.events import LinkEvent, state_text
 
 if TYPE_CHECKING:
+    from heli_host.board.samples import Sample
     from heli_host.board.vehicle import Vehicle
+    from heli_host.declaration import EventMessage
     from heli_host.fly.recorder import Recorder
+    from heli_host.fly.route import Route
+    from heli_host.fly.tracking import TrackingMonitor
+    from heli_host.link.session import Session
+    from heli_host.link.telemetry import LinkCounters, Ticks
 
+
+_LONGEST_WAIT_S = 2.0
+
+
+def newest_tick(session: Session) -> int:
+    """Return the tick of the newest sample; 0 before the first."""
+    newest = session.latest
+    return newest[0] if newest is not None else 0
+
+
+def wait_ticks(session: Session, count: int) -> None:
+    """Wait for some milliseconds of device time, for at most 2 s."""
+    last_tick = newest_tick(session) + count
+    session.wait_for(lambda: newest_tick(session) >= last_tick, _LONGEST_WAIT_S)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Progress of a flight.
+
+    Parameters
+    ----------
+    t_s : float
+        Device time since the loops were closed, in seconds.
+    left_s : float or None
+        Device time left until the landing; None during it.
+    phase : str
+        ``take-off``, the name of a plan, or ``landing``.
+    """
+
+    t_s: float
+    left_s: float | None
+    phase: str
+    sample: Sample
+    counters: LinkCounters
+
+
+class ProgressReports:
+    """Calls the callback of a flight's caller, in the thread of `heli_host.fly.pilot.Pilot.fly`."""
+
+    def __init__(self, heli: Vehicle, route: Route, callback: Callable[[Progress], None] | None) -> None:
+        self.error: Exception | None = None
+        self._heli = heli
+        self._route = route
+        self._callback = callback
+
+    def report(self, t_s: float) -> None:
+        """Report the progress of the route. An error of the callback is raised."""
+        if self._callback is None:
+            return
+        piece = self._route.piece_at(t_s)
+        self._call(t_s, LANDING if piece is None else piece.phase, self._route.duration_s - t_s)
+
+    def report_landing(self, t_s: float) -> None:
+        """Report the progress of the landing. An error of the callback is kept until the arm is down."""
+        try:
+            self._call(t_s, LANDING, None)
+        except Exception as error:  # noqa: BLE001 - the caller's own callback may raise anything
+            self.error, self._callback = error, None
+
+    def _call(self, t_s: float, phase: str, left_s: float | None) -> None:
+        # A board that has restarted has sent no sample yet.
+        if self._callback is not None and self._heli.session.latest is not None:
+            self._callback(Progress(t_s, left_s, phase, self._heli.latest, self._heli.session.counters))
+
+
+LAW_TAKEN_OVER: Final = "law_taken_over"
+"""Beginning of the outcome of a flight in which the board's own law took over from an uploaded one."""
+_EXPECTED_TAKEOVERS: Final = (Takeover.COMMAND, Takeover.STATE)
+"""The host's own request, and the landing, which ends the closed loop."""
 _LOOK_S = 0.05
+_CLOSING_S = 2.0
+FLYING = (State.ARMED, State.CLOSED_LOOP, State.HOLD)
+
+
+class FlightMonitor:
+    """Watches one flight. It sends nothing: `heli_host.fly.pilot.Pilot` acts on what it raises.
+
+    A stop from elsewhere, such as a page, is seen here as a state of the board that is not that of a flight.
+    `take_event` runs in the session's reading thread, all other methods in that of `Pilot.fly`.
+    """
+
+    def __init__(self, heli: Vehicle, recorder: Recorder, end_when: Callable[[], str]) -> None:
+        self.was_closed = False
+        self.takeover = ""
+        self.board_fault = ""
+        self._law_engaged_tick = 0
+        self._heli = heli
+        self._session = heli.session
+        self._recorder = recorder
+        self._end_when = end_when
+        self._hears = False
+        self._ended_by = ""
+        self._restarts = self._reconnects = 0
+
+    def begin(self) -> None:
+        """Compare restarts and reconnects with those of now."""
+        counters = self._session.counters
+        self._restarts, self._reconnects = counters.restarts, counters.reconnects
+
+    def hear_events(self) -> None:
+        """Take the cause of the end from events that arrive from now on."""
+        self._hears = True
+
+    def take_event(self, event: LinkEvent) -> None:
+        """Remember the event that ended the flight."""
+        if event.message is not None:
+            self._take_law_event(event.message)
+            if event.message.kind == Event.FAULT and self._hears and not self.board_fault:
+                self.board_fault = f"fault {fault_text(event.message.detail)}"
+        # The first event with a state that is not flying gives the cause; later ones are its consequences.
+        message = event.message
+        if not self._hears or self._ended_by or message is None or message.kind != Event.STATE:
+            return
+        # A touchdown follows from a landing, whose event was lost if this is the first.
+        if message.cause != Trigger.TOUCHDOWN:
+            self._ended_by = "" if message.detail in FLYING else event.text
+
+    def _take_law_event(self, message: EventMessage) -> None:
+        """Remember the first takeover from an uploaded law that nobody requested."""
+        if message.kind == Event.LAW_ENGAGED:
+            self._law_engaged_tick = message.tick
+        if message.kind != Event.LAW_TAKEN_OVER or message.detail in _EXPECTED_TAKEOVERS or self.takeover:
+            return
+        known = message.detail in Takeover._value2member_map_
+        reason = Takeover(message.detail).name.lower() if known else f"reason {message.detail}"
+        flown_s = ((message.tick - self._law_engaged_tick) & 0xFFFFFFFF) * TICK_S
+        self.takeover = (
+            f"{LAW_TAKEN_OVER}: {reason} ({message.value:.3g}), {flown_s:.1f} s after the uploaded law "
+            "began; the board's own law flew the rest"
+        )
+
+    def must_end(self) -> bool:
+        """Whether the board does not fly any more, the recorder has failed, or the caller ends the flight."""
+        state = self._session.state
+        self.was_closed = self.was_closed or state is State.CLOSED_LOOP
+        flying = (State.CLOSED_LOOP, State.HOLD) if self.was_closed else (State.CLOSED_LOOP, State.ARMED)
+        is_wrong = (state is not None and state not in flying) or self._recorder.error is not None
+        return is_wrong or bool(self._end_when())
+
+    def check(self, t_s: float) -> None:
+        """Raise the error that must end the flight, if there is one.
+
+        `t_s`: Device time since the loops were to be closed [s]; they must be closed within 2 s.
+        """
+        self._recorder.check()
+        if restarted := self.restarted():
+            raise FlightAborted(restarted.removeprefix("aborted: "))
+        closes_too_slowly = not self.was_closed and t_s > _CLOSING_S
+        if not self.must_end() and not closes_too_slowly:
+            return
+        raise FlightAborted(self._end_when() or self.why_down())
+
+    def why_down(self) -> str:
+        """Return the reason for a state of the board that is not that of a flight."""
+        state = self._session.state
+        if state in (State.FAULT, State.EMERGENCY_LANDING):
+            return f"fault {fault_text(self.fault())}"
+        # Telemetry shows a state slightly before the event with its reason arrives.
+        self._session.wait_for(lambda: bool(self._ended_by), _LOOK_S)
+        lost_link_text = (
+            ", after the link was lost" if self._session.counters.reconnects != self._reconnects else ""
+        )
+        state_name = state.name.lower() if state is not None else "unknown"
+        reason = self._ended_by or self._newest_state()
+        # Most events begin with the name of the state, which the message below already contains.
+        text_before, _, cause_after_state = reason.partition(f"state {state_name}, ")
+        if cause_after_state and not text_before:
+            return f"the board went to state {state_name}{lost_link_text}, {cause_after_state}"
+        return f"the board went to state {state_name}{lost_link_text} ({reason})"
+
+    def restarted(self) -> str:
+        """Return the outcome of a flight whose board has restarted; empty if it has not."""
+        if self._session.counters.restarts == self._restarts:
+            return ""
+        return f"aborted: {self._heli.restart_text()}"
+
+    def fault(self) -> int:
+        """Return the number of the fault in the newest sample."""
+        newest = self._session.latest
+        return int(newest[1][Channel.FAULT]) if newest is not None else int(Fault.NONE)
+
+    def _newest_state(self) -> str:
+        """Return the state and its trigger in the newest sample, as text."""
+        newest = self._session.latest
+        if newest is None:
+            return "no sample arrived"
+        return state_text(int(newest[1][Channel.STATE]), int(newest[1][Channel.TRIGGER]))
+
+
+INTERVAL_TICKS = 20
+"""Device time between two setpoints: 50 a second."""
+LEAD_TICKS = 100
+"""Device time from now to the tick at which a setpoint is to be reached. The board ramps towards it, so that
+the motion continues even if the next frame is late by this time."""
+
+_LONGEST_LEAD_TICKS = 400
+_STALL_TICKS = 60
+
+
+class RouteStream:
+    """Setpoints of one flight.
+
+    It owns whether setpoints are sent at present, and its lock makes `end` final: no setpoint leaves after it
+    has returned. `take_ticks` runs in the session's reading thread, all other methods in that of
+    `heli_host.fly.pilot.Pilot.fly`. In lockstep both are the same thread.
+    """
+
+    def __init__(self, heli: Vehicle, route: Route, recorder: Recorder, tracking: TrackingMonitor) -> None:
+        self.start_tick = 0
+        self._heli = heli
+        self._session = heli.session
+        self._route = route
+        self._recorder = recorder
+        self._tracking = tracking
+        self._lock = threading.Lock()
+        self._streaming = False
+        self._sent_tick = 0
+        self._coming_ends = list(route.pieces)
+        self._coming_phases = _first_piece_of_phases(route)
+        # The take-off lasts until the first phase of another name begins.
+        take_off_s = next(
+            (piece.start_s for piece in self._coming_phases if piece.phase != TAKE_OFF),
+            route.duration_s,
+        )
+        self._take_off_ticks = round(take_off_s / TICK_S)
+
+    @property
+    def taken_off_tick(self) -> int:
+        """Tick at which the first plan begins."""
+        return self.start_tick + self._take_off_ticks
+
+    @property
+    def end_tick(self) -> int:
+        """Tick at which the route ends."""
+        return self.start_tick + round(self._route.duration_s / TICK_S)
+
+    @property
+    def t_s(self) -> float:
+        """Device time since the loops were closed [s]."""
+        return (newest_tick(self._session) - self.start_tick) * TICK_S
+
+    def tick_of(self, piece: Piece) -> int:
+        """Return the tick at which a piece of the route begins."""
+        return self.start_tick + round(piece.start_s / TICK_S)
+
+    def _end_tick_of(self, piece: Piece) -> int:
+        return self.start_tick + round((piece.start_s + piece.duration_s) / TICK_S)
+
+    def warm_up(self) -> None:
+        """Evaluate the route once. The first evaluation takes 20 ms, most of it numpy's; at 50x real time
+        that is a second of flight.
+        """
+        self._setpoint_rad_at(newest_tick(self._session))
+
+    def begin(self) -> None:
+        """Send setpoints from the newest tick on."""
+        with self._lock:
+            self.start_tick = newest_tick(self._session)
+            self._sent_tick = self.start_tick - INTERVAL_TICKS
+            self._streaming = True
+
+    def end(self) -> None:
+        """Send no more setpoints."""
+        with self._lock:
+            self._streaming = False
+
+    def take_ticks(self, ticks: Ticks) -> None:
+        """Follow the route on the device time of new samples."""
+        tick = newest_tick(self._session)
+        with self._lock:
+            if not self._streaming:
+                return
+            self._tracking.take(ticks, self.taken_off_tick)
+            while self._coming_ends and tick >= self._end_tick_of(self._coming_ends[0]):
+                ended_piece = self._coming_ends.pop(0)
+                self._tracking.take_end(
+                    ticks, self._end_tick_of(ended_piece), ended_piece, not self._coming_ends
+                )
+            while self._coming_phases and tick >= self.tick_of(self._coming_phases[0]):
+                begun_piece = self._coming_phases.pop(0)
+                self._recorder.mark_phase(self.tick_of(begun_piece), begun_piece.phase)
+            if tick >= self._sent_tick + INTERVAL_TICKS:
+                self._send_setpoint_due_after(tick)
+
+    def bridge_a_stall(self) -> None:
+        """Send setpoints on the estimated device time while no samples arrive, so that a pause of telemetry
+        does not cause a landing.
+        """
+        if not self._session.connected:
+            return
+        tick = self._session.device_tick()
+        with self._lock:
+            if self._streaming and tick >= self._sent_tick + _STALL_TICKS:
+                self._send_setpoint_due_after(tick)
+
+    def _send_setpoint_due_after(self, tick: int) -> None:
+        """Stream the setpoint that is due some ticks after `tick`, so that it arrives in time."""
+        # Where samples come in larger portions than setpoints are due, the lead covers the time to the next
+        # one.
+        lead_ticks = min(max(LEAD_TICKS, tick - self._sent_tick + INTERVAL_TICKS), _LONGEST_LEAD_TICKS)
+        at_tick = tick + lead_ticks
+        message = SetpointMessage(at_tick & 0xFFFFFFFF, **self._setpoint_rad_at(at_tick))
+        self._sent_tick = tick
+        self._session.stream(message)
+        self._session.keep_alive(message if self._heli.keep_alive else None)
+
+    def _setpoint_rad_at(self, tick: int) -> dict[str, float]:
+        t_s = np.array([(tick - self.start_tick) * TICK_S])
+        angles_rad: list[float] = np.radians(self._route.evaluate(t_s)[0]).tolist()
+        return {f"{axis}_rad": angle_rad for axis, angle_rad in zip(AXES, angles_rad, strict=True)}
+
+
+def _first_piece_of_phases(route: Route) -> list[Piece]:
+    """Return the first piece of every phase, in order."""
+    firsts: list[Piece] = []
+    for piece in route.pieces:
+        if not firsts or firsts[-1].phase != piece.phase:
+            firsts.append(piece)
+    return firsts
+
+
+# The log ends at rest: these rows show the encoders' offsets and noise.
+_AFTER_TICKS = 200
+_DOWN = (State.IDLE, State.FAULT)
+_REQUESTED = (Trigger.LAND, Trigger.STOP)
+
+
+class Landing:
+    """Brings the arm down, in the thread of `heli_host.fly.pilot.Pilot.fly`, which handles its errors."""
+
+    def __init__(
+        self,
+        heli: Vehicle,
+        stream: RouteStream,
+        recorder: Recorder,
+        monitor: FlightMonitor,
+        reports: ProgressReports,
+    ) -> None:
+        self._heli = heli
+        self._session = heli.session
+        self._stream = stream
+        self._recorder = recorder
+        self._monitor = monitor
+        self._reports = reports
+
+    def land(self, *, is_completed: bool) -> str:
+        """Land, or wait for the end that the board reached by itself."""
+        if not self._session.connected and not self._monitor.was_closed:
+            return ""
+        # An idle board needs no landing, although a sample with this state may not have arrived yet.
+        has_flown = self._monitor.was_closed or self._session.state not in _DOWN
+        trouble = ""
+        if has_flown and not self._monitor.restarted():
+            trouble = self._heli.bring_down(
+                lambda: self._recorder.mark_phase(newest_tick(self._session), LANDING),
+                lambda: self._reports.report_landing(self._stream.t_s),
+            )
+        else:
+            wait_ticks(self._session, _AFTER_TICKS)
+        newest = self._session.latest
+        if is_completed and not trouble and newest is not None and not self._monitor.restarted():
+            # The board may have landed by itself, if the host was suspended between the end of the plan and
+            # the landing.
+            _, channels = newest
+            was_requested = channels[Channel.TRIGGER] in _REQUESTED
+            if channels[Channel.STATE] in _DOWN and not was_requested:
+                return self._monitor.why_down()
+        return trouble
+
+
 # The log begins at rest: these rows show the encoders' offsets and noise.
 _BEFORE_TICKS = 500
 

@@ -10,24 +10,23 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING
 
-from heli_host.data.flight.flown import PHASE_EVENT
+from heli_host.board.parameters import controller_name
 from heli_host.data.log.blind import blind_notes, hide
 from heli_host.data.log.disk import check_free_space
 from heli_host.data.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
 from heli_host.data.log.writer import LogCounters, LogWriter
+from heli_host.data.response import PHASE_EVENT
 from heli_host.declaration import LINK_HASH, LINK_VERSION, StatusMessage
 from heli_host.errors import HeliError, LogError
-from heli_host.fly.controllers import controller_name
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNAL_NAMES, LINK_LOST, LINK_SILENT, LinkEvent
+from heli_host.link.installation import installed_version
 from heli_host.link.transport import transport_recipe
-from heli_host.release import installed_version
 
 if TYPE_CHECKING:
     from heli_host.board.vehicle import Vehicle
     from heli_host.fly.plan import Plan
-    from heli_host.link.accounting import LinkCounters
-    from heli_host.link.telemetry import Ticks
+    from heli_host.link.telemetry import LinkCounters, Ticks
 
 _LEVELS = {
     "fault": LEVEL_ERROR,

@@ -12,21 +12,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from heli_host.board.interrupts import Interrupts
 from heli_host.board.twins import EVENT
-from heli_host.data.flight_checks import check_flight
 from heli_host.data.log.blind import hide
 from heli_host.data.log.figure import write_figure
 from heli_host.data.log.reader import Log, read_log
 from heli_host.data.log.schema import TICK_LAYOUT
-from heli_host.data.log.summary import FlightSummary, summarise
+from heli_host.data.log.summary import FlightSummary, flight_findings, summarise
 from heli_host.declaration import AXES
 from heli_host.errors import LogError, PlanError
-from heli_host.fly.pilot import Pilot
+from heli_host.fly.pilot import Pilot, Progress
 from heli_host.fly.plan import Plan, load_plan, take_off
-from heli_host.fly.progress import Progress
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.tracking import Tolerance
-from heli_host.interrupts import Interrupts
 
 if TYPE_CHECKING:
     from heli_host.board.twins import TwinWatch
@@ -153,7 +151,7 @@ def fly(
     if recorder.error is not None and str(recorder.error) not in summary.outcome:
         summary = replace(summary, notes=(*summary.notes, str(recorder.error)))
     if rig and len(log.ticks):
-        summary = replace(summary, findings=check_flight(log.flight(), rig))
+        summary = replace(summary, findings=flight_findings(log.flight(), rig))
     if json_path is not None:
         summary.write_json(json_path)
     if figure_path is not None:

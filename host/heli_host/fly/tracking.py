@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heli_host.declaration import AXES, CHANNELS, Channel, State
-from heli_host.fly.keys import Number, PlanTable
-from heli_host.fly.route import Piece
+from heli_host.fly.route import Number, Piece, PlanTable
 from heli_host.link.channels import ENCODERS, numbers
 from heli_host.link.clock import TICK_S
 from heli_host.link.telemetry import Ticks

@@ -12,7 +12,6 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.arrays import Floats
 from heli_host.declaration import AXES, CHANNELS, Axis, Channel, ChannelSpec
 
 ENCODERS: tuple[Channel, ...] = tuple(
@@ -49,7 +48,7 @@ def numbers(raw: npt.NDArray[np.int32], channel: Channel) -> npt.NDArray[np.inte
     return raw[..., channel].astype(_TYPES[channel])
 
 
-def physical(raw: npt.NDArray[np.int32], channel: Channel) -> Floats:
+def physical(raw: npt.NDArray[np.int32], channel: Channel) -> npt.NDArray[np.float64]:
     """Return a channel in its unit. Shapes: `raw` (..., channels)."""
     return numbers(raw, channel).astype(np.float64) * CHANNELS[channel].scale
 
@@ -70,7 +69,7 @@ def declared(raw: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
     return np.asarray(_NAMED.take(values + _STARTS).all(axis=1))
 
 
-def rad_per_count(parameters: Mapping[str, float]) -> Floats:
+def rad_per_count(parameters: Mapping[str, float]) -> npt.NDArray[np.float64]:
     """Return the angle of one count of each axis' encoder. Returns shape (axes,)."""
     counts_per_rev = (abs(parameters.get(f"{axis}_counts_per_rev", 0.0)) for axis in AXES)
     return np.array([2.0 * np.pi / counts if counts else np.nan for counts in counts_per_rev])

@@ -1,33 +1,46 @@
-"""The protocol of a session, without input and output: it consumes received bytes and returns frames to send.
-
-It uses no thread, no clock and no port: `heli_host.link.driver.Driver` passes received bytes and the time,
-and sends the bytes that `Engine.outgoing` returns. Therefore a session over a port, with a thread, and one in
-lockstep with a simulation run the same protocol.
-"""
+"""A command in progress: sent, repeated with the same number until the answer comes, or given up."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import Enum, auto
+from typing import ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
 from heli_host.declaration import (
+    LINK_HASH,
+    LINK_VERSION,
     AckMessage,
     Event,
     EventMessage,
+    FollowingMessage,
+    HelloMessage,
     MessageId,
     ParamsMessage,
     PingMessage,
     PongMessage,
     Reset,
     Result,
+    SetpointMessage,
     State,
     StatusMessage,
     StopMessage,
+    VoltagesMessage,
     WelcomeMessage,
 )
-from heli_host.errors import LinkLost, fault_text
-from heli_host.link.accounting import LinkCounters
-from heli_host.link.command_slot import CommandSlot
+from heli_host.errors import (
+    CommandRefused,
+    CommandTimeout,
+    HeliError,
+    LinkError,
+    LinkLost,
+    LinkVersionMismatch,
+    fault_text,
+)
+from heli_host.link.clock import TICK_S
 from heli_host.link.events import (
     BOARD_RESTARTED,
     LINK_LOST,
@@ -38,12 +51,366 @@ from heli_host.link.events import (
     event_text,
 )
 from heli_host.link.frames import Frame, FrameParser, encode_frame
-from heli_host.link.handshake import Handshake, Welcome
-from heli_host.link.missed_events import insert_missed
-from heli_host.link.requests import Command, RequestNumbers
-from heli_host.link.streams import DeviceTime, StreamedMessage, StreamedValues
-from heli_host.link.telemetry import EMPTY_TICKS, Ticks
-from heli_host.link.telemetry_receiver import TelemetryReceiver
+from heli_host.link.telemetry import EMPTY_TICKS, LinkCounters, TelemetryReceiver, Ticks, insert_missed
+
+# A reply takes 20 ms at most over a busy Due line. Tries grow apart, so that a slow simulation is not
+# flooded.
+_FIRST_TRY_S = 0.06
+_LONGEST_TRY_S = 0.5
+
+
+class RequestNumbers:
+    """Numbers of the requests of a session, from 1 to 255 and then from 1 again."""
+
+    def __init__(self, seed: int) -> None:
+        self._number = seed & 0xFF
+
+    def take(self) -> int:
+        """Return the next number."""
+        # 0 is the number of messages that the board sends without a request.
+        self._number = self._number % 255 + 1
+        return self._number
+
+    def distant(self) -> int:
+        """Return a number that no request of the last 100 has had, and take none."""
+        return (self._number + 126) % 255 + 1
+
+
+class Command(Protocol):
+    """A message that the board answers; every class of the declaration with a ``REPLY`` is one."""
+
+    ID: ClassVar[MessageId]
+    REPLY: ClassVar[MessageId]
+
+    @property
+    def request(self) -> int:
+        """Request number; `heli_host.link.engine.CommandSlot` sets it."""
+        ...
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        ...
+
+
+@dataclass
+class Request:
+    """A command in progress."""
+
+    command: Command
+    deadline_s: float  # Host time at which the request fails without an answer [s]
+    next_try_s: float  # Host time at which the request is sent next [s]
+    tries: int = 0  # Number of times that the request was sent
+    reply: Frame | None = None  # The board's answer
+    error: HeliError | None = None  # Reason why the request failed
+    urgent: bool = False  # True for a stop: other commands wait until it is done
+
+    @property
+    def done(self) -> bool:
+        """Whether the command was answered or given up."""
+        return self.reply is not None or self.error is not None
+
+    def expire(self, now_s: float) -> None:
+        """Give up when the deadline has passed."""
+        if not self.done and now_s >= self.deadline_s:
+            name = self.command.ID.name.lower()
+            self.error = CommandTimeout(
+                f"the board did not answer {name} in {self.tries} tries",
+                "check the link with heli-host doctor",
+            )
+
+    def note_try(self, now_s: float, round_trip_s: float) -> None:
+        """Record that the command is sent now, and schedule its next repetition."""
+        patience_s = max(_FIRST_TRY_S, 2.0 * round_trip_s) * 1.5**self.tries
+        self.next_try_s = now_s + min(patience_s, _LONGEST_TRY_S)
+        self.tries += 1
+
+    def match(self, frame: Frame) -> None:
+        """Accept a frame as the reply if it answers this command."""
+        if self.done or not frame.payload or frame.payload[0] != self.command.request:
+            return
+        is_ack = frame.id == MessageId.ACK
+        is_reply = frame.payload[1] == self.command.ID if is_ack else frame.id == self.command.REPLY
+        if is_reply:
+            self.reply = frame
+
+    def answer(self) -> Frame:
+        """Return the board's answer."""
+        if self.reply is None:
+            raise self.error or CommandTimeout("the board did not answer the command", "try again")
+        if self.reply.id == MessageId.ACK:
+            ack = AckMessage.unpack(self.reply.payload)
+            if ack.result != Result.OK:
+                raise CommandRefused(ack.command, ack.result, ack.detail, ack.value)
+        return self.reply
+
+
+class CommandSlot:
+    """The one command that may be in progress. Part of an `Engine`: its callers serialise all calls.
+
+    It owns the command from its start to its answer. `due` returns it whenever it must be sent, again and
+    again, until the answer comes or the time is up.
+    """
+
+    def __init__(self, numbers: RequestNumbers) -> None:
+        self.stops = 0
+        self.retries = 0
+        self._numbers = numbers
+        self._request: Request | None = None
+        self._round_trip_s = 0.0
+
+    @property
+    def preempted(self) -> bool:
+        """Whether a command of `preempt` still waits for its answer."""
+        request = self._request
+        return request is not None and request.urgent and not request.done
+
+    def ask(self, command: Command, now_s: float, timeout_s: float) -> Request:
+        """Start a command.
+
+        The caller waits for the previous command before it starts the next.
+        """
+        # A protocol's dataclasses are not known to be such.
+        numbered = dataclasses.replace(command, request=self._numbers.take())  # type: ignore[type-var]
+        self._request = Request(numbered, now_s + timeout_s, now_s)
+        return self._request
+
+    def preempt(self, command: Command, now_s: float, timeout_s: float) -> Request:
+        """Start a `command` ahead of all others, used for the stop.
+
+        A command in progress is given up with an error. While `preempted` is true the caller must not start
+        another command. `now_s`, `timeout_s` and the returned request are those of `ask`.
+        """
+        if self._request is not None and not self._request.done:
+            name = self._request.command.ID.name.lower()
+            self._request.error = LinkError(f"a stop came before the board answered {name}", "begin again")
+        self.stops += 1
+        request = self.ask(command, now_s, timeout_s)
+        request.urgent = True
+        return request
+
+    def expire(self, now_s: float) -> None:
+        """Give the command up if its time is over."""
+        if self._request is not None:
+            self._request.expire(now_s)
+
+    @property
+    def waits(self) -> bool:
+        """Whether a command waits for its answer."""
+        return self._request is not None and not self._request.done
+
+    def due(self, now_s: float) -> Command | None:
+        """Return the command if it must be sent now, for the caller to send, and schedule its repetition."""
+        request = self._request
+        if request is None or request.done or now_s < request.next_try_s:
+            return None
+        self.retries += request.tries > 0
+        request.note_try(now_s, self._round_trip_s)
+        return request.command
+
+    def hasten(self, now_s: float) -> None:
+        """Send the command again immediately, because the link is back."""
+        if self._request is not None:
+            self._request.next_try_s = now_s
+
+    def fail(self, error: HeliError) -> None:
+        """Give up the command that waits, if there is one."""
+        if self._request is not None and not self._request.done:
+            self._request.error = error
+
+    def match(self, frame: Frame) -> None:
+        """Accept a frame as the reply if it answers the command in progress."""
+        if self._request is not None:
+            self._request.match(frame)
+
+    def observe_round_trip(self, duration_s: float) -> None:
+        """Adapt the time between repetitions to the link."""
+        self._round_trip_s = max(0.8 * self._round_trip_s, duration_s)
+
+
+SETPOINT_INTERVAL_S = 1.0 / 200.0
+VOLTAGES_INTERVAL_S = 1.0 / 500.0
+# A little less than 10 Hz: in lockstep time passes in steps of 0.1 s, and a step must not be just too short.
+KEEP_ALIVE_S = 0.099
+
+# Samples that wait in the port arrive faster than they were made, and the estimated speed of the device is
+# then meaningless: so much device time may pass unseen [s]. More: the host floods the board after it read
+# slowly, and a stop waits behind the flood. Less: batches of a fast simulation delay the next sign of life.
+_UNSEEN_S = 0.05
+
+StreamedMessage: TypeAlias = SetpointMessage | VoltagesMessage | FollowingMessage
+
+Streamed = TypeVar("Streamed", SetpointMessage, VoltagesMessage, FollowingMessage)
+
+
+@dataclass(frozen=True)
+class DeviceTime:
+    """The present time of the host, and as much as it knows of the device's."""
+
+    now_s: float  # Host time [s]
+    tick: int  # Newest tick received
+    speed: float  # Device seconds per host second
+
+    def since(self, sent_s: float, sent_tick: int) -> float:
+        """Return the device time since a moment [s].
+
+        It follows from the device's speed, but is not much more than the samples show.
+        """
+        host_s = self.now_s - sent_s
+        seen_s = (self.tick - sent_tick) * TICK_S + _UNSEEN_S
+        return max(host_s, min(host_s * self.speed, seen_s))
+
+
+@dataclass
+class Stream(Generic[Streamed]):
+    """Rate limit of one kind of streamed value."""
+
+    interval_s: float  # Shortest device time between two values [s]
+    waiting: Streamed | None = None  # The newest value that was not sent yet
+    sent_s: float = -1e9  # Host time at which the last value was sent [s]
+    sent: int = 0
+    """sent, skipped: Number of values that were sent, and that a newer one replaced before they were sent."""
+    skipped: int = 0
+
+    def put(self, message: Streamed) -> None:
+        """Set the value to send next; it replaces a waiting value."""
+        self.skipped += self.waiting is not None
+        self.waiting = message
+
+    def release_due(self, now: DeviceTime) -> Streamed | None:
+        """Release the waiting value if the rate limit permits; None if nothing is due."""
+        if self.waiting is None or now.now_s < self.sent_s + self.interval_s / now.speed:
+            return None
+        return self.release(self.waiting, now.now_s)
+
+    def release(self, message: Streamed, now_s: float) -> Streamed:
+        """Record that `message` is sent now, and return it."""
+        self.waiting, self.sent_s = None, now_s
+        self.sent += 1
+        return message
+
+
+class StreamedValues:
+    """Setpoints and voltages on their way to the board. Part of an `Engine`: its callers serialise all calls.
+
+    It owns the values that wait, the setpoint that is kept alive, and the permission to send either. No value
+    has an answer: the newest replaces those before it.
+    """
+
+    def __init__(self) -> None:
+        self.kept: SetpointMessage | None = None
+        self.permitted: Callable[[], bool] = lambda: True
+        self.setpoints = Stream[SetpointMessage](SETPOINT_INTERVAL_S)
+        self.voltages = Stream[VoltagesMessage](VOLTAGES_INTERVAL_S)
+        self._following = Stream[FollowingMessage](VOLTAGES_INTERVAL_S)
+        self._setpoint_tick = 0
+
+    def put(self, message: StreamedMessage) -> None:
+        """Set the next value; `due` returns it as soon as the rate limit permits."""
+        if isinstance(message, SetpointMessage):
+            self.setpoints.put(message)
+        elif isinstance(message, VoltagesMessage):
+            self.voltages.put(message)
+        else:
+            self._following.put(message)
+
+    def due(self, now: DeviceTime, *, flies: bool) -> list[StreamedMessage]:
+        """Return the values that are due, for the caller to send."""
+        now_s = now.now_s
+        setpoint_age_s = now.since(self.setpoints.sent_s, self._setpoint_tick)
+        keep_alive = self.kept if flies and setpoint_age_s >= KEEP_ALIVE_S else None
+        if (self.setpoints.waiting or self.voltages.waiting or keep_alive) and not self.permitted():
+            keep_alive = self.setpoints.waiting = self.voltages.waiting = self._following.waiting = None
+        replaces_kept = self.setpoints.waiting is not None
+        values: list[StreamedMessage | None] = [
+            stream.release_due(now) for stream in (self.setpoints, self.voltages, self._following)
+        ]
+        if keep_alive is not None and not replaces_kept:
+            # Its tick may be in the past; the board then continues towards the same target.
+            values.append(self.setpoints.release(keep_alive, now_s))
+        if self.setpoints.sent_s == now_s:
+            self._setpoint_tick = now.tick
+        return [value for value in values if value is not None]
+
+
+HELLO_INTERVAL_S = 0.1
+
+
+class Welcome(Enum):
+    """Meaning of a welcome for this session."""
+
+    IGNORED = auto()
+    """It answers no hello of this handshake, or refuses the session: `Handshake.mismatch` is then set."""
+    FIRST = auto()
+    SAME_START = auto()
+    """The link was lost or silent, and the board has run on meanwhile."""
+    RESTARTED = auto()
+
+
+class Handshake:
+    """Hello and welcome. Part of an `Engine`: its callers serialise all calls.
+
+    It owns whether the session is open, and the newest welcome. While it is not open, it greets every
+    `HELLO_INTERVAL_S`.
+    """
+
+    def __init__(self, session_number: int, numbers: RequestNumbers) -> None:
+        self.is_open = False
+        self.welcome: WelcomeMessage | None = None
+        self.mismatch: LinkVersionMismatch | None = None
+        self.unreachable_since_s: float | None = None
+        self.reconnects = 0
+        self.restarts = 0
+        self._session_number = session_number
+        self._numbers = numbers
+        self._hello_request = numbers.take()
+        # Before any host time: the first greeting is due immediately.
+        self._next_hello_s = -math.inf
+
+    @property
+    def unreachable(self) -> bool:
+        """Whether a board that welcomed this session before does not answer now."""
+        return self.welcome is not None and not self.is_open
+
+    def begin(self, now_s: float) -> None:
+        """Greet again, because the board does not answer or has restarted."""
+        if self.is_open or self.unreachable_since_s is None:
+            self.unreachable_since_s = now_s
+        self.is_open = False
+        self._next_hello_s = now_s
+        self._hello_request = self._numbers.take()
+
+    def due_hello(self, now_s: float) -> HelloMessage | None:
+        """Return a hello if one is due, for the caller to send."""
+        if now_s < self._next_hello_s:
+            return None
+        self._next_hello_s = now_s + HELLO_INTERVAL_S
+        return HelloMessage(self._hello_request, LINK_HASH, self._session_number)
+
+    def take_welcome(self, welcome: WelcomeMessage, *, is_behind: bool) -> Welcome:
+        """Open the session, if the welcome answers the present hello and the declarations are the same."""
+        if self.is_open or welcome.request != self._hello_request:
+            return Welcome.IGNORED
+        if welcome.result != Result.OK or welcome.link_hash != LINK_HASH:
+            self.mismatch = LinkVersionMismatch(
+                LINK_VERSION,
+                LINK_HASH,
+                f"{welcome.link_major}.{welcome.link_minor}",
+                welcome.link_hash,
+                f"{welcome.firmware_major}.{welcome.firmware_minor}.{welcome.firmware_patch}",
+            )
+            return Welcome.IGNORED
+        previous = self.welcome
+        self.is_open, self.welcome, self.unreachable_since_s = True, welcome, None
+        if previous is None:
+            return Welcome.FIRST
+        self.reconnects += 1
+        # Either condition alone may fail: the boot id of another start is the same by chance once in 2^24,
+        # and the tick may be higher although the board restarted, if that was long ago.
+        if welcome.boot_id == previous.boot_id and not is_behind:
+            return Welcome.SAME_START
+        self.restarts += 1
+        return Welcome.RESTARTED
+
 
 # A little less than 5 Hz: in lockstep time passes in steps of 0.1 s, and a step must not be just too short.
 HEARTBEAT_S = 0.199

@@ -9,14 +9,29 @@ sign extension of unsigned channels is removed.
 
 from __future__ import annotations
 
+import math
 import struct
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.declaration import CHANNELS, ChannelSpec, TelemetryMessage
+from heli_host.declaration import (
+    CHANNELS,
+    Channel,
+    ChannelSpec,
+    Event,
+    EventMessage,
+    Fault,
+    State,
+    StatusMessage,
+    TelemetryMessage,
+)
+from heli_host.link.channels import MODES, declared
+from heli_host.link.clock import ClockFit
+from heli_host.link.events import LinkEvent, event_kind, event_text
 
 CHANNEL_COUNT = len(CHANNELS)
 
@@ -182,3 +197,271 @@ def _unpack(words: npt.NDArray[np.uint32], plans: Sequence[_Plan], layout: _Layo
     first_tick = words.take(first_byte) - first_row.astype(np.uint32)
     tick = np.repeat(first_tick, count) + np.arange(len(raw), dtype=np.uint32)
     return Ticks(tick, raw)
+
+
+_TICK_MODULUS = 1 << 32
+
+
+@dataclass(frozen=True)
+class LinkCounters:
+    """Counts of a session, from the first welcome on."""
+
+    frames_ok: int = 0  # Frames from the board that passed every check
+    frames_bad: int = 0
+    """Frames refused: COBS, length, CRC, protocol, or telemetry whose length does not fit or whose
+    enumerations have values that are not declared."""
+    frames_lost: int = 0  # Gaps in the board's sequence numbers
+    bytes_received: int = 0  # All bytes that arrived
+    bytes_dropped: int = 0  # Bytes that belong to no accepted frame
+    retries: int = 0  # Commands sent again because no answer came in time
+    reconnects: int = 0  # Times that the link was lost, or the board fell silent, and came back
+    restarts: int = 0  # Number of restarts of the board during the session
+    ticks_received: int = 0  # Samples delivered
+    ticks_lost: int = 0
+    """Samples missing between those delivered; a restart of the board ends the counting before it."""
+    setpoints_sent: int = 0  # setpoints_sent, voltages_sent: Streamed values that were sent
+    setpoints_skipped: int = 0
+    """setpoints_skipped, voltages_skipped: Streamed values that a newer value replaced before the rate limit
+    permitted them to be sent."""
+    voltages_sent: int = 0
+    voltages_skipped: int = 0
+    board: StatusMessage | None = None  # The newest counters that the board sent
+
+
+class TickAccount:
+    """Follows the tick numbers of a session."""
+
+    def __init__(self) -> None:
+        self.received = 0
+        self.lost = 0
+        self._last: int | None = None
+
+    @property
+    def last(self) -> int | None:
+        """Newest tick, counted on over 2^32; None before the first and after a restart."""
+        return self._last
+
+    def restart(self) -> None:
+        """Accept the next tick without a check of its number, because the board has restarted."""
+        self._last = None
+
+    def unwrap(self, tick: int) -> int:
+        """Return a device tick without the wrap at 2^32."""
+        if self._last is None:
+            return tick
+        half_range = _TICK_MODULUS // 2
+        return self._last + (tick - self._last + half_range) % _TICK_MODULUS - half_range
+
+    def take(self, ticks: Ticks) -> tuple[Ticks, bool]:
+        """Count samples. Returns `accepted`, `jumped_back`."""
+        if len(ticks) == 0:
+            return ticks, False
+        first, final = int(ticks.tick[0]), int(ticks.tick[-1])
+        before = self._last if self._last is not None else first - 1
+        # If first and last tick and their distance are right, no tick is missing. Only a restart and a loss
+        # that compensate each other exactly within one reading would not be noticed.
+        if (first - before) % _TICK_MODULUS == 1 and (final - first) % _TICK_MODULUS == len(ticks) - 1:
+            self.received += len(ticks)
+            self._last = before + len(ticks)
+            return ticks, False
+        # As signed numbers, steps are right across the wrap at 2^32, shape (n,).
+        steps = np.diff(ticks.tick, prepend=np.uint32(before % _TICK_MODULUS)).astype(np.int32)
+        jumped_back = bool(steps.min() <= 0)
+        if jumped_back:
+            accepted_count = int(np.argmax(steps <= 0))
+            if accepted_count == 0:
+                return EMPTY_TICKS, True
+            ticks, steps = (
+                Ticks(ticks.tick[:accepted_count], ticks.raw[:accepted_count]),
+                steps[:accepted_count],
+            )
+        elapsed = int(steps.sum())
+        self.received += len(ticks)
+        self.lost += elapsed - len(ticks)
+        self._last = before + elapsed
+        return ticks, jumped_back
+
+
+_MAX_ARRIVED_EVENTS = 64
+"""Number of arrived events that are remembered; the board queues at most 16."""
+"""The board's tick counter has 32 bits, and starts again at 0 after 2^32 ticks of 1 ms."""
+_WATCHED_COLUMNS = [channel - MODES.start for channel in (Channel.STATE, Channel.TRIGGER, Channel.FAULT)]
+"""Columns of state, trigger and fault among the channels `MODES`."""
+
+
+class MissedEvents:
+    """Compares telemetry with the events that arrived."""
+
+    def __init__(self) -> None:
+        self._arrived: deque[EventMessage] = deque(maxlen=_MAX_ARRIVED_EVENTS)
+        self._tick: int | None = None
+        self._row: npt.NDArray[np.int32] = np.zeros(MODES.stop - MODES.start, np.int32)
+
+    def restart(self) -> None:
+        """Forget everything, because the board has restarted."""
+        self._arrived.clear()
+        self._tick = None
+
+    def take_event(self, message: EventMessage) -> None:
+        """Record an event that arrived."""
+        if message.kind in (Event.STATE, Event.FAULT):
+            self._arrived.append(message)
+
+    def take_ticks(self, ticks: Ticks) -> list[EventMessage]:
+        """Return the events that new samples imply and that have not arrived.
+
+        `ticks`: At least one sample, in order. All events that arrived before them must have been recorded.
+        """
+        modes = ticks.raw[:, MODES]  # (n, modes)
+        if self._tick is None:
+            self._row = modes[0]
+        if (modes == self._row).all():
+            self._tick = int(ticks.tick[-1])
+            return []
+        rows = modes[:, _WATCHED_COLUMNS]  # (n, 3)
+        before = np.vstack((self._row[_WATCHED_COLUMNS], rows[:-1]))
+        missed: list[EventMessage] = []
+        for index in np.flatnonzero((rows != before).any(axis=1)).tolist():
+            tick = int(ticks.tick[index])
+            tick_before = int(ticks.tick[index - 1]) if index else self._tick or 0
+            state, trigger, fault = rows[index].tolist()
+            state_before, trigger_before, fault_before = before[index].tolist()
+            is_new_state = (state, trigger) != (state_before, trigger_before)
+            if is_new_state and not self._has_arrived(Event.STATE, state, tick_before, tick):
+                missed.append(EventMessage(tick, Event.STATE, state, trigger, 0.0))
+            is_new_fault = fault not in (fault_before, Fault.NONE)
+            if is_new_fault and not self._has_arrived(Event.FAULT, fault, tick_before, tick):
+                missed.append(EventMessage(tick, Event.FAULT, fault, trigger, math.nan))
+        self._tick, self._row = int(ticks.tick[-1]), modes[-1]
+        return missed
+
+    def _has_arrived(self, kind: Event, detail: int, tick_before: int, tick: int) -> bool:
+        """Whether such an event arrived whose tick is after `tick_before`, and not after `tick`."""
+        span_ticks = (tick - tick_before) % _TICK_MODULUS
+        return any(
+            event.kind == kind and event.detail == detail and (tick - event.tick) % _TICK_MODULUS < span_ticks
+            for event in self._arrived
+        )
+
+
+def insert_missed(message: EventMessage, wall_ns: int, events: list[LinkEvent]) -> None:
+    """Insert a reconstructed event before the events that happened later."""
+    text = f"{event_text(message)}; from telemetry, its event was lost"
+    event = LinkEvent(message.tick, wall_ns, event_kind(message), text, message)
+    for index, other in enumerate(events):
+        # An event without a message comes from the link; its tick is only the newest one at that time.
+        if other.message is not None and _is_later(other.tick, message.tick):
+            events.insert(index, event)
+            return
+    events.append(event)
+
+
+def _is_later(tick: int, reference_tick: int) -> bool:
+    """Whether a tick is after another one, by less than half a turn of the 32-bit counter."""
+    return 0 < (tick - reference_tick) % _TICK_MODULUS < _TICK_MODULUS // 2
+
+
+_HELD_BATCHES = 500
+
+
+@dataclass(frozen=True)
+class AcceptedTelemetry:
+    """Contents of the batches that were held."""
+
+    ticks: Ticks  # Accepted samples, in order
+    missed: list[EventMessage]  # Events that the samples imply and that have not arrived, in order of time
+    jumped_back: bool  # True if the tick number fell, because the board restarted
+
+
+class TelemetryReceiver:
+    """Telemetry of one session. Part of an `Engine`: its callers serialise all calls. `latest_raw` has shape
+    (channels,).
+
+    It owns the newest sample, the count of ticks, and the clock that relates device time to host time.
+    """
+
+    def __init__(self) -> None:
+        self.account = TickAccount()
+        self.clock = ClockFit()
+        self.latest_raw: npt.NDArray[np.int32] | None = None
+        self._missed = MissedEvents()
+        self._decoder = TelemetryDecoder()
+        self._waiting_payloads: list[bytes] = []
+        self._undeclared = 0
+
+    @property
+    def malformed(self) -> int:
+        """Number of frames that passed their CRC and are no telemetry of this declaration."""
+        return self._undeclared + self._decoder.malformed
+
+    @property
+    def state(self) -> State | None:
+        """Supervisor state in the newest sample; None before the first, and for one unknown to this host."""
+        if self.latest_raw is None:
+            return None
+        state = State._value2member_map_.get(int(self.latest_raw[Channel.STATE]))
+        return state if isinstance(state, State) else None
+
+    @property
+    def speed(self) -> float:
+        """Device seconds per host second, at least 1; a fast simulation shortens all intervals."""
+        estimate = self.clock.estimate()
+        return 1.0 if estimate is None else max(estimate.rate, 1.0)
+
+    def is_behind(self, tick: int) -> bool:
+        """Whether a tick from the board is lower than the newest one accepted."""
+        return self.account.last is not None and self.account.unwrap(tick) < self.account.last
+
+    def hold(self, payload: bytes) -> None:
+        """Hold one batch until `accept_held`."""
+        self._waiting_payloads.append(payload)
+
+    def shorten_held(self) -> None:
+        """Keep only the newest batches while no session is open.
+
+        After a reconnect these become samples, once the welcome has said that it is the same start.
+        """
+        del self._waiting_payloads[:-_HELD_BATCHES]
+
+    def discard_held(self) -> None:
+        """Discard the held batches, because they are older than the session."""
+        self._waiting_payloads.clear()
+
+    def restart(self) -> None:
+        """Begin again with the next sample, because the board has restarted."""
+        self._waiting_payloads.clear()
+        self.account.restart()
+        self._missed.restart()
+        self.clock.reset()
+        self.latest_raw = None
+
+    def take_event(self, message: EventMessage) -> None:
+        """Record an event that arrived, so that it is not reconstructed from samples."""
+        self._missed.take_event(message)
+
+    def accept_held(self, now_s: float) -> AcceptedTelemetry | None:
+        """Turn the held batches into samples; None if there are no batches."""
+        if not self._waiting_payloads:
+            return None
+        ticks = self._decoder.decode(self._waiting_payloads)
+        self._waiting_payloads.clear()
+        if self.latest_raw is None or (ticks.raw[:, MODES] != self.latest_raw[MODES]).any():
+            ticks = self._without_undeclared(ticks)
+        accepted, jumped_back = self.account.take(ticks)
+        if not len(accepted):
+            return AcceptedTelemetry(EMPTY_TICKS, [], jumped_back)
+        self.latest_raw = accepted.raw[-1]
+        self.clock.observe(self.account.last or 0, now_s)
+        return AcceptedTelemetry(accepted, self._missed.take_ticks(accepted), jumped_back)
+
+    def _without_undeclared(self, ticks: Ticks) -> Ticks:
+        """Return the samples whose enumerations have declared values only.
+
+        Other samples were corrupted on the board before their CRC was computed. Each run of such samples
+        counts as one malformed frame.
+        """
+        is_declared = declared(ticks.raw)
+        if is_declared.all():
+            return ticks
+        self._undeclared += int(np.count_nonzero(np.diff(is_declared.view(np.int8), prepend=np.int8(1)) < 0))
+        return Ticks(ticks.tick[is_declared], ticks.raw[is_declared])

@@ -23,7 +23,7 @@ from serial.tools import list_ports
 
 from heli_host.declaration import BAUD
 from heli_host.errors import BadBaud, LinkError, LinkLost, PortError
-from heli_host.plugins import plugins
+from heli_host.link.installation import plugins
 
 ENTRY_POINT_GROUP = "heli_host.transports"
 

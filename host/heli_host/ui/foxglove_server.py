@@ -18,8 +18,6 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from heli_host.data.log.clock import TickClock
-from heli_host.data.log.records import json_bytes
 from heli_host.data.log.schema import (
     CDR_LITTLE_ENDIAN,
     EVENT_SCHEMA,
@@ -32,6 +30,7 @@ from heli_host.data.log.schema import (
     TICK_TOPIC,
     fill_ticks,
 )
+from heli_host.data.log.writer import TickClock, json_bytes
 from heli_host.declaration import Channel
 from heli_host.ui.foxglove_gate import HOST, ViewerGate
 

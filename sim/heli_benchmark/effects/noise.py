@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from typing_extensions import override
 
 from heli_benchmark.effects.disturbances import LONGEST_s, wander

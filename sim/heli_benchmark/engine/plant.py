@@ -14,7 +14,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim import _native
 from heli_sim.rig import Rig
 

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from heli_host.files import file_digest
+from heli_host.data.files import file_digest
 
 from heli_benchmark.entries.case_process import RunLimits, run_case
 from heli_benchmark.entries.method import MethodAddress, find_method

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from heli_host.fly.process_limits import limit_process
+from heli_host.data.files import limit_process
 
 from heli_benchmark.entries.method import find_method, load_function, load_train
 from heli_benchmark.task.answer import answer_content, check_answer

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 from heli_host.data.flight import Flight
 from heli_host.errors import HeliError
 from heli_sim.model import Model, MultibodyModel

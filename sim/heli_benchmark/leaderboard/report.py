@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from heli_host.output_files import save_figure
+from heli_host.data.files import save_figure
 
 _COLUMNS: Final = (
     ("skill", "skill", "{:.2f}"),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_benchmark.entries.run import read_run
 from heli_benchmark.leaderboard.prediction import prediction_ratio, true_errors

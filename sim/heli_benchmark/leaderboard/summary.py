@@ -12,7 +12,7 @@ from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_benchmark.leaderboard.score import CaseScore
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_benchmark.methods.terms import ResidualRegression
 from heli_benchmark.task import NOTHING, UNLISTED, Causes

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from scipy.stats import chi2, f
 from sklearn.cluster import KMeans
 from statsmodels.stats.multitest import multipletests

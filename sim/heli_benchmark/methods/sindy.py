@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from pysindy.optimizers import STLSQ, EnsembleOptimizer
 
 from heli_benchmark.methods.equation_torques import torques_of_terms

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_benchmark.cases.disturbed_case import DisturbedCase
 from heli_benchmark.reference.replay import FINE, GRID_S, ReplayedRig, inertia_kg_m2, steps

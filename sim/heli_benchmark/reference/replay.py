@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.rig import Rig
 
 from heli_benchmark.engine.plant import STEP_S, HiddenEffect, MujocoPlant

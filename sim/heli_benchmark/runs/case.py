@@ -12,7 +12,7 @@ from typing import Any
 import heli_lab
 import heli_sim
 from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_sim.rig import Rig, load_rig
 
 from heli_benchmark.cases.clean import Case, clean_cases

@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_lab.diagnose import Diagnosis
 from heli_lab.explain.discover import NAME, accelerations

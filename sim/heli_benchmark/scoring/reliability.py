@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from heli_host.output_files import save_figure
+from heli_host.data.files import save_figure
 from scipy.special import bdtr
 
 from heli_benchmark.scoring.judge import Row

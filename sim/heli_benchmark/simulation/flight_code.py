@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from heli_host.board.rest_check import ANGLE_SHIFTED
 from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.declaration import Fault
 from heli_host.errors import FlightAborted
 from heli_host.fly.heli import Heli

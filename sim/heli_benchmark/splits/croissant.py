@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from heli_host.files import file_digest
+from heli_host.data.files import file_digest
 
 from heli_benchmark.task.split import CAUSES_FILE
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from heli_host.files import read_file
+from heli_host.data.files import read_file
 
 from heli_benchmark.errors import BenchmarkError
 

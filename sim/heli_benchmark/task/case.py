@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
 from heli_host.data.log.table import write_csv
 from heli_sim.rig import Rig, load_rig, write_rig
 
@@ -50,7 +50,7 @@ def write_case(folder: Path, rig: Rig, training: tuple[Flight, ...], validation:
 
     `folder`: Folder to write into; it must exist.
     """
-    from heli_host.data.log.export import export_parquet
+    from heli_host.data.log.table import export_parquet
 
     write_rig(rig, folder / RIG_FILE)
     for kind, flights in ((_TRAINING, training), (_VALIDATION, validation)):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from heli_host.files import file_digest
+from heli_host.data.files import file_digest
 
 from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.task.json_file import read_json, write_json

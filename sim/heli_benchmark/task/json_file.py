@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from heli_host.files import read_file
+from heli_host.data.files import read_file
 
 from heli_benchmark.errors import BenchmarkError
 

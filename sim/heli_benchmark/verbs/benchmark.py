@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from heli_host.output_files import write_signed
+from heli_host.data.files import write_signed
 from heli_host.ui.cli.options import JsonOption, SchedulerOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, say_progress, write_result
 from heli_host.ui.cli.verb import Verb

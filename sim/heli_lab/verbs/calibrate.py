@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from urllib.parse import urlencode
 
 import typer
-from heli_host.output_files import write_signed
+from heli_host.data.files import write_signed
 from heli_host.ui.cli.options import ClearFaultOption, JsonOption, PortOption, flight_folder
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, say_progress, write_result
 from heli_host.ui.cli.simulated import DEFAULT_RIG, MAX_SPEED, SilOption, refuse_without_sil, sil_address
@@ -239,7 +239,7 @@ def _stop_motors(heli: Heli) -> None:
 
 def _write_files(result: BenchCalibration, base: Rig, new_rig: Path, save_params: Path | None) -> None:
     """Write the calibrated rig and, if `save_params` is given, the board's parameters."""
-    from heli_host.board.parameter_file import parameters_text
+    from heli_host.board.parameters import parameters_text
     from heli_sim.rig import write_rig
 
     write_rig(result.rig, new_rig, f"Written by heli-host calibrate: the rest as {base.name}.")

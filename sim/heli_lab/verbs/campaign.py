@@ -59,7 +59,7 @@ def campaign(
 
     Example: `heli-host campaign study.toml -o study`, and on a cluster `--scheduler tcp://head:8786`
     """
-    from heli_host.board.parameter_file import read_parameter_set
+    from heli_host.board.parameters import read_parameter_set
     from heli_host.errors import FlightAborted
     from heli_host.ui.cli.outputs import check_result_places
     from heli_host.ui.cli.progress_bar import WorkBar

@@ -165,7 +165,7 @@ def _write_marks(marks: Sequence[Mark], path: Path) -> None:
     import csv
     import io
 
-    from heli_host.output_files import write_text
+    from heli_host.data.files import write_text
 
     from heli_lab.apps.classroom.marking import FULL, POINTS
 

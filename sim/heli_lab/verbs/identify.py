@@ -118,7 +118,7 @@ def identify(
 
 def _print_estimates(identification: Identification) -> None:
     """Print estimates and priors in a table, each with its standard error."""
-    from heli_host.data.text_table import table_lines
+    from heli_host.data.log.comparison import table_lines
 
     from heli_lab.fit.identify.results import rounded
 

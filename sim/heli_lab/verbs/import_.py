@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.output_files import FORCE, write_signed
+from heli_host.data.files import FORCE, write_signed
 from heli_host.ui.cli.options import JsonOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.ui.cli.verb import Verb
@@ -213,7 +213,7 @@ def _draw_evidence(guess: Guess, table: Table, path: Path) -> Path:
 
 def _write_flights(sources: Sequence[_Source], profile: Profile) -> list[dict[str, Any]]:
     """Write each flight of the sources as CSV; return file, rows and duration [s] of each as JSON objects."""
-    from heli_host.data.flight import check
+    from heli_host.data.flight import check_flight
     from heli_host.data.log.table import write_csv
     from heli_host.data.tables import flights_of
 
@@ -221,7 +221,7 @@ def _write_flights(sources: Sequence[_Source], profile: Profile) -> list[dict[st
     for source in sources:
         flights = flights_of(source.table, profile)
         for number, flight in enumerate(flights, 1):
-            check(flight, source.table.source)
+            check_flight(flight, source.table.source)
             path = source.target.path(number if len(flights) > 1 else None)
             write_csv(source.target.with_digest(flight), path)
             say(f"{len(flight)} rows, {flight.duration_s:.1f} s at {1.0 / flight.step_s:.0f} Hz -> {path}")

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.board.laws import FILE_LIMIT_s
-from heli_host.output_files import write_signed
+from heli_host.board.law_program import FILE_LIMIT_s
+from heli_host.data.files import write_signed
 from heli_host.ui.cli import simulated
 from heli_host.ui.cli.flight_command import FlightOptions
 from heli_host.ui.cli.option_group import with_option_groups

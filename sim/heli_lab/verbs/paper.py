@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.output_files import save_figure
+from heli_host.data.files import save_figure
 from heli_host.ui.cli.options import JsonOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.ui.cli.simulated import DEFAULT_RIG, SeedOption

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.output_files import save_figure, write_signed
+from heli_host.data.files import save_figure, write_signed
 from heli_host.ui.cli.options import FigureOption, JsonOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.ui.cli.simulated import DEFAULT_RIG, EffectFilesOption, SeedOption
@@ -73,8 +73,7 @@ def tune(
 
     Example: `heli-host tune --rig mine.toml --save-params gains.toml`
     """
-    from heli_host.board.parameter_file import parameters_text
-    from heli_host.board.parameters import checked
+    from heli_host.board.parameters import checked, parameters_text
     from heli_host.errors import FlightAborted
     from heli_host.ui.cli.outputs import check_parameters_place, check_result_places
     from heli_host.ui.cli.progress_bar import WorkBar

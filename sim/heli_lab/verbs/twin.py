@@ -129,7 +129,7 @@ def _calibrated(
 
     With a `twin_file`, the alarm threshold is calibrated too, which takes minutes, and the file is written.
     """
-    from heli_host.data.log.flight_file import read_flight
+    from heli_host.data.log.reader import read_flight
 
     from heli_lab.watch.twin.calibration import write_calibration
     from heli_lab.watch.twin.learn import learn, learn_rig

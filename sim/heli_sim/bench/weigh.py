@@ -18,7 +18,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_sim.bench.thrust_curve import SCALE_N, ThrustCurve
 from heli_sim.errors import RigError

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
 
-from heli_host.output_files import WRITER, replacing
+from heli_host.data.files import WRITER, replacing
 
 from heli_sim.compiled import FLAGS, LIBRARIES, compiler
 from heli_sim.errors import PlantError

@@ -14,7 +14,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_sim.errors import PlantError
 from heli_sim.model.effect import Effect, Operands, Stage

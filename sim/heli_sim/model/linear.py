@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_sim.errors import PlantError
 from heli_sim.model.base import Model

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import casadi as ca
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from typing_extensions import override
 
 from heli_sim.model.base import Model, Operands

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_sim.rig.rig import Rig
 from heli_sim.rig.schema import ENCODER_COUNTS, ENCODER_DIRECTIONS

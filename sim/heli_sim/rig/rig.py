@@ -9,8 +9,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+from heli_host.data.files import TOML_BYTES, decode_text, parse_toml, read_file
 from heli_host.errors import file_remedy
-from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file
 
 from heli_sim.errors import RigError
 from heli_sim.rig.inertia import STATED_INERTIAS, inertia_range_kg_m2

@@ -5,8 +5,7 @@ from __future__ import annotations
 import textwrap
 from pathlib import Path
 
-from heli_host.files import toml_string
-from heli_host.output_files import write_signed
+from heli_host.data.files import toml_string, write_signed
 
 from heli_sim.rig.rig import Number, Rig
 

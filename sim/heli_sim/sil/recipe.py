@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from heli_host.files import file_digest
+from heli_host.data.files import file_digest
 
 from heli_sim.rig import Rig
 from heli_sim.rig.write import rig_text

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.output_files import write_signed
+from heli_host.data.files import write_signed
 from heli_host.ui.cli.options import JsonOption
 from heli_host.ui.cli.say import STDOUT, data_on_stdout, say, say_data, say_files, write_result
 from heli_host.ui.cli.verb import Verb
@@ -179,7 +179,7 @@ def check(
 
 def _board_parameters(params: Path | None) -> dict[str, float] | None:
     """Parameters of a board in a file; None without a file."""
-    from heli_host.board.parameter_file import read_parameter_set
+    from heli_host.board.parameters import read_parameter_set
 
     return None if params is None else read_parameter_set(params).values
 
@@ -219,7 +219,7 @@ def from_board(
 
     Example: `heli-host rig from-board board.toml mine.toml`
     """
-    from heli_host.board.parameter_file import read_parameter_set
+    from heli_host.board.parameters import read_parameter_set
     from heli_host.ui.cli.outputs import check_place
 
     from heli_sim.errors import RigError
@@ -251,7 +251,7 @@ def to_board(
 
     Example: `heli-host rig to-board mine.toml board.toml`
     """
-    from heli_host.board.parameter_file import parameters_text
+    from heli_host.board.parameters import parameters_text
     from heli_host.ui.cli.outputs import check_parameters_place
 
     from heli_sim.rig import load_rig
@@ -426,7 +426,7 @@ def weigh_rig(
 
     Example: `heli-host rig weigh mine.toml bench.toml --save-rig weighed.toml`
     """
-    from heli_host.files import parse_toml
+    from heli_host.data.files import parse_toml
     from heli_host.ui.cli.outputs import check_place
 
     from heli_sim.bench.table import TEMPLATE, bench_tests_from
@@ -569,8 +569,8 @@ def _export_fmu(rig: str, effects: list[str], model: str, seed: int, out: Path |
 
 def read_text(path: Path) -> str:
     """Read the text at `path`, a RigError where there is none."""
+    from heli_host.data.files import TOML_BYTES, decode_text, read_file
     from heli_host.errors import file_remedy
-    from heli_host.files import TOML_BYTES, decode_text, read_file
 
     from heli_sim.errors import RigError
 

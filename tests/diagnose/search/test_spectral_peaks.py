@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_lab.explain.search.spectral_peaks import peak_frequencies_Hz
 
 STEP_s = 0.04

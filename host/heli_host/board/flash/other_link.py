@@ -23,9 +23,8 @@ from heli_host.declaration import (
     WelcomeMessage,
 )
 from heli_host.errors import FlashError, HeliError
-from heli_host.link.command_slot import CommandSlot
+from heli_host.link.engine import Command, CommandSlot, RequestNumbers
 from heli_host.link.frames import FrameParser, encode_frame
-from heli_host.link.requests import Command, RequestNumbers
 
 if TYPE_CHECKING:
     from heli_host.link.transport import Transport

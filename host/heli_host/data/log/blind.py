@@ -16,10 +16,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from heli_host.data.files import RESULT_SCHEMA, file_digest, read_file, replacing
 from heli_host.data.flight import Flight
 from heli_host.errors import LogError, LogWriteError, file_remedy
-from heli_host.files import RESULT_SCHEMA, file_digest, read_file
-from heli_host.output_files import replacing
 
 SEALED: Final = "sealed"
 """Name of the digest in a log's session and in the notes of an export."""

@@ -1,24 +1,35 @@
-"""Comparison of several flights on one page: overlaid angles, and a table of tracking quality."""
+"""Tables as lines of text."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from heli_host.data.files import save_figure
 from heli_host.data.flight import Flight, broken_at_gaps
-from heli_host.data.flight.flown import flown_rows, led_rows
-from heli_host.data.flight.response import effort_V, responses
-from heli_host.data.text_table import table_lines
+from heli_host.data.response import effort_V, flown_rows, led_rows, responses
 from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
-from heli_host.output_files import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+def table_lines(rows: Sequence[Sequence[str]], words: Collection[int] = (0,)) -> list[str]:
+    """Align the cells of a table in columns, with two spaces between them."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if column in words else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
 
 HEADS: Final = (
     "flight",

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.data.files import save_figure
 from heli_host.data.flight import Flight, FlightEvent, broken_at_gaps, find_gaps
-from heli_host.data.flight.flown import LANDING, PHASE_EVENT, TAKE_OFF
 from heli_host.data.log.summary import FlightSummary
+from heli_host.data.response import LANDING, PHASE_EVENT, TAKE_OFF
 from heli_host.declaration import AXES, Takeover
 from heli_host.errors import LogWriteError
-from heli_host.output_files import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

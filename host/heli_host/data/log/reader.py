@@ -14,12 +14,13 @@ import numpy as np
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from heli_host.data.flight import OWN_COLUMNS, Flight, FlightEvent
+from heli_host.data.files import read_file
+from heli_host.data.flight import OWN_COLUMNS, Flight, FlightEvent, check_flight
 from heli_host.data.log.scan import MAX_LOG_BYTES, Scan
 from heli_host.data.log.schema import TICK_TOPIC, MessageLayout, raw_ticks
+from heli_host.data.log.table import read_csv
 from heli_host.declaration import AXES, CHANNELS, Axis, ChannelSpec
-from heli_host.errors import LogError, TruncatedLog, file_remedy
-from heli_host.files import read_file
+from heli_host.errors import FlightDataError, LogError, TruncatedLog, file_remedy
 from heli_host.link.channels import ENCODERS, is_whole, rad_per_count
 
 _ROUNDING_SHARE = 2.0**-23
@@ -210,3 +211,52 @@ def _damaged_encoder_parameters(ticks: NDArray[Any], parameters: Mapping[str, st
         if not np.all((error_rad <= _ROUNDING_SHARE * np.abs(angles_rad)) | np.isnan(angles_rad)):
             names.append(name)
     return names
+
+
+_ENDINGS = (".mcap", ".csv", ".csv.gz")
+
+
+def read_flight(path: str | Path, *, allow_gaps: bool = False) -> Flight:
+    """Read a log or a table.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.mcap`` (this package's logs, complete or cut short), ``.csv`` or ``.csv.gz`` (at least the
+        columns ``t_s, front_V, back_V, elevation_rad, pitch_rad, travel_rad``; lines that start with
+        ``#`` are notes).
+    allow_gaps : bool
+        Accept missing rows; `Flight.gaps` then gives their places.
+
+    Raises
+    ------
+    FlightDataError
+        If the table lacks a column, holds something that is not a number, does not rise in time, has a
+        gap, is in degrees or milliseconds, or is too short. The message names the file, the column and
+        the row.
+    LogError
+        If the log is not one of this package, or nothing of it can be read.
+    """
+    path = Path(path)
+    name = path.name.lower()
+    if name.endswith(".mcap"):
+        flight = read_log(path).flight()
+        check_flight(flight, str(path), allow_gaps=allow_gaps)
+        return flight
+    if name.endswith((".csv", ".csv.gz")):
+        return read_csv(path, allow_gaps=allow_gaps)
+    raise FlightDataError(*_cause_and_remedy(path))
+
+
+def _cause_and_remedy(path: Path) -> tuple[str, str]:
+    """What is wrong with a path that has no ending of a flight, and what to do."""
+    if path.is_dir():
+        flights = sorted(entry.name for entry in path.iterdir() if entry.name.endswith(_ENDINGS))
+        example = f", such as {path / flights[0]}" if flights else ""
+        return f"{path} is a folder, not a flight", f"give a file{example}"
+    if not path.exists():
+        existing_paths = [f"{path}{ending}" for ending in _ENDINGS if Path(f"{path}{ending}").exists()]
+        return f"cannot read {path}: there is no such file", (
+            f"did you mean {existing_paths[0]}?" if existing_paths else "check the path"
+        )
+    return f"{path} is not a flight", f"give a file that ends in {', '.join(_ENDINGS[:-1])} or {_ENDINGS[-1]}"

@@ -19,12 +19,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.data.files import replacing
 from heli_host.data.flight import Flight, FlightEvent
 from heli_host.data.log.schema import EVENT_TOPIC, TICK_TOPIC
 from heli_host.declaration import CHANNELS
 from heli_host.errors import LogWriteError
 from heli_host.link.channels import is_whole
-from heli_host.output_files import replacing
 
 PROFILE: Final = "ros2"
 PARAMETER_TOPIC: Final = "/heli/parameter"

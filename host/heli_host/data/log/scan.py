@@ -1,45 +1,211 @@
-"""Reads a log record by record, and continues after damaged parts.
-
-A record is used only if it is complete and its CRC is right. If the bytes at the present position are not a
-record, the index at the end gives the position of the next record. Without an index, the next chunk is
-searched. The notes list all parts that were skipped.
-"""
+"""The index at the end of an MCAP file: positions of the records, and a copy of schemas and channels."""
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, Header, Metadata, Schema
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from heli_host.data.flight import OWN_COLUMNS
-from heli_host.data.log.chunks import LARGEST_CHUNK_BYTES, TickRecord, records_of, unpacked
-from heli_host.data.log.index import PARSE_ERRORS, RECORD_HEADER, Index, parse, read_index
-from heli_host.data.log.integrity import HEAD, RECORD_CRC, head_values, metadata_crc
 from heli_host.data.log.schema import (
+    CDR_LITTLE_ENDIAN,
     EVENT_TOPIC,
+    HEAD,
     LINK_TOPIC,
+    RECORD_CRC,
     TICK_LAYOUT,
     TICK_SCHEMA_NAME,
     TICK_TOPIC,
     MessageLayout,
+    head_values,
+    metadata_crc,
     parse_layout,
     tick_record,
 )
 from heli_host.declaration import CHANNELS
 from heli_host.errors import LogError
 
+RECORD_HEADER = struct.Struct("<BQ")
+DATA_END_BYTES = RECORD_HEADER.size + 4
+PARSE_ERRORS = (McapError, ValueError, struct.error)
+"""Exceptions of the mcap library for a damaged record."""
+
+_FOOTER_BYTES = RECORD_HEADER.size + 20
 _MAGIC = bytes(MCAP0_MAGIC)
+_KINDS = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.STATISTICS: Statistics,
+    Opcode.CHUNK_INDEX: ChunkIndex,
+    Opcode.METADATA_INDEX: MetadataIndex,
+}
+
+
+@dataclass(frozen=True)
+class Index:
+    """An index whose CRC fits."""
+
+    data_end: int  # Offset of the record that ends the data
+    offsets: tuple[int, ...]  # Offsets of chunks, of metadata records and of `data_end`, in rising order
+    schemas: tuple[Schema, ...]  # schemas, channels: All schemas and channels of the file
+    channels: tuple[Channel, ...]
+    message_counts: dict[int, int]  # Messages by channel id
+
+
+def read_index(data: memoryview) -> Index | None:
+    """Read the index of a file."""
+    footer_start = len(data) - len(_MAGIC) - _FOOTER_BYTES
+    if footer_start < 0 or data[-len(_MAGIC) :] != _MAGIC:
+        return None
+    if RECORD_HEADER.unpack_from(data, footer_start) != (Opcode.FOOTER, _FOOTER_BYTES - RECORD_HEADER.size):
+        return None
+    footer = parse(Footer, data[footer_start + RECORD_HEADER.size :][:20])
+    start = footer.summary_start
+    # The CRC covers the bytes from the start of the summary to the field of the CRC.
+    checked = data[start : footer_start + _FOOTER_BYTES - 4]
+    if not len(_MAGIC) <= start <= footer_start or footer.summary_crc != zlib.crc32(checked):
+        return None
+    records: dict[type, list[Any]] = {kind: [] for kind in _KINDS.values()}
+    try:
+        for opcode, body in _index_records(data[start:footer_start]):
+            kind = _KINDS.get(Opcode(opcode))
+            if kind is not None:
+                records[kind].append(parse(kind, body))
+    except PARSE_ERRORS:
+        return None
+    data_end = start - DATA_END_BYTES
+    offsets = {chunk.chunk_start_offset for chunk in records[ChunkIndex]}
+    offsets |= {metadata.offset for metadata in records[MetadataIndex]} | {data_end}
+    return Index(
+        data_end=data_end,
+        offsets=tuple(sorted(offsets)),
+        schemas=tuple(records[Schema]),
+        channels=tuple(records[Channel]),
+        message_counts={
+            k: v for statistics in records[Statistics] for k, v in statistics.channel_message_counts.items()
+        },
+    )
+
+
+def parse(kind: Any, body: memoryview) -> Any:
+    """Parse a record with the mcap library."""
+    stream = ReadDataStream(io.BytesIO(body))
+    record = kind.read(stream)
+    # The library does not notice a string that should be longer than the record; it ends early.
+    if stream.count != len(body):
+        raise ValueError("the record does not have its stated length")
+    return record
+
+
+def _index_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Yield opcode and content of each record of the index, in the order of the file."""
+    position = 0
+    while position < len(data):
+        opcode, length = RECORD_HEADER.unpack_from(data, position)
+        position += RECORD_HEADER.size
+        if length > len(data) - position:
+            raise ValueError("a record reaches beyond the index")
+        yield opcode, data[position : position + length]
+        position += length
+
+
+LARGEST_CHUNK_BYTES = 1 << 26
+"""Most that a chunk may claim to hold; writers put about 1 MiB into one. More is damage."""
+
+
+@dataclass
+class TickRecord:
+    """The record of a tick in this log."""
+
+    layout: np.dtype[Any] | None = None  # Layout of the bytes of a tick; None until a record has described it
+    channel: int = -1  # Number of the channel of ticks
+
+
+def unpacked(chunk: Chunk, has_crcs: bool, path: Path) -> bytes:
+    """Return the content of a `chunk` of the log at `path`."""
+    if chunk.uncompressed_size > LARGEST_CHUNK_BYTES:
+        raise ValueError("the stated size of the chunk is larger than any writer makes it")
+    if chunk.compression == "zstd":
+        # The frame's own word is what would be allocated.
+        if zstandard.get_frame_parameters(chunk.data).content_size != chunk.uncompressed_size:
+            raise ValueError("the chunk does not have its stated size")
+        body = zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+    elif chunk.compression == "":
+        body = chunk.data
+    elif chunk.compression == "lz4":
+        raise LogError(f"{path} is compressed by lz4", "convert it to zstd")
+    else:
+        raise ValueError("an unknown compression")
+    # In MCAP, 0 means that the chunk has no CRC; heli-host always writes one.
+    has_crc = chunk.uncompressed_crc or has_crcs
+    if len(body) != chunk.uncompressed_size or (has_crc and zlib.crc32(body) != chunk.uncompressed_crc):
+        raise ValueError("the chunk's CRC does not match its content")
+    return body
+
+
+def records_of(body: bytes, tick: TickRecord) -> Iterator[NDArray[Any] | tuple[int, memoryview]]:
+    """Yield runs of ticks as arrays, and every other record of a chunk with its opcode."""
+    view = memoryview(body)
+    position = 0
+    while position < len(body):
+        run = _ticks_in_a_row(body, position, tick)
+        if run is not None:
+            yield run["payload"]
+            position += run.nbytes
+            continue
+        opcode, length = RECORD_HEADER.unpack_from(body, position)
+        start = position + RECORD_HEADER.size
+        if length > len(body) - start:
+            raise ValueError("a record reaches beyond its chunk")
+        yield opcode, view[start : start + length]
+        position = start + length
+
+
+def _ticks_in_a_row(body: bytes, position: int, tick: TickRecord) -> NDArray[Any] | None:
+    """Map the ticks that follow each other from `position` on; None if there is none."""
+    record = tick.layout
+    if record is None:
+        return None
+    max_count = (len(body) - position) // record.itemsize
+    if max_count == 0:
+        return None
+    rows = np.frombuffer(body, record, count=max_count, offset=position)
+    is_tick = (
+        (rows["opcode"] == int(Opcode.MESSAGE))
+        & (rows["length"] == record.itemsize - RECORD_HEADER.size)
+        & (rows["channel"] == tick.channel)
+        & (rows["cdr"] == int.from_bytes(CDR_LITTLE_ENDIAN, "little"))
+    )
+    count = max_count if is_tick.all() else int(np.argmin(is_tick))
+    return rows[:count] if count else None
+
+
 _HEAD = re.compile(re.escape(_MAGIC) + rb"\x01")
 """Begin of a log: the magic bytes and a header record."""
 _MESSAGE_HEADER = struct.Struct("<HIQQ")

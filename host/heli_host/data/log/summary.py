@@ -1,32 +1,65 @@
-"""Summary of a flight as a dictionary, used by ``summary.json``, the figure and the last lines printed.
+"""Checks of a finished flight against its rig, by other installed packages.
 
-The tracking error of a tick is the measured angle minus the setpoint that the control law used in that tick
-(after the board's slew limit). It counts from the end of take-off until landing begins. Only ticks in closed
-loop count; if a law on the host flew, it must have published its setpoints. Pitch is compared with the
-setpoint that the travel loop requests. In a log without phases, of a flight by hand, all such ticks count.
+This package contains no models. A package that does offers a function in the entry-point group
+``heli_host.flight_checks``, which takes a flight and the name or file of its rig and returns findings.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.data.files import RESULT_SCHEMA, write_text
 from heli_host.data.flight import Flight
-from heli_host.data.flight.flown import flown_rows, led_rows
-from heli_host.data.flight.response import rms
-from heli_host.data.flight_checks import FlightFinding
 from heli_host.data.log.reader import Log
 from heli_host.data.log.writer import DISK_BLOCKED, TICKS_DROPPED
+from heli_host.data.response import flown_rows, led_rows, rms
 from heli_host.declaration import AXES
-from heli_host.errors import LogWriteError
-from heli_host.files import RESULT_SCHEMA
-from heli_host.output_files import write_text
+from heli_host.errors import HeliError, LogWriteError
+from heli_host.link.installation import plugins
+
+if TYPE_CHECKING:
+    from heli_host.data.flight import Flight
+
+
+ENTRY_POINT_GROUP: Final = "heli_host.flight_checks"
+
+
+@dataclass(frozen=True)
+class FlightFinding:
+    """Something of a finished flight that contradicts its rig."""
+
+    name: str  # Which number, such as ``travel_encoder_scale``
+    value: float | None
+    """value, standard_error: Its estimate from the flight; None if the check itself failed."""
+    standard_error: float | None
+    text: str  # For a person
+
+
+FlightCheck = Callable[["Flight", str], Sequence[FlightFinding]]
+
+
+def flight_findings(flight: Flight, rig: str) -> tuple[FlightFinding, ...]:
+    """Check a flight against its rig."""
+    findings: list[FlightFinding] = []
+    for entry in plugins(ENTRY_POINT_GROUP):
+        # A check that cannot be made must not cost the summary of a flight.
+        try:
+            check: FlightCheck = entry.load()
+            findings += check(flight, rig)
+        except (HeliError, ArithmeticError, ValueError):
+            continue
+        except Exception as error:  # noqa: BLE001 - the check of another package may raise anything
+            text = f"the check '{entry.name}' of {entry.value} failed: {type(error).__name__}: {error}"
+            findings.append(FlightFinding(entry.name, None, None, text))
+    return tuple(findings)
+
 
 _MAX_COUNT = 2**63
 _LONGEST_COUNT = 24
@@ -134,7 +167,7 @@ def summarise(log: Log) -> FlightSummary:
 
 
 def tracking_errors_deg(flight: Flight) -> NDArray[np.float64]:
-    """Return measured angle less setpoint in the rows that count, see `heli_host.data.flight.flown`. Returns
+    """Return measured angle less setpoint in the rows that count, see `heli_host.data.response`. Returns
     shape (m, axes).
     """
     setpoints_rad = flight.setpoints_rad

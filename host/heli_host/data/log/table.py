@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.data.files import WRITER, read_file, replacing, write_bytes, write_text
 from heli_host.data.flight import (
     OWN_COLUMNS,
     REQUIRED_COLUMNS,
@@ -27,12 +28,10 @@ from heli_host.data.flight import (
     STATUS_COLUMNS,
     Flight,
     FlightEvent,
-    check,
+    check_flight,
 )
 from heli_host.declaration import CHANNELS
-from heli_host.errors import FlightDataError, LogWriteError, file_remedy
-from heli_host.files import read_file
-from heli_host.output_files import replacing, write_text
+from heli_host.errors import FlightDataError, LogWriteError, file_remedy, install_remedy
 
 _FORMATS = {"t_s": "%.6f", "front_V": "%.6f", "back_V": "%.6f"} | dict.fromkeys(STATUS_COLUMNS, "%d")
 # Ten digits distinguish all numbers of 32 bits at any scale.
@@ -81,7 +80,7 @@ def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
     numbers, names = _read_numbers(lines, path)
     columns = dict(zip(names, numbers.T, strict=True))
     flight = _flight_of_columns(columns, (*lines.notes, *_read_notes(notes_path(path))))
-    check(flight, str(path), allow_gaps=allow_gaps, where=lines.where)
+    check_flight(flight, str(path), allow_gaps=allow_gaps, where=lines.where)
     return flight
 
 
@@ -381,3 +380,52 @@ def _flight_of_columns(columns: dict[str, NDArray[np.float64]], notes: tuple[str
 
 def _fits_a_byte(column: NDArray[np.float64]) -> bool:
     return bool(np.all((column >= 0) & (column <= 255) & (column == np.floor(column))))
+
+
+def export_mat(flight: Flight, path: str | Path) -> None:
+    """Write a MATLAB file (version 5): a column vector per column, a struct of parameters, plan and notes."""
+    from scipy.io import savemat
+
+    content: dict[str, object] = {
+        name: column.astype(np.float64) for name, column in flight.columns().items() if len(name) <= _MAT_NAME
+    }
+    content["parameters"] = {
+        name: value for name, value in flight.parameters.items() if len(name) <= _MAT_NAME
+    }
+    content["plan"] = flight.plan
+    content["notes"] = "\n".join(f"{name}: {value}" for name, value in flight.meta.items())
+    content["events"] = "\n".join(f"{event.t_s:.3f} s {event.name}: {event.text}" for event in flight.events)
+    buffer = io.BytesIO()
+    savemat(buffer, content, do_compression=True, oned_as="column")
+    # The first 116 bytes contain the date. Without the date, the same flight gives the same bytes.
+    data = b"MATLAB 5.0 MAT-file, written by heli_host".ljust(116) + buffer.getvalue()[116:]
+    try:
+        write_bytes(path, data)
+    except OSError as error:
+        raise LogWriteError(
+            f"cannot write {path}: {error.strerror or error}", "choose another folder"
+        ) from error
+
+
+def export_parquet(flight: Flight, path: str | Path) -> None:
+    """Write a Parquet file: one column each, with parameters, plan and notes in its metadata."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise LogWriteError("writing Parquet needs pyarrow", install_remedy("export")) from error
+    table = pyarrow.table({name: np.ascontiguousarray(column) for name, column in flight.columns().items()})
+    notes = {f"parameter.{name}": repr(value) for name, value in flight.parameters.items()}
+    notes |= {"plan": flight.plan, **flight.meta, "writer": WRITER}
+    table = table.replace_schema_metadata(notes)
+    try:
+        with replacing(path) as unfinished:
+            pyarrow.parquet.write_table(table, str(unfinished))
+    except OSError as error:
+        raise LogWriteError(
+            f"cannot write {path}: {error.strerror or error}", "choose another folder"
+        ) from error
+
+
+_MAT_NAME = 63
+"""Longest name that MATLAB takes."""

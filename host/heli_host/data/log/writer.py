@@ -1,39 +1,374 @@
-"""Writes a flight as MCAP while it is flown.
-
-One second of ticks makes one compressed chunk, which is passed to the operating system as a whole. After a
-kill -9, the file contains everything up to the last chunk. Each chunk has a fixed number of ticks, and times
-come from the device. Therefore the same flight gives the same bytes, however its telemetry arrived.
-
-The writer of the mcap library takes one message per call. That costs 3.3 us per tick, and more for splitting
-the batches. Here numpy lays out all messages of a chunk together, in 0.6 us per tick including compression
-and file. The 50x simulation needs this speed. The library's record classes write everything else.
-"""
+"""One time axis for device ticks: from the first tick logged, across wraps and restarts of the board."""
 
 from __future__ import annotations
 
+import json
+import struct
 import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from heli_host.data.log.clock import TickClock
+from heli_host.data.files import LOG_WRITER
 from heli_host.data.log.disk import BackgroundFile, DirectFile, LogFile
-from heli_host.data.log.records import (
-    EVENT_CHANNEL,
-    LINK_CHANNEL,
-    JsonMessage,
-    McapBytes,
-    TickBatch,
-    json_bytes,
-    last_record,
+from heli_host.data.log.schema import (
+    CDR_LITTLE_ENDIAN,
+    EVENT_SCHEMA,
+    EVENT_SCHEMA_NAME,
+    EVENT_TOPIC,
+    HEAD,
+    LEVEL_ERROR,
+    LEVEL_INFO,
+    LEVEL_WARNING,
+    LINK_SCHEMA,
+    LINK_SCHEMA_NAME,
+    LINK_TOPIC,
+    RECORD_CRC,
+    TICK_LAYOUT,
+    TICK_SCHEMA,
+    TICK_SCHEMA_NAME,
+    TICK_TOPIC,
+    fill_ticks,
+    head_values,
+    metadata_crc,
+    tick_record,
 )
-from heli_host.data.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
-from heli_host.declaration import TICK_US
+from heli_host.declaration import LINK_VERSION, TICK_US
 from heli_host.errors import LogWriteError
+
+
+class TickClock:
+    """Converts the board's 32-bit tick counter, which wraps after 49.7 days, to time that always grows.
+
+    After a restart of the board, whose counter starts at 0, the time continues.
+    """
+
+    def __init__(self) -> None:
+        self._last_tick: int | None = None
+        self._last_us = 0
+
+    def advance(self, tick: NDArray[np.uint32]) -> tuple[NDArray[np.int64], int]:
+        """Place a batch of ticks on the axis. Shapes: `tick` (n,); returns `time_us` (n,)."""
+        has_previous = self._last_tick is not None
+        before = self._last_tick if self._last_tick is not None else int(tick[0])
+        # A tick has 32 bits: differences modulo 2^32, read as signed, are right over an overflow too.
+        step = np.diff(tick, prepend=np.uint32(before)).view(np.int32).astype(np.int64)
+        first_counted = 0 if has_previous else 1
+        # A step that is not positive is a restart of the board; it counts as one tick.
+        is_restart = step[first_counted:] <= 0
+        step[first_counted:][is_restart] = 1
+        lost = int(step.sum()) - (step.size - first_counted)
+        time_us = self._last_us + np.cumsum(step) * TICK_US
+        self._last_tick, self._last_us = int(tick[-1]), int(time_us[-1])
+        return time_us, lost
+
+    def skip(self, gap_s: float) -> None:
+        """Leave time for a restart of the board."""
+        if self._last_tick is not None:
+            self._last_us += max(1, round(gap_s * 1e6 / TICK_US)) * TICK_US
+            self._last_tick = None
+
+    def time_us(self, tick: int) -> int:
+        """Place an event on the axis, without moving on."""
+        if self._last_tick is None:
+            return self._last_us
+        step = (tick - self._last_tick) & 0xFFFFFFFF
+        return max(0, self._last_us + (step - (1 << 32) if step >= 1 << 31 else step) * TICK_US)
+
+
+TICK_CHANNEL, EVENT_CHANNEL, LINK_CHANNEL = 1, 2, 3
+
+_RECORD_HEADER_BYTES = 9
+_MESSAGE_HEADER = struct.Struct("<BQHIQQ")
+_INDEX_HEADER = struct.Struct("<BQHI")
+_INDEX_ENTRY = np.dtype([("log_time_ns", "<u8"), ("offset", "<u8")])
+_FOOTER_START = struct.Struct("<BQQQ")
+_TICK_RECORD = tick_record(TICK_LAYOUT)
+
+_SCHEMAS = (
+    Schema(id=1, name=TICK_SCHEMA_NAME, encoding=SchemaEncoding.ROS2, data=TICK_SCHEMA.encode()),
+    Schema(id=2, name=EVENT_SCHEMA_NAME, encoding=SchemaEncoding.JSONSchema, data=EVENT_SCHEMA.encode()),
+    Schema(id=3, name=LINK_SCHEMA_NAME, encoding=SchemaEncoding.JSONSchema, data=LINK_SCHEMA.encode()),
+)
+_CHANNELS = (
+    Channel(
+        id=TICK_CHANNEL, topic=TICK_TOPIC, message_encoding=MessageEncoding.CDR, metadata={}, schema_id=1
+    ),
+    Channel(
+        id=EVENT_CHANNEL, topic=EVENT_TOPIC, message_encoding=MessageEncoding.JSON, metadata={}, schema_id=2
+    ),
+    Channel(
+        id=LINK_CHANNEL, topic=LINK_TOPIC, message_encoding=MessageEncoding.JSON, metadata={}, schema_id=3
+    ),
+)
+
+
+@dataclass(frozen=True)
+class TickBatch:
+    """Ticks that wait to be written."""
+
+    time_us: NDArray[np.int64]  # (n,): Time of each since the log's first tick, in microseconds
+    tick: NDArray[np.uint32]  # (n,): The board's tick numbers
+    raw: NDArray[np.int32]  # (n, channels): Telemetry channels in the declared order
+
+
+@dataclass(frozen=True)
+class JsonMessage:
+    """A message of one of the rare topics that waits to be written."""
+
+    channel: int  # `EVENT_CHANNEL` or `LINK_CHANNEL`
+    time_us: int  # Time since the log's first tick, in microseconds
+    body: bytes  # The JSON
+
+
+class _Records(RecordBuilder):
+    """Collects records' bytes."""
+
+    def data(self) -> bytes:
+        return bytes(self.end())  # type: ignore[no-untyped-call]  # mcap has no types here
+
+
+def json_bytes(body: Mapping[str, Any]) -> bytes:
+    """Return a message as compact JSON.
+
+    `body`: The message; its numbers must be finite.
+    """
+    return json.dumps(body, separators=(",", ":"), allow_nan=False).encode()
+
+
+class McapBytes:
+    """Makes the bytes of one MCAP file, piece by piece, and keeps the index that comes last. `rad_per_count`
+    has shape (axes,).
+    """
+
+    def __init__(self, start_wall_ns: int, rad_per_count: NDArray[np.float64], level: int) -> None:
+        self._start_wall_ns = start_wall_ns
+        self._rad_per_count = np.asarray(rad_per_count, np.float64)
+        self._compressor = zstandard.ZstdCompressor(level=level)
+        self._chunk_indexes: list[ChunkIndex] = []
+        self._metadata_indexes: list[MetadataIndex] = []
+        self._message_counts: dict[int, int] = {}
+        self._first_ns: int | None = None
+        self._last_ns = 0
+
+    def wall_ns(self, time_us: int) -> int:
+        """Return the Unix time of a time of the log."""
+        return max(0, self._start_wall_ns + time_us * 1000)
+
+    def head(self) -> bytes:
+        """Return the first bytes of a file: magic, header, schemas, channels, and the record with the CRC of
+        all these.
+        """
+        builder = _Records()
+        Header(profile="", library=f"{LOG_WRITER} {LINK_VERSION})").write(builder)
+        for record in (*_SCHEMAS, *_CHANNELS):
+            record.write(builder)
+        head = bytes(MCAP0_MAGIC) + builder.data()
+        return head + self.metadata(HEAD, head_values(head), len(head))
+
+    def metadata(self, name: str, values: Mapping[str, str], file_offset: int) -> bytes:
+        """Return a metadata record with its CRC."""
+        data = _metadata(name, values)
+        self._metadata_indexes.append(MetadataIndex(offset=file_offset, length=len(data), name=name))
+        return data
+
+    def chunk(self, unjoined: Iterable[TickBatch | JsonMessage], file_offset: int) -> bytes:
+        """Return a compressed chunk, followed by its index.
+
+        The index has one record per channel, with the time and the offset of each message of the channel.
+        """
+        blocks: list[bytes] = []
+        index: dict[int, list[NDArray[Any]]] = {}
+        offset = 0
+        for message in _join_batches(unjoined):
+            if isinstance(message, JsonMessage):
+                channel, (entries, block) = message.channel, self._json_message(message, offset)
+            else:
+                channel, (entries, block) = TICK_CHANNEL, self._tick_messages(message, offset)
+            index.setdefault(channel, []).append(entries)
+            blocks.append(block)
+            offset += len(block)
+        body = b"".join(blocks)
+        indexes = {channel: np.concatenate(entries) for channel, entries in sorted(index.items())}
+        first_ns = min(int(entries["log_time_ns"].min()) for entries in indexes.values())
+        last_ns = max(int(entries["log_time_ns"].max()) for entries in indexes.values())
+        packed = self._compressor.compress(body)
+        builder = _Records()
+        Chunk(
+            compression="zstd",
+            data=packed,
+            message_start_time=first_ns,
+            message_end_time=last_ns,
+            uncompressed_crc=zlib.crc32(body),
+            uncompressed_size=len(body),
+        ).write(builder)
+        data = builder.data()
+        chunk_bytes = len(data)
+        index_offsets: dict[int, int] = {}
+        for channel, entries in indexes.items():
+            index_offsets[channel] = file_offset + len(data)
+            # The record's length counts the channel (2 bytes) and the length of the entries (4 bytes) too.
+            length = 2 + 4 + entries.nbytes
+            data += _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, length, channel, entries.nbytes)
+            data += entries.tobytes()
+            self._message_counts[channel] = self._message_counts.get(channel, 0) + len(entries)
+        self._chunk_indexes.append(
+            ChunkIndex(
+                chunk_start_offset=file_offset,
+                chunk_length=chunk_bytes,
+                compression="zstd",
+                compressed_size=len(packed),
+                uncompressed_size=len(body),
+                message_start_time=first_ns,
+                message_end_time=last_ns,
+                message_index_length=len(data) - chunk_bytes,
+                message_index_offsets=index_offsets,
+            )
+        )
+        self._first_ns = first_ns if self._first_ns is None else min(self._first_ns, first_ns)
+        self._last_ns = max(self._last_ns, last_ns)
+        return data
+
+    def _tick_messages(self, batch: TickBatch, offset: int) -> tuple[NDArray[Any], bytes]:
+        """Return ticks as MCAP messages: their entries in the index, and their bytes.
+
+        `offset` is the position of the first of them in its chunk.
+        """
+        records = np.zeros(batch.tick.size, _TICK_RECORD)
+        records["opcode"] = int(Opcode.MESSAGE)
+        records["length"] = _TICK_RECORD.itemsize - _RECORD_HEADER_BYTES
+        records["channel"] = TICK_CHANNEL
+        records["sequence"] = batch.tick
+        wall_ns = np.maximum(self._start_wall_ns + batch.time_us * 1000, 0)
+        records["log_time_ns"] = wall_ns
+        records["publish_time_ns"] = wall_ns
+        records["cdr"] = int.from_bytes(CDR_LITTLE_ENDIAN, "little")
+        fill_ticks(records["payload"], batch.time_us / 1e6, batch.tick, batch.raw, self._rad_per_count)
+        entries = np.empty(batch.tick.size, _INDEX_ENTRY)
+        entries["log_time_ns"] = wall_ns
+        entries["offset"] = offset + np.arange(batch.tick.size) * _TICK_RECORD.itemsize
+        return entries, records.tobytes()
+
+    def _json_message(self, message: JsonMessage, offset: int) -> tuple[NDArray[Any], bytes]:
+        """Return a JSON message: its entry in the index, and its bytes, at `offset` in the chunk."""
+        wall_ns = self.wall_ns(message.time_us)
+        head = _MESSAGE_HEADER.pack(
+            Opcode.MESSAGE,
+            _MESSAGE_HEADER.size - _RECORD_HEADER_BYTES + len(message.body),
+            message.channel,
+            0,
+            wall_ns,
+            wall_ns,
+        )
+        return np.array([(wall_ns, offset)], _INDEX_ENTRY), head + message.body
+
+    def tail(self, file_offset: int, data_crc: int) -> bytes:
+        """Return the end of a file: statistics, indexes and footer, by which viewers find each time
+        quickly.
+        """
+        start = _Records()
+        DataEnd(data_section_crc=data_crc).write(start)
+        data_end = start.data()
+        summary_start = file_offset + len(data_end)
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=len(_CHANNELS),
+            channel_message_counts=dict(sorted(self._message_counts.items())),
+            chunk_count=len(self._chunk_indexes),
+            message_count=sum(self._message_counts.values()),
+            message_start_time=self._first_ns or 0,
+            message_end_time=self._last_ns,
+            metadata_count=len(self._metadata_indexes),
+            schema_count=len(_SCHEMAS),
+        )
+        groups: tuple[tuple[Opcode, Any], ...] = (
+            (Opcode.SCHEMA, _SCHEMAS),
+            (Opcode.CHANNEL, _CHANNELS),
+            (Opcode.STATISTICS, (statistics,)),
+            (Opcode.CHUNK_INDEX, self._chunk_indexes),
+            (Opcode.METADATA_INDEX, self._metadata_indexes),
+        )
+        builder = _Records()
+        offsets: list[SummaryOffset] = []
+        for opcode, records in groups:
+            group_start = builder.count
+            for record in records:
+                record.write(builder)
+            if builder.count > group_start:
+                length = builder.count - group_start
+                offsets.append(SummaryOffset(opcode, summary_start + group_start, length))
+        summary_offset_start = summary_start + builder.count
+        for offset in offsets:
+            offset.write(builder)
+        summary = builder.data()
+        footer_start = _FOOTER_START.pack(Opcode.FOOTER, 20, summary_start, summary_offset_start)
+        crc = zlib.crc32(footer_start, zlib.crc32(summary))
+        Footer(summary_start=summary_start, summary_offset_start=summary_offset_start, summary_crc=crc).write(
+            builder
+        )
+        return data_end + summary + builder.data() + bytes(MCAP0_MAGIC)
+
+
+def last_record(reason: str) -> bytes:
+    """Return the record of the outcome for a log that can't be written further."""
+    return _metadata("result", {"outcome": f"not closed: the log could not be written further ({reason})"})
+
+
+def _metadata(name: str, values: Mapping[str, str]) -> bytes:
+    builder = _Records()
+    Metadata(name=name, metadata={**values, RECORD_CRC: metadata_crc(name, values)}).write(builder)
+    return builder.data()
+
+
+def _join_batches(unjoined: Iterable[TickBatch | JsonMessage]) -> list[TickBatch | JsonMessage]:
+    """Join neighbouring batches of ticks, so that numpy works on one array instead of fifty."""
+    joined: list[TickBatch | JsonMessage] = []
+    run: list[TickBatch] = []
+
+    def close_run() -> None:
+        """Join the batches of ticks that follow each other into one."""
+        if run:
+            joined.append(
+                TickBatch(
+                    np.concatenate([batch.time_us for batch in run]),
+                    np.concatenate([batch.tick for batch in run]),
+                    np.concatenate([batch.raw for batch in run]),
+                )
+            )
+            run.clear()
+
+    for message in unjoined:
+        if isinstance(message, TickBatch):
+            run.append(message)
+        else:
+            close_run()
+            joined.append(message)
+    close_run()
+    return joined
+
 
 CHUNK_TICKS = 1_000_000 // TICK_US
 """Ticks in a chunk: one second, which is also the most that a killed host loses."""

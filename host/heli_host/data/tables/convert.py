@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from heli_host.arrays import Floats
-from heli_host.data.flight import Flight
-from heli_host.data.flight.flight import MIN_ROWS
+from heli_host.data.arrays import Floats
+from heli_host.data.flight import MIN_ROWS, Flight
 from heli_host.data.tables.profile import MOTORS, Angle, Part, Profile, Voltage
-from heli_host.data.tables.table import Table
-from heli_host.data.tables.units import COUNT, TIME_UNITS
+from heli_host.data.tables.table import COUNT, TIME_UNITS, Table
 from heli_host.errors import FlightDataError
 
 UNEVEN = 0.02

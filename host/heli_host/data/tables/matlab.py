@@ -8,11 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from heli_host.arrays import Floats
-from heli_host.data.tables.limits import check_numbers, within_memory
-from heli_host.data.tables.sizes import check_mat
-from heli_host.data.tables.table import Column, Table
-from heli_host.data.tables.units import TIME_UNITS, unit_of
+from heli_host.data.arrays import Floats
+from heli_host.data.tables.limits import check_mat, check_numbers, within_memory
+from heli_host.data.tables.table import TIME_UNITS, Column, Table, unit_of
 from heli_host.errors import FlightDataError
 
 _DEEPEST: Final = 8

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from heli_host.data.tables.units import ANGLE_UNITS, COUNT, SHARES, TIME_UNITS, VOLTAGE_UNITS
+from heli_host.data.files import TOML_BYTES, decode_text, parse_toml, read_file, toml_string
+from heli_host.data.tables.table import ANGLE_UNITS, COUNT, SHARES, TIME_UNITS, VOLTAGE_UNITS
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError, file_remedy
-from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file, toml_string
 
 MOTORS: Final = ("front", "back")
 SUMS: Final = ("sum", "difference")

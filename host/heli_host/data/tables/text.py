@@ -15,12 +15,10 @@ from typing import Final
 
 import numpy as np
 
-from heli_host.data.tables.clocks import seconds_of
+from heli_host.data.files import read_file
 from heli_host.data.tables.limits import MAX_BYTES, MAX_ROWS, check_columns, too_large
-from heli_host.data.tables.table import Column, Table
-from heli_host.data.tables.units import unit_of
+from heli_host.data.tables.table import Column, Table, seconds_of, unit_of
 from heli_host.errors import FlightDataError, file_remedy
-from heli_host.files import read_file
 
 _MAX_LINE_CHARACTERS: Final = 1 << 16
 """Longest line: a thousand columns have 20 thousand characters."""

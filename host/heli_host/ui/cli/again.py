@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
+from heli_host.data.files import file_digest
 from heli_host.errors import HeliError, LogError
-from heli_host.files import file_digest
 from heli_host.ui.cli.flight_command import VERB_NAME, FlightOptions, FlownFlight, fly_plans
 from heli_host.ui.cli.say import say
 

@@ -75,7 +75,7 @@ def open_board(port: str | None, sil: str | None = None) -> Iterator[Heli]:
 
 def say_migration(heli: Heli) -> None:
     """Print a warning if the board's stored parameters are not all in force."""
-    from heli_host.board.parameter_origin import migration_text, read_origin
+    from heli_host.board.parameters import migration_text, read_origin
     from heli_host.ui.cli.say import say_progress
 
     if heli.info.params_source == "migrated":

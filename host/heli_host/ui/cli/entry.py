@@ -45,7 +45,7 @@ def _say_version(wanted: bool) -> None:
     """Print the version of the program and of the link, and exit."""
     if wanted:
         from heli_host.declaration import LINK_VERSION
-        from heli_host.release import installed_version
+        from heli_host.link.installation import installed_version
         from heli_host.ui.cli.say import say
 
         say(f"heli-host {installed_version()}, link {LINK_VERSION}")
@@ -63,7 +63,7 @@ def _suppress_progress(wanted: bool) -> None:
 def _replace_any_file(wanted: bool) -> None:
     """Permit the replacement of files that the program did not write, for the option --force."""
     if wanted:
-        from heli_host.output_files import FORCE
+        from heli_host.data.files import FORCE
 
         FORCE.set(True)
 
@@ -163,7 +163,7 @@ def _check_output(_context: object, parameter: Any, value: Any) -> Any:
     """Refuse a place for a result that has a foreign file, before any work begins; return `value`."""
     from pathlib import Path
 
-    from heli_host.output_files import check_replaceable
+    from heli_host.data.files import check_replaceable
 
     if value is not None and str(value) != "-":
         is_report = "--report" in parameter.opts
@@ -210,7 +210,7 @@ def _raise_interrupt(number: int, _frame: FrameType | None) -> None:
     """Raise KeyboardInterrupt for a signal, unless one has ended a flight already; after SIGHUP the terminal
     is not used any more.
     """
-    from heli_host.interrupts import flight_was_interrupted
+    from heli_host.board.interrupts import flight_was_interrupted
 
     name = signal.Signals(number).name
     if name == "SIGHUP":

@@ -138,7 +138,7 @@ def fly_plans(
     on_taken_off: Callable[[Heli], object] | None = None,
 ) -> FlownFlight:
     """Fly plans on the board that the options name; write log and figure. The caller writes the summary."""
-    from heli_host.board.published_gains import load_gains
+    from heli_host.board.parameters import load_gains
     from heli_host.data.log.blind import Truth, truth_path
     from heli_host.data.log.disk import check_new
     from heli_host.fly.runner import fly

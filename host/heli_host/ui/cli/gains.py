@@ -32,7 +32,7 @@ def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, floa
 
     If a file has another parameter schema, its known parameters are used, and the others are printed.
     """
-    from heli_host.board.parameter_file import read_parameter_set
+    from heli_host.board.parameters import read_parameter_set
     from heli_host.ui.cli.say import say_dropped
 
     if file is None:
@@ -48,7 +48,7 @@ def check_gains(gains: str | None, sil: bool) -> None:
     """Refuse `gains` that are unknown, or that only a simulated board (`sil`) should fly: a
     typer.BadParameter.
     """
-    from heli_host.board.published_gains import SETS
+    from heli_host.board.parameters import SETS
 
     if gains is None:
         return

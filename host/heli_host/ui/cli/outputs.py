@@ -8,7 +8,7 @@ from typing import Final
 
 import typer
 
-from heli_host.output_files import check_replaceable
+from heli_host.data.files import check_replaceable
 from heli_host.ui.cli.say import STDOUT
 
 FIGURE_ENDS: Final = (".png", ".pdf", ".svg")

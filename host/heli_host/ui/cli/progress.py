@@ -12,7 +12,7 @@ from heli_host.ui.cli.say import QUIET
 
 if TYPE_CHECKING:
     from heli_host.board.samples import Sample
-    from heli_host.link.accounting import LinkCounters
+    from heli_host.link.telemetry import LinkCounters
 
 
 class LiveLine:

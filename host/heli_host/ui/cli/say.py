@@ -54,8 +54,7 @@ def write_result(file: Path | None, content: Mapping[str, Any]) -> bool:
     """Write a verb's result as JSON, with the number of its schema."""
     import json
 
-    from heli_host.files import RESULT_SCHEMA
-    from heli_host.output_files import write_text
+    from heli_host.data.files import RESULT_SCHEMA, write_text
 
     if file is None:
         return False

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import typer
 
-from heli_host.plugins import plugins
+from heli_host.link.installation import plugins
 from heli_host.ui.cli.variadic import Variadic
 
 ENTRY_POINT_GROUP: Final = "heli_host.verbs"

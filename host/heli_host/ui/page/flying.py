@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from heli_host.declaration import AXES
-from heli_host.fly.pilot import Pilot
+from heli_host.fly.pilot import Pilot, Progress
 from heli_host.fly.plan import Plan, take_off
-from heli_host.fly.progress import Progress
 from heli_host.fly.tracking import Tolerance
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from heli_host.plugins import plugins
+from heli_host.link.installation import plugins
 
 ENTRY_POINT_GROUP: Final = "heli_host.rigs"
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file
+from heli_host.data.files import TOML_BYTES, decode_text, parse_toml, read_file
 
 from heli_lab.apps.campaign.cases import Campaign, Case, Limits
 from heli_lab.apps.campaign.works import DEFAULT_RANKING, DEFAULTS, TOLERANCES, WORKS, check_distribution

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from heli_host.board.parameter_file import read_parameter_set
+from heli_host.board.parameters import read_parameter_set
 from heli_host.data.flight import Flight
 from heli_host.data.log.summary import FlightSummary
 from heli_sim.model import MultibodyModel

@@ -12,9 +12,8 @@ from typing import Any, Final
 import numpy as np
 from heli_host.board.law_program import LawProgram
 from heli_host.data.flight import Flight
-from heli_host.data.flight.response import effort_V, responses
-from heli_host.data.log.comparison import figure_of_flights, split_into_figures
-from heli_host.data.text_table import table_lines
+from heli_host.data.log.comparison import figure_of_flights, split_into_figures, table_lines
+from heli_host.data.response import effort_V, responses
 from heli_host.declaration import AXES, LAW_INPUTS
 from heli_host.errors import BadLaw, FlightAborted, FlightDataError, HeliError
 

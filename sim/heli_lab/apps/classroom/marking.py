@@ -14,10 +14,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from heli_host.board.parameter_file import parameters_text
+from heli_host.board.interrupts import was_interrupted
+from heli_host.board.parameters import parameters_text
 from heli_host.declaration import State
 from heli_host.errors import FlightAborted, FlightDataError, HeliError, LinkError, fault_text, printable
-from heli_host.interrupts import was_interrupted
 from heli_host.ui.cli.board import open_board
 from heli_host.ui.cli.flight_command import FlightOptions
 from heli_host.ui.cli.say import QUIET, say, write_result

@@ -20,9 +20,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from heli_host.data.files import decode_text, notebook_digest, read_file, write_signed, write_text
 from heli_host.errors import HeliError, file_remedy
-from heli_host.files import decode_text, read_file
-from heli_host.output_files import notebook_digest, write_signed, write_text
 
 # Written in two parts, because a test of this repository takes the whole word for unfinished work.
 CODE_STUB: Final = "# YOUR CODE HERE\nraise Not" + "ImplementedError()"

@@ -12,12 +12,19 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_host.board.law_program import LawProgram
-from heli_host.board.parameter_file import TABLE, parameter_set
+from heli_host.board.parameters import TABLE, parameter_set
+from heli_host.data.files import (
+    FORCE,
+    TOML_BYTES,
+    ForeignFile,
+    decode_text,
+    is_own_file,
+    parse_toml,
+    read_file,
+)
 from heli_host.declaration import PARAMS
 from heli_host.errors import BadLaw, HeliError, ParameterError, PlanError, file_remedy
-from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file
 from heli_host.fly.plan import Plan
-from heli_host.output_files import FORCE, ForeignFile, is_own_file
 
 from heli_lab.control.law.files import load_limited
 from heli_lab.control.law.limits import FileLimits

@@ -7,7 +7,7 @@ from typing import Any, Final, Literal
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model.linear import trim
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.rig import load_rig

@@ -13,7 +13,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.apps.gym.environment import Action, Observation
 

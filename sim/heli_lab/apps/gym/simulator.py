@@ -13,7 +13,7 @@ from urllib.parse import urlencode
 import casadi as ca
 import heli_host
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.declaration import Axes, State
 from heli_host.errors import HeliError
 from heli_sim.compiled import compile_function

@@ -15,9 +15,9 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats
-from heli_host.board.published_gains import load_gains
+from heli_host.board.parameters import load_gains
 from heli_host.board.rest_check import ANGLE_SHIFTED
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_log
 from heli_host.declaration import Axes, State

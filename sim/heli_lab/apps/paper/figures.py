@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from heli_host.data.flight.response import rms
+from heli_host.data.response import rms
 from heli_sim.bench.thrust_curve import ThrustCurve
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig

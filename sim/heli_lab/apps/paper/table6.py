@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from heli_host.arrays import Floats
-from heli_host.board.published_gains import paper_gains
+from heli_host.board.parameters import paper_gains
+from heli_host.data.arrays import Floats
 from heli_sim.model.base import Model
 from heli_sim.model.linear import derivatives, trim
 from heli_sim.rig import Rig

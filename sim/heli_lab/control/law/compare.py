@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from heli_host.data.flight import Flight
-from heli_host.data.flight.flown import of_its_law
-from heli_host.data.log.flight_file import read_flight
+from heli_host.data.log.reader import read_flight
+from heli_host.data.response import of_its_law
 from heli_host.errors import FlightDataError
 
 

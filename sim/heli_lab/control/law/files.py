@@ -15,8 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
 
-from heli_host.board.law_program import LawProgram
-from heli_host.board.laws import FILE_LIMIT_s
+from heli_host.board.law_program import FILE_LIMIT_s, LawProgram
 from heli_host.errors import BadLaw
 
 from heli_lab.control.law.law import Law

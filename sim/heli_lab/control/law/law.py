@@ -14,8 +14,8 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from heli_host.arrays import Floats
 from heli_host.board.law_program import LawProgram
+from heli_host.data.arrays import Floats
 from heli_host.declaration import AXES, LAW_INPUTS
 from heli_host.errors import BadLaw
 

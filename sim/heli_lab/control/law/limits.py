@@ -19,7 +19,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from heli_host.fly.process_limits import limit_process
+from heli_host.data.files import limit_process
 
 MEMORY_LIMIT_MB: Final = 1024
 """Address space [MB]. A law of the documents takes 170 MB, with scipy and control 330 MB. With less, a file

@@ -9,7 +9,7 @@ import casadi as ca
 import control
 import numpy as np
 import numpy.typing as npt
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.declaration import AXES, LAW_INPUTS
 
 from heli_lab.control.law.law import Law

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_host.data.flight import Flight
-from heli_host.data.flight.response import effort_V, responses
+from heli_host.data.response import effort_V, responses
 from heli_host.fly.plan import Plan
 
 from heli_lab.control.law.compare import flight_of_law

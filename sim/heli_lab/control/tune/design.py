@@ -16,7 +16,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig

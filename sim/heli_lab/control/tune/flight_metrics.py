@@ -1,6 +1,6 @@
 """Measure the performance of gains in a test flight: take-off, a travel step and back, sines.
 
-Overshoot and settling time are those of `heli_host.data.flight.response`, relative to the planned path.
+Overshoot and settling time are those of `heli_host.data.response`, relative to the planned path.
 """
 
 from __future__ import annotations
@@ -10,10 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats
+from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import Flight
-from heli_host.data.flight.counts import count_rad
-from heli_host.data.flight.response import rms, step_metrics
+from heli_host.data.response import count_rad, rms, step_metrics
 
 from heli_lab.control.tune.design import TRAVEL_STEP_DEG
 

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.control.tune.plants import LinearPlant, NO_LAG_s
 

@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 _TICK_s: Final = 0.001
 _APPROACH_RATE: Final = 0.01

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.state_space import matrix_exponentials
 

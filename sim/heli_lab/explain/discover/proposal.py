@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.explain.discover.discovery import Discovery

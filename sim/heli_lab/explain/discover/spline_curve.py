@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.explain.search import KNOTS, QUANTITIES, Cause, SplineTerm, bspline_basis
 from heli_lab.explain.wording import channel_in_words, display_unit, quantity_in_words

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.explain.evaluate.free_run import FreeRun
 from heli_lab.explain.thresholds import OUTSIDE_SHARE, VOLTAGE_TAIL

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats, Integers
+from heli_host.data.arrays import Booleans, Floats, Integers
 from heli_sim.model.parts import AXES
 
 from heli_lab.explain.search import Screening, quantity_values

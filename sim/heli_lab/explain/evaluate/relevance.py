@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.explain.evaluate.prediction import Prediction, normalised_samples, predict
 from heli_lab.explain.search import Hypothesis, ModelComparison, Search

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.explain.search.candidate import ScoredCandidate
 from heli_lab.explain.search.screening import Screening, coefficient_std, signals_of

@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.parts import AXES
 

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats
+from heli_host.data.arrays import Booleans, Floats
 from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.parts import AXES
 

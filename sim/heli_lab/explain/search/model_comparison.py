@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig
 

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model.base import Effect, Model
 
 from heli_lab.explain.search.candidate import Candidate

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model.effects.spec import EffectSpec
 
 from heli_lab.explain.search.candidate import Candidate, ScoredCandidate

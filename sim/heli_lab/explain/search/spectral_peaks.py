@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 _MAX_PEAKS: Final = 4
 """Frequencies that are tried on each axis. Fewer: a periodic torque is missed in large disturbances. More:

@@ -14,7 +14,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model.base import Effect, Model, Operands
 from heli_sim.model.parts import AXES
 from heli_sim.model.parts import thrust_N as static_thrust_N

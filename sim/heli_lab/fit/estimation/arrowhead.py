@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 
 NO_BLOCKS: Final = np.zeros((0, 0), np.int64)
 """Value of `per_flight` if no unknown belongs to a single flight."""

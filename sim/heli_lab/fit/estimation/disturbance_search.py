@@ -10,7 +10,7 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats, Integers
+from heli_host.data.arrays import Booleans, Floats, Integers
 
 from heli_lab.fit.estimation.disturbances import DisturbanceModel, SLOW_CORRELATION_TIME_s
 

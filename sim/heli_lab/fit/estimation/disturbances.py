@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 SLOW_CORRELATION_TIME_s: Final = 15.0
 """Correlation time of the slow disturbance. It is set, not estimated, because a recording of a minute

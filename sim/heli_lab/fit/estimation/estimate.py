@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Generic
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from typing_extensions import TypeVar
 
 from heli_lab.fit.estimation.disturbance_search import maximise

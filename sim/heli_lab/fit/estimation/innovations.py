@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 
 from heli_lab.fit.estimation.arrowhead import per_flight_columns
 

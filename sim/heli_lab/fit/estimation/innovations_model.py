@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 
 from heli_lab.fit.estimation import _kalman
 from heli_lab.fit.estimation.disturbances import DisturbanceModel

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 SMALL_STEP: Final = 0.02
 """A step is small if no parameter changes by more than this share of its standard error: the remaining error

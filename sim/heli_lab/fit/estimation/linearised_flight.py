@@ -20,7 +20,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats, Integers
+from heli_host.data.arrays import Booleans, Floats, Integers
 
 from heli_lab.fit.estimation import _kalman
 from heli_lab.fit.estimation.model_functions import ModelFunctions

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.fit.estimation.grey_box import GreyBoxModel
 from heli_lab.fit.estimation.trajectory_functions import AlongTrajectory, EffectStates, Trajectory

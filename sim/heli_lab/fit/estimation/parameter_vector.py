@@ -13,7 +13,7 @@ from math import inf
 from typing import Final, Protocol
 
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 
 _VAGUE: Final = 1e3
 """Factor on the standard deviation of a prior that is removed: the information of one flight then outweighs

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats, Integers
+from heli_host.data.arrays import Booleans, Floats, Integers
 
 from heli_lab.fit.estimation.arrowhead import NO_BLOCKS, invert_arrowhead
 from heli_lab.fit.estimation.bounded_solve import bounded_solve

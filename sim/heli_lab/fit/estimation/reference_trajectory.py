@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats, Integers
+from heli_host.data.arrays import Booleans, Floats, Integers
 
 from heli_lab.fit.estimation import _kalman
 from heli_lab.fit.estimation.grey_box import Recording, quantisation_std

@@ -6,7 +6,7 @@ The smoother is that of Harvey, section 3.6.
 from __future__ import annotations
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.fit.estimation import _kalman
 from heli_lab.fit.estimation.disturbances import DisturbanceModel

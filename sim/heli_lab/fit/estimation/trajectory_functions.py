@@ -12,7 +12,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.errors import IdentifyError
 from heli_lab.fit.estimation import _expression_vm

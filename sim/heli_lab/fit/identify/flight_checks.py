@@ -6,9 +6,9 @@ import math
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
-from heli_host.data.flight.counts import count_rad
+from heli_host.data.response import count_rad
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 from heli_sim.rig.encoders import count_rad as rig_count_rad

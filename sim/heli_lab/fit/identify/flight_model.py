@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior, Rig

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats
+from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import Flight
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from heli_host.output_files import write_signed
+from heli_host.data.files import write_signed
 from heli_sim.model.parts import AXES
 
 from heli_lab.explain.discover import MissingTerm, missing_term

@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from heli_host.files import RESULT_SCHEMA
-from heli_host.output_files import write_signed, write_text
+from heli_host.data.files import RESULT_SCHEMA, write_signed, write_text
 
 _HERE: Final = Path(__file__).parent
 

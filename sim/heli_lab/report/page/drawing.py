@@ -21,7 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Final, Self
 
-from heli_host.output_files import check_replaceable, figure_metadata, write_bytes
+from heli_host.data.files import check_replaceable, figure_metadata, write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
 from heli_host.board.samples import Sample
+from heli_host.data.arrays import Floats
 from heli_host.declaration import AXES
 from heli_host.fly.heli import Heli
 

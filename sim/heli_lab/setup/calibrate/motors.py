@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
 from heli_host.board.samples import Samples
 from heli_host.board.vehicle import Vehicle
+from heli_host.data.arrays import Floats
 from heli_host.declaration import AXES, Axes, Excitation, Fault, State
 from heli_host.errors import CommandRefused, FlightAborted, HeliError, fault_text
 from heli_host.fly.heli import Heli

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from heli_host.data.tables.units import SHARES
+from heli_host.data.tables.table import SHARES
 from heli_sim.rig import Rig
 
 from heli_lab.setup.guess import names, thresholds

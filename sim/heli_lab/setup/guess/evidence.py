@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats
+from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.tables import Table
-from heli_host.data.tables.units import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit
+from heli_host.data.tables.table import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit
 from heli_host.errors import FlightDataError
 
 from heli_lab.setup.guess import names, thresholds

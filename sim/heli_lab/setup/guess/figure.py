@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats, Integers
+from heli_host.data.arrays import Booleans, Floats, Integers
+from heli_host.data.files import save_figure
 from heli_host.data.flight import Flight
-from heli_host.output_files import save_figure
 
 from heli_lab.setup.guess.regression.signals import Signal, delay, filtered_signal
 from heli_lab.setup.guess.result import Guess

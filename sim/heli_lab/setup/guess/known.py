@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from heli_host.data.files import parse_toml
 from heli_host.data.tables import Column, Profile, Table, profile_of, profile_text, read_entries
-from heli_host.files import parse_toml
 
 from heli_lab.setup.guess.names import VOLTAGE_ROLES
 from heli_lab.setup.guess.result import Ambiguity

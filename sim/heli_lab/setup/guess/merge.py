@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.tables import Column, Table
-from heli_host.data.tables.units import TIME_UNITS
+from heli_host.data.tables.table import TIME_UNITS
 from heli_host.errors import FlightDataError
 
 from heli_lab.setup.guess.times import Clock, clock_of

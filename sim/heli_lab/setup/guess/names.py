@@ -7,7 +7,7 @@ import re
 import unicodedata
 from typing import Final
 
-from heli_host.data.tables.units import split_unit
+from heli_host.data.tables.table import split_unit
 
 ROLES: Final = ("elevation", "pitch", "travel", "front", "back", "sum", "difference")
 VOLTAGE_ROLES: Final = ROLES[3:]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.tables import Column, Table
-from heli_host.data.tables.units import TIME_UNITS, split_unit
+from heli_host.data.tables.table import TIME_UNITS, split_unit
 
 from heli_lab.setup.guess import names
 from heli_lab.setup.guess.regression.scales import quantisation_step

@@ -11,9 +11,9 @@ from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats
+from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import Flight
-from heli_host.data.flight.flown import flown_rows
+from heli_host.data.response import flown_rows
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from heli_host.data.flight import Flight
-from heli_host.data.flight_checks import FlightFinding
+from heli_host.data.log.summary import FlightFinding
 from heli_sim.model.base import Model
 from heli_sim.model.effects import EffectSpec, catalogue, effects_of
 from heli_sim.model.named import model_named

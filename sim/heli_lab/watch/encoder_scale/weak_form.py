@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats, Integers
+from heli_host.data.arrays import Booleans, Floats, Integers
 from heli_host.data.flight import Flight
 
 GRID_s: Final = 0.02

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from heli_host.arrays import Floats
-from heli_host.files import toml_string
-from heli_host.output_files import write_signed
+from heli_host.data.arrays import Floats
+from heli_host.data.files import toml_string, write_signed
 
 from heli_lab.errors import TwinError
 from heli_lab.fit.estimation import DisturbanceModel

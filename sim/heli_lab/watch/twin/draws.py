@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from typing_extensions import override
 

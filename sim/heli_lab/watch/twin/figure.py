@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from heli_host.output_files import save_figure
+from heli_host.data.files import save_figure
 
 if TYPE_CHECKING:
     from heli_lab.watch.twin.monitor import TwinReport

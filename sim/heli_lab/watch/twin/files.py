@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from heli_host.data.files import TOML_BYTES, decode_text, parse_toml, read_file
 from heli_host.errors import file_remedy
-from heli_host.files import TOML_BYTES, decode_text, parse_toml, read_file
 from heli_sim.model.base import Model
 from heli_sim.model.effects import effects_of
 from heli_sim.model.named import model_named

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import Log
 from heli_host.declaration import Channel, State

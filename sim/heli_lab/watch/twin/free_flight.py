@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.rig import Rig
 
 from heli_lab.fit.identify import thresholds

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.fit.estimation import _kalman
 from heli_lab.watch.twin.twin_model import ZEROS, TwinModel

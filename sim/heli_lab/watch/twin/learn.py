@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_host.errors import FlightAborted
 from heli_sim.model.base import Model

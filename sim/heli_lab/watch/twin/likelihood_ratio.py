@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 from heli_sim.model.parts import AXES
 from scipy.special import log_ndtr, logsumexp
 

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from heli_host.arrays import Floats, Integers
 from heli_host.board.twins import TwinNews
+from heli_host.data.arrays import Floats, Integers
 from heli_host.link.channels import rad_per_count
 from heli_host.link.clock import TICK_S
 

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
-from heli_host.data.log.flight_file import read_flight
-from heli_host.data.log.reader import read_log
+from heli_host.data.log.reader import read_flight, read_log
 from heli_host.link.channels import rad_per_count
 from heli_host.link.clock import TICK_S
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 SUPPLY_STD: Final = 0.03
 """Standard deviation of the supply voltage between days, as a share: a supply set by hand, amplifiers that

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 
 from heli_lab.fit.estimation.reference_trajectory import STEP_s
 

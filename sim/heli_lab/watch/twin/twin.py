@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.fit.estimation import BLOCK_s
 from heli_lab.watch.twin.angle_history import AngleHistory

@@ -7,7 +7,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig

@@ -17,7 +17,7 @@ from types import ModuleType
 
 import casadi as ca
 import numpy as np
-from heli_host.files import decode_text
+from heli_host.data.files import decode_text
 
 from heli_sim.errors import EffectError
 from heli_sim.model.base import Model

@@ -83,7 +83,7 @@ def dashboard(
 
     Example: `heli-host dashboard --sil`
     """
-    from heli_host.board.laws import read_law
+    from heli_host.board.law_program import read_law
     from heli_host.fly.plan import load_plan, plan_names
     from heli_host.ui.cli.board import check_target
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from heli_host.plugins import plugins
+from heli_host.link.installation import plugins
 from heli_host.ui.cli.board import is_due, is_due_native
 from heli_host.ui.cli.extras import USERS_EXTRAS, packages_of
 from heli_host.ui.cli.finding import ENTRY_POINT_GROUP, Finding, Verdict

@@ -58,7 +58,7 @@ def export(
         raise typer.BadParameter(
             "export needs exactly one format; give one of --csv, --mat, --parquet and --ros2"
         )
-    from heli_host.data.log.flight_file import read_flight
+    from heli_host.data.log.reader import read_flight
     from heli_host.data.log.table import MAX_TABLE_BYTES, notes_path, write_csv
     from heli_host.ui.cli.outputs import check_place
 
@@ -90,9 +90,8 @@ def _writer_and_ending(
     csv: bool, mat: bool, parquet: bool
 ) -> tuple[Callable[[Flight, Path], int | None], str]:
     """Return the function that writes the requested format, and the ending of its files."""
-    from heli_host.data.log.export import export_mat, export_parquet
     from heli_host.data.log.ros2 import export_ros2
-    from heli_host.data.log.table import write_csv
+    from heli_host.data.log.table import export_mat, export_parquet, write_csv
 
     writers = (write_csv, export_mat, export_parquet, export_ros2)
     chosen = (csv, mat, parquet, True).index(True)

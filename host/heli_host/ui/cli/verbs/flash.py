@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from heli_host.output_files import write_signed
+from heli_host.data.files import write_signed
 from heli_host.ui.cli.options import PortOption
 from heli_host.ui.cli.say import say
 from heli_host.ui.cli.verb import Verb
@@ -152,8 +152,7 @@ def _write_parameters(values: dict[str, float], origin: str) -> Path | None:
     """Write a board's parameters to a file with the time in its name, and return the file; None if all are
     defaults.
     """
-    from heli_host.board.parameter_file import parameters_text
-    from heli_host.board.parameters import spec_of
+    from heli_host.board.parameters import parameters_text, spec_of
 
     if all(
         abs(value - spec_of(name).default) <= 1e-6 * max(1.0, abs(value)) for name, value in values.items()

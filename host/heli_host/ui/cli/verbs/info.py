@@ -57,7 +57,7 @@ def info(
         _print_log(log)
         flight = log.flight() if len(log.ticks) else None
     else:
-        from heli_host.data.log.flight_file import read_flight
+        from heli_host.data.log.reader import read_flight
 
         flight = read_flight(flight_file, allow_gaps=True)
         _print_table(flight, flight_file)
@@ -79,7 +79,7 @@ def info(
 def _verified_truth(path: Path, truth_file: Path) -> dict[str, Any]:
     """What flew by a truth file whose seal is that of the flight; else a LogError."""
     from heli_host.data.log.blind import SEALED, Truth
-    from heli_host.data.log.flight_file import read_flight
+    from heli_host.data.log.reader import read_flight
 
     truth = Truth.read(truth_file)
     truth.check(path, read_flight(path, allow_gaps=True).meta.get(SEALED, ""))
@@ -88,8 +88,7 @@ def _verified_truth(path: Path, truth_file: Path) -> dict[str, Any]:
 
 def _log_content(path: Path) -> dict[str, Any]:
     """Return the content of a log without its rows."""
-    from heli_host.data.log.flight_file import read_flight
-    from heli_host.data.log.reader import read_log
+    from heli_host.data.log.reader import read_flight, read_log
     from heli_host.data.log.summary import summarise
 
     content: dict[str, Any] = {"file": str(path)}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from heli_host.output_files import write_signed
+from heli_host.data.files import write_signed
 from heli_host.ui.cli.options import JsonOption, PortOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_dropped, write_result
 from heli_host.ui.cli.simulated import MAX_SPEED, SilOption, sil_address
@@ -48,7 +48,7 @@ def list_parameters(
 
     Example: `heli-host params list pitch --long --port /dev/ttyACM0`
     """
-    from heli_host.fly.controllers import controller_names
+    from heli_host.board.parameters import controller_names
 
     with _open_board(port, sil) as heli:
         values = heli.params.dump()
@@ -200,7 +200,7 @@ def dump(
 
     Example: `heli-host params dump rig7.toml --port /dev/ttyACM0`
     """
-    from heli_host.board.parameter_file import parameters_text
+    from heli_host.board.parameters import parameters_text
     from heli_host.ui.cli.board import board_versions
     from heli_host.ui.cli.outputs import check_parameters_place
 
@@ -227,7 +227,7 @@ def restore(
 
     Example: `heli-host params restore rig7.toml --save --port /dev/ttyACM0`
     """
-    from heli_host.board.parameter_file import read_parameter_set
+    from heli_host.board.parameters import read_parameter_set
 
     parameter_set = read_parameter_set(file)
     values = parameter_set.values

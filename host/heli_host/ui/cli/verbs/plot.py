@@ -72,7 +72,7 @@ def _compare_flights(logs: Sequence[Path], figure: Path | None, json: Path | Non
         comparison_numbers,
         write_comparison,
     )
-    from heli_host.data.log.flight_file import read_flight
+    from heli_host.data.log.reader import read_flight
 
     if len(logs) > MAX_FLIGHTS:
         raise typer.BadParameter(

@@ -72,13 +72,13 @@ def setpoint(
         raise typer.BadParameter(
             "--travel-deg and --pitch-deg exclude each other, because pitch controls travel; give one of them"
         )
+    from heli_host.board.interrupts import name_of
     from heli_host.board.open_loop import ALL_AXES
     from heli_host.board.setpoints import check_setpoint
     from heli_host.data.log.disk import check_new
     from heli_host.declaration import Axes
     from heli_host.errors import FlightAborted, HeliError
     from heli_host.fly.recorder import Recorder
-    from heli_host.interrupts import name_of
     from heli_host.ui.cli.board import check_board_rig, clear_latched_fault, open_board
 
     if log is not None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 
 from heli_lab.fit.identify.free_run import Inputs, VoltageDerivative
 from heli_lab.fit.identify.record import Record

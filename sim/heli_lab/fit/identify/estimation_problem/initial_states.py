@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 from heli_sim.model.parts import AXES
 
 from heli_lab.fit.identify.estimation_problem.grid import make_grid

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 from heli_host.data.flight import Flight
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig

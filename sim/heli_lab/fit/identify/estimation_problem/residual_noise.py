@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.fit.estimation.long_run_variance import autocovariance, newey_west_variance
 from heli_lab.fit.identify.thresholds import GROSS, LONGEST_LAG_S, MIN_SHARE, OUTLIER

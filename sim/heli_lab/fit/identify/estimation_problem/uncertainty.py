@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.fit.identify.estimation_problem import Problem
 from heli_lab.fit.identify.thresholds import COMBINATION_WEIGHT, DITHER_PHASES, UNINFORMED

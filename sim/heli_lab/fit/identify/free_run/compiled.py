@@ -11,7 +11,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 from heli_sim.errors import PlantError
 from typing_extensions import override
 

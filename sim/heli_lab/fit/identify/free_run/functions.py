@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 from heli_sim.model.base import Model
 
 

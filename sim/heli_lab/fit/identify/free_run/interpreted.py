@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from heli_host.arrays import Floats, Integers
+from heli_host.data.arrays import Floats, Integers
 from typing_extensions import override
 
 from heli_lab.fit.estimation.trajectory_functions import AlongTrajectory, Trajectory

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.fit.identify.estimation_problem import Problem
 from heli_lab.fit.identify.estimation_problem.problem import RIGID_STATES

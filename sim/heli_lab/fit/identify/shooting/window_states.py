@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats, Integers
+from heli_host.data.arrays import Booleans, Floats, Integers
 
 from heli_lab.fit.identify import thresholds
 from heli_lab.fit.identify.estimation_problem import Evaluation

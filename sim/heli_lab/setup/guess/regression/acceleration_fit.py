@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats
+from heli_host.data.arrays import Booleans, Floats
 
 from heli_lab.setup.guess import thresholds
 

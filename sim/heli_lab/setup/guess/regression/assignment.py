@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats
+from heli_host.data.arrays import Booleans, Floats
 
 from heli_lab.setup.guess import names, thresholds
 from heli_lab.setup.guess.regression.acceleration_fit import regress_acceleration

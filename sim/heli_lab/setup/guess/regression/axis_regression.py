@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.setup.guess import thresholds
 from heli_lab.setup.guess.regression.acceleration_fit import RegressionFit, regress_acceleration

@@ -7,7 +7,7 @@ from collections.abc import Collection
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
+from heli_host.data.arrays import Floats
 
 from heli_lab.setup.guess import names, thresholds
 from heli_lab.setup.guess.regression.signals import Signal, Signals

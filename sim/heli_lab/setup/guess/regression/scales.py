@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Floats
-from heli_host.data.tables.units import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS
+from heli_host.data.arrays import Floats
+from heli_host.data.tables.table import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS
 
 from heli_lab.setup.guess import thresholds
 from heli_lab.setup.guess.regression.reference import Reference

@@ -8,7 +8,7 @@ from functools import cache
 from typing import Final
 
 import numpy as np
-from heli_host.arrays import Booleans, Floats
+from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.tables import Table
 from numpy.typing import NDArray
 

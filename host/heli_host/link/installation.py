@@ -1,9 +1,9 @@
-"""Entry points of the installed packages, through which packages above this one register."""
+"""The installed packages: this package's version, and the entry points of packages that build on it."""
 
 from __future__ import annotations
 
 from functools import cache
-from importlib.metadata import EntryPoints, entry_points
+from importlib.metadata import EntryPoints, PackageNotFoundError, entry_points, version
 from typing import cast
 
 
@@ -20,3 +20,12 @@ def plugins(group: str) -> EntryPoints:
 def _installed() -> EntryPoints:
     # Python 3.11 returns its groups, which select in the same way.
     return cast(EntryPoints, entry_points())
+
+
+@cache
+def installed_version() -> str:
+    """Return the version of this package, ``unknown`` if it is imported from a source tree."""
+    try:
+        return version("heli-host")
+    except PackageNotFoundError:
+        return "unknown"
