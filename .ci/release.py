@@ -29,7 +29,7 @@ EXTENSIONS = (
     "heli_sim/_native",
     "heli_sim/due/_due_board",
     "due_emulator/_due",
-    "heli_lab/fit/estimation/_kalman",
+    "heli_lab/fit/_kalman",
 )
 """Compiled parts that fly: the native board, the emulated Due and the filter of the laboratory."""
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import heli_host
 import numpy as np
-from heli_lab.fit.identify.run import identify
+from heli_lab.fit import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig, write_rig
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from heli_sim.model.base import Model
     from heli_sim.rig import Rig
 
-    from heli_lab.fit.identify.record import Record
+    from heli_lab.fit.records import Record
 
 
 DEFAULT_MODEL = "multibody"
@@ -112,7 +112,7 @@ def fit_inputs(
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig
 
-    from heli_lab.fit.identify.results import short_names
+    from heli_lab.fit.identification import short_names
 
     loaded_rig = load_rig(rig)
     all_effects = effects_with(loaded_rig, effects, effect_files)
@@ -163,7 +163,7 @@ def parts(
 
 def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Rig) -> None:
     """Check signs, zeros and units of flights before a fit."""
-    from heli_lab.fit.identify.record import prepare
+    from heli_lab.fit.records import prepare
     from heli_lab.setup.guess.signs import wrong_signs
 
     for flight, label in zip(flights, labels, strict=True):
@@ -195,7 +195,7 @@ def read_parts(
     """Read flight files, refuse wrong signs, and return the part of each flight that a fit uses."""
     from heli_host.data.log.reader import read_flight
 
-    from heli_lab.fit.identify.record import prepare
+    from heli_lab.fit.records import prepare
 
     show("reading", 0.0)
     # Fits do not use the extra columns, which are 80 MB for ten minutes at 1 kHz.

@@ -21,8 +21,8 @@ from heli_host.fly.runner import fly
 from heli_lab.apps.campaign import Campaign, Case, Store, run_campaign
 from heli_lab.apps.campaign.cases import Limits
 from heli_lab.diagnose import diagnose
-from heli_lab.fit.identify import Record, prepare
-from heli_lab.fit.identify.run import identify
+from heli_lab.fit.identification import identify
+from heli_lab.fit.records import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig

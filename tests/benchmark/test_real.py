@@ -10,7 +10,7 @@ from heli_benchmark.real.hide import HIDDEN_EFFECTS, KnownEffect, hide
 from heli_benchmark.real.score import HiddenResult, score
 from heli_host.data.flight import Flight
 from heli_lab.diagnose import diagnose, to_json
-from heli_lab.fit.identify import prepare
+from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_lab.apps.campaign import works
-from heli_lab.fit.identify import Problem, prepare, solve
-from heli_lab.fit.identify.estimation_problem import Budget
-from heli_lab.fit.identify.flight_model import model_functions
-from heli_lab.fit.identify.run import identify
+from heli_lab.fit.flight_model import model_functions
+from heli_lab.fit.identification import identify
+from heli_lab.fit.problem import Budget, Problem
+from heli_lab.fit.records import prepare
+from heli_lab.fit.shooting import solve
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig

@@ -9,7 +9,7 @@ import sys
 import sysconfig
 from pathlib import Path
 
-from heli_lab.fit.estimation import _expression_vm, _kalman
+from heli_lab.fit import _expression_vm, _kalman
 
 ROOT = Path(__file__).resolve().parents[2]
 CHANNEL = """\

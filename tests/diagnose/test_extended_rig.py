@@ -8,9 +8,9 @@ from typing import cast
 import numpy as np
 import pytest
 from heli_lab.explain.extended_rig import extended_rig
-from heli_lab.fit.identify import Fit, Problem
-from heli_lab.fit.identify.flight_model import RigParameters
-from heli_lab.fit.identify.record import Record
+from heli_lab.fit.flight_model import RigParameters
+from heli_lab.fit.problem import Fit, Problem
+from heli_lab.fit.records import Record
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
 from heli_lab.diagnose import Diagnosis, diagnose, to_json
-from heli_lab.fit.estimation import AlongTrajectory, Trajectory, _kalman
+from heli_lab.fit import _kalman
+from heli_lab.fit.model_functions import AlongTrajectory, Trajectory
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

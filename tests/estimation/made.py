@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 from heli_host.data.flight import Flight
-from heli_lab.fit.identify import Record, prepare
+from heli_lab.fit.records import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig

@@ -9,8 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
-from heli_lab.fit.estimation import DisturbanceModel, GreyBoxModel
-from heli_lab.fit.estimation.grey_box import no_reset
+from heli_lab.fit.grey_box import DisturbanceModel, GreyBoxModel, no_reset
 from scipy.integrate import solve_ivp
 
 TRUE = {"cart_kg": 0.8, "damping_Ns_m": 1.5, "length_m": 0.35, "pivot_Nms": 0.004}

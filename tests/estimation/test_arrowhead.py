@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats, Integers
-from heli_lab.fit.estimation.arrowhead import invert_arrowhead, per_flight_columns, solve_arrowhead
+from heli_lab.fit.normal_equations import invert_arrowhead, per_flight_columns, solve_arrowhead
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_lab.fit.estimation import DisturbanceModel, InnovationsModel, auxiliary_residuals
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.innovations import InnovationsModel, auxiliary_residuals
 from heli_sim.model import MultibodyModel
 
 from tests.estimation.made import RIG, flight_with_disturbances
@@ -15,8 +16,8 @@ DISTURBANCES = DisturbanceModel.start((0.012, 0.004, 0.008), (2e-3, 1e-3, 1e-3))
 @pytest.fixture(scope="module")
 def filtered() -> InnovationsModel:
     """A flight in disturbances, filtered at the nominal parameters."""
-    from heli_lab.fit.estimation.estimate import _linearised
-    from heli_lab.fit.identify.flight_model import RigParameters, filter_record, model_functions
+    from heli_lab.fit.estimator import _linearised
+    from heli_lab.fit.flight_model import RigParameters, filter_record, model_functions
 
     model = MultibodyModel()
     parameters = RigParameters(model, RIG, [flight_with_disturbances()])

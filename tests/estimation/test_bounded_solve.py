@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_lab.fit.estimation.bounded_solve import bounded_solve
+from heli_lab.fit.normal_equations import bounded_solve
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
-from heli_lab.fit.estimation import DisturbanceModel, GainDisturbance
-from heli_lab.fit.estimation.disturbance_search import maximise
+from heli_lab.fit.estimator import maximise
+from heli_lab.fit.grey_box import DisturbanceModel, GainDisturbance
 
 START = DisturbanceModel.start((0.01, 0.02), (0.001, 0.002)).with_gains(1)
 MAXIMUM = DisturbanceModel(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
-from heli_lab.fit.estimation import _kalman
+from heli_lab.fit import _kalman
 from numpy.typing import NDArray
 
 from tests.estimation.density import log_density

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
-from heli_lab.fit.estimation import FreeParameter, NormalPrior, ParameterVector
-from heli_lab.fit.estimation.levenberg_marquardt import DampedStep, minimise
-from heli_lab.fit.estimation.posterior_step import posterior_step
+from heli_lab.fit.normal_equations import DampedStep, minimise, posterior_step
+from heli_lab.fit.parameters import FreeParameter, NormalPrior, ParameterVector
 
 
 @dataclass(frozen=True)

@@ -8,20 +8,16 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
-from heli_lab.fit.estimation import (
-    BLOCK_s,
-    Derivatives,
-    InnovationsModel,
-    LinearisedFlight,
-    ModelFunctions,
-    ReferenceTrajectory,
-)
-from heli_lab.fit.identify.flight_model import (
+from heli_lab.fit.flight_model import (
     DISTURBANCE_START,
     RigParameters,
     filter_record,
     model_functions,
 )
+from heli_lab.fit.innovations import InnovationsModel
+from heli_lab.fit.linearised_flight import BLOCK_s, Derivatives, LinearisedFlight
+from heli_lab.fit.model_functions import ModelFunctions
+from heli_lab.fit.reference_trajectory import ReferenceTrajectory
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_lab.fit.estimation import (
-    FreeParameter,
-    KinematicModel,
-    ModelFunctions,
-    NormalPrior,
-    ParameterVector,
-    estimate,
-    kinematic_filter,
-    refiltered,
-)
+from heli_lab.fit.estimator import estimate
+from heli_lab.fit.innovations import refiltered
+from heli_lab.fit.model_functions import ModelFunctions
+from heli_lab.fit.parameters import FreeParameter, NormalPrior, ParameterVector
+from heli_lab.fit.reference_trajectory import KinematicModel, kinematic_filter
 
 from tests.estimation.pendulum import MODEL, PARAMETERS, TRUE, run
 

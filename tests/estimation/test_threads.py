@@ -16,7 +16,9 @@ from heli_host.data.flight import Flight
 from heli_lab.diagnose import diagnose
 from heli_lab.explain.discover.grammar import groups
 from heli_lab.explain.discover.scoring import TermSignals, score
-from heli_lab.explain.search import ModelComparison, Screening, spline_candidates
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.regressors import spline_candidates
+from heli_lab.explain.search.screening import Screening
 from heli_lab.threads import batches, default_thread_count, parallel_map, using_threads
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue

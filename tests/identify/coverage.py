@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from heli_lab.fit.identify.run import identify
+from heli_lab.fit.identification import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

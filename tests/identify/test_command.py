@@ -15,7 +15,7 @@ from heli_host.data.log.reader import read_flight
 from heli_host.data.log.table import write_csv
 from heli_host.ui.cli.progress_bar import WorkBar
 from heli_host.ui.cli.variadic import spread
-from heli_lab.fit.identify import thresholds
+from heli_lab.fit import thresholds
 from heli_lab.report.page import write_json
 from heli_sim.rig import load_rig, write_rig
 
@@ -23,7 +23,7 @@ from tests.cli.terminal import Terminal
 
 pytestmark = pytest.mark.slow
 # The package exports a function of the same name.
-solve = importlib.import_module("heli_lab.fit.identify.shooting.solve")
+solve = importlib.import_module("heli_lab.fit.shooting")
 
 HIDDEN = {"thrust_gain": 0.63, "friction_travel": 0.055, "friction_pitch": 0.02}
 SHORT = """

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
-from heli_lab.fit.identify import Budget, Problem, check, prepare, solve
-from heli_lab.fit.identify.free_run.interpreted import InterpretedKernel
-from heli_lab.fit.identify.results import Identification
-from heli_lab.fit.identify.run import identify
+from heli_lab.fit.free_run import InterpretedKernel
+from heli_lab.fit.identification import Identification, check, identify
+from heli_lab.fit.problem import Budget, Problem
+from heli_lab.fit.records import prepare
+from heli_lab.fit.shooting import solve
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import Rig, load_rig

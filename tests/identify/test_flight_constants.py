@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from heli_lab.fit.identify import Fit, Problem, Record
-from heli_lab.fit.identify.free import FLIGHT_CONSTANTS, flight_constants
-from heli_lab.fit.identify.results import Identification
+from heli_lab.fit.identification import Identification
+from heli_lab.fit.problem import FLIGHT_CONSTANTS, Fit, Problem, flight_constants
+from heli_lab.fit.records import Record
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
 

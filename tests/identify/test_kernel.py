@@ -9,9 +9,14 @@ import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
 from heli_lab.code_digest import package_digest
-from heli_lab.fit.identify.free_run import Functions, Inputs, VoltageDerivative, kernel
-from heli_lab.fit.identify.free_run.compiled import CompiledKernel
-from heli_lab.fit.identify.free_run.interpreted import InterpretedKernel
+from heli_lab.fit.free_run import (
+    CompiledKernel,
+    Functions,
+    Inputs,
+    InterpretedKernel,
+    VoltageDerivative,
+    kernel,
+)
 from heli_sim.model import Model, MultibodyModel, PaperModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

@@ -10,9 +10,8 @@ import heli_sim.compiled
 import numpy as np
 import pytest
 from heli_lab.errors import IdentifyError
-from heli_lab.fit.identify.free_run import lanes
-from heli_lab.fit.identify.free_run.compiled import LOOP
-from heli_lab.fit.identify.free_run.lanes import c_function
+from heli_lab.fit import free_run
+from heli_lab.fit.free_run import LOOP, c_function
 
 pytestmark = pytest.mark.medium
 
@@ -94,6 +93,6 @@ def test_each_operation_in_each_lane_is_that_of_casadi(tmp_path: Path) -> None:
 def test_an_unknown_operation_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     x = ca.SX.sym("x", 1)
     function = ca.Function("f", [x], [ca.sin(x)])
-    monkeypatch.setattr(lanes, "_EXPRESSIONS", {})
+    monkeypatch.setattr(free_run, "_EXPRESSIONS", {})
     with pytest.raises(IdentifyError, match="operation"):
         c_function(function)

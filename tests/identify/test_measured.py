@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from heli_host.data.log.reader import read_flight
-from heli_lab.fit.identify.run import identify
+from heli_lab.fit.identification import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

@@ -11,7 +11,7 @@ from heli_host.data.flight import Flight
 from heli_host.data.log.table import write_csv
 from heli_host.fly.plan import Plan
 from heli_lab.errors import NotExcited
-from heli_lab.fit.identify.run import identify
+from heli_lab.fit.identification import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 from heli_host.data.flight import Flight
-from heli_lab.fit.identify import Problem, prepare
-from heli_lab.fit.identify.estimation_problem.initial_states import states_at
+from heli_lab.fit.problem import Problem, states_at
+from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

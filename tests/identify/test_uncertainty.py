@@ -9,16 +9,19 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
-from heli_lab.fit.identify import Problem, combinations, prepare, solve, uninformed_parameters
-from heli_lab.fit.identify.estimation_problem.residual_noise import (
+from heli_lab.fit.identification import Identification, identify
+from heli_lab.fit.problem import Problem
+from heli_lab.fit.records import prepare
+from heli_lab.fit.shooting import solve
+from heli_lab.fit.uncertainty import (
+    combinations,
     correlation_at,
     floor_axes,
     long_run_variance,
+    timing_variance,
+    uninformed_parameters,
     window_weights,
 )
-from heli_lab.fit.identify.estimation_problem.uncertainty import timing_variance
-from heli_lab.fit.identify.results import Identification
-from heli_lab.fit.identify.run import identify
 from heli_lab.report.identification.page import verdict
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import RotorLag

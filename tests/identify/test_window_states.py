@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
-from heli_lab.fit.identify import Problem, check, prepare, solve, validate
-from heli_lab.fit.identify.estimation_problem.initial_states import alternative_states, initial_state_guess
-from heli_lab.fit.identify.shooting.shooting_cost import Iterate, ShootingCost
-from heli_lab.fit.identify.shooting.window_states import refine_states, restart_states
+from heli_lab.fit.identification import check, validate
+from heli_lab.fit.problem import Problem, alternative_states, initial_state_guess
+from heli_lab.fit.records import prepare
+from heli_lab.fit.shooting import Iterate, ShootingCost, refine_states, restart_states, solve
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from heli_lab.fit.identify import trace
+from heli_lab.fit.identification import trace
 
 from tests.measured.pairs import PairFit
 

@@ -18,8 +18,7 @@ from heli_benchmark.real.hide import HIDDEN_EFFECTS, HIDERS, KnownEffect, hide
 from heli_benchmark.real.score import HiddenResult, score
 from heli_host.data.flight import Flight
 from heli_lab.diagnose import diagnose, to_json
-from heli_lab.fit.identify import Record
-from heli_lab.fit.identify.flight_checks import encoder_counts
+from heli_lab.fit.records import Record, encoder_counts
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

@@ -12,13 +12,14 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
-from heli_lab.explain.evaluate import HORIZONS, ErrorReduction, FreeRun, compare_free_runs, free_runs
-from heli_lab.explain.evaluate.error_reduction import error_reduction
-from heli_lab.explain.evaluate.free_run import free_run
-from heli_lab.fit.identify import Fit, Problem, Record, prepare, solve, trace
-from heli_lab.fit.identify.estimation_problem.residual_noise import floor_axes
-from heli_lab.fit.identify.free import flight_constants
-from heli_lab.fit.identify.thresholds import BLOCK_S
+from heli_lab.explain.evaluate.error_reduction import ErrorReduction, compare_free_runs, error_reduction
+from heli_lab.explain.evaluate.free_run import HORIZONS, FreeRun, free_run, free_runs
+from heli_lab.fit.identification import trace
+from heli_lab.fit.problem import Fit, Problem, flight_constants
+from heli_lab.fit.records import Record, prepare
+from heli_lab.fit.shooting import solve
+from heli_lab.fit.thresholds import BLOCK_S
+from heli_lab.fit.uncertainty import floor_axes
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

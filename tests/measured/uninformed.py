@@ -17,9 +17,10 @@ from dataclasses import replace
 
 import numpy as np
 from heli_host.data.arrays import Floats
-from heli_lab.explain.evaluate import compare_free_runs, free_runs
-from heli_lab.fit.identify import Fit
-from heli_lab.fit.identify.thresholds import UNINFORMED
+from heli_lab.explain.evaluate.error_reduction import compare_free_runs
+from heli_lab.explain.evaluate.free_run import free_runs
+from heli_lab.fit.problem import Fit
+from heli_lab.fit.thresholds import UNINFORMED
 from heli_sim.model.parts import AXES
 
 from tests.field.cases import NO_DATA

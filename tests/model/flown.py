@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from heli_host.data.flight import Flight
-from heli_lab.fit.identify.estimation_problem import Problem
-from heli_lab.fit.identify.record import prepare
-from heli_lab.fit.identify.results import check
-from heli_lab.fit.identify.shooting import solve
+from heli_lab.fit.identification import check
+from heli_lab.fit.problem import Problem
+from heli_lab.fit.records import prepare
+from heli_lab.fit.shooting import solve
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import EffectSpec, catalogue
 from heli_sim.rig import Prior, load_rig

@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
-from heli_lab.fit.identify.free_run import Functions, Inputs, kernel
-from heli_lab.fit.identify.free_run.interpreted import InterpretedKernel
+from heli_lab.fit.free_run import Functions, Inputs, InterpretedKernel, kernel
 from heli_sim.errors import PlantError
 from heli_sim.model import Effect, Model, MultibodyModel, PaperModel
 from heli_sim.model.effects import EffectSpec, RotorLag, catalogue, parse_effects

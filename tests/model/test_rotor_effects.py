@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
-from heli_lab.fit.identify.estimation_problem import Problem
+from heli_lab.fit.problem import Problem
 from heli_sim.errors import PlantError
 from heli_sim.model import Model, MultibodyModel
 from heli_sim.model.effects import EffectSpec, catalogue, parse_effects

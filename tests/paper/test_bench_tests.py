@@ -15,7 +15,7 @@ from heli_lab.apps.paper.experiments import (
 )
 from heli_lab.apps.paper.tables import TESTS_OF_TABLE, Table, TableRow, fit_rig, fit_table
 from heli_lab.errors import IdentifyError
-from heli_lab.fit.identify.record import Record
+from heli_lab.fit.records import Record
 from heli_sim.model import Model, MultibodyModel, Operands, PaperModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.plant import Plant

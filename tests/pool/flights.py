@@ -12,9 +12,10 @@ import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_lab.apps.pool import ParameterEstimate, without_prior
-from heli_lab.fit.estimation import estimate, refiltered
-from heli_lab.fit.identify import Record, prepare
-from heli_lab.fit.identify.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.fit.estimator import estimate
+from heli_lab.fit.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.fit.innovations import refiltered
+from heli_lab.fit.records import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import Rig, load_rig

@@ -33,7 +33,7 @@ LIBRARIES: Final = (
     "heli_host.fly.runner",
     "heli_sim.sil.transport",
     "heli_sim.sil.world",
-    "heli_lab.fit.identify",
+    "heli_lab.fit",
     "heli_lab.explain",
     "matplotlib.backends.backend_agg",
     "matplotlib.pyplot",

@@ -15,8 +15,8 @@ from heli_host.errors import RigMismatch
 from heli_lab.control.tune import find_gains
 from heli_lab.control.tune.flights import try_gains
 from heli_lab.diagnose import diagnose
-from heli_lab.fit.identify import prepare
-from heli_lab.fit.identify.run import identify
+from heli_lab.fit.identification import identify
+from heli_lab.fit.records import prepare
 from heli_lab.verbs.tune import rounded_parameters
 from heli_sim.errors import RigError
 from heli_sim.model import MultibodyModel

@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
-from heli_lab.fit.estimation import estimate
-from heli_lab.fit.identify.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.fit.estimator import estimate
+from heli_lab.fit.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.watch.twin.files import DEFAULT_CALIBRATION, TwinRig
 from heli_lab.watch.twin.learn import DRAWN_s, learn
 from heli_lab.watch.twin.monitor import TwinReport, monitor_flight

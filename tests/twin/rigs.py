@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from heli_host.data.flight import Flight
 from heli_host.errors import HeliError
-from heli_lab.fit.estimation import DisturbanceModel, estimate
-from heli_lab.fit.identify import prepare
-from heli_lab.fit.identify.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.fit.estimator import estimate
+from heli_lab.fit.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.records import prepare
 from heli_lab.watch.twin.files import TwinRig
 from heli_lab.watch.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
 from heli_lab.watch.twin.learn import learn

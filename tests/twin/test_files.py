@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from heli_host.errors import HeliError
 from heli_host.ui.cli import run
-from heli_lab.fit.estimation import DisturbanceModel
+from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.watch.twin import learn
 from heli_lab.watch.twin.calibration import Calibration, write_calibration
 from heli_lab.watch.twin.draws import FollowedFlight

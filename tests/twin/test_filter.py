@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_host.data.flight import Flight
-from heli_lab.fit.estimation import DisturbanceModel
+from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.watch.twin import twin as twin_module
 from heli_lab.watch.twin.calibration import Calibration
 from heli_lab.watch.twin.draws import NO_ALARM, evidence

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_lab.fit.estimation import DisturbanceModel
+from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.watch.twin.changes import all_changes
 from heli_lab.watch.twin.draws import Draws
 from heli_lab.watch.twin.learn import DETECTABLE_WITHIN_s, at_least_rounding

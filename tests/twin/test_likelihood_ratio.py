@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from heli_lab.fit.estimation import BLOCK_s
+from heli_lab.fit.linearised_flight import BLOCK_s
 from heli_lab.watch.twin.changes import Change, all_changes
 from heli_lab.watch.twin.likelihood_ratio import (
     KEPT,

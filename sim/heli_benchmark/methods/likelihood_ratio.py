@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-from heli_lab.fit.identify.run import identify
+from heli_lab.fit.identification import identify
 from heli_lab.watch.twin.calibration import Calibration
 from heli_lab.watch.twin.flights import count_rad_of, samples_of
 from heli_lab.watch.twin.learn import learn_rig

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from heli_host.data.flight import Flight
-from heli_lab.fit.identify import Fit, Problem, Record, check, prepare, solve, validate
-from heli_lab.fit.identify.free import estimated_names
+from heli_lab.fit.identification import check, validate
+from heli_lab.fit.problem import Fit, Problem, estimated_names
+from heli_lab.fit.records import Record, prepare
+from heli_lab.fit.shooting import solve
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Effect
 from heli_sim.model.effects import catalogue

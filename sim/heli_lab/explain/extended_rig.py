@@ -8,11 +8,10 @@ import numpy as np
 from heli_sim.model.effects import EffectSpec, effect_numbers
 from heli_sim.rig import Number, Rig
 
-from heli_lab.explain.discover import ProposedTerm
-from heli_lab.explain.evaluate import CauseParameter
-from heli_lab.fit.identify import Fit
-from heli_lab.fit.identify.free import PER_FLIGHT
-from heli_lab.fit.identify.results import Identification
+from heli_lab.explain.discover.proposal import ProposedTerm
+from heli_lab.explain.evaluate.reported import CauseParameter
+from heli_lab.fit.identification import Identification
+from heli_lab.fit.problem import PER_FLIGHT, Fit
 
 
 def extended_rig(

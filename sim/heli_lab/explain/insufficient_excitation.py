@@ -10,8 +10,8 @@ from heli_sim.model.base import Model
 from heli_sim.model.effects import EffectSpec
 from heli_sim.rig import Rig
 
-from heli_lab.explain.experiment import ExperimentDesign, compose_experiment
-from heli_lab.fit.identify.free import free_parameters
+from heli_lab.explain.experiment.design import ExperimentDesign, compose_experiment
+from heli_lab.fit.problem import free_parameters
 
 _LABEL: Final = "ambiguous"
 """Without excitation all effects, and none, are equally likely."""

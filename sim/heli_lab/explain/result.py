@@ -12,28 +12,20 @@ from heli_sim.model.effects import EffectSpec
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.explain.discover import ProposedTerm, SplineCurve, spline_curves_of
-from heli_lab.explain.evaluate import (
-    Assessment,
-    CauseParameter,
-    ErrorReduction,
-    Extrapolation,
-    FailingRegions,
-    HeldOutEvaluation,
-    HypothesisEvaluation,
-    PriorConflict,
-    Replication,
-    Verdict,
-    cause_parameters,
-    extrapolations,
-    failing_regions,
-    prior_conflicts,
-    tried_without,
-    with_confirmation,
-)
-from heli_lab.explain.experiment import ExperimentDesign
+from heli_lab.explain.discover.proposal import ProposedTerm
+from heli_lab.explain.discover.spline_curve import SplineCurve, spline_curves_of
+from heli_lab.explain.evaluate.assessment import Assessment
+from heli_lab.explain.evaluate.error_reduction import ErrorReduction
+from heli_lab.explain.evaluate.fitted_voltages import Extrapolation, extrapolations
+from heli_lab.explain.evaluate.held_out import HeldOutEvaluation, HypothesisEvaluation
+from heli_lab.explain.evaluate.prior_conflict import PriorConflict, prior_conflicts, tried_without
+from heli_lab.explain.evaluate.regions import FailingRegions, failing_regions
+from heli_lab.explain.evaluate.replication import Replication
+from heli_lab.explain.evaluate.reported import CauseParameter, cause_parameters
+from heli_lab.explain.evaluate.verdict import Verdict, with_confirmation
+from heli_lab.explain.experiment.design import ExperimentDesign
 from heli_lab.explain.extended_rig import extended_rig
-from heli_lab.explain.search import Search
+from heli_lab.explain.search.stepwise import Search
 
 
 @dataclass(frozen=True)

@@ -89,14 +89,9 @@ def diagnose(
     from heli_lab.explain import InsufficientExcitation, insufficient_excitation
     from heli_lab.explain import diagnose as run_diagnosis
     from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, parts, read_parts
-    from heli_lab.report.diagnosis import (
-        summary,
-        to_json,
-        unconfirmed_in_rig,
-        write_effect_file,
-        write_insufficient_excitation,
-        write_report,
-    )
+    from heli_lab.report.diagnosis.page import write_effect_file, write_insufficient_excitation, write_report
+    from heli_lab.report.diagnosis.sentences import summary, unconfirmed_in_rig
+    from heli_lab.report.diagnosis.serialize import to_json
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count, limit_malloc_arenas
 
@@ -165,7 +160,7 @@ def diagnose(
 
 def _print_diagnosis(result: Diagnosis | InsufficientExcitation) -> None:
     """Print the verdict, the causes and the error reduction."""
-    from heli_lab.report.diagnosis import lines, summary
+    from heli_lab.report.diagnosis.sentences import lines, summary
 
     say(f"{result.label}: {summary(result)}", *(f"  {line}" for line in lines(result)))
 

@@ -14,7 +14,7 @@ from heli_host.ui.cli.verb import Verb
 from heli_lab import fit_inputs as option
 
 if TYPE_CHECKING:
-    from heli_lab.fit.identify.results import Identification
+    from heli_lab.fit.identification import Identification
 
 
 def identify(
@@ -70,9 +70,9 @@ def identify(
     from heli_host.ui.cli.progress_bar import WorkBar
     from heli_sim.rig import write_rig
 
-    from heli_lab.fit.identify.run import identify as run_identification
+    from heli_lab.fit.identification import identify as run_identification
     from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, parts, read_parts
-    from heli_lab.report.identification import verdict, write_identification_report
+    from heli_lab.report.identification.page import verdict, write_identification_report
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count
 
@@ -120,7 +120,7 @@ def _print_estimates(identification: Identification) -> None:
     """Print estimates and priors in a table, each with its standard error."""
     from heli_host.data.log.comparison import table_lines
 
-    from heli_lab.fit.identify.results import rounded
+    from heli_lab.fit.identification import rounded
 
     fit = identification.fit
     rows = [("parameter", "estimate", "±", "prior", "±", "unit", "")]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from heli_lab.apps.paper.experiments import PaperFlight
-    from heli_lab.fit.identify.record import Record
+    from heli_lab.fit.records import Record
 
 app = typer.Typer(
     help="Reproduce the paper's bench tests, tables, gains and figures in simulation.\n\n"

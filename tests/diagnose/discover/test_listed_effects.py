@@ -9,8 +9,10 @@ import pytest
 from heli_lab.explain.discover.equation import Equation, EquationTerm, equation_effect
 from heli_lab.explain.discover.listed_effects import ListedEffects
 from heli_lab.explain.discover.terms import Factor, Term
-from heli_lab.explain.search import Candidate, Hypothesis, ModelComparison, typical_candidate
-from heli_lab.fit.identify import prepare
+from heli_lab.explain.search.candidate import Candidate, typical_candidate
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

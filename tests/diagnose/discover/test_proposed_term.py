@@ -12,16 +12,19 @@ import numpy as np
 import pytest
 from heli_host.data.log.table import write_csv
 from heli_lab.diagnose import to_json
-from heli_lab.explain.discover import discover
 from heli_lab.explain.discover.equation import Equation, EquationTerm, TermGroup, equation_effect
 from heli_lab.explain.discover.equation_refit import EquationRefits, RefittedEquation
 from heli_lab.explain.discover.scoring import ScoredTermGroup, TermSignals, score
-from heli_lab.explain.discover.symbolic_regression import EquationSearch, free_name
+from heli_lab.explain.discover.symbolic_regression import EquationSearch, discover, free_name
 from heli_lab.explain.discover.terms import Factor, Term
-from heli_lab.explain.evaluate import failing_regions
-from heli_lab.explain.search import ExtendedModel, Hypothesis, ModelComparison, Screening, score_of
+from heli_lab.explain.evaluate.regions import failing_regions
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.regressors import ExtendedModel
+from heli_lab.explain.search.score_test import score_of
+from heli_lab.explain.search.screening import Screening
 from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE
-from heli_lab.fit.identify import prepare
+from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
 from heli_sim.model.parts import AXES

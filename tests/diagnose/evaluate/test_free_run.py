@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from heli_host.data.flight import Flight
 from heli_lab.errors import IdentifyError
-from heli_lab.explain.evaluate import HORIZONS, FreeRun, calibration_s
 from heli_lab.explain.evaluate.error_reduction import error_reduction
-from heli_lab.explain.evaluate.free_run import WindowErrors, free_run
-from heli_lab.fit.identify import Record, prepare
+from heli_lab.explain.evaluate.free_run import HORIZONS, FreeRun, WindowErrors, calibration_s, free_run
+from heli_lab.fit.records import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import Rig, load_rig

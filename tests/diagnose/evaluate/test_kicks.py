@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_lab.explain.evaluate.kicks import kicks, with_impulse
-from heli_lab.explain.search import ModelComparison
-from heli_lab.fit.estimation import InnovationsModel
-from heli_lab.fit.estimation.disturbances import DisturbanceModel
-from heli_lab.fit.estimation.innovations_model import FlightErrors
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.innovations import FlightErrors, InnovationsModel
 from heli_sim.model import MultibodyModel
 
 from tests.estimation.made import RIG, flight_with_disturbances

@@ -8,14 +8,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from heli_lab.explain.evaluate import listed_remainder
-from heli_lab.explain.search import (
-    Hypothesis,
-    ModelComparison,
-    ScoreStatistics,
-    Search,
-    typical_candidate,
-)
-from heli_lab.explain.search.candidate import ScoredCandidate
+from heli_lab.explain.search.candidate import ScoredCandidate, typical_candidate
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.score_test import ScoreStatistics
+from heli_lab.explain.search.stepwise import Search
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.diagnosis

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from heli_lab.explain.evaluate import predict, prior_conflicts, tried_without
-from heli_lab.explain.search import ModelComparison
-from heli_lab.fit.identify import prepare
+from heli_lab.explain.evaluate.prediction import predict
+from heli_lab.explain.evaluate.prior_conflict import prior_conflicts, tried_without
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.fit.records import prepare
 from heli_lab.report.diagnosis.cautions import prior_conflict_sentence
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig

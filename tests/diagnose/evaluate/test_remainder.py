@@ -11,10 +11,13 @@ from heli_lab.diagnose import Diagnosis, to_json
 from heli_lab.explain.evaluate import verdict
 from heli_lab.explain.evaluate.open_loop import open_loop_squares
 from heli_lab.explain.evaluate.residual_analysis import Dependence, dependences
-from heli_lab.explain.search import ModelComparison, Screening, held_out_screening, quantity_values
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.replication import held_out_screening
+from heli_lab.explain.search.screening import Screening
+from heli_lab.explain.search.splines import quantity_values
 from heli_lab.explain.thresholds import MATTERS_COUNTS
-from heli_lab.fit.identify import prepare
-from heli_lab.report.diagnosis import lines, summary
+from heli_lab.fit.records import prepare
+from heli_lab.report.diagnosis.sentences import lines, summary
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

@@ -10,10 +10,11 @@ from typing import Any
 import casadi as ca
 import pytest
 from heli_host.data.flight import Flight
-from heli_lab.explain.evaluate import justified_thrust_noise
 from heli_lab.explain.evaluate.residual_analysis import gain_ratios
-from heli_lab.explain.search import ModelComparison, Screening
-from heli_lab.fit.identify import prepare
+from heli_lab.explain.evaluate.thrust_noise import justified_thrust_noise
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.screening import Screening
+from heli_lab.fit.records import prepare
 from heli_lab.report.diagnosis.sentences import thrust_noise_in_words
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import Effect, Operands, Stage

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from heli_lab.explain.discover import TIME, MissingTerm
+from heli_lab.explain.discover.missing import TIME, MissingTerm
 from heli_lab.explain.wording import nats_in_words
 from heli_lab.report.diagnosis.missing_section import missing_section
 from heli_lab.report.diagnosis.result_figures import figure_of_missing_terms

@@ -8,11 +8,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from heli_lab.explain import thresholds
-from heli_lab.explain.search import Hypothesis, ModelComparison, Refit, Screening, forward, typical_candidate
+from heli_lab.explain.search import forward
 from heli_lab.explain.search.acceptance import Acceptance, min_margin
-from heli_lab.explain.search.candidate import ScoredCandidate
+from heli_lab.explain.search.candidate import ScoredCandidate, typical_candidate
 from heli_lab.explain.search.forward import RoundRefits, paused_play, resting_friction
+from heli_lab.explain.search.hypothesis import Hypothesis, Refit
+from heli_lab.explain.search.model_comparison import ModelComparison
 from heli_lab.explain.search.progress import Progress
+from heli_lab.explain.search.screening import Screening
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.diagnosis

@@ -8,8 +8,10 @@ from typing import Any, cast
 import pytest
 from heli_lab.explain.discover.listed_effects import ListedEffects
 from heli_lab.explain.run import _is_candidate
-from heli_lab.explain.search import Candidate, Hypothesis, Refit, Round, spline_term, typical_candidate
 from heli_lab.explain.search.backward import BackwardElimination
+from heli_lab.explain.search.candidate import Candidate, typical_candidate
+from heli_lab.explain.search.hypothesis import Hypothesis, Refit, Round
+from heli_lab.explain.search.splines import spline_term
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, parse_effects
 

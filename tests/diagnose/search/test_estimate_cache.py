@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from heli_lab import code_digest
 from heli_lab.errors import IdentifyError
-from heli_lab.explain.search import EstimateCache, fingerprint
-from heli_lab.fit.identify import Record, prepare
+from heli_lab.explain.search.estimate_cache import EstimateCache, fingerprint
+from heli_lab.fit.records import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig

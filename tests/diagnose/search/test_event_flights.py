@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from heli_lab.explain.search import ModelComparison, Screening
+from heli_lab.explain.search.model_comparison import ModelComparison
 from heli_lab.explain.search.moments import with_held_out_moments
-from heli_lab.fit.identify import Problem, prepare
-from heli_lab.fit.identify.flight_model import RigParameters
+from heli_lab.explain.search.screening import Screening
+from heli_lab.fit.flight_model import RigParameters
+from heli_lab.fit.problem import Problem
+from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import NEVER_s
 from heli_sim.model.effects import catalogue, parse_effects

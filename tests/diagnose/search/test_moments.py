@@ -7,22 +7,16 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.explain.search import (
-    Candidate,
-    Hypothesis,
-    ModelComparison,
-    Refit,
-    Round,
-    ScoredCandidate,
-    Screening,
-    spline_term,
-    typical_candidate,
-)
 from heli_lab.explain.search.acceptance import Acceptance
 from heli_lab.explain.search.backward import BackwardElimination
+from heli_lab.explain.search.candidate import Candidate, ScoredCandidate, typical_candidate
 from heli_lab.explain.search.forward import refit_on_grid
+from heli_lab.explain.search.hypothesis import Hypothesis, Refit, Round
+from heli_lab.explain.search.model_comparison import ModelComparison
 from heli_lab.explain.search.progress import Progress
-from heli_lab.fit.identify import prepare
+from heli_lab.explain.search.screening import Screening
+from heli_lab.explain.search.splines import spline_term
+from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

@@ -6,9 +6,10 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from heli_lab.explain.search import Hypothesis, stepwise
+from heli_lab.explain.search import stepwise
 from heli_lab.explain.search.backward import BackwardElimination
 from heli_lab.explain.search.forward import ForwardSelection
+from heli_lab.explain.search.hypothesis import Hypothesis
 
 
 def hypothesis(*ids: str) -> Hypothesis:

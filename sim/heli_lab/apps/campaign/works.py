@@ -181,7 +181,7 @@ def identify(settings: Settings) -> Result:
     """Fit parameters to a flight of a rig that differs from its rig file, and compare them with the true
     parameters; `settings` are those of the case.
     """
-    from heli_lab.fit.identify.run import identify as identify_rig
+    from heli_lab.fit.identification import identify as identify_rig
 
     training = _fly_drawn_rig(settings, settings["plan"])
     validation = _fly_drawn_rig(settings, settings["validate"], _VALIDATION_SEED)
@@ -222,7 +222,7 @@ def diagnose(settings: Settings) -> Result:
     diagnosis finds these effects.
     """
     from heli_lab.explain import diagnose as diagnose_flights
-    from heli_lab.report.diagnosis import to_json
+    from heli_lab.report.diagnosis.serialize import to_json
 
     training = _fly_drawn_rig(settings, settings["plan"])
     validation = _fly_drawn_rig(settings, settings["validate"], _VALIDATION_SEED)

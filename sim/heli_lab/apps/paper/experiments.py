@@ -34,7 +34,7 @@ from heli_sim.rig.encoders import count_rad
 from heli_sim.sil.world import SilWorld
 
 from heli_lab.errors import IdentifyError
-from heli_lab.fit.identify.record import Record
+from heli_lab.fit.records import Record
 from heli_lab.simulated_board import connected, fly_and_read, world_of
 
 TABLE_DEG: Final = -25.0

@@ -14,10 +14,10 @@ from heli_sim.rig import Rig
 from heli_lab.apps.paper.experiments import ELEVATION_STEPS, PaperFlight
 from heli_lab.apps.paper.lumped import CASES, analytic, response_deg
 from heli_lab.apps.paper.tables import TESTS_OF_TABLE, Table
-from heli_lab.fit.identify.estimation_problem import Problem
-from heli_lab.fit.identify.record import Record
-from heli_lab.fit.identify.results import Trace, trace
-from heli_lab.fit.identify.shooting import solve
+from heli_lab.fit.identification import Trace, trace
+from heli_lab.fit.problem import Problem
+from heli_lab.fit.records import Record
+from heli_lab.fit.shooting import solve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -28,11 +28,10 @@ from heli_lab.apps.paper.lumped import (
     analytic,
     printed_inertias_kg_m2,
 )
-from heli_lab.fit.identify.estimation_problem import Fit, Problem
-from heli_lab.fit.identify.free import NOT_FREE
-from heli_lab.fit.identify.record import Record, prepare
-from heli_lab.fit.identify.results import check
-from heli_lab.fit.identify.shooting import solve
+from heli_lab.fit.identification import check
+from heli_lab.fit.problem import NOT_FREE, Fit, Problem
+from heli_lab.fit.records import Record, prepare
+from heli_lab.fit.shooting import solve
 
 if TYPE_CHECKING:
     from heli_sim.bench.thrust_curve import Line

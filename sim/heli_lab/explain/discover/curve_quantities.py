@@ -10,16 +10,10 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Floats
 
-from heli_lab.explain.search import (
-    QUANTITIES,
-    Candidate,
-    SplineTerm,
-    bspline_basis,
-    knot_span,
-    quantity_values,
-)
+from heli_lab.explain.search.candidate import Candidate
+from heli_lab.explain.search.splines import QUANTITIES, SplineTerm, bspline_basis, knot_span, quantity_values
 from heli_lab.explain.thresholds import CURVE_SHARE
-from heli_lab.fit.estimation import LinearisedFlight
+from heli_lab.fit.linearised_flight import LinearisedFlight
 
 _LAGS_s: Final = (0.03, 0.06, 0.1, 0.15)
 """Time constants of lags that measure how fast a thrust changes: those of rotors."""

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from heli_lab.explain.discover.equation import Equation, EquationEffect, EquationTerm
 from heli_lab.explain.discover.terms import Term
-from heli_lab.explain.search import Hypothesis
-from heli_lab.fit.estimation import Estimate
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.fit.estimator import Estimate
 
 
 class EquationParameter(NamedTuple):

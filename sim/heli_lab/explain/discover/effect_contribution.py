@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
 
-from heli_lab.fit.estimation import Estimate
-from heli_lab.fit.identify.model_along import model_along
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.flight_model import model_along
 
 
 def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats, Floats]:

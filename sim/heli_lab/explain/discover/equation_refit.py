@@ -11,7 +11,9 @@ import numpy as np
 
 from heli_lab.explain.discover.equation import Equation, EquationTerm, TermGroup, equation_effect
 from heli_lab.explain.discover.scoring import ScoredTermGroup, TermSignals, term_coefficient_std
-from heli_lab.explain.search import Candidate, Hypothesis, ModelComparison
+from heli_lab.explain.search.candidate import Candidate
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
 from heli_lab.explain.thresholds import MIN_MARGIN, MIN_STD_SHARE, NEAR_REST_NATS, SIGNIFICANT_STD_ERRORS
 
 

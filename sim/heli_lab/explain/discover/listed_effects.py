@@ -12,14 +12,10 @@ from functools import cached_property
 from heli_sim.model.effects import EffectSpec
 
 from heli_lab.explain.discover.equation import Equation
-from heli_lab.explain.search import (
-    Candidate,
-    Hypothesis,
-    ModelComparison,
-    Screening,
-    may_join,
-    typical_candidate,
-)
+from heli_lab.explain.search.candidate import Candidate, may_join, typical_candidate
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.screening import Screening
 from heli_lab.explain.thresholds import (
     CANDIDATES_TRIED,
     EXPECTED_REFIT_GAIN,

@@ -13,20 +13,14 @@ from heli_sim.rig import Prior
 
 from heli_lab.explain.discover.curve_quantities import best_quantity, over_all_flights, quantity_unit
 from heli_lab.explain.discover.missing import MissingTerm
-from heli_lab.explain.search import (
-    KNOTS,
-    Candidate,
-    Screening,
-    bspline_basis,
-    coefficient_std,
-    knot_span,
-    quantity_values,
-    spline_candidate,
-    spline_term,
-)
+from heli_lab.explain.search.candidate import Candidate
+from heli_lab.explain.search.regressors import spline_candidate
+from heli_lab.explain.search.screening import Screening, coefficient_std
+from heli_lab.explain.search.splines import KNOTS, bspline_basis, knot_span, quantity_values, spline_term
 from heli_lab.explain.wording import display_unit, quantity_in_words
-from heli_lab.fit.estimation import Estimate, LinearisedFlight
-from heli_lab.fit.identify.model_along import model_along
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.flight_model import model_along
+from heli_lab.fit.linearised_flight import LinearisedFlight
 
 _CURVE_POINTS: Final = 15
 """Points of the curve of an angle: two between knots."""

@@ -16,16 +16,13 @@ from heli_lab.explain.discover.curve_quantities import (
     quantity_unit,
 )
 from heli_lab.explain.discover.missing import TIME, MissingTerm
-from heli_lab.explain.search import Candidate
+from heli_lab.explain.search.candidate import Candidate
 from heli_lab.explain.wording import display_unit, quantity_in_words
-from heli_lab.fit.estimation import (
-    DisturbanceModel,
-    Estimate,
-    InnovationsModel,
-    LinearisedFlight,
-    smoothed_disturbances,
-)
-from heli_lab.fit.identify.model_along import model_along
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.flight_model import model_along
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.innovations import InnovationsModel, smoothed_disturbances
+from heli_lab.fit.linearised_flight import LinearisedFlight
 
 
 class _SmoothedTorque(NamedTuple):

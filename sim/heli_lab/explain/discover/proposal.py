@@ -16,7 +16,7 @@ from heli_lab.explain.discover.equation import Equation
 from heli_lab.explain.discover.notation import effect_file, sentence
 from heli_lab.explain.discover.scoring import TermSignals
 from heli_lab.explain.discover.terms import SYMBOLS
-from heli_lab.explain.search import Screening
+from heli_lab.explain.search.screening import Screening
 from heli_lab.explain.thresholds import (
     CONFIDENCE_NATS,
     EQUATION_MAX_UNCONFIRMED,
@@ -24,7 +24,7 @@ from heli_lab.explain.thresholds import (
     HELD_OUT_NATS,
     MAX_CONFIDENCE,
 )
-from heli_lab.fit.estimation import smoothed_disturbances
+from heli_lab.fit.innovations import smoothed_disturbances
 
 
 @dataclass(frozen=True)

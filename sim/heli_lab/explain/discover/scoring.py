@@ -24,9 +24,12 @@ from heli_lab.explain.discover.equation import (
     rotor_signs,
 )
 from heli_lab.explain.discover.terms import SYMBOLS, Factor, Term
-from heli_lab.explain.search import ExtendedModel, Screening, score_of
-from heli_lab.fit.estimation import LinearisedFlight, Trajectory
-from heli_lab.fit.identify.model_along import model_along
+from heli_lab.explain.search.regressors import ExtendedModel
+from heli_lab.explain.search.score_test import score_of
+from heli_lab.explain.search.screening import Screening
+from heli_lab.fit.flight_model import model_along
+from heli_lab.fit.linearised_flight import LinearisedFlight
+from heli_lab.fit.model_functions import Trajectory
 from heli_lab.threads import batches, parallel_map
 
 _PRIOR_RMS: Final[Mapping[str, float]] = {

@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Floats
 
-from heli_lab.explain.search import KNOTS, QUANTITIES, Cause, SplineTerm, bspline_basis
+from heli_lab.explain.search.hypothesis import Cause
+from heli_lab.explain.search.splines import KNOTS, QUANTITIES, SplineTerm, bspline_basis
 from heli_lab.explain.wording import channel_in_words, display_unit, quantity_in_words
-from heli_lab.fit.estimation import Estimate
+from heli_lab.fit.estimator import Estimate
 
 _CURVE_POINTS: Final = 200
 """Points of a drawn curve."""

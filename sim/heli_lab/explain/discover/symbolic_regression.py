@@ -24,7 +24,9 @@ from heli_lab.explain.discover.equation_refit import EquationRefits, RefittedEqu
 from heli_lab.explain.discover.grammar import count_by_complexity, groups
 from heli_lab.explain.discover.listed_effects import ListedEffects
 from heli_lab.explain.discover.scoring import ScoredTermGroup, TermSignals, score
-from heli_lab.explain.search import Hypothesis, ModelComparison, Screening
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.screening import Screening
 from heli_lab.explain.thresholds import (
     ALTERNATIVES,
     EQUATION_FINALISTS,
@@ -34,7 +36,8 @@ from heli_lab.explain.thresholds import (
     MIN_MARGIN,
     SHORTLIST_SHARE,
 )
-from heli_lab.fit.estimation import DisturbanceModel, Estimate
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.grey_box import DisturbanceModel
 
 _NO_DRIFT_Nm: Final = 2e-5
 """Practically zero; covariances stay regular."""

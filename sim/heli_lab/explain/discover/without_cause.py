@@ -16,10 +16,9 @@ from heli_sim.model.base import Model
 from heli_lab.explain.discover.missing import MissingTerm
 from heli_lab.explain.discover.missing_angle import missing_angle
 from heli_lab.explain.discover.missing_torque import contributed_torques_Nm, missing_torque
-from heli_lab.explain.search import Candidate
-from heli_lab.fit.estimation import Estimate
-from heli_lab.fit.estimation.estimate import estimate_disturbances
-from heli_lab.fit.identify.flight_model import RigParameters, model_functions
+from heli_lab.explain.search.candidate import Candidate
+from heli_lab.fit.estimator import Estimate, estimate_disturbances
+from heli_lab.fit.flight_model import RigParameters, model_functions
 
 
 def missing_term(estimate: Estimate, cause: Candidate) -> MissingTerm:

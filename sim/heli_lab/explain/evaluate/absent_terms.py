@@ -11,7 +11,7 @@ from heli_sim.model.effects import EffectSpec
 from heli_sim.rig import Rig
 
 from heli_lab.explain import thresholds
-from heli_lab.fit.identify import Fit
+from heli_lab.fit.problem import Fit
 
 
 @dataclass(frozen=True)

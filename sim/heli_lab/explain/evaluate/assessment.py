@@ -12,7 +12,10 @@ from heli_lab.explain.evaluate.prediction import Prediction, predict
 from heli_lab.explain.evaluate.relevance import prediction_changes, spline_change
 from heli_lab.explain.evaluate.residual_analysis import ResidualAnalysis, residual_analysis
 from heli_lab.explain.evaluate.verdict import Verdict, judge, small_effects
-from heli_lab.explain.search import Hypothesis, ModelComparison, Search, held_out_screening
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.replication import held_out_screening
+from heli_lab.explain.search.stepwise import Search
 from heli_lab.explain.thresholds import MATTERS_COUNTS
 
 

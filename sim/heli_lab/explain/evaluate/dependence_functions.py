@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from heli_host.data.arrays import Floats
 
-from heli_lab.explain.search import quantity_values
-from heli_lab.fit.estimation import LinearisedFlight
+from heli_lab.explain.search.splines import quantity_values
+from heli_lab.fit.linearised_flight import LinearisedFlight
 
 _PRODUCTS: Final = (
     "elevation",

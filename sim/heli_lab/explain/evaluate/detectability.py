@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 from heli_sim.model.effects import EffectSpec
 
-from heli_lab.explain.search import ScoredCandidate
+from heli_lab.explain.search.candidate import ScoredCandidate
 from heli_lab.explain.thresholds import DETECTION_STD_ERRORS
-from heli_lab.fit.estimation import Estimate
-from heli_lab.fit.identify.estimation_problem import uninformed_parameters
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.uncertainty import uninformed_parameters
 
 
 def undetectable_effects(

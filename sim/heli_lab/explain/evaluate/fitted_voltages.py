@@ -11,7 +11,7 @@ from heli_host.data.arrays import Floats
 
 from heli_lab.explain.evaluate.free_run import FreeRun
 from heli_lab.explain.thresholds import OUTSIDE_SHARE, VOLTAGE_TAIL
-from heli_lab.fit.identify import Record
+from heli_lab.fit.records import Record
 
 _ROTORS: Final = ("front", "back")
 

@@ -22,12 +22,14 @@ from heli_sim.model.base import Model
 from heli_sim.rig import Prior, Rig
 
 from heli_lab.errors import IdentifyError
-from heli_lab.explain.search import split
+from heli_lab.explain.search.folds import split
 from heli_lab.explain.thresholds import CALIBRATE_SHARE, CALIBRATE_s
-from heli_lab.fit.estimation import Estimate
-from heli_lab.fit.identify import Fit, Problem, Record, solve, trace
-from heli_lab.fit.identify.free import flight_constants
-from heli_lab.fit.identify.thresholds import MIN_SEGMENT_S
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.identification import trace
+from heli_lab.fit.problem import Fit, Problem, flight_constants
+from heli_lab.fit.records import Record
+from heli_lab.fit.shooting import solve
+from heli_lab.fit.thresholds import MIN_SEGMENT_S
 
 HORIZONS: Final[Mapping[str, int]] = {"0.5": 4, "1": 2, "2": 1}
 """Horizons [s], as the JSON names them, and into how many parts each divides a window of 2 s."""
@@ -69,7 +71,7 @@ class FreeRun:
     priors: Mapping[str, Prior]  # Priors of the constants
     errors: Mapping[str, WindowErrors]  # Errors by horizon, a key of `HORIZONS`
     fit: Fit
-    """The predicted part in windows of 2 s, for `heli_lab.fit.identify.trace`; only initial states were
+    """The predicted part in windows of 2 s, for `heli_lab.fit.trace`; only initial states were
     fitted."""
 
 

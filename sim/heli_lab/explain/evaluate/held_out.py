@@ -9,7 +9,9 @@ from heli_lab.explain.evaluate.assessment import Assessment
 from heli_lab.explain.evaluate.error_reduction import ErrorReduction, HeldOutComparison, compare_free_runs
 from heli_lab.explain.evaluate.free_run import FreeRun, free_runs
 from heli_lab.explain.evaluate.prediction import Prediction, predict
-from heli_lab.explain.search import Hypothesis, ModelComparison, Search
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.stepwise import Search
 from heli_lab.explain.thresholds import CALIBRATE_s
 
 

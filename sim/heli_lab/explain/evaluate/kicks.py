@@ -10,13 +10,8 @@ from heli_host.data.arrays import Floats
 from heli_sim.model.parts import AXES
 
 from heli_lab.explain.thresholds import KICK_STD_ERRORS
-from heli_lab.fit.estimation import (
-    AuxiliaryResiduals,
-    DisturbanceModel,
-    InnovationsModel,
-    auxiliary_residuals,
-)
-from heli_lab.fit.estimation.innovations_model import FlightErrors
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.innovations import AuxiliaryResiduals, FlightErrors, InnovationsModel, auxiliary_residuals
 
 _MAX_KICKS: Final = 30
 """Kicks that are sought in all flights together; each takes one pass of the smoother."""

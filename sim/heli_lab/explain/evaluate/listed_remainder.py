@@ -16,20 +16,14 @@ from heli_sim.model.effects.spec import EffectSpec
 
 from heli_lab.explain import thresholds
 from heli_lab.explain.evaluate.assessment import Assessment, assess
-from heli_lab.explain.search import (
-    Acceptance,
-    Alternative,
-    Cause,
-    ModelComparison,
-    ScoredCandidate,
-    Screening,
-    Search,
-    coefficient_std,
-    held_out_screening,
-    may_join,
-    min_margin,
-    score_of,
-)
+from heli_lab.explain.search.acceptance import Acceptance, min_margin
+from heli_lab.explain.search.candidate import ScoredCandidate, may_join
+from heli_lab.explain.search.hypothesis import Alternative, Cause
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.replication import held_out_screening
+from heli_lab.explain.search.score_test import score_of
+from heli_lab.explain.search.screening import Screening, coefficient_std
+from heli_lab.explain.search.stepwise import Search
 
 
 class _JointScore(NamedTuple):

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Floats, Integers
 
-from heli_lab.fit.estimation import LinearisedFlight
+from heli_lab.fit.linearised_flight import LinearisedFlight
 
 _WINDOW_s: Final = 2.0
 """Length of a prediction [s], as in the free runs of an evaluation."""

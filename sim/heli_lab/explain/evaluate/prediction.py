@@ -11,8 +11,10 @@ import numpy as np
 from heli_host.data.arrays import Floats
 
 from heli_lab.explain.evaluate.free_run import windows_problem
-from heli_lab.fit.estimation import Estimate
-from heli_lab.fit.identify import Fit, Record, solve
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.problem import Fit
+from heli_lab.fit.records import Record
+from heli_lab.fit.shooting import solve
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from heli_lab.explain.thresholds import PRIOR_CONFLICT_STD
-from heli_lab.fit.estimation import Estimate
-from heli_lab.fit.estimation.estimate import estimate as estimated
-from heli_lab.fit.estimation.parameter_vector import Prior
-from heli_lab.fit.identify import Fit
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.estimator import estimate as estimated
+from heli_lab.fit.parameters import PriorDistribution
+from heli_lab.fit.problem import Fit
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class PriorConflict:
     unit: str
     value: float  # value, std: Estimate and standard error
     std: float
-    prior: Prior  # Prior from the rig file
+    prior: PriorDistribution  # PriorDistribution from the rig file
     freed: EstimateWithoutPrior | None = None  # Estimate without the prior; None if it was not computed
 
     @property

@@ -18,9 +18,11 @@ import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
 from heli_sim.model.parts import AXES
 
-from heli_lab.explain.search import Screening, quantity_values
+from heli_lab.explain.search.screening import Screening
+from heli_lab.explain.search.splines import quantity_values
 from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE
-from heli_lab.fit.estimation import Estimate, smoothed_disturbances
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.innovations import smoothed_disturbances
 
 _CELLS: Final = 8
 """Cells along each quantity: with fewer, regions blur; with more, cells are visited too briefly."""

@@ -14,7 +14,9 @@ import numpy as np
 from heli_host.data.arrays import Floats
 
 from heli_lab.explain.evaluate.prediction import Prediction, normalised_samples, predict
-from heli_lab.explain.search import Hypothesis, ModelComparison, Search
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.stepwise import Search
 from heli_lab.explain.thresholds import DISTURBED_STD, MATTERS_NATS_PER_ROW
 
 

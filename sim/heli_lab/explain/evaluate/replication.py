@@ -25,7 +25,10 @@ from heli_lab.explain.evaluate.error_reduction import ErrorReduction, error_redu
 from heli_lab.explain.evaluate.free_run import FreeRun, estimated_free_runs
 from heli_lab.explain.evaluate.held_out import HeldOutEvaluation, evaluate_extension
 from heli_lab.explain.evaluate.prediction import Prediction, predict
-from heli_lab.explain.search import Direction, Hypothesis, ModelComparison, Search, direction
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.replication import Direction, direction
+from heli_lab.explain.search.stepwise import Search
 
 WORSE_HORIZON: Final = "1"
 """Horizon of the open-loop errors that decide, a key of `HORIZONS`: long enough to show a lag, and

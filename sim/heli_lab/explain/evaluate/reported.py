@@ -10,8 +10,8 @@ import numpy as np
 from heli_sim.model.effects import EffectSpec
 from heli_sim.model.effects.spec import format_estimate
 
-from heli_lab.explain.search import limited_std
-from heli_lab.fit.identify import Fit
+from heli_lab.explain.search.resolution import limited_std
+from heli_lab.fit.problem import Fit
 
 
 @dataclass(frozen=True)

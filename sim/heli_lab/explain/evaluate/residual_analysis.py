@@ -20,16 +20,13 @@ from heli_lab.explain import thresholds
 from heli_lab.explain.evaluate.dependence_functions import dependence_functions
 from heli_lab.explain.evaluate.kicks import Kicks, kicks
 from heli_lab.explain.evaluate.open_loop import open_loop_squares
-from heli_lab.explain.search import (
-    Candidate,
-    ScoredCandidate,
-    ScoreStatistics,
-    Screening,
-    coefficient_std,
-    score_of,
-    spline_candidates,
-)
-from heli_lab.fit.estimation import BLOCK_s, DisturbanceModel, InnovationsModel
+from heli_lab.explain.search.candidate import Candidate, ScoredCandidate
+from heli_lab.explain.search.regressors import spline_candidates
+from heli_lab.explain.search.score_test import ScoreStatistics, score_of
+from heli_lab.explain.search.screening import Screening, coefficient_std
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.innovations import InnovationsModel
+from heli_lab.fit.linearised_flight import BLOCK_s
 from heli_lab.threads import batches
 
 _MAX_CORRELATES: Final = 4

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 from heli_lab.explain.evaluate.assessment import Assessment, without_splines
-from heli_lab.explain.search import Hypothesis, ModelComparison, Search
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.stepwise import Search
 from heli_lab.explain.thresholds import MIN_MARGIN
-from heli_lab.fit.identify.rotor_gains import GAINS
+from heli_lab.fit.flight_model import GAINS
 
 _NUMBERS = 2 * len(GAINS)
 """Numbers of a thrust that varies: standard deviation and correlation time of each gain."""

@@ -15,8 +15,9 @@ from heli_lab.explain import thresholds
 from heli_lab.explain.evaluate.prediction import Prediction
 from heli_lab.explain.evaluate.reported import CauseParameter, FamilyNumber, cause_parameters, family_number
 from heli_lab.explain.evaluate.residual_analysis import ResidualAnalysis
-from heli_lab.explain.search import Cause, Search
-from heli_lab.fit.identify import Fit
+from heli_lab.explain.search.hypothesis import Cause
+from heli_lab.explain.search.stepwise import Search
+from heli_lab.fit.problem import Fit
 
 
 @dataclass(frozen=True)

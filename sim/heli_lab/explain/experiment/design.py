@@ -15,9 +15,11 @@ from heli_sim.errors import SimError
 from heli_sim.model.effect import Stage
 from heli_sim.model.effects import EffectSpec
 
-from heli_lab.explain.evaluate import undetectable_effects
+from heli_lab.explain.evaluate.detectability import undetectable_effects
 from heli_lab.explain.experiment.simulation import expected_log_likelihood_ratio, simulate_experiment
-from heli_lab.explain.search import Hypothesis, ModelComparison, Screening
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.screening import Screening
 from heli_lab.explain.thresholds import MIN_MARGIN
 
 _SEGMENTS: Final[Mapping[str, tuple[str, str]]] = {

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from heli_sim.model.effects import EffectSpec
 
-from heli_lab.explain.discover import spline_curves_of
-from heli_lab.explain.evaluate import Assessment
+from heli_lab.explain.discover.spline_curve import spline_curves_of
+from heli_lab.explain.evaluate.assessment import Assessment
 from heli_lab.explain.experiment.design import (
     ExperimentDesign,
     Pair,
@@ -15,7 +15,9 @@ from heli_lab.explain.experiment.design import (
     discriminating_experiment,
     informative_experiment,
 )
-from heli_lab.explain.search import ModelComparison, Refit, Search
+from heli_lab.explain.search.hypothesis import Refit
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.search.stepwise import Search
 from heli_lab.explain.thresholds import MANY_UNDETECTABLE, SHORT_s
 
 

@@ -13,9 +13,10 @@ from heli_host.fly.tracking import NOT_TRACKED
 from heli_sim.errors import SimError
 from heli_sim.plant import Plant
 
-from heli_lab.explain.search import Hypothesis, ModelComparison
-from heli_lab.fit.estimation import Estimate
-from heli_lab.fit.identify import Record, prepare
+from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.records import Record, prepare
 from heli_lab.simulated_board import connected, fly_and_read, set_hover, world_of
 
 _DECIMATION: Final = 2

@@ -14,7 +14,7 @@ from heli_lab.explain.search.candidate import Candidate, ScoredCandidate
 from heli_lab.explain.search.hypothesis import Hypothesis, Refit
 from heli_lab.explain.search.model_comparison import ModelComparison
 from heli_lab.explain.search.resolution import limited_std
-from heli_lab.fit.identify import Record
+from heli_lab.fit.records import Record
 
 _NEUTRAL_SHARE: Final = 0.01
 """Share of its typical size below which an effect counts as absent: sizes at their bounds are ten times

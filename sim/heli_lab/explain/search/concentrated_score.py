@@ -18,8 +18,9 @@ from heli_host.data.arrays import Floats
 from heli_lab.explain.search.candidate import ScoredCandidate
 from heli_lab.explain.search.screening import Screening, coefficient_std, signals_of
 from heli_lab.explain.thresholds import CHANCE_NATS, SIGNIFICANT_STD_ERRORS
-from heli_lab.fit.estimation import DisturbanceModel, estimate_disturbances
-from heli_lab.fit.estimation.innovations_model import FlightErrors, ModelErrors
+from heli_lab.fit.estimator import estimate_disturbances
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.innovations import FlightErrors, ModelErrors
 
 _ITERATIONS: Final = 2
 """Turns of coefficient and disturbances: the second changes the coefficient by less than its error."""

@@ -17,9 +17,9 @@ from heli_sim.model.parts import AXES
 
 from heli_lab.explain.search.candidate import Candidate, effect_candidates
 from heli_lab.explain.search.spectral_peaks import peak_frequencies_Hz
-from heli_lab.fit.estimation import (
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.innovations import (
     AuxiliaryResiduals,
-    DisturbanceModel,
     InnovationsModel,
     auxiliary_residuals,
     smoothed_disturbances,

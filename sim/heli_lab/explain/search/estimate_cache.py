@@ -23,17 +23,14 @@ from heli_sim.rig import Rig
 from heli_lab.code_digest import code_digest
 from heli_lab.errors import IdentifyError
 from heli_lab.explain.search.candidate import Candidate
-from heli_lab.fit.estimation import (
-    DisturbanceModel,
-    Estimate,
-    GainDisturbance,
-    ModelFunctions,
-    ReferenceTrajectory,
-)
-from heli_lab.fit.identify import Record
-from heli_lab.fit.identify.flight_model import RigParameters, model_functions
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.flight_model import RigParameters, model_functions
+from heli_lab.fit.grey_box import DisturbanceModel, GainDisturbance
+from heli_lab.fit.model_functions import ModelFunctions
+from heli_lab.fit.records import Record
+from heli_lab.fit.reference_trajectory import ReferenceTrajectory
 
-_PACKAGES: Final = ("heli_sim.model", "heli_lab.fit.identify", "heli_lab.fit.estimation")
+_PACKAGES: Final = ("heli_sim.model", "heli_lab.fit")
 """Packages whose code, compiled code included, an estimate depends on."""
 _DISTURBANCES: Final = ("fast_std", "correlation_time_s", "slow_std", "quantisation", "curvature")
 """Arrays of a disturbance model."""

@@ -9,10 +9,11 @@ from typing import Final
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig
 
-from heli_lab.fit.estimation import Estimate, ReferenceTrajectory, estimate, refiltered
-from heli_lab.fit.identify import Record
-from heli_lab.fit.identify.flight_model import RigParameters, filter_record, model_functions
-from heli_lab.fit.identify.rotor_gains import GAINS
+from heli_lab.fit.estimator import Estimate, estimate
+from heli_lab.fit.flight_model import GAINS, RigParameters, filter_record, model_functions
+from heli_lab.fit.innovations import refiltered
+from heli_lab.fit.records import Record
+from heli_lab.fit.reference_trajectory import ReferenceTrajectory
 
 _FILTER_PASSES: Final = 2
 """How often the reference trajectory is filtered again with the baseline's own estimate. After the second

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from heli_lab.fit.identify import Record
-from heli_lab.fit.identify.thresholds import MIN_SEGMENT_S
+from heli_lab.fit.records import Record
+from heli_lab.fit.thresholds import MIN_SEGMENT_S
 
 
 def split(record: Record, seconds: float) -> tuple[Record, Record]:

@@ -22,8 +22,7 @@ from heli_lab.explain.search.model_comparison import ModelComparison
 from heli_lab.explain.search.progress import Progress
 from heli_lab.explain.search.rivals import better_rival
 from heli_lab.explain.search.screening import Screening
-from heli_lab.fit.estimation import ReferenceTrajectory
-from heli_lab.fit.estimation.reference_trajectory import RETURN_s
+from heli_lab.fit.reference_trajectory import ReferenceTrajectory, RETURN_s
 
 
 @dataclass

@@ -8,7 +8,7 @@ import numpy as np
 
 from heli_lab.explain import thresholds
 from heli_lab.explain.search.candidate import Candidate, ScoredCandidate
-from heli_lab.fit.estimation import Estimate
+from heli_lab.fit.estimator import Estimate
 
 
 @dataclass(frozen=True, eq=False)

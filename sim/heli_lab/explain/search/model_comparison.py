@@ -20,17 +20,13 @@ from heli_lab.explain.search.filtered_flights import FilteredFlights, filter_wit
 from heli_lab.explain.search.folds import two_folds
 from heli_lab.explain.search.hypothesis import Hypothesis
 from heli_lab.explain.thresholds import NEW_DISTURBANCES_NATS, EVENT_EDGE_s, SHORT_s
-from heli_lab.fit.estimation import (
-    BLOCK_s,
-    DisturbanceModel,
-    Estimate,
-    ModelFunctions,
-    ReferenceTrajectory,
-    estimate,
-)
-from heli_lab.fit.identify import Record
-from heli_lab.fit.identify.flight_model import RigParameters
-from heli_lab.fit.identify.rotor_gains import GAINS, ROTOR_GAINS
+from heli_lab.fit.estimator import Estimate, estimate
+from heli_lab.fit.flight_model import GAINS, ROTOR_GAINS, RigParameters
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.linearised_flight import BLOCK_s
+from heli_lab.fit.model_functions import ModelFunctions
+from heli_lab.fit.records import Record
+from heli_lab.fit.reference_trajectory import ReferenceTrajectory
 
 _ROUNDING_NATS: Final = 0.1
 """Rounding tolerance: a model may be less likely by this than one that it contains, nats."""

@@ -13,8 +13,10 @@ from heli_lab.explain.search.candidate import Candidate
 from heli_lab.explain.search.hypothesis import Hypothesis
 from heli_lab.explain.search.model_comparison import ModelComparison, event_is_inside
 from heli_lab.explain.thresholds import EVENT_STD_ERRORS, MIN_MARGIN
-from heli_lab.fit.estimation import BLOCK_s, Estimate, auxiliary_residuals
-from heli_lab.fit.identify import Record
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.innovations import auxiliary_residuals
+from heli_lab.fit.linearised_flight import BLOCK_s
+from heli_lab.fit.records import Record
 
 _STEP_s: Final = 0.03
 """Distance of the moments through which a parabola is drawn: the effects' step takes about 20 ms, an interval

@@ -25,15 +25,14 @@ from heli_lab.explain.search.splines import (
     quantity_values,
     spline_term,
 )
-from heli_lab.fit.estimation import (
+from heli_lab.fit.flight_model import known_directions, model_along
+from heli_lab.fit.linearised_flight import LinearisedFlight
+from heli_lab.fit.model_functions import (
     EFFECT_SUBSTEPS,
     AlongTrajectory,
     EffectStates,
-    LinearisedFlight,
     Trajectory,
 )
-from heli_lab.fit.identify.flight_model import known_directions
-from heli_lab.fit.identify.model_along import model_along
 
 _MIN_RANGE: Final = 1e-6
 """Range of a quantity, in its SI unit, below which it is constant and no curve over it is tried."""

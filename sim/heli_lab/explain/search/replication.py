@@ -14,8 +14,8 @@ from heli_lab.explain.search.candidate import Candidate
 from heli_lab.explain.search.hypothesis import Hypothesis
 from heli_lab.explain.search.model_comparison import ModelComparison
 from heli_lab.explain.search.screening import NormalDistribution, Screening
-from heli_lab.fit.estimation import Estimate
-from heli_lab.fit.identify.flight_model import RigParameters
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.flight_model import RigParameters
 from heli_lab.threads import parallel_map
 
 _NO_FLIGHT: Final = "\0"

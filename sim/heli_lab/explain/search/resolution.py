@@ -9,7 +9,7 @@ from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.parts import AXES
 
 from heli_lab.explain import thresholds
-from heli_lab.fit.identify import Record
+from heli_lab.fit.records import Record
 
 
 def limited_std(

@@ -25,8 +25,8 @@ from heli_lab.explain.search.regressors import (
 )
 from heli_lab.explain.search.score_test import Score, ScoreStatistics, score_of
 from heli_lab.explain.search.splines import KNOTS, SplineTerm
-from heli_lab.fit.estimation import Estimate
-from heli_lab.fit.estimation.arrowhead import solve_arrowhead
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.normal_equations import solve_arrowhead
 from heli_lab.threads import batches, default_thread_count, parallel_map
 
 _BATCH_NUMBERS: Final = 1_250_000

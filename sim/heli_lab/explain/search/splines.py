@@ -20,8 +20,8 @@ from heli_sim.model.parts import AXES
 from heli_sim.model.parts import thrust_N as static_thrust_N
 from heli_sim.rig.quantity import Prior, Quantity
 
-from heli_lab.fit.estimation import Trajectory
-from heli_lab.fit.identify.model_along import model_along
+from heli_lab.fit.flight_model import model_along
+from heli_lab.fit.model_functions import Trajectory
 
 KNOTS: Final = 8
 """Basis functions of a curve: fewer do not follow a kink or bump, more have a higher penalty."""

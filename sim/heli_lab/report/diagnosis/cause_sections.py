@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from heli_lab.explain.wording import capital, display_unit, evidence_in_words
-from heli_lab.fit.identify.results import rounded
+from heli_lab.fit.identification import rounded
 from heli_lab.report.diagnosis import figures
 from heli_lab.report.diagnosis.sentences import stated
 from heli_lab.report.diagnosis.symbols import legend

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from heli_lab.explain.evaluate import Extrapolation, PriorConflict, worse_axis_sentence
+from heli_lab.explain.evaluate.fitted_voltages import Extrapolation
+from heli_lab.explain.evaluate.prior_conflict import PriorConflict
+from heli_lab.explain.evaluate.replication import worse_axis_sentence
 from heli_lab.explain.result import Diagnosis
 from heli_lab.explain.thresholds import SHORT_s
 from heli_lab.explain.wording import evidence_in_words

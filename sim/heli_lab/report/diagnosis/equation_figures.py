@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from heli_lab.explain.discover import ProposedTerm, latex
-from heli_lab.explain.evaluate import FailingRegions, RegionTest
-from heli_lab.explain.search import QUANTITIES
+from heli_lab.explain.discover.notation import latex
+from heli_lab.explain.discover.proposal import ProposedTerm
+from heli_lab.explain.evaluate.regions import FailingRegions, RegionTest
+from heli_lab.explain.search.splines import QUANTITIES
 from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE
 from heli_lab.explain.wording import display_unit
 from heli_lab.report.diagnosis.figures import bin_means, thinned

@@ -13,12 +13,15 @@ from heli_host.data.arrays import Floats
 from heli_host.data.flight import broken_at_gaps
 from heli_sim.model.parts import AXES
 
-from heli_lab.explain.discover import SplineCurve, accelerations
+from heli_lab.explain.discover.effect_contribution import accelerations
+from heli_lab.explain.discover.spline_curve import SplineCurve
 from heli_lab.explain.result import Diagnosis
-from heli_lab.explain.search import Round
+from heli_lab.explain.search.hypothesis import Round
 from heli_lab.explain.wording import channel_in_words, quantity_in_words, readable_id
-from heli_lab.fit.estimation import Estimate, smoothed_disturbances
-from heli_lab.fit.identify import Fit, Trace, trace
+from heli_lab.fit.estimator import Estimate
+from heli_lab.fit.identification import Trace, trace
+from heli_lab.fit.innovations import smoothed_disturbances
+from heli_lab.fit.problem import Fit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

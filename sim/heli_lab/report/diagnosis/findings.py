@@ -9,14 +9,11 @@ from typing import Any
 from heli_sim.model.effect import NEVER_s
 from heli_sim.model.parts import AXES
 
-from heli_lab.explain.evaluate import (
-    CauseParameter,
-    ErrorReduction,
-    Kicks,
-    NamedCause,
-    ResidualAnalysis,
-    correlates,
-)
+from heli_lab.explain.evaluate.error_reduction import ErrorReduction
+from heli_lab.explain.evaluate.kicks import Kicks
+from heli_lab.explain.evaluate.reported import CauseParameter
+from heli_lab.explain.evaluate.residual_analysis import ResidualAnalysis, correlates
+from heli_lab.explain.evaluate.verdict import NamedCause
 from heli_lab.explain.result import Diagnosis
 from heli_lab.explain.thresholds import CONFIDENCE_FACTOR_UNEXPLAINED, CONFIDENCE_RANDOM_TORQUE
 from heli_lab.explain.wording import dependence_in_words

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
-from heli_lab.explain.discover import TIME, MissingTerm
+from heli_lab.explain.discover.missing import TIME, MissingTerm
 from heli_lab.explain.wording import capital, readable_id
 from heli_lab.report.diagnosis.cause_sections import SaveFigure
 from heli_lab.report.diagnosis.result_figures import figure_of_missing_terms

@@ -10,7 +10,8 @@ import numpy as np
 from heli_host.data.files import write_signed
 from heli_sim.model.parts import AXES
 
-from heli_lab.explain.discover import MissingTerm, missing_term
+from heli_lab.explain.discover.missing import MissingTerm
+from heli_lab.explain.discover.without_cause import missing_term
 from heli_lab.explain.insufficient_excitation import InsufficientExcitation
 from heli_lab.explain.result import Diagnosis
 from heli_lab.explain.thresholds import MIN_MARGIN
@@ -22,8 +23,8 @@ from heli_lab.explain.wording import (
     nats_in_words,
     readable_id,
 )
-from heli_lab.fit.identify import trace
-from heli_lab.fit.identify.thresholds import UNINFORMED
+from heli_lab.fit.identification import trace
+from heli_lab.fit.thresholds import UNINFORMED
 from heli_lab.report.diagnosis import equation_figures, figures
 from heli_lab.report.diagnosis.cause_sections import SaveFigure, cause_section, full_sentence, plus_minus
 from heli_lab.report.diagnosis.gain_section import calibration_tables, gain_rows

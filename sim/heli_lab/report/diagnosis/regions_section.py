@@ -7,7 +7,7 @@ from typing import Any
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.explain.evaluate import FailingRegions, RegionTest
+from heli_lab.explain.evaluate.regions import FailingRegions, RegionTest
 from heli_lab.explain.result import Diagnosis
 from heli_lab.explain.wording import quantity_in_words
 from heli_lab.report.diagnosis import equation_figures

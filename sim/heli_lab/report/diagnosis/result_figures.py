@@ -11,10 +11,11 @@ from heli_host.data.arrays import Floats
 from heli_host.data.flight import broken_at_gaps
 from heli_sim.model.parts import AXES
 
-from heli_lab.explain.discover import TIME, MissingTerm
-from heli_lab.explain.evaluate import ErrorReduction
+from heli_lab.explain.discover.missing import TIME, MissingTerm
+from heli_lab.explain.evaluate.error_reduction import ErrorReduction
 from heli_lab.explain.wording import readable_id
-from heli_lab.fit.identify import Fit, Trace, trace
+from heli_lab.fit.identification import Trace, trace
+from heli_lab.fit.problem import Fit
 from heli_lab.report.diagnosis.figures import AFTER, BEFORE, MEASURED, bin_means, thinned
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from heli_lab.explain.discover import Discovery
-from heli_lab.explain.evaluate import ErrorReduction
+from heli_lab.explain.discover.discovery import Discovery
+from heli_lab.explain.evaluate.error_reduction import ErrorReduction
 from heli_lab.explain.insufficient_excitation import InsufficientExcitation
 from heli_lab.explain.result import Diagnosis, Proposal
 from heli_lab.explain.thresholds import CONFIDENCE_NATS, CONFIDENCE_RANDOM_TORQUE, MATTERS_COUNTS, MIN_MARGIN

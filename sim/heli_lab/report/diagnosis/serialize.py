@@ -7,21 +7,20 @@ from typing import Any
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.explain.discover import CHANNELS, SYMBOLS, ProposedTerm, expression, latex
-from heli_lab.explain.evaluate import (
-    HORIZONS,
-    WORSE_HORIZON,
-    FailingRegions,
-    FreeRun,
-    PriorConflict,
-    RegionTest,
-    ResidualAnalysis,
-)
+from heli_lab.explain.discover.equation import CHANNELS
+from heli_lab.explain.discover.notation import expression, latex
+from heli_lab.explain.discover.proposal import ProposedTerm
+from heli_lab.explain.discover.terms import SYMBOLS
+from heli_lab.explain.evaluate.free_run import HORIZONS, FreeRun
+from heli_lab.explain.evaluate.prior_conflict import PriorConflict
+from heli_lab.explain.evaluate.regions import FailingRegions, RegionTest
+from heli_lab.explain.evaluate.replication import WORSE_HORIZON
+from heli_lab.explain.evaluate.residual_analysis import ResidualAnalysis
 from heli_lab.explain.insufficient_excitation import InsufficientExcitation
 from heli_lab.explain.result import Diagnosis, Proposal
-from heli_lab.explain.search import QUANTITIES
+from heli_lab.explain.search.splines import QUANTITIES
 from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE
-from heli_lab.fit.identify import check
+from heli_lab.fit.identification import check
 from heli_lab.report.diagnosis.cautions import cautions
 from heli_lab.report.diagnosis.findings import (
     causes,

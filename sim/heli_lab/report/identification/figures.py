@@ -8,7 +8,7 @@ import numpy as np
 from heli_host.data.flight import broken_at_gaps
 from heli_sim.model.parts import AXES
 
-from heli_lab.fit.identify.results import Identification, Trace
+from heli_lab.fit.identification import Identification, Trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,8 +8,8 @@ from typing import Any
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.fit.identify.results import Identification, rounded, unexcited_axes
-from heli_lab.fit.identify.thresholds import QUANTISATION_ONLY
+from heli_lab.fit.identification import Identification, rounded, unexcited_axes
+from heli_lab.fit.thresholds import QUANTISATION_ONLY
 from heli_lab.report.identification.figures import (
     figure_of_correlations,
     figure_of_parameters,

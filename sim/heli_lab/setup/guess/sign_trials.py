@@ -13,9 +13,9 @@ from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
-from heli_lab.fit.identify.estimation_problem import Budget, Problem
-from heli_lab.fit.identify.record import Record, prepare
-from heli_lab.fit.identify.shooting import solve
+from heli_lab.fit.problem import Budget, Problem
+from heli_lab.fit.records import Record, prepare
+from heli_lab.fit.shooting import solve
 from heli_lab.setup.guess import thresholds
 from heli_lab.setup.guess.regression.scales import AXES
 from heli_lab.setup.guess.result import SignChoice

@@ -28,7 +28,7 @@ from heli_sim.model.effects import EffectSpec
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.fit.estimation.levenberg_marquardt import DampedStep, minimise
+from heli_lab.fit.normal_equations import DampedStep, minimise
 from heli_lab.watch.encoder_scale.flight_residuals import SCALES_AND_FACTOR, VOLTAGE_FACTOR, FlightInWeakForm
 
 WRONG_SUPPLY: Final = "supply_V"

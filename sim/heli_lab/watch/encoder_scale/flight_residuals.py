@@ -18,9 +18,9 @@ from heli_sim.model.base import Effect, Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.fit.estimation import ModelFunctions, Trajectory
-from heli_lab.fit.identify.flight_model import TORQUE_STD_Nm, model_functions
-from heli_lab.fit.identify.free import FLIGHT_CONSTANTS, free_parameters
+from heli_lab.fit.flight_model import TORQUE_STD_Nm, model_functions
+from heli_lab.fit.model_functions import ModelFunctions, Trajectory
+from heli_lab.fit.problem import FLIGHT_CONSTANTS, free_parameters
 from heli_lab.watch.encoder_scale.weak_form import Part, TestFunctions, gap_free_parts
 
 CLEAR_deg: Final = 8.0

@@ -13,8 +13,8 @@ from heli_host.data.arrays import Floats
 from heli_host.data.files import toml_string, write_signed
 
 from heli_lab.errors import TwinError
-from heli_lab.fit.estimation import DisturbanceModel
-from heli_lab.fit.identify.flight_model import DISTURBANCE_START
+from heli_lab.fit.flight_model import DISTURBANCE_START
+from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.watch.twin.parameter_uncertainty import EXACT, ParameterUncertainty
 from heli_lab.watch.twin.tail import IDEAL, Tail
 

@@ -12,7 +12,7 @@ from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from typing_extensions import override
 
-from heli_lab.fit.estimation import DisturbanceModel
+from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.watch.twin.calibration import Calibration
 from heli_lab.watch.twin.flights import count_rad_of, samples_of
 from heli_lab.watch.twin.likelihood_ratio import Innovation, LikelihoodRatio, WINDOW_s

@@ -15,8 +15,7 @@ from heli_host.link.clock import TICK_S
 from heli_sim.rig import Rig
 
 from heli_lab.errors import TwinError
-from heli_lab.fit.identify.flight_checks import encoder_counts
-from heli_lab.fit.identify.record import ON_GROUND
+from heli_lab.fit.records import ON_GROUND, encoder_counts
 from heli_lab.watch.twin.samples import Samples
 
 _OFF_STATES: Final = np.array([int(state) for state in State if state.name.lower() in ON_GROUND])

@@ -9,7 +9,7 @@ import numpy as np
 from heli_host.data.arrays import Floats
 from heli_sim.rig import Rig
 
-from heli_lab.fit.identify import thresholds
+from heli_lab.fit import thresholds
 
 SETTLE_s: Final = 1.5
 """Time off the table before a flight counts as free, s: the ground effect and the thrust of the take-off have

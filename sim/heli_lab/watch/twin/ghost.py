@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Floats
 
-from heli_lab.fit.estimation import _kalman
+from heli_lab.fit import _kalman
 from heli_lab.watch.twin.twin_model import ZEROS, TwinModel
 
 FREE_RUN_s: Final = 2.0

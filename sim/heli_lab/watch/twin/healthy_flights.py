@@ -17,9 +17,8 @@ from heli_sim.plant import Plant
 from heli_sim.rig import Rig
 from heli_sim.rig.quantity import Quantity
 
-from heli_lab.fit.estimation import DisturbanceModel
-from heli_lab.fit.estimation.disturbances import SLOW_CORRELATION_TIME_s
-from heli_lab.fit.identify.flight_model import TORQUE_STD_Nm
+from heli_lab.fit.flight_model import TORQUE_STD_Nm
+from heli_lab.fit.grey_box import DisturbanceModel, SLOW_CORRELATION_TIME_s
 from heli_lab.simulated_board import connected, fly_and_read, set_hover, world_of
 
 _TORQUE_SHARE: Final = 0.5

@@ -7,7 +7,7 @@ and a constant torque c. Over a step of 10 ms, the linearly implicit midpoint ru
     x+ = x + Gamma (f(x, u) + B (g + d + c)),
     Gamma = (I - h A / 2)^-1 h,   Phi = (I - h A / 2)^-1 (I + h A / 2),
 
-with the Jacobian A of f at the filter's state. `fit.estimation` linearises by the same rule. Let F be
+with the Jacobian A of f at the filter's state. `fit.linearised_flight` linearises by the same rule. Let F be
 the transition of z. The sensitivity s of z to a change v of a parameter is propagated by
 s+ = F s + Gamma df/dv.
 """
@@ -22,8 +22,9 @@ from heli_host.data.arrays import Floats
 from heli_sim.model.parts import AXES
 from scipy.special import erf
 
-from heli_lab.fit.estimation import DisturbanceModel, _kalman
-from heli_lab.fit.identify.flight_model import TORQUE_STD_Nm
+from heli_lab.fit import _kalman
+from heli_lab.fit.flight_model import TORQUE_STD_Nm
+from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.watch.twin.independent_copy import independent_copy
 from heli_lab.watch.twin.likelihood_ratio import ONSETS, Innovation
 from heli_lab.watch.twin.twin_model import ZEROS, TwinModel

@@ -23,10 +23,13 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.errors import TwinError
-from heli_lab.fit.estimation import BLOCK_s, DisturbanceModel, InnovationsModel, LinearisedFlight, estimate
-from heli_lab.fit.estimation.posterior_step import posterior_step
-from heli_lab.fit.identify import Record, prepare
-from heli_lab.fit.identify.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.fit.estimator import estimate
+from heli_lab.fit.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.innovations import InnovationsModel
+from heli_lab.fit.linearised_flight import BLOCK_s, LinearisedFlight
+from heli_lab.fit.normal_equations import posterior_step
+from heli_lab.fit.records import Record, prepare
 from heli_lab.watch.twin.calibration import DEFAULT_DISTURBANCES, Calibration
 from heli_lab.watch.twin.draws import Draws, FollowedFlight, drawn_evidence, evidence
 from heli_lab.watch.twin.flights import count_rad_of

@@ -21,7 +21,7 @@ from heli_host.data.arrays import Floats, Integers
 from heli_sim.model.parts import AXES
 from scipy.special import log_ndtr, logsumexp
 
-from heli_lab.fit.estimation import BLOCK_s
+from heli_lab.fit.linearised_flight import BLOCK_s
 from heli_lab.watch.twin.changes import Change
 from heli_lab.watch.twin.independent_copy import independent_copy
 

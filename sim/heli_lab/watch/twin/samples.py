@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.data.arrays import Floats, Integers
 
-from heli_lab.fit.estimation.reference_trajectory import STEP_s
+from heli_lab.fit.reference_trajectory import STEP_s
 
 MAX_GAP_s: Final = 0.04
 """Longest gap that the filter bridges with the last voltage, s: one of its measurements is then missing.

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from heli_host.data.arrays import Floats
 
-from heli_lab.fit.estimation import BLOCK_s
+from heli_lab.fit.linearised_flight import BLOCK_s
 from heli_lab.watch.twin.angle_history import AngleHistory
 from heli_lab.watch.twin.calibration import Calibration
 from heli_lab.watch.twin.events import TwinEvent, contradiction_event, ranked_event

@@ -12,9 +12,8 @@ from heli_sim.model.base import Effect, Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.fit.estimation import AlongTrajectory, Trajectory
-from heli_lab.fit.identify.flight_model import model_functions
-from heli_lab.fit.identify.model_along import model_along
+from heli_lab.fit.flight_model import model_along, model_functions
+from heli_lab.fit.model_functions import AlongTrajectory, Trajectory
 from heli_lab.watch.twin.changes import SCALES, SUPPLY, Change, changes_of, extended, model_parameters
 from heli_lab.watch.twin.parameter_uncertainty import EXACT, ParameterUncertainty
 

@@ -1,4 +1,4 @@
-"""Evaluate functions of state, inputs, time and parameters in each step of a trajectory.
+"""Equations of a grey-box model with their derivatives, evaluated in each step of a trajectory.
 
 A CasADi function is a list of elementary operations. CasADi's own interpreter runs the list for one step at a
 time. The interpreter used here carries out each operation for many steps together, which is several times
@@ -7,6 +7,7 @@ faster and needs no compiler.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,7 +16,8 @@ import numpy as np
 from heli_host.data.arrays import Floats
 
 from heli_lab.errors import IdentifyError
-from heli_lab.fit.estimation import _expression_vm
+from heli_lab.fit import _expression_vm
+from heli_lab.fit.grey_box import GreyBoxModel
 
 _BY_CASADI: Final = {
     getattr(ca, f"OP_{name}"): number for number, name in enumerate(_expression_vm.OPERATIONS)
@@ -196,4 +198,93 @@ class EffectStates:
             returned_substep,
             np.zeros(self._size),
         )
+        return states
+
+
+class ModelFunctions:
+    """Compiled rates and outputs of a model, with their derivatives by state, parameters and disturbances.
+
+    Parameters
+    ----------
+    model : GreyBoxModel
+        The model whose equations are compiled.
+    free : sequence of str
+        Parameters by which derivatives are taken.
+
+    Attributes
+    ----------
+    names : tuple of str
+        All parameters of the model.
+    places : list of int
+        Indices of the free parameters in `names`.
+    along : AlongTrajectory
+        Function of n points of a trajectory, with six results. The first four are the rates with their
+        negative derivatives by the free parameters, (n, states, 1 + f), and the derivatives of the rates by
+        state, disturbances and inputs, (n, states, k) each. The last two are the outputs with their
+        derivatives by the free parameters, (n, m, 1 + f), and those by the state, (n, m, states).
+    extra_states : int
+        Number of states beyond positions and rates.
+    """
+
+    def __init__(self, model: GreyBoxModel, free: Sequence[str]) -> None:
+        self.model, self.free, self.names = model, tuple(free), model.parameters
+        self.places = [model.parameters.index(name) for name in free]
+        disturbed = [model.parameters.index(name) for name in model.disturbed]
+        x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
+        p, t = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("t")
+        rates, outputs = model.dynamics(x, u, p, t), model.measurement(x, u, p, t)
+
+        def by_free(value: ca.SX) -> ca.SX:
+            """Jacobian of a column vector by the free parameters; without any, it has no columns."""
+            if not self.places:
+                return ca.SX(value.numel(), 0)
+            return ca.jacobian(value, ca.vertcat(*(p[i] for i in self.places)))
+
+        # With the opposite sign, the filter gives the reduction of the innovations per unit of a parameter.
+        results = [
+            ca.horzcat(rates, -by_free(rates)),
+            ca.jacobian(rates, x),
+            ca.jacobian(rates, ca.vertcat(*(p[i] for i in disturbed))),
+            ca.jacobian(rates, u),
+            ca.horzcat(outputs, by_free(outputs)),
+            ca.jacobian(outputs, x),
+        ]
+        self.along = AlongTrajectory(
+            ca.Function("along", [x, u, t, p], [ca.densify(result) for result in results])
+        )
+        self.extra_states = model.extra_states
+        if self.extra_states:
+            # y: positions and rates of the reference trajectory; z: the states that are integrated along it.
+            z, y = ca.SX.sym("z", self.extra_states), ca.SX.sym("y", model.followed)
+            state, arguments = ca.vertcat(y, z), [z, t, y, u, p]
+            extra = slice(model.followed, None)
+            self._integrator = EffectStates(
+                ca.Function("rates", arguments, [ca.densify(model.dynamics(state, u, p, t)[extra])]),
+                ca.Function("resets", arguments, [ca.densify(model.reset_map(state, u, p, t)[extra])]),
+            )
+
+    def __reduce__(self) -> tuple[type[ModelFunctions], tuple[GreyBoxModel, tuple[str, ...]]]:
+        """Pickle the arguments only, because compiled programs cannot be pickled."""
+        return ModelFunctions, (self.model, self.free)
+
+    def integrate(self, trajectory: Trajectory, directions: Floats) -> Floats:
+        """Integrate the extra states along a trajectory of positions and rates, from zero.
+
+        Parameters
+        ----------
+        trajectory : Trajectory
+            Middle of each step.
+        directions : ndarray (n, m)
+            Direction in which each output moved last, at the beginning of each step.
+
+        Returns
+        -------
+        ndarray (n + 1, extra states)
+            States at the beginning of each step, and at the end of the last.
+        """
+        positions_and_rates = trajectory.state[:, : self.model.followed]
+        ends = self._integrator.integrate(replace(trajectory, state=positions_and_rates))
+        states: Floats = np.vstack((np.zeros(self.extra_states), ends))
+        for column, output in self.model.known_directions:
+            states[:, column] = np.append(directions[:, output], directions[-1, output])
         return states

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from heli_host.data.arrays import Floats, Integers
 
-from heli_lab.fit.identify.free_run import Inputs, VoltageDerivative
-from heli_lab.fit.identify.record import Record
-from heli_lab.fit.identify.thresholds import BLOCK_S
+from heli_lab.fit.free_run import Inputs, VoltageDerivative
+from heli_lab.fit.records import Record
+from heli_lab.fit.thresholds import BLOCK_S
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,9 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
 
-from heli_lab.fit.estimation import _kalman
-from heli_lab.fit.estimation.model_functions import ModelFunctions
-from heli_lab.fit.estimation.reference_trajectory import ReferenceTrajectory
-from heli_lab.fit.estimation.trajectory_functions import Trajectory
+from heli_lab.fit import _kalman
+from heli_lab.fit.model_functions import ModelFunctions, Trajectory
+from heli_lab.fit.reference_trajectory import ReferenceTrajectory
 from heli_lab.threads import default_thread_count, parallel_map
 
 BLOCK_s: Final = 0.04

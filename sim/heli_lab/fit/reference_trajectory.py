@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
 
-from heli_lab.fit.estimation import _kalman
-from heli_lab.fit.estimation.grey_box import Recording, quantisation_std
+from heli_lab.fit import _kalman
+from heli_lab.fit.grey_box import Recording, quantisation_std
 
 STEP_s: Final = 0.01
 """Longest step of the trajectory. The midpoint rule has an error of (w h)^2 / 24 of an acceleration: 0.04

@@ -1,7 +1,7 @@
 """The vector of free parameters with their priors: shared by all flights, or of a single flight.
 
 A flight is one recording. Parameters of one flight alone, such as the zero of an encoder, make the normal
-equations block-sparse (`arrowhead.py`).
+equations block-sparse (`normal_equations.py`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _VAGUE: Final = 1e3
 the prior by far. A much larger factor makes information matrices lose digits."""
 
 
-class Prior(Protocol):
+class PriorDistribution(Protocol):
     """Attributes of a `NormalPrior`."""
 
     @property
@@ -68,7 +68,7 @@ class FreeParameter:
         Unique name. If the parameter differs between flights, the label of the flight follows in brackets.
     unit : str
         SI unit.
-    prior : Prior
+    prior : PriorDistribution
         Distribution before the flights are seen.
     quantity : str
         Name of the parameter in the model.
@@ -78,7 +78,7 @@ class FreeParameter:
 
     name: str
     unit: str
-    prior: Prior
+    prior: PriorDistribution
     quantity: str
     record: int | None = None
 
