@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.ui.cli.simulated import DEFAULT_RIG
+from heli_host.ui.cli.options import DEFAULT_RIG
 
 from heli_lab.errors import IdentifyError, NotExcited, WrongSigns
 

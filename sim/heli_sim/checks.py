@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from heli_host.ui.cli.finding import Finding, Verdict
+from heli_host.ui.cli.doctor import Finding, Verdict
 
 
 def examine() -> Iterator[Finding]:

@@ -12,7 +12,7 @@ import pytest
 from heli_host.data.log.reader import Log, read_log
 from heli_host.errors import LogError
 from heli_host.fly.plan import Plan
-from heli_host.ui.cli import again
+from heli_host.ui.cli import flight
 from heli_sim.rig import Rig, load_rig
 from heli_sim.rig.write import rig_text
 
@@ -103,13 +103,13 @@ def test_another_seed_gives_other_samples_and_an_error(
 ) -> None:
     gusts = ("--effect", "random_torque.travel=0.02")
     assert terminal("fly", plan, "--sil", "--speed", "max", *gusts, "--log", "a.mcap").code == 0
-    read = again.read_repeat
+    read = flight.read_repeat
 
-    def with_another_seed(log: Log, files: Mapping[str, Path]) -> again.Repeat:
+    def with_another_seed(log: Log, files: Mapping[str, Path]) -> flight.Repeat:
         repeat = read(log, files)
         return replace(repeat, options={**repeat.options, "seed": "2"})
 
-    monkeypatch.setattr(again, "read_repeat", with_another_seed)
+    monkeypatch.setattr(flight, "read_repeat", with_another_seed)
     result = terminal("fly", "--again", "a.mcap", "--log", "b.mcap")
     assert result.code != 0 and "the samples differ from" in result.err
 
@@ -175,7 +175,7 @@ def test_a_line_names_what_the_log_lacks(
     else:
         metadata["simulation"] = {**log.metadata["simulation"], **simulation}
     with pytest.raises(LogError, match=lacking):
-        again.read_repeat(replace(log, metadata=metadata), {})
+        flight.read_repeat(replace(log, metadata=metadata), {})
 
 
 def test_what_a_log_gives_is_refused_on_the_command_line(terminal: Terminal) -> None:

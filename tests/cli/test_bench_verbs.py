@@ -21,7 +21,7 @@ from heli_host.errors import CommandRefused
 from heli_host.fly.heli import Heli
 from heli_host.link.engine import Command
 from heli_host.link.session import Session
-from heli_host.ui.cli.verbs import motors
+from heli_host.ui.cli.verbs import board as bench_verbs
 from heli_sim.sil.process import SilProcess
 
 from tests.cli.terminal import Process, Terminal, command, process, refusal, until_open
@@ -86,7 +86,7 @@ def test_watch_commands_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPa
 def test_motors_get_the_voltage_for_the_time_and_are_off_afterwards() -> None:
     with heli_host.connect("sil://?speed=max") as heli:
         heli.arm()
-        motors._apply_voltages(heli, 1.0, 0.5, 1.0)
+        bench_verbs._apply_voltages(heli, 1.0, 0.5, 1.0)
         heli.stop()
         heli.wait(0.1)
         flown = heli.samples()

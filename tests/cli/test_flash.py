@@ -13,15 +13,25 @@ from pathlib import Path
 
 import pytest
 import serial
-from heli_host.board.flash import bossac as uploading
-from heli_host.board.flash.bossac import Bossac, find_bossac, write_image
-from heli_host.board.flash.image import FLASH_START, RAM_START, VECTORS, read_image
-from heli_host.board.flash.touch import ERASE_S, ERASING_BAUD, erase_chip, restart_chip
+from heli_host.board import flashing as uploading
+from heli_host.board.flashing import (
+    ERASE_S,
+    ERASING_BAUD,
+    FLASH_START,
+    RAM_START,
+    VECTORS,
+    Bossac,
+    erase_chip,
+    find_bossac,
+    read_image,
+    restart_chip,
+    write_image,
+)
 from heli_host.board.parameters import read_parameter_set
 from heli_host.declaration import BAUD, LINK_HASH, PARAMS_HASH, State
 from heli_host.errors import FlashError, ImageError, UploaderError
-from heli_host.ui.cli.verbs import flash as flash_verb
-from heli_host.ui.cli.verbs.flash import ANSWER_TIMEOUT_S
+from heli_host.ui.cli.verbs import board as flash_verb
+from heli_host.ui.cli.verbs.board import ANSWER_TIMEOUT_S
 from heli_sim.sil.process import SilProcess
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -165,7 +175,7 @@ def test_saved_parameters_of_another_schema_are_erased_only_on_demand(
 ) -> None:
     assert terminal("params", "set", "hover_V", "1.25", "--save", "--port", board.url).code == 0
     request.getfixturevalue("other_link")
-    monkeypatch.setattr("heli_host.board.flash.other_link.PARAMS_HASH", PARAMS_HASH ^ 1)
+    monkeypatch.setattr("heli_host.board.flashing.PARAMS_HASH", PARAMS_HASH ^ 1)
     uploader = Uploader(tmp_path / "bin")
     arguments = ("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
     line = refusal(terminal(*arguments), code=LINK)

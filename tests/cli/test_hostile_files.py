@@ -16,8 +16,7 @@ from heli_host.data.log.reader import read_flight, read_log
 from heli_host.data.log.summary import summarise
 from heli_host.errors import FlightDataError, LogError, PlanError, printable
 from heli_host.fly.plan import Plan
-from heli_host.ui.cli.progress import LiveLine
-from heli_host.ui.cli.progress_bar import WorkBar
+from heli_host.ui.cli.live import LiveLine, WorkBar
 from heli_host.ui.cli.say import say, say_files
 from heli_sim.rig import load_rig, write_rig
 from mcap.data_stream import RecordBuilder

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import pytest
 import typer
-from heli_host.ui.cli.option_group import with_option_groups
+from heli_host.ui.cli.verb import with_option_groups
 from typer.testing import CliRunner
 
 from tests.cli.terminal import Terminal

@@ -300,7 +300,7 @@ STATE = {
     "host/heli_host/data/log/blind.py": "within replacing",
     "host/heli_host/data/log/ros2.py": "within replacing",
     "host/heli_host/data/log/table.py": "within replacing",
-    "host/heli_host/ui/cli/again.py": "a temporary folder",
+    "host/heli_host/ui/cli/flight.py": "a temporary folder",
     "sim/heli_sim/cache.py": "the cache",
     "sim/heli_sim/compiled.py": "the cache",
     "sim/heli_sim/checks.py": "a probe of the cache",
@@ -308,7 +308,7 @@ STATE = {
     "sim/heli_sim/model/effects/table.py": "a document of this repository",
     "sim/heli_sim/sil/boards.py": "the flash of a simulated board",
     "sim/heli_lab/report/page/drawing.py": "a picture in memory",
-    "sim/heli_lab/apps/campaign/store.py": "the state of a campaign, in a folder with its token",
+    "sim/heli_lab/apps/campaign/run.py": "the state of a campaign, in a folder with its token",
     "sim/heli_lab/apps/classroom/marking.py": "a temporary folder",
     "sim/heli_lab/explain/search/estimate_cache.py": "the file of --resume, which checks its first line",
 }

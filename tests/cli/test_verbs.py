@@ -14,10 +14,9 @@ from heli_host.data.log.reader import read_flight
 from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import State
 from heli_host.errors import FlightAborted
-from heli_host.ui.cli.extras import USERS_EXTRAS, packages_of
-from heli_host.ui.cli.finding import Verdict
-from heli_host.ui.cli.flight_command import FlownFlight
-from heli_host.ui.cli.verbs import doctor
+from heli_host.ui.cli import doctor
+from heli_host.ui.cli.doctor import USERS_EXTRAS, Verdict, packages_of
+from heli_host.ui.cli.flight import FlownFlight
 from heli_sim.checks import check_compiler
 from serial.tools import list_ports
 

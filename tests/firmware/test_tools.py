@@ -16,8 +16,7 @@ from pathlib import Path
 
 import pytest
 from due_emulator import new_due
-from heli_host.board.flash.bossac import find_bossac, write_image
-from heli_host.board.flash.image import read_image
+from heli_host.board.flashing import find_bossac, read_image, write_image
 from heli_host.declaration import FIRMWARE_VERSION
 from heli_host.errors import ImageError
 from heli_host.link.session import Session

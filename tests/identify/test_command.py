@@ -13,9 +13,12 @@ import pytest
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
 from heli_host.data.log.table import write_csv
+from heli_host.ui.cli.live import WorkBar
 from heli_host.ui.cli.progress_bar import WorkBar
 from heli_host.ui.cli.variadic import spread
+from heli_host.ui.cli.verb import spread
 from heli_lab.fit import thresholds
+from heli_lab.fit.identify import thresholds
 from heli_lab.report.page import write_json
 from heli_sim.rig import load_rig, write_rig
 
@@ -187,7 +190,7 @@ def test_progress_lines_show_the_step_and_the_time_left(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = iter((0.0, 5.0, 10.0, 20.0))
-    monkeypatch.setattr("heli_host.ui.cli.progress_bar.time.monotonic", lambda: next(now_s))
+    monkeypatch.setattr("heli_host.ui.cli.live.time.monotonic", lambda: next(now_s))
     with WorkBar(is_terminal=False) as bar:
         bar.show("reading", 0.0)
         bar.show("compiling the model", 0.1)

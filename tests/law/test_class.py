@@ -19,7 +19,7 @@ import pytest
 from heli_host.errors import HeliError
 from heli_host.fly.plan import load_plan
 from heli_host.ui.cli import run
-from heli_host.ui.cli.flight_command import FlightOptions
+from heli_host.ui.cli.flight import FlightOptions
 from heli_lab.apps.classroom.grade import FlightScore
 from heli_lab.apps.classroom.marking import (
     FLOORS,

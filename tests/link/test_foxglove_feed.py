@@ -20,7 +20,7 @@ from heli_host.declaration import CHANNELS
 from heli_host.errors import PortError
 from heli_host.fly.heli import Heli
 from heli_host.ui import foxglove_feed as feeds
-from heli_host.ui.foxglove_gate import is_permitted
+from heli_host.ui.foxglove_server import is_permitted
 
 from tests.cli.terminal import Terminal, terminal
 from tests.page.page_server import SHORT_PLAN

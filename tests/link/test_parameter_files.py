@@ -9,7 +9,7 @@ from heli_host.board.parameters import parameters_text, read_parameter_set
 from heli_host.declaration import PARAMS, PARAMS_HASH
 from heli_host.errors import ParameterError
 from heli_host.ui.cli import run
-from heli_host.ui.cli.gains import chosen_parameters
+from heli_host.ui.cli.options import chosen_parameters
 from heli_lab.apps.campaign import works
 from heli_lab.apps.campaign.cases import Campaign
 

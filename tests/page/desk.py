@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from heli_host.ui.page.source import Action, CommandQueue, News, Role
-from heli_host.ui.page.telemetry_buffer import TelemetryBuffer
+from heli_host.ui.page.telemetry import TelemetryBuffer
 
 
 class Desk:

@@ -16,8 +16,8 @@ from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan, load_plan, plan_names
 from heli_host.fly.recorder import Recorder
 from heli_host.ui.page.cockpit import Cockpit
-from heli_host.ui.page.rigs import outline
 from heli_host.ui.page.serve import Address, serving
+from heli_host.ui.page.source import outline
 
 from tests.sil.patient import SOON_HOLDING
 

@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 from typing import Any, Self
 
-from heli_host.ui.page.limits import MESSAGES_PER_S, RateLimit
+from heli_host.ui.page.guard import MESSAGES_PER_S, RateLimit
 from heli_host.ui.page.serve import Address
-from heli_host.ui.page.wire import Rows, unpack
+from heli_host.ui.page.telemetry import Rows, unpack
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 

@@ -17,8 +17,8 @@ from heli_host.declaration import Axes, State
 from heli_host.errors import CommandRefused, HeliError
 from heli_host.fly.plan import Plan
 from heli_host.ui.page import service
+from heli_host.ui.page.clients import ControlLease
 from heli_host.ui.page.cockpit import Cockpit
-from heli_host.ui.page.control_lease import ControlLease
 from heli_host.ui.page.replay import Replay
 from heli_host.ui.page.serve import serving
 from heli_host.ui.page.source import UNKNOWN

@@ -10,9 +10,9 @@ from heli_host.data.log.reader import read_log
 from heli_host.declaration import Event, EventMessage, State, Trigger
 from heli_host.fly.recorder import Recorder
 from heli_host.link.events import event_text
-from heli_host.ui.page.causes import CAUSE_WORDS, cause, in_words
+from heli_host.ui.page.clients import PRESENT_S, ControlLease
 from heli_host.ui.page.cockpit import Cockpit
-from heli_host.ui.page.control_lease import PRESENT_S, ControlLease
+from heli_host.ui.page.source import CAUSE_WORDS, cause, in_words
 
 CLOSED = "the pilot's page was closed"
 

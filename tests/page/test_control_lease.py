@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from heli_host.ui.page.control_lease import ABSENT_S, PRESENT_S, ControlLease
+from heli_host.ui.page.clients import ABSENT_S, PRESENT_S, ControlLease
 
 
 def lease_of_two_clients() -> ControlLease:

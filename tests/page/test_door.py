@@ -10,12 +10,12 @@ from typing import Any
 import heli_host
 import pytest
 from heli_host.fly.plan import Plan
-from heli_host.ui.page import outbox
+from heli_host.ui.page import service
 from heli_host.ui.page.cockpit import Cockpit
 from heli_host.ui.page.replay import Replay
-from heli_host.ui.page.request import BadRequest, read_request
+from heli_host.ui.page.requests import BadRequest, read_request
 from heli_host.ui.page.serve import Address, serving
-from heli_host.ui.page.wire import pack
+from heli_host.ui.page.telemetry import pack
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -148,7 +148,7 @@ def test_a_client_whose_frames_cannot_be_sent_is_disconnected_and_the_others_go_
         SocketPage(served.address) as second,
         log_lines() as lines,
     ):
-        monkeypatch.setattr(outbox, "pack", fails_once)
+        monkeypatch.setattr(service, "pack", fails_once)
         first.until(lambda: first.socket.close_code is not None or second.socket.close_code is not None)
         gone, other = (first, second) if first.socket.close_code is not None else (second, first)
         assert gone.socket.close_code == 1011

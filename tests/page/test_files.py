@@ -9,7 +9,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from heli_host.ui.page.files import page_file
+from heli_host.ui.page.service import page_file
 
 from tests.page.fetch_vendor import FOLDER, integrity, pinned, stored, unpacked
 

@@ -14,11 +14,9 @@ import pytest
 pytest.importorskip("starlette", reason="the extra 'page' is not installed: make setup")
 
 from heli_host.ui.page import gate as gates
-from heli_host.ui.page import limits, server, service
-from heli_host.ui.page import stop_endpoint as stops
-from heli_host.ui.page.guard import Guard
-from heli_host.ui.page.limits import FrameCounter, Meter, RateLimit
-from heli_host.ui.page.notes import Notes
+from heli_host.ui.page import gate as stops
+from heli_host.ui.page import guard, serve, service
+from heli_host.ui.page.guard import FrameCounter, Guard, Meter, Notes, RateLimit
 from heli_host.ui.page.serve import Address, serving
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -105,7 +103,7 @@ def test_what_exceeds_the_rate_is_neither_decoded_nor_queued(
     desk: Desk, address: Address, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Without refill the claim depends on no clock.
-    monkeypatch.setattr(server, "Meter", lambda: Meter(0.0, 10.0))
+    monkeypatch.setattr(serve, "Meter", lambda: Meter(0.0, 10.0))
     decoded: list[bytes] = []
     decode = WebSocketsSansIOProtocol.data_received
 
@@ -120,7 +118,7 @@ def test_what_exceeds_the_rate_is_neither_decoded_nor_queued(
         with contextlib.suppress(OSError):
             client.socket.sendall(flood)
         code, reason = closed_code(client)
-    assert code in (limits.POLICY_VIOLATION, 1006)
+    assert code in (guard.POLICY_VIOLATION, 1006)
     assert code == 1006 or "more than 0 messages per second" in str(reason)
     frames = sum(len(data) for data in decoded if data.startswith((b"\x81", b"\x82"))) // (len(flood) // 5000)
     assert desk.counted <= frames <= 10
@@ -129,18 +127,18 @@ def test_what_exceeds_the_rate_is_neither_decoded_nor_queued(
 def test_a_client_that_is_a_little_too_fast_reads_why_it_is_disconnected(
     address: Address, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "Meter", lambda: Meter(0.0, 2.0))
+    monkeypatch.setattr(serve, "Meter", lambda: Meter(0.0, 2.0))
     with opened(address, rows="0") as client:
         for number in range(2):
             client.send(json.dumps({"do": "count", "id": number}))
             while json.loads(client.recv(PATIENCE_S)).get("answer") != number:
                 pass
         client.send("one more")
-        assert closed_code(client) == (limits.POLICY_VIOLATION, "more than 0 messages per second; send fewer")
+        assert closed_code(client) == (guard.POLICY_VIOLATION, "more than 0 messages per second; send fewer")
 
 
 def test_requests_that_wait_are_bounded(desk: Desk, address: Address) -> None:
-    from heli_host.ui.page.request_dispatcher import MAX_PENDING
+    from heli_host.ui.page.requests import MAX_PENDING
 
     desk.action_may_return.clear()
     with opened(address, rows="0") as client:
@@ -179,7 +177,7 @@ def test_watchers_together_wait_unread_and_the_pilot_does_not(
 def test_more_clients_than_the_limit_are_refused_and_a_stop_is_not(
     desk: Desk, address: Address, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "MAX_CONNECTIONS", 3)
+    monkeypatch.setattr(serve, "MAX_CONNECTIONS", 3)
     with contextlib.ExitStack() as stack:
         for _ in range(3):
             stack.enter_context(opened(address))
@@ -233,7 +231,7 @@ def test_a_flood_on_the_stop_socket_stops_and_is_disconnected(
     with opened(address, "/stop") as client:
         with contextlib.suppress(OSError):
             client.socket.sendall(Frame(Opcode.TEXT, b"x").serialize(mask=True, extensions=[]) * 5000)
-        assert closed_code(client)[0] in (limits.POLICY_VIOLATION, 1006)
+        assert closed_code(client)[0] in (guard.POLICY_VIOLATION, 1006)
     assert 1 <= desk.stops <= 11
     assert posted_stop(address) == 200
 

@@ -10,7 +10,7 @@ from heli_host.declaration import Flags
 from heli_host.errors import BadLaw, ParameterError, SetpointError
 from heli_host.fly.guest_law import loaded
 from heli_host.fly.heli import Heli
-from heli_host.ui.page.law_choice import LawChoice
+from heli_host.ui.page.actions import LawChoice
 
 from tests.page.laws import steady, tired
 

@@ -17,7 +17,7 @@ from heli_host.declaration import Channel, Flags, State, Trigger
 from heli_host.errors import LinkError, PortError
 from heli_host.ui.page.client import PageError
 from heli_host.ui.page.serve import Address
-from heli_host.ui.page.wire import THINNED
+from heli_host.ui.page.telemetry import THINNED
 from heli_sim.sil.process import SilProcess
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from heli_host.errors import LinkError
 from heli_host.link.telemetry import CHANNEL_COUNT
-from heli_host.ui.page.telemetry_buffer import BufferRows, TelemetryBuffer
-from heli_host.ui.page.wire import RESET, THINNED, pack, unpack
+from heli_host.ui.page.telemetry import RESET, THINNED, BufferRows, TelemetryBuffer, pack, unpack
 from hypothesis import given
 from hypothesis import strategies as st
 

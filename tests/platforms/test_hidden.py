@@ -10,7 +10,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from heli_host.ui.cli import modem_manager
+from heli_host.ui.cli import doctor
 from heli_host.ui.cli.board import ARDUINO_VIDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,7 +36,7 @@ from pathlib import Path
 from heli_lab.apps.campaign import Case
 from heli_lab.apps.campaign.cases import Limits
 from heli_lab.apps.campaign.worker import WorkerProcess
-from heli_lab.apps.campaign.store import Store
+from heli_lab.apps.campaign.run import Store
 from heli_lab.errors import CampaignError
 assert "resource" not in sys.modules and "fcntl" not in sys.modules
 with WorkerProcess(Limits(cpu_s=0.3)) as cage:
@@ -113,8 +113,8 @@ def test_the_udev_file_is_for_the_board_and_keeps_modem_manager_off(monkeypatch:
         of_vendor = [rule for rule in rules if f'ATTRS{{idVendor}}=="{vendor:04x}"' in rule]
         assert len(of_vendor) == 3
         assert sum('GROUP="dialout"' in rule for rule in of_vendor) == 2
-    monkeypatch.setattr(modem_manager, "UDEV_FOLDERS", (ROOT / "docs",))
-    assert all(modem_manager._udev_ignores(vendor) for vendor in ARDUINO_VIDS)
+    monkeypatch.setattr(doctor, "UDEV_FOLDERS", (ROOT / "docs",))
+    assert all(doctor._udev_ignores(vendor) for vendor in ARDUINO_VIDS)
 
 
 def test_wheels_are_configured_for_every_python_that_the_project_takes() -> None:

@@ -17,7 +17,7 @@ from types import ModuleType
 
 import heli_host
 import pytest
-from heli_host.board.flash.bossac import Bossac
+from heli_host.board.flashing import Bossac
 from heli_host.ui.cli import run
 from heli_sim.rig import load_rig, write_rig
 

@@ -66,7 +66,7 @@ class Recorder:
         Seal of a flight whose cause is hidden, see `heli_host.data.log.blind`: the log has it in the place of
         address, rig, seed and boot id. Empty for any other flight.
     setup : Mapping of str to str
-        Settings of the board before the flight, for `heli_host.ui.cli.again`; empty if unknown.
+        Settings of the board before the flight, for `heli_host.ui.cli.flight`; empty if unknown.
 
     Raises
     ------

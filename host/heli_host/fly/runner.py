@@ -90,7 +90,7 @@ def fly(
         Seal of a flight whose cause is hidden, see `heli_host.data.log.blind`: the log holds it instead of
         address, rig, seed and boot id. Empty for any other flight.
     setup : Mapping of str to str
-        Settings of the board before the flight, for the log; see `heli_host.ui.cli.again`.
+        Settings of the board before the flight, for the log; see `heli_host.ui.cli.flight`.
 
     Returns
     -------

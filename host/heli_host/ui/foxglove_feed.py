@@ -22,8 +22,7 @@ from heli_host.data.log.blind import hide
 from heli_host.errors import HeliError, PortError, install_remedy
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED
-from heli_host.ui.foxglove_gate import HOST
-from heli_host.ui.foxglove_server import EVENT, HEADER, SETTINGS, TICKS
+from heli_host.ui.foxglove_server import EVENT, HEADER, HOST, SETTINGS, TICKS
 
 if TYPE_CHECKING:
     from heli_host.board.vehicle import Vehicle

@@ -154,7 +154,7 @@ def score(
 
     Example: `heli-host benchmark score public runs/ours runs/base_rates --json scores.json`
     """
-    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.options import check_result_places
 
     from heli_benchmark.leaderboard import score_runs, scores_content
     from heli_benchmark.leaderboard.report import comparison_table, pair_lines

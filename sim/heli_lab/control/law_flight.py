@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from heli_host.board.interrupts import was_interrupted
 from heli_host.board.law_program import LawProgram
 from heli_host.fly.pilot import LAW_TAKEN_OVER
-from heli_host.ui.cli.flight_command import FlightOptions, FlownFlight, fly_plans
+from heli_host.ui.cli.flight import FlightOptions, FlownFlight, fly_plans
 from heli_host.ui.cli.say import QUIET
 
 from heli_lab.control.law.trial import LawTrial

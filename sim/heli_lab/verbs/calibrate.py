@@ -10,9 +10,18 @@ from urllib.parse import urlencode
 
 import typer
 from heli_host.data.files import write_signed
-from heli_host.ui.cli.options import ClearFaultOption, JsonOption, PortOption, flight_folder
+from heli_host.ui.cli.options import (
+    DEFAULT_RIG,
+    MAX_SPEED,
+    ClearFaultOption,
+    JsonOption,
+    PortOption,
+    SilOption,
+    flight_folder,
+    refuse_without_sil,
+    sil_address,
+)
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, say_progress, write_result
-from heli_host.ui.cli.simulated import DEFAULT_RIG, MAX_SPEED, SilOption, refuse_without_sil, sil_address
 from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
@@ -104,7 +113,7 @@ def calibrate(
     from heli_host.data.log.disk import check_new
     from heli_host.fly.recorder import Recorder
     from heli_host.ui.cli.board import clear_latched_fault, open_board
-    from heli_host.ui.cli.outputs import check_parameters_place, check_result_places
+    from heli_host.ui.cli.options import check_parameters_place, check_result_places
     from heli_sim.rig import load_rig
 
     from heli_lab.setup.calibrate.calibration import calibrate as run
@@ -175,7 +184,7 @@ def calibrate(
 
 def _new_rig_file(rig: str | None, save_rig: Path | None) -> Path:
     """Return the path of the calibrated rig; a RigError is raised if the file exists."""
-    from heli_host.ui.cli.outputs import check_place
+    from heli_host.ui.cli.options import check_place
     from heli_sim.errors import RigError
 
     source = Path(rig if rig is not None else DEFAULT_RIG)

@@ -61,13 +61,12 @@ def campaign(
     """
     from heli_host.board.parameters import read_parameter_set
     from heli_host.errors import FlightAborted
-    from heli_host.ui.cli.outputs import check_result_places
-    from heli_host.ui.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.live import WorkBar
+    from heli_host.ui.cli.options import check_result_places
 
     from heli_lab.apps.campaign.file import load_campaign
     from heli_lab.apps.campaign.page import summarise, write_summary
-    from heli_lab.apps.campaign.run import run_campaign
-    from heli_lab.apps.campaign.store import TABLE, Store
+    from heli_lab.apps.campaign.run import TABLE, Store, run_campaign
     from heli_lab.errors import CampaignError
 
     if scheduler is not None and workers is not None:

@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.ui.cli import simulated
-from heli_host.ui.cli.flight_command import FlightOptions
-from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.flight import FlightOptions
+from heli_host.ui.cli.options import DEFAULT_RIG, MAX_SPEED, EffectOption, JsonOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.ui.cli.simulated import DEFAULT_RIG, MAX_SPEED
 from heli_host.ui.cli.verb import Verb
 
 from heli_lab.fit_inputs import SeedsOption
@@ -58,7 +56,7 @@ def class_(
             show_default=False,
         ),
     ] = None,
-    effect: simulated.EffectOption = None,
+    effect: EffectOption = None,
     seeds: SeedsOption = 1,
     port: Annotated[
         str | None,
@@ -90,7 +88,7 @@ def class_(
     """
     from heli_host.fly.plan import load_plan
     from heli_host.ui.cli.board import open_board
-    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.options import check_result_places
     from heli_sim.rig import load_rig
 
     from heli_lab.apps.classroom.marking import Marking

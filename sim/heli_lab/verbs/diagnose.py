@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.options import DEFAULT_RIG, JsonOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.ui.cli.simulated import DEFAULT_RIG
 from heli_host.ui.cli.verb import Verb
 
 from heli_lab import fit_inputs as option
@@ -80,8 +79,8 @@ def diagnose(
     """
     # The matrices are small: several BLAS threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from heli_host.ui.cli.outputs import check_result_places
-    from heli_host.ui.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.live import WorkBar
+    from heli_host.ui.cli.options import check_result_places
     from heli_sim.model.effects import catalogue
     from heli_sim.rig import write_rig
 

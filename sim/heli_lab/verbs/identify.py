@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.options import DEFAULT_RIG, JsonOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.ui.cli.simulated import DEFAULT_RIG
 from heli_host.ui.cli.verb import Verb
 
 from heli_lab import fit_inputs as option
@@ -66,8 +65,8 @@ def identify(
 
     Example: `heli-host identify a.mcap --validate b.mcap --save-rig mine.toml --report mine`
     """
-    from heli_host.ui.cli.outputs import check_result_places
-    from heli_host.ui.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.live import WorkBar
+    from heli_host.ui.cli.options import check_result_places
     from heli_sim.rig import write_rig
 
     from heli_lab.fit.identification import identify as run_identification

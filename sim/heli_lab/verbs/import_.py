@@ -163,7 +163,7 @@ def _guess_profiles(
     tables: Sequence[Table], rig: Rig | None, rate_Hz: float | None, profile: Path | None
 ) -> Sequence[Guess]:
     """Guess the profile of each table with a progress bar; the entries of a given `profile` stay."""
-    from heli_host.ui.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.live import WorkBar
 
     from heli_lab.setup.guess import guess_by_rigs
     from heli_lab.setup.guess.known import NOTHING_KNOWN, read_known

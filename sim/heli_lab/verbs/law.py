@@ -10,13 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from heli_host.board.law_program import FILE_LIMIT_s
 from heli_host.data.files import write_signed
-from heli_host.ui.cli import simulated
-from heli_host.ui.cli.flight_command import FlightOptions
-from heli_host.ui.cli.option_group import with_option_groups
-from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.flight import FlightOptions
+from heli_host.ui.cli.options import DEFAULT_RIG, MAX_SPEED, EffectOption, JsonOption, SeedOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.ui.cli.simulated import DEFAULT_RIG, MAX_SPEED, SeedOption
-from heli_host.ui.cli.verb import Verb
+from heli_host.ui.cli.verb import Verb, with_option_groups
 
 from heli_lab.fit_inputs import ReportOption, SeedsOption
 
@@ -196,7 +193,7 @@ def compare(
     from heli_host.data.log.comparison import comparison_lines, comparison_numbers, write_comparisons
     from heli_host.errors import FlightAborted
     from heli_host.ui.cli.board import check_target
-    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.options import check_result_places
 
     check_result_places(json, figure=figure)
     law_count = sum(path.suffix == ".py" for path in compared)
@@ -236,7 +233,7 @@ def grade(
             show_default=False,
         ),
     ] = None,
-    effect: simulated.EffectOption = None,
+    effect: EffectOption = None,
     seeds: SeedsOption = 3,
     plan: GradedPlanOption = None,
     duration_s: DurationOption = 30.0,
@@ -255,7 +252,7 @@ def grade(
     """
     from heli_host.errors import BadLaw, FlightAborted
     from heli_host.fly.plan import load_plan
-    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.options import check_result_places
     from heli_sim.rig import load_rig
 
     from heli_lab.apps.classroom.grade import REFERENCE, LawGrade, grade_lines

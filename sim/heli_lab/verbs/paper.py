@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from heli_host.data.files import save_figure
-from heli_host.ui.cli.options import JsonOption
+from heli_host.ui.cli.options import DEFAULT_RIG, JsonOption, SeedOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.ui.cli.simulated import DEFAULT_RIG, SeedOption
 from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
@@ -50,8 +49,8 @@ def tables(
 
     Example: `heli-host paper tables --json tables.json`
     """
-    from heli_host.ui.cli.outputs import check_result_places
-    from heli_host.ui.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.live import WorkBar
+    from heli_host.ui.cli.options import check_result_places
 
     from heli_lab.apps.paper.experiments import read_thrust
     from heli_lab.apps.paper.tables import fit_rig, fit_table, table_lines, tables_json
@@ -81,7 +80,7 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonOption = None) -> None:
 
     Example: `heli-host paper gains`
     """
-    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.options import check_result_places
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig
 
@@ -105,8 +104,8 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonOption = 
 
     Example: `heli-host paper models`
     """
-    from heli_host.ui.cli.outputs import check_result_places
-    from heli_host.ui.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.live import WorkBar
+    from heli_host.ui.cli.options import check_result_places
     from heli_sim.model.named import MODELS, model_named
 
     from heli_lab.apps.paper.experiments import fly_plan
@@ -160,8 +159,8 @@ def figures(
 
     Example: `heli-host paper figures paper-figures`
     """
-    from heli_host.ui.cli.outputs import check_result_places
-    from heli_host.ui.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.live import WorkBar
+    from heli_host.ui.cli.options import check_result_places
 
     from heli_lab.apps.paper import figures
     from heli_lab.apps.paper.experiments import read_thrust

@@ -45,7 +45,7 @@ def pool(
     """
     from dataclasses import asdict
 
-    from heli_host.ui.cli.outputs import check_result_places
+    from heli_host.ui.cli.options import check_result_places
     from heli_sim.rig import load_rig, write_rig
 
     from heli_lab.apps.pool import pool as pool_diagnoses

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from heli_host.data.files import save_figure, write_signed
-from heli_host.ui.cli.options import FigureOption, JsonOption
+from heli_host.ui.cli.options import DEFAULT_RIG, EffectFilesOption, FigureOption, JsonOption, SeedOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.ui.cli.simulated import DEFAULT_RIG, EffectFilesOption, SeedOption
 from heli_host.ui.cli.verb import Verb
 
 from heli_lab.fit_inputs import DEFAULT_MODEL, EquationsOption
@@ -20,7 +19,7 @@ from heli_lab.fit_inputs import DEFAULT_MODEL, EquationsOption
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from heli_host.ui.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.live import WorkBar
     from heli_sim.model.base import Model
     from heli_sim.rig import Rig
 
@@ -75,8 +74,8 @@ def tune(
     """
     from heli_host.board.parameters import checked, parameters_text
     from heli_host.errors import FlightAborted
-    from heli_host.ui.cli.outputs import check_parameters_place, check_result_places
-    from heli_host.ui.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.live import WorkBar
+    from heli_host.ui.cli.options import check_parameters_place, check_result_places
     from heli_sim.model.effects import effects_with
     from heli_sim.model.effects.rotor_lag import RotorLag
     from heli_sim.model.named import MODELS, model_named

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from heli_host.board.twins import FALSE_ALARM_INTERVAL_h
-from heli_host.ui.cli.options import FigureOption, JsonOption
+from heli_host.ui.cli.options import DEFAULT_RIG, FigureOption, JsonOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
-from heli_host.ui.cli.simulated import DEFAULT_RIG
 from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
-    from heli_host.ui.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.live import WorkBar
 
     from heli_lab.watch.twin.events import TwinEvent
     from heli_lab.watch.twin.files import TwinRig
@@ -84,8 +83,8 @@ def twin(
     """
     # The matrices are small: several BLAS threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from heli_host.ui.cli.outputs import check_result_places
-    from heli_host.ui.cli.progress_bar import WorkBar
+    from heli_host.ui.cli.live import WorkBar
+    from heli_host.ui.cli.options import check_result_places
 
     from heli_lab.watch.twin.figure import draw_evidence
     from heli_lab.watch.twin.files import open_rig

@@ -18,7 +18,7 @@ _EXACT_DIGITS = 17
 def recipe_of(url: str, options: SilOptions, rig: Rig, choice: Choice) -> dict[str, str]:
     """Return the address of the simulation, the whole rig, and digests of the files that it executes.
 
-    `heli_host.ui.cli.again` reads this recipe from a log and repeats the flight. The recipe contains no code,
+    `heli_host.ui.cli.flight` reads this recipe from a log and repeats the flight. The recipe has no code,
     because a log from another person must not execute code.
     """
     return {

@@ -220,7 +220,7 @@ def from_board(
     Example: `heli-host rig from-board board.toml mine.toml`
     """
     from heli_host.board.parameters import read_parameter_set
-    from heli_host.ui.cli.outputs import check_place
+    from heli_host.ui.cli.options import check_place
 
     from heli_sim.errors import RigError
     from heli_sim.rig import load_rig, write_rig
@@ -252,7 +252,7 @@ def to_board(
     Example: `heli-host rig to-board mine.toml board.toml`
     """
     from heli_host.board.parameters import parameters_text
-    from heli_host.ui.cli.outputs import check_parameters_place
+    from heli_host.ui.cli.options import check_parameters_place
 
     from heli_sim.rig import load_rig
     from heli_sim.rig.board import board_settings
@@ -347,7 +347,7 @@ def new(
 
     Example: `heli-host rig new mine.toml --set 'M_w=1.87 kg' --set 'L_a=66 cm'`
     """
-    from heli_host.ui.cli.outputs import check_place
+    from heli_host.ui.cli.options import check_place
 
     from heli_sim.errors import RigError
     from heli_sim.rig import load_rig, write_rig
@@ -427,7 +427,7 @@ def weigh_rig(
     Example: `heli-host rig weigh mine.toml bench.toml --save-rig weighed.toml`
     """
     from heli_host.data.files import parse_toml
-    from heli_host.ui.cli.outputs import check_place
+    from heli_host.ui.cli.options import check_place
 
     from heli_sim.bench.table import TEMPLATE, bench_tests_from
     from heli_sim.bench.weigh import OFF, weigh
@@ -536,7 +536,7 @@ def export_rig(
 
 def _export_mjcf(rig: str, output: Path | None) -> None:
     """Write a rig as a MuJoCo model, and print what that model leaves out."""
-    from heli_host.ui.cli.outputs import check_place
+    from heli_host.ui.cli.options import check_place
 
     from heli_sim.model.mjcf import left_out, mjcf
     from heli_sim.rig import load_rig

@@ -6,7 +6,19 @@ import sys
 from typing import Annotated
 
 import typer
-from heli_host.ui.cli import simulated
+from heli_host.ui.cli.options import (
+    DEFAULT_RIG,
+    BoardOption,
+    EffectFilesOption,
+    EffectOption,
+    ElfOption,
+    ModelOption,
+    RigOption,
+    SeedOption,
+    SpeedOption,
+    parse_speed,
+    which_board,
+)
 from heli_host.ui.cli.say import say
 from heli_host.ui.cli.verb import Verb
 
@@ -30,8 +42,8 @@ def sil(
             help="Serve RFC 2217, for hosts that use --port rfc2217://HOST:PORT.",
         ),
     ] = None,
-    board: simulated.BoardOption = None,
-    elf: simulated.ElfOption = None,
+    board: BoardOption = None,
+    elf: ElfOption = None,
     reset_on_open: Annotated[
         bool | None,
         typer.Option(
@@ -40,10 +52,10 @@ def sil(
             show_default=False,
         ),
     ] = None,
-    rig: simulated.RigOption = None,
-    model: simulated.ModelOption = None,
-    effect: simulated.EffectOption = None,
-    effect_file: simulated.EffectFilesOption = None,
+    rig: RigOption = None,
+    model: ModelOption = None,
+    effect: EffectOption = None,
+    effect_file: EffectFilesOption = None,
     encoder_out: Annotated[
         list[str] | None,
         typer.Option(
@@ -68,8 +80,8 @@ def sil(
             help="Switch the motors' supply off at START, in simulated s. Repeatable.",
         ),
     ] = None,
-    speed: simulated.SpeedOption = "1",
-    seed: simulated.SeedOption = 1,
+    speed: SpeedOption = "1",
+    seed: SeedOption = 1,
 ) -> None:
     """Simulate a board and its rig behind a serial port (software in the loop).
 
@@ -92,13 +104,13 @@ def sil(
     from heli_sim.sil.rig_faults import RigFaults
     from heli_sim.sil.server import is_local, run_server
 
-    flown_rig = load_rig(rig or simulated.DEFAULT_RIG)
+    flown_rig = load_rig(rig or DEFAULT_RIG)
     set_parameters = set_from_rig_text(flown_rig.name, in_simulation(flown_rig))
-    choice = choose(simulated.which_board(board, elf), str(elf) if elf is not None else "")
+    choice = choose(which_board(board, elf), str(elf) if elf is not None else "")
     options = SilOptions(
-        rig=rig or simulated.DEFAULT_RIG,
+        rig=rig or DEFAULT_RIG,
         seed=seed,
-        speed=simulated.parse_speed(speed),
+        speed=parse_speed(speed),
         board=choice.name,
         elf=choice.elf,
         reset_on_open=reset_on_open,

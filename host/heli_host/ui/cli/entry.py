@@ -258,7 +258,7 @@ def _module_remedy(package: str) -> str:
     The name of an unknown module is no command to install it: a stranger may offer a package of that name.
     """
     from heli_host.errors import install_remedy
-    from heli_host.ui.cli.extras import extra_with, needs
+    from heli_host.ui.cli.doctor import extra_with, needs
 
     if extra := extra_with(package):
         return install_remedy(extra)

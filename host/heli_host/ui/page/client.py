@@ -22,11 +22,10 @@ from heli_host.board.samples import Samples, Scales
 from heli_host.declaration import State
 from heli_host.errors import HeliError, LinkError, PortError, printable
 from heli_host.link.clock import TICK_S
-from heli_host.ui.page.limits import MESSAGES_PER_S, POLICY_VIOLATION, RateLimit
-from heli_host.ui.page.request import LONGEST_REQUEST
+from heli_host.ui.page.guard import MESSAGES_PER_S, POLICY_VIOLATION, RateLimit
+from heli_host.ui.page.requests import LONGEST_REQUEST
 from heli_host.ui.page.source import KEPT_S, finite
-from heli_host.ui.page.telemetry_buffer import TelemetryBuffer
-from heli_host.ui.page.wire import RESET, unpack
+from heli_host.ui.page.telemetry import RESET, TelemetryBuffer, unpack
 
 SCHEME: Final = "page://"
 

@@ -14,12 +14,14 @@ from heli_host.fly.plan import Plan
 from heli_host.link.clock import TICK_S
 from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNAL_NAMES, LinkEvent
 from heli_host.link.transport import transport_label, transport_rig
-from heli_host.ui.page.event_feed import EventFeed
-from heli_host.ui.page.flight_requests import FlightRequests
-from heli_host.ui.page.law_choice import LawChoice
-from heli_host.ui.page.parameter_edits import ParameterEdits
-from heli_host.ui.page.pilot_watch import PilotWatch
-from heli_host.ui.page.recording import Recording
+from heli_host.ui.page.actions import (
+    EventFeed,
+    FlightRequests,
+    LawChoice,
+    ParameterEdits,
+    PilotWatch,
+    Recording,
+)
 from heli_host.ui.page.source import (
     KEPT_S,
     UNKNOWN,
@@ -34,7 +36,7 @@ from heli_host.ui.page.source import (
     state_rows,
     text,
 )
-from heli_host.ui.page.telemetry_buffer import TelemetryBuffer
+from heli_host.ui.page.telemetry import TelemetryBuffer
 
 if TYPE_CHECKING:
     from heli_host.board.law_program import LawProgram
@@ -47,7 +49,7 @@ if TYPE_CHECKING:
 _MAX_SAMPLE_AGE_S = 0.5
 """Largest age of the newest tick at which its state counts as the present state [s].
 
-It equals `control_lease.PRESENT_S`. With a shorter time, a busy computer would make the state
+It equals `clients.PRESENT_S`. With a shorter time, a busy computer would make the state
 unknown; with a longer one, a page might show "idle" although the board has begun to fly."""
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from heli_host.declaration import Channel
 from heli_host.errors import TruncatedLog
 from heli_host.link.clock import TICK_S
-from heli_host.ui.page.causes import in_words
 from heli_host.ui.page.source import (
     KEPT_S,
     REPLAY_WORDS,
@@ -23,10 +22,11 @@ from heli_host.ui.page.source import (
     Role,
     channel_rows,
     fault_rows,
+    in_words,
     number,
     state_rows,
 )
-from heli_host.ui.page.telemetry_buffer import TelemetryBuffer
+from heli_host.ui.page.telemetry import TelemetryBuffer
 
 if TYPE_CHECKING:
     from heli_host.data.log.reader import Log

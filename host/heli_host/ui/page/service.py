@@ -1,33 +1,34 @@
-"""The page's web server: files, and one WebSocket per client. `heli_host.ui.page.gate` serves the stop.
+"""Serves clients: files, and one WebSocket per client. `heli_host.ui.page.gate` serves the stop.
 
 Every request needs the token, and pages of other origins are refused. A separate task serves each client at
 the rate at which the client acknowledges frames: a slow client gets fewer rows and delays no other client.
+The files are part of this package; the page loads nothing from the internet.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import gzip
 import secrets
 import time
 from collections.abc import Coroutine, Iterator, Mapping
+from functools import cache
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import PurePosixPath
 from typing import Any
 
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from heli_host.errors import printable
-from heli_host.ui.page.broadcast import Broadcast
-from heli_host.ui.page.control_lease import ControlLease
-from heli_host.ui.page.files import page_file
-from heli_host.ui.page.guard import Guard
-from heli_host.ui.page.limits import POLICY_VIOLATION, WATCHERS_PER_S, RateLimit
-from heli_host.ui.page.notes import Notes
-from heli_host.ui.page.outbox import Outbox
-from heli_host.ui.page.request_dispatcher import RequestDispatcher, lease_news
+from heli_host.ui.page.clients import Broadcast, ControlLease, Outbox, lease_news
+from heli_host.ui.page.guard import POLICY_VIOLATION, WATCHERS_PER_S, Guard, Notes, RateLimit
+from heli_host.ui.page.requests import RequestDispatcher
 from heli_host.ui.page.source import Source
 
 STATUS_S = 0.1
@@ -36,6 +37,16 @@ PRESENCE_S = 0.2
 Longer: a briefly busy server raises that warning. Shorter: costs processor time."""
 
 _FAILED = 1011
+_PACKED = ".gz"
+_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+_HEADERS = {
+    # The policy forbids the page to load anything from another server, even if its code were changed.
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Cache-Control": "no-cache",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
 
 
 class Service:
@@ -222,3 +233,33 @@ class Service:
 def _with_time(status: Mapping[str, Any]) -> dict[str, Any]:
     """Add the time: a client that was suspended finds old statuses in its socket, and must not show them."""
     return {**status, "sent_s": round(time.monotonic(), 3)}
+
+
+def page_file(path: str, headers: Mapping[str, str]) -> Response:
+    """Return the response for a static file; 404 if no file has this name."""
+    # Only listed names are served, so that no text of a client becomes a path in the file system.
+    stored = _files_by_path().get(path or "index.html")
+    if stored is None:
+        return PlainTextResponse("there is no such file\n", 404)
+    kind, body = _TYPES[PurePosixPath(path or "index.html").suffix], stored.read_bytes()
+    if not stored.name.endswith(_PACKED):
+        return Response(body, media_type=kind, headers=_HEADERS)
+    if "gzip" not in headers.get("accept-encoding", ""):
+        return Response(gzip.decompress(body), media_type=kind, headers=_HEADERS)
+    return Response(body, media_type=kind, headers={**_HEADERS, "Content-Encoding": "gzip"})
+
+
+@cache
+def _files_by_path() -> dict[str, Traversable]:
+    """All files that are served, by their paths as a browser asks for them."""
+    served: dict[str, Traversable] = {}
+    folders = [("", files(__package__) / "static")]
+    while folders:
+        prefix, folder = folders.pop()
+        for file in folder.iterdir():
+            name = f"{prefix}{file.name.removesuffix(_PACKED)}"
+            if file.is_dir():
+                folders.append((f"{name}/", file))
+            elif PurePosixPath(name).suffix in _TYPES:
+                served[name] = file
+    return served

@@ -1,25 +1,73 @@
-"""The interface between the page's server and its subject: a connected board, or a log that is replayed."""
+"""The interface between the page's server and its subject, and the words and tables that a page shows.
+
+The subject is a connected board (`heli_host.ui.page.cockpit`) or a replayed log (`heli_host.ui.page.replay`).
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
-from heli_host.declaration import CHANNELS, FAULTS, PARAMS, ParamSpec, State
+from heli_host.declaration import CHANNELS, FAULTS, PARAMS, ParamSpec, State, Trigger
 from heli_host.errors import ParameterError, range_text
 from heli_host.link.channels import is_whole, rad_per_count
-from heli_host.ui.page.telemetry_buffer import TelemetryBuffer
+from heli_host.link.installation import plugins
+from heli_host.ui.page.telemetry import TelemetryBuffer
 
 KEPT_S = 600.0
 """Length of the history that a newly opened page shows [s]. It takes 38 MB of memory."""
-
 UNKNOWN = (255, 0)
 """State and fault that mean "no telemetry"; 255 is not the number of a supervisor state."""
-
 News = Callable[[Mapping[str, Any]], None]
+STATE_WORDS: dict[State, str] = {
+    State.IDLE: "Motors are off. Take off, or start a plan.",
+    State.ARMED: "The drivers are on, at zero voltage.",
+    State.CLOSED_LOOP: "It flies: the loops follow the setpoint.",
+    State.OPEN_LOOP: "Fixed voltages drive the motors; no loop is closed.",
+    State.STREAMED: "A program streams the motors' voltages.",
+    State.HOLD: "No setpoint comes: it hovers level, and lands soon unless one does.",
+    State.LANDING: "It descends; on the table the motors go off.",
+    State.FAULT: "A fault switched the motors off. Remove its cause, then clear it.",
+    State.EMERGENCY_LANDING: "It lands because of a fault; travel is not held.",
+}
+REPLAY_WORDS: dict[State, str] = {
+    State.IDLE: "The log shows the motors off.",
+    State.ARMED: "The log shows the drivers on, at zero voltage.",
+    State.CLOSED_LOOP: "The log shows a flight: the loops follow the setpoint.",
+    State.OPEN_LOOP: "The log shows fixed voltages; no loop is closed.",
+    State.STREAMED: "The log shows voltages that a program streams.",
+    State.HOLD: "The log shows a level hover, because no setpoint arrives.",
+    State.LANDING: "The log shows a descent to the table.",
+    State.FAULT: "The log shows a fault, which switched the motors off.",
+    State.EMERGENCY_LANDING: "The log shows a landing because of a fault; travel is not held.",
+}
+"""A log is the past: these sentences give no command, and do not claim that a rig flies now."""
+CAUSE_WORDS: dict[Trigger, str] = {
+    Trigger.ARM: "the drivers were switched on",
+    Trigger.STOP: "a stop",
+    Trigger.CLOSE_LOOP: "the control loops were closed",
+    Trigger.OPEN_LOOP: "fixed voltages were commanded",
+    Trigger.STREAM: "a program streams the voltages",
+    Trigger.LAND: "a landing was commanded",
+    Trigger.SETPOINT_FRESH: "setpoints came back",
+    Trigger.STALE_HOLD: "no setpoint arrived",
+    Trigger.STALE_LAND: "no setpoint arrived for too long",
+    Trigger.TOUCHDOWN: "the arm rests on the table",
+    Trigger.TRIP: "a fault",
+    Trigger.CLEAR: "the fault was cleared",
+    Trigger.AXIS_LOST: "a fault of travel alone",
+    Trigger.START: "the board has started",
+}
+ENTRY_POINT_GROUP: Final = "heli_host.rigs"
+Outline = Callable[[str], Mapping[str, float]]
+
+_WITHOUT_SETPOINTS = frozenset((Trigger.STALE_HOLD, Trigger.STALE_LAND))
+_CAUSE = re.compile(r", because of (\w+)")
+_STATE = re.compile(r"\bstate \w+")
 
 
 class Role(Enum):
@@ -125,37 +173,11 @@ class Source(Protocol):
         Without setpoints the board itself holds level after ``setpoint_hold_s`` and lands after
         ``setpoint_land_s``, which are parameters of the board in seconds. The motors keep running meanwhile.
 
-        `present`: True while the pilot's page has answered within `heli_host.ui.page.control_lease.PRESENT_S`
+        `present`: True while the pilot's page has answered within `heli_host.ui.page.clients.PRESENT_S`
         seconds. Called before each setpoint and each pair of voltages, with the link's lock held: it must not
         block.
         """
         ...
-
-
-STATE_WORDS: dict[State, str] = {
-    State.IDLE: "Motors are off. Take off, or start a plan.",
-    State.ARMED: "The drivers are on, at zero voltage.",
-    State.CLOSED_LOOP: "It flies: the loops follow the setpoint.",
-    State.OPEN_LOOP: "Fixed voltages drive the motors; no loop is closed.",
-    State.STREAMED: "A program streams the motors' voltages.",
-    State.HOLD: "No setpoint comes: it hovers level, and lands soon unless one does.",
-    State.LANDING: "It descends; on the table the motors go off.",
-    State.FAULT: "A fault switched the motors off. Remove its cause, then clear it.",
-    State.EMERGENCY_LANDING: "It lands because of a fault; travel is not held.",
-}
-
-REPLAY_WORDS: dict[State, str] = {
-    State.IDLE: "The log shows the motors off.",
-    State.ARMED: "The log shows the drivers on, at zero voltage.",
-    State.CLOSED_LOOP: "The log shows a flight: the loops follow the setpoint.",
-    State.OPEN_LOOP: "The log shows fixed voltages; no loop is closed.",
-    State.STREAMED: "The log shows voltages that a program streams.",
-    State.HOLD: "The log shows a level hover, because no setpoint arrives.",
-    State.LANDING: "The log shows a descent to the table.",
-    State.FAULT: "The log shows a fault, which switched the motors off.",
-    State.EMERGENCY_LANDING: "The log shows a landing because of a fault; travel is not held.",
-}
-"""A log is the past: these sentences give no command, and do not claim that a rig flies now."""
 
 
 def number(arguments: Mapping[str, Any], name: str) -> float:
@@ -230,3 +252,46 @@ def state_rows(words: Mapping[State, str] = STATE_WORDS) -> dict[int, dict[str, 
 def fault_rows() -> dict[int, dict[str, str]]:
     """Return for each fault, by number, its name, its meaning and how to fix it."""
     return {spec.code: {"name": spec.name, "meaning": spec.meaning, "remedy": spec.remedy} for spec in FAULTS}
+
+
+def is_without_setpoints(text: str) -> bool:
+    """Return whether the text of an event names missing setpoints as the cause."""
+    return any(_trigger_named(name) in _WITHOUT_SETPOINTS for name in _CAUSE.findall(text))
+
+
+def cause(text: str, absence: str = "") -> str:
+    """Return the cause that the text of an event names, in words; empty if it names none."""
+    names = _CAUSE.findall(text)
+    return _trigger_in_words(names[0], absence) if names else ""
+
+
+def in_words(text: str, absence: str = "") -> str:
+    """Return the text of an event with its cause in words.
+
+    Examples
+    --------
+    >>> in_words("state hold, because of stale_hold", "the pilot's page was closed")
+    "state hold: the pilot's page was closed"
+    """
+    with_cause = _CAUSE.sub(lambda match: f": {_trigger_in_words(match[1], absence)}", text)
+    return _STATE.sub(lambda match: match[0].replace("_", " "), with_cause)
+
+
+def _trigger_named(name: str) -> Trigger | None:
+    return Trigger.__members__.get(name.upper())
+
+
+def _trigger_in_words(name: str, absence: str) -> str:
+    """Return a trigger in words; one that means "no setpoint arrived" becomes `absence`."""
+    trigger = _trigger_named(name)
+    if trigger is None:
+        return name.replace("_", " ")
+    return absence if absence and trigger in _WITHOUT_SETPOINTS else CAUSE_WORDS[trigger]
+
+
+def outline(rig: str) -> dict[str, float]:
+    """Return lengths [m] and masses [kg] of a rig by name; empty if no installed package can read rigs."""
+    for entry in plugins(ENTRY_POINT_GROUP):
+        read_outline: Outline = entry.load()
+        return dict(read_outline(rig))
+    return {}

@@ -19,7 +19,7 @@ from heli_host.board.parameters import parameters_text
 from heli_host.declaration import State
 from heli_host.errors import FlightAborted, FlightDataError, HeliError, LinkError, fault_text, printable
 from heli_host.ui.cli.board import open_board
-from heli_host.ui.cli.flight_command import FlightOptions
+from heli_host.ui.cli.flight import FlightOptions
 from heli_host.ui.cli.say import QUIET, say, write_result
 
 from heli_lab.apps.classroom.grade import FlightScore, score_of_trial, with_plan_setpoints

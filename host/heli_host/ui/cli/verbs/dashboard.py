@@ -10,10 +10,30 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from heli_host.ui.cli import simulated
-from heli_host.ui.cli.options import FoxgloveOption, PortOption, flight_folder
+from heli_host.ui.cli.board import board_text, check_board_rig, check_target, open_board
+from heli_host.ui.cli.options import (
+    DEFAULT_RIG,
+    BoardOption,
+    EffectFilesOption,
+    EffectOption,
+    ElfOption,
+    FoxgloveOption,
+    ModelOption,
+    OnAlarmOption,
+    PortOption,
+    RigOption,
+    SeedOption,
+    SilOption,
+    TwinOption,
+    flight_folder,
+    lands_on_alarm,
+    open_watch,
+    read_twin,
+    refuse_without_sil,
+    rig_name,
+    sil_address,
+)
 from heli_host.ui.cli.say import say
-from heli_host.ui.cli.twin_options import OnAlarmOption, TwinOption, lands_on_alarm, open_watch, read_twin
 from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
@@ -35,14 +55,14 @@ def dashboard(
         typer.Argument(metavar="[PLAN...]", help="Offer the plans of these TOML files too."),
     ] = None,
     port: PortOption = None,
-    sil: simulated.SilOption = False,
-    board: simulated.BoardOption = None,
-    elf: simulated.ElfOption = None,
-    rig: simulated.RigOption = None,
-    model: simulated.ModelOption = None,
-    effect: simulated.EffectOption = None,
-    effect_file: simulated.EffectFilesOption = None,
-    seed: simulated.SeedOption = 1,
+    sil: SilOption = False,
+    board: BoardOption = None,
+    elf: ElfOption = None,
+    rig: RigOption = None,
+    model: ModelOption = None,
+    effect: EffectOption = None,
+    effect_file: EffectFilesOption = None,
+    seed: SeedOption = 1,
     flown: Annotated[
         list[str] | None,
         typer.Option("--fly", metavar="PLAN", help="Fly this plan as soon as a page is open. Repeatable."),
@@ -85,14 +105,11 @@ def dashboard(
     """
     from heli_host.board.law_program import read_law
     from heli_host.fly.plan import load_plan, plan_names
-    from heli_host.ui.cli.board import check_target
 
     if replay is not None and sil:
         raise typer.BadParameter("--replay and --sil exclude each other; give one of them")
     if not sil:
-        simulated.refuse_without_sil(
-            board=board, elf=elf, model=model, effect=effect, effect_file=effect_file
-        )
+        refuse_without_sil(board=board, elf=elf, model=model, effect=effect, effect_file=effect_file)
     lands = lands_on_alarm(twin, on_alarm)
     if replay is not None:
         if twin is not None:
@@ -113,7 +130,7 @@ def dashboard(
     # The page names a plan by its title, not by its file.
     first_plans = [load_plan(name).name for name in flown or ()]
     programs = [read_law(path, rig) for path in laws or ()]
-    address = simulated.sil_address(
+    address = sil_address(
         rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effect_file
     )
     _serve_board(
@@ -147,7 +164,6 @@ def _serve_board(
     """
     from heli_host.fly.recorder import Recorder
     from heli_host.link.transport import transport_label, transport_note
-    from heli_host.ui.cli.board import board_text, check_board_rig, open_board
     from heli_host.ui.foxglove_feed import foxglove_feed
     from heli_host.ui.page.cockpit import Cockpit
     from heli_host.ui.page.serve import serving
@@ -168,7 +184,7 @@ def _serve_board(
             return Recorder(
                 heli,
                 flight_folder() / "flight.mcap",
-                rig_name=simulated.rig_name(rig, simulated=address is not None),
+                rig_name=rig_name(rig, simulated=address is not None),
                 plans=flown,
                 board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
                 duration_s=duration_s,
@@ -180,7 +196,7 @@ def _serve_board(
 
         maker, lands = twin
         watch = open_watch(heli, maker, land if lands else None)
-        name = simulated.rig_name(rig, simulated=address is not None)
+        name = rig_name(rig, simulated=address is not None)
         cockpit = Cockpit(heli, new_recorder, plans, text, outline, watch, laws, rig_name=name)
         try:
             with serving(cockpit, host, http_port) as served:
@@ -243,21 +259,21 @@ def _serve_log(log: Path, rig: str | None, host: str, http_port: int) -> None:
 
 def _outline_of_rig(rig: str | None, *, simulated_board: bool) -> dict[str, float]:
     """Return lengths and masses of the rig for the page; empty if the rig is unknown."""
-    from heli_host.ui.page.rigs import outline
+    from heli_host.ui.page.source import outline
 
     if rig is None and not simulated_board:
         return {}
-    return outline(rig if rig is not None else simulated.DEFAULT_RIG)
+    return outline(rig if rig is not None else DEFAULT_RIG)
 
 
 def _outline_of_log(rig: str | None) -> dict[str, float]:
     """Return the lengths with which the page draws a rig; empty without its file."""
     from heli_host.errors import HeliError
-    from heli_host.ui.page.rigs import outline
+    from heli_host.ui.page.source import outline
 
     # The name of a rig that a log was flown with; its file may be elsewhere, or nowhere any more.
     with contextlib.suppress(HeliError):
-        return outline(rig if rig is not None else simulated.DEFAULT_RIG)
+        return outline(rig if rig is not None else DEFAULT_RIG)
     return {}
 
 

@@ -10,9 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from heli_host.data.files import write_signed
-from heli_host.ui.cli.options import JsonOption, PortOption
+from heli_host.ui.cli.board import board_versions, open_board
+from heli_host.ui.cli.options import (
+    MAX_SPEED,
+    JsonOption,
+    PortOption,
+    SilOption,
+    check_parameters_place,
+    sil_address,
+)
 from heli_host.ui.cli.say import data_on_stdout, say, say_dropped, write_result
-from heli_host.ui.cli.simulated import MAX_SPEED, SilOption, sil_address
 from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
@@ -201,8 +208,6 @@ def dump(
     Example: `heli-host params dump rig7.toml --port /dev/ttyACM0`
     """
     from heli_host.board.parameters import parameters_text
-    from heli_host.ui.cli.board import board_versions
-    from heli_host.ui.cli.outputs import check_parameters_place
 
     check_parameters_place(file)
     with _open_board(port, sil) as heli:
@@ -251,7 +256,6 @@ def restore(
 
 
 def _open_board(port: str | None, sil: bool) -> AbstractContextManager[Heli]:
-    from heli_host.ui.cli.board import open_board
 
     return open_board(port, sil_address(speed=MAX_SPEED) if sil else None)
 

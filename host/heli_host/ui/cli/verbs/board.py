@@ -1,25 +1,182 @@
-"""``heli-host flash``: write a firmware image into the Due."""
+"""The verbs that find, check, test and flash a board: ``ports``, ``doctor``, ``motors`` and ``flash``."""
 
 from __future__ import annotations
 
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from heli_host.data.files import write_signed
-from heli_host.ui.cli.options import PortOption
-from heli_host.ui.cli.say import say
+from heli_host.ui.cli.board import (
+    ARDUINO_VIDS,
+    board_text,
+    board_versions,
+    check_target,
+    clear_latched_fault,
+    is_due,
+    is_due_native,
+    open_board,
+)
+from heli_host.ui.cli.doctor import Verdict, check_modem_manager, examine
+from heli_host.ui.cli.options import (
+    ClearFaultOption,
+    JsonOption,
+    PortOption,
+    RigOption,
+    SilOption,
+    SpeedOption,
+    sil_address,
+)
+from heli_host.ui.cli.say import say, write_result
 from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
-    from heli_host.board.flash import Bossac
+    from heli_host.board.flashing import Bossac
     from heli_host.errors import LinkVersionMismatch
+    from heli_host.fly.heli import Heli
 
+MAX_S = 30.0
+# The board switches the motors off if no open-loop message arrives for setpoint_hold_s (0.5 s).
+REFRESH_S = 0.1
 ANSWER_TIMEOUT_S = 5.0
 """Longest wait for the board's welcome, before and after; a Due takes up to 3 s after its port was opened."""
+
+
+def ports(json: JsonOption = None) -> None:
+    """List the serial ports, the Due's programming port first.
+
+    Opens no port, so that no board is reset.
+
+    Example: `heli-host ports`
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from heli_host.errors import printable
+    from heli_host.link.transport import available_ports
+
+    available = sorted(available_ports(), key=lambda port: not is_due(port))
+    entries = [
+        {
+            "device": port.device,
+            "description": port.description,
+            "stable_name": port.stable_name,
+            "due": is_due(port),
+            "due_native": is_due_native(port),
+        }
+        for port in available
+    ]
+    if write_result(json, {"ports": entries}):
+        return
+    console = Console(highlight=False)
+    if not available:
+        console.print("no serial port; plug the board in by its programming port, next to the power jack")
+        return
+    table = Table("port", "what", "name that stays", box=None, pad_edge=False)
+    for port in available:
+        # pyserial describes a port without a description as "n/a".
+        description = port.description if port.description != "n/a" else "serial port"
+        if is_due(port):
+            description = "Arduino Due, programming port"
+        elif is_due_native(port):
+            description = "Arduino Due, native port: use the other one"
+        stable_name = port.stable_name if port.stable_name != port.device else ""
+        table.add_row(*(Text(printable(cell)) for cell in (port.device, description, stable_name)))
+    console.print(table)
+
+
+def doctor(json: JsonOption = None) -> None:
+    """Check this computer, and print how to fix each problem.
+
+    Checks Python, packages, compiler, serial ports and ModemManager. Opens no port. The exit code is 1 if
+    something required does not work.
+
+    Example: `heli-host doctor`
+    """
+    from rich.console import Console
+    from rich.markup import escape
+
+    from heli_host.errors import printable
+
+    if json is not None:
+        rows = [{**asdict(finding), "verdict": finding.verdict.value} for finding in examine()]
+        bad_count = sum(row["verdict"] == Verdict.BAD.value for row in rows)
+        write_result(json, {"ready": not bad_count, "findings": rows})
+        raise typer.Exit(1 if bad_count else 0)
+    mark_of_verdict = {Verdict.GOOD: "[green]✓[/]", Verdict.NOTE: "[yellow]–[/]", Verdict.BAD: "[red]✗[/]"}
+    console = Console(highlight=False, soft_wrap=True)
+    bad_count = 0
+    for finding in examine():
+        console.print(f"{mark_of_verdict[finding.verdict]} {escape(printable(finding.what))}")
+        if finding.remedy:
+            console.print(f"    {escape(printable(finding.remedy))}")
+        bad_count += finding.verdict is Verdict.BAD
+    if bad_count:
+        console.print(f"{bad_count} problem{'s' if bad_count > 1 else ''} to fix, see ✗ above")
+        raise typer.Exit(1)
+    console.print("ready to fly")
+
+
+def motors(
+    front_V: Annotated[
+        float, typer.Option("--front-V", metavar="V", help="Drive the front motor with this voltage.")
+    ] = 0.0,
+    back_V: Annotated[
+        float, typer.Option("--back-V", metavar="V", help="Drive the back motor with this voltage.")
+    ] = 0.0,
+    duration_s: Annotated[
+        float,
+        typer.Option("--duration", metavar="S", min=0.1, max=MAX_S, help="Drive for this time in s."),
+    ] = 2.0,
+    clear_fault: ClearFaultOption = False,
+    port: PortOption = None,
+    sil: SilOption = False,
+    rig: RigOption = None,
+    speed: SpeedOption = "1",
+) -> None:
+    """Drive the motors with fixed voltages on the bench, then switch them off.
+
+    This enables the drivers of a real board. Use no propellers before docs/how-to/first-power-up.md allows
+    them, because nothing holds the arm. Without voltages it only enables the drivers. Ctrl-C switches off
+    immediately. The board itself switches off if this program ends.
+
+    Example: `heli-host motors --port /dev/ttyACM0 --front-V 1.0 --duration 2`
+    """
+    from heli_host.board.setpoints import check_voltages
+
+    with open_board(port, sil_address(rig=rig, speed=speed) if sil else None) as heli:
+        if clear_fault:
+            clear_latched_fault(heli)
+        check_voltages(front_V, back_V, heli.params)
+        heli.arm()
+        try:
+            _apply_voltages(heli, front_V, back_V, duration_s)
+        finally:
+            heli.stop()
+        say(f"front {front_V:g} V, back {back_V:g} V for {duration_s:g} s; drivers off again")
+
+
+def _apply_voltages(heli: Heli, front_V: float, back_V: float, duration_s: float) -> None:
+    """Apply constant motor voltages for a time, by a command every `REFRESH_S`, because the board switches
+    the motors off without one.
+    """
+    from heli_host.declaration import Axes, State
+    from heli_host.errors import CommandRefused, FlightAborted, fault_text
+
+    for _ in heli.pace(REFRESH_S, duration_s):
+        try:
+            heli.control(Axes(0), front_V, back_V)
+        except CommandRefused as refused:
+            # Telemetry reports the kind of fault slightly later.
+            heli.wait(REFRESH_S)
+            if heli.state is not State.FAULT:
+                raise
+            raise FlightAborted(f"the board switched the motors off: {fault_text(heli.fault)}") from refused
 
 
 def flash(
@@ -51,11 +208,8 @@ def flash(
 
     Example: `heli-host flash build/pio/due/firmware.bin --port /dev/ttyACM0`
     """
-    from heli_host.board.flash import erase_chip, find_bossac, read_image, restart_chip, write_image
+    from heli_host.board.flashing import erase_chip, find_bossac, read_image, restart_chip, write_image
     from heli_host.declaration import LINK_HASH
-    from heli_host.ui.cli.board import check_target
-    from heli_host.ui.cli.finding import Verdict
-    from heli_host.ui.cli.modem_manager import check_modem_manager
 
     image = read_image(file)
     say(f"{file}: {len(image.content)} bytes, firmware for the Due, link {LINK_HASH:08x}")
@@ -95,7 +249,7 @@ def flash(
 
 def _uploader_warning(uploader: Bossac) -> str:
     """Return a warning about an uploader that does not suit all Dues."""
-    from heli_host.board.flash.bossac import GET_BOSSAC
+    from heli_host.board.flashing import GET_BOSSAC
 
     return (
         f"bossac {uploader.version} is reported to leave some Dues that do not start; "
@@ -107,7 +261,6 @@ def _keep_parameters(port: str, discard: bool) -> Path | None:
     """Write the board's parameters into a file, if it has any that are not the defaults."""
     import heli_host
     from heli_host.errors import FlashError, LinkError, LinkVersionMismatch, PortError, WaitTimeout
-    from heli_host.ui.cli.board import board_text, board_versions
 
     try:
         heli = heli_host.connect(port, handshake_timeout_s=ANSWER_TIMEOUT_S)
@@ -131,7 +284,7 @@ def _keep_parameters(port: str, discard: bool) -> Path | None:
 
 def _keep_parameters_of_other_link(port: str, mismatch: LinkVersionMismatch, discard: bool) -> Path | None:
     """Do the same for a board whose link version is not this host's."""
-    from heli_host.board.flash import saved_parameters
+    from heli_host.board.flashing import saved_parameters
     from heli_host.errors import FlashError
     from heli_host.link.transport import open_transport
 
@@ -169,7 +322,6 @@ def _description_of_board(port: str, uploader: Bossac) -> str:
     """Return a description of the board that now answers."""
     import heli_host
     from heli_host.errors import FlashError, HandshakeTimeout, WaitTimeout, WrongDevice
-    from heli_host.ui.cli.board import board_text
 
     try:
         with heli_host.connect(port, handshake_timeout_s=ANSWER_TIMEOUT_S) as heli:
@@ -188,7 +340,6 @@ def _description_of_board(port: str, uploader: Bossac) -> str:
 def _vendors(port: str) -> set[int]:
     """Return the USB number of the vendor of the board at `port`; that of most boards if it is unknown."""
     from heli_host.link.transport import available_ports
-    from heli_host.ui.cli.board import ARDUINO_VIDS
 
     known = {
         known.vendor_id
@@ -198,4 +349,4 @@ def _vendors(port: str) -> set[int]:
     return known or {ARDUINO_VIDS[0]}
 
 
-VERB = Verb(flash, "Board")
+VERBS = {verb.__name__: Verb(verb, "Board") for verb in (doctor, flash, motors, ports)}
