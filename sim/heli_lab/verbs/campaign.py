@@ -66,7 +66,8 @@ def campaign(
 
     from heli_lab.apps.campaign.file import load_campaign
     from heli_lab.apps.campaign.page import summarise, write_summary
-    from heli_lab.apps.campaign.run import TABLE, Store, run_campaign
+    from heli_lab.apps.campaign.run import run_campaign
+    from heli_lab.apps.campaign.store import TABLE, Store
     from heli_lab.errors import CampaignError
 
     if scheduler is not None and workers is not None:

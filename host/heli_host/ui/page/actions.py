@@ -1,4 +1,4 @@
-"""What requests of clients do with a connected board: fly, choose a control law, edit parameters, record."""
+"""The actions that clients request of a connected board: fly, choose a law, edit parameters, record."""
 
 from __future__ import annotations
 

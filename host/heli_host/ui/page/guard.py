@@ -1,4 +1,4 @@
-"""What a client of the page's server may do: which connections are accepted, and how much a client may send.
+"""The limits of clients: which connections the page's server accepts, and how much each client may send.
 
 The limits are counted in the received bytes, before a message is decoded or queued.
 """

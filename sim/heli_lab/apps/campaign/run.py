@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from heli_host.errors import HeliError, install_remedy
 
 from heli_lab.apps.campaign.cases import Campaign, Case, JobResult, natural_order
-from heli_lab.apps.campaign.run import Store, row_of
+from heli_lab.apps.campaign.store import Store, row_of
 from heli_lab.apps.campaign.worker import CodeMismatchError, Job, code_difference, release, run_job
 from heli_lab.code_digest import code_digest
 from heli_lab.errors import CampaignError
