@@ -14,11 +14,8 @@ from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
 from heli_host.data.log.table import write_csv
 from heli_host.ui.cli.live import WorkBar
-from heli_host.ui.cli.progress_bar import WorkBar
-from heli_host.ui.cli.variadic import spread
 from heli_host.ui.cli.verb import spread
 from heli_lab.fit import thresholds
-from heli_lab.fit.identify import thresholds
 from heli_lab.report.page import write_json
 from heli_sim.rig import load_rig, write_rig
 
