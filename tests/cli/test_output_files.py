@@ -310,7 +310,7 @@ STATE = {
     "sim/heli_lab/report/page/drawing.py": "a picture in memory",
     "sim/heli_lab/apps/campaign/run.py": "the state of a campaign, in a folder with its token",
     "sim/heli_lab/apps/classroom/marking.py": "a temporary folder",
-    "sim/heli_lab/explain/search/estimate_cache.py": "the file of --resume, which checks its first line",
+    "sim/heli_lab/explain/comparison.py": "the file of --resume, which checks its first line",
 }
 """Files of the packages that write without the rule, and why that loses nothing of a user."""
 

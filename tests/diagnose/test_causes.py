@@ -15,18 +15,20 @@ import numpy as np
 import pytest
 from heli_host.data.arrays import Booleans, Floats
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
-from heli_lab.explain.discover.effect_contribution import accelerations
-from heli_lab.explain.evaluate.error_reduction import compare_free_runs
+from heli_lab.explain.contributions import accelerations
+from heli_lab.explain.prediction import compare_free_runs
 from heli_lab.fit.identification import Trace, trace
 from heli_lab.fit.problem import Fit
 from heli_lab.report.diagnosis import figures
-from heli_lab.report.diagnosis.cautions import cautions
-from heli_lab.report.diagnosis.figures import figure_of_flight, figure_of_torque, figure_of_windows
-from heli_lab.report.diagnosis.page import missing_terms, write_report
-from heli_lab.report.diagnosis.regions_section import regions_section
-from heli_lab.report.diagnosis.result_figures import figure_of_prediction
-from heli_lab.report.diagnosis.sentences import title
-from heli_lab.report.identification.figures import identification_figure
+from heli_lab.report.diagnosis.figures import (
+    figure_of_flight,
+    figure_of_prediction,
+    figure_of_torque,
+    figure_of_windows,
+)
+from heli_lab.report.diagnosis.page import missing_terms, regions_section, write_report
+from heli_lab.report.diagnosis.text import cautions, title
+from heli_lab.report.identification_page import identification_figure
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig

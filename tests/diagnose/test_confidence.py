@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_lab.explain.evaluate.verdict import unconfirmed_confidence
+from heli_lab.explain.verdict import unconfirmed_confidence
 
 from tests.diagnose.confidence import DEVELOPMENT, JUDGING, KINDS, case, is_right, main
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
-from heli_lab.explain.evaluate.verdict import has_random_torque
+from heli_lab.explain.verdict import has_random_torque
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 import pytest
-from heli_lab.explain.extended_rig import extended_rig
+from heli_lab.explain.result import extended_rig
 from heli_lab.fit.flight_model import RigParameters
 from heli_lab.fit.problem import Fit, Problem
 from heli_lab.fit.records import Record

@@ -8,11 +8,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_lab.explain.search.candidate import Candidate, typical_candidate
-from heli_lab.explain.search.hypothesis import Hypothesis
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.score_test import score_of
-from heli_lab.explain.search.screening import Screening
+from heli_lab.explain.candidates import Candidate, typical_candidate
+from heli_lab.explain.comparison import Hypothesis, ModelComparison
+from heli_lab.explain.screening import Screening, score_of
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 

@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 from heli_host.data.flight import Flight
 from heli_lab.diagnose import diagnose
-from heli_lab.explain.discover.grammar import groups
-from heli_lab.explain.discover.scoring import TermSignals, score
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.regressors import spline_candidates
-from heli_lab.explain.search.screening import Screening
+from heli_lab.explain.candidates import spline_candidates
+from heli_lab.explain.comparison import ModelComparison
+from heli_lab.explain.screening import Screening
+from heli_lab.explain.term_scores import TermSignals, groups, score_groups
 from heli_lab.threads import batches, default_thread_count, parallel_map, using_threads
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
@@ -111,7 +110,9 @@ def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> Non
             gains = [candidate.log_likelihood_gain for candidate in screening.splines()]
             gains += [candidate.log_likelihood_gain for candidate in screening.effects(KINDS)]
             signals = TermSignals(screening)
-            equations = score(screening, signals, groups(signals.spans)[:400])  # 400 are enough, and quick
+            equations = score_groups(
+                screening, signals, groups(signals.spans)[:400]
+            )  # 400 are enough, and quick
             gains += [equation.log_likelihood_gain for equation in equations]
             information = screening.spline_information(
                 spline_candidates(screening.filtered.linearised_flights)

@@ -22,7 +22,7 @@ from heli_lab.fit.uncertainty import (
     uninformed_parameters,
     window_weights,
 )
-from heli_lab.report.identification.page import verdict
+from heli_lab.report.identification_page import verdict
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.rig import load_rig

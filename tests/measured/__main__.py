@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from heli_lab.diagnose import diagnose, to_json
-from heli_lab.explain.evaluate.free_run import HORIZONS
+from heli_lab.explain.prediction import HORIZONS
 from heli_sim.model import MultibodyModel
 from heli_sim.model.parts import AXES
 from heli_sim.rig import load_rig

@@ -12,8 +12,15 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
-from heli_lab.explain.evaluate.error_reduction import ErrorReduction, compare_free_runs, error_reduction
-from heli_lab.explain.evaluate.free_run import HORIZONS, FreeRun, free_run, free_runs
+from heli_lab.explain.prediction import (
+    HORIZONS,
+    ErrorReduction,
+    FreeRun,
+    compare_free_runs,
+    error_reduction,
+    free_run,
+    free_runs,
+)
 from heli_lab.fit.identification import trace
 from heli_lab.fit.problem import Fit, Problem, flight_constants
 from heli_lab.fit.records import Record, prepare

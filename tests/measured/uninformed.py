@@ -17,8 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 from heli_host.data.arrays import Floats
-from heli_lab.explain.evaluate.error_reduction import compare_free_runs
-from heli_lab.explain.evaluate.free_run import free_runs
+from heli_lab.explain.prediction import compare_free_runs, free_runs
 from heli_lab.fit.problem import Fit
 from heli_lab.fit.thresholds import UNINFORMED
 from heli_sim.model.parts import AXES

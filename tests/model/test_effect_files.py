@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from heli_lab.control.tune.plants import loop_effects_of
-from heli_lab.explain.experiment.design import segment_for
+from heli_lab.explain.experiment_design import segment_for
 from heli_lab.watch.twin import changes
 from heli_sim.errors import EffectError, RigError
 from heli_sim.model import MultibodyModel, effects

@@ -27,10 +27,8 @@ from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, Disturbance
 from heli_benchmark.effects.listed import RotorLag
 from heli_benchmark.simulation.tracking import CONTROLLERS
 from heli_lab.apps.pool import ParameterEstimate, RigDiagnosis, pool, without_prior
-from heli_lab.explain.evaluate.free_run import FreeRun, free_runs
-from heli_lab.explain.evaluate.prediction import predict
-from heli_lab.explain.search.hypothesis import Hypothesis
-from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.comparison import Hypothesis, ModelComparison
+from heli_lab.explain.prediction import FreeRun, free_runs, predict
 from heli_lab.fit.records import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effect_numbers, effects_of, parse_effects

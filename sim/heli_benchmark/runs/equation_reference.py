@@ -11,14 +11,11 @@ import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_lab.diagnose import Diagnosis
-from heli_lab.explain.discover.effect_contribution import accelerations
-from heli_lab.explain.discover.equation import NAME
-from heli_lab.explain.evaluate.error_reduction import compare_free_runs
-from heli_lab.explain.evaluate.free_run import free_runs
-from heli_lab.explain.evaluate.prediction import predict
-from heli_lab.explain.search.candidate import Candidate, typical_candidate
-from heli_lab.explain.search.hypothesis import Hypothesis
-from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.candidates import Candidate, typical_candidate
+from heli_lab.explain.comparison import Hypothesis, ModelComparison
+from heli_lab.explain.contributions import accelerations
+from heli_lab.explain.prediction import compare_free_runs, free_runs, predict
+from heli_lab.explain.terms import NAME
 from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import Effect, Operands, Stage

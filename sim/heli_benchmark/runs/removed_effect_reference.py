@@ -7,7 +7,7 @@ from typing import Any
 
 from heli_host.data.flight import Flight
 from heli_lab.apps.campaign.works import DEFAULTS, fly
-from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.comparison import ModelComparison
 from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig

@@ -18,21 +18,17 @@ from heli_sim.rig import Rig
 from threadpoolctl import threadpool_limits
 
 from heli_lab.errors import IdentifyError, NotExcited
-from heli_lab.explain.discover.proposal import proposed_term
-from heli_lab.explain.discover.symbolic_regression import discover
-from heli_lab.explain.evaluate.assessment import Assessment, assess
-from heli_lab.explain.evaluate.detectability import undetectable_effects, unidentifiable_parameters
-from heli_lab.explain.evaluate.free_run import calibration_s
-from heli_lab.explain.evaluate.held_out import HeldOutEvaluation, evaluate_held_out, evaluate_hypothesis
-from heli_lab.explain.evaluate.listed_remainder import with_listed_remainder
-from heli_lab.explain.evaluate.replication import replicate
-from heli_lab.explain.evaluate.thrust_noise import justified_thrust_noise
-from heli_lab.explain.experiment.proposal import propose_experiment
+from heli_lab.explain.assessment import Assessment, assess, justified_thrust_noise, with_listed_remainder
+from heli_lab.explain.candidates import may_join
+from heli_lab.explain.comparison import EstimateCache, ModelComparison, fingerprint
+from heli_lab.explain.experiment_design import propose_experiment
+from heli_lab.explain.prediction import calibration_s
+from heli_lab.explain.proposal import proposed_term
+from heli_lab.explain.regression import discover
+from heli_lab.explain.replication import HeldOutEvaluation, evaluate_held_out, evaluate_hypothesis, replicate
 from heli_lab.explain.result import Diagnosis, Effort, Proposal
-from heli_lab.explain.search.candidate import may_join
-from heli_lab.explain.search.estimate_cache import EstimateCache, fingerprint
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.stepwise import Search, search
+from heli_lab.explain.stepwise import Search, search
+from heli_lab.explain.verdict import undetectable_effects, unidentifiable_parameters
 from heli_lab.fit.records import Record, prepare
 from heli_lab.threads import using_threads
 

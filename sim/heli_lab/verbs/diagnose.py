@@ -89,8 +89,8 @@ def diagnose(
     from heli_lab.explain import diagnose as run_diagnosis
     from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, parts, read_parts
     from heli_lab.report.diagnosis.page import write_effect_file, write_insufficient_excitation, write_report
-    from heli_lab.report.diagnosis.sentences import summary, unconfirmed_in_rig
     from heli_lab.report.diagnosis.serialize import to_json
+    from heli_lab.report.diagnosis.text import summary, unconfirmed_in_rig
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count, limit_malloc_arenas
 
@@ -159,7 +159,7 @@ def diagnose(
 
 def _print_diagnosis(result: Diagnosis | InsufficientExcitation) -> None:
     """Print the verdict, the causes and the error reduction."""
-    from heli_lab.report.diagnosis.sentences import lines, summary
+    from heli_lab.report.diagnosis.text import lines, summary
 
     say(f"{result.label}: {summary(result)}", *(f"  {line}" for line in lines(result)))
 

@@ -71,7 +71,7 @@ def identify(
 
     from heli_lab.fit.identification import identify as run_identification
     from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, parts, read_parts
-    from heli_lab.report.identification.page import verdict, write_identification_report
+    from heli_lab.report.identification_page import verdict, write_identification_report
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count
 

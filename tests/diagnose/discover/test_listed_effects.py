@@ -6,12 +6,10 @@ from types import SimpleNamespace
 from typing import cast
 
 import pytest
-from heli_lab.explain.discover.equation import Equation, EquationTerm, equation_effect
-from heli_lab.explain.discover.listed_effects import ListedEffects
-from heli_lab.explain.discover.terms import Factor, Term
-from heli_lab.explain.search.candidate import Candidate, typical_candidate
-from heli_lab.explain.search.hypothesis import Hypothesis
-from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.candidates import Candidate, typical_candidate
+from heli_lab.explain.comparison import Hypothesis, ModelComparison
+from heli_lab.explain.regression import ListedEffects
+from heli_lab.explain.terms import Equation, EquationTerm, Factor, Term, equation_effect
 from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue

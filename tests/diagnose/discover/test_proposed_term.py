@@ -12,17 +12,13 @@ import numpy as np
 import pytest
 from heli_host.data.log.table import write_csv
 from heli_lab.diagnose import to_json
-from heli_lab.explain.discover.equation import Equation, EquationTerm, TermGroup, equation_effect
-from heli_lab.explain.discover.equation_refit import EquationRefits, RefittedEquation
-from heli_lab.explain.discover.scoring import ScoredTermGroup, TermSignals, score
-from heli_lab.explain.discover.symbolic_regression import EquationSearch, discover, free_name
-from heli_lab.explain.discover.terms import Factor, Term
-from heli_lab.explain.evaluate.regions import failing_regions
-from heli_lab.explain.search.hypothesis import Hypothesis
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.regressors import ExtendedModel
-from heli_lab.explain.search.score_test import score_of
-from heli_lab.explain.search.screening import Screening
+from heli_lab.explain.candidates import ExtendedModel
+from heli_lab.explain.comparison import Hypothesis, ModelComparison
+from heli_lab.explain.regression import EquationRefits, EquationSearch, RefittedEquation, discover, free_name
+from heli_lab.explain.residuals import failing_regions
+from heli_lab.explain.screening import Screening, score_of
+from heli_lab.explain.term_scores import ScoredTermGroup, TermSignals, score_groups
+from heli_lab.explain.terms import Equation, EquationTerm, Factor, Term, TermGroup, equation_effect
 from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE
 from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
@@ -166,7 +162,9 @@ def test_terms_hidden_by_a_slow_disturbance_are_scored_without_it() -> None:
         for times in (0.5, 30.0)
     )
     assert equation_search(base).slow_finalists(base, calm, signals, [equation, encoder]) == []
-    (with_drift,) = score(Screening(replace(base.estimate, disturbances=drifting)), signals, [equation])
+    (with_drift,) = score_groups(
+        Screening(replace(base.estimate, disturbances=drifting)), signals, [equation]
+    )
     (without_drift,) = equation_search(base).slow_finalists(base, drifting, signals, [equation, encoder])
     assert without_drift.group is equation
     assert without_drift.log_likelihood_gain > 1.2 * with_drift.log_likelihood_gain
@@ -186,7 +184,7 @@ def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
         EquationTerm("measurement.pitch", Term((Factor("linear", "travel"),))),
     ]
     for term in one_per_kind_of_channel:
-        (scored,) = score(screening, signals, [TermGroup((term,), 1)])
+        (scored,) = score_groups(screening, signals, [TermGroup((term,), 1)])
         equation = Equation((term,))
         effect = equation_effect(equation, dict(zip(equation.coefficients, scored.prior_std, strict=True)))
         coefficient_names = tuple(f"proposed_term_{name}" for name in equation.coefficients)

@@ -8,17 +8,20 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from heli_lab.explain.discover.equation import (
+from heli_lab.explain.proposal import effect_file, expression
+from heli_lab.explain.term_scores import count_by_complexity, groups
+from heli_lab.explain.terms import (
+    FORMS,
     NAME,
+    SYMBOLS,
     Equation,
     EquationTerm,
+    Factor,
+    Term,
+    Unit,
     equation_effect,
     rotor_signs,
 )
-from heli_lab.explain.discover.grammar import count_by_complexity, groups
-from heli_lab.explain.discover.notation import effect_file, expression
-from heli_lab.explain.discover.terms import FORMS, SYMBOLS, Factor, Term
-from heli_lab.explain.discover.units import Unit
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import RotorLag, catalogue
 from heli_sim.rig import load_rig

@@ -7,13 +7,11 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
-from heli_lab.explain.evaluate.absent_terms import absence_probability, absent_terms
-from heli_lab.explain.evaluate.prediction import Prediction, predict
-from heli_lab.explain.search.baseline_terms import tightly_specified_terms
-from heli_lab.explain.search.hypothesis import Hypothesis
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.score_test import Score
-from heli_lab.explain.search.screening import Screening
+from heli_lab.explain.assessment import absence_probability, absent_terms
+from heli_lab.explain.comparison import Hypothesis, ModelComparison
+from heli_lab.explain.forward import tightly_specified_terms
+from heli_lab.explain.prediction import Prediction, predict
+from heli_lab.explain.screening import Score, Screening
 from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effects_of

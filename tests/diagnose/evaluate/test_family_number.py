@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.explain.evaluate.reported import CauseParameter, FamilyNumber, family_number
+from heli_lab.explain.verdict import CauseParameter, FamilyNumber, family_number
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
 

@@ -11,8 +11,14 @@ import numpy as np
 import pytest
 from heli_host.data.flight import Flight
 from heli_lab.errors import IdentifyError
-from heli_lab.explain.evaluate.error_reduction import error_reduction
-from heli_lab.explain.evaluate.free_run import HORIZONS, FreeRun, WindowErrors, calibration_s, free_run
+from heli_lab.explain.prediction import (
+    HORIZONS,
+    FreeRun,
+    WindowErrors,
+    calibration_s,
+    error_reduction,
+    free_run,
+)
 from heli_lab.fit.records import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_lab.explain.evaluate.kicks import kicks, with_impulse
-from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.comparison import ModelComparison
+from heli_lab.explain.residuals import kicks, with_impulse
 from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.fit.innovations import FlightErrors, InnovationsModel
 from heli_sim.model import MultibodyModel

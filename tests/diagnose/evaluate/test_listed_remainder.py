@@ -7,12 +7,11 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.explain.evaluate import listed_remainder
-from heli_lab.explain.search.candidate import ScoredCandidate, typical_candidate
-from heli_lab.explain.search.hypothesis import Hypothesis
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.score_test import ScoreStatistics
-from heli_lab.explain.search.stepwise import Search
+from heli_lab.explain import assessment
+from heli_lab.explain.candidates import ScoredCandidate, typical_candidate
+from heli_lab.explain.comparison import Hypothesis, ModelComparison
+from heli_lab.explain.screening import ScoreStatistics
+from heli_lab.explain.stepwise import Search
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.diagnosis
@@ -78,8 +77,8 @@ def explained(
         Duration of the fitted flight.
     """
     # The screening of the refitted model is not used.
-    monkeypatch.setattr(listed_remainder, "Screening", lambda _: Scores({}))
-    monkeypatch.setattr(listed_remainder, "held_out_screening", lambda *_: Scores(held_out))
+    monkeypatch.setattr(assessment, "Screening", lambda _: Scores({}))
+    monkeypatch.setattr(assessment, "held_out_screening", lambda *_: Scores(held_out))
 
     def refit(candidates: Any, *_: object) -> Hypothesis:
         return hypothesis(*(candidate.id for candidate in candidates), nats=5.0)
@@ -93,7 +92,7 @@ def explained(
     )
     final = hypothesis("axis_tilt")
     search = Search(final, final, (), (), cast(Any, Scores(fitted)), complete=True)
-    return listed_remainder.with_remainder(comparison, search, TRIED)
+    return assessment.with_remainder(comparison, search, TRIED)
 
 
 def test_an_effect_that_all_flights_show_together_is_a_cause_with_little_evidence(

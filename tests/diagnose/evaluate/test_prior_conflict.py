@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from heli_lab.explain.evaluate.prediction import predict
-from heli_lab.explain.evaluate.prior_conflict import prior_conflicts, tried_without
-from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.comparison import ModelComparison
+from heli_lab.explain.prediction import predict
+from heli_lab.explain.verdict import prior_conflicts, tried_without
 from heli_lab.fit.records import prepare
-from heli_lab.report.diagnosis.cautions import prior_conflict_sentence
+from heli_lab.report.diagnosis.text import prior_conflict_sentence
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
 

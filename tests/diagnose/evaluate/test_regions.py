@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from heli_lab.explain.evaluate.regions import adjusted_p_values
+from heli_lab.explain.residuals import adjusted_p_values
 
 
 def test_adjusted_p_values_are_those_of_benjamini_and_hochberg() -> None:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_lab.diagnose import to_json
-from heli_lab.explain.evaluate.relevance import prediction_changes
-from heli_lab.explain.evaluate.verdict import judge, small_effects
+from heli_lab.explain.assessment import prediction_changes
 from heli_lab.explain.thresholds import DISTURBED_STD
-from heli_lab.report.diagnosis.sentences import lines, summary
+from heli_lab.explain.verdict import judge, small_effects
+from heli_lab.report.diagnosis.text import lines, summary
 
 from tests.diagnose.schema import conforms
 from tests.diagnose.test_causes import diagnosed

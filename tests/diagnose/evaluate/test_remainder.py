@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from heli_host.data.flight import Flight
 from heli_lab.diagnose import Diagnosis, to_json
-from heli_lab.explain.evaluate import verdict
-from heli_lab.explain.evaluate.open_loop import open_loop_squares
-from heli_lab.explain.evaluate.residual_analysis import Dependence, dependences
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.replication import held_out_screening
-from heli_lab.explain.search.screening import Screening
-from heli_lab.explain.search.splines import quantity_values
+from heli_lab.explain import verdict
+from heli_lab.explain.candidates import quantity_values
+from heli_lab.explain.comparison import ModelComparison
+from heli_lab.explain.residuals import Dependence, dependences, open_loop_squares
+from heli_lab.explain.screening import Screening
+from heli_lab.explain.stepwise import held_out_screening
 from heli_lab.explain.thresholds import MATTERS_COUNTS
 from heli_lab.fit.records import prepare
-from heli_lab.report.diagnosis.sentences import lines, summary
+from heli_lab.report.diagnosis.text import lines, summary
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 from heli_host.data.log.table import write_csv
 from heli_lab.diagnose import Diagnosis, to_json
-from heli_lab.explain.evaluate import replication
-from heli_lab.explain.evaluate.error_reduction import ErrorReduction
-from heli_lab.explain.evaluate.fitted_voltages import extrapolations
-from heli_lab.explain.evaluate.replication import Replication, replicate
-from heli_lab.explain.evaluate.verdict import unconfirmed_confidence
-from heli_lab.explain.search.folds import split, two_folds
-from heli_lab.explain.search.replication import Direction
-from heli_lab.report.diagnosis.sentences import lines
+from heli_lab.explain import replication
+from heli_lab.explain.comparison import split, two_folds
+from heli_lab.explain.prediction import ErrorReduction, extrapolations
+from heli_lab.explain.replication import Replication, replicate
+from heli_lab.explain.stepwise import Direction
+from heli_lab.explain.verdict import unconfirmed_confidence
+from heli_lab.report.diagnosis.text import lines
 from heli_sim.rig import load_rig
 
 from tests.cli.terminal import Terminal

@@ -10,12 +10,12 @@ from typing import Any
 import casadi as ca
 import pytest
 from heli_host.data.flight import Flight
-from heli_lab.explain.evaluate.residual_analysis import gain_ratios
-from heli_lab.explain.evaluate.thrust_noise import justified_thrust_noise
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.screening import Screening
+from heli_lab.explain.assessment import justified_thrust_noise
+from heli_lab.explain.comparison import ModelComparison
+from heli_lab.explain.residuals import gain_ratios
+from heli_lab.explain.screening import Screening
 from heli_lab.fit.records import prepare
-from heli_lab.report.diagnosis.sentences import thrust_noise_in_words
+from heli_lab.report.diagnosis.text import thrust_noise_in_words
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects import parse_effects

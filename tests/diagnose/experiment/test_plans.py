@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from heli_host.fly.plan import Plan
-from heli_lab.explain.experiment.design import compose_experiment, segment_for
+from heli_lab.explain.experiment_design import compose_experiment, segment_for
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.medium

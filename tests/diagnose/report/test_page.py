@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from heli_lab.explain.discover.missing import TIME, MissingTerm
+from heli_lab.explain.contributions import TIME, MissingTerm
 from heli_lab.explain.wording import nats_in_words
-from heli_lab.report.diagnosis.missing_section import missing_section
-from heli_lab.report.diagnosis.result_figures import figure_of_missing_terms
-from heli_lab.report.diagnosis.sentences import stated
-from heli_lab.report.diagnosis.symbols import explained_by, legend, symbols_of
+from heli_lab.report.diagnosis.figures import figure_of_missing_terms
+from heli_lab.report.diagnosis.page import explained_by, legend, missing_section, symbols_of
+from heli_lab.report.diagnosis.text import stated
 from heli_sim.model.effects import catalogue
 
 

@@ -7,15 +7,18 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.explain import thresholds
-from heli_lab.explain.search import forward
-from heli_lab.explain.search.acceptance import Acceptance, min_margin
-from heli_lab.explain.search.candidate import ScoredCandidate, typical_candidate
-from heli_lab.explain.search.forward import RoundRefits, paused_play, resting_friction
-from heli_lab.explain.search.hypothesis import Hypothesis, Refit
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.progress import Progress
-from heli_lab.explain.search.screening import Screening
+from heli_lab.explain import forward, thresholds
+from heli_lab.explain.candidates import ScoredCandidate, typical_candidate
+from heli_lab.explain.comparison import Hypothesis, ModelComparison, Refit
+from heli_lab.explain.forward import (
+    Acceptance,
+    Progress,
+    RoundRefits,
+    min_margin,
+    paused_play,
+    resting_friction,
+)
+from heli_lab.explain.screening import Screening
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.diagnosis

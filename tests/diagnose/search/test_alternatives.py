@@ -7,9 +7,9 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from heli_lab.explain.search.backward import BackwardElimination
-from heli_lab.explain.search.candidate import Candidate, typical_candidate
-from heli_lab.explain.search.hypothesis import Hypothesis, Refit, Round
+from heli_lab.explain.candidates import Candidate, typical_candidate
+from heli_lab.explain.comparison import Hypothesis, Refit, Round
+from heli_lab.explain.stepwise import BackwardElimination
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.diagnosis

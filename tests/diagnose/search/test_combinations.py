@@ -6,12 +6,11 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from heli_lab.explain.discover.listed_effects import ListedEffects
+from heli_lab.explain.candidates import Candidate, spline_term, typical_candidate
+from heli_lab.explain.comparison import Hypothesis, Refit, Round
+from heli_lab.explain.regression import ListedEffects
 from heli_lab.explain.run import _is_candidate
-from heli_lab.explain.search.backward import BackwardElimination
-from heli_lab.explain.search.candidate import Candidate, typical_candidate
-from heli_lab.explain.search.hypothesis import Hypothesis, Refit, Round
-from heli_lab.explain.search.splines import spline_term
+from heli_lab.explain.stepwise import BackwardElimination
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, parse_effects
 

@@ -9,15 +9,15 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.explain.search import forward
-from heli_lab.explain.search.candidate import ScoredCandidate, typical_candidate
-from heli_lab.explain.search.concentrated_score import (
+from heli_lab.explain import forward
+from heli_lab.explain.candidates import ScoredCandidate, typical_candidate
+from heli_lab.explain.comparison import ModelComparison
+from heli_lab.explain.screening import (
+    Screening,
     concentrated_scores,
     hidden_in_disturbances,
     with_concentrated_scores,
 )
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.screening import Screening
 from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue

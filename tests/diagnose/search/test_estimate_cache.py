@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from heli_lab import code_digest
 from heli_lab.errors import IdentifyError
-from heli_lab.explain.search.estimate_cache import EstimateCache, fingerprint
+from heli_lab.explain.comparison import EstimateCache, fingerprint
 from heli_lab.fit.records import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects

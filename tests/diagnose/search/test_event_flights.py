@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.moments import with_held_out_moments
-from heli_lab.explain.search.screening import Screening
+from heli_lab.explain.comparison import ModelComparison
+from heli_lab.explain.screening import Screening
+from heli_lab.explain.stepwise import with_held_out_moments
 from heli_lab.fit.flight_model import RigParameters
 from heli_lab.fit.problem import Problem
 from heli_lab.fit.records import prepare

@@ -7,12 +7,10 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.explain.search.acceptance import Acceptance
-from heli_lab.explain.search.backward import BackwardElimination
-from heli_lab.explain.search.candidate import Candidate, typical_candidate
-from heli_lab.explain.search.exchange import exchange
-from heli_lab.explain.search.hypothesis import Hypothesis
-from heli_lab.explain.search.model_comparison import ModelComparison
+from heli_lab.explain.candidates import Candidate, typical_candidate
+from heli_lab.explain.comparison import Hypothesis, ModelComparison
+from heli_lab.explain.forward import Acceptance
+from heli_lab.explain.stepwise import BackwardElimination, exchange
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.diagnosis

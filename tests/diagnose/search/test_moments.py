@@ -7,15 +7,11 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from heli_lab.explain.search.acceptance import Acceptance
-from heli_lab.explain.search.backward import BackwardElimination
-from heli_lab.explain.search.candidate import Candidate, ScoredCandidate, typical_candidate
-from heli_lab.explain.search.forward import refit_on_grid
-from heli_lab.explain.search.hypothesis import Hypothesis, Refit, Round
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.progress import Progress
-from heli_lab.explain.search.screening import Screening
-from heli_lab.explain.search.splines import spline_term
+from heli_lab.explain.candidates import Candidate, ScoredCandidate, spline_term, typical_candidate
+from heli_lab.explain.comparison import Hypothesis, ModelComparison, Refit, Round
+from heli_lab.explain.forward import Acceptance, Progress, refit_on_grid
+from heli_lab.explain.screening import Screening
+from heli_lab.explain.stepwise import BackwardElimination
 from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue

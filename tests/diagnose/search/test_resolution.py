@@ -8,11 +8,9 @@ from typing import cast
 import numpy as np
 import pytest
 from heli_lab.explain import thresholds
-from heli_lab.explain.search.acceptance import Acceptance, is_resolved
-from heli_lab.explain.search.candidate import typical_candidate
-from heli_lab.explain.search.hypothesis import Hypothesis, Refit
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.resolution import limited_std, time_std_s
+from heli_lab.explain.candidates import typical_candidate
+from heli_lab.explain.comparison import Hypothesis, ModelComparison, Refit
+from heli_lab.explain.forward import Acceptance, is_resolved, limited_std, time_std_s
 from heli_lab.fit.records import Record
 from heli_sim.model.effects import catalogue
 

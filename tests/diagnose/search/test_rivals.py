@@ -8,12 +8,9 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from heli_lab.explain.search.acceptance import Acceptance, is_neutral
-from heli_lab.explain.search.candidate import typical_candidate
-from heli_lab.explain.search.forward import RoundRefits
-from heli_lab.explain.search.hypothesis import Hypothesis, Refit
-from heli_lab.explain.search.model_comparison import ModelComparison
-from heli_lab.explain.search.rivals import better_rival
+from heli_lab.explain.candidates import typical_candidate
+from heli_lab.explain.comparison import Hypothesis, ModelComparison, Refit
+from heli_lab.explain.forward import Acceptance, RoundRefits, better_rival, is_neutral
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.diagnosis

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
-from heli_lab.explain.search.spectral_peaks import peak_frequencies_Hz
+from heli_lab.explain.screening import peak_frequencies_Hz
 
 STEP_s = 0.04
 PERIODIC_Hz = 2.34

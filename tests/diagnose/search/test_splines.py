@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from heli_lab.explain.search.splines import KNOTS, bspline_basis, channel_quantity_pairs, knot_span
+from heli_lab.explain.candidates import KNOTS, bspline_basis, channel_quantity_pairs, knot_span
 
 
 def test_bspline_basis_has_a_sum_of_one_everywhere() -> None:

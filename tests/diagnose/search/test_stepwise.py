@@ -6,10 +6,10 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from heli_lab.explain.search import stepwise
-from heli_lab.explain.search.backward import BackwardElimination
-from heli_lab.explain.search.forward import ForwardSelection
-from heli_lab.explain.search.hypothesis import Hypothesis
+from heli_lab.explain import stepwise
+from heli_lab.explain.comparison import Hypothesis
+from heli_lab.explain.forward import ForwardSelection
+from heli_lab.explain.stepwise import BackwardElimination
 
 
 def hypothesis(*ids: str) -> Hypothesis:

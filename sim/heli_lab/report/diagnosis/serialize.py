@@ -7,31 +7,30 @@ from typing import Any
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.explain.discover.equation import CHANNELS
-from heli_lab.explain.discover.notation import expression, latex
-from heli_lab.explain.discover.proposal import ProposedTerm
-from heli_lab.explain.discover.terms import SYMBOLS
-from heli_lab.explain.evaluate.free_run import HORIZONS, FreeRun
-from heli_lab.explain.evaluate.prior_conflict import PriorConflict
-from heli_lab.explain.evaluate.regions import FailingRegions, RegionTest
-from heli_lab.explain.evaluate.replication import WORSE_HORIZON
-from heli_lab.explain.evaluate.residual_analysis import ResidualAnalysis
-from heli_lab.explain.insufficient_excitation import InsufficientExcitation
+from heli_lab.explain.candidates import QUANTITIES
+from heli_lab.explain.experiment_design import InsufficientExcitation
+from heli_lab.explain.prediction import HORIZONS, FreeRun
+from heli_lab.explain.proposal import ProposedTerm, expression, latex
+from heli_lab.explain.replication import WORSE_HORIZON
+from heli_lab.explain.residuals import FailingRegions, RegionTest, ResidualAnalysis
 from heli_lab.explain.result import Diagnosis, Proposal
-from heli_lab.explain.search.splines import QUANTITIES
+from heli_lab.explain.terms import CHANNELS, SYMBOLS
 from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE
+from heli_lab.explain.verdict import PriorConflict
 from heli_lab.fit.identification import check
-from heli_lab.report.diagnosis.cautions import cautions
-from heli_lab.report.diagnosis.findings import (
-    causes,
+from heli_lab.report.diagnosis.text import (
+    METRIC,
+    cause_entries,
+    cautions,
     disturbances,
+    metric,
     reductions_json,
     small_remainder,
+    summary,
     thrust_noise,
     too_small_effects,
     unexplained,
 )
-from heli_lab.report.diagnosis.sentences import METRIC, metric, summary
 
 _SCREENED, _SPLINES = 8, 3
 """Candidates of a round in the ranking: effects, then splines."""
@@ -48,7 +47,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
     return {
         "verdict": result.label,
         "sentence": summary(result),
-        "causes": causes(result),
+        "causes": cause_entries(result),
         "too_small": too_small_effects(result),
         "small_remainder": small_remainder(result),
         "rig": rig_numbers(result),

@@ -1,0 +1,330 @@
+"""Assessment of a search: what the model with the causes leaves and predicts, and the verdict.
+
+Without disturbances, a flight shows effects far below an encoder count, as small as numerical errors of the
+method. A cause is named only if it is significant and matters.
+
+The search adds a cause only if the fitted flights show it. The residual analysis also tests the held-out
+flights, and may find structure that only these show. Before the verdict is ``unexplained``, all effects are
+therefore tested on fitted and held-out flights together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from heli_host.data.arrays import Floats
+from heli_sim.model.effects.spec import EffectSpec
+from heli_sim.rig import Rig
+
+from heli_lab.explain import thresholds
+from heli_lab.explain.candidates import ScoredCandidate, may_join
+from heli_lab.explain.comparison import Alternative, Cause, Hypothesis, ModelComparison
+from heli_lab.explain.forward import Acceptance, min_margin
+from heli_lab.explain.prediction import Prediction, normalised_samples, predict
+from heli_lab.explain.residuals import ResidualAnalysis, residual_analysis
+from heli_lab.explain.screening import Screening, coefficient_std, score_of
+from heli_lab.explain.stepwise import Search, held_out_screening
+from heli_lab.explain.thresholds import DISTURBED_STD, MATTERS_COUNTS, MATTERS_NATS_PER_ROW, MIN_MARGIN
+from heli_lab.explain.verdict import Verdict, judge, small_effects
+from heli_lab.fit.flight_model import GAINS
+from heli_lab.fit.problem import Fit
+
+
+@dataclass(frozen=True)
+class AbsentTerm:
+    """A term of the baseline that the rig does not have."""
+
+    id: str  # Id in the catalogue, such as ``removed.friction.travel``
+    share: float  # share, std: Share of the term that is absent, 0 to 1, and its standard error
+    std: float
+    confidence: float  # Posterior probability that the term is absent, see `absence_probability`
+    z_from_zero: float
+    """Distance of its parameter from 0 in standard errors; the largest if it has several parameters."""
+    z_from_rig: float
+    """Distance of its parameter from the rig file's value in standard errors; the smallest of several."""
+
+
+def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectSpec]) -> tuple[AbsentTerm, ...]:
+    """Find terms whose parameters are zero within their standard errors."""
+    values, reported_std = fit.values, fit.std
+    terms = []
+    for id_, kind in kinds.items():
+        names = [name for name in kind.override if name in values and rig[name].value > 0.0]
+        if not kind.baseline or not names:
+            continue
+        # Estimates and standard errors in units of the rig file's values.
+        nominal = np.array([rig[name].value for name in names])
+        relative = np.array([0.0 if name in fit.at_bound else values[name] for name in names]) / nominal
+        relative_std = np.array([reported_std[name] for name in names]) / nominal
+        confidence = math.prod(map(absence_probability, relative.tolist(), relative_std.tolist()))
+        if confidence < thresholds.ABSENT_MIN_CONFIDENCE:
+            continue
+        std = np.maximum(relative_std, thresholds.ABSENT_MIN_STD)
+        terms.append(
+            AbsentTerm(
+                id_,
+                share=min(max(1.0 - float(relative[0]), 0.0), 1.0),
+                std=float(std[0]),
+                confidence=confidence,
+                z_from_zero=float(np.max(np.abs(relative) / std)),
+                z_from_rig=float(np.min((1.0 - relative) / std)),
+            )
+        )
+    return tuple(sorted(terms, key=lambda term: -term.confidence))
+
+
+def absence_probability(value: float, std: float) -> float:
+    """Return the posterior probability that a parameter is zero, by Bayes' rule.
+
+    The alternative hypothesis is a parameter that is log-normal about the rig file's value.
+    """
+    std = max(std, thresholds.ABSENT_MIN_STD)
+    # The alternative is integrated over a logarithmic grid of values.
+    present_values = np.geomspace(1e-3, 1e3, 4001)
+    prior = np.exp(-0.5 * (np.log(present_values) / thresholds.PRESENT_LOG_STD) ** 2)
+    prior /= prior.sum()
+    # The common factor of the two normal densities cancels.
+    absent_weight = math.exp(-0.5 * min((value / std) ** 2, 1e3)) * thresholds.ABSENT_PRIOR
+    present_weight = float(prior @ np.exp(-0.5 * ((value - present_values) / std) ** 2)) * (
+        1.0 - thresholds.ABSENT_PRIOR
+    )
+    return min(thresholds.MAX_CONFIDENCE, absent_weight / max(absent_weight + present_weight, 1e-300))
+
+
+def prediction_changes(
+    comparison: ModelComparison, search: Search, extended: Hypothesis, before: Prediction, after: Prediction
+) -> Mapping[str, float]:
+    """Compute by how much each cause changes the 2 s open-loop prediction.
+
+    The model with all causes is compared with the refitted model without the cause, on the axis where they
+    differ most. The change is the root mean square difference of their predictions on the fitted flights. If
+    the model without the cause adds a larger error on the held-out flights, the change is that error.
+    """
+    if not extended.candidates or after.train.total > DISTURBED_STD:
+        return {}
+    samples_with_all = normalised_samples(after.fit)
+    changes = {}
+    evidence = {cause.effect: cause.train for cause in search.causes}
+    for candidate in extended.candidates:
+        if len(extended.candidates) > 1 and (evidence[candidate.id] > MATTERS_NATS_PER_ROW * comparison.rows):
+            continue
+        other_causes = [other for other in extended.candidates if other is not candidate]
+        # The elimination has estimated this model: it is in the cache.
+        reduced = (
+            predict(
+                comparison.refit(other_causes, None, extended).estimate, comparison.train, comparison.held_out
+            )
+            if other_causes
+            else before
+        )
+        difference = samples_with_all - normalised_samples(reduced.fit)
+        added_error = np.maximum(reduced.held_out.axes**2 - after.held_out.axes**2, 0.0)
+        changes[candidate.id] = max(map(_largest_counts, (np.mean(difference**2, axis=0), added_error)))
+    return changes
+
+
+def spline_change(
+    comparison: ModelComparison, search: Search, extended: Hypothesis, after: Prediction
+) -> float:
+    """Compute by how much the spline terms of a search change the 2 s open-loop prediction, encoder counts.
+
+    The final model is compared with the `extended` model, which lacks only them, as `prediction_changes`
+    does; `after` is the prediction of the latter. Infinite without spline terms.
+    """
+    if extended is search.final or after.train.total > DISTURBED_STD:
+        return math.inf
+    final = predict(search.final.estimate, comparison.train, comparison.held_out)
+    difference = normalised_samples(final.fit) - normalised_samples(after.fit)
+    reduced_error = np.maximum(after.held_out.axes**2 - final.held_out.axes**2, 0.0)
+    return max(map(_largest_counts, (np.mean(difference**2, axis=0), reduced_error)))
+
+
+def _largest_counts(mean_squares: Floats) -> float:
+    """Return the largest root mean square of the axes, in encoder counts.
+
+    `mean_squares` (3,) are in units of the quantisation's variance, which is a twelfth of a squared count.
+    """
+    return float(np.sqrt(mean_squares / 12.0).max())
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Remaining errors and predictions of the model with the causes, and the verdict."""
+
+    residual_analysis: ResidualAnalysis  # Analysis of the residuals of the final model
+    extended: Hypothesis
+    """The model with the named causes of the catalogue, without spline terms and without effects that are too
+    small to matter: the one that a simulator can fly."""
+    before: Prediction
+    """before, after: Free runs of the refitted baseline and of the extended model over all flights."""
+    after: Prediction
+    absent: tuple[AbsentTerm, ...]  # Terms of the baseline whose parameters the fit estimated as zero
+    verdict: Verdict  # The verdict and its causes
+
+
+def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, EffectSpec]) -> Assessment:
+    """Assess the result of a search: residuals, predictions, effects too small to matter, and the verdict."""
+    train, held_out = comparison.train, comparison.held_out
+    held_out_screenings = []
+    if comparison.can_test_held_out:
+        held_out_screenings = [held_out_screening(comparison, search.final)]
+    residual = residual_analysis([search.screening, *held_out_screenings])
+    extended = without_splines(comparison, search)
+    before = predict(search.baseline.estimate, train, held_out)
+    after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
+    absent = absent_terms(after.fit, comparison.rig, kinds)
+    changes = prediction_changes(comparison, search, extended, before, after)
+    spline_counts = spline_change(comparison, search, extended, after)
+    small_changes = {id_: counts for id_, counts in changes.items() if counts < MATTERS_COUNTS}
+    small = small_effects(search, small_changes, kinds, after.fit)
+    if small:
+        # The extended model has only the effects that matter.
+        extended = without(comparison, search, extended, small_changes)
+        after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
+        absent = absent_terms(after.fit, comparison.rig, kinds)
+    verdict = judge(search, residual, after, kinds, bool(absent), small, spline_counts)
+    return Assessment(residual, extended=extended, before=before, after=after, absent=absent, verdict=verdict)
+
+
+def without_splines(comparison: ModelComparison, search: Search) -> Hypothesis:
+    """Refit the final model of a `search` without its spline terms, which no simulator flies."""
+    effects = [candidate for candidate in search.final.candidates if not candidate.is_spline]
+    if len(effects) == len(search.final.candidates):
+        return search.final
+    if not effects:
+        return search.baseline
+    return comparison.refit(effects, None, search.final)
+
+
+def without(
+    comparison: ModelComparison, search: Search, extended: Hypothesis, ids: Collection[str]
+) -> Hypothesis:
+    """Refit an `extended` model without the effects `ids`."""
+    other_effects = [candidate for candidate in extended.candidates if candidate.id not in ids]
+    return comparison.refit(other_effects, None, extended) if other_effects else search.baseline
+
+
+_NUMBERS = 2 * len(GAINS)
+"""Numbers of a thrust that varies: standard deviation and correlation time of each gain."""
+
+
+def justified_thrust_noise(
+    comparison: ModelComparison, search: Search, assessment: Assessment
+) -> ModelComparison | None:
+    """Return the comparison with a thrust that varies at random, if that is needed and justified.
+
+    It is needed if the verdict is ``unexplained``. It is justified if it adds more to the log-likelihood of
+    all flights than its BIC penalty, and more than the predictors and splines that it is to replace.
+    """
+    if assessment.verdict.label != "unexplained":
+        return None
+    without_spline_terms = without_splines(comparison, search)
+    with_noise = comparison.with_thrust_noise()
+    gain = _log_likelihood(
+        with_noise, with_noise.refit_with_thrust_noise(without_spline_terms)
+    ) - _log_likelihood(comparison, without_spline_terms)
+    penalty = 0.5 * _NUMBERS * math.log(comparison.rows) + MIN_MARGIN
+    replaced_gain = 0.0
+    if search.final is not without_spline_terms:
+        replaced_gain = _log_likelihood(comparison, search.final) - _log_likelihood(
+            comparison, without_spline_terms
+        )
+    dependences = assessment.residual_analysis.dependences
+    replaced_gain += max((dependence.log_likelihood_gain for dependence in dependences), default=0.0)
+    return with_noise if gain > max(penalty, replaced_gain) else None
+
+
+def _log_likelihood(comparison: ModelComparison, hypothesis: Hypothesis) -> float:
+    """Return the log-likelihood of the fitted and the held-out flights, nats."""
+    total = hypothesis.log_likelihood
+    if comparison.held_out:
+        total += comparison.held_out_estimate(hypothesis).log_likelihood
+    return total
+
+
+class _JointScore(NamedTuple):
+    """A candidate scored on all flights together; `margin` is the score less the penalty, nats."""
+
+    scored: ScoredCandidate
+    margin: float
+
+
+def with_listed_remainder(
+    comparison: ModelComparison,
+    search: Search,
+    assessment: Assessment,
+    tried: Mapping[str, EffectSpec],
+    kinds: Mapping[str, EffectSpec],
+) -> tuple[Search, Assessment]:
+    """Add one more listed effect to a search if it explains what would otherwise be `unexplained`."""
+    if assessment.verdict.label == "unexplained" and not assessment.verdict.unlisted:
+        wider = with_remainder(comparison, search, tried)
+        if wider is not None:
+            explained = assess(comparison, wider, kinds)
+            if explained.verdict.label != "unexplained":
+                return wider, explained
+    return search, assessment
+
+
+def with_remainder(
+    comparison: ModelComparison, search: Search, kinds: Mapping[str, EffectSpec]
+) -> Search | None:
+    """Add the listed effect that explains best what remains on all flights."""
+    if not comparison.can_test_held_out:
+        return None
+    final, acceptance = search.final, Acceptance(comparison, kinds)
+    screenings = [search.screening, held_out_screening(comparison, final)]
+    ranked = _on_all_flights(screenings, acceptance, final.ids)
+    for screening in screenings:
+        screening.release()
+    best = ranked[0] if ranked else None
+    if best is None or best.margin <= min_margin(best.scored.candidate.id, final.ids):
+        return None
+    candidate = best.scored.candidate
+    start = candidate.start_values(best.scored.coefficients)
+    refit = comparison.refit([*final.candidates, candidate], start, final)
+    held_out = (
+        comparison.held_out_estimate(refit).log_likelihood
+        - comparison.held_out_estimate(final).log_likelihood
+    )
+    cause = Cause(
+        next(other for other in refit.candidates if other.id == candidate.id),
+        train=refit.log_likelihood - final.log_likelihood,
+        held_out=held_out,
+        penalty=acceptance.penalty(candidate),
+        alternatives=tuple(
+            Alternative(other.scored.candidate.id, best.margin - other.margin)
+            for other in ranked[1 : 1 + thresholds.ALTERNATIVES]
+        ),
+    )
+    return replace(search, final=refit, causes=(*search.causes, cause), screening=Screening(refit.estimate))
+
+
+def _on_all_flights(
+    screenings: Sequence[Screening], acceptance: Acceptance, present_ids: Sequence[str]
+) -> list[_JointScore]:
+    """Score listed effects that may join the causes with one coefficient for all flights, the best first.
+
+    An effect at a moment is left out, because its moment belongs to one flight.
+    """
+    kinds = acceptance.kinds
+    compatible = [kind for kind in kinds.values() if may_join(kind.id, present_ids, kinds)]
+    scored = [
+        candidate
+        for candidate in screenings[0].effects(compatible)
+        if candidate.candidate.id not in present_ids and not candidate.candidate.effect.moment
+    ]
+    candidates = [candidate.candidate for candidate in scored]
+    statistics = [screening.statistics(candidates) for screening in screenings]
+    ranked = []
+    for candidate, *by_screening in zip(scored, *statistics, strict=True):
+        information = np.sum([of_set.information for of_set in by_screening], axis=0)
+        score = np.sum([of_set.score for of_set in by_screening], axis=0)
+        joint = score_of(information, score, coefficient_std(candidate.candidate))
+        margin = joint.log_likelihood_gain - acceptance.penalty(candidate.candidate, candidate.tried)
+        ranked.append(_JointScore(replace(candidate, coefficients=joint.coefficients), margin))
+    return sorted(ranked, key=lambda joint: -joint.margin)

@@ -1,1 +1,0 @@
-"""The next experiment: plans that discriminate hypotheses or make effects detectable, tried in simulation."""
