@@ -11,7 +11,7 @@ import control
 import heli_host
 import heli_lab
 import numpy as np
-from heli_lab.control.tune.plants import linear_plant
+from heli_lab.control.tune import linear_plant
 from heli_lab.law import from_gain
 from heli_sim.rig import load_rig
 

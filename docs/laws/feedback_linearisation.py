@@ -1,6 +1,6 @@
 """Feedback linearisation: the travel that tilted thrust gives is inverted, sine and all."""
 
-from heli_lab.control.tune.plants import linear_plant
+from heli_lab.control.tune import linear_plant
 from heli_lab.law import Command, atan2, control_law, cos, fmax, law_rig, motor_volts, saturated
 
 plant = linear_plant(law_rig())

@@ -1,6 +1,6 @@
 """Input shaping: a step of travel in two parts; the swing of the second undoes that of the first."""
 
-from heli_lab.control.tune.plants import linear_plant
+from heli_lab.control.tune import linear_plant
 from heli_lab.law import Command, control_law, law_rig, motor_volts, saturated
 
 plant = linear_plant(law_rig())

@@ -2,7 +2,7 @@
 
 import control
 import numpy as np
-from heli_lab.control.tune.plants import linear_plant
+from heli_lab.control.tune import linear_plant
 from heli_lab.law import from_gain, law_rig
 
 plant = linear_plant(law_rig())

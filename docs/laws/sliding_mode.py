@@ -1,6 +1,6 @@
 """Sliding mode: each error is driven onto a line and kept there; tanh for the sign, against chattering."""
 
-from heli_lab.control.tune.plants import linear_plant
+from heli_lab.control.tune import linear_plant
 from heli_lab.law import Command, control_law, law_rig, motor_volts, saturated, tanh
 
 plant = linear_plant(law_rig())

@@ -8,7 +8,7 @@ namespace heli::control {
 namespace {
 
 // For the rig makki2024, from python-control's lqr() with the linear model of
-// heli_lab.control.tune.plants.linear_plant and the weights of README.md.
+// heli_lab.control.tune.loops.linear_plant and the weights of README.md.
 constexpr Gain kElevation_V_per_rad = Gain::of(8.94F);
 constexpr Gain kElevation_V_per_rad_s = Gain::of(6.70F);
 constexpr Gain kPitch_V_per_rad = Gain::of(1.01F);

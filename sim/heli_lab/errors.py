@@ -4,7 +4,7 @@
 
     HeliError                   cause, remedy and exit code
     └── SimError                an error in the simulation
-        ├── CalibrationError    a calibration ended before its result; in heli_lab.setup.calibrate.errors
+        ├── CalibrationError    a calibration ended before its result; the motors are off
         ├── CampaignError       a campaign cannot be read, started or continued
         ├── PoolError           diagnoses cannot be pooled
         ├── TwinError           a twin cannot be built, or cannot follow a flight
@@ -18,6 +18,12 @@
 from __future__ import annotations
 
 from heli_sim.errors import SimError
+
+
+class CalibrationError(SimError):
+    """A calibration ended before its result; the motors are off."""
+
+    exit_code = 4
 
 
 class CampaignError(SimError):

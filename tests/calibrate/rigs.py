@@ -14,7 +14,7 @@ from heli_host.declaration import AXES
 from heli_host.fly.heli import Heli
 from heli_lab.setup.calibrate.calibration import BenchCalibration, calibrate
 from heli_lab.setup.calibrate.motors import PulseLimits
-from heli_lab.setup.calibrate.simulated_operator import SimulatedOperator
+from heli_lab.setup.calibrate.operator import SimulatedOperator
 from heli_sim.rig import load_rig, write_rig
 from heli_sim.rig.schema import ENCODER_DIRECTIONS
 from heli_sim.sil.inprocess import InProcessTransport

@@ -14,14 +14,15 @@ from heli_host.data.log.reader import read_log
 from heli_host.declaration import AXES, State
 from heli_host.errors import FlightAborted, HeliError, LinkError
 from heli_host.fly.heli import Heli
+from heli_lab.errors import CalibrationError
 from heli_lab.setup.calibrate.calibration import BenchCalibration, calibrate, set_parameters
 from heli_lab.setup.calibrate.encoders import calibrate_encoders
-from heli_lab.setup.calibrate.errors import CalibrationError
-from heli_lab.setup.calibrate.motors import PulseLimits
-from heli_lab.setup.calibrate.operator import HandAction
-from heli_lab.setup.calibrate.simulated_operator import SimulatedOperator
-from heli_lab.setup.calibrate.terminal_operator import TerminalOperator
-from heli_lab.setup.calibrate.thrust import Pulse, ThrustLine, response_design, thrust_of
+from heli_lab.setup.calibrate.motors import Pulse, PulseLimits, ThrustLine, response_design, thrust_of
+from heli_lab.setup.calibrate.operator import (
+    HandAction,
+    SimulatedOperator,
+    TerminalOperator,
+)
 from heli_sim.rig import load_rig, write_rig
 from heli_sim.sil.faults import FaultPlan
 from heli_sim.sil.intervals import Span

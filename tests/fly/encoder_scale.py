@@ -24,10 +24,16 @@ from heli_host.fly.plan import plan_names
 from heli_host.fly.runner import fly
 from heli_host.link.session import Session
 from heli_lab.control.tune.design import find_gains
-from heli_lab.watch.encoder_scale.estimate import ScaleEstimate, ScaleTest
-from heli_lab.watch.encoder_scale.flight_residuals import FlightInWeakForm
-from heli_lab.watch.encoder_scale.warning import MAX_SIGMAS, finding_of, possible_effects, wrong_scale
-from heli_lab.watch.twin.healthy_flights import with_process_noise
+from heli_lab.watch.encoder_scale import (
+    MAX_SIGMAS,
+    ScaleEstimate,
+    ScaleTest,
+    finding_of,
+    possible_effects,
+    wrong_scale,
+)
+from heli_lab.watch.learn import with_process_noise
+from heli_lab.watch.weak_form import FlightInWeakForm
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
 from heli_sim.model.effects import catalogue, effects_of

@@ -16,9 +16,15 @@ import pytest
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
 from heli_host.ui.cli import run
-from heli_lab.watch.encoder_scale.estimate import Explanation, ScaleEstimate, scales_of
-from heli_lab.watch.encoder_scale.warning import finding_of, warning_text, wrong_scale
-from heli_lab.watch.encoder_scale.weak_form import Part, TestFunctions
+from heli_lab.watch.encoder_scale import (
+    Explanation,
+    ScaleEstimate,
+    finding_of,
+    scales_of,
+    warning_text,
+    wrong_scale,
+)
+from heli_lab.watch.weak_form import Part, TestFunctions
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

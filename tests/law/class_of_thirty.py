@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from heli_host.data.log.reader import read_flight
 from heli_host.declaration import PARAMS
-from heli_lab.control.law.trial import trial_plan
+from heli_lab.control.law_flight import trial_plan
 
 from tests.law.hostile import PITCH_STOP_deg, STOP_deg
 
@@ -32,7 +32,7 @@ OUTSIDE: Final = "outside"
 LOAD_s: Final = 3.0
 
 GOOD_LAW: Final = """\
-from heli_lab.control.law import *
+from heli_lab.law import *
 
 @control_law(states={{"t_s": 0.0}})
 def law(now, state, parameter):

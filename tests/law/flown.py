@@ -13,7 +13,7 @@ from heli_host.board.law_program import LawProgram
 from heli_host.declaration import AXES, PARAMS, Channel, Flags
 from heli_host.fly.guest_law import LawReport, engage
 from heli_host.link.telemetry import Ticks
-from heli_lab.control.law import Law
+from heli_lab.law import Law
 from heli_test_native import law as native_law
 
 from tests.firmware.cost import PERIOD_S, Flight

@@ -13,7 +13,7 @@ from typing import Any, Final
 import heli_host
 import numpy as np
 from heli_host.declaration import Flags
-from heli_lab.control.law import (
+from heli_lab.law import (
     Command,
     Law,
     control_law,

@@ -12,8 +12,8 @@ import heli_host
 import pytest
 from heli_host.board.law_program import read_law
 from heli_host.errors import BadLaw
-from heli_lab.control.law import files
-from heli_lab.control.law.files import load_law
+from heli_lab.control import law_files
+from heli_lab.control.law_files import load_law
 
 from tests.cli.terminal import Terminal, refusal, terminal
 from tests.law.flown import law_of
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.medium
 
 ASKED, FILE = 2, 5
 LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
-START: Final = "from heli_lab.control.law import *\nimport math, casadi\n"
+START: Final = "from heli_lab.law import *\nimport math, casadi\n"
 
 
 def law(body: str, options: str = "", end: str = "LAW = law") -> str:
@@ -151,7 +151,7 @@ def test_what_an_endless_file_has_started_ends_with_it(tmp_path: Path) -> None:
 
 
 def test_a_page_refuses_a_law_whose_file_never_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files.load_law, "__defaults__", (0.3, None))
+    monkeypatch.setattr(law_files.load_law, "__defaults__", (0.3, None))
     (tmp_path / "endless.py").write_text("while True: pass\n")
     with pytest.raises(BadLaw, match=r"endless\.py did not end within 0\.3 s"):
         read_law(tmp_path / "endless.py")

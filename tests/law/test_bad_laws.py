@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from heli_host.board.law_program import hash_of
 from heli_host.errors import BadLaw
-from heli_lab.control.law import Command, Law, control_law, from_function, from_gain, from_state_space
+from heli_lab.law import Command, Law, control_law, from_function, from_gain, from_state_space
 from heli_test_native import law as native_law
 
 

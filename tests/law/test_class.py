@@ -32,7 +32,7 @@ from heli_lab.apps.classroom.marking import (
     points_of,
 )
 from heli_lab.apps.classroom.submission import MARKED, new_rig_log, read_submission, returned_files
-from heli_lab.control.law.limits import FileLimits
+from heli_lab.control.fence import FileLimits
 from heli_lab.verbs.class_ import _write_marks
 
 from tests.law.class_of_thirty import HOSTILE, digest, make_class, mark_class, problems

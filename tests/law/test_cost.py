@@ -21,7 +21,7 @@ from heli_host.declaration import (
     LAW_TICK_COST,
     OPERATIONS,
 )
-from heli_lab.control.law import Command, Law, control_law, motor_volts, sqrt
+from heli_lab.law import Command, Law, control_law, motor_volts, sqrt
 
 from firmware.due.report import read_image
 from tests.firmware.built import built_elf

@@ -19,9 +19,9 @@ from heli_lab.apps.classroom.grade import (
     grade_lines,
     with_plan_setpoints,
 )
-from heli_lab.control.law import Command, Law, control_law
-from heli_lab.control.law.program_data import law_of_program
-from heli_lab.control.law.trial import LawTrial
+from heli_lab.control.law_flight import LawTrial
+from heli_lab.control.program_json import law_of_program
+from heli_lab.law import Command, Law, control_law
 
 from tests.cli.terminal import Terminal, terminal
 from tests.law.class_of_thirty import law_text

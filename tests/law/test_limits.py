@@ -9,10 +9,10 @@ from typing import Any, Final
 
 import pytest
 from heli_host.errors import BadLaw
-from heli_lab.control.law import Command, control_law
-from heli_lab.control.law.files import load_law, load_limited
-from heli_lab.control.law.limits import FileLimits
-from heli_lab.control.law.program_data import law_of_program, program_json, program_of_json
+from heli_lab.control.fence import FileLimits
+from heli_lab.control.law_files import load_law, load_limited
+from heli_lab.control.program_json import law_of_program, program_json, program_of_json
+from heli_lab.law import Command, control_law
 
 from tests.law.flown import law_of
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.medium
 
 LAWS: Final = Path(__file__).resolve().parents[2] / "docs" / "laws"
 LAW: Final = (
-    "from heli_lab.control.law import *\n@control_law()\ndef law(now, state, parameter):\n"
+    "from heli_lab.law import *\n@control_law()\ndef law(now, state, parameter):\n"
     "    return Command(1.0, 1.0 + now.pitch_rad)\nLAW = law\n"
 )
 HOSTILE: Final = {

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from heli_host.declaration import AXES, LAW_INPUTS, OPERATIONS, PARAMS, Takeover
 from heli_host.fly.guest_law import engage, set_parameter
-from heli_lab.control.law import (
+from heli_lab.law import (
     Command,
     Law,
     atan2,

@@ -19,10 +19,10 @@ from heli_host.data.log.summary import summarise
 from heli_host.data.response import responses
 from heli_host.declaration import LAW_INPUTS
 from heli_host.fly.recorder import Recorder
-from heli_lab.control.law import Command, Law, control_law
-from heli_lab.control.law.compare import flight_of_law
-from heli_lab.control.law.export_c import c_source
-from heli_lab.control.law.streamed import Streamed
+from heli_lab.control.law import c_source
+from heli_lab.control.law_flight import flight_of_law
+from heli_lab.control.streamed import Streamed
+from heli_lab.law import Command, Law, control_law
 from heli_test_native import law as native_law
 
 from tests.law.flown import law_of
@@ -33,7 +33,7 @@ NAMES = tuple(sorted(path.stem for path in LAWS.glob("*.py")))
 
 
 class Compiled:
-    """A law's C, called step by step as `heli_lab.control.law.law.Runner` is."""
+    """A law's C, called step by step as `heli_lab.control.law.Runner` is."""
 
     def __init__(self, law: Law, folder: Path) -> None:
         compiler = shutil.which("cc")

@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from heli_lab.control.law import law_rig
-from heli_lab.control.law.files import load_law, load_limited
-from heli_lab.control.law.limits import FileLimits
-from heli_lab.control.law.rig import RIG_VARIABLE
+from heli_lab.control.fence import FileLimits
+from heli_lab.control.law_files import RIG_VARIABLE, load_law, load_limited
+from heli_lab.law import law_rig
 from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal, terminal
@@ -19,7 +18,7 @@ __all__ = ["terminal"]
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = [path for path in sorted((ROOT / "docs/laws").glob("*.py")) if path.stem != "cascade"]
 PRINTS_ITS_RIG = """
-from heli_lab.control.law import Command, control_law, law_rig
+from heli_lab.law import Command, control_law, law_rig
 
 @control_law(parameters={"weight": law_rig("quanser-course")["M_w"].value})
 def law(now, state, parameter):

@@ -12,7 +12,7 @@ from heli_host.declaration import Channel, Event, LawError, LawState, Result, St
 from heli_host.fly.guest_law import PART_WORDS
 from heli_host.link.channels import physical
 from heli_host.link.telemetry import TelemetryDecoder
-from heli_lab.control.law import Command, control_law
+from heli_lab.law import Command, control_law
 from heli_test_native import law as native_law
 
 from tests.flight.harness import Harness

@@ -22,7 +22,7 @@ from heli_host.declaration import (
 )
 from heli_host.fly.guest_law import PART_WORDS, loaded
 from heli_host.link.telemetry import Ticks
-from heli_lab.control.law import Command, Law, control_law
+from heli_lab.law import Command, Law, control_law
 from heli_sim.sil.inprocess import InProcessTransport
 
 from tests.law.flown import law_of

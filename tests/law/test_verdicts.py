@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from heli_host.data.response import responses
 from heli_lab.apps.classroom.grade import FlightScore, LawGrade, score_of_trial
-from heli_lab.control.law import Command, control_law, from_gain
-from heli_lab.control.law.linear import linearised
-from heli_lab.control.law.trial import LawTrial
-from heli_lab.control.tune.plants import linear_plant
+from heli_lab.control.law_flight import LawTrial
+from heli_lab.control.linear_law import linearised
+from heli_lab.control.tune.loops import linear_plant
+from heli_lab.law import Command, control_law, from_gain
 from heli_sim.rig import load_rig
 
 from tests.cli.terminal import Terminal, terminal
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.medium
 PLANT = linear_plant(load_rig("makki2024"))
 GAINS = np.array([[12.0, 0, 0, 5.0, 0, 0], [0, 6.0, 1.5, 0, 2.0, 2.5]])
 FILE = """
-from heli_lab.control.law import from_gain
+from heli_lab.law import from_gain
 
 LAW = from_gain({gains}, hover_V={hover_V})
 """

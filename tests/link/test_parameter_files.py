@@ -80,7 +80,7 @@ def test_a_campaign_takes_known_values_of_another_schema_and_lists_the_others(
         tried_parameters.append(parameters)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("heli_lab.control.tune.flights.try_gains", tried)
+    monkeypatch.setattr("heli_lab.control.tune.trial.try_gains", tried)
     monkeypatch.setattr("heli_lab.apps.campaign.run.run_campaign", first_case)
     assert run(["campaign", str(campaign), "-o", str(tmp_path / "out")]) == 2
     assert f"{file}: dropped: unknown parameter hover_curve\n" in capsys.readouterr().out

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from heli_lab.control.tune.plants import loop_effects_of
+from heli_lab.control.tune.loops import loop_effects_of
 from heli_lab.explain.experiment_design import segment_for
-from heli_lab.watch.twin import changes
+from heli_lab.watch import twin_model
 from heli_sim.errors import EffectError, RigError
 from heli_sim.model import MultibodyModel, effects
 from heli_sim.model.effects import catalogue, effect_numbers, parse_effects
@@ -184,11 +184,11 @@ def test_a_new_effect_is_one_file_and_the_generated_table(tmp_path: Path) -> Non
         test_every_effect_of_the_list_is_there()
         test_cases.test_every_effect_of_the_list_is_hidden_in_two_sizes_or_in_disturbances_or_gone()
         (change,) = (
-            change for change in changes.changes_of(MultibodyModel()) if change.id == "window_draught"
+            change for change in twin_model.changes_of(MultibodyModel()) if change.id == "window_draught"
         )
         assert change.parameters == ("window_draught_Nm",) and not change.non_negative
         assert change.words(0.03, 0.01) == "a draught of 30 ± 10 mN m came"
-        assert "window_draught" in {effect.name for effect in changes.extended(MultibodyModel()).effects}
+        assert "window_draught" in {effect.name for effect in twin_model.extended(MultibodyModel()).effects}
         assert segment_for(catalogue()["window_draught"]) == "travel"
         assert not loop_effects_of(parse_effects(["window_draught=0.03"])).excluded
     with in_the_folder(tmp_path, plain):

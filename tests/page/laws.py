@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from heli_lab.control.law import Command, Law, control_law, if_else, motor_volts, saturated
+from heli_lab.law import Command, Law, control_law, if_else, motor_volts, saturated
 
 STATES = {"integral_V": 0.0, "flown_s": 0.0}
 

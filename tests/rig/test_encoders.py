@@ -13,7 +13,7 @@ from heli_host.board.rig_check import BoardProperty, check_rig, rig_differences,
 from heli_host.declaration import AXES
 from heli_host.errors import RigMismatch
 from heli_lab.control.tune import find_gains
-from heli_lab.control.tune.flights import try_gains
+from heli_lab.control.tune.trial import try_gains
 from heli_lab.diagnose import diagnose
 from heli_lab.fit.identification import identify
 from heli_lab.fit.records import prepare

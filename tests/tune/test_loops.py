@@ -23,8 +23,8 @@ from heli_lab.control.tune import (
     loops,
     margins,
 )
-from heli_lab.control.tune.plants import spread_plants
-from heli_lab.control.tune.shaping import shaped_step
+from heli_lab.control.tune.loops import spread_plants
+from heli_lab.control.tune.paths import shaped_step
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.plant import Plant

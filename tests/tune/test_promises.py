@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from heli_host.declaration import PARAMS, Fault
 from heli_lab.control.tune import LOOPS, Design, Spread, find_gains, margins
-from heli_lab.control.tune.loops import open_loops, peak_sensitivity
-from heli_lab.control.tune.plants import spread_plants
+from heli_lab.control.tune.loops import open_loops, peak_sensitivity, spread_plants
 from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel, PaperModel
 from heli_sim.model.base import Model

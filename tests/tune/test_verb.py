@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from heli_host.board.parameters import checked, read_parameter_set
 from heli_host.ui.cli.entry import run
-from heli_lab.control.tune.flight_metrics import FlightMetrics
+from heli_lab.control.tune.trial import FlightMetrics
 from heli_lab.verbs.tune import _flight_lines
 from heli_sim.rig import load_rig, write_rig
 

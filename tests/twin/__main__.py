@@ -17,13 +17,12 @@ from typing import Any
 
 import numpy as np
 from heli_host.data.flight import Flight
-from heli_lab.watch.twin.calibration import Calibration
-from heli_lab.watch.twin.draws import NO_ALARM
-from heli_lab.watch.twin.flights import count_rad_of, samples_of
-from heli_lab.watch.twin.monitor import monitor_flight
-from heli_lab.watch.twin.tail import IDEAL, Tail, segment_maxima
-from heli_lab.watch.twin.twin import Twin
-from heli_lab.watch.twin.twin_model import TwinModel
+from heli_lab.watch.calibration import IDEAL, Calibration, Tail, segment_maxima
+from heli_lab.watch.learn import NO_ALARM
+from heli_lab.watch.monitor import monitor_flight
+from heli_lab.watch.steps import count_rad_of, samples_of
+from heli_lab.watch.twin import Twin
+from heli_lab.watch.twin_model import TwinModel
 from heli_sim.model.multibody import MultibodyModel
 from scipy.stats import binom
 

@@ -18,9 +18,9 @@ from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
 from heli_lab.fit.estimator import estimate
 from heli_lab.fit.flight_model import RigParameters, filter_record, model_functions
-from heli_lab.watch.twin.files import DEFAULT_CALIBRATION, TwinRig
-from heli_lab.watch.twin.learn import DRAWN_s, learn
-from heli_lab.watch.twin.monitor import TwinReport, monitor_flight
+from heli_lab.watch.calibration import DEFAULT_CALIBRATION, TwinRig
+from heli_lab.watch.learn import DRAWN_s, learn
+from heli_lab.watch.monitor import TwinReport, monitor_flight
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig

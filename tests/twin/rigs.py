@@ -11,9 +11,8 @@ from heli_lab.fit.estimator import estimate
 from heli_lab.fit.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.fit.records import prepare
-from heli_lab.watch.twin.files import TwinRig
-from heli_lab.watch.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
-from heli_lab.watch.twin.learn import learn
+from heli_lab.watch.calibration import TwinRig
+from heli_lab.watch.learn import fly_simulated, learn, random_plan, with_process_noise
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.effects import parse_effects

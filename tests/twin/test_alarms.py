@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 from heli_lab.fit.grey_box import DisturbanceModel
-from heli_lab.watch.twin.calibration import Calibration
-from heli_lab.watch.twin.files import DEFAULT_CALIBRATION, TwinRig
+from heli_lab.watch.calibration import DEFAULT_CALIBRATION, Calibration, TwinRig
 from scipy.special import bdtrc
 
 from tests.running.long import LONG, samples

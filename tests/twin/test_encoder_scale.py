@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from heli_host.data.log.reader import read_log
 from heli_host.ui.cli import run
-from heli_lab.watch.twin.files import open_rig
-from heli_lab.watch.twin.monitor import monitor_file
+from heli_lab.watch.calibration import open_rig
+from heli_lab.watch.monitor import monitor_file
 
 pytestmark = pytest.mark.slow
 FALSE_ALARM_INTERVAL_h = 10.0

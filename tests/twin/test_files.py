@@ -10,12 +10,10 @@ import pytest
 from heli_host.errors import HeliError
 from heli_host.ui.cli import run
 from heli_lab.fit.grey_box import DisturbanceModel
-from heli_lab.watch.twin import learn
-from heli_lab.watch.twin.calibration import Calibration, write_calibration
-from heli_lab.watch.twin.draws import FollowedFlight
-from heli_lab.watch.twin.files import DEFAULT_CALIBRATION, open_rig
-from heli_lab.watch.twin.parameter_uncertainty import ParameterUncertainty
-from heli_lab.watch.twin.tail import Tail
+from heli_lab.watch import learn
+from heli_lab.watch.calibration import DEFAULT_CALIBRATION, Calibration, Tail, open_rig, write_calibration
+from heli_lab.watch.learn import FollowedFlight
+from heli_lab.watch.twin_model import ParameterUncertainty
 
 CALIBRATION = Calibration(
     DisturbanceModel(

@@ -10,16 +10,14 @@ import numpy as np
 import pytest
 from heli_host.data.flight import Flight
 from heli_lab.fit.grey_box import DisturbanceModel
-from heli_lab.watch.twin import twin as twin_module
-from heli_lab.watch.twin.calibration import Calibration
-from heli_lab.watch.twin.draws import NO_ALARM, evidence
-from heli_lab.watch.twin.flights import count_rad_of, samples_of
-from heli_lab.watch.twin.healthy_flights import fly_simulated, random_plan, with_process_noise
-from heli_lab.watch.twin.kalman_filter import KalmanFilter
-from heli_lab.watch.twin.likelihood_ratio import ONSETS, Innovation, LikelihoodRatio
-from heli_lab.watch.twin.parameter_uncertainty import EXACT, SUPPLY_STD
-from heli_lab.watch.twin.twin import Twin
-from heli_lab.watch.twin.twin_model import ZEROS, TwinModel
+from heli_lab.watch import twin as twin_module
+from heli_lab.watch.calibration import Calibration
+from heli_lab.watch.kalman_filter import KalmanFilter
+from heli_lab.watch.learn import NO_ALARM, evidence, fly_simulated, random_plan, with_process_noise
+from heli_lab.watch.likelihood_ratio import ONSETS, Innovation, LikelihoodRatio
+from heli_lab.watch.steps import count_rad_of, samples_of
+from heli_lab.watch.twin import Twin
+from heli_lab.watch.twin_model import EXACT, SUPPLY_STD, ZEROS, TwinModel
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import trim
 from heli_sim.rig import Rig, load_rig

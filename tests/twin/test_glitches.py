@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_host.data.flight import Flight
-from heli_lab.watch.twin.files import DEFAULT_CALIBRATION, TwinRig
-from heli_lab.watch.twin.flights import count_rad_of
-from heli_lab.watch.twin.glitches import MAX_BLOCKS, REFILL, GlitchWatch
-from heli_lab.watch.twin.healthy_flights import fly_simulated, random_plan
-from heli_lab.watch.twin.monitor import TwinReport, monitor_flight
+from heli_lab.watch.calibration import DEFAULT_CALIBRATION, TwinRig
+from heli_lab.watch.glitches import MAX_BLOCKS, REFILL, GlitchWatch
+from heli_lab.watch.learn import fly_simulated, random_plan
+from heli_lab.watch.monitor import TwinReport, monitor_flight
+from heli_lab.watch.steps import count_rad_of
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_lab.fit.grey_box import DisturbanceModel
-from heli_lab.watch.twin.changes import all_changes
-from heli_lab.watch.twin.draws import Draws
-from heli_lab.watch.twin.learn import DETECTABLE_WITHIN_s, at_least_rounding
-from heli_lab.watch.twin.likelihood_ratio import ONSETS, Innovation, LikelihoodRatio
-from heli_lab.watch.twin.persistence import CUT_OFF_STD
+from heli_lab.watch.learn import DETECTABLE_WITHIN_s, Draws, at_least_rounding
+from heli_lab.watch.likelihood_ratio import CUT_OFF_STD, ONSETS, Innovation, LikelihoodRatio
+from heli_lab.watch.twin_model import all_changes
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import derivatives, trim
 from heli_sim.model.parts import AXES

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 from heli_lab.fit.linearised_flight import BLOCK_s
-from heli_lab.watch.twin.changes import Change, all_changes
-from heli_lab.watch.twin.likelihood_ratio import (
+from heli_lab.watch.calibration import SEGMENT_s, Tail, fit_tail
+from heli_lab.watch.likelihood_ratio import (
     KEPT,
     ONSETS,
     RECENT,
@@ -16,7 +16,7 @@ from heli_lab.watch.twin.likelihood_ratio import (
     Innovation,
     LikelihoodRatio,
 )
-from heli_lab.watch.twin.tail import SEGMENT_s, Tail, fit_tail
+from heli_lab.watch.twin_model import Change, all_changes
 
 from tests.estimation.density import log_density
 

@@ -9,16 +9,18 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from heli_lab.watch.twin import twin as twin_module
-from heli_lab.watch.twin.calibration import Calibration
-from heli_lab.watch.twin.changes import Change, all_changes
-from heli_lab.watch.twin.files import DEFAULT_CALIBRATION
-from heli_lab.watch.twin.likelihood_ratio import ONSETS, ChangeCandidate, Innovation, LikelihoodRatio
-from heli_lab.watch.twin.parameter_uncertainty import EXACT, ParameterUncertainty
-from heli_lab.watch.twin.persistence import PERSISTENCE_BLOCKS, DIAGNOSIS_DELAY_s
-from heli_lab.watch.twin.samples import Samples
-from heli_lab.watch.twin.tail import Tail
-from heli_lab.watch.twin.twin import Twin
+from heli_lab.watch import twin as twin_module
+from heli_lab.watch.calibration import DEFAULT_CALIBRATION, Calibration, Tail
+from heli_lab.watch.likelihood_ratio import (
+    ONSETS,
+    PERSISTENCE_BLOCKS,
+    ChangeCandidate,
+    Innovation,
+    LikelihoodRatio,
+)
+from heli_lab.watch.steps import Samples
+from heli_lab.watch.twin import DIAGNOSIS_DELAY_s, Twin
+from heli_lab.watch.twin_model import EXACT, Change, ParameterUncertainty, all_changes
 from heli_sim.rig import load_rig
 
 CHANGES = all_changes()
@@ -93,7 +95,6 @@ def reported_events(
     candidate = ChangeCandidate(change, 0, size, 0.01, THRESHOLD_nats)
     monkeypatch.setattr(twin_module, "CALIBRATION_s", calibration_s)
     monkeypatch.setattr(twin_module, "KalmanFilter", _Filter)
-    monkeypatch.setattr(Twin, "watches_glitches", False)
     monkeypatch.setattr(twin_module, "start_state", lambda *_: np.zeros(6))
     monkeypatch.setattr(LikelihoodRatio, "update_cut", lambda *_: next(remaining_evidence, 0.0))
     monkeypatch.setattr(LikelihoodRatio, "ranking", lambda _: [candidate, candidate])
@@ -107,7 +108,13 @@ def reported_events(
     )
     # So few excursions per hour that the threshold is the level of the tail.
     tail = Tail(THRESHOLD_nats, per_hour=1e-9, scale_nats=1.0, excesses=20)
-    twin = Twin(model, Calibration(DEFAULT_CALIBRATION.disturbances, tail), COUNT_rad, sample_s=1e-3)
+    twin = Twin(
+        model,
+        Calibration(DEFAULT_CALIBRATION.disturbances, tail),
+        COUNT_rad,
+        sample_s=1e-3,
+        watches_glitches=False,
+    )
     count = 4000 + BLOCK_ms * len(evidence_nats)
     flying, landing = np.ones(count, bool), np.zeros(count, bool)
     if off_after is not None:

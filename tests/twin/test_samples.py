@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from heli_host.declaration import Channel, State
-from heli_lab.watch.twin.flights import samples_of_ticks
-from heli_lab.watch.twin.samples import Samples, Step, Stepper
+from heli_lab.watch.steps import Samples, Step, Stepper, samples_of_ticks
 from hypothesis import given
 from hypothesis import strategies as st
 

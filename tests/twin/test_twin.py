@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from heli_host.data.log.reader import Log, read_log
 from heli_host.ui.cli import run
-from heli_lab.watch.twin.files import open_rig
-from heli_lab.watch.twin.live import open_twin
-from heli_lab.watch.twin.monitor import TwinReport, monitor_file
+from heli_lab.watch.calibration import open_rig
+from heli_lab.watch.monitor import TwinReport, monitor_file, open_twin
 
 pytestmark = pytest.mark.slow
 CHANGED_s = 12.0

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from heli_lab.watch.twin.events import TwinEvent
-from heli_lab.watch.twin.monitor import TwinReport
-from heli_lab.watch.twin.parameter_uncertainty import EXACT
-from heli_lab.watch.twin.voltage_range import VoltageRange
+from heli_lab.watch.monitor import TwinReport
+from heli_lab.watch.steps import VoltageRange
+from heli_lab.watch.twin import TwinEvent
+from heli_lab.watch.twin_model import EXACT
 
 STEP_s = 0.01
 KNOWN_VOLTAGES = replace(EXACT, low_V=np.array([0.0, 1.7]), high_V=np.full(2, 5.5))

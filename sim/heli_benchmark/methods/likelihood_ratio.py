@@ -6,13 +6,12 @@ import math
 from typing import Any, Final
 
 from heli_lab.fit.identification import identify
-from heli_lab.watch.twin.calibration import Calibration
-from heli_lab.watch.twin.flights import count_rad_of, samples_of
-from heli_lab.watch.twin.learn import learn_rig
-from heli_lab.watch.twin.likelihood_ratio import ChangeCandidate
-from heli_lab.watch.twin.tail import Tail
-from heli_lab.watch.twin.twin import Twin
-from heli_lab.watch.twin.twin_model import TwinModel
+from heli_lab.watch.calibration import Calibration, Tail
+from heli_lab.watch.learn import learn_rig
+from heli_lab.watch.likelihood_ratio import ChangeCandidate
+from heli_lab.watch.steps import count_rad_of, samples_of
+from heli_lab.watch.twin import Twin
+from heli_lab.watch.twin_model import TwinModel
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig
 

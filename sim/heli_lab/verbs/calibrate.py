@@ -228,8 +228,7 @@ def _operator_of(heli: Heli, *, simulated: bool) -> Operator:
 
     from heli_sim.sil.inprocess import InProcessTransport
 
-    from heli_lab.setup.calibrate.simulated_operator import SimulatedOperator
-    from heli_lab.setup.calibrate.terminal_operator import TerminalOperator
+    from heli_lab.setup.calibrate.operator import SimulatedOperator, TerminalOperator
 
     transport = heli.session.transport
     if simulated and isinstance(transport, InProcessTransport):
@@ -259,7 +258,7 @@ def _write_files(result: BenchCalibration, base: Rig, new_rig: Path, save_params
 
 def _say_result(result: BenchCalibration, base: Rig, before: dict[str, float]) -> None:
     """Print each motor's wiring and thrust, each parameter before and after, and the notes."""
-    from heli_lab.setup.calibrate.thrust import ThrustLine
+    from heli_lab.setup.calibrate.motors import ThrustLine
 
     say("+- is one standard error")
     for motor in result.motors:

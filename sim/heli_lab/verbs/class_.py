@@ -93,8 +93,8 @@ def class_(
 
     from heli_lab.apps.classroom.marking import Marking
     from heli_lab.apps.classroom.submission import submissions_in
-    from heli_lab.control.law.limits import FileLimits
-    from heli_lab.control.law.trial import trial_plan
+    from heli_lab.control.fence import FileLimits
+    from heli_lab.control.law_flight import trial_plan
 
     folders = submissions_in(folder)
     check_result_places(folder / MARKS, json)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from heli_host.board.law_program import LawProgram
     from heli_host.data.flight import Flight
 
-    from heli_lab.control.law.linear import LinearisedLaw
-    from heli_lab.control.law.trial import LawTrial
+    from heli_lab.control.law_flight import LawTrial
+    from heli_lab.control.linear_law import LinearisedLaw
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -85,7 +85,7 @@ def check(
     """
     from heli_host.declaration import LAW_TICK_COST
 
-    from heli_lab.control.law.files import load_law
+    from heli_lab.control.law_files import load_law
 
     data_on_stdout(json)
     control_law = load_law(law, load_timeout, rig)
@@ -99,8 +99,8 @@ def check(
     # Imported here so that an invalid law is refused without this delay.
     from heli_sim.rig import load_rig
 
-    from heli_lab.control.law.linear import linearised
-    from heli_lab.control.tune.plants import linear_plant
+    from heli_lab.control.linear_law import linearised
+    from heli_lab.control.tune.loops import linear_plant
 
     linear = linearised(control_law, linear_plant(load_rig(rig)))
     say(*_stability_lines(linear))
@@ -149,9 +149,8 @@ def fly(
     from heli_host.fly.plan import load_plan
     from heli_host.ui.cli.board import check_target
 
-    from heli_lab.control.law.files import load_law
-    from heli_lab.control.law.trial import trial_plan
-    from heli_lab.control.law_flight import fly_law
+    from heli_lab.control.law_files import load_law
+    from heli_lab.control.law_flight import fly_law, trial_plan
 
     check_target(options.port, options.sil)
     flown_plan = load_plan(plan) if plan is not None else trial_plan(duration_s)
@@ -257,11 +256,10 @@ def grade(
 
     from heli_lab.apps.classroom.grade import REFERENCE, LawGrade, grade_lines
     from heli_lab.apps.classroom.grade import grade as grade_law
-    from heli_lab.control.law.files import check_files, load_limited
-    from heli_lab.control.law.limits import FileLimits
-    from heli_lab.control.law.trial import trial_plan
-    from heli_lab.control.law_flight import fly_trial
-    from heli_lab.control.tune.plants import linear_plant
+    from heli_lab.control.fence import FileLimits
+    from heli_lab.control.law_files import check_files, load_limited
+    from heli_lab.control.law_flight import fly_trial, trial_plan
+    from heli_lab.control.tune.loops import linear_plant
 
     check_result_places(json, report=report)
     data_on_stdout(json)
@@ -328,8 +326,8 @@ def export(
 
     Example: `heli-host law export lqi.py -o lqi.c`
     """
-    from heli_lab.control.law.export_c import c_source
-    from heli_lab.control.law.files import load_law
+    from heli_lab.control.law import c_source
+    from heli_lab.control.law_files import load_law
 
     write_signed(output, c_source(load_law(law, load_timeout, rig)))
     say_files((output,))
@@ -374,8 +372,7 @@ def _fly_random_rigs(program: LawProgram, rig: str, count: int, seed: int) -> li
     """Fly a control law on simulated rigs with random thrust and rotor lag; return their JSON objects."""
     import numpy as np
 
-    from heli_lab.control.law.trial import trial_plan
-    from heli_lab.control.law_flight import fly_trial
+    from heli_lab.control.law_flight import fly_trial, trial_plan
 
     random = np.random.default_rng(seed)
     trials: list[dict[str, Any]] = []
@@ -400,7 +397,7 @@ def _read_logs(paths: Sequence[Path]) -> dict[str, Flight]:
     """Read two or more different logs; return their flights by path."""
     from heli_host.errors import FlightDataError
 
-    from heli_lab.control.law.compare import flight_of_law
+    from heli_lab.control.law_flight import flight_of_law
 
     if len(paths) < _MIN_LOGS:
         raise FlightDataError("a comparison needs two logs", "give two logs, or a law (.py)")
@@ -418,9 +415,8 @@ def _fly_laws(
     Returns the flights by the name of the law, or by its path if another law has the same name.
     """
     from heli_lab.apps.classroom.grade import REFERENCE
-    from heli_lab.control.law.files import load_law
-    from heli_lab.control.law.trial import trial_plan
-    from heli_lab.control.law_flight import fly_trial
+    from heli_lab.control.law_files import load_law
+    from heli_lab.control.law_flight import fly_trial, trial_plan
 
     # All files are loaded before the first flight. None is the board's own control law.
     programs: dict[str, LawProgram | None] = {}

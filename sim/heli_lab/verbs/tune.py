@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from heli_sim.rig import Rig
 
     from heli_lab.control.tune import Design, LoopEffects
-    from heli_lab.control.tune.flights import Trial
+    from heli_lab.control.tune.trial import Trial
 
 TRIAL_LAG_s = 0.12
 """Rotor lag of the second test flight if no lag is stated [s]; rotors of this size have 0.09 to 0.15 s."""
@@ -120,7 +120,7 @@ def tune(
         write_signed(save_params, text)
     write_result(json, _json_object(base_rig, name, design, loop_effects, parameters, trials))
     if figure is not None:
-        from heli_lab.control.tune.figures import figure_of_design
+        from heli_lab.control.tune.trial import figure_of_design
 
         flights = [(trial.label, trial.flight) for trial in trials]
         save_figure(figure_of_design(design, flights), figure, dpi=120)
@@ -161,7 +161,7 @@ def _fly_test(
     """Simulate a test flight with the board's parameters for each model, and return the results."""
     from heli_sim.plant import Plant
 
-    from heli_lab.control.tune.flights import try_gains
+    from heli_lab.control.tune.trial import try_gains
 
     def show(number: int, done: float) -> None:
         # The design before the test flights is half of the work.

@@ -18,10 +18,9 @@ from heli_host.ui.cli.verb import Verb
 if TYPE_CHECKING:
     from heli_host.ui.cli.live import WorkBar
 
-    from heli_lab.watch.twin.events import TwinEvent
-    from heli_lab.watch.twin.files import TwinRig
-    from heli_lab.watch.twin.monitor import TwinReport
-    from heli_lab.watch.twin.tail import Tail
+    from heli_lab.watch.calibration import Tail, TwinRig
+    from heli_lab.watch.monitor import TwinReport
+    from heli_lab.watch.twin import TwinEvent
 
 
 def twin(
@@ -86,10 +85,9 @@ def twin(
     from heli_host.ui.cli.live import WorkBar
     from heli_host.ui.cli.options import check_result_places
 
-    from heli_lab.watch.twin.figure import draw_evidence
-    from heli_lab.watch.twin.files import open_rig
-    from heli_lab.watch.twin.learn import has_few_disturbances
-    from heli_lab.watch.twin.monitor import monitor_file
+    from heli_lab.watch.calibration import open_rig
+    from heli_lab.watch.learn import has_few_disturbances
+    from heli_lab.watch.monitor import draw_evidence, monitor_file
 
     if not flights and learn is None:
         raise typer.BadParameter("no flight is given; give one, or --learn FILE")
@@ -130,8 +128,8 @@ def _calibrated(
     """
     from heli_host.data.log.reader import read_flight
 
-    from heli_lab.watch.twin.calibration import write_calibration
-    from heli_lab.watch.twin.learn import learn, learn_rig
+    from heli_lab.watch.calibration import write_calibration
+    from heli_lab.watch.learn import learn, learn_rig
 
     bar.show("reading", 0.0)
     nominal_flights = [read_flight(path, allow_gaps=True) for path in nominal_paths]

@@ -265,7 +265,7 @@ def gains(settings: Settings) -> Result:
     """
     from dataclasses import asdict
 
-    from heli_lab.control.tune.flights import try_gains
+    from heli_lab.control.tune.trial import try_gains
 
     nominal, drawn = _nominal_and_drawn_rig(settings)
     model = _chosen_model(settings, nominal, parse_effects(drawn.effects, settings["effect_files"]))

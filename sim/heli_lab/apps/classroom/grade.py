@@ -17,10 +17,10 @@ from heli_host.data.response import effort_V, responses
 from heli_host.declaration import AXES, LAW_INPUTS
 from heli_host.errors import BadLaw, FlightAborted, FlightDataError, HeliError
 
-from heli_lab.control.law.linear import linearised
-from heli_lab.control.law.program_data import law_of_program
-from heli_lab.control.law.trial import LawTrial
-from heli_lab.control.tune.plants import LinearPlant
+from heli_lab.control.law_flight import LawTrial
+from heli_lab.control.linear_law import linearised
+from heli_lab.control.program_json import law_of_program
+from heli_lab.control.tune.loops import LinearPlant
 from heli_lab.report.page import folder_with, write_page
 from heli_lab.report.page.drawing import Drawing
 

@@ -24,9 +24,8 @@ from heli_host.ui.cli.say import QUIET, say, write_result
 
 from heli_lab.apps.classroom.grade import FlightScore, score_of_trial, with_plan_setpoints
 from heli_lab.apps.classroom.submission import Submission, new_rig_log, read_submission, returned_files
-from heli_lab.control.law.limits import FileLimits
-from heli_lab.control.law.trial import LawTrial
-from heli_lab.control.law_flight import flown_with
+from heli_lab.control.fence import FileLimits
+from heli_lab.control.law_flight import LawTrial, flown_with
 
 if TYPE_CHECKING:
     from heli_host.fly.plan import Plan

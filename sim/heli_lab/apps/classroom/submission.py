@@ -26,8 +26,8 @@ from heli_host.declaration import PARAMS
 from heli_host.errors import BadLaw, HeliError, ParameterError, PlanError, file_remedy
 from heli_host.fly.plan import Plan
 
-from heli_lab.control.law.files import load_limited
-from heli_lab.control.law.limits import FileLimits
+from heli_lab.control.fence import FileLimits
+from heli_lab.control.law_files import load_limited
 
 MARKED: Final = "marked"
 """Folder in a submission for the files that are returned to the student: log, figure and mark."""

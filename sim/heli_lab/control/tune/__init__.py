@@ -1,9 +1,20 @@
 """Design gains of the board's control law for a rig."""
 
 from heli_lab.control.tune.design import Design, find_gains
-from heli_lab.control.tune.gains import cascade_gains_of
-from heli_lab.control.tune.loops import LOOPS, CascadeGains, Margin, Pid, is_stable, margins
-from heli_lab.control.tune.plants import LinearPlant, LoopEffects, Spread, linear_plant, loop_effects_of
+from heli_lab.control.tune.loops import (
+    LOOPS,
+    CascadeGains,
+    LinearPlant,
+    LoopEffects,
+    Margin,
+    Pid,
+    Spread,
+    cascade_gains_of,
+    is_stable,
+    linear_plant,
+    loop_effects_of,
+    margins,
+)
 
 __all__ = [
     "LOOPS",

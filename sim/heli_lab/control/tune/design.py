@@ -13,38 +13,37 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from heli_host.data.arrays import Floats
+from heli_host.declaration import PARAMS
+from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig
+from heli_sim.rig.board import encoder_parameters
+from heli_sim.rig.encoders import direction_is_known
 
 from heli_lab.control.tune import loops
-from heli_lab.control.tune.board_parameters import (
-    check_lift,
-    largest_differential_V,
-    law_parameters,
-    lift_max_V,
-    rig_parameters,
-    travel_motion_deg,
-)
-from heli_lab.control.tune.loops import CascadeGains, ComplexArray, Margin, Pid
-from heli_lab.control.tune.objective import (
-    UNSTABLE_COST,
-    MIN_DECAY_1_s,
-    bound_penalty,
+from heli_lab.control.tune.loops import (
+    CascadeGains,
+    ComplexArray,
+    LinearPlant,
+    LoopEffects,
+    Margin,
+    Pid,
+    Spread,
     count_nominal,
-    initial_crossover_rad_s,
-    log_cost,
-    minimise_positive,
-    slowest_pole_1_s,
+    spread_plants,
 )
-from heli_lab.control.tune.plants import LinearPlant, LoopEffects, Spread, spread_plants
-from heli_lab.control.tune.shaping import shaped_step
-from heli_lab.control.tune.simulate import SIMULATION_STEP_s, discretise
-from heli_lab.control.tune.travel_step import TravelStep, constant_loads_deg_s2
+from heli_lab.control.tune.paths import (
+    SIMULATION_STEP_s,
+    TravelStep,
+    constant_loads_deg_s2,
+    discretise,
+    shaped_step,
+)
 
 TRAVEL_STEP_DEG: Final = 15.0
 PITCH_SETPOINT_MAX_DEG: Final = 30.0
@@ -310,3 +309,137 @@ def _initial_tilt_gains(nominal: LinearPlant, inner_rad_s: float) -> Floats:
 def _controller_of_gains(gains: Floats, filter_Hz: float) -> Pid:
     """Make a controller from its gains kp, ki and kd, shape (3,), and the cut-off of its rate filter."""
     return Pid(float(gains[0]), float(gains[1]), float(gains[2]), filter_Hz)
+
+
+MOTOR_MAX_V: Final = 10.0
+"""Largest voltage of a motor in flight, even if the supply gives more [V]."""
+_PARAMETERS: Final = {spec.name: spec for spec in PARAMS}
+
+
+def check_lift(rig: Rig, hover_V: float) -> None:
+    """Raise a PlantError if the rig's motors cannot hold it at `hover_V`, the sum above the dead zone [V]."""
+    if hover_V >= lift_max_V(rig):
+        raise PlantError(
+            f"rig '{rig.name}' hovers at {0.5 * hover_V + rig['dead_zone'].value:.1f} V per motor, "
+            f"but its motors get at most {_motor_max_V(rig):.1f} V",
+            "check its masses, thrust_gain and supply",
+        )
+
+
+def rig_parameters(rig: Rig) -> dict[str, float]:
+    """Return the parameters of the board that follow from the rig alone.
+
+    Counts per revolution are included only for encoders whose direction the rig file states. The sign of the
+    others depends on their wiring, and is stored on the board, so that a file of gains must not change it.
+    """
+    encoders = zip(encoder_parameters(rig).items(), direction_is_known(rig), strict=True)
+    counts_per_rev = {name: value for (name, value), is_known in encoders if is_known}
+    supply_V = rig["supply"].value
+    return counts_per_rev | {
+        "elevation_rest_deg": rig["elevation_min"].value,
+        "supply_V": supply_V,
+        "motor_min_V": -supply_V if rig["reverse_thrust"].value > 0.0 else 0.0,
+        "motor_max_V": _motor_max_V(rig),
+        "dead_zone_V": rig["dead_zone"].value,
+    }
+
+
+def law_parameters(law: CascadeGains) -> dict[str, float]:
+    """Convert the gains and filters of a law to parameters of the board, in its units."""
+    values: dict[str, float] = {}
+    for axis, pid in (("elevation", law.elevation), ("pitch", law.pitch), ("travel", law.travel)):
+        for name, gain in (("kp", pid.kp), ("ki", pid.ki), ("kd", pid.kd)):
+            # The board takes V per degree, and for travel degrees per degree.
+            values[f"{axis}_{name}"] = gain if axis == "travel" else float(np.radians(gain))
+        values[f"{axis}_filter_Hz"] = pid.filter_Hz
+    return values
+
+
+def travel_motion_deg(gain: float) -> float:
+    """Return the tilt from which on the board expects travel to move [deg].
+
+    On a rig with the travel gain `gain` [1/s^2], this tilt gives the same acceleration as the default tilt on
+    the default rig.
+    """
+    default_acceleration = _PARAMETERS["travel_motion_deg"].default * _PARAMETERS["travel_gain"].default
+    return max(default_acceleration / gain, _PARAMETERS["travel_motion_deg"].min)
+
+
+def largest_differential_V(rig: Rig, hover_V: float) -> float:
+    """Compute the largest difference of the voltages at which their sum still holds the arm [V].
+
+    Beyond the hover voltage, one rotor stops and the other lifts the arm. Beyond the reserve of the stronger
+    motor, the arm sinks.
+    """
+    return max(min(hover_V, lift_max_V(rig) - hover_V), 0.1 * hover_V)
+
+
+def lift_max_V(rig: Rig) -> float:
+    """Largest sum of both voltages above the dead zone [V]."""
+    return 2.0 * (_motor_max_V(rig) - rig["dead_zone"].value)
+
+
+def _motor_max_V(rig: Rig) -> float:
+    """Largest voltage of a motor [V]: the supply, but at most `MOTOR_MAX_V`."""
+    return min(rig["supply"].value, MOTOR_MAX_V)
+
+
+MIN_DECAY_1_s: Final = 0.02
+"""Smallest decay rate of a closed loop; slower loops count as unstable."""
+UNSTABLE_COST: Final = 1e3
+"""Cost of an unstable loop, far above any other cost; its slowest pole is added."""
+_BOUND_WEIGHT: Final = 30.0
+"""Cost of exceeding a bound by the factor e."""
+_OTHER_LAGS_s: Final = 0.03
+"""Lag of a loop in addition to that of the rotors [s], for the start values of the gains."""
+
+
+def initial_crossover_rad_s(plants: Sequence[LinearPlant]) -> float:
+    """Choose a crossover frequency for a double integrator with the longest lag, by the symmetrical optimum.
+
+    The result is only the start of a minimisation, so that the factor of 2.2 is not critical; the textbook
+    has 2.
+    """
+    longest_lag_s = max(plant.lag_s for plant in plants) + _OTHER_LAGS_s
+    return 1.0 / (2.2 * longest_lag_s)
+
+
+def slowest_pole_1_s(closed: Floats) -> float:
+    """Return the largest real part of all poles [1/s] of closed loops with the state matrices `closed`, shape
+    (plants, n, n).
+    """
+    return float(np.linalg.eigvals(closed).real.max())
+
+
+def log_cost(squares: Floats, nominal_count: int) -> float:
+    """Combine the mean squared errors of all plants into one cost. Shapes: `squares` (plants,).
+
+    The cost is the mean of two logarithms: that of the nominal plants' mean, and that of the corners' mean.
+    """
+    return float(0.5 * (np.log(squares[:nominal_count].mean()) + np.log(squares[nominal_count:].mean())))
+
+
+def bound_penalty(peak: float, bound: float) -> float:
+    """Return the cost of a `peak` that exceeds its `bound`; 0 if it does not."""
+    return _BOUND_WEIGHT * max(0.0, float(np.log(peak / bound)))
+
+
+def minimise_positive(cost: Callable[[Floats], float], start: Floats) -> Floats:
+    """Find the positive gains with the lowest cost, by the Nelder-Mead method in their logarithms. Shapes:
+    `start` (k,).
+
+    The search is restarted with a new simplex, because a small simplex can get stuck. It ends when the cost
+    falls by less than 0.01, which means that errors fall by less than 0.5 %.
+    """
+    from scipy.optimize import minimize
+
+    best, best_cost = np.log(start), np.inf
+    options: dict[str, Any] = {"xatol": 3e-3, "fatol": 1e-3, "maxiter": 300, "adaptive": True}
+    for simplex_size in (0.4, 0.3, 0.2, 0.2):
+        options["initial_simplex"] = np.vstack([best, best + simplex_size * np.eye(len(best))])
+        optimum = minimize(lambda logs: cost(np.exp(logs)), best, method="Nelder-Mead", options=options)
+        improvement = best_cost - optimum.fun
+        best, best_cost = optimum.x, optimum.fun
+        if improvement < 0.01:
+            break
+    return np.asarray(np.exp(best), float)

@@ -12,7 +12,7 @@ from heli_host.data.arrays import Floats
 from heli_host.declaration import AXES
 from heli_host.fly.heli import Heli
 
-from heli_lab.setup.calibrate.errors import CalibrationError
+from heli_lab.errors import CalibrationError
 from heli_lab.setup.calibrate.operator import HandAction, Operator
 
 MOVED_deg: Final = 5.0
