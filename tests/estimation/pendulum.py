@@ -1,16 +1,65 @@
-"""A cart with a hanging pendulum, simulated by SciPy: a machine other than the helicopter."""
+"""The normal density written out: an oracle, without the second of CPU that scipy.stats takes to import."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
+from heli_host.data.flight import Flight
 from heli_lab.fit.grey_box import DisturbanceModel, GreyBoxModel, no_reset
+from heli_lab.fit.records import Record, prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import parse_effects
+from heli_sim.rig import load_rig
+from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+
+from tests.identify import made
+from tests.identify.made import flown, thinned
+from tests.running.kept import FLOWN, KEPT
+
+
+def log_density(values: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
+    """Logarithm of the density of N(0, covariance) at values, shape (n,)."""
+    log_determinant = np.linalg.slogdet(covariance)[1]
+    squares = values @ np.linalg.solve(covariance, values)
+    return float(-0.5 * (squares + log_determinant + len(values) * np.log(2.0 * np.pi)))
+
+
+GUST_Nm = {"elevation": 0.012, "pitch": 0.004, "travel": 0.008}
+RIG = load_rig("makki2024")
+TRUE_RIG = RIG.replace(thrust_gain=0.62, friction_travel=0.05)
+SECONDS = 34.0
+MADE_BY = (Path(__file__), Path(made.__file__))
+
+
+def _flown(share: float = 1.0, *further: str) -> Flight:
+    """Fly with a `share` of the disturbances `GUST_Nm`, and with `further` effects."""
+    disturbances = parse_effects([f"random_torque.{axis}={share * size}" for axis, size in GUST_Nm.items()])
+    return thinned(flown(TRUE_RIG, 21, SECONDS, MultibodyModel((*disturbances, *parse_effects(further)))), 2)
+
+
+@cache
+def flight_with_disturbances() -> Record:
+    """Return a flight of `TRUE_RIG` with disturbances that are correlated over half a second."""
+    flight = KEPT(f"windy {GUST_Nm} {SECONDS}", _flown, made_by=MADE_BY, rooms=FLOWN)
+    return prepare(flight, RIG, "windy")
+
+
+@cache
+def flown_with(effect: str) -> Record:
+    """Return a flight of `TRUE_RIG` with an effect, and with a third of those disturbances."""
+    flight = KEPT(
+        f"{effect} {GUST_Nm} {SECONDS}", lambda: _flown(1 / 3, effect), made_by=MADE_BY, rooms=FLOWN
+    )
+    return prepare(flight, RIG, effect)
+
 
 TRUE = {"cart_kg": 0.8, "damping_Ns_m": 1.5, "length_m": 0.35, "pivot_Nms": 0.004}
 PENDULUM_kg, GRAVITY = 0.25, 9.81

@@ -14,7 +14,7 @@ from heli_host.data.arrays import Floats
 from heli_lab.fit import _kalman
 from numpy.typing import NDArray
 
-from tests.estimation.density import log_density
+from tests.estimation.pendulum import log_density
 
 STEPS, STATES, TORQUES, PARTS = 6, 4, 2, 3
 ORDER = STATES + TORQUES

@@ -21,7 +21,7 @@ from heli_lab.fit.reference_trajectory import ReferenceTrajectory
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 
-from tests.estimation.made import RIG, flight_with_disturbances
+from tests.estimation.pendulum import RIG, flight_with_disturbances
 
 pytestmark = pytest.mark.slow
 

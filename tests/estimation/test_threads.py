@@ -23,7 +23,7 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from tests.estimation.made import RIG, flight_with_disturbances
+from tests.estimation.pendulum import RIG, flight_with_disturbances
 
 
 class StopReading(Exception):

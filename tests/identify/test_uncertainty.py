@@ -1,14 +1,19 @@
-"""Standard errors, parameters that flights cannot separate, and whether the residuals are random."""
+"""`identify` refuses sensor noise that no voltage explains, and accepts a hover, also under disturbances."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
+from heli_host.data.flight import Flight
+from heli_host.data.log.table import write_csv
+from heli_host.fly.plan import Plan
+from heli_lab.errors import NotExcited
 from heli_lab.fit.identification import Identification, identify
 from heli_lab.fit.problem import Problem
 from heli_lab.fit.records import prepare
@@ -24,16 +29,100 @@ from heli_lab.fit.uncertainty import (
 )
 from heli_lab.report.identification_page import verdict
 from heli_sim.model import MultibodyModel
-from heli_sim.model.effects import RotorLag
+from heli_sim.model.effects import RotorLag, parse_effects
 from heli_sim.rig import load_rig
 
-from tests.identify.made import flown
+from tests.cli.terminal import Terminal, refusal
+from tests.identify.made import flown, flown_by_plan, perturbed
 
-pytestmark = pytest.mark.slow
+ROWS, STEP_S = 6000, 0.002
+COUNT_RAD = 2.0 * np.pi / 4096
+HOLD = 'title = "hold"\n[[segment]]\nkind = "hold"\nduration_s = 12\n'
+STRONGEST = ("random_torque.elevation=0.02", "random_torque.pitch=0.006", "random_torque.travel=0.012")
+"""The strongest disturbances of heli_benchmark, N m."""
 
-STEP_S = 0.002
+
+def smoothed(values: Floats, pole: float) -> Floats:
+    """Filter each column by a first-order low-pass with a pole, without normalising the gain."""
+    outputs = np.empty_like(values)
+    state = np.zeros(values.shape[1])
+    for k, row in enumerate(values):
+        state = pole * state + row
+        outputs[k] = state
+    return outputs
+
+
+def noise(kind: str, seed: int, *, in_counts: bool = False) -> Flight:
+    """Make twelve seconds of angles of an IMU that lies still, with voltages that are independent of them.
+
+    Kinds are white noise, a random walk, slow noise, and a random walk of the rate ("drift").
+    """
+    random = np.random.default_rng(seed)
+    white = random.standard_normal((ROWS, 3))
+    angles = {
+        "white": lambda: np.radians(2.0) * white,
+        "walk": lambda: np.radians(0.05) * np.cumsum(white, axis=0),
+        "slow": lambda: np.radians(0.2) * smoothed(white, 0.995),
+        "drift": lambda: np.radians(0.004) * np.cumsum(smoothed(white, 0.98), axis=0),
+    }[kind]()
+    if in_counts:
+        angles = COUNT_RAD * np.round(angles / COUNT_RAD)
+    t_s: Floats = STEP_S * np.arange(ROWS, dtype=np.float64)
+    sine = 1.7 + 0.3 * np.sin(2.0 * np.pi * np.column_stack((t_s / 3.0, t_s / 3.0 + 0.2)))
+    volts: Floats = sine if seed % 2 else 1.7 + 0.2 * random.standard_normal((ROWS, 2))
+    columns = np.array([*volts.T, *angles.T], np.float64)
+    return Flight(t_s, columns[0], columns[1], columns[2], columns[3], columns[4])
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("rig", ["makki2024", "quanser-course"])
+@pytest.mark.parametrize("kind", ["white", "walk", "slow", "drift"])
+def test_noise_is_not_accepted_as_a_flight(kind: str, rig: str) -> None:
+    for seed in (101, 102):
+        log = noise(kind, seed, in_counts=seed == 102)
+        with pytest.raises(NotExcited, match="the voltages do not explain the motion"):
+            identify(MultibodyModel(), load_rig(rig), [log], max_fit_s=20.0)
+
+
+@pytest.mark.medium
+def test_noise_is_refused_in_a_line_and_writes_no_rig(terminal: Terminal, tmp_path: Path) -> None:
+    write_csv(noise("white", 103), tmp_path / "imu.csv")
+    arguments = ("identify", "imu.csv", "--save-rig", "new.toml", "--free", "thrust_gain")
+    line = refusal(terminal(*arguments), code=2)
+    assert line.startswith("error: imu.csv: the voltages do not explain the motion: ")
+    assert not (tmp_path / "new.toml").exists()
+    assert terminal(*arguments, "--skip-sign-check").code == 0 and (tmp_path / "new.toml").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effects", [(), STRONGEST], ids=["no disturbances", "the strongest disturbances"])
+def test_hover_is_accepted_as_a_flight(effects: tuple[str, ...]) -> None:
+    # With two free parameters the others keep their errors, but the shape of the motion is explained.
+    for seed in (201, 202):
+        rig = load_rig("makki2024") if effects else perturbed(seed)
+        model = MultibodyModel(parse_effects(effects)) if effects else None
+        hover = flown_by_plan(rig, seed, Plan.parse(HOLD, "hold"), model)
+        known = load_rig("makki2024")
+        identified = identify(MultibodyModel(), known, [hover], free=("thrust_gain", "friction_pitch"))
+        assert identified.training[0].seconds_used > 8.0
+
+
+@pytest.mark.slow
+def test_validation_on_noise_is_refused_with_the_name_of_the_noise() -> None:
+    hover = flown_by_plan(perturbed(203), 203, Plan.parse(HOLD, "hold"))
+    with pytest.raises(NotExcited, match=r"^validation 1: the voltages do not explain"):
+        identify(
+            MultibodyModel(),
+            load_rig("makki2024"),
+            [hover],
+            validation=[noise("white", 104)],
+            free=("thrust_gain",),
+        )
+
+
+UNCERTAINTY_STEP_S = 0.002
 WINDOWS = [slice(1000 * k, 1000 * (k + 1)) for k in range(20)]
-ROWS = WINDOWS[-1].stop
+UNCERTAINTY_ROWS = WINDOWS[-1].stop
 
 
 @cache
@@ -45,12 +134,13 @@ def identified(*free: str) -> Identification:
 
 def coloured(share: float) -> Floats:
     """Make first-order autocorrelated residuals of variance 1; `share` is the correlation of neighbours."""
-    values: Floats = np.random.default_rng(1).standard_normal((ROWS, 3))
-    for k in range(1, ROWS):
+    values: Floats = np.random.default_rng(1).standard_normal((UNCERTAINTY_ROWS, 3))
+    for k in range(1, UNCERTAINTY_ROWS):
         values[k] = share * values[k - 1] + math.sqrt(1.0 - share**2) * values[k]
     return values
 
 
+@pytest.mark.slow
 def test_only_the_unidentified_combination_of_parameters_is_reported() -> None:
     information = 1e4 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     unidentifiable = combinations(("a", "b", "c"), information, np.ones(3))
@@ -60,6 +150,7 @@ def test_only_the_unidentified_combination_of_parameters_is_reported() -> None:
     assert combinations(("a", "b"), 1e4 * np.eye(2), np.ones(2)) == []
 
 
+@pytest.mark.slow
 def test_a_verdict_says_which_axis_did_not_move_and_what_is_uninformed() -> None:
     moving = identified("M_w", "torque_elevation", "friction_elevation")
     assert "did not move" not in verdict(moving)
@@ -81,6 +172,7 @@ def test_a_verdict_says_which_axis_did_not_move_and_what_is_uninformed() -> None
     assert "Only the encoders' quantisation" not in verdict(nothing)
 
 
+@pytest.mark.slow
 def test_counterweight_and_constant_torque_are_inseparable_near_level() -> None:
     both = identified("M_w", "torque_elevation", "friction_elevation")
     (first, second, value), *others = both.strong_correlations
@@ -94,6 +186,7 @@ def test_counterweight_and_constant_torque_are_inseparable_near_level() -> None:
     assert two_parameters.fit.std["M_w"] < 0.3 * both.fit.std["M_w"]
 
 
+@pytest.mark.slow
 def test_correlations_are_those_of_the_covariance() -> None:
     result = identified()
     names = result.fit.problem.names
@@ -105,6 +198,7 @@ def test_correlations_are_those_of_the_covariance() -> None:
     np.testing.assert_allclose(matrix * np.outer(std, std), result.fit.covariance, atol=1e-4 * std.max() ** 2)
 
 
+@pytest.mark.slow
 def test_parameters_that_a_flight_does_not_inform_are_named() -> None:
     result = identified()
     assert "M_l" in result.uninformed_parameters and "thrust_gain" not in result.uninformed_parameters
@@ -112,6 +206,7 @@ def test_parameters_that_a_flight_does_not_inform_are_named() -> None:
     assert result.json()["uninformed_parameters"] == result.uninformed_parameters
 
 
+@pytest.mark.slow
 def test_no_standard_error_exceeds_that_of_the_prior() -> None:
     result = identified()
     for parameter, std in zip(result.fit.problem.free, result.fit.std.values(), strict=True):
@@ -119,6 +214,7 @@ def test_no_standard_error_exceeds_that_of_the_prior() -> None:
         assert std <= 1.03 * parameter.prior.std, parameter.name
 
 
+@pytest.mark.slow
 def test_standard_error_of_a_time_is_at_least_that_of_a_voltage_step() -> None:
     record = prepare(flown(load_rig("makki2024"), 3, 25.0), load_rig("makki2024"), "a")
     model = MultibodyModel((RotorLag(0.05),))
@@ -130,12 +226,14 @@ def test_standard_error_of_a_time_is_at_least_that_of_a_voltage_step() -> None:
     assert solve(problem).std["rotor_lag_s"] >= record.step_s / math.sqrt(12.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
 def test_autocorrelated_residuals_count_as_fewer_samples(share: float) -> None:
-    factor = long_run_variance(coloured(share), WINDOWS, STEP_S)
+    factor = long_run_variance(coloured(share), WINDOWS, UNCERTAINTY_STEP_S)
     np.testing.assert_allclose(factor, (1.0 + share) / (1.0 - share), rtol=0.35)
 
 
+@pytest.mark.slow
 def test_white_residuals_pass_the_test_and_coloured_residuals_fail() -> None:
     lag = 50
     # After 50 rows, a correlation of 0.9 between neighbours has decayed, and one of 0.99 has not.
@@ -144,6 +242,7 @@ def test_white_residuals_pass_the_test_and_coloured_residuals_fail() -> None:
         assert bool(np.all(np.abs(correlations) < bound)) is is_white, share
 
 
+@pytest.mark.slow
 def test_an_outlying_window_loses_weight() -> None:
     residual = coloured(0.0)
     residual[WINDOWS[7]] *= 6.0
@@ -154,6 +253,7 @@ def test_an_outlying_window_loses_weight() -> None:
     assert np.all(np.delete(weights, [7, 8]) == 1.0)
 
 
+@pytest.mark.slow
 def test_no_axis_of_a_wrong_model_counts_as_exact() -> None:
     sigma = np.array([4e-4, 4e-4, 4e-4])
     exact = floor_axes(np.ones(3), np.ones(3), sigma)

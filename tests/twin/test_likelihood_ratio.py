@@ -18,7 +18,7 @@ from heli_lab.watch.likelihood_ratio import (
 )
 from heli_lab.watch.twin_model import Change, all_changes
 
-from tests.estimation.density import log_density
+from tests.estimation.pendulum import log_density
 
 CHANGES = all_changes()
 COUNT_rad = np.full(3, 2 * np.pi / 4096)

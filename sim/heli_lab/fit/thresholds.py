@@ -59,7 +59,7 @@ STATE_FIT_S: Final = 0.15
 judgement. Shorter: quantisation makes the rate wrong. Longer: the acceleration is not constant."""
 SHORT_FIT_S: Final = 0.05
 """The same for a second guess, which is robust to a jump of the torque nearby, s. Set on flights with dry
-friction and backlash (tests/identify/test_window_states.py)."""
+friction and backlash (tests/identify/test_shooting.py)."""
 STATE_STD: Final[Mapping[str, float]] = {"rad": 0.02, "N m": 0.1}
 """Prior standard deviation of an effect's state at the beginning of a window, by its unit. Set by judgement:
 twice a typical backlash, several typical torques. Much smaller: a wrong run-in decides. Much larger: the

@@ -1,30 +1,60 @@
-"""Proposed equations: found with their coefficients, confirmed by another flight, written and flown."""
+"""Terms of a proposed law are the same in all their notations, and their units fit together."""
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
+import casadi as ca
 import numpy as np
 import pytest
 from heli_host.data.log.table import write_csv
 from heli_lab.diagnose import to_json
-from heli_lab.explain.candidates import ExtendedModel
+from heli_lab.explain.candidates import Candidate, ExtendedModel, typical_candidate
 from heli_lab.explain.comparison import Hypothesis, ModelComparison
-from heli_lab.explain.regression import EquationRefits, EquationSearch, RefittedEquation, discover, free_name
+from heli_lab.explain.proposal import effect_file, expression
+from heli_lab.explain.regression import (
+    EquationRefits,
+    EquationSearch,
+    ListedEffects,
+    RefittedEquation,
+    discover,
+    free_name,
+)
 from heli_lab.explain.residuals import failing_regions
 from heli_lab.explain.screening import Screening, score_of
-from heli_lab.explain.term_scores import ScoredTermGroup, TermSignals, score_groups
-from heli_lab.explain.terms import Equation, EquationTerm, Factor, Term, TermGroup, equation_effect
+from heli_lab.explain.term_scores import (
+    ScoredTermGroup,
+    TermSignals,
+    count_by_complexity,
+    groups,
+    score_groups,
+)
+from heli_lab.explain.terms import (
+    FORMS,
+    NAME,
+    SYMBOLS,
+    Equation,
+    EquationTerm,
+    Factor,
+    Term,
+    TermGroup,
+    Unit,
+    equation_effect,
+    rotor_signs,
+)
 from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE
 from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
-from heli_sim.model.effects import effects_of
+from heli_sim.model.effects import RotorLag, catalogue, effects_of
 from heli_sim.model.parts import AXES
 from heli_sim.rig import load_rig, write_rig
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.special import ndtr
 from scipy.stats import false_discovery_control
 
@@ -32,11 +62,148 @@ from tests.cli.terminal import Terminal
 from tests.diagnose.hidden import flights
 from tests.diagnose.test_causes import diagnosed
 
-pytestmark = pytest.mark.diagnosis
+SPANS = dict.fromkeys(SYMBOLS, (-1.0, 1.2))
+ALL_GROUPS = groups(SPANS)
+FIRST_OF_FORM = {
+    factor.form: group
+    for group in reversed(ALL_GROUPS)
+    for term in group.terms
+    for factor in term.term.factors
+}
+# A sample of the grammar: every 97th group, one with each function, and those with a lag.
+SAMPLE = (
+    *ALL_GROUPS[::97],
+    *FIRST_OF_FORM.values(),
+    *(group for group in ALL_GROUPS if any(f.lag_filter for term in group.terms for f in term.term.factors)),
+)[:76]
+
+
+def state_of(size: int, seed: int) -> list[float]:
+    """Return random states."""
+    return list(np.random.default_rng(seed).uniform(-0.6, 0.6, size))
+
+
+def test_no_product_is_tried_twice() -> None:
+    products = [(term.channel, frozenset(term.term.factors)) for group in ALL_GROUPS for term in group.terms]
+    assert [product for product, count in Counter(products).items() if count > 1] == []
+
+
+@given(st.tuples(*(st.integers(-3, 3) for _ in range(5))))
+def test_a_unit_is_read_back_as_it_was_written(exponents: tuple[int, ...]) -> None:
+    unit = Unit(exponents)
+    assert Unit.parse(str(unit)) == unit
+
+
+@pytest.mark.parametrize(
+    ("channel", "factors", "unit"),
+    [
+        ("torque.pitch", (Factor("linear", "elevation"),), "N m/rad"),
+        ("torque.travel", (Factor("signed_square", "travel_rate"),), "N m s2/rad2"),
+        ("torque.elevation", (Factor("sin", "travel", (("k", 2.0),)),), "N m"),
+        ("thrust.both", (Factor("linear", "own_thrust"), Factor("linear", "travel_rate")), "s/rad"),
+        ("thrust.front", (Factor("linear", "own_thrust"),), "1"),
+        ("measurement.pitch", (Factor("square", "travel"),), "1/rad"),
+    ],
+)
+def test_unit_of_coefficient_times_term_is_the_unit_of_the_channel(
+    channel: str, factors: tuple[Factor, ...], unit: str
+) -> None:
+    assert str(EquationTerm(channel, Term(factors)).coefficient_unit) == unit
+
+
+@pytest.mark.parametrize("quantity", ["travel_rate", "thrust", "own_voltage", "time"])
+def test_sine_of_a_quantity_that_is_not_an_angle_is_refused(quantity: str) -> None:
+    with pytest.raises(ValueError, match="sin of"):
+        Factor("sin", quantity, (("k", 1.0),))
+
+
+def test_every_function_is_tried() -> None:
+    assert FIRST_OF_FORM.keys() == FORMS.keys()
+
+
+def test_grammar_has_thousands_of_distinct_terms_on_all_channels() -> None:
+    keys = [group.key for group in ALL_GROUPS]
+    assert len(keys) == len(set(keys)) > 2000
+    assert {group.terms[0].channel.partition(".")[0] for group in ALL_GROUPS} == {
+        "torque",
+        "thrust",
+        "voltage",
+        "measurement",
+    }
+    counts = count_by_complexity(ALL_GROUPS)
+    assert list(counts.values()) == sorted(counts.values())
+    assert max(counts.values()) == len(ALL_GROUPS)
+    assert all(len(group.terms) <= 2 and len(group.terms[0].term.factors) <= 3 for group in ALL_GROUPS)
+
+
+@pytest.mark.medium
+def test_sympy_text_of_a_term_has_the_values_along_a_flight() -> None:
+    import sympy
+
+    numbers = np.random.default_rng(1).uniform(0.2, 1.0, len(SYMBOLS))
+    values = dict(zip(SYMBOLS, numbers, strict=True))
+    for group in SAMPLE:
+        equation = Equation(group.terms)
+        parameters = dict.fromkeys(equation.coefficients, 0.7) | {
+            inner.name: inner.value for inner in equation.inner_parameters()
+        }
+        channel = equation.channels[0]
+        names = {name: sympy.Symbol(name) for name in (*values, *parameters)}
+        # All quantities are constant: their lagged values are equal to them.
+        local = {**names, "lag": lambda x, _s: x, "washout": lambda _x, _s: sympy.Integer(0)}
+        read = sympy.sympify(expression(equation, channel), locals=local).subs({**values, **parameters})
+        expected = 0.0
+        for term in equation.terms:
+            value = 0.7
+            for factor in term.term.factors:
+                filtered = 0.0 if factor.lag_filter == "washout" else values[factor.quantity]
+                value *= float(factor.value(np, filtered))
+            expected += value
+        assert float(read) == pytest.approx(expected, rel=1e-9, abs=1e-12), group.key
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("number", range(0, len(SAMPLE), 6))
+def test_written_effect_file_has_the_fitted_equation(number: int, tmp_path: Path) -> None:
+    # An equation of two groups on different channels, together with a lag of the rotors.
+    first, second = SAMPLE[number], SAMPLE[-1 - number]
+    equation = Equation(tuple(dict.fromkeys((*first.terms, *second.terms))))
+    effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 1.0))
+    values = {**effect.values}
+    for i, name in enumerate(equation.coefficients):
+        values[f"{NAME}_{name}"] = 0.1 + 0.03 * i
+    numbers = {
+        q.name.removeprefix(f"{NAME}_"): (values[q.name], 0.01 if q.name in effect.priors else 0.0, q.unit)
+        for q in effect.parameters
+    }
+    path = tmp_path / "proposed.py"
+    path.write_text(effect_file(effect, numbers, "From a test."), encoding="utf-8")
+    kind = catalogue((path,))[NAME]
+    lag = catalogue()["rotor_lag"]
+    results = []
+    for variant in (effect, kind.make(kind.typical)):
+        model = MultibodyModel((variant, lag.make(lag.typical)))
+        rig = load_rig("makki2024")
+        p = [values.get(q.name, rig[q.name].value if q.name in rig else 0.1) for q in model.parameters]
+        x, u = ca.SX(state_of(len(model.states), 3)), ca.SX([2.1, 2.4])
+        functions = (model.dynamics, model.measurement)
+        outputs = [ca.evalf(function(x, u, ca.SX(p), ca.SX(1.5))) for function in functions]
+        results.append(np.concatenate([np.asarray(output).ravel() for output in outputs]))
+    np.testing.assert_allclose(results[0], results[1], rtol=1e-6, atol=1e-9)
+    assert issubclass(type(lag.make()), RotorLag)
+
+
+@pytest.mark.parametrize(
+    ("channel", "signs"), [("thrust.both", (1, 1)), ("thrust.difference", (1, -1)), ("voltage.back", (0, 1))]
+)
+def test_rotor_channel_acts_on_the_rotors_in_its_name(channel: str, signs: tuple[int, int]) -> None:
+    assert rotor_signs(channel) == signs
+
 
 HIDDEN_Nm_per_rad = 0.05
 
 
+@pytest.mark.diagnosis
 def test_equation_is_found_with_its_coefficient_and_confirmed() -> None:
     diagnosis = diagnosed(unlisted=True)
     assert diagnosis.label == "unexplained"
@@ -53,6 +220,7 @@ def test_equation_is_found_with_its_coefficient_and_confirmed() -> None:
     assert np.corrcoef(proposed.trace.term_Nm, proposed.trace.missing_Nm)[0, 1] > 0.9
 
 
+@pytest.mark.diagnosis
 def test_the_json_has_the_keys_that_were_promised() -> None:
     numbers = json.loads(json.dumps(to_json(diagnosed(unlisted=True)), allow_nan=False))
     equation = numbers["proposed_term"]
@@ -74,11 +242,13 @@ def test_the_json_has_the_keys_that_were_promised() -> None:
     assert fails["after"]["share_of_time"] < 0.1
 
 
+@pytest.mark.diagnosis
 def test_nothing_hidden_and_a_listed_cause_have_no_equation() -> None:
     for diagnosis in (diagnosed(), diagnosed("rotor_lag=0.06")):
         assert to_json(diagnosis)["proposed_term"] is None
 
 
+@pytest.mark.diagnosis
 def test_rig_has_the_equation_on_request_and_flies_with_its_effect_file(
     terminal: Terminal, tmp_path: Path
 ) -> None:
@@ -106,6 +276,7 @@ def test_rig_has_the_equation_on_request_and_flies_with_its_effect_file(
     assert len({*logs.values()}) == 3
 
 
+@pytest.mark.diagnosis
 def test_equation_that_a_held_out_flight_contradicts_is_dropped() -> None:
     fit, _ = flights(unlisted=True)
     rig = load_rig("makki2024")
@@ -116,6 +287,7 @@ def test_equation_that_a_held_out_flight_contradicts_is_dropped() -> None:
     assert discover(comparison, comparison.refit([])) is None
 
 
+@pytest.mark.diagnosis
 def test_second_equation_gets_another_name() -> None:
     assert free_name(()) == "proposed_term"
     assert free_name(("proposed_term", "rotor_lag")) == "proposed_term_2"
@@ -140,6 +312,7 @@ def equation_search(base: Hypothesis) -> EquationSearch:
     return EquationSearch(EquationRefits(comparison, base, "proposed_term", {1: 100}), lambda _: None)
 
 
+@pytest.mark.diagnosis
 def test_encoder_errors_do_not_fill_all_places_of_the_finalists() -> None:
     search = equation_search(cast(Hypothesis, SimpleNamespace(ids=())))
     on_encoders = [scored_as(f"measurement.{axis}", axis, 80.0 + i) for i, axis in enumerate(AXES)]
@@ -148,6 +321,7 @@ def test_encoder_errors_do_not_fill_all_places_of_the_finalists() -> None:
     assert channels == ["measurement.travel", "measurement.pitch", "torque.pitch"]
 
 
+@pytest.mark.diagnosis
 def test_terms_hidden_by_a_slow_disturbance_are_scored_without_it() -> None:
     proposed = diagnosed(unlisted=True).proposed_term
     assert proposed is not None
@@ -170,6 +344,7 @@ def test_terms_hidden_by_a_slow_disturbance_are_scored_without_it() -> None:
     assert without_drift.log_likelihood_gain > 1.2 * with_drift.log_likelihood_gain
 
 
+@pytest.mark.diagnosis
 def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
     rig = load_rig("makki2024")
     comparison = ModelComparison(MultibodyModel(), rig, [prepare(flights()[0], rig, "fit")], [])
@@ -198,6 +373,7 @@ def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
         assert scored.coefficients == pytest.approx(coefficients, rel=1e-6)
 
 
+@pytest.mark.diagnosis
 def test_right_model_has_no_failing_region_in_95_percent_of_cases() -> None:
     estimate = diagnosed().search.baseline.estimate
     screening = Screening(estimate)
@@ -226,6 +402,7 @@ def test_right_model_has_no_failing_region_in_95_percent_of_cases() -> None:
     assert false_alarms <= 19
 
 
+@pytest.mark.diagnosis
 def test_a_region_in_which_nothing_is_missing_is_not_outlined() -> None:
     diagnosis = diagnosed(unlisted=True)
     proposed = diagnosis.proposed_term
@@ -235,6 +412,7 @@ def test_a_region_in_which_nothing_is_missing_is_not_outlined() -> None:
     assert regions.after.share < 0.1
 
 
+@pytest.mark.diagnosis
 def test_command_writes_equation_and_effect_file(
     terminal: Terminal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -255,6 +433,7 @@ def test_command_writes_equation_and_effect_file(
     assert "Proposed equation" in page
 
 
+@pytest.mark.diagnosis
 @pytest.mark.parametrize(
     ("periods", "errors", "whole"),
     [
@@ -307,3 +486,84 @@ def test_sine_and_cosine_of_a_wave_share_their_whole_number(
     assert restricted.held == {"k1", "k2"}
     start = restricted.hypothesis.start  # type: ignore[attr-defined]
     assert [start[name] for name in ("k1", "k2")] == [whole, whole]
+
+
+KINDS = catalogue()
+PENALTY = 10.0
+
+
+def equivalent_effect(hidden: str, equation: Equation, *ids: str, unlisted: bool = False) -> list[str | None]:
+    """Return the effect that is equivalent to an `equation`, for several catalogues of a single effect each.
+
+    Parameters
+    ----------
+    hidden : str
+        Effect that is hidden in the flight.
+    equation : Equation
+        The proposed equation.
+    *ids : str
+        The only effect of each catalogue.
+    unlisted : bool
+        Whether an effect that no catalogue has is hidden too.
+    """
+    rig = load_rig("makki2024")
+    flight = flights(hidden, unlisted=unlisted)[0]
+    comparison = ModelComparison(MultibodyModel(), rig, [prepare(flight, rig, "fit")], [])
+    base = comparison.refit([])
+    effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 0.1))
+    warm_start = comparison.refit(
+        [Candidate(effect.name, effect, tuple(effect.priors))], {**effect.values, **base.values}, base
+    )
+    assert warm_start.log_likelihood > base.log_likelihood + 50.0 + PENALTY
+    return [
+        ListedEffects(comparison, base, {id_: KINDS[id_]}, lambda _: None).equivalent_effect(
+            equation, warm_start, PENALTY
+        )
+        for id_ in ids
+    ]
+
+
+@pytest.mark.diagnosis
+@pytest.mark.slow
+def test_listed_effect_of_the_same_form_is_equivalent() -> None:
+    equation = Equation((EquationTerm("torque.travel", Term((Factor("linear", "travel"),))),))
+    equivalent_ids = equivalent_effect(
+        "cable_spring.travel=0.1", equation, "coulomb_friction.pitch", "cable_spring.travel"
+    )
+    assert equivalent_ids == [None, "cable_spring.travel"]
+
+
+@pytest.mark.diagnosis
+@pytest.mark.slow
+def test_equation_is_dropped_while_a_stronger_listed_effect_is_missing() -> None:
+    equation = Equation((EquationTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
+    equivalent_ids = equivalent_effect(
+        "cable_spring.travel=0.3", equation, "cable_spring.travel", unlisted=True
+    )
+    assert equivalent_ids == ["cable_spring.travel"]
+
+
+@pytest.mark.diagnosis
+@pytest.mark.parametrize(
+    ("equation_nats", "effect_nats", "both_nats", "stays"),
+    [
+        (100.0, 80.0, 104.0, True),
+        (100.0, 80.0, 130.0, True),
+        (100.0, 80.0, 94.0, False),  # With the effect, the equation adds 14 nats and needs 16.
+        (80.0, 100.0, 130.0, False),  # The effect adds more to the equation than the reverse.
+    ],
+)
+def test_equation_that_encompasses_the_effect_stays(
+    equation_nats: float, effect_nats: float, both_nats: float, stays: bool
+) -> None:
+    def model(nats: float) -> Hypothesis:
+        """Return a model of this log-likelihood; its last candidate is the equation."""
+        return cast(Hypothesis, SimpleNamespace(log_likelihood=nats, values={}, candidates=("equation",)))
+
+    comparison = SimpleNamespace(
+        rows=1500, held_out=(), refit=lambda candidates, start, warm_start: model(both_nats)
+    )
+    base = cast(Hypothesis, SimpleNamespace(candidates=(), log_likelihood=0.0))
+    listed = ListedEffects(cast(ModelComparison, comparison), base, KINDS, lambda _: None)
+    effect = typical_candidate(KINDS["input_delay"])
+    assert listed.encompasses(model(equation_nats), model(effect_nats), effect, PENALTY) is stays
