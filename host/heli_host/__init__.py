@@ -20,12 +20,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from heli_host.board.heli import Heli
     from heli_host.board.samples import Sample, Samples
     from heli_host.data.flight import Flight
     from heli_host.data.log.reader import read_flight
     from heli_host.declaration import Axes, Excitation, Fault, Flags, State
     from heli_host.errors import HeliError
-    from heli_host.fly.heli import Heli, connect
+    from heli_host.fly.runner import connect
     from heli_host.ui.page.client import join
 
     __version__: str
@@ -48,8 +49,8 @@ __all__ = [
 
 _WHERE = {
     "HeliError": "heli_host.errors",
-    "Heli": "heli_host.fly.heli",
-    "connect": "heli_host.fly.heli",
+    "Heli": "heli_host.board.heli",
+    "connect": "heli_host.fly.runner",
     "join": "heli_host.ui.page.client",
     "Flight": "heli_host.data.flight",
     "read_flight": "heli_host.data.log.reader",

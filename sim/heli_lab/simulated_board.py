@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from heli_host.board.heli import Heli
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
 from heli_host.data.log.summary import FlightSummary
-from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import Progress, fly
 from heli_host.link.session import Session

@@ -15,9 +15,9 @@ from tempfile import TemporaryDirectory
 import heli_host
 import numpy as np
 import numpy.typing as npt
+from heli_host.board.heli import Heli
 from heli_host.data.log.reader import read_flight
 from heli_host.declaration import BAUD, CHANNELS, Channel, MessageId
-from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import fly

@@ -12,9 +12,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from heli_host.board.heli import Heli
 from heli_host.declaration import Axes, Channel, State
 from heli_host.errors import CommandRefused
-from heli_host.fly.heli import Heli
 from heli_host.fly.recorder import Recorder
 from heli_host.link.telemetry import Ticks
 from heli_host.ui.foxglove_feed import FoxgloveFeed, foxglove_feed

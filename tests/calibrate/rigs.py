@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Final
 
 import heli_host
+from heli_host.board.heli import Heli
 from heli_host.declaration import AXES
-from heli_host.fly.heli import Heli
 from heli_lab.setup.calibrate.calibration import BenchCalibration, calibrate
 from heli_lab.setup.calibrate.motors import PulseLimits
 from heli_lab.setup.calibrate.operator import SimulatedOperator

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.data.log.reader import read_log
 from heli_host.declaration import AXES, State
 from heli_host.errors import FlightAborted, HeliError, LinkError
-from heli_host.fly.heli import Heli
 from heli_lab.errors import CalibrationError
 from heli_lab.setup.calibrate.calibration import BenchCalibration, calibrate, set_parameters
 from heli_lab.setup.calibrate.encoders import calibrate_encoders

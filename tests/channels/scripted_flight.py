@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from heli_host.board.open_loop import ALL_AXES
+from heli_host.board.flying import ALL_AXES
 from heli_host.data.log.reader import read_flight
 from heli_host.data.log.table import export_mat, export_parquet, write_csv
 from heli_host.data.log.writer import LogWriter

@@ -16,9 +16,9 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.declaration import State
 from heli_host.errors import CommandRefused
-from heli_host.fly.heli import Heli
 from heli_host.link.engine import Command
 from heli_host.link.session import Session
 from heli_host.ui.cli.verbs import board as bench_verbs

@@ -11,12 +11,12 @@ from typing import Any
 
 import heli_host
 import numpy as np
+from heli_host.board.heli import Heli
 from heli_host.board.parameters import controller_names
 from heli_host.board.samples import Samples
 from heli_host.data.log.reader import read_log
 from heli_host.declaration import Fault, Flags, Result
 from heli_host.errors import CommandRefused, HeliError
-from heli_host.fly.heli import Heli
 from heli_host.fly.recorder import Recorder
 from heli_lab.control.law import from_gain
 from numpy.typing import NDArray

@@ -17,8 +17,8 @@ from typing import Final
 
 from due_emulator import new_due
 from due_emulator import read_image as read_program
+from heli_host.board.heli import Heli
 from heli_host.declaration import Axes, Param, ParamSetMessage, State
-from heli_host.fly.heli import Heli
 
 from firmware.due.report import Image, read_image
 from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Arm, Board

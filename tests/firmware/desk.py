@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 from due_emulator import new_due, read_image
+from heli_host.board.heli import Heli
 from heli_host.declaration import (
     LINK_HASH,
     Axes,
@@ -29,7 +30,6 @@ from heli_host.declaration import (
     StatusMessage,
     StatusReadMessage,
 )
-from heli_host.fly.heli import Heli
 from heli_host.link.frames import Frame, FrameParser, encode_frame
 from heli_host.link.session import Session
 from heli_sim.due._due_board import motor_duty, motor_enabled, wire

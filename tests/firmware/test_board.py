@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.declaration import (
     LINK_HASH,
     Axis,
@@ -25,7 +26,6 @@ from heli_host.declaration import (
     Reset,
     State,
 )
-from heli_host.fly.heli import Heli
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.session import Session
 from heli_sim.due._due_board import motor_duty

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.declaration import (
     MessageId,
     Param,
@@ -14,7 +15,6 @@ from heli_host.declaration import (
     ParamsSaveMessage,
     ParamsSource,
 )
-from heli_host.fly.heli import Heli
 from heli_host.link.frames import encode_frame
 from heli_host.link.session import Session
 

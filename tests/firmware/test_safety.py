@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.declaration import Axes, Fault, Reset, State
 from heli_host.errors import HeliError
-from heli_host.fly.heli import Heli
 from heli_host.link.events import BOARD_RESTARTED
 
 from firmware.due.report import Image

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.declaration import PARAMS, Channel, Fault, Param, State
-from heli_host.fly.heli import Heli
 
 from tests.firmware.desk import (
     ENABLE_PINS,

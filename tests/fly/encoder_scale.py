@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from heli_host.board.heli import Heli
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
 from heli_host.errors import HeliError
-from heli_host.fly.heli import Heli
 from heli_host.fly.plan import plan_names
 from heli_host.fly.runner import fly
 from heli_host.link.session import Session

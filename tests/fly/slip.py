@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from heli_host.fly.heli import Heli
+from heli_host.board.heli import Heli
 from heli_sim.sil.inprocess import InProcessTransport
 
 PITCH = 1

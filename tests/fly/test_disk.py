@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.data.log import disk
 from heli_host.data.log.disk import BackgroundFile
 from heli_host.data.log.reader import read_log
 from heli_host.data.log.writer import LogWriter
 from heli_host.declaration import State
 from heli_host.errors import LogWriteError
-from heli_host.fly.heli import Heli, connect
 from heli_host.fly.recorder import Recorder
-from heli_host.fly.runner import fly
+from heli_host.fly.runner import connect, fly
 
 from tests.fly.test_runner import SHORT, flown, short
 from tests.sil.patient import PATIENT

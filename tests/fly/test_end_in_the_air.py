@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import heli_host
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.board.samples import Samples
 from heli_host.declaration import State, Trigger
 from heli_host.errors import HeliError, WaitTimeout
-from heli_host.fly.heli import Heli
 from heli_sim.sil.inprocess import InProcessTransport
 
 pytestmark = pytest.mark.medium

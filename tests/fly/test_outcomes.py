@@ -6,10 +6,10 @@ from pathlib import Path
 
 import heli_host
 import pytest
+from heli_host.board.law_program import engage
 from heli_host.data.log.figure import draw
 from heli_host.data.log.reader import read_log
 from heli_host.data.log.summary import summarise
-from heli_host.fly.guest_law import engage
 from heli_host.fly.pilot import LAW_TAKEN_OVER
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly

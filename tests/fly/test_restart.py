@@ -8,10 +8,10 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.data.log.reader import read_log
 from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import State
-from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import Progress, fly
 from heli_host.link.events import BOARD_RESTARTED

@@ -12,13 +12,13 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.heli import Heli
+from heli_host.board.law_program import run_controller
 from heli_host.board.samples import Sample
 from heli_host.data.flight import Flight
 from heli_host.data.response import steps
 from heli_host.declaration import State
 from heli_host.errors import HeliError
-from heli_host.fly.controller import run_controller
-from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.runner import fly
 from heli_lab.control.law import Law, from_gain
@@ -48,7 +48,7 @@ CHECKED: dict[str, Callable[[Heli], object]] = {
     "run_controller after": lambda heli: run_controller(heli, hold_still, duration_s=1.0, after=WRONG),
     "Heli.fly_law after": lambda heli: heli.fly_law(law(), duration_s=1.0, after=WRONG),
     "Heli.set_law_parameter name": lambda heli: heli.set_law_parameter(law(), WRONG, 1.0),
-    "OpenLoopCommands.excite kind": lambda heli: heli.excite(WRONG),
+    "Heli.excite kind": lambda heli: heli.excite(WRONG),
     "Heli.fly plans": lambda heli: heli.fly(WRONG),
     "fly plans": lambda heli: fly(heli, [WRONG]),
     "load_plan name": lambda _: load_plan(WRONG),

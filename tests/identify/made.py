@@ -7,9 +7,9 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from heli_host.board.heli import Heli
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
-from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import fly

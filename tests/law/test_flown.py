@@ -9,8 +9,8 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.law_program import engage
 from heli_host.declaration import Channel, Fault, LawFlyMessage
-from heli_host.fly.guest_law import engage
 from heli_host.link.telemetry import Ticks
 
 from tests.law.flown import fly, law_of, replayed

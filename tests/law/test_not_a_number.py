@@ -8,8 +8,8 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.law_flight import engage, set_parameter
 from heli_host.declaration import AXES, LAW_INPUTS, OPERATIONS, PARAMS, Takeover
-from heli_host.fly.guest_law import engage, set_parameter
 from heli_lab.law import (
     Command,
     Law,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import heli_host
 import pytest
-from heli_host.board.law_program import LawProgram
+from heli_host.board.law_program import PART_WORDS, LawProgram, loaded
 from heli_host.declaration import (
     LINK_HASH,
     Channel,
@@ -20,7 +20,6 @@ from heli_host.declaration import (
     LawState,
     MessageId,
 )
-from heli_host.fly.guest_law import PART_WORDS, loaded
 from heli_host.link.telemetry import Ticks
 from heli_lab.law import Command, Law, control_law
 from heli_sim.sil.inprocess import InProcessTransport

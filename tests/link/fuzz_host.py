@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from heli_host import declaration
+from heli_host.board.heli import Heli
 from heli_host.data.log.reader import read_log
 from heli_host.data.log.summary import summarise
 from heli_host.declaration import CHANNELS, MAX_TELEMETRY_PAYLOAD, MessageId
 from heli_host.errors import HeliError
-from heli_host.fly.heli import Heli
 from heli_host.fly.recorder import Recorder
 from heli_host.link.frames import encode_frame
 from heli_host.link.session import Session

@@ -15,10 +15,10 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.data.log.schema import EVENT_TOPIC, TICK_TOPIC, parse_layout, raw_ticks
 from heli_host.declaration import CHANNELS
 from heli_host.errors import PortError
-from heli_host.fly.heli import Heli
 from heli_host.ui import foxglove_feed as feeds
 from heli_host.ui.foxglove_server import is_permitted
 

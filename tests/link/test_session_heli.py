@@ -8,6 +8,7 @@ from collections.abc import Callable
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.board.samples import Sample, SampleRing, Samples
 from heli_host.declaration import (
     AXES,
@@ -23,7 +24,6 @@ from heli_host.declaration import (
     VoltagesMessage,
 )
 from heli_host.errors import CommandRefused, ControllerError, ParameterError, SetpointError, WaitTimeout
-from heli_host.fly.heli import Heli
 from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks
 

@@ -277,5 +277,5 @@ def test_studying_a_flight_imports_no_session_and_no_port(tmp_path: Path) -> Non
         "serial",
         "heli_host.link.session",
         "heli_host.link.transport",
-        "heli_host.fly.heli",
+        "heli_host.board.heli",
     }

@@ -32,7 +32,7 @@ from tests.mutants.results import DECLARED, Declaration, Result, Results, declar
 _PRELOADED: Final = (
     "numpy", "scipy.signal", "casadi", "hypothesis", "hypothesis.strategies", "serial", "cobs", "mcap.reader",
     "control", "matplotlib.pyplot", "typer", "ssl", "asyncio", "unittest.mock", "elftools.elf.elffile",
-    "heli_host.fly.heli", "heli_host.link.session", "heli_host.fly.runner", "tests.running.order",
+    "heli_host.board.heli", "heli_host.link.session", "heli_host.fly.runner", "tests.running.order",
 )  # fmt: skip
 EXTENSIONS: Final = ("heli_sim._native", "heli_test_native")
 _ARGUMENTS: Final = (

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import heli_host
+from heli_host.board.heli import Heli
 from heli_host.board.law_program import LawProgram
-from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan, load_plan, plan_names
 from heli_host.fly.recorder import Recorder
 from heli_host.ui.page.cockpit import Cockpit

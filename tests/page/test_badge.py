@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from heli_host.fly.heli import Heli
+from heli_host.board.heli import Heli
 from heli_host.ui.page.cockpit import is_simulated
 
 

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import heli_host
 import pytest
+from heli_host.board.heli import Heli
+from heli_host.board.law_flight import loaded
 from heli_host.declaration import Flags
 from heli_host.errors import BadLaw, ParameterError, SetpointError
-from heli_host.fly.guest_law import loaded
-from heli_host.fly.heli import Heli
 from heli_host.ui.page.actions import LawChoice
 
 from tests.page.laws import steady, tired

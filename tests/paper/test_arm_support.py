@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_host.fly.heli import Heli
+from heli_host.board.heli import Heli
 from heli_host.link.session import Session
 from heli_sim.model import Model, MultibodyModel, PaperModel
 from heli_sim.plant import Plant

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import heli_host
 import numpy as np
+from heli_host.board.heli import Heli
 from heli_host.declaration import Event, EventMessage, Fault, MessageId, State, Trigger
-from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import Progress, fly
 from heli_host.link.frames import FrameParser

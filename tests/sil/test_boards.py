@@ -9,6 +9,7 @@ import heli_host
 import numpy as np
 import pytest
 from due_emulator import read_image
+from heli_host.board.heli import Heli
 from heli_host.data.log.reader import read_log
 from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import (
@@ -22,7 +23,6 @@ from heli_host.declaration import (
     State,
 )
 from heli_host.errors import LinkLost
-from heli_host.fly.heli import Heli
 from heli_host.fly.runner import fly
 from heli_host.link.events import BOARD_RESTARTED
 from heli_sim import _native

@@ -15,9 +15,9 @@ from typing import Any, cast
 import heli_host
 import pytest
 import serial
+from heli_host.board.heli import Heli
 from heli_host.declaration import State
 from heli_host.errors import BadBaud, HandshakeTimeout
-from heli_host.fly.heli import Heli
 from heli_host.link.events import BOARD_RESTARTED
 from heli_host.link.transport import SerialTransport
 from heli_sim.sil.boards import EmulatedDue

@@ -7,9 +7,9 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.board.rig_check import BoardProperty, rig_differences, rig_parameters
 from heli_host.errors import RigMismatch
-from heli_host.fly.heli import Heli
 from heli_sim.due import firmware
 from heli_sim.errors import OptionError, RigError
 from heli_sim.rig import load_rig, write_rig

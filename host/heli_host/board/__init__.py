@@ -1,1 +1,5 @@
-"""A connected board: its state, flying it, its parameters and laws."""
+"""A connected board: `heli.Heli` is the whole interface of a helicopter.
+
+It is composed of parts: reading (`telemetry`), commands of a flight (`flying`), the end of a flight (`landing`),
+commands without a control loop (`bench`), other control laws (`laws`), and the board's parameters.
+"""

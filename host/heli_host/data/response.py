@@ -14,6 +14,8 @@ from heli_host.data.flight import MIN_ROWS, Flight
 from heli_host.declaration import AXES, Flags
 from heli_host.errors import FlightDataError, check_choice
 
+__all__ = ["Response", "Step", "StepMetrics", "effort_V", "responses", "rms", "step_metrics", "steps"]
+
 PHASE_EVENT: Final = "phase"
 """Name of the events with which a flight marks its phases."""
 TAKE_OFF: Final = "take-off"

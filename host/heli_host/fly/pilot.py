@@ -22,8 +22,8 @@ from heli_host.link.clock import TICK_S
 from heli_host.link.events import LinkEvent, state_text
 
 if TYPE_CHECKING:
+    from heli_host.board.heli import Heli
     from heli_host.board.samples import Sample
-    from heli_host.board.vehicle import Vehicle
     from heli_host.declaration import EventMessage
     from heli_host.fly.recorder import Recorder
     from heli_host.fly.route import Route
@@ -71,7 +71,7 @@ class Progress:
 class ProgressReports:
     """Calls the callback of a flight's caller, in the thread of `heli_host.fly.pilot.Pilot.fly`."""
 
-    def __init__(self, heli: Vehicle, route: Route, callback: Callable[[Progress], None] | None) -> None:
+    def __init__(self, heli: Heli, route: Route, callback: Callable[[Progress], None] | None) -> None:
         self.error: Exception | None = None
         self._heli = heli
         self._route = route
@@ -113,7 +113,7 @@ class FlightMonitor:
     `take_event` runs in the session's reading thread, all other methods in that of `Pilot.fly`.
     """
 
-    def __init__(self, heli: Vehicle, recorder: Recorder, end_when: Callable[[], str]) -> None:
+    def __init__(self, heli: Heli, recorder: Recorder, end_when: Callable[[], str]) -> None:
         self.was_closed = False
         self.takeover = ""
         self.board_fault = ""
@@ -239,7 +239,7 @@ class RouteStream:
     `heli_host.fly.pilot.Pilot.fly`. In lockstep both are the same thread.
     """
 
-    def __init__(self, heli: Vehicle, route: Route, recorder: Recorder, tracking: TrackingMonitor) -> None:
+    def __init__(self, heli: Heli, route: Route, recorder: Recorder, tracking: TrackingMonitor) -> None:
         self.start_tick = 0
         self._heli = heli
         self._session = heli.session
@@ -364,7 +364,7 @@ class Landing:
 
     def __init__(
         self,
-        heli: Vehicle,
+        heli: Heli,
         stream: RouteStream,
         recorder: Recorder,
         monitor: FlightMonitor,
@@ -415,7 +415,7 @@ class Pilot:
 
     Parameters
     ----------
-    heli : Vehicle
+    heli : Heli
         Idle, with its arm at rest on the table.
     route : Route
         Setpoints over time, from the table on; checked against the board.
@@ -445,7 +445,7 @@ class Pilot:
 
     def __init__(
         self,
-        heli: Vehicle,
+        heli: Heli,
         route: Route,
         axes: tuple[str, ...],
         recorder: Recorder,

@@ -24,7 +24,7 @@ from heli_host.link.installation import installed_version
 from heli_host.link.transport import transport_recipe
 
 if TYPE_CHECKING:
-    from heli_host.board.vehicle import Vehicle
+    from heli_host.board.heli import Heli
     from heli_host.fly.plan import Plan
     from heli_host.link.telemetry import LinkCounters, Ticks
 
@@ -76,7 +76,7 @@ class Recorder:
 
     def __init__(
         self,
-        heli: Vehicle,
+        heli: Heli,
         path: str | Path,
         *,
         rig_name: str = "",
@@ -274,9 +274,7 @@ class Recorder:
             self.error = self.error or self._writer.nearly_full
 
     @staticmethod
-    def _session_record(
-        heli: Vehicle, rig_name: str, plans: Sequence[Plan], board_name: str
-    ) -> dict[str, str]:
+    def _session_record(heli: Heli, rig_name: str, plans: Sequence[Plan], board_name: str) -> dict[str, str]:
         """Return the record `session` of the log: rig, board, versions, address and start."""
         info = heli.info
         wall_ns = heli.session.transport.wall_ns()
@@ -300,13 +298,13 @@ class Recorder:
         }
 
 
-def _simulation_record(heli: Vehicle, setup: Mapping[str, str]) -> dict[str, dict[str, str]]:
+def _simulation_record(heli: Heli, setup: Mapping[str, str]) -> dict[str, dict[str, str]]:
     """Return the record that repeats a simulated flight; none for hardware."""
     recipe = transport_recipe(heli.session.transport)
     return {SIMULATION: {**recipe, **setup}} if recipe else {}
 
 
-def _controller_name(heli: Vehicle) -> str:
+def _controller_name(heli: Heli) -> str:
     """Return the controller's name; for the default row, the board is not asked."""
     selected = heli.params["controller"]
     return controller_name(heli.session, selected) if selected in range(1, 8) else "default"

@@ -290,6 +290,7 @@ RECONNECT_TIMEOUT_S = 30.0
 _LOCKSTEP_STEP_S = 0.1
 _LOCKSTEP_REPLY_STEP_S = 0.002
 _FIRST_SAMPLE_TIMEOUT_S = 5.0
+_STATE_TIMEOUT_S = 1.0
 _AHEAD_TICKS = 250
 _START_MOTORS = (ArmMessage, ControlMessage, ExciteMessage, StreamMessage)
 
@@ -297,7 +298,7 @@ _START_MOTORS = (ArmMessage, ControlMessage, ExciteMessage, StreamMessage)
 class Session:
     """One session with one board. All methods may be called from any thread; commands run one at a time.
 
-    The session itself never switches motors off, except by `stop_now`: see `board.vehicle.Vehicle.close`.
+    The session itself never switches motors off, except by `stop_now`: see `heli_host.Heli.close`.
     """
 
     def __init__(
@@ -542,6 +543,11 @@ class Session:
     ) -> bool:
         """Wait until a condition holds; samples, events and replies are processed meanwhile."""
         return self._driver.wait_for(predicate, timeout_s, step_s)
+
+    def wait_for_state(self, *states: State) -> None:
+        """Wait for up to 1 s until telemetry shows one of these states, some batches after a command."""
+        # A state that has already gone on, into a fault for example, is for the caller to see.
+        self.wait_for(lambda: self.state in states, _STATE_TIMEOUT_S)
 
     def wait(self, duration_s: float) -> None:
         """Wait until a sample arrives that is `duration_s` of device time later than the newest one now.

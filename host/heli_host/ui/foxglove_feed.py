@@ -25,7 +25,7 @@ from heli_host.link.events import BOARD_RESTARTED
 from heli_host.ui.foxglove_server import EVENT, HEADER, HOST, SETTINGS, TICKS
 
 if TYPE_CHECKING:
-    from heli_host.board.vehicle import Vehicle
+    from heli_host.board.heli import Heli
     from heli_host.link.events import LinkEvent
     from heli_host.link.telemetry import Ticks
 
@@ -41,7 +41,7 @@ class FoxgloveFeed:
     The link's thread only appends to a queue: neither flight nor stop waits for a viewer.
     """
 
-    def __init__(self, heli: Vehicle, port: int = 0, *, hidden: bool = False) -> None:
+    def __init__(self, heli: Heli, port: int = 0, *, hidden: bool = False) -> None:
         if importlib.util.find_spec("foxglove") is None:
             raise HeliError("--foxglove needs foxglove-sdk", install_remedy("foxglove"))
         self.dropped = 0
@@ -151,7 +151,7 @@ class FoxgloveFeed:
 
 
 @contextlib.contextmanager
-def foxglove_feed(heli: Vehicle, port: int | None, *, hidden: bool = False) -> Iterator[FoxgloveFeed | None]:
+def foxglove_feed(heli: Heli, port: int | None, *, hidden: bool = False) -> Iterator[FoxgloveFeed | None]:
     """Serve viewers until the ``with`` block ends; without a port, serve none."""
     if port is None:
         yield None

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from heli_host.board.heli import Heli
 from heli_host.board.rest_check import ANGLE_SHIFTED
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
 from heli_host.declaration import Fault
 from heli_host.errors import FlightAborted
-from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
 from heli_host.fly.tracking import NOT_TRACKED

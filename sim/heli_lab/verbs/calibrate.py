@@ -25,7 +25,7 @@ from heli_host.ui.cli.say import data_on_stdout, say, say_files, say_progress, w
 from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
-    from heli_host.fly.heli import Heli
+    from heli_host.board.heli import Heli
     from heli_sim.rig import Rig
 
     from heli_lab.setup.calibrate.calibration import BenchCalibration

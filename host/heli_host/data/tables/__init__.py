@@ -1,4 +1,9 @@
-"""Files from other programs: read as tables, and converted to flights by a profile."""
+"""Files from other programs: read as tables, and converted to flights by a profile.
+
+`read_table` reads a file, a `Profile` describes its columns, and `flights_of` makes flights from both.
+
+Does not belong here: guesses about columns, which need a model; the logs of this package.
+"""
 
 from heli_host.data.tables.convert import flights_of
 from heli_host.data.tables.profile import (

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from heli_host.board.telemetry_view import BoardInfo
-    from heli_host.fly.heli import Heli
+    from heli_host.board.heli import Heli
+    from heli_host.board.telemetry import BoardInfo
     from heli_host.link.transport import PortInfo
 
 ARDUINO_VIDS = (0x2341, 0x2A03)

@@ -54,9 +54,9 @@ from heli_host.ui.cli.options import (
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, say_progress, summary_lines, write_result
 
 if TYPE_CHECKING:
+    from heli_host.board.heli import Heli
     from heli_host.data.log.reader import Log
     from heli_host.data.log.summary import FlightSummary
-    from heli_host.fly.heli import Heli
     from heli_host.fly.plan import Plan
     from heli_host.fly.runner import Progress
 

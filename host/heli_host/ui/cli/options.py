@@ -19,8 +19,8 @@ from heli_host.ui.cli.say import STDOUT
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from heli_host.board.heli import Heli
     from heli_host.board.twins import TwinMaker, TwinWatch
-    from heli_host.fly.heli import Heli
 
 PortOption = Annotated[
     str | None,

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from heli_host.board.law_flight import engage, loaded, set_parameter, takeover_text
 from heli_host.declaration import AXES, Axes, Channel, Flags, LawFlyMessage, LawState, State
 from heli_host.errors import BadLaw, HeliError, LinkError, ParameterError, SetpointError
-from heli_host.fly.guest_law import engage, loaded, set_parameter, takeover_text
 from heli_host.fly.pilot import Pilot, Progress
 from heli_host.fly.plan import Plan, take_off
 from heli_host.fly.tracking import Tolerance
@@ -19,8 +19,8 @@ from heli_host.link.clock import TICK_S
 from heli_host.ui.page.source import News, cause, in_words, is_without_setpoints, number, text
 
 if TYPE_CHECKING:
+    from heli_host.board.heli import Heli
     from heli_host.board.law_program import LawProgram
-    from heli_host.fly.heli import Heli
     from heli_host.fly.plan import Plan
     from heli_host.fly.recorder import Recorder
     from heli_host.link.events import LinkEvent

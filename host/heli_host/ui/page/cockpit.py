@@ -39,9 +39,9 @@ from heli_host.ui.page.source import (
 from heli_host.ui.page.telemetry import TelemetryBuffer
 
 if TYPE_CHECKING:
+    from heli_host.board.heli import Heli
     from heli_host.board.law_program import LawProgram
     from heli_host.board.twins import TwinNews, TwinWatch
-    from heli_host.fly.heli import Heli
     from heli_host.fly.recorder import Recorder
     from heli_host.link.session import Session
     from heli_host.link.telemetry import Ticks

@@ -15,13 +15,13 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_host.board.heli import Heli
 from heli_host.board.parameters import load_gains
 from heli_host.board.rest_check import ANGLE_SHIFTED
 from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_log
 from heli_host.declaration import Axes, State
-from heli_host.fly.heli import Heli
 from heli_host.fly.plan import Plan, take_off
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import Progress

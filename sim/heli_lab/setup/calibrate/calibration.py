@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+from heli_host.board.heli import Heli
 from heli_host.declaration import AXES, State
 from heli_host.errors import HeliError, fault_text
-from heli_host.fly.heli import Heli
 from heli_sim.rig import Number, Rig
 from heli_sim.rig.encoders import counts_per_turn
 from heli_sim.rig.schema import ENCODER_DIRECTIONS

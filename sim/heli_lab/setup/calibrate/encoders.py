@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_host.board.heli import Heli
 from heli_host.board.samples import Sample
 from heli_host.data.arrays import Floats
 from heli_host.declaration import AXES
-from heli_host.fly.heli import Heli
 
 from heli_lab.errors import CalibrationError
 from heli_lab.setup.calibrate.operator import HandAction, Operator

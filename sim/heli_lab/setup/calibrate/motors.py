@@ -11,12 +11,11 @@ from typing import Final
 
 import numpy as np
 import scipy.optimize
+from heli_host.board.heli import Heli
 from heli_host.board.samples import Samples
-from heli_host.board.vehicle import Vehicle
 from heli_host.data.arrays import Floats
 from heli_host.declaration import AXES, Axes, Excitation, Fault, State
 from heli_host.errors import CommandRefused, FlightAborted, HeliError, fault_text
-from heli_host.fly.heli import Heli
 from heli_host.link.clock import TICK_S
 from heli_sim.rig import Rig
 from heli_sim.rig.inertia import inertias_kg_m2
@@ -222,7 +221,7 @@ class _Pulser:
             try:
                 # Heli.arm would refuse a simulated board whose wires are wrong, and finding wrong wires is
                 # what a calibration is for.
-                Vehicle.arm(self._heli)
+                self._heli.flying.arm()
             except CommandRefused as error:
                 # A single count of a slow drift looks like 3 degrees per second for a moment.
                 if error.detail != Fault.MOVING or attempt == _MAX_ARM_ATTEMPTS - 1:

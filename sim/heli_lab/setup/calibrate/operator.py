@@ -11,8 +11,8 @@ from math import nan
 from typing import Final, Protocol, TextIO
 
 import numpy as np
+from heli_host.board.heli import Heli
 from heli_host.errors import FlightAborted
-from heli_host.fly.heli import Heli
 from heli_sim.sil.world import SilWorld
 
 

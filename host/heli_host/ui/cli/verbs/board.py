@@ -36,8 +36,8 @@ from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
     from heli_host.board.flashing import Bossac
+    from heli_host.board.heli import Heli
     from heli_host.errors import LinkVersionMismatch
-    from heli_host.fly.heli import Heli
 
 MAX_S = 30.0
 # The board switches the motors off if no open-loop message arrives for setpoint_hold_s (0.5 s).

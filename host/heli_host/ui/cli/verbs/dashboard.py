@@ -37,9 +37,9 @@ from heli_host.ui.cli.say import say
 from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
+    from heli_host.board.heli import Heli
     from heli_host.board.law_program import LawProgram
     from heli_host.board.twins import TwinMaker
-    from heli_host.fly.heli import Heli
     from heli_host.fly.plan import Plan
     from heli_host.fly.recorder import Recorder
     from heli_host.ui.page.cockpit import Cockpit

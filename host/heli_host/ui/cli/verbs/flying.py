@@ -30,9 +30,9 @@ from heli_host.ui.cli.say import data_on_stdout, say, say_progress, summary_line
 from heli_host.ui.cli.verb import Verb, with_option_groups
 
 if TYPE_CHECKING:
+    from heli_host.board.heli import Heli
     from heli_host.board.samples import Sample
     from heli_host.declaration import Axes
-    from heli_host.fly.heli import Heli
     from heli_host.fly.recorder import Recorder
     from heli_host.ui.cli.live import LiveDisplay
 
@@ -161,8 +161,8 @@ def setpoint(
         raise typer.BadParameter(
             "--travel-deg and --pitch-deg exclude each other, because pitch controls travel; give one of them"
         )
+    from heli_host.board.flying import ALL_AXES
     from heli_host.board.interrupts import name_of
-    from heli_host.board.open_loop import ALL_AXES
     from heli_host.board.setpoints import check_setpoint
     from heli_host.data.log.disk import check_new
     from heli_host.declaration import Axes

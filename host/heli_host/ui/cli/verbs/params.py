@@ -23,8 +23,8 @@ from heli_host.ui.cli.say import data_on_stdout, say, say_dropped, write_result
 from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
+    from heli_host.board.heli import Heli
     from heli_host.declaration import ParamSpec
-    from heli_host.fly.heli import Heli
 
 app = typer.Typer(
     help="Read and set the board's parameters.\n\n"
