@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from heli_host import declaration as d
-from heli_host.board.law_program import PART_WORDS
+from heli_host.board.law_flight import PART_WORDS
 from heli_host.link.frames import Frame, FrameParser, encode_frame
 from heli_test_native import flight
 

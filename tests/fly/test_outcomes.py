@@ -6,7 +6,7 @@ from pathlib import Path
 
 import heli_host
 import pytest
-from heli_host.board.law_program import engage
+from heli_host.board.law_flight import engage
 from heli_host.data.log.figure import draw
 from heli_host.data.log.reader import read_log
 from heli_host.data.log.summary import summarise

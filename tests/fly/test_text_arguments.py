@@ -13,7 +13,7 @@ import heli_host
 import numpy as np
 import pytest
 from heli_host.board.heli import Heli
-from heli_host.board.law_program import run_controller
+from heli_host.board.law_flight import run_controller
 from heli_host.board.samples import Sample
 from heli_host.data.flight import Flight
 from heli_host.data.response import steps

@@ -9,7 +9,8 @@ from typing import Any
 import heli_host
 import numpy as np
 import numpy.typing as npt
-from heli_host.board.law_program import LawProgram, LawReport, engage
+from heli_host.board.law_flight import LawReport, engage
+from heli_host.board.law_program import LawProgram
 from heli_host.declaration import AXES, PARAMS, Channel, Flags
 from heli_host.link.telemetry import Ticks
 from heli_lab.law import Law

@@ -9,7 +9,7 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
-from heli_host.board.law_program import engage
+from heli_host.board.law_flight import engage
 from heli_host.declaration import Channel, Fault, LawFlyMessage
 from heli_host.link.telemetry import Ticks
 

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 from heli_host import declaration as d
-from heli_host.board.law_program import PART_WORDS, Instruction, LawProgram
+from heli_host.board.law_flight import PART_WORDS
+from heli_host.board.law_program import Instruction, LawProgram
 from heli_host.declaration import Channel, Event, LawError, LawState, Result, State, Takeover
 from heli_host.link.channels import physical
 from heli_host.link.telemetry import TelemetryDecoder

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import heli_host
 import pytest
-from heli_host.board.law_program import PART_WORDS, LawProgram, loaded
+from heli_host.board.law_flight import PART_WORDS, loaded
+from heli_host.board.law_program import LawProgram
 from heli_host.declaration import (
     LINK_HASH,
     Channel,

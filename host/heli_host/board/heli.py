@@ -11,19 +11,17 @@ from typing import Protocol, Self
 from heli_host.board.bench import Bench
 from heli_host.board.flying import ALL_AXES, LEAD_S, MOTORS_OFF, Flying
 from heli_host.board.landing import STOP_TRIES, Landing
-from heli_host.board.law_program import (
+from heli_host.board.law_flight import (
     AfterLaw,
     ControlLaw,
     ControllerReport,
-    LawLike,
-    LawProgram,
     LawReport,
     fly_law,
-    program_of,
     run_controller,
     set_parameter,
     upload,
 )
+from heli_host.board.law_program import LawLike, LawProgram, program_of
 from heli_host.board.rig_check import check_rig
 from heli_host.board.samples import Sample, Samples
 from heli_host.board.telemetry import BoardInfo, Telemetry

@@ -60,7 +60,7 @@ def flown_with(
     """Fly a plan with a law, and return the flight, whether it was completed or not. Returns `flown`,
     `taken_over`.
     """
-    from heli_host.board.law_program import engage
+    from heli_host.board.law_flight import engage
 
     flown = fly_plans(
         options,
