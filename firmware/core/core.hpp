@@ -6,7 +6,7 @@
 
 #include "board.hpp"
 #include "control/controller.hpp"
-#include "control/rate_filter.hpp"
+#include "control/loop.hpp"
 #include "conversion.hpp"
 #include "flight/limits.hpp"
 #include "flight/observation.hpp"
@@ -16,7 +16,7 @@
 #include "law/simplex.hpp"
 #include "law/uploaded_law.hpp"
 #include "link/link.hpp"
-#include "link/sample_writer.hpp"
+#include "link/telemetry.hpp"
 #include "params/params.hpp"
 #include "params/store.hpp"
 

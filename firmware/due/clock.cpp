@@ -1,6 +1,5 @@
 // Switches the chip to 84 MHz: crystal 12 MHz, PLL times 14, halved. Runs once, at the start.
-#include "clock.hpp"
-
+#include "drivers.hpp"
 #include "registers.hpp"
 
 namespace heli::due::clock {

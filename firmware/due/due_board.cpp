@@ -1,11 +1,8 @@
 // The functions of Board, passed on to the drivers of this folder.
 #include "due_board.hpp"
 
-#include "encoders.hpp"
-#include "flash.hpp"
-#include "main.hpp"
+#include "drivers.hpp"
 #include "motors.hpp"
-#include "uart.hpp"
 
 namespace heli::due {
 namespace {

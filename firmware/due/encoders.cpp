@@ -1,16 +1,13 @@
 // Two encoders in the decoders of TC0 and TC2, the third by pin interrupts with a limited rate; see
 // encoders.hpp. encoder_interrupt() is the interrupt; read() runs in the tick, which it may
 // interrupt.
-#include "encoders.hpp"
-
 #include <cstdint>
 #include <wiring.hpp>
 
 #include "cortex_m3.hpp"
+#include "drivers.hpp"
 #include "pins.hpp"
-#include "priorities.hpp"
 #include "registers.hpp"
-#include "vectors.hpp"
 
 namespace heli::due::encoders {
 namespace {

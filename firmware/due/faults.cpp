@@ -1,14 +1,11 @@
 // The fault handlers: motors off, record in the backup registers (which a reset keeps), reset.
-#include "faults.hpp"
-
 #include <cstdint>
 
 #include "cortex_m3.hpp"
+#include "drivers.hpp"
 #include "link/declaration.hpp"
 #include "motors.hpp"
-#include "random.hpp"
 #include "registers.hpp"
-#include "vectors.hpp"
 
 namespace heli::due::faults {
 namespace {

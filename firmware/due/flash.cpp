@@ -1,8 +1,7 @@
 // Reads, erases and writes the parameter pages through EEFC1; see flash.hpp. Idle loop, motors off.
-#include "flash.hpp"
-
 #include <cstring>
 
+#include "drivers.hpp"
 #include "registers.hpp"
 
 namespace heli::due::flash {

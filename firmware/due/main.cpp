@@ -1,21 +1,13 @@
 // Start of the board, its control tick and its idle loop.
-#include "main.hpp"
-
 #include <atomic>
 #include <cstdint>
 
-#include "clock.hpp"
 #include "cortex_m3.hpp"
+#include "drivers.hpp"
 #include "due_board.hpp"
-#include "encoders.hpp"
-#include "faults.hpp"
 #include "flight_code.hpp"
 #include "motors.hpp"
-#include "stack.hpp"
 #include "tick_timer.hpp"
-#include "uart.hpp"
-#include "vectors.hpp"
-#include "watchdog.hpp"
 
 namespace heli::due {
 namespace {

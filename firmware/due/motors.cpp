@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <wiring.hpp>
 
-#include "clock.hpp"
+#include "drivers.hpp"
 #include "pins.hpp"
 #include "registers.hpp"
 

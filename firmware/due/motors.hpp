@@ -5,7 +5,7 @@
 #include <wiring.hpp>
 
 #include "board.hpp"
-#include "clock.hpp"
+#include "drivers.hpp"
 
 namespace heli::due::motors {
 

@@ -1,6 +1,5 @@
 // One value of the true random number generator (datasheet, section 42).
-#include "random.hpp"
-
+#include "drivers.hpp"
 #include "registers.hpp"
 
 namespace heli::due::random {

@@ -3,12 +3,8 @@
 #include <cstdint>
 
 #include "cortex_m3.hpp"
-#include "faults.hpp"
-#include "main.hpp"
+#include "drivers.hpp"
 #include "motors.hpp"
-#include "stack.hpp"
-#include "vectors.hpp"
-#include "watchdog.hpp"
 
 extern "C" {
 extern std::uint32_t __data_load[];

@@ -3,10 +3,9 @@
 
 #include <cstdint>
 
-#include "clock.hpp"
 #include "cortex_m3.hpp"
+#include "drivers.hpp"
 #include "link/declaration.hpp"
-#include "priorities.hpp"
 #include "registers.hpp"
 
 namespace heli::due::tick_timer {

@@ -1,10 +1,8 @@
 // Two rings that the PDC (the chip's peripheral DMA) fills and empties; see uart.hpp. Idle loop.
-#include "uart.hpp"
-
 #include <cstring>
 
-#include "clock.hpp"
 #include "cortex_m3.hpp"
+#include "drivers.hpp"
 #include "link/declaration.hpp"
 #include "pins.hpp"
 #include "registers.hpp"

@@ -1,6 +1,5 @@
 // Mode and restart of the chip's watchdog; see watchdog.hpp.
-#include "watchdog.hpp"
-
+#include "drivers.hpp"
 #include "registers.hpp"
 
 namespace heli::due::watchdog {

@@ -1,8 +1,8 @@
 // A sample of your own compiled controller: linear-quadratic state feedback, without integrators.
 #pragma once
 
-#include "control/bumpless_transfer.hpp"
 #include "control/controller.hpp"
+#include "control/loop.hpp"
 #include "control/mixer.hpp"
 
 namespace heli::control {

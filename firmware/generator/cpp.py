@@ -42,6 +42,13 @@ def generate_cpp(d: Table) -> str:
         *(f"  {message['name']} = {message['id']}," for message in d["message"]),
         "};",
         "",
+        "// Floats of a message, which follow each other: byte offset and position of the first, and how many.",
+        "struct Floats {",
+        "  std::uint8_t offset;",
+        "  std::uint8_t field;",
+        "  std::uint8_t count;",
+        "};",
+        "",
         *(line for message in d["message"] for line in _message_struct(message)),
         "}  // namespace heli::link",
         "",
@@ -175,6 +182,10 @@ def _message_struct(message: Table) -> list[str]:
         f"  {CPP_TYPE[field['type']]} {field['name']} = {{}};  // {field['unit'] or '-'}" for field in fields
     ]
     offsets = [sum(size_of(field["type"]) for field in fields[:index]) for index in range(len(fields))]
+    if message["kind"] in ("command", "stream"):
+        floats = [index for index, field in enumerate(fields) if field["type"] == "f32"]
+        first = floats[0] if floats else 0
+        lines.append(f"  static constexpr Floats kFloats = {{{offsets[first]}, {first}, {len(floats)}}};")
     lines.append("  void write([[maybe_unused]] std::uint8_t* to) const {")
     lines += [
         f"    put_{field['type']}(to + {offset}, {field['name']});"

@@ -181,6 +181,9 @@ def check(declaration: Table) -> None:
     for m in declaration["message"]:
         if m["kind"] == "command" and by_name.get(m["reply"], {}).get("kind") != "reply":
             raise DeclarationError(f"command {m['name']} names no reply")
+        floats = [number for number, field in enumerate(m["fields"]) if field["type"] == "f32"]
+        if m["kind"] in ("command", "stream") and floats and floats[-1] - floats[0] >= len(floats):
+            raise DeclarationError(f"{m['name']}: its fields of type f32 must follow each other")
         for f in m["fields"]:
             if f["type"] not in STRUCT_CODE:
                 raise DeclarationError(f"{m['name']}.{f['name']}: no type {f['type']}; {choice(STRUCT_CODE)}")

@@ -25,10 +25,7 @@ def enum_class(name: str, base: str, doc: str, members: list[tuple[str, int, str
     """Return the class of an enumeration or a set of bits; `members` are name, number and meaning."""
     out = ["", f"class {name}({base}):", f'    """{doc}"""', ""]
     out += [f"    {k.upper()} = {v}  # {meaning}" for k, v, meaning in members]
-    out.append("")
-    if base == "IntEnum":
-        out += ["    def __str__(self) -> str:", "        return self.name.lower()", ""]
-    return out
+    return [*out, ""]
 
 
 def values_of(entries: Table, key: str) -> list[tuple[str, int, str]]:
@@ -62,18 +59,14 @@ def unit_of(channel: Table) -> str:
 
 def values_class(declared: list[Table]) -> list[str]:
     """Return the class with the values of one tick."""
-    out = [
+    out = ["", "@dataclass(frozen=True)", "class ChannelValues:"]
+    out += ['    """The values of all channels in one tick, each in its unit."""', ""]
+    out += ["    tick: int  # Device time [tick], unwrapped beyond 2^32"]
+    return [
+        *out,
+        *(f"    {channels.column(c)}: {type_of(c)}  # {c['meaning']}{unit_of(c)}" for c in declared),
         "",
-        "@dataclass(frozen=True)",
-        "class ChannelValues:",
-        '    """The values of all channels in one tick, each in its unit.',
     ]
-    out += ["", "    Parameters", "    ----------", "    tick : int"]
-    out.append("        Device time [tick], unwrapped beyond 2^32.")
-    for c in declared:
-        out += [f"    {channels.column(c)} : {type_of(c)}", f"        {c['meaning']}{unit_of(c)}"]
-    out += ['    """', "", "    tick: int"]
-    return [*out, *(f"    {channels.column(c)}: {type_of(c)}" for c in declared), ""]
 
 
 def arrays_class(declared: list[Table]) -> list[str]:
@@ -84,13 +77,11 @@ def arrays_class(declared: list[Table]) -> list[str]:
         return f"{sign}{channel['type'][1:]}" if is_whole(channel) else "float64"
 
     out = ["", "@dataclass(frozen=True)", "class ChannelArrays:"]
-    out += ['    """The values of all channels in many ticks, each in its unit: one array per channel.', ""]
-    out += ["    Parameters", "    ----------", "    tick : ndarray of int64, shape (n,)"]
-    out.append("        Device time [tick], unwrapped beyond 2^32; a gap means that ticks were lost.")
-    for c in declared:
-        out.append(f"    {channels.column(c)} : ndarray of {dtype(c)}, shape (n,)")
-        out.append(f"        {c['meaning']}{unit_of(c)}")
-    out += ['    """', "", "    tick: NDArray[np.int64]"]
+    out += [
+        '    """The values of all channels in many ticks, as in `ChannelValues`: arrays of shape (n,).',
+        "",
+    ]
+    out += ["    A gap in `tick` means that ticks were lost.", '    """', "", "    tick: NDArray[np.int64]"]
     return [*out, *(f"    {channels.column(c)}: NDArray[np.{dtype(c)}]" for c in declared), ""]
 
 
@@ -127,6 +118,8 @@ def _head(d: Table) -> list[str]:
         "from enum import IntEnum, IntFlag",
         "from typing import TYPE_CHECKING, ClassVar",
         "",
+        "from heli_host.message import Message, Name",
+        "",
         "if TYPE_CHECKING:",
         "    import numpy as np",
         "    from numpy.typing import NDArray",
@@ -151,15 +144,15 @@ def _enumerations(d: Table) -> list[str]:
     """Return the declared enumerations, and those of the rows of each table."""
     lines: list[str] = []
     for name, entries in d["enums"].items():
-        lines += enum_class(camel(name), "IntEnum", entries["meaning"], values_of(entries, "value"))
+        lines += enum_class(camel(name), "Name", entries["meaning"], values_of(entries, "value"))
     for name, entries in d["bits"].items():
         lines += enum_class(camel(name), "IntFlag", entries["meaning"], values_of(entries, "bit"))
     faults = [(fault["name"], fault["code"], fault["meaning"]) for fault in d["fault"]]
-    lines += enum_class("Fault", "IntEnum", "Fault codes.", [("none", 0, "no fault"), *faults])
-    lines += enum_class("Param", "IntEnum", "Position of each parameter in the table.", positions(d["param"]))
-    lines += enum_class("Channel", "IntEnum", "Position of each telemetry channel.", positions(d["channel"]))
+    lines += enum_class("Fault", "Name", "Fault codes.", [("none", 0, "no fault"), *faults])
+    lines += enum_class("Param", "Name", "Position of each parameter in the table.", positions(d["param"]))
+    lines += enum_class("Channel", "Name", "Position of each telemetry channel.", positions(d["channel"]))
     ids = [(message["name"], message["id"], message["meaning"]) for message in d["message"]]
-    lines += enum_class("MessageId", "IntEnum", "Second byte of a frame.", ids)
+    lines += enum_class("MessageId", "Name", "Second byte of a frame.", ids)
     names = ", ".join(json.dumps(axis) for axis in axes(d))
     return [
         *lines,
@@ -202,38 +195,16 @@ class FaultSpec:
 
 @dataclass(frozen=True, slots=True)
 class ChannelSpec:
-    """One telemetry channel: value = raw * scale, in ``unit``.
+    """One telemetry channel: value = raw * scale, in ``unit``."""
 
-    Parameters
-    ----------
-    name : str
-        Name in `Channel`, in lower case.
-    code : str
-        Type on the wire, as a format of `struct`.
-    unit : str
-        Unit of the values.
-    scale : float
-        Value of the raw number 1, in `unit`.
-    column : str
-        Name in samples, flights and tables; for an encoder, that of its angle in rad.
-    field : str
-        Name in a log.
-    axis : Axis or None
-        Axis whose encoder the channel counts; None for other channels.
-    kind : type or None
-        Enumeration or set of bits of the numbers; None for plain numbers.
-    meaning : str
-        Description of the channel.
-    """
-
-    name: str
-    code: str
+    name: str  # Name in `Channel`, in lower case
+    code: str  # Type on the wire, as a format of `struct`
     unit: str
-    scale: float
-    column: str
-    field: str
-    axis: Axis | None
-    kind: type[IntEnum] | type[IntFlag] | None
+    scale: float  # Value of the raw number 1, in `unit`
+    column: str  # Name in samples, flights and tables; for an encoder, that of its angle in rad
+    field: str  # Name in a log
+    axis: Axis | None  # Axis whose encoder the channel counts; None for other channels
+    kind: type[IntEnum] | type[IntFlag] | None  # What its numbers name; None for plain numbers
     meaning: str
 
 '''
@@ -277,38 +248,20 @@ def _channel_table(d: Table) -> list[str]:
 
 
 def _message_class(message: Table) -> list[str]:
-    """Return the class of a message, which packs its fields to bytes and unpacks them."""
+    """Return the class of a message: its number, its layout and its fields."""
     fields = full_fields(message)
     struct_format = "<" + "".join(STRUCT_CODE[field["type"]] for field in fields)
     name = camel(message["name"]) + "Message"
-    lines = ["", "@dataclass(frozen=True, slots=True)", f"class {name}:"]
-    lines.append(f'    """{message["meaning"]}')
-    if fields:
-        lines += ["", "    Parameters", "    ----------"]
-        for field in fields:
-            unit = f" [{field['unit']}]" if field["unit"] else ""
-            lines.append(f"    {field['name']} : {PY_TYPE.get(field['type'], 'int')}")
-            lines.append(f"        {field['meaning']}{unit}")
-    lines += ['    """', ""]
+    lines = ["", "@dataclass(frozen=True, slots=True)", f"class {name}(Message):"]
+    lines += [f'    """{message["meaning"]}"""', ""]
     lines.append(f"    ID: ClassVar[MessageId] = MessageId.{message['name'].upper()}")
     lines.append(f'    STRUCT: ClassVar[struct.Struct] = struct.Struct("{struct_format}")')
     if message["kind"] == "command":
         lines.append(f"    REPLY: ClassVar[MessageId] = MessageId.{message['reply'].upper()}")
-    lines += [f"    {field['name']}: {PY_TYPE.get(field['type'], 'int')}" for field in fields]
-    attributes = ", ".join("self." + field["name"] for field in fields)
-    return [
-        *lines,
-        "",
-        "    def pack(self) -> bytes:",
-        '        """Return the payload bytes."""',
-        f"        return self.STRUCT.pack({attributes})",
-        "",
-        "    @classmethod",
-        f"    def unpack(cls, payload: bytes) -> {name}:",
-        '        """Read the fixed fields from the start of ``payload``."""',
-        "        return cls(*cls.STRUCT.unpack_from(payload))",
-        "",
-    ]
+    for field in fields:
+        unit = f" [{field['unit']}]" if field["unit"] else ""
+        lines.append(f"    {field['name']}: {PY_TYPE.get(field['type'], 'int')}  # {field['meaning']}{unit}")
+    return [*lines, ""]
 
 
 def json_or_bool(value: object) -> str:

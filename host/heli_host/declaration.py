@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import TYPE_CHECKING, ClassVar
 
+from heli_host.message import Message, Name
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -28,18 +30,15 @@ SETPOINT_MARGIN_DEG = {"elevation_max_deg": 2, "travel_max_deg": 5, "elevation_r
 """Distances between the setpoints that the board accepts and these parameters, in degrees."""
 
 
-class Axis(IntEnum):
+class Axis(Name):
     """Axes in the order used everywhere: in telemetry, masks and messages."""
 
     ELEVATION = 0  # angle of the long arm; positive is up
     PITCH = 1  # angle of the short arm about the long arm; positive if the front rotor pushes more
     TRAVEL = 2  # angle about the vertical; a positive pitch accelerates it positively
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class State(IntEnum):
+class State(Name):
     """State of the supervisor, sent with every tick."""
 
     IDLE = 0  # drivers disabled, motors off; the only state that may be configured freely
@@ -52,11 +51,8 @@ class State(IntEnum):
     FAULT = 7  # motors off; the fault stays until clear_fault
     EMERGENCY_LANDING = 8  # descent after a fault without the axis whose reading is wrong: travel turns freely, the short arm hangs freely, or the lift of the last hover decreases steadily; then motors off, and the fault stays until clear_fault
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class Result(IntEnum):
+class Result(Name):
     """Answer to a command."""
 
     OK = 0  # done
@@ -73,11 +69,8 @@ class Result(IntEnum):
     HASH_MISMATCH = 11  # the two ends were built from different declarations
     BAD_LAW = 12  # the law is refused; detail is the law_error, value what is wrong with it
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class LawError(IntEnum):
+class LawError(Name):
     """Why a law, or a part of one, is refused; what ack.value holds with it."""
 
     NONE = 0  # nothing is wrong
@@ -99,11 +92,8 @@ class LawError(IntEnum):
     BAD_SUM = 17  # a sum of products without terms, with too many, or beyond the end; value = place of the word
     NOT_FLYING = 16  # all three loops of the board must be closed, and the arm in flight; value = state
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class LawState(IntEnum):
+class LawState(Name):
     """State of the uploaded law on the board."""
 
     NONE = 0  # no law
@@ -111,11 +101,8 @@ class LawState(IntEnum):
     READY = 2  # verified; may fly
     FLYING = 3  # it controls the motors
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class Takeover(IntEnum):
+class Takeover(Name):
     """Why the board's own law took over."""
 
     COMMAND = 0  # the host requested it; value 0
@@ -129,11 +116,8 @@ class Takeover(IntEnum):
     TRAVEL_FOLLOWING = 8  # travel stayed too far from the board's setpoint; value in deg
     STATE = 9  # the board left closed loop: stop, landing, a missing setpoint, a fault; value = state
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class Reset(IntEnum):
+class Reset(Name):
     """Why the board last started."""
 
     POWER_UP = 0  # power applied
@@ -141,11 +125,8 @@ class Reset(IntEnum):
     WATCHDOG = 2  # the watchdog fired, because control tick or idle loop hung
     SOFTWARE = 3  # the firmware reset itself after it recorded a fault
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class ParamsSource(IntEnum):
+class ParamsSource(Name):
     """Where the parameters of this boot came from."""
 
     DEFAULTS = 0  # no stored set: the declared defaults
@@ -154,11 +135,8 @@ class ParamsSource(IntEnum):
     CORRUPT = 3  # both copies damaged or of another format: defaults, and arming is refused until a save
     MIGRATED = 4  # the newest valid copy, saved under another schema of the parameters: known values kept, new parameters at their defaults; see params_origin
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class Excitation(IntEnum):
+class Excitation(Name):
     """Kinds of excitation generated on board and added to the motor voltages."""
 
     NONE = 0  # no excitation
@@ -168,11 +146,8 @@ class Excitation(IntEnum):
     MULTISINE = 4  # eight sines spread evenly from start_Hz to stop_Hz, Schroeder phases; the back motor uses frequencies between those of the front
     PRBS = 5  # pseudo-random binary sequence that may switch every 1/stop_Hz, seeded
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class Event(IntEnum):
+class Event(Name):
     """Kinds of event messages."""
 
     BOOT = 0  # first message after start; detail = reset cause, value = boot id
@@ -188,11 +163,8 @@ class Event(IntEnum):
     LAW_TAKEN_OVER = 10  # the board's own law took over from it; detail = takeover, value as said there
     TRAVEL_PROBE = 11  # the board tilts the arm to see whether the travel encoder still counts; detail = probe, value = tilt in deg
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class Probe(IntEnum):
+class Probe(Name):
     """Result of the tilt that checks a silent travel encoder."""
 
     NONE = 0  # nothing
@@ -201,11 +173,8 @@ class Probe(IntEnum):
     SILENT = 3  # it does not count, although the tilt must have turned the arm: travel_motionless
     STOPPED = 4  # no answer: the state changed, or pitch did not follow far enough
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class Trigger(IntEnum):
+class Trigger(Name):
     """Event that changes the supervisor's state; state events and telemetry report it as the cause."""
 
     ARM = 0  # arm command
@@ -222,9 +191,6 @@ class Trigger(IntEnum):
     CLEAR = 11  # clear_fault command
     AXIS_LOST = 12  # a fault of one axis tripped: the arm can still land without its reading
     START = 13  # the board has started; in telemetry only
-
-    def __str__(self) -> str:
-        return self.name.lower()
 
 
 class Axes(IntFlag):
@@ -247,7 +213,7 @@ class Flags(IntFlag):
     LAW = 64  # the voltages are those of a law that came over the link
 
 
-class Fault(IntEnum):
+class Fault(Name):
     """Fault codes."""
 
     NONE = 0  # no fault
@@ -287,11 +253,8 @@ class Fault(IntEnum):
     HARD_FAULT = 31  # the processor faulted; bridges were switched off and the board reset
     UNEXPECTED_INTERRUPT = 32  # an interrupt without a handler; bridges were switched off and the board reset
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class Param(IntEnum):
+class Param(Name):
     """Position of each parameter in the table."""
 
     ELEVATION_COUNTS_PER_REV = 0  # count: elevation encoder counts per revolution, x4; a negative number reverses its direction
@@ -370,11 +333,8 @@ class Param(IntEnum):
     TELEMETRY_BATCH_TICKS = 73  # tick: ticks per telemetry batch: 20 saves bandwidth, 5 reduces the delay for a host controller
     CONTROLLER = 74  # : compiled controller that flies: its row in the board's table; a number beyond the last row is refused
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class Channel(IntEnum):
+class Channel(Name):
     """Position of each telemetry channel."""
 
     ELEVATION_COUNT = 0  # count: elevation encoder, level = 0, up positive
@@ -394,11 +354,8 @@ class Channel(IntEnum):
     SIGNAL_3 = 14  # : its third signal
     SIGNAL_4 = 15  # : its fourth signal
 
-    def __str__(self) -> str:
-        return self.name.lower()
 
-
-class MessageId(IntEnum):
+class MessageId(Name):
     """Second byte of a frame."""
 
     HELLO = 1  # Opens a session. The layouts of hello and welcome never change, so that any two versions recognise each other.
@@ -439,9 +396,6 @@ class MessageId(IntEnum):
     TELEMETRY = 133  # A batch of consecutive ticks, delta-coded; layout below.
     EVENT = 134  # Something happened; also visible in telemetry, but with its reason here.
 
-    def __str__(self) -> str:
-        return self.name.lower()
-
 
 AXES: tuple[str, ...] = ("elevation", "pitch", "travel",)
 """Names of the axes in the order of `Axis`."""
@@ -478,38 +432,16 @@ class FaultSpec:
 
 @dataclass(frozen=True, slots=True)
 class ChannelSpec:
-    """One telemetry channel: value = raw * scale, in ``unit``.
+    """One telemetry channel: value = raw * scale, in ``unit``."""
 
-    Parameters
-    ----------
-    name : str
-        Name in `Channel`, in lower case.
-    code : str
-        Type on the wire, as a format of `struct`.
-    unit : str
-        Unit of the values.
-    scale : float
-        Value of the raw number 1, in `unit`.
-    column : str
-        Name in samples, flights and tables; for an encoder, that of its angle in rad.
-    field : str
-        Name in a log.
-    axis : Axis or None
-        Axis whose encoder the channel counts; None for other channels.
-    kind : type or None
-        Enumeration or set of bits of the numbers; None for plain numbers.
-    meaning : str
-        Description of the channel.
-    """
-
-    name: str
-    code: str
+    name: str  # Name in `Channel`, in lower case
+    code: str  # Type on the wire, as a format of `struct`
     unit: str
-    scale: float
-    column: str
-    field: str
-    axis: Axis | None
-    kind: type[IntEnum] | type[IntFlag] | None
+    scale: float  # Value of the raw number 1, in `unit`
+    column: str  # Name in samples, flights and tables; for an encoder, that of its angle in rad
+    field: str  # Name in a log
+    axis: Axis | None  # Axis whose encoder the channel counts; None for other channels
+    kind: type[IntEnum] | type[IntFlag] | None  # What its numbers name; None for plain numbers
     meaning: str
 
 
@@ -651,105 +583,32 @@ CHANNELS: tuple[ChannelSpec, ...] = (
 
 @dataclass(frozen=True)
 class ChannelValues:
-    """The values of all channels in one tick, each in its unit.
+    """The values of all channels in one tick, each in its unit."""
 
-    Parameters
-    ----------
-    tick : int
-        Device time [tick], unwrapped beyond 2^32.
-    elevation_rad : float
-        elevation encoder, level = 0, up positive [rad]
-    pitch_rad : float
-        pitch encoder, level = 0, front rotor up positive [rad]
-    travel_rad : float
-        travel encoder, 0 where the zero was taken [rad]
-    elevation_setpoint_rad : float
-        slew-limited elevation setpoint that the control law used [rad]
-    pitch_setpoint_rad : float
-        pitch setpoint that the control law used: the travel loop's output, or the host's [rad]
-    travel_setpoint_rad : float
-        slew-limited travel setpoint that the control law used [rad]
-    front_V : float
-        voltage that acted on the front motor during this tick: duty times supply, after every limit [V]
-    back_V : float
-        voltage that acted on the back motor during this tick [V]
-    state : State
-        supervisor state
-    fault : Fault
-        fault code, 0 while none
-    flags : Flags
-        flag bits
-    trigger : Trigger
-        event that led to the present state; after a touchdown, the event that led to the landing; an event message may be lost, this cannot
-    signal_1 : float
-        first signal of an uploaded law, in steps of a setpoint; after the law's own signals come the board's setpoints of axes for which the law logs other ones; 0 while no law flies
-    signal_2 : float
-        its second signal
-    signal_3 : float
-        its third signal
-    signal_4 : float
-        its fourth signal
-    """
-
-    tick: int
-    elevation_rad: float
-    pitch_rad: float
-    travel_rad: float
-    elevation_setpoint_rad: float
-    pitch_setpoint_rad: float
-    travel_setpoint_rad: float
-    front_V: float
-    back_V: float
-    state: State
-    fault: Fault
-    flags: Flags
-    trigger: Trigger
-    signal_1: float
-    signal_2: float
-    signal_3: float
-    signal_4: float
+    tick: int  # Device time [tick], unwrapped beyond 2^32
+    elevation_rad: float  # elevation encoder, level = 0, up positive [rad]
+    pitch_rad: float  # pitch encoder, level = 0, front rotor up positive [rad]
+    travel_rad: float  # travel encoder, 0 where the zero was taken [rad]
+    elevation_setpoint_rad: float  # slew-limited elevation setpoint that the control law used [rad]
+    pitch_setpoint_rad: float  # pitch setpoint that the control law used: the travel loop's output, or the host's [rad]
+    travel_setpoint_rad: float  # slew-limited travel setpoint that the control law used [rad]
+    front_V: float  # voltage that acted on the front motor during this tick: duty times supply, after every limit [V]
+    back_V: float  # voltage that acted on the back motor during this tick [V]
+    state: State  # supervisor state
+    fault: Fault  # fault code, 0 while none
+    flags: Flags  # flag bits
+    trigger: Trigger  # event that led to the present state; after a touchdown, the event that led to the landing; an event message may be lost, this cannot
+    signal_1: float  # first signal of an uploaded law, in steps of a setpoint; after the law's own signals come the board's setpoints of axes for which the law logs other ones; 0 while no law flies
+    signal_2: float  # its second signal
+    signal_3: float  # its third signal
+    signal_4: float  # its fourth signal
 
 
 @dataclass(frozen=True)
 class ChannelArrays:
-    """The values of all channels in many ticks, each in its unit: one array per channel.
+    """The values of all channels in many ticks, as in `ChannelValues`: arrays of shape (n,).
 
-    Parameters
-    ----------
-    tick : ndarray of int64, shape (n,)
-        Device time [tick], unwrapped beyond 2^32; a gap means that ticks were lost.
-    elevation_rad : ndarray of float64, shape (n,)
-        elevation encoder, level = 0, up positive [rad]
-    pitch_rad : ndarray of float64, shape (n,)
-        pitch encoder, level = 0, front rotor up positive [rad]
-    travel_rad : ndarray of float64, shape (n,)
-        travel encoder, 0 where the zero was taken [rad]
-    elevation_setpoint_rad : ndarray of float64, shape (n,)
-        slew-limited elevation setpoint that the control law used [rad]
-    pitch_setpoint_rad : ndarray of float64, shape (n,)
-        pitch setpoint that the control law used: the travel loop's output, or the host's [rad]
-    travel_setpoint_rad : ndarray of float64, shape (n,)
-        slew-limited travel setpoint that the control law used [rad]
-    front_V : ndarray of float64, shape (n,)
-        voltage that acted on the front motor during this tick: duty times supply, after every limit [V]
-    back_V : ndarray of float64, shape (n,)
-        voltage that acted on the back motor during this tick [V]
-    state : ndarray of uint8, shape (n,)
-        supervisor state
-    fault : ndarray of uint8, shape (n,)
-        fault code, 0 while none
-    flags : ndarray of uint8, shape (n,)
-        flag bits
-    trigger : ndarray of uint8, shape (n,)
-        event that led to the present state; after a touchdown, the event that led to the landing; an event message may be lost, this cannot
-    signal_1 : ndarray of float64, shape (n,)
-        first signal of an uploaded law, in steps of a setpoint; after the law's own signals come the board's setpoints of axes for which the law logs other ones; 0 while no law flies
-    signal_2 : ndarray of float64, shape (n,)
-        its second signal
-    signal_3 : ndarray of float64, shape (n,)
-        its third signal
-    signal_4 : ndarray of float64, shape (n,)
-        its fourth signal
+    A gap in `tick` means that ticks were lost.
     """
 
     tick: NDArray[np.int64]
@@ -848,1212 +707,457 @@ OPERATIONS: tuple[OperationSpec, ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class HelloMessage:
-    """Opens a session. The layouts of hello and welcome never change, so that any two versions recognise each other.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    link_hash : int
-        hash of the host's declaration
-    session : int
-        random number of this host session; a new one clears the memory of past requests
-    """
+class HelloMessage(Message):
+    """Opens a session. The layouts of hello and welcome never change, so that any two versions recognise each other."""
 
     ID: ClassVar[MessageId] = MessageId.HELLO
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BII")
     REPLY: ClassVar[MessageId] = MessageId.WELCOME
-    request: int
-    link_hash: int
-    session: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.link_hash, self.session)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> HelloMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    link_hash: int  # hash of the host's declaration
+    session: int  # random number of this host session; a new one clears the memory of past requests
 
 
 @dataclass(frozen=True, slots=True)
-class PingMessage:
-    """Heartbeat and clock exchange.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    host_us : int
-        host clock when sent, echoed [us]
-    """
+class PingMessage(Message):
+    """Heartbeat and clock exchange."""
 
     ID: ClassVar[MessageId] = MessageId.PING
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BQ")
     REPLY: ClassVar[MessageId] = MessageId.PONG
-    request: int
-    host_us: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.host_us)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> PingMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    host_us: int  # host clock when sent, echoed [us]
 
 
 @dataclass(frozen=True, slots=True)
-class ArmMessage:
-    """Runs the pre-flight checks; enables the drivers at zero voltage when they pass.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    """
+class ArmMessage(Message):
+    """Runs the pre-flight checks; enables the drivers at zero voltage when they pass."""
 
     ID: ClassVar[MessageId] = MessageId.ARM
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ArmMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
 
 
 @dataclass(frozen=True, slots=True)
-class StopMessage:
-    """Motors off now, from any state; also ends the armed state.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    """
+class StopMessage(Message):
+    """Motors off now, from any state; also ends the armed state."""
 
     ID: ClassVar[MessageId] = MessageId.STOP
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> StopMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
 
 
 @dataclass(frozen=True, slots=True)
-class ControlMessage:
-    """Closes the loops of the mask; the other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop).
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    axes : int
-        axes to close [bits axes]
-    front_V : float
-        front voltage for what is not closed [V]
-    back_V : float
-        back voltage for what is not closed [V]
-    """
+class ControlMessage(Message):
+    """Closes the loops of the mask; the other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop)."""
 
     ID: ClassVar[MessageId] = MessageId.CONTROL
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBff")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-    axes: int
-    front_V: float
-    back_V: float
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.axes, self.front_V, self.back_V)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ControlMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    axes: int  # axes to close [bits axes]
+    front_V: float  # front voltage for what is not closed [V]
+    back_V: float  # back voltage for what is not closed [V]
 
 
 @dataclass(frozen=True, slots=True)
-class StreamMessage:
-    """Hands the motor voltages to the host's voltage stream.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    """
+class StreamMessage(Message):
+    """Hands the motor voltages to the host's voltage stream."""
 
     ID: ClassVar[MessageId] = MessageId.STREAM
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> StreamMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
 
 
 @dataclass(frozen=True, slots=True)
-class LandMessage:
-    """Controlled descent, then motors off.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    """
+class LandMessage(Message):
+    """Controlled descent, then motors off."""
 
     ID: ClassVar[MessageId] = MessageId.LAND
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> LandMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
 
 
 @dataclass(frozen=True, slots=True)
-class ExciteMessage:
-    """Starts an excitation on top of whatever drives the motors.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    kind : int
-        signal [enum excitation]
-    front_V : float
-        amplitude on the front motor [V]
-    back_V : float
-        amplitude on the back motor [V]
-    start_Hz : float
-        lowest frequency (chirp, multisine) [Hz]
-    stop_Hz : float
-        highest frequency (chirp, multisine), switching rate (prbs) [Hz]
-    duration_s : float
-        length; then the excitation ends by itself [s]
-    seed : int
-        seed of prbs; must not be 0 there
-    """
+class ExciteMessage(Message):
+    """Starts an excitation on top of whatever drives the motors."""
 
     ID: ClassVar[MessageId] = MessageId.EXCITE
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBfffffI")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-    kind: int
-    front_V: float
-    back_V: float
-    start_Hz: float
-    stop_Hz: float
-    duration_s: float
-    seed: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.kind, self.front_V, self.back_V, self.start_Hz, self.stop_Hz, self.duration_s, self.seed)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ExciteMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    kind: int  # signal [enum excitation]
+    front_V: float  # amplitude on the front motor [V]
+    back_V: float  # amplitude on the back motor [V]
+    start_Hz: float  # lowest frequency (chirp, multisine) [Hz]
+    stop_Hz: float  # highest frequency (chirp, multisine), switching rate (prbs) [Hz]
+    duration_s: float  # length; then the excitation ends by itself [s]
+    seed: int  # seed of prbs; must not be 0 there
 
 
 @dataclass(frozen=True, slots=True)
-class ExciteStopMessage:
-    """Ends a running excitation.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    """
+class ExciteStopMessage(Message):
+    """Ends a running excitation."""
 
     ID: ClassVar[MessageId] = MessageId.EXCITE_STOP
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ExciteStopMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
 
 
 @dataclass(frozen=True, slots=True)
-class ParamSetMessage:
-    """Sets one parameter in memory; ack.value is the value now in force.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    index : int
-        position in the parameter table [enum param]
-    value : float
-        new value [as declared]
-    """
+class ParamSetMessage(Message):
+    """Sets one parameter in memory; ack.value is the value now in force."""
 
     ID: ClassVar[MessageId] = MessageId.PARAM_SET
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBf")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-    index: int
-    value: float
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.index, self.value)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ParamSetMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    index: int  # position in the parameter table [enum param]
+    value: float  # new value [as declared]
 
 
 @dataclass(frozen=True, slots=True)
-class ParamsReadMessage:
-    """Reads up to 32 parameters from `first` on.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    first : int
-        first index wanted [enum param]
-    """
+class ParamsReadMessage(Message):
+    """Reads up to 32 parameters from `first` on."""
 
     ID: ClassVar[MessageId] = MessageId.PARAMS_READ
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
     REPLY: ClassVar[MessageId] = MessageId.PARAMS
-    request: int
-    first: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.first)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ParamsReadMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    first: int  # first index wanted [enum param]
 
 
 @dataclass(frozen=True, slots=True)
-class ParamsSaveMessage:
-    """Writes all parameters to flash; only while idle.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    """
+class ParamsSaveMessage(Message):
+    """Writes all parameters to flash; only while idle."""
 
     ID: ClassVar[MessageId] = MessageId.PARAMS_SAVE
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ParamsSaveMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
 
 
 @dataclass(frozen=True, slots=True)
-class ParamsDefaultMessage:
-    """Puts the declared defaults into memory; only while idle; does not save.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    """
+class ParamsDefaultMessage(Message):
+    """Puts the declared defaults into memory; only while idle; does not save."""
 
     ID: ClassVar[MessageId] = MessageId.PARAMS_DEFAULT
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ParamsDefaultMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
 
 
 @dataclass(frozen=True, slots=True)
-class ZeroMessage:
-    """Takes the present position as rest (elevation) or zero (pitch, travel); only while idle.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    axes : int
-        axes to zero [bits axes]
-    """
+class ZeroMessage(Message):
+    """Takes the present position as rest (elevation) or zero (pitch, travel); only while idle."""
 
     ID: ClassVar[MessageId] = MessageId.ZERO
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-    axes: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.axes)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ZeroMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    axes: int  # axes to zero [bits axes]
 
 
 @dataclass(frozen=True, slots=True)
-class ClearFaultMessage:
-    """Leaves the fault state for idle.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    """
+class ClearFaultMessage(Message):
+    """Leaves the fault state for idle."""
 
     ID: ClassVar[MessageId] = MessageId.CLEAR_FAULT
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ClearFaultMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
 
 
 @dataclass(frozen=True, slots=True)
-class StatusReadMessage:
-    """Asks for the counters now; they also come once a second.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    """
+class StatusReadMessage(Message):
+    """Asks for the counters now; they also come once a second."""
 
     ID: ClassVar[MessageId] = MessageId.STATUS_READ
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     REPLY: ClassVar[MessageId] = MessageId.STATUS
-    request: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> StatusReadMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
 
 
 @dataclass(frozen=True, slots=True)
-class LawBeginMessage:
-    """Begins the upload of a law, and deletes the loaded law. Not allowed while a law flies.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    hash : int
-        CRC-32 of its words, little-endian
-    words : int
-        their number
-    """
+class LawBeginMessage(Message):
+    """Begins the upload of a law, and deletes the loaded law. Not allowed while a law flies."""
 
     ID: ClassVar[MessageId] = MessageId.LAW_BEGIN
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BIH")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-    hash: int
-    words: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.hash, self.words)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> LawBeginMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    hash: int  # CRC-32 of its words, little-endian
+    words: int  # their number
 
 
 @dataclass(frozen=True, slots=True)
-class LawPartMessage:
-    """Twelve words of the law, in order; the board ignores words behind the last one of the law. ack.value: words received so far. Sending the same part again changes nothing.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    first : int
-        position of the first of them
-    word_0 : int
-        word first + 0
-    word_1 : int
-        word first + 1
-    word_2 : int
-        word first + 2
-    word_3 : int
-        word first + 3
-    word_4 : int
-        word first + 4
-    word_5 : int
-        word first + 5
-    word_6 : int
-        word first + 6
-    word_7 : int
-        word first + 7
-    word_8 : int
-        word first + 8
-    word_9 : int
-        word first + 9
-    word_10 : int
-        word first + 10
-    word_11 : int
-        word first + 11
-    """
+class LawPartMessage(Message):
+    """Twelve words of the law, in order; the board ignores words behind the last one of the law. ack.value: words received so far. Sending the same part again changes nothing."""
 
     ID: ClassVar[MessageId] = MessageId.LAW_PART
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BHIIIIIIIIIIII")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-    first: int
-    word_0: int
-    word_1: int
-    word_2: int
-    word_3: int
-    word_4: int
-    word_5: int
-    word_6: int
-    word_7: int
-    word_8: int
-    word_9: int
-    word_10: int
-    word_11: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.first, self.word_0, self.word_1, self.word_2, self.word_3, self.word_4, self.word_5, self.word_6, self.word_7, self.word_8, self.word_9, self.word_10, self.word_11)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> LawPartMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    first: int  # position of the first of them
+    word_0: int  # word first + 0
+    word_1: int  # word first + 1
+    word_2: int  # word first + 2
+    word_3: int  # word first + 3
+    word_4: int  # word first + 4
+    word_5: int  # word first + 5
+    word_6: int  # word first + 6
+    word_7: int  # word first + 7
+    word_8: int  # word first + 8
+    word_9: int  # word first + 9
+    word_10: int  # word first + 10
+    word_11: int  # word first + 11
 
 
 @dataclass(frozen=True, slots=True)
-class LawEndMessage:
-    """Ends the upload: the board verifies the law. ack.value: instructions that a call takes in the worst case. If the law is already ready, the answer is the same.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    """
+class LawEndMessage(Message):
+    """Ends the upload: the board verifies the law. ack.value: instructions that a call takes in the worst case. If the law is already ready, the answer is the same."""
 
     ID: ClassVar[MessageId] = MessageId.LAW_END
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> LawEndMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
 
 
 @dataclass(frozen=True, slots=True)
-class LawFlyMessage:
-    """Flies the law from the next tick on, or lets the board's own law take over. ack.detail: the state.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    on : int
-        1: the law; 0: the board's own law
-    """
+class LawFlyMessage(Message):
+    """Flies the law from the next tick on, or lets the board's own law take over. ack.detail: the state."""
 
     ID: ClassVar[MessageId] = MessageId.LAW_FLY
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-    on: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.on)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> LawFlyMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    on: int  # 1: the law; 0: the board's own law
 
 
 @dataclass(frozen=True, slots=True)
-class LawSetMessage:
-    """Sets a parameter of the law, also in flight. The value stays until the next upload. ack.value: the value in force.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    index : int
-        its position in the law
-    value : float
-        new value
-    """
+class LawSetMessage(Message):
+    """Sets a parameter of the law, also in flight. The value stays until the next upload. ack.value: the value in force."""
 
     ID: ClassVar[MessageId] = MessageId.LAW_SET
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBf")
     REPLY: ClassVar[MessageId] = MessageId.ACK
-    request: int
-    index: int
-    value: float
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.index, self.value)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> LawSetMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    index: int  # its position in the law
+    value: float  # new value
 
 
 @dataclass(frozen=True, slots=True)
-class LawReadMessage:
-    """Asks which law the board has.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    """
+class LawReadMessage(Message):
+    """Asks which law the board has."""
 
     ID: ClassVar[MessageId] = MessageId.LAW_READ
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     REPLY: ClassVar[MessageId] = MessageId.LAW
-    request: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> LawReadMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
 
 
 @dataclass(frozen=True, slots=True)
-class ControllerReadMessage:
-    """Asks for the name of a compiled controller.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    index : int
-        value of the parameter `controller`
-    """
+class ControllerReadMessage(Message):
+    """Asks for the name of a compiled controller."""
 
     ID: ClassVar[MessageId] = MessageId.CONTROLLER_READ
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
     REPLY: ClassVar[MessageId] = MessageId.CONTROLLER
-    request: int
-    index: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.index)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ControllerReadMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    index: int  # value of the parameter `controller`
 
 
 @dataclass(frozen=True, slots=True)
-class ParamsOriginReadMessage:
-    """Asks which parameters got their values from the stored set at the start.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    """
+class ParamsOriginReadMessage(Message):
+    """Asks which parameters got their values from the stored set at the start."""
 
     ID: ClassVar[MessageId] = MessageId.PARAMS_ORIGIN_READ
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     REPLY: ClassVar[MessageId] = MessageId.PARAMS_ORIGIN
-    request: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ParamsOriginReadMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
 
 
 @dataclass(frozen=True, slots=True)
-class SetpointMessage:
-    """Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
-
-    Parameters
-    ----------
-    apply_tick : int
-        tick at which the target is to be reached; past: immediately; more than 500 ahead: refused [tick]
-    elevation_rad : float
-        elevation target [rad]
-    pitch_rad : float
-        pitch target; used only while travel is not closed [rad]
-    travel_rad : float
-        travel target [rad]
-    """
+class SetpointMessage(Message):
+    """Target to be reached at a device tick. The board ramps to it linearly, within its slew limits."""
 
     ID: ClassVar[MessageId] = MessageId.SETPOINT
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<Ifff")
-    apply_tick: int
-    elevation_rad: float
-    pitch_rad: float
-    travel_rad: float
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.apply_tick, self.elevation_rad, self.pitch_rad, self.travel_rad)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> SetpointMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    apply_tick: int  # tick at which the target is to be reached; past: immediately; more than 500 ahead: refused [tick]
+    elevation_rad: float  # elevation target [rad]
+    pitch_rad: float  # pitch target; used only while travel is not closed [rad]
+    travel_rad: float  # travel target [rad]
 
 
 @dataclass(frozen=True, slots=True)
-class VoltagesMessage:
-    """Motor voltages in the streamed state.
-
-    Parameters
-    ----------
-    front_V : float
-        front motor [V]
-    back_V : float
-        back motor [V]
-    valid_ms : int
-        how long it may act; then the board holds level by itself [ms]
-    """
+class VoltagesMessage(Message):
+    """Motor voltages in the streamed state."""
 
     ID: ClassVar[MessageId] = MessageId.VOLTAGES
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<ffH")
-    front_V: float
-    back_V: float
-    valid_ms: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.front_V, self.back_V, self.valid_ms)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> VoltagesMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    front_V: float  # front motor [V]
+    back_V: float  # back motor [V]
+    valid_ms: int  # how long it may act; then the board holds level by itself [ms]
 
 
 @dataclass(frozen=True, slots=True)
-class FollowingMessage:
-    """Setpoints that the host's law follows in the streamed state. The board only logs them; in other states, it ignores this message.
-
-    Parameters
-    ----------
-    elevation_rad : float
-        elevation setpoint [rad]
-    pitch_rad : float
-        pitch setpoint [rad]
-    travel_rad : float
-        travel setpoint [rad]
-    """
+class FollowingMessage(Message):
+    """Setpoints that the host's law follows in the streamed state. The board only logs them; in other states, it ignores this message."""
 
     ID: ClassVar[MessageId] = MessageId.FOLLOWING
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<fff")
-    elevation_rad: float
-    pitch_rad: float
-    travel_rad: float
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.elevation_rad, self.pitch_rad, self.travel_rad)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> FollowingMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    elevation_rad: float  # elevation setpoint [rad]
+    pitch_rad: float  # pitch setpoint [rad]
+    travel_rad: float  # travel setpoint [rad]
 
 
 @dataclass(frozen=True, slots=True)
-class AckMessage:
-    """Answer to a command.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    command : int
-        command answered [message id]
-    result : int
-        result [enum result]
-    detail : int
-        see the result's meaning
-    value : float
-        value in force, or the offending quantity
-    """
+class AckMessage(Message):
+    """Answer to a command."""
 
     ID: ClassVar[MessageId] = MessageId.ACK
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBBBf")
-    request: int
-    command: int
-    result: int
-    detail: int
-    value: float
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.command, self.result, self.detail, self.value)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> AckMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    command: int  # command answered [message id]
+    result: int  # result [enum result]
+    detail: int  # see the result's meaning
+    value: float  # value in force, or the offending quantity
 
 
 @dataclass(frozen=True, slots=True)
-class WelcomeMessage:
-    """Answer to hello.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    result : int
-        ok or hash_mismatch [enum result]
-    link_hash : int
-        hash of the board's declaration
-    link_major : int
-        version of the board's declaration
-    link_minor : int
-        version of the board's declaration
-    firmware_major : int
-        version of the flight code
-    firmware_minor : int
-        version of the flight code
-    firmware_patch : int
-        version of the flight code
-    board : int
-        0 native, 1 Arduino Due
-    reset : int
-        why the board started [enum reset]
-    boot_fault : int
-        fault recorded before that start, 0 for none [enum fault]
-    boot_id : int
-        24 random bits, new at every start; together with the tick it distinguishes a reconnect from a reboot
-    tick : int
-        device time [tick]
-    params_source : int
-        where the parameters came from [enum params_source]
-    """
+class WelcomeMessage(Message):
+    """Answer to hello."""
 
     ID: ClassVar[MessageId] = MessageId.WELCOME
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBIBBBBBBBBIIB")
-    request: int
-    result: int
-    link_hash: int
-    link_major: int
-    link_minor: int
-    firmware_major: int
-    firmware_minor: int
-    firmware_patch: int
-    board: int
-    reset: int
-    boot_fault: int
-    boot_id: int
-    tick: int
-    params_source: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.result, self.link_hash, self.link_major, self.link_minor, self.firmware_major, self.firmware_minor, self.firmware_patch, self.board, self.reset, self.boot_fault, self.boot_id, self.tick, self.params_source)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> WelcomeMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    result: int  # ok or hash_mismatch [enum result]
+    link_hash: int  # hash of the board's declaration
+    link_major: int  # version of the board's declaration
+    link_minor: int  # version of the board's declaration
+    firmware_major: int  # version of the flight code
+    firmware_minor: int  # version of the flight code
+    firmware_patch: int  # version of the flight code
+    board: int  # 0 native, 1 Arduino Due
+    reset: int  # why the board started [enum reset]
+    boot_fault: int  # fault recorded before that start, 0 for none [enum fault]
+    boot_id: int  # 24 random bits, new at every start; together with the tick it distinguishes a reconnect from a reboot
+    tick: int  # device time [tick]
+    params_source: int  # where the parameters came from [enum params_source]
 
 
 @dataclass(frozen=True, slots=True)
-class PongMessage:
-    """Answer to ping.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    host_us : int
-        as sent [us]
-    tick : int
-        device time at the answer [tick]
-    """
+class PongMessage(Message):
+    """Answer to ping."""
 
     ID: ClassVar[MessageId] = MessageId.PONG
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BQI")
-    request: int
-    host_us: int
-    tick: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.host_us, self.tick)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> PongMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    host_us: int  # as sent [us]
+    tick: int  # device time at the answer [tick]
 
 
 @dataclass(frozen=True, slots=True)
-class ParamsMessage:
-    """Parameter values, as many as `count` says (at most 32), in table order.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    first : int
-        index of the first value [enum param]
-    count : int
-        number of f32 values that follow
-    """
+class ParamsMessage(Message):
+    """Parameter values, as many as `count` says (at most 32), in table order."""
 
     ID: ClassVar[MessageId] = MessageId.PARAMS
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBB")
-    request: int
-    first: int
-    count: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.first, self.count)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ParamsMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    first: int  # index of the first value [enum param]
+    count: int  # number of f32 values that follow
 
 
 @dataclass(frozen=True, slots=True)
-class StatusMessage:
-    """Counters since start; sent once a second with request = 0, and on status_read.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    tick : int
-        device time [tick]
-    frames_ok : int
-        frames accepted from the host
-    frames_bad : int
-        frames refused: COBS, length, CRC, protocol
-    frames_lost : int
-        gaps in the host's sequence numbers
-    duplicates : int
-        retried commands answered from memory
-    stale_streams : int
-        streamed values refused
-    ticks_dropped : int
-        telemetry ticks not sent because the line was full [tick]
-    overruns : int
-        ticks that ran late
-    tick_max_us : int
-        longest tick [us]
-    illegal_elevation : int
-        illegal encoder transitions; 65535: that many or more
-    illegal_pitch : int
-        illegal encoder transitions; 65535: that many or more
-    illegal_travel : int
-        illegal encoder transitions; 65535: that many or more
-    setpoint_rate_Hz : int
-        streamed values accepted during the last second [Hz]
-    """
+class StatusMessage(Message):
+    """Counters since start; sent once a second with request = 0, and on status_read."""
 
     ID: ClassVar[MessageId] = MessageId.STATUS
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BIIIIIIIIHHHHH")
-    request: int
-    tick: int
-    frames_ok: int
-    frames_bad: int
-    frames_lost: int
-    duplicates: int
-    stale_streams: int
-    ticks_dropped: int
-    overruns: int
-    tick_max_us: int
-    illegal_elevation: int
-    illegal_pitch: int
-    illegal_travel: int
-    setpoint_rate_Hz: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.tick, self.frames_ok, self.frames_bad, self.frames_lost, self.duplicates, self.stale_streams, self.ticks_dropped, self.overruns, self.tick_max_us, self.illegal_elevation, self.illegal_pitch, self.illegal_travel, self.setpoint_rate_Hz)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> StatusMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    tick: int  # device time [tick]
+    frames_ok: int  # frames accepted from the host
+    frames_bad: int  # frames refused: COBS, length, CRC, protocol
+    frames_lost: int  # gaps in the host's sequence numbers
+    duplicates: int  # retried commands answered from memory
+    stale_streams: int  # streamed values refused
+    ticks_dropped: int  # telemetry ticks not sent because the line was full [tick]
+    overruns: int  # ticks that ran late
+    tick_max_us: int  # longest tick [us]
+    illegal_elevation: int  # illegal encoder transitions; 65535: that many or more
+    illegal_pitch: int  # illegal encoder transitions; 65535: that many or more
+    illegal_travel: int  # illegal encoder transitions; 65535: that many or more
+    setpoint_rate_Hz: int  # streamed values accepted during the last second [Hz]
 
 
 @dataclass(frozen=True, slots=True)
-class LawMessage:
-    """The law that the board has.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    hash : int
-        as given by law_begin; 0 without a law
-    state : int
-        state of the law [enum law_state]
-    divisor : int
-        ticks from one call to the next
-    ticks : int
-        ticks that a call is spread over [tick]
-    cost : int
-        instructions of a call in the worst case
-    """
+class LawMessage(Message):
+    """The law that the board has."""
 
     ID: ClassVar[MessageId] = MessageId.LAW
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BIBBBI")
-    request: int
-    hash: int
-    state: int
-    divisor: int
-    ticks: int
-    cost: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.hash, self.state, self.divisor, self.ticks, self.cost)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> LawMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    hash: int  # as given by law_begin; 0 without a law
+    state: int  # state of the law [enum law_state]
+    divisor: int  # ticks from one call to the next
+    ticks: int  # ticks that a call is spread over [tick]
+    cost: int  # instructions of a call in the worst case
 
 
 @dataclass(frozen=True, slots=True)
-class ControllerMessage:
-    """The name of a compiled controller, in ASCII, 0 behind its end.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    index : int
-        as requested
-    count : int
-        controllers that the board was built with
-    name_0 : int
-        characters 1 to 4, the first in the low byte; 0 beyond the last controller
-    name_1 : int
-        characters 5 to 8
-    name_2 : int
-        characters 9 to 12
-    name_3 : int
-        characters 13 to 16
-    """
+class ControllerMessage(Message):
+    """The name of a compiled controller, in ASCII, 0 behind its end."""
 
     ID: ClassVar[MessageId] = MessageId.CONTROLLER
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBBIIII")
-    request: int
-    index: int
-    count: int
-    name_0: int
-    name_1: int
-    name_2: int
-    name_3: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.index, self.count, self.name_0, self.name_1, self.name_2, self.name_3)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ControllerMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    index: int  # as requested
+    count: int  # controllers that the board was built with
+    name_0: int  # characters 1 to 4, the first in the low byte; 0 beyond the last controller
+    name_1: int  # characters 5 to 8
+    name_2: int  # characters 9 to 12
+    name_3: int  # characters 13 to 16
 
 
 @dataclass(frozen=True, slots=True)
-class ParamsOriginMessage:
-    """Origin of the parameters at the start, or since the last save.
-
-    Parameters
-    ----------
-    request : int
-        request number; a retry repeats it
-    source : int
-        where the parameters came from [enum params_source]
-    schema : int
-        hash of the schema under which they were stored
-    kept : int
-        stored values in force
-    dropped : int
-        stored values that no parameter takes: unknown, or out of range
-    new_0 : int
-        bit i: parameter i had no usable stored value and has its default
-    new_1 : int
-        parameters 32 to 63
-    new_2 : int
-        parameters 64 to 95
-    """
+class ParamsOriginMessage(Message):
+    """Origin of the parameters at the start, or since the last save."""
 
     ID: ClassVar[MessageId] = MessageId.PARAMS_ORIGIN
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBIBBIII")
-    request: int
-    source: int
-    schema: int
-    kept: int
-    dropped: int
-    new_0: int
-    new_1: int
-    new_2: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.source, self.schema, self.kept, self.dropped, self.new_0, self.new_1, self.new_2)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> ParamsOriginMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    request: int  # request number; a retry repeats it
+    source: int  # where the parameters came from [enum params_source]
+    schema: int  # hash of the schema under which they were stored
+    kept: int  # stored values in force
+    dropped: int  # stored values that no parameter takes: unknown, or out of range
+    new_0: int  # bit i: parameter i had no usable stored value and has its default
+    new_1: int  # parameters 32 to 63
+    new_2: int  # parameters 64 to 95
 
 
 @dataclass(frozen=True, slots=True)
-class TelemetryMessage:
-    """A batch of consecutive ticks, delta-coded; layout below.
-
-    Parameters
-    ----------
-    first_tick : int
-        tick of the first sample [tick]
-    count : int
-        number of ticks in the batch, at least 1
-    """
+class TelemetryMessage(Message):
+    """A batch of consecutive ticks, delta-coded; layout below."""
 
     ID: ClassVar[MessageId] = MessageId.TELEMETRY
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<IB")
-    first_tick: int
-    count: int
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.first_tick, self.count)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> TelemetryMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    first_tick: int  # tick of the first sample [tick]
+    count: int  # number of ticks in the batch, at least 1
 
 
 @dataclass(frozen=True, slots=True)
-class EventMessage:
-    """Something happened; also visible in telemetry, but with its reason here.
-
-    Parameters
-    ----------
-    tick : int
-        when [tick]
-    kind : int
-        what [enum event]
-    detail : int
-        see the event's meaning
-    cause : int
-        see the event's meaning [enum trigger]
-    value : float
-        see the event's meaning
-    """
+class EventMessage(Message):
+    """Something happened; also visible in telemetry, but with its reason here."""
 
     ID: ClassVar[MessageId] = MessageId.EVENT
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<IBBBf")
-    tick: int
-    kind: int
-    detail: int
-    cause: int
-    value: float
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        return self.STRUCT.pack(self.tick, self.kind, self.detail, self.cause, self.value)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> EventMessage:
-        """Read the fixed fields from the start of ``payload``."""
-        return cls(*cls.STRUCT.unpack_from(payload))
+    tick: int  # when [tick]
+    kind: int  # what [enum event]
+    detail: int  # see the event's meaning
+    cause: int  # see the event's meaning [enum trigger]
+    value: float  # see the event's meaning

@@ -14,9 +14,9 @@
 #include "control/cascade.hpp"
 #include "control/excitation.hpp"
 #include "control/fixed.hpp"
+#include "control/loop.hpp"
 #include "control/math.hpp"
 #include "control/mixer.hpp"
-#include "control/rate_filter.hpp"
 #include "convert.hpp"
 #include "idle_loop.hpp"
 

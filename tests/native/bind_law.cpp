@@ -16,7 +16,7 @@
 #include <vector>
 
 #include "bindings.hpp"
-#include "control/rate_filter.hpp"
+#include "control/loop.hpp"
 #include "conversion.hpp"
 #include "law/functions.hpp"
 #include "law/tape.hpp"

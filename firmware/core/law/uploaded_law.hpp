@@ -5,9 +5,8 @@
 #include <cstdint>
 
 #include "board.hpp"
-#include "control/bumpless_transfer.hpp"
 #include "control/controller.hpp"
-#include "control/rate_filter.hpp"
+#include "control/loop.hpp"
 #include "law/guard.hpp"
 #include "law/recovery.hpp"
 #include "law/tape.hpp"

@@ -551,6 +551,13 @@ enum class MessageId : std::uint8_t {
   event = 134,
 };
 
+// Floats of a message, which follow each other: byte offset and position of the first, and how many.
+struct Floats {
+  std::uint8_t offset;
+  std::uint8_t field;
+  std::uint8_t count;
+};
+
 // Opens a session. The layouts of hello and welcome never change, so that any two versions recognise each other.
 struct HelloMessage {
   static constexpr MessageId kId = MessageId::hello;
@@ -558,6 +565,7 @@ struct HelloMessage {
   std::uint8_t request = {};  // -
   std::uint32_t link_hash = {};  // -
   std::uint32_t session = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
     put_u32(to + 1, link_hash);
@@ -578,6 +586,7 @@ struct PingMessage {
   static constexpr std::size_t kSize = 9;
   std::uint8_t request = {};  // -
   std::uint64_t host_us = {};  // us
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
     put_u64(to + 1, host_us);
@@ -595,6 +604,7 @@ struct ArmMessage {
   static constexpr MessageId kId = MessageId::arm;
   static constexpr std::size_t kSize = 1;
   std::uint8_t request = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
   }
@@ -610,6 +620,7 @@ struct StopMessage {
   static constexpr MessageId kId = MessageId::stop;
   static constexpr std::size_t kSize = 1;
   std::uint8_t request = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
   }
@@ -628,6 +639,7 @@ struct ControlMessage {
   std::uint8_t axes = {};  // bits axes
   float front_V = {};  // V
   float back_V = {};  // V
+  static constexpr Floats kFloats = {2, 2, 2};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
     put_u8(to + 1, axes);
@@ -649,6 +661,7 @@ struct StreamMessage {
   static constexpr MessageId kId = MessageId::stream;
   static constexpr std::size_t kSize = 1;
   std::uint8_t request = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
   }
@@ -664,6 +677,7 @@ struct LandMessage {
   static constexpr MessageId kId = MessageId::land;
   static constexpr std::size_t kSize = 1;
   std::uint8_t request = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
   }
@@ -686,6 +700,7 @@ struct ExciteMessage {
   float stop_Hz = {};  // Hz
   float duration_s = {};  // s
   std::uint32_t seed = {};  // -
+  static constexpr Floats kFloats = {2, 2, 5};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
     put_u8(to + 1, kind);
@@ -715,6 +730,7 @@ struct ExciteStopMessage {
   static constexpr MessageId kId = MessageId::excite_stop;
   static constexpr std::size_t kSize = 1;
   std::uint8_t request = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
   }
@@ -732,6 +748,7 @@ struct ParamSetMessage {
   std::uint8_t request = {};  // -
   std::uint8_t index = {};  // enum param
   float value = {};  // as declared
+  static constexpr Floats kFloats = {2, 2, 1};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
     put_u8(to + 1, index);
@@ -752,6 +769,7 @@ struct ParamsReadMessage {
   static constexpr std::size_t kSize = 2;
   std::uint8_t request = {};  // -
   std::uint8_t first = {};  // enum param
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
     put_u8(to + 1, first);
@@ -769,6 +787,7 @@ struct ParamsSaveMessage {
   static constexpr MessageId kId = MessageId::params_save;
   static constexpr std::size_t kSize = 1;
   std::uint8_t request = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
   }
@@ -784,6 +803,7 @@ struct ParamsDefaultMessage {
   static constexpr MessageId kId = MessageId::params_default;
   static constexpr std::size_t kSize = 1;
   std::uint8_t request = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
   }
@@ -800,6 +820,7 @@ struct ZeroMessage {
   static constexpr std::size_t kSize = 2;
   std::uint8_t request = {};  // -
   std::uint8_t axes = {};  // bits axes
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
     put_u8(to + 1, axes);
@@ -817,6 +838,7 @@ struct ClearFaultMessage {
   static constexpr MessageId kId = MessageId::clear_fault;
   static constexpr std::size_t kSize = 1;
   std::uint8_t request = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
   }
@@ -832,6 +854,7 @@ struct StatusReadMessage {
   static constexpr MessageId kId = MessageId::status_read;
   static constexpr std::size_t kSize = 1;
   std::uint8_t request = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
   }
@@ -849,6 +872,7 @@ struct LawBeginMessage {
   std::uint8_t request = {};  // -
   std::uint32_t hash = {};  // -
   std::uint16_t words = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
     put_u32(to + 1, hash);
@@ -881,6 +905,7 @@ struct LawPartMessage {
   std::uint32_t word_9 = {};  // -
   std::uint32_t word_10 = {};  // -
   std::uint32_t word_11 = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
     put_u16(to + 1, first);
@@ -922,6 +947,7 @@ struct LawEndMessage {
   static constexpr MessageId kId = MessageId::law_end;
   static constexpr std::size_t kSize = 1;
   std::uint8_t request = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
   }
@@ -938,6 +964,7 @@ struct LawFlyMessage {
   static constexpr std::size_t kSize = 2;
   std::uint8_t request = {};  // -
   std::uint8_t on = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
     put_u8(to + 1, on);
@@ -957,6 +984,7 @@ struct LawSetMessage {
   std::uint8_t request = {};  // -
   std::uint8_t index = {};  // -
   float value = {};  // -
+  static constexpr Floats kFloats = {2, 2, 1};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
     put_u8(to + 1, index);
@@ -976,6 +1004,7 @@ struct LawReadMessage {
   static constexpr MessageId kId = MessageId::law_read;
   static constexpr std::size_t kSize = 1;
   std::uint8_t request = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
   }
@@ -992,6 +1021,7 @@ struct ControllerReadMessage {
   static constexpr std::size_t kSize = 2;
   std::uint8_t request = {};  // -
   std::uint8_t index = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
     put_u8(to + 1, index);
@@ -1009,6 +1039,7 @@ struct ParamsOriginReadMessage {
   static constexpr MessageId kId = MessageId::params_origin_read;
   static constexpr std::size_t kSize = 1;
   std::uint8_t request = {};  // -
+  static constexpr Floats kFloats = {0, 0, 0};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u8(to + 0, request);
   }
@@ -1027,6 +1058,7 @@ struct SetpointMessage {
   float elevation_rad = {};  // rad
   float pitch_rad = {};  // rad
   float travel_rad = {};  // rad
+  static constexpr Floats kFloats = {4, 1, 3};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_u32(to + 0, apply_tick);
     put_f32(to + 4, elevation_rad);
@@ -1050,6 +1082,7 @@ struct VoltagesMessage {
   float front_V = {};  // V
   float back_V = {};  // V
   std::uint16_t valid_ms = {};  // ms
+  static constexpr Floats kFloats = {0, 0, 2};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_f32(to + 0, front_V);
     put_f32(to + 4, back_V);
@@ -1071,6 +1104,7 @@ struct FollowingMessage {
   float elevation_rad = {};  // rad
   float pitch_rad = {};  // rad
   float travel_rad = {};  // rad
+  static constexpr Floats kFloats = {0, 0, 3};
   void write([[maybe_unused]] std::uint8_t* to) const {
     put_f32(to + 0, elevation_rad);
     put_f32(to + 4, pitch_rad);

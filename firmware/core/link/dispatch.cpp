@@ -15,49 +15,31 @@ struct CommandInfo {
   MessageId id;
   Kind kind;
   std::uint8_t size;
-  // The message's floats: they follow each other in every message.
-  std::uint8_t float_offset;
-  std::uint8_t float_field;  // position of the first among the message's fields
-  std::uint8_t float_count;
+  Floats floats;
 };
 
 namespace {
 
-// Floats of the message: byte offset of the first, its field number, and how many.
 template <class Message>
-constexpr CommandInfo entry(Kind kind, std::uint8_t offset = 0, std::uint8_t field = 0,
-                            std::uint8_t floats = 0) {
-  return {Message::kId, kind, static_cast<std::uint8_t>(Message::kSize), offset, field, floats};
+constexpr CommandInfo entry(Kind kind) {
+  return {Message::kId, kind, static_cast<std::uint8_t>(Message::kSize), Message::kFloats};
 }
 
 constexpr CommandInfo kCommands[] = {
-    entry<HelloMessage>(Kind::local),
-    entry<PingMessage>(Kind::local),
-    entry<ArmMessage>(Kind::remote),
-    entry<StopMessage>(Kind::remote),
-    entry<ControlMessage>(Kind::remote, 2, 2, 2),
-    entry<StreamMessage>(Kind::remote),
-    entry<LandMessage>(Kind::remote),
-    entry<ExciteMessage>(Kind::remote, 2, 2, 5),
-    entry<ExciteStopMessage>(Kind::remote),
-    entry<ParamSetMessage>(Kind::remote, 2, 2, 1),
-    entry<ParamsReadMessage>(Kind::local),
-    entry<ParamsSaveMessage>(Kind::remote),
-    entry<ParamsDefaultMessage>(Kind::remote),
-    entry<ZeroMessage>(Kind::remote),
-    entry<ClearFaultMessage>(Kind::remote),
-    entry<StatusReadMessage>(Kind::local),
-    entry<LawBeginMessage>(Kind::local),
-    entry<LawPartMessage>(Kind::local),
-    entry<LawEndMessage>(Kind::local),
-    entry<LawFlyMessage>(Kind::remote),
-    entry<LawSetMessage>(Kind::remote, 2, 2, 1),
-    entry<LawReadMessage>(Kind::local),
-    entry<ControllerReadMessage>(Kind::local),
-    entry<ParamsOriginReadMessage>(Kind::local),
-    entry<SetpointMessage>(Kind::stream, 4, 1, 3),
-    entry<VoltagesMessage>(Kind::stream, 0, 0, 2),
-    entry<FollowingMessage>(Kind::stream, 0, 0, 3),
+    entry<HelloMessage>(Kind::local),          entry<PingMessage>(Kind::local),
+    entry<ArmMessage>(Kind::remote),           entry<StopMessage>(Kind::remote),
+    entry<ControlMessage>(Kind::remote),       entry<StreamMessage>(Kind::remote),
+    entry<LandMessage>(Kind::remote),          entry<ExciteMessage>(Kind::remote),
+    entry<ExciteStopMessage>(Kind::remote),    entry<ParamSetMessage>(Kind::remote),
+    entry<ParamsReadMessage>(Kind::local),     entry<ParamsSaveMessage>(Kind::remote),
+    entry<ParamsDefaultMessage>(Kind::remote), entry<ZeroMessage>(Kind::remote),
+    entry<ClearFaultMessage>(Kind::remote),    entry<StatusReadMessage>(Kind::local),
+    entry<LawBeginMessage>(Kind::local),       entry<LawPartMessage>(Kind::local),
+    entry<LawEndMessage>(Kind::local),         entry<LawFlyMessage>(Kind::remote),
+    entry<LawSetMessage>(Kind::remote),        entry<LawReadMessage>(Kind::local),
+    entry<ControllerReadMessage>(Kind::local), entry<ParamsOriginReadMessage>(Kind::local),
+    entry<SetpointMessage>(Kind::stream),      entry<VoltagesMessage>(Kind::stream),
+    entry<FollowingMessage>(Kind::stream),
 };
 
 // Ids from here on travel from the board to the host.
@@ -75,9 +57,9 @@ const CommandInfo* find(std::uint8_t id) {
 // The first field that is NaN or infinite, kNoField if all are numbers.
 std::uint8_t bad_float(const CommandInfo& info, const std::uint8_t* payload) {
   constexpr std::uint32_t kExponent = 0x7f800000U;
-  for (std::uint8_t i = 0; i < info.float_count; ++i) {
-    if ((get_u32(payload + info.float_offset + 4 * i) & kExponent) == kExponent) {
-      return static_cast<std::uint8_t>(info.float_field + i);
+  for (std::uint8_t i = 0; i < info.floats.count; ++i) {
+    if ((get_u32(payload + info.floats.offset + 4 * i) & kExponent) == kExponent) {
+      return static_cast<std::uint8_t>(info.floats.field + i);
     }
   }
   return kNoField;

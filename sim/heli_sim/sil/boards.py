@@ -13,7 +13,7 @@ from heli_sim.sil.options import AUTO, DUE, NATIVE, SilOptions
 if TYPE_CHECKING:
     from heli_sim.due._due_board import DueBoard
 
-# The two pages of the parameters, as in firmware/due/flash.hpp. A flash file has them first, and is as long
+# The two pages of the parameters, as in firmware/due/drivers.hpp. A flash file has them first, and is as long
 # as the native board's flash, so that the two boards can take each other's.
 _PAGES_AT: Final = 0x000FFC00
 _PAGES_BYTES: Final = 1024
