@@ -89,6 +89,7 @@ def generate_python(d: Table) -> str:
     """Return the text of host/heli_host/declaration.py."""
     lines = [
         *_head(d),
+        *_BASES.split("\n"),
         *_enumerations(d),
         *_SPEC_CLASSES.split("\n"),
         *_parameter_table(d),
@@ -116,9 +117,7 @@ def _head(d: Table) -> list[str]:
         "import struct",
         "from dataclasses import dataclass",
         "from enum import IntEnum, IntFlag",
-        "from typing import TYPE_CHECKING, ClassVar",
-        "",
-        "from heli_host.message import Message, Name",
+        "from typing import TYPE_CHECKING, ClassVar, Self",
         "",
         "if TYPE_CHECKING:",
         "    import numpy as np",
@@ -162,6 +161,33 @@ def _enumerations(d: Table) -> list[str]:
         "",
     ]
 
+
+_BASES = '''
+class Name(IntEnum):
+    """A declared number, which prints as its name in link.toml."""
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class Message:
+    """A message of the link: a dataclass whose fields have the layout of `STRUCT`, in order."""
+
+    __slots__: tuple[str, ...] = ()
+    ID: ClassVar[IntEnum]
+    STRUCT: ClassVar[struct.Struct]
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(*(getattr(self, name) for name in self.__slots__))
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+'''
+"""Base classes: names of numbers, and messages as bytes."""
 
 _SPEC_CLASSES = '''
 @dataclass(frozen=True, slots=True)

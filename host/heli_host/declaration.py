@@ -8,9 +8,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import TYPE_CHECKING, ClassVar
-
-from heli_host.message import Message, Name
+from typing import TYPE_CHECKING, ClassVar, Self
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,6 +26,31 @@ MAX_TELEMETRY_PAYLOAD = 480
 
 SETPOINT_MARGIN_DEG = {"elevation_max_deg": 2, "travel_max_deg": 5, "elevation_rest_deg": 1}
 """Distances between the setpoints that the board accepts and these parameters, in degrees."""
+
+
+class Name(IntEnum):
+    """A declared number, which prints as its name in link.toml."""
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class Message:
+    """A message of the link: a dataclass whose fields have the layout of `STRUCT`, in order."""
+
+    __slots__: tuple[str, ...] = ()
+    ID: ClassVar[IntEnum]
+    STRUCT: ClassVar[struct.Struct]
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(*(getattr(self, name) for name in self.__slots__))
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
 
 
 class Axis(Name):

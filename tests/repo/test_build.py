@@ -27,8 +27,6 @@ from tests.page.page_server import SHORT_PLAN
 pytest.importorskip("scikit_build_core", reason="the build backend is not installed: make setup")
 
 
-pytestmark = pytest.mark.slow
-
 ROOT = Path(__file__).resolve().parents[2]
 SETUP = ROOT / ".ci" / "setup"
 WITHOUT_TESTS = "HELI_WITHOUT_TESTS"
@@ -44,6 +42,7 @@ def _nothing_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(WITHOUT_TESTS, raising=False)
 
 
+@pytest.mark.slow
 def test_a_wheel_has_nothing_for_tests() -> None:
     wheel = settings("wheel")
     assert wheel.build.targets == EXTENSIONS
@@ -52,12 +51,14 @@ def test_a_wheel_has_nothing_for_tests() -> None:
     assert not [package for package in wheel.wheel.packages if "test" in package]
 
 
+@pytest.mark.slow
 def test_who_edits_the_sources_has_the_tests_extension_too() -> None:
     editable = settings("editable")
     assert editable.build.targets == [*EXTENSIONS, "heli_test_native"]
     assert editable.install.components == ["python", "tests"]
 
 
+@pytest.mark.slow
 def test_to_fly_needs_no_compiling_for_tests(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(WITHOUT_TESTS, "1")
     editable = settings("editable")
@@ -66,6 +67,7 @@ def test_to_fly_needs_no_compiling_for_tests(monkeypatch: pytest.MonkeyPatch) ->
     assert f"export {WITHOUT_TESTS}=1" in SETUP.read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("purpose", "tools", "wanted"),
     [("fly", False, False), ("fly", True, True), ("docs", True, True), ("quick", False, True)],
@@ -79,6 +81,7 @@ def test_flying_leaves_tests_able_to_run(purpose: str, tools: bool, wanted: bool
     assert (subprocess.run(["bash", "-c", script], check=False).returncode == 0) is wanted
 
 
+@pytest.mark.slow
 def test_only_the_tests_component_installs_the_tests_extension() -> None:
     rules = [
         line
@@ -94,6 +97,7 @@ def test_only_the_tests_component_installs_the_tests_extension() -> None:
     assert rules[0].endswith("COMPONENT tests)")
 
 
+@pytest.mark.slow
 def test_the_simulation_carries_no_bindings_for_tests() -> None:
     native = pytest.importorskip("heli_sim._native", reason="the simulation is not built: make setup")
     public = {name for name in vars(native) if not name.startswith("_")}
@@ -102,6 +106,7 @@ def test_the_simulation_carries_no_bindings_for_tests() -> None:
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_wheel_has_pages_rigs_and_plans_and_no_tests(tmp_path: Path) -> None:
     from scikit_build_core.build._pathutil import packages_to_file_mapping
 
@@ -132,6 +137,7 @@ def test_a_wheel_has_pages_rigs_and_plans_and_no_tests(tmp_path: Path) -> None:
     assert not [file for file in files if Path(file).name.startswith(("test_", "conftest", "heli_test_"))]
 
 
+@pytest.mark.slow
 def test_the_container_file_has_the_image_that_editors_build_and_the_packages_of_the_readme() -> None:
     folder = ROOT / ".devcontainer"
     container = (folder / "Containerfile").read_text()
@@ -145,6 +151,7 @@ def test_the_container_file_has_the_image_that_editors_build_and_the_packages_of
     assert fly.startswith("debian:") and "g++" not in fly and "COPY --from=build" in fly
 
 
+@pytest.mark.slow
 def test_the_build_of_a_container_gets_every_source_of_the_wheel() -> None:
     lines = (ROOT / ".devcontainer/Containerfile.dockerignore").read_text().split()
     assert lines[0] == "*"

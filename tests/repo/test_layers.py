@@ -15,8 +15,6 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.slow
-
 ROOT = Path(__file__).resolve().parents[2]
 HOST, SIM = ROOT / "host" / "heli_host", ROOT / "sim" / "heli_sim"
 LINT = """
@@ -85,6 +83,7 @@ def lint(folder: Path) -> dict[str, str]:
     return reports
 
 
+@pytest.mark.slow
 def test_no_contract_has_an_exception() -> None:
     table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
     assert not [
@@ -96,6 +95,7 @@ def test_no_contract_has_an_exception() -> None:
     assert not table.get("exclude_type_checking_imports", False)
 
 
+@pytest.mark.slow
 def test_wrong_imports_and_a_module_in_no_layer_are_noticed(tmp_path: Path) -> None:
     pytest.importorskip("importlinter", reason="skipped: no import-linter, which make setup installs")
     copy_to(tmp_path)
@@ -108,6 +108,7 @@ def test_wrong_imports_and_a_module_in_no_layer_are_noticed(tmp_path: Path) -> N
         assert text in report
 
 
+@pytest.mark.slow
 def test_the_host_names_no_package_above_it() -> None:
     imports = [
         f"{path.relative_to(ROOT)}:{number}"
@@ -118,6 +119,7 @@ def test_the_host_names_no_package_above_it() -> None:
     assert not imports, "a package above the host comes in by an entry point"
 
 
+@pytest.mark.slow
 def test_the_emulator_s_tests_import_nothing_of_the_project() -> None:
     sources = sorted((ROOT / "tests" / "due").rglob("*.py"))
     assert len(sources) > 20
@@ -148,11 +150,13 @@ def includes_checked(root: Path) -> tuple[int, str]:
     return process.returncode, process.stdout + process.stderr
 
 
+@pytest.mark.slow
 def test_the_sources_keep_the_contract(cpp_tree: Path) -> None:
     code, output = includes_checked(cpp_tree)
     assert code == 0, output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("file", "included"), FORBIDDEN_INCLUDES.items())
 def test_a_forbidden_include_fails(cpp_tree: Path, file: str, included: str) -> None:
     path = cpp_tree / file
@@ -167,6 +171,7 @@ def test_a_forbidden_include_fails(cpp_tree: Path, file: str, included: str) -> 
     assert included in output
 
 
+@pytest.mark.slow
 def test_a_file_without_a_layer_fails(cpp_tree: Path) -> None:
     text = (cpp_tree / "pyproject.toml").read_text(encoding="utf-8")
     (cpp_tree / "pyproject.toml").write_text(

@@ -254,8 +254,6 @@ def test_what_is_to_be_rehearsed_ends_as_the_checklist_says(
     os.close(stdin)
 
 
-pytestmark = pytest.mark.medium
-
 SOURCE = "firmware/link.toml"
 GENERATED = (
     "firmware/core/link/declaration.hpp",
@@ -281,10 +279,12 @@ def copy_of_tree(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.medium
 def test_generated_files_are_fresh() -> None:
     assert check(ROOT) == 0, "run: python firmware/generate.py"
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("name", GENERATED)
 def test_an_edited_generated_file_is_noticed(copy_of_tree: Path, name: str) -> None:
     path = copy_of_tree / name
@@ -292,16 +292,19 @@ def test_an_edited_generated_file_is_noticed(copy_of_tree: Path, name: str) -> N
     assert check(copy_of_tree) == 1
 
 
+@pytest.mark.medium
 def test_a_changed_declaration_is_noticed(copy_of_tree: Path) -> None:
     path = copy_of_tree / SOURCE
     path.write_text(path.read_text().replace("default = 1.4", "default = 1.5", 1))
     assert check(copy_of_tree) == 1
 
 
+@pytest.mark.medium
 def test_a_copy_is_as_fresh_as_the_tree(copy_of_tree: Path) -> None:
     assert check(copy_of_tree) == 0
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("name", GENERATED)
 def test_a_missing_generated_file_is_written_again(copy_of_tree: Path, name: str) -> None:
     (copy_of_tree / name).unlink()

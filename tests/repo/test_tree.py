@@ -13,8 +13,6 @@ from pathlib import Path
 import heli_host
 import pytest
 
-pytestmark = pytest.mark.medium
-
 ROOT = Path(__file__).resolve().parents[2]
 # Written so that this file does not hold what it looks for.
 MACHINE_PATH = re.compile(
@@ -53,6 +51,7 @@ def purpose_of(folder: Path) -> str:
     return ""
 
 
+@pytest.mark.medium
 def test_no_path_of_a_build_machine() -> None:
     places = []
     for path in tracked():
@@ -79,6 +78,7 @@ def imports(source: str, part: str) -> bool:
     return part.partition(".")[0] in source and any(re.search(rf"^\s*{way}", source, re.M) for way in ways)
 
 
+@pytest.mark.medium
 def test_nothing_is_used_whose_types_mypy_does_not_read() -> None:
     sources = {path: path.read_text() for path in tracked() if path.suffix == ".py"}
     for part in skipped_by_mypy():
@@ -86,15 +86,18 @@ def test_nothing_is_used_whose_types_mypy_does_not_read() -> None:
         assert not users, f"{part}: {users}"
 
 
+@pytest.mark.medium
 def test_the_top_level_has_no_results_of_a_command() -> None:
     assert {path.relative_to(ROOT).parts[0] for path in tracked()} <= TOP_LEVEL
 
 
+@pytest.mark.medium
 def test_no_large_file() -> None:
     large = [f"{path.relative_to(ROOT)}" for path in tracked() if path.stat().st_size > LARGEST_KIB * 1024]
     assert not large
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("folder", folders(), ids=lambda folder: str(folder.relative_to(ROOT)))
 def test_a_folder_says_what_it_is_for(folder: Path) -> None:
     assert 1 <= len(purpose_of(folder).splitlines()) <= 60
@@ -108,6 +111,7 @@ def first_words(path: Path) -> str:
     return text.partition("\n")[0].removeprefix("//") if text.startswith("//") else ""
 
 
+@pytest.mark.medium
 @pytest.mark.slow
 def test_a_source_file_says_first_what_it_is() -> None:
     sources = [
@@ -119,6 +123,7 @@ def test_a_source_file_says_first_what_it_is() -> None:
     assert not [path for path in silent if not path.startswith(allowed)]
 
 
+@pytest.mark.medium
 def test_the_version_is_the_same_everywhere() -> None:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert heli_host.__version__ == version
@@ -126,6 +131,7 @@ def test_the_version_is_the_same_everywhere() -> None:
     assert f"({version})" in (ROOT / "CHANGELOG.md").read_text()
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "name", ["CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "SECURITY.md"]
 )
@@ -134,6 +140,7 @@ def test_the_readme_leads_to_what_a_community_expects(name: str) -> None:
     assert f"]({name})" in (ROOT / "README.md").read_text()
 
 
+@pytest.mark.medium
 def test_nothing_is_left_unfinished() -> None:
     marks = re.compile("|".join(("TO" + "DO", "FIX" + "ME", "X" * 3, "Not" + "ImplementedError")))
     unfinished = [
