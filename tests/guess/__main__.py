@@ -13,10 +13,9 @@ from heli_host.data.tables import read_table
 from heli_lab.setup.guess import guess_by_rigs
 from heli_sim.rig import load_rig
 
-from tests.guess.distort import draw_distortion, write
+from tests.guess.distort import FileVerdict, draw_distortion, judge_file, write
 from tests.guess.exports import FORMS, corrections
 from tests.guess.flights import SIMULATED, measured, measured_flight, simulated
-from tests.guess.judge import FileVerdict, judge_file
 
 COUNT = 200
 

@@ -13,7 +13,7 @@ from heli_host.data.flight import Flight
 from heli_host.data.tables import Angle, Profile, Voltage
 from heli_sim.rig import Rig, load_rig
 
-from tests.guess.pilots import PILOTS, PilotFlight, piloted
+from tests.guess.flights import PILOTS, PilotFlight, piloted
 
 AXES: Final = ("elevation", "pitch", "travel")
 FORMS: Final = (

@@ -1,21 +1,35 @@
-"""Delays and limits that a file does not decide are doubted, and the doubt names the other value."""
+"""Doubts name the other value of what a file does not decide; entries that the user knows stay."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
 from heli_host.data.tables import Angle, Column, Profile, Table, Voltage
-from heli_lab.setup.guess.evidence import pooled_fits
-from heli_lab.setup.guess.lags import lag_ambiguities
-from heli_lab.setup.guess.limits import limited, one_way_nats
-from heli_lab.setup.guess.regression.acceleration_fit import RegressionFit
-from heli_lab.setup.guess.regression.reference import Reference
-from heli_lab.setup.guess.regression.scales import AXES
+from heli_lab.setup.guess import Ambiguity, Guess, guess_by_rigs
+from heli_lab.setup.guess.columns import prepare_file
+from heli_lab.setup.guess.motion import (
+    Assignment,
+    Reference,
+    RegressionFit,
+    lag_ambiguities,
+    pooled_fits,
+    reference_of,
+)
+from heli_lab.setup.guess.names import AXES
+from heli_lab.setup.guess.result import NOTHING_KNOWN, read_known
+from heli_lab.setup.guess.signs import SignChanges, fewest_sign_changes, prefers_mirror, travel_torque_nats
+from heli_lab.setup.guess.units import limited, one_way_nats
+from heli_sim.rig import Rig, load_rig
 
+from tests.guess.test_columns import REFERENCE, flight_table
+
+ASSIGNMENT = Assignment({role: role for role in (*AXES, "front", "back")})
 REVERSING = Reference({}, {}, 6.0, -25.0, 1.0, {}, 12.0, reverses=True)
 ONE_WAY = replace(REVERSING, reverses=False)
 PROFILE = Profile(
@@ -124,3 +138,119 @@ def test_the_better_explained_axes_decide_whether_motors_reverse() -> None:
         return {"elevation": RegressionFit(nats, 1.0), "pitch": RegressionFit(2.0 * nats, 1.0)}
 
     assert one_way_nats(regress, (-5.0, 5.0)) == 30.0
+
+
+@pytest.mark.medium
+def test_the_travel_torque_weighs_mirror_images_against_each_other() -> None:
+    file = prepare_file(flight_table(), REFERENCE, None)
+    rad = dict.fromkeys(AXES, 1.0)
+    nats, image = (travel_torque_nats(file.signals, ASSIGNMENT, REFERENCE, rad, sign) for sign in (1.0, -1.0))
+    # Never as sure as a decision: one rig in ten pulls the other way.
+    assert 0.0 < nats <= math.log(9.0)
+    assert image == pytest.approx(-nats)
+    without = reference_of(load_rig("makki2024"))
+    assert travel_torque_nats(file.signals, ASSIGNMENT, without, rad, 1.0) == 0.0
+
+
+def test_the_torque_decides_between_images_with_similarly_many_changes_of_sign() -> None:
+    upright, turned = SignChanges(1.0, 1.0, 1.0, False), SignChanges(1.0, 1.0, -1.0, False)
+    assert not prefers_mirror(upright, -2.2)
+    assert prefers_mirror(turned, -2.0)
+    assert not prefers_mirror(turned, -0.5)
+
+
+def test_files_with_opposite_signs_weaken_each_other() -> None:
+    def fits(nats: float, gain: float) -> dict[str, RegressionFit]:
+        return {axis: RegressionFit(nats, gain, 0.1) for axis in AXES}
+
+    agreeing, opposed = (
+        pooled_fits([fits(4.0, 2.0), fits(5.0, 2.0)]),
+        pooled_fits([fits(4.0, 2.0), fits(5.0, -2.0)]),
+    )
+    assert (agreeing["pitch"].log_likelihood_ratio, agreeing["pitch"].gain) == (9.0, 2.0)
+    assert (opposed["pitch"].log_likelihood_ratio, opposed["pitch"].gain) == (1.0, -2.0)
+
+
+def test_under_feedback_a_weak_elevation_has_the_sign_of_a_stable_loop() -> None:
+    explained = {axis: RegressionFit(3.0, 1.0) for axis in AXES}
+    assert fewest_sign_changes(explained, -1.0, NOTHING_KNOWN).elevation == 1.0
+    assert fewest_sign_changes(explained, 1.0, NOTHING_KNOWN).elevation == -1.0
+
+
+def test_known_entries_stay_and_their_doubts_vanish(tmp_path: Path) -> None:
+    path = tmp_path / "known.toml"
+    path.write_text('mirrored = true\n[pitch]\nsign = -1\n[voltages]\nunit = "percent"\nsupply_V = 9.0\n')
+    known = read_known(path)
+    applied = known.applied(PROFILE)
+    assert applied.mirrored
+    assert applied.angles["pitch"] == replace(PROFILE.angles["pitch"], sign=-1.0)
+    assert applied.angles["travel"] == PROFILE.angles["travel"]
+    assert {(v.unit, v.supply_V) for v in applied.voltages.values()} == {("percent", 9.0)}
+    assert known.states(Ambiguity("the voltages' unit", "", "", ""))
+    assert known.states(Ambiguity("which rotor is the front one", "", "", ""))
+    assert not known.states(Ambiguity("travel's sign", "", "", ""))
+    explained = {axis: RegressionFit(30.0, 1.0) for axis in AXES}
+    assert fewest_sign_changes(explained, 0.0, known) == SignChanges(1.0, -1.0, -1.0, True)
+
+
+def test_doubts_are_ranked_by_danger() -> None:
+    subjects = ["the voltages' limit", "the columns", "which rotor is the front one", "travel's sign"]
+    ranked = sorted((Ambiguity(subject, "", "", "") for subject in subjects), key=lambda doubt: doubt.danger)
+    assert [doubt.entry for doubt in ranked] == [
+        *("elevation.column", "travel.sign", "mirrored", "voltages.clip_V")
+    ]
+
+
+OTHER = replace(PROFILE, mirrored=True)
+
+
+def patch_proposals(
+    monkeypatch: pytest.MonkeyPatch, nats: dict[str, float], profiles: dict[str, Profile]
+) -> None:
+    def propose(tables: list[Table], rig: Rig, *_: object) -> tuple[Guess, list[Table]]:
+        return Guess(profiles.get(rig.name, PROFILE), (), (), log_likelihood=nats[rig.name]), tables
+
+    monkeypatch.setattr("heli_lab.setup.guess.propose.propose", propose)
+    monkeypatch.setattr(
+        "heli_lab.setup.guess.propose.check_by_simulation",
+        lambda guessed, tables, _rig: [guessed for _ in tables],
+    )
+
+
+TABLES = [Table("a.csv", {}), Table("b.csv", {})]
+
+
+def test_without_a_rig_the_nearest_is_taken_and_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    patch_proposals(
+        monkeypatch,
+        {"makki2024": 10.0, "makki2024-identified": 0.0, "quanser-course": 50.0},
+        {"quanser-course": OTHER},
+    )
+    guess_result = guess_by_rigs(TABLES)
+    assert guess_result.rig.name == "quanser-course"
+    assert all(item.sure and item.profile == OTHER for item in guess_result.guesses)
+    assert "compared with quanser-course; makki2024 fits 40 nats worse" in guess_result.guesses[0].evidence[0]
+
+
+def test_two_rigs_that_fit_alike_are_a_doubt_only_if_they_say_other_things(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    nats = {"makki2024": 49.0, "makki2024-identified": 0.0, "quanser-course": 50.0}
+    patch_proposals(monkeypatch, nats, {"quanser-course": OTHER})
+    assert [
+        ambiguity.subject for item in guess_by_rigs(TABLES).guesses for ambiguity in item.ambiguities
+    ] == ["the rig"] * 2
+    patch_proposals(monkeypatch, nats, {})
+    assert all(item.sure for item in guess_by_rigs(TABLES).guesses)
+
+
+def test_a_rig_that_was_given_is_kept_and_a_better_one_is_a_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = load_rig("makki2024")
+    nats = {"makki2024": 10.0, "makki2024-identified": 0.0, "quanser-course": 50.0}
+    patch_proposals(monkeypatch, nats, {"quanser-course": OTHER})
+    guess_result = guess_by_rigs(TABLES, given)
+    assert guess_result.rig.name == "makki2024"
+    (ambiguity,) = guess_result.guesses[0].ambiguities
+    assert "--rig quanser-course" in ambiguity.sentence()
+    patch_proposals(monkeypatch, nats | {"makki2024": 49.0}, {"quanser-course": OTHER})
+    assert all(item.sure for item in guess_by_rigs(TABLES, given).guesses)

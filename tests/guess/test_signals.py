@@ -1,12 +1,21 @@
-"""Signals are low-passed as the literature's filter does it: both ways, so that nothing is late."""
+"""Signals are low-passed as the literature's filter does it, the clock is found, and jumps end a part."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
-from heli_lab.setup.guess.regression.signals import filtered_signal, unwrapped
-from heli_lab.setup.guess.thresholds import CUTOFF_Hz, SAMPLE_STEP_s
+from heli_host.data.tables import Column, Table
+from heli_lab.setup.guess.signals import (
+    CUTOFF_Hz,
+    SAMPLE_STEP_s,
+    clock_of,
+    filtered_signal,
+    longest_run,
+    unwrapped,
+)
 
 pytestmark = pytest.mark.medium
 
@@ -38,3 +47,45 @@ def test_a_wrapped_angle_is_unwrapped_and_a_motor_that_is_switched_on_is_not() -
     noise = np.clip(np.random.default_rng(1).normal(0.0, 30.0, 1500), -90.0, 90.0)
     percent: Floats = np.concatenate((np.zeros(200), rising, 200.0 + noise))
     assert unwrapped(percent) is percent
+
+
+def table(name: str, step: float, unit: str = "") -> Table:
+    rising = Column(np.array([7.0 + k * step for k in range(200)]), unit)
+    return Table("a.csv", {"x": Column(np.sin(np.arange(200.0))), name: rising})
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "unit", "expected_unit", "sure"),
+    [
+        ("t_s", 0.002, "", "s", True),
+        ("Time [ms]", 2.0, "", "ms", True),
+        ("t", 0.01, "", "s", True),
+        ("time", 4.0, "", "ms", True),
+        ("time", 4000.0, "", "us", True),
+        ("time", 2e6, "", "ns", True),
+        ("whatever", 0.005, "", "s", True),
+        ("time", 1.0, "", "ms", False),
+        ("index", 1.0, "", "ms", False),
+        ("t_s", 10000.0, "", "us", False),
+        ("x2", 5.0, "ms", "ms", True),
+    ],
+)
+def test_a_clock(name: str, step: float, unit: str, expected_unit: str, sure: bool) -> None:
+    clock = clock_of(table(name, step, unit))
+    assert (clock.column, clock.unit, clock.sure) == (name, expected_unit, sure)
+    assert sure or clock.alternative
+
+
+def test_no_clock() -> None:
+    assert not clock_of(Table("a.csv", {"x": Column(np.sin(np.arange(200.0)))})).column
+    assert not clock_of(table("t_s", 1e12)).unit
+
+
+@pytest.mark.parametrize("jump", [0.0, math.radians(21.0)])
+def test_a_jump_of_an_encoder_ends_the_part_that_is_guessed(jump: float) -> None:
+    step = 2.0 * math.pi / 4096.0
+    t_s: Floats = np.arange(1000, dtype=np.float64) * 0.01
+    angle: Floats = np.round(0.4 * np.sin(t_s) / step) * step + np.where(t_s > 6.0, jump, 0.0)
+    voltage: Floats = 3.0 + 0.3 * np.sin(7.0 * t_s) + np.where(t_s > 3.0, 4.0, 0.0)
+    part, _ = longest_run(Table("x", {"p": Column(angle), "u": Column(voltage)}), t_s)
+    assert len(part) == (601 if jump else 1000)

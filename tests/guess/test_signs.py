@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from heli_host.data.flight import Flight
-from heli_lab.setup.guess.elevation_zero import RestElevation
-from heli_lab.setup.guess.regression.reference import Reference
+from heli_lab.setup.guess.motion import Reference
 from heli_lab.setup.guess.signs import _zeroed_at_rest, wrong_signs
+from heli_lab.setup.guess.units import RestElevation
 
 from tests.guess.flights import EFFECTS, measured, measured_flight, simulated
 from tests.running.long import samples

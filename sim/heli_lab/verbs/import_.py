@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from heli_sim.rig import Rig
 
     from heli_lab.setup.guess import Ambiguity, Guess
-    from heli_lab.setup.guess.import_targets import Target
+    from heli_lab.setup.guess.files import Target
 
 
 def import_(
@@ -137,7 +137,7 @@ def _read_sources(files: Sequence[Path], output: Path, *, one_flight: bool) -> l
     """
     from heli_host.data.tables import read_table
 
-    from heli_lab.setup.guess.import_targets import Target, digest, output_names
+    from heli_lab.setup.guess.files import Target, digest, output_names
 
     tables = [read_table(path) for path in files]
     names = output_names(files)
@@ -166,7 +166,7 @@ def _guess_profiles(
     from heli_host.ui.cli.live import WorkBar
 
     from heli_lab.setup.guess import guess_by_rigs
-    from heli_lab.setup.guess.known import NOTHING_KNOWN, read_known
+    from heli_lab.setup.guess.result import NOTHING_KNOWN, read_known
 
     given_entries = read_known(profile) if profile is not None else NOTHING_KNOWN
     with WorkBar() as bar:
@@ -181,7 +181,7 @@ def _write_profile(
     """Write ``profile.toml`` with ambiguities and evidence as comments."""
     from heli_host.data.tables import profile_text
 
-    from heli_lab.setup.guess.import_targets import entry_lines
+    from heli_lab.setup.guess.files import entry_lines
 
     path = folder / "profile.toml"
     warnings = [f"UNSURE: {ambiguity.sentence()}" for ambiguity in ambiguities]

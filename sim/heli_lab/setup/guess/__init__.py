@@ -1,8 +1,7 @@
-"""Guess the columns, units, signs and zeros of a log from another program, from names and physics."""
+"""Guess the columns, units, signs and zeros of a log from another program: names decide, physics confirms."""
 
-from heli_lab.setup.guess.merge import merge_tables
+from heli_lab.setup.guess.files import merge_tables
+from heli_lab.setup.guess.propose import RigMatch, guess, guess_by_rigs
 from heli_lab.setup.guess.result import Ambiguity, Guess, SignChoice
-from heli_lab.setup.guess.rigs import RigMatch, guess_by_rigs
-from heli_lab.setup.guess.run import guess
 
 __all__ = ["Ambiguity", "Guess", "RigMatch", "SignChoice", "guess", "guess_by_rigs", "merge_tables"]

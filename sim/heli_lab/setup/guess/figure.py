@@ -11,9 +11,8 @@ from heli_host.data.arrays import Booleans, Floats, Integers
 from heli_host.data.files import save_figure
 from heli_host.data.flight import Flight
 
-from heli_lab.setup.guess.regression.signals import Signal, delay, filtered_signal
 from heli_lab.setup.guess.result import Guess
-from heli_lab.setup.guess.thresholds import EDGE_S, SAMPLE_STEP_s
+from heli_lab.setup.guess.signals import EDGE_S, SAMPLE_STEP_s, Signal, delay, filtered_signal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

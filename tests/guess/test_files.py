@@ -6,10 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_host.data.log.table import write_csv
+from heli_host.data.tables import Column, Table
 from heli_host.errors import FlightDataError
-from heli_lab.setup.guess.import_targets import Target, digest, entry_lines, output_names
+from heli_lab.setup.guess import merge_tables
+from heli_lab.setup.guess.files import Target, digest, entry_lines, output_names
 
 FLIGHT = Flight(np.arange(20.0, dtype=np.float64) * 0.01, *np.zeros((5, 20)))
 
@@ -48,3 +51,15 @@ def test_a_flight_of_another_source_is_not_replaced(tmp_path: Path) -> None:
 def test_each_entry_has_its_line_or_that_of_its_section() -> None:
     lines = entry_lines('# sign = 7\nmirrored = false\n\n[pitch]\ncolumn = "p"\nsign = 1\n')
     assert (lines["mirrored"], lines["pitch.sign"], lines["pitch.delay_s"]) == (2, 6, 4)
+
+
+def test_files_of_equal_length_are_merged_row_by_row_and_the_notes_state_it() -> None:
+    t_s: Floats = np.arange(50, dtype=np.float64) * 0.01
+    x = Table("a/x.mat", {"t": Column(t_s, "s"), "p": Column(np.sin(t_s))})
+    u = Table("a/u.mat", {"f": Column(np.cos(9.0 * t_s))})
+    merged = merge_tables([x, u])
+    assert list(merged.columns) == ["1: p", "2: f"]
+    assert merged.columns["2: f"].t_s == pytest.approx(t_s)
+    assert merged.notes == "u.mat was merged row by row with x.mat"
+    with pytest.raises(FlightDataError, match=r"u.mat: it has no times, and no other .* its 40 rows"):
+        merge_tables([x, Table("a/u.mat", {"f": Column(np.cos(9.0 * t_s[:40]))})])

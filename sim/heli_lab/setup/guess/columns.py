@@ -1,0 +1,505 @@
+"""Decide which column is which: by names, and by the motion among columns that no name distinguishes.
+
+A name that states a role settles it. A column whose name states another quantity, such as a setpoint, is left
+out. Only for roles that no name states, the columns that remain are compared by the motion: the sum of the
+voltages drives elevation, their difference pitch, and pitch travel. Such a choice always stays in doubt.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from heli_host.data.arrays import Floats
+from heli_host.data.tables import Table
+from heli_host.data.tables.table import split_unit
+from heli_host.errors import FlightDataError
+
+from heli_lab.setup.guess.motion import (
+    FEEDBACK_MATCH,
+    Assignment,
+    Reference,
+    RegressionFit,
+    abs_correlation,
+    feedback_sign,
+    has_unit_slope,
+    regress_acceleration,
+)
+from heli_lab.setup.guess.names import AXES, PAIR, ROLES, SUMS, VOLTAGE_ROLES, Meaning, is_time, meanings_of
+from heli_lab.setup.guess.result import DECISIVE_NATS, Ambiguity, KnownEntries
+from heli_lab.setup.guess.signals import (
+    NO_RATE,
+    Clock,
+    Signals,
+    clock_of,
+    column_signals,
+    delay,
+    longest_run,
+    quantisation_step,
+    times_in_s,
+)
+
+_FIX: Final = (
+    "give a log with three angles and both motor voltages; if they are in two files, add --one-flight"
+)
+_MAX_COLUMNS: Final = 14
+"""Largest number of columns without names that are compared by the motion."""
+_DUPLICATE_CORRELATION: Final = 0.99999
+"""Absolute correlation above which two columns are the same signal, in another unit or with another sign."""
+_RATE_MATCH: Final = 0.9
+"""Share of a column's variance that another column's derivative explains, from which on it counts as a
+rate."""
+_ENCODER_NATS: Final = 10.0
+"""Reward of an angle column that is quantised by an encoder of the rig [nats]. Estimates, setpoints and rates
+move like angles but are not quantised."""
+_COUNTS_TOLERANCE: Final = 0.01
+"""Largest relative difference between the counts per turn of a column and of an encoder; usual counts,
+powers of 2 and multiples of 100, differ by more."""
+_FEEDBACK_NATS: Final = 4.0
+"""Reward of a sum of the voltages that is proportional to the rate of elevation [nats]. State feedback
+gives such a sum, and its motion then shows no cause. Below `DECISIVE_NATS`: such a column stays in doubt."""
+_ROLE_LAGS_S: Final = (0.0, 0.06, 0.12, 0.2)
+"""Lags that are compared while columns are assigned to roles [s]."""
+_FOLLOWING_LAGS_S: Final = (0.1, 0.2, 0.4, 0.6, 0.9, 1.3)
+"""Lags with which an axis may follow its setpoint [s]."""
+_FOLLOWED: Final = 0.85
+"""Correlation of an axis with a delayed column from which on the column may be its setpoint. Set by judgement
+on simulated flights: setpoints have 0.9 and more, voltages up to 0.6."""
+
+
+@dataclass(frozen=True)
+class PreparedFile:
+    """One file with its filtered signals."""
+
+    table: Table  # The longest part of the file in which times rise and no angle jumps
+    clock: Clock  # Time column of the file
+    signals: Signals  # All other columns of the file, at even times
+    encoders: frozenset[str]  # Columns that are quantised by an encoder of the rig
+
+
+def prepare_file(table: Table, reference: Reference, rate_Hz: float | None) -> PreparedFile:
+    """Find the times of an aligned table, cut its longest part, and filter its columns."""
+    clock = Clock("", "s", True) if rate_Hz else clock_of(table)
+    if not rate_Hz and (not clock.column or not clock.unit):
+        raise FlightDataError(f"{table.source}: no column is the time ({clock.alternative})", NO_RATE)
+    t_s = np.arange(len(table)) / rate_Hz if rate_Hz else times_in_s(table, clock)
+    table, t_s = longest_run(table, t_s)
+    others = [name for name in table.columns if name != clock.column and not is_time(name)]
+    signals = column_signals(table, t_s, others, reference.counts.values())
+    encoders = frozenset(name for name in others if _is_encoder(table.columns[name].values, reference))
+    return PreparedFile(table, clock, signals, encoders)
+
+
+def _is_encoder(values: Floats, reference: Reference) -> bool:
+    """Whether the `values` of a column are quantised by an encoder of the rig, in radians or degrees."""
+    step = quantisation_step(values)
+    return step > 0.0 and any(
+        abs(turn / step / counts - 1.0) < _COUNTS_TOLERANCE
+        for turn in (2.0 * np.pi, 360.0)
+        for counts in reference.counts.values()
+    )
+
+
+@dataclass(frozen=True)
+class ColumnOptions:
+    """Columns that may have each role."""
+
+    by_role: Mapping[str, Sequence[str]]
+    stated: frozenset[str]  # Roles that a name or the user states
+    left_out: Mapping[str, str]  # Columns that have no role, with the reason
+
+    def columns(self) -> list[str]:
+        """Columns that may have a role."""
+        return list(dict.fromkeys(name for names in self.by_role.values() for name in names))
+
+    def too_few(self, source: str) -> FlightDataError:
+        """Describe a table in which columns of some roles are missing."""
+        left_out = ", ".join(f"{name} ({reason})" for name, reason in self.left_out.items())
+        detail = f"; left out: {left_out}" if left_out else ""
+        has_angles = all(self.by_role[axis] for axis in AXES)
+        if has_angles and not any(self.by_role[role] for role in VOLTAGE_ROLES):
+            return FlightDataError(f"{source}: no column is a motor voltage{detail}", _FIX)
+        columns = ", ".join(self.columns()) or "none"
+        return FlightDataError(
+            f"{source}: fewer than five columns can be an angle or a voltage: {columns}{detail}", _FIX
+        )
+
+
+def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> ColumnOptions:
+    """Find the columns that may have each role, by their names and by what the user knows."""
+    first = files[0]
+    known_roles = set(known.columns.values())
+    meanings = meanings_of({name: first.table.columns[name].unit for name in first.signals.raw})
+    named: dict[str, list[str]] = {role: [] for role in ROLES}
+    left_out: dict[str, str] = {}
+    free: list[str] = []
+    for name, meaning in meanings.items():
+        if name in known.columns:
+            named[known.columns[name]].append(name)
+        elif any(name not in file.signals.raw for file in files):
+            left_out[name] = "not in every file"
+        elif any(np.ptp(file.signals.raw[name]) == 0.0 for file in files):
+            left_out[name] = "constant"
+        elif meaning.quantity:
+            left_out[name] = meaning.quantity
+        elif meaning.role in known_roles:
+            left_out[name] = f"the profile states another column for {meaning.role}"
+        elif meaning.role:
+            named[meaning.role].append(name)
+        else:
+            free.append(name)
+    for role, columns in named.items():
+        columns.sort(key=lambda name: (not meanings[name].is_measured, name not in first.encoders))
+        named[role] = _without_copies(
+            first.signals, columns, [name for name in columns if meanings[name].is_measured], left_out
+        )
+    unnamed_axes = [axis for axis in AXES if not named[axis]]
+    # Two columns with the name of one angle, and no name for another angle: books use other letters.
+    shared = [axis for axis in AXES if unnamed_axes and len(named[axis]) > 1]
+    spare = [name for axis in shared for name in named[axis]]
+    voltages = _named_voltages(named, left_out)
+    if unnamed_axes or not voltages:
+        named_columns = [name for names in named.values() for name in names]
+        free = _without_rates(first, free, named_columns, meanings, left_out)
+    motors = [name for name in free if meanings[name].possible_roles == VOLTAGE_ROLES]
+    by_role: dict[str, list[str]] = {}
+    for axis in AXES:
+        others = [name for name in free if axis in meanings[name].possible_roles] + spare
+        by_role[axis] = named[axis] or others
+    for role in VOLTAGE_ROLES:
+        unnamed = motors if len(motors) > 1 else [name for name in free if name not in spare]
+        partners = PAIR if role in PAIR else SUMS
+        may_fill = not voltages and (any(named[each] for each in partners) or not _any_voltage(named))
+        by_role[role] = named[role] or (unnamed if may_fill else [])
+    stated = frozenset(role for role in ROLES if named[role] and role not in shared)
+    return ColumnOptions(by_role, stated, left_out)
+
+
+def _any_voltage(named: Mapping[str, Sequence[str]]) -> bool:
+    """Whether a name states any role of a voltage."""
+    return any(named[role] for role in VOLTAGE_ROLES)
+
+
+def _named_voltages(named: dict[str, list[str]], left_out: dict[str, str]) -> bool:
+    """Whether names state both voltages; then the motors are kept, and sum and difference left out."""
+    if all(named[role] for role in PAIR):
+        for role in SUMS:
+            left_out |= dict.fromkeys(named[role], "the motors have columns too")
+            named[role] = []
+        return True
+    if all(named[role] for role in SUMS):
+        for role in PAIR:
+            left_out |= dict.fromkeys(named[role], "sum and difference have columns")
+            named[role] = []
+        return True
+    return False
+
+
+def _without_copies(
+    signals: Signals, columns: list[str], measured: list[str], left_out: dict[str, str]
+) -> list[str]:
+    """Leave out the columns of one role that are copies of its first one, or not measured if others are."""
+    kept: list[str] = []
+    for name in columns:
+        if kept and _are_copies(signals, name, kept[0]):
+            left_out[name] = f"the same as {kept[0]}"
+        elif measured and name not in measured:
+            left_out[name] = f"{measured[0]} is measured"
+        else:
+            kept.append(name)
+    return kept
+
+
+def _without_rates(
+    file: PreparedFile,
+    free: list[str],
+    named: list[str],
+    meanings: Mapping[str, Meaning],
+    left_out: dict[str, str],
+) -> list[str]:
+    """Leave out the columns without names that are rates or copies of others, and those beyond a limit."""
+    signals = file.signals
+    rates = _rates(signals, [*named, *free], set(named) | file.encoders)
+    left_out |= {name: f"the rate of {angle}" for name, angle in rates.items()}
+
+    def resembles_rate(name: str) -> bool:
+        """Whether a column is about the rate of another one. Under state feedback, so is its copy, the sum of
+        the voltages, but with another slope.
+        """
+        return any(_rate_correlation(signals, name, other) > FEEDBACK_MATCH**0.5 for other in (*named, *free))
+
+    kept: list[str] = []
+    for name in sorted(
+        (name for name in free if name not in rates),
+        key=lambda name: (
+            meanings[name].possible_roles != VOLTAGE_ROLES,
+            name not in file.encoders,
+            resembles_rate(name),
+        ),
+    ):
+        copied = next((other for other in (*named, *kept) if _are_copies(signals, name, other)), None)
+        if copied is None:
+            kept.append(name)
+        else:
+            left_out[name] = f"the same as {copied}"
+    left_out |= dict.fromkeys(kept[_MAX_COLUMNS:], f"behind the first {_MAX_COLUMNS} columns")
+    return kept[:_MAX_COLUMNS]
+
+
+def _are_copies(signals: Signals, name: str, other: str) -> bool:
+    """Whether two columns are the same signal, in another unit or with another sign."""
+    return abs_correlation(signals.raw[name], signals.raw[other]) > _DUPLICATE_CORRELATION
+
+
+def _rate_correlation(signals: Signals, name: str, origin: str) -> float:
+    """Correlate a column with the time derivative of another one; 0 if the slope is that of no unit."""
+    rate, value = signals.filtered[origin].rate, signals.filtered[name].value
+    correlation = abs_correlation(rate, value) if name != origin else 0.0
+    return correlation if correlation > 0.5 and has_unit_slope(rate, value, signals) else 0.0
+
+
+def _rates(signals: Signals, columns: list[str], no_rates: set[str]) -> dict[str, str]:
+    """Find the columns that are the time derivative of another column, with that column.
+
+    A column cannot be judged alone. Pitch drives travel, so the derivative of a logged travel rate resembles
+    pitch; likewise that of a logged pitch rate resembles a voltage. Neither pitch nor the voltage is a logged
+    rate. Therefore a column counts as a derivative only if its origin is not itself a derivative.
+    """
+    origins: dict[str, dict[str, float]] = {name: {} for name in columns}
+    for name, origin in itertools.permutations(columns, 2):
+        correlation = 0.0 if name in no_rates else _rate_correlation(signals, name, origin)
+        # The threshold is a share of variance, the square of a correlation.
+        if correlation > _RATE_MATCH**0.5:
+            origins[name][origin] = correlation
+    rates: dict[str, str] = {}
+    others: set[str] = set()
+    undecided = list(columns)
+    while undecided:
+        # A column is decided after all columns of which it may be the derivative.
+        ready = [name for name in undecided if not set(origins[name]).intersection(undecided)]
+        if not ready:
+            # Columns that are derivatives of each other in a circle, as with sines, whose second derivative
+            # is a sine again: the one with the lowest correlation counts as no derivative.
+            weakest = min(undecided, key=lambda name: max(origins[name].values()))
+            origins[weakest] = {}
+            ready = [weakest]
+        for name in ready:
+            angle = next((origin for origin in origins[name] if origin in others), None)
+            if angle is None:
+                others.add(name)
+            else:
+                rates[name] = angle
+        undecided = [name for name in undecided if name not in ready]
+    return rates
+
+
+class _MotionEvidence:
+    """How well columns of one file explain each other's motion."""
+
+    def __init__(self, file: PreparedFile, reference: Reference) -> None:
+        self._file, self._reference = file, reference
+        self._nats: dict[tuple[str, tuple[str, ...], str], float] = {}
+
+    def polarity(self, name: str) -> float:
+        """Return the sign, 1 or -1, that makes the mean of a voltage positive; 1 if it is near 0."""
+        values = self._file.signals.raw[name]
+        mean = float(values.mean())
+        return -1.0 if mean < 0.0 and abs(mean) > 0.5 * float(values.std()) else 1.0
+
+    def nats(self, axis: str, cause: tuple[str, ...], column: str) -> float:
+        """Log-likelihood ratio of a cause of an axis, one column or both motors, for the axis' column."""
+        key = axis, cause, column
+        if key not in self._nats:
+            self._nats[key] = self._computed_nats(axis, cause, column)
+        return self._nats[key]
+
+    def _computed_nats(self, axis: str, cause: tuple[str, ...], column: str) -> float:
+        signals = self._file.signals
+        values = [signals.filtered[name].value for name in cause]
+        lifting = [self.polarity(name) * value for name, value in zip(cause, values, strict=True)]
+        if axis == "elevation":
+            signal: Floats = np.sum(lifting, axis=0)
+        elif len(cause) == 2:
+            signal = lifting[0] - lifting[1]
+        else:
+            # A logged difference has no polarity: its mean is near 0.
+            signal = values[0]
+        stiffness = self._reference.stiffness.get(axis, (0.0, 0.1))
+        nats = max(
+            regress_acceleration(signals, column, axis, delay(signal, lag_s), stiffness).log_likelihood_ratio
+            for lag_s in (_ROLE_LAGS_S if axis != "travel" else (0.0,))
+        )
+        if column in self._file.encoders:
+            nats += _ENCODER_NATS
+        if axis == "elevation" and len(cause) == 1:
+            nats += _FEEDBACK_NATS * abs(feedback_sign(signal, signals.filtered[column], signals))
+        return nats
+
+
+def ranked_assignments(
+    files: Sequence[PreparedFile], options: ColumnOptions, reference: Reference
+) -> list[Assignment]:
+    """List the assignments of columns to roles that the options permit, the most likely motion first."""
+    by_file = [_MotionEvidence(file, reference) for file in files]
+
+    def nats(axis: str, cause: tuple[str, ...], column: str) -> float:
+        return sum(evidence.nats(axis, cause, column) for evidence in by_file)
+
+    ranked = []
+    for roles in (PAIR, SUMS):
+        for first, second in _voltage_columns(options, roles):
+            both = (first, second)
+            sum_cause, difference_cause = (both, both) if roles == PAIR else ((first,), (second,))
+            elevations = sorted(
+                (name for name in options.by_role["elevation"] if name not in both),
+                key=lambda name: -nats("elevation", sum_cause, name),
+            )
+            first_polarity, second_polarity = (by_file[0].polarity(name) for name in both)
+            polarity = (first_polarity, second_polarity if roles == PAIR else 1.0)
+            for pitch, travel in itertools.product(options.by_role["pitch"], options.by_role["travel"]):
+                if len({first, second, pitch, travel}) < 4:
+                    continue
+                others = nats("pitch", difference_cause, pitch) + nats("travel", (pitch,), travel)
+                for elevation in [name for name in elevations if name not in (pitch, travel)][:2]:
+                    columns = dict(zip((*AXES, *roles), (elevation, pitch, travel, *both), strict=True))
+                    likelihood = others + nats("elevation", sum_cause, elevation)
+                    ranked.append(Assignment(columns, polarity, likelihood))
+    return sorted(ranked, key=lambda assignment: -assignment.log_likelihood)
+
+
+def _voltage_columns(options: ColumnOptions, roles: tuple[str, str]) -> list[tuple[str, str]]:
+    """List the pairs of columns for two roles of voltages; motors without names count in one order only."""
+    pairs = [
+        (first, second)
+        for first, second in itertools.product(*(options.by_role[role] for role in roles))
+        if first != second
+    ]
+    if roles == PAIR and not options.stated.intersection(PAIR):
+        pairs = [pair for number, pair in enumerate(pairs) if pair[::-1] not in pairs[:number]]
+    return pairs
+
+
+def column_ambiguities(
+    ranked: Sequence[Assignment],
+    options: ColumnOptions,
+    files: Sequence[PreparedFile],
+    reference: Reference,
+) -> tuple[list[Ambiguity], str]:
+    """Report columns that no name states, or whose names the motion contradicts; and say which are used."""
+    best = ranked[0]
+    others = [assignment for assignment in ranked if not assignment.same_as(best)]
+    is_stated = options.stated.issuperset(best.columns)
+    if not others and is_stated:
+        return _contradictions(best, options, files, reference), f"columns: {best}, as their names state"
+    if not others:
+        return [], f"columns: {best}; no other column is possible"
+    margin = best.log_likelihood - others[0].log_likelihood
+    sentence = f"columns: {best}; {margin:.0f} nats ahead of every alternative"
+    near = [other for other in others if best.log_likelihood - other.log_likelihood < DECISIVE_NATS]
+    if near:
+        reason = f"they explain the flight within {margin:.1f} nats of each other"
+        return [Ambiguity("the columns", str(best), _differences_text(best, near), reason)], sentence
+    if is_stated:
+        return [], sentence
+    unstated = ", ".join(role for role in best.columns if role not in options.stated)
+    reason = (
+        f"no name states {unstated}, and the motion is {margin:.0f} nats for this choice; name the columns, "
+        "or state them in a profile"
+    )
+    return [Ambiguity("the columns", str(best), _differences_text(best, others[:1]), reason)], sentence
+
+
+def _contradictions(
+    best: Assignment, options: ColumnOptions, files: Sequence[PreparedFile], reference: Reference
+) -> list[Ambiguity]:
+    """Report if the motion fits another order of the three angles better than their names."""
+    angles = [best.columns[axis] for axis in AXES]
+    permuted = replace(options, by_role={**options.by_role, **dict.fromkeys(AXES, angles)})
+    by_motion = ranked_assignments(files, permuted, reference)[0]
+    (as_named,) = (
+        each for each in ranked_assignments(files, options, reference) if each.columns == best.columns
+    )
+    if by_motion.log_likelihood - as_named.log_likelihood < DECISIVE_NATS:
+        return []
+    return [
+        Ambiguity(
+            "the columns",
+            f"{best}, as their names say",
+            str(by_motion),
+            "which fits the motion; names and physics disagree",
+        )
+    ]
+
+
+def _differences_text(best: Assignment, others: Sequence[Assignment]) -> str:
+    """Describe the columns of other assignments that differ from the best one, by role."""
+    differing: dict[str, list[str]] = {}
+    for other in others:
+        for role, column in other.columns.items():
+            if column != best.columns.get(role) and column not in differing.setdefault(role, []):
+                differing[role].append(column)
+    return ", or ".join(f"{role} is {' or '.join(columns)}" for role, columns in differing.items() if columns)
+
+
+def check_voltages(
+    source: str,
+    regressions: Mapping[str, RegressionFit],
+    best: Assignment,
+    options: ColumnOptions,
+    files: Sequence[PreparedFile],
+) -> list[Ambiguity]:
+    """Refuse columns without the names of voltages that do not act like voltages; report a doubtful sum."""
+    if options.stated.issuperset(best.columns):
+        return []
+    followed = [
+        f"{axis} follows {column}"
+        for axis, column in zip(("elevation", "pitch"), best.voltages, strict=True)
+        if best.summed and all(_is_followed(file.signals, column, best.columns[axis]) for file in files)
+    ]
+    nats = max(regressions[axis].log_likelihood_ratio for axis in ("elevation", "pitch"))
+    columns = " and ".join(best.voltages)
+    if followed:
+        reason = f"{' and '.join(followed)}, as an axis follows its setpoint"
+    elif nats < DECISIVE_NATS:
+        reason = f"{columns} explain only {nats:.1f} nats"
+    else:
+        return _doubtful_sum(regressions["elevation"], best, options)
+    raise FlightDataError(f"{source}: no two columns act like motor voltages ({reason})", _FIX)
+
+
+def _is_followed(signals: Signals, column: str, axis: str) -> bool:
+    """Whether an axis follows a column at some lag, as it follows a setpoint in the same unit."""
+    value = signals.filtered[axis].value
+    for lag_s in _FOLLOWING_LAGS_S:
+        setpoint = delay(signals.filtered[column].value, lag_s)
+        if abs_correlation(setpoint, value) > _FOLLOWED:
+            slope = float(np.cov(setpoint, value)[0, 1] / setpoint.var())
+            return 0.5 < slope < 2.0
+    return False
+
+
+def _doubtful_sum(elevation: RegressionFit, best: Assignment, options: ColumnOptions) -> list[Ambiguity]:
+    """Report the voltages' columns if their sum hardly explains elevation."""
+    nats = elevation.log_likelihood_ratio
+    others = [name for name in options.columns() if name not in best.columns.values()]
+    others += [f"{name} ({reason})" for name, reason in options.left_out.items() if reason != "constant"]
+    if nats >= DECISIVE_NATS or not others:
+        return []
+    return [
+        Ambiguity(
+            "the sum's column" if best.summed else "the voltages' columns",
+            best.voltages[0] if best.summed else " and ".join(best.voltages),
+            " or ".join(others),
+            f"elevation agrees with the sum by only {nats:.1f} nats; under state feedback, the sum is "
+            "proportional to minus the rate of elevation; look up which column was logged",
+        )
+    ]
+
+
+def stated_unit(table: Table, column: str, valid_units: frozenset[str]) -> str:
+    """Return the unit that the header or the name of a `column` states; empty if it is not a valid unit."""
+    unit = table.columns[column].unit or split_unit(column)[1]
+    return unit if unit in valid_units else ""

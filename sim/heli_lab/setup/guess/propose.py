@@ -1,0 +1,440 @@
+"""Propose a profile for logs of one rig: names decide which column is which, and physics confirms it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from heli_host.data.tables import Angle, Profile, Table, Voltage, flights_of, profile_text
+from heli_host.errors import FlightDataError, HeliError
+from heli_sim.rig import Rig, load_rig, rig_names
+
+from heli_lab.setup.guess.columns import (
+    PreparedFile,
+    check_voltages,
+    column_ambiguities,
+    column_options,
+    prepare_file,
+    ranked_assignments,
+)
+from heli_lab.setup.guess.motion import (
+    Assignment,
+    Reference,
+    RegressionFit,
+    axis_regressions,
+    feedback_sign,
+    lag_ambiguities,
+    pooled_fits,
+    reference_of,
+    sum_and_difference,
+)
+from heli_lab.setup.guess.names import AXES, PAIR, SUMS
+from heli_lab.setup.guess.result import DECISIVE_NATS, NOTHING_KNOWN, Ambiguity, Guess, KnownEntries
+from heli_lab.setup.guess.signals import NO_RATE, Clock, filtered_signal
+from heli_lab.setup.guess.signs import (
+    SignChanges,
+    fewest_sign_changes,
+    prefers_mirror,
+    sign_ambiguities,
+    travel_torque_nats,
+    try_sign_choices,
+)
+from heli_lab.setup.guess.units import (
+    MeasuredMotion,
+    RestElevation,
+    Scale,
+    choose_scale,
+    elevation_zero,
+    limited,
+    measured_motion,
+    one_way_nats,
+    rest_elevation,
+    scales,
+    supply_limits,
+)
+
+_CANDIDATE_MARGIN_NATS: Final = 25.0
+"""Assignments of columns within this margin of the most likely one are compared by their units, too [nats].
+An assignment without plausible units loses about this much. A higher value takes longer, a lower one neglects
+the units."""
+_MAX_CANDIDATES: Final = 12
+"""Largest number of assignments whose units are compared."""
+_AMBIGUOUS_ERROR_RATIO: Final = 1.15
+"""Product of the axes' errors for another choice of signs, over that for the profile, below which the signs
+are ambiguous. Wrong choices have 1.3 and more on measured flights. A lower value trusts chance."""
+
+
+@dataclass(frozen=True)
+class RigMatch:
+    """Guesses of several files of one rig, with the rig that fits them.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig file that units and zeros come from.
+    guesses : tuple of Guess
+        One per file, in the order of the files; all have the same profile.
+    """
+
+    rig: Rig
+    guesses: tuple[Guess, ...]
+
+
+def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
+    """Guess column, unit, sign and zero of each angle and voltage of a table, from names, ranges and physics.
+
+    Parameters
+    ----------
+    table : Table
+        Log of another program.
+    rig : Rig
+        Parameters, table angle, encoders and supply of the rig. Only units and zeros depend on them.
+    rate_Hz : float, optional
+        Sampling rate [Hz], for a table without times.
+
+    Raises
+    ------
+    FlightDataError
+        When the table has no five columns that can be the angles and voltages, or no times and no rate.
+    """
+    proposed, longest_parts = propose([table], rig, rate_Hz)
+    return check_by_simulation(proposed, longest_parts, rig)[0]
+
+
+def guess_by_rigs(
+    tables: Sequence[Table],
+    rig: Rig | None = None,
+    rate_Hz: float | None = None,
+    known: KnownEntries = NOTHING_KNOWN,
+    progress: Callable[[float], None] = lambda share: None,
+) -> RigMatch:
+    """Guess the profile of files of one rig, with a given rig file or with the shipped one that fits best.
+
+    The guess reports which rig file it used. It is ambiguous if another rig file fits much better than the
+    given one, or if two shipped ones fit about equally well and give different profiles.
+
+    Parameters
+    ----------
+    tables : sequence of Table
+        Logs of one rig, from one program.
+    rig : Rig, optional
+        Rig file to use.
+    rate_Hz : float, optional
+        Sampling rate [Hz], for tables without times.
+    known : KnownEntries
+        Entries of the profile that the user knows.
+    progress : callable
+        Called with the completed share of the work, 0 to 1.
+
+    Raises
+    ------
+    FlightDataError
+        When a table cannot be interpreted with any rig.
+    """
+    rigs = {name: load_rig(name) for name in rig_names() if rig is None or name != rig.name}
+    if rig is not None:
+        rigs[rig.name] = rig
+    work_steps = len(rigs) + 1
+    proposals: dict[str, Guess] = {}
+    longest_parts: dict[str, list[Table]] = {}
+    refusals: dict[str, HeliError] = {}
+    for number, (name, candidate) in enumerate(rigs.items()):
+        progress(number / work_steps)
+        try:
+            proposals[name], longest_parts[name] = propose(tables, candidate, rate_Hz, known)
+        except HeliError as error:
+            refusals[name] = error
+    if not proposals or (rig is not None and rig.name not in proposals):
+        raise refusals[rig.name if rig is not None else next(iter(refusals))]
+    best = max(proposals, key=lambda name: proposals[name].log_likelihood)
+    chosen = rig.name if rig is not None else best
+    progress(1.0 - 1.0 / work_steps)
+    guesses = check_by_simulation(proposals[chosen], longest_parts[chosen], rigs[chosen])
+    evidence, ambiguities = _compare_with_second(proposals, chosen, is_given=rig is not None)
+    guesses = [
+        replace(each, evidence=(*evidence, *each.evidence), ambiguities=(*ambiguities, *each.ambiguities))
+        for each in guesses
+    ]
+    return RigMatch(rigs[chosen], tuple(guesses))
+
+
+def _compare_with_second(
+    proposals: Mapping[str, Guess], chosen: str, *, is_given: bool
+) -> tuple[list[str], list[Ambiguity]]:
+    """Compare the chosen rig file with the best of all others; return evidence and ambiguities."""
+    others = [name for name in proposals if name != chosen]
+    # Rigs that give the same profile are not an ambiguity, but the better fit is reported.
+    profile = profile_text(proposals[chosen].profile)
+    differing = [name for name in others if profile_text(proposals[name].profile) != profile]
+    second = max(differing or others, key=lambda name: proposals[name].log_likelihood, default=None)
+    if second is None:
+        return [], []
+    lead_nats = proposals[chosen].log_likelihood - proposals[second].log_likelihood
+    comparison = f"{abs(lead_nats):.0f} nats {'worse' if lead_nats >= 0.0 else 'better'}"
+    evidence = [f"rig: compared with {chosen}; {second} fits {comparison}"]
+    # A given rig is used unless another one fits clearly better; an automatic choice must win clearly.
+    required_nats = -DECISIVE_NATS if is_given else DECISIVE_NATS
+    if not differing or lead_nats >= required_nats:
+        return evidence, []
+    reason = f"it fits {comparison}, with other units or columns; if it is your rig, give --rig {second}"
+    return evidence, [Ambiguity("the rig", chosen, second, reason)]
+
+
+def propose(
+    tables: Sequence[Table], rig: Rig, rate_Hz: float | None = None, known: KnownEntries = NOTHING_KNOWN
+) -> tuple[Guess, list[Table]]:
+    """Propose one profile for the files of one rig, without simulating it; return it with the longest part of
+    each file.
+    """
+    reference = reference_of(rig)
+    files = [prepare_file(known.with_units(table.aligned()), reference, rate_Hz) for table in tables]
+    source = files[0].table.source
+    clock, ambiguities = _common_clock(files)
+    # Which column is which: by names, and otherwise by how well each assignment explains the motion.
+    options = column_options(files, known)
+    ranked = ranked_assignments(files, options, reference)
+    if not ranked:
+        raise options.too_few(source)
+    ranked, motion = _ranked_by_units_too(files, ranked, reference)
+    assignment = ranked[0]
+    doubtful_columns, columns_sentence = column_ambiguities(ranked, options, files, reference)
+    # Units: those that the file states, and otherwise those with gains like the rig's.
+    scale, unit_ambiguities = choose_scale(motion, reference, rig)
+    flights = _FlightsInUnits(files, assignment, scale, reference, supply_limits(scale, motion, reference))
+    regressions = flights.regressions()
+    ambiguities += doubtful_columns + unit_ambiguities
+    ambiguities += check_voltages(source, regressions, assignment, options, files)
+    # Signs: the axes have to accelerate in the direction of their causes.
+    signs = fewest_sign_changes(regressions, flights.feedback(), known)
+    torque_nats = flights.torque_nats(signs)
+    mirrored = prefers_mirror(signs, torque_nats) if known.mirrored is None else known.mirrored
+    states_motors = options.stated.issuperset((SUMS[1],) if assignment.summed else PAIR)
+    ambiguities += sign_ambiguities(
+        regressions, signs, assignment, states_motors, mirrored, _torque_text(torque_nats, mirrored, rig)
+    )
+    # Zero of the elevation, from the rest on the table, and delays between columns.
+    offset_deg, zero_ambiguities = elevation_zero(flights.rest(signs), reference)
+    timing_ambiguities, lag_sentence = lag_ambiguities(regressions)
+    ambiguities += zero_ambiguities + timing_ambiguities
+    profile = known.applied(
+        Profile(
+            _angle_entries(assignment, scale, signs, reference, offset_deg),
+            _voltage_entries(assignment, scale, signs, reference),
+            "" if rate_Hz else clock.column,
+            clock.unit,
+            rate_Hz or 0.0,
+            about=f"guessed from {Path(source).name}",
+            mirrored=mirrored,
+        )
+    )
+    evidence = [columns_sentence]
+    if options.left_out:
+        left_out = ", ".join(f"{name} ({reason})" for name, reason in options.left_out.items())
+        evidence.append(f"left out: {left_out}")
+    evidence += [_regression_sentence(axis, regressions[axis]) for axis in AXES]
+    evidence += [lag_sentence, _hover_sentence(motion, scale, reference)]
+    longest_parts = [file.table for file in files]
+    # Programs log commands that the motors cannot follow: voltages above the supply were limited to it.
+    if profile.clip_V is None:
+        profile, limit_ambiguities = limited(longest_parts, profile, reference, flights.one_way_nats)
+        ambiguities += limit_ambiguities
+    unknown = tuple(ambiguity for ambiguity in ambiguities if not known.states(ambiguity))
+    proposed = Guess(profile, unknown, tuple(evidence), log_likelihood=assignment.log_likelihood)
+    return proposed, longest_parts
+
+
+def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]]:
+    """Find the time column that all files share; report if it is not sure."""
+    first = files[0]
+    for file in files[1:]:
+        if (file.clock.column, file.clock.unit) != (first.clock.column, first.clock.unit):
+            raise FlightDataError(
+                f"{file.table.source}: its times differ from those of {first.table.source} "
+                f"('{file.clock.column}' in {file.clock.unit}, '{first.clock.column}' in {first.clock.unit})",
+                "import files of different programs one by one",
+            )
+    clock = first.clock
+    if clock.sure:
+        return clock, []
+    other = clock.alternative or "something else"
+    return clock, [Ambiguity("the time", f"{clock.column} in {clock.unit}", other, NO_RATE)]
+
+
+def _ranked_by_units_too(
+    files: Sequence[PreparedFile], ranked: Sequence[Assignment], reference: Reference
+) -> tuple[list[Assignment], MeasuredMotion]:
+    """Rank the likeliest assignments by their best units too: wrong columns have implausible gains. Return
+    them with the motion of the first.
+    """
+    close = [
+        assignment
+        for assignment in ranked[:_MAX_CANDIDATES]
+        if ranked[0].log_likelihood - assignment.log_likelihood < _CANDIDATE_MARGIN_NATS
+    ]
+    motions = [measured_motion(files, assignment, reference) for assignment in close]
+    units_nats = [scales(motion, reference)[0].log_likelihood for motion in motions]
+    totals = [assignment.log_likelihood + nats for assignment, nats in zip(close, units_nats, strict=True)]
+    order = sorted(range(len(close)), key=lambda i: -totals[i])
+    rescored = [replace(close[i], log_likelihood=totals[i]) for i in order]
+    # The others are too unlikely for their units to matter.
+    others = [
+        replace(assignment, log_likelihood=assignment.log_likelihood + units_nats[order[0]])
+        for assignment in ranked[len(close) :]
+    ]
+    return rescored + others, motions[order[0]]
+
+
+@dataclass(frozen=True)
+class _FlightsInUnits:
+    """Files whose columns have been assigned and whose units are chosen."""
+
+    files: Sequence[PreparedFile]  # The files
+    assignment: Assignment  # Column of each angle and voltage
+    scale: Scale  # Units of the columns
+    reference: Reference  # Gains, hover voltage and encoders of the rig file
+    limits: tuple[float, float]  # Smallest and largest voltage of a motor, in the unit of the columns
+
+    @property
+    def bias(self) -> float:
+        """Bias that the logged sum of the voltages lacks, in the unit of the columns."""
+        if not self.scale.bias_removed:
+            return 0.0
+        return self.reference.hover_V / self.scale.volts(self.reference)
+
+    def regressions(self) -> dict[str, RegressionFit]:
+        """Regression of each axis' acceleration on its cause, over all files, by axis."""
+        rad = self.scale.rad(self.reference)
+        by_file = [
+            axis_regressions(file.signals, self.assignment, self.reference, rad, self.bias, self.limits)
+            for file in self.files
+        ]
+        return pooled_fits(by_file)
+
+    def feedback(self) -> float:
+        """Add up the signs of elevation's feedback over the files: each counts -1, 0 or 1; see
+        `feedback_sign`.
+        """
+        total = 0.0
+        for file in self.files:
+            voltage_sum, _ = sum_and_difference(file.signals, self.assignment, self.bias, self.limits)
+            elevation = file.signals.filtered[self.assignment.columns["elevation"]]
+            total += feedback_sign(filtered_signal(voltage_sum).value, elevation, file.signals)
+        return total
+
+    def torque_nats(self, signs: SignChanges) -> float:
+        """Mean evidence of the travel torque for the `signs` against their mirror image [nats]."""
+        rad = self.scale.rad(self.reference)
+        by_file = [
+            travel_torque_nats(file.signals, self.assignment, self.reference, rad, signs.travel)
+            for file in self.files
+        ]
+        return float(np.mean(by_file))
+
+    def one_way_nats(self) -> float:
+        """Log-likelihood ratio of motors that do not reverse against motors within the limits [nats]."""
+        return one_way_nats(lambda limits: replace(self, limits=limits).regressions(), self.limits)
+
+    def rest(self, signs: SignChanges) -> RestElevation:
+        """Elevation at rest, of the first file that begins at rest at its lowest point; of the first file if
+        no file does.
+        """
+        deg_per_unit = math.degrees(signs.elevation * self.scale.rad(self.reference)["elevation"])
+        column = self.assignment.columns["elevation"]
+        rests = [rest_elevation(file.signals, column, deg_per_unit) for file in self.files]
+        return next((rest for rest in rests if rest.deg is not None and rest.begins_lowest), rests[0])
+
+
+def check_by_simulation(proposed: Guess, tables: Sequence[Table], rig: Rig) -> list[Guess]:
+    """Check the signs of a guess by simulation of the baseline model of a `rig`."""
+    longest = [max(flights_of(table, proposed.profile), key=len) for table in tables]
+    choices = [try_sign_choices(flight, rig) for flight in longest]
+    simulated = [trials for trials in choices if trials]
+    if not simulated:
+        ambiguity = Ambiguity(
+            "the signs",
+            "as proposed",
+            "any other signs",
+            "the flight is too short in the air to simulate the model",
+        )
+        return [proposed.with_ambiguity(ambiguity) for _ in tables]
+    log_ratios = np.mean(
+        [[math.log(choice.error_ratio) for choice in trials] for trials in simulated], axis=0
+    )
+    second = int(np.argmin(log_ratios[1:])) + 1
+    name, ratio = simulated[0][second].name, math.exp(float(log_ratios[second]))
+    if ratio < _AMBIGUOUS_ERROR_RATIO:
+        proposed = proposed.with_ambiguity(
+            Ambiguity(
+                "the signs",
+                "as proposed",
+                f"{name} with the opposite sign",
+                f"the baseline model fits both about equally well, error ratio {ratio:.2f}",
+            )
+        )
+    evidence = (
+        f"simulation with the baseline model: the second best choice inverts {name}, with errors "
+        f"{ratio:.1f} times as large"
+    )
+    proposed = replace(proposed, evidence=(*proposed.evidence, evidence))
+    return [replace(proposed, sign_choices=trials) for trials in choices]
+
+
+def _torque_text(torque_nats: float, mirrored: bool, rig: Rig) -> str:
+    """Describe the evidence of the travel torque for the chosen image; empty if the rig states no torque."""
+    if not torque_nats:
+        return ""
+    nats = -torque_nats if mirrored else torque_nats
+    return (
+        f"; the constant travel torque of rig {rig.name} is {abs(nats):.1f} nats "
+        f"{'for' if nats >= 0.0 else 'against'} the choice"
+    )
+
+
+def _regression_sentence(axis: str, regression: RegressionFit) -> str:
+    """Describe how well the cause of an axis explains its acceleration."""
+    cause = {"elevation": "the sum of the voltages", "pitch": "their difference", "travel": "pitch"}[axis]
+    direction = "with" if regression.gain >= 0.0 else "against"
+    return f"{axis} accelerates {direction} {cause}: {regression.log_likelihood_ratio:.0f} nats"
+
+
+def _hover_sentence(motion: MeasuredMotion, scale: Scale, reference: Reference) -> str:
+    """Compare the mean sum of the voltages with that of hover in the rig file."""
+    hover_V = abs(motion.mean_sum) * scale.volts(reference)
+    return f"hover: the voltages add up to {hover_V:.2f} V, and to {reference.hover_V:.2f} V in the rig file"
+
+
+def _angle_entries(
+    assignment: Assignment, scale: Scale, signs: SignChanges, reference: Reference, offset_deg: float
+) -> dict[str, Angle]:
+    """Make the entries of the profile for the angles, by axis; `offset_deg` is added to the elevation."""
+    return {
+        axis: Angle(
+            assignment.columns[axis],
+            scale.angles[axis],
+            reference.counts[axis],
+            getattr(signs, axis),
+            round(offset_deg, 3) if axis == "elevation" else 0.0,
+        )
+        for axis in AXES
+    }
+
+
+def _voltage_entries(
+    assignment: Assignment, scale: Scale, signs: SignChanges, reference: Reference
+) -> dict[str, Voltage]:
+    """Make the entries of the profile for the voltages: sum and difference, or front and back."""
+    pair = [
+        Voltage(column, scale.voltage, scale.full_scale, reference.supply_V, polarity, factor=scale.factor)
+        for column, polarity in zip(assignment.voltages, assignment.polarity, strict=True)
+    ]
+    if assignment.summed:
+        if scale.bias_removed:
+            pair[0] = replace(pair[0], offset_V=round(reference.hover_V, 3))
+        if signs.motors_swapped:
+            pair[1] = replace(pair[1], sign=-pair[1].sign)
+        return dict(zip(SUMS, pair, strict=True))
+    return dict(zip(PAIR, pair[::-1] if signs.motors_swapped else pair, strict=True))

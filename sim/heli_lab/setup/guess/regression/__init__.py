@@ -1,1 +1,0 @@
-"""Columns as signals with scales, and how well the equations of motion explain an assignment of them."""

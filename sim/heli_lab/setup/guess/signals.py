@@ -1,0 +1,326 @@
+"""Make signals of the columns of a table: the time, the longest part without a jump, filter, derivatives."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+from heli_host.data.arrays import Booleans, Floats
+from heli_host.data.tables import Column, Table
+from heli_host.data.tables.table import TIME_UNITS, split_unit
+from numpy.typing import NDArray
+
+from heli_lab.setup.guess import names
+
+NO_RATE: Final = "give a column of times, or the sampling rate with --rate"
+"""Fix of a file without times."""
+_MIN_TIMES: Final = 10
+"""Smallest number of values of a time column."""
+_MIN_RISING_SHARE: Final = 0.995
+"""Smallest share of rows in which a time column rises; a clock may be set back now and then."""
+_MAX_UNEVENNESS: Final = 0.5
+"""Largest deviation of an even step from the median step, as a share of it."""
+_STEPS_s: Final = (0.0002, 0.15)
+"""Smallest and largest step of a log [s]; logs of such flights have at least 7 Hz."""
+_JUMP_STEPS: Final = 15.0
+"""A step of an angle this many times above its usual largest one is a jump. Angles have up to 3; voltages
+have up to 15, when a setpoint moves. Lower values cut flights there, higher ones miss jumps of slow logs."""
+_JUMP_SHARE: Final = 0.03
+"""Smallest jump as a share of the column's range. Smaller ones are left to the conversion, in degrees."""
+_MIN_ROWS: Final = 100
+_MAX_JUMPS: Final = 3
+"""Columns with more jumps are not angles: voltages that a controller switches jump all the time."""
+_MIN_MOVING_SHARE: Final = 0.03
+"""Share of rows with a change; setpoints have less, encoders at 1 kHz more."""
+
+SAMPLE_STEP_s: Final = 0.01
+"""Step of the resampled signals [s]. Set by judgement: far shorter than any motion of the arm."""
+CUTOFF_Hz: Final = 1.5
+"""Corner of the low-pass filter before differentiation [Hz]. Set on measured flights: at 3 Hz the
+quantisation of 50 Hz logs hides elevation, at 0.7 Hz the pitch loop is filtered out."""
+EDGE_S: Final = 0.7
+"""Time that is ignored at both ends because of the filter's transients [s]: one period of the corner."""
+_EXTENDED_ROWS: Final = 15
+"""Number of rows of padding at each end, reflected about the end value."""
+_COUNTER: Final = 65536.0
+"""Number at which a counter of 16 bits overflows."""
+_WRAP_STEPS: Final = 3.0
+"""Step across a wrap, as a multiple of the typical step nearby. Angles have about 1; a voltage at take-off
+has ten and more. A lost row next to a wrap doubles the step."""
+_NEARBY_ROWS: Final = 10
+"""Rows before and after a jump that count as nearby."""
+_SETTLED_ROWS: Final = round(16.0 / (CUTOFF_Hz * SAMPLE_STEP_s))
+"""Number of rows after which the impulse response of the low-pass filter has decayed to 1e-16."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Time column of a table."""
+
+    column: str  # Name of the column; empty if the table has no times
+    unit: str  # Unit: `s`, `ms`, `us`, `ns` or `min`; empty if no unit fits
+    sure: bool  # Whether column and unit are unambiguous
+    alternative: str = ""  # Other meaning of the column, or the reason why there is no column or no unit
+
+
+def clock_of(table: Table) -> Clock:
+    """Find the time column of a table and its unit: the best of all columns that rise from row to row.
+
+    A column counts for its name (2 points), for even steps (up to 1), for a unit with which it has a
+    plausible step (1), and if column and unit are unambiguous (1).
+    """
+    scored_clocks: list[tuple[float, Clock]] = []
+    why = "no column rises from row to row"
+    for name, column in table.columns.items():
+        values = column.values[np.isfinite(column.values)]
+        if values.size < _MIN_TIMES:
+            continue
+        steps = np.diff(values)
+        rising_share = float(np.mean(steps > 0.0))
+        if rising_share < _MIN_RISING_SHARE:
+            if names.is_time(name):
+                why = f"'{name}' rises in only {100.0 * rising_share:.0f} % of its rows"
+            continue
+        typical_step = float(np.median(steps))
+        even_share = float(np.mean(np.abs(steps / typical_step - 1.0) < _MAX_UNEVENNESS))
+        clock = _interpret_as_times(name, column.unit, typical_step)
+        score = 2.0 * names.is_time(name) + even_share + bool(clock.unit) + clock.sure
+        scored_clocks.append((score, clock))
+    if not scored_clocks:
+        return Clock("", "", False, why)
+    return max(scored_clocks, key=lambda scored: scored[0])[1]
+
+
+def _interpret_as_times(name: str, header_unit: str, step: float) -> Clock:
+    """Interpret a column that rises from row to row as times."""
+    shortest_s, longest_s = _STEPS_s
+    possible_units = [unit for unit, s in TIME_UNITS.items() if shortest_s <= step * s <= longest_s]
+    words = names.words_of(name)
+    stated_unit = header_unit or split_unit(name)[1]
+    if not stated_unit:
+        stated_unit = "ms" if "millis" in words else "us" if "micros" in words else ""
+    if stated_unit in TIME_UNITS and (stated_unit in possible_units or not possible_units):
+        return Clock(
+            name,
+            stated_unit if possible_units else "",
+            bool(possible_units),
+            f"steps of {step:g} {stated_unit} are implausible for a log",
+        )
+    if stated_unit in TIME_UNITS:
+        return Clock(
+            name, possible_units[0], False, f"in {stated_unit}, as its name says, with steps of {step:g}"
+        )
+    may_count_rows = abs(step - 1.0) < 1e-6
+    if may_count_rows and not (names.is_time(name) and possible_units):
+        return Clock(name, possible_units[0] if possible_units else "ms", False, "it may count rows")
+    if not possible_units:
+        return Clock(name, "", False, f"steps of {step:g} fit no unit of time")
+    # A log has steps of 0.2 to 150 ms. At most two units fit, and the larger one is meant.
+    return Clock(name, possible_units[0], not may_count_rows, "it may count rows" if may_count_rows else "")
+
+
+def times_in_s(table: Table, clock: Clock) -> Floats:
+    """Return the times of the rows since the first finite one [s], shape (n,)."""
+    values = table.columns[clock.column].values
+    first = values[np.isfinite(values)][0]
+    result: Floats = (values - first) * TIME_UNITS[clock.unit]
+    return result
+
+
+def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
+    """Cut out the longest part of a table in which times rise and no angle jumps; return it with its times.
+    Shapes: `t_s` (n,); returns `t_s` (k,).
+    """
+    known = np.flatnonzero(np.isfinite(t_s))
+    breaks = set(known[1:][np.diff(t_s[known]) < 0.0].tolist())
+    for name, column in table.columns.items():
+        if names.meaning_of(name).role not in names.VOLTAGE_ROLES:
+            breaks |= _jump_rows(column.values, t_s)
+    edges = [0, *sorted(breaks), len(t_s)]
+    if len(edges) == 2:
+        return table, t_s
+    start, stop = max(itertools.pairwise(edges), key=lambda run: run[1] - run[0])
+    columns = {name: Column(column.values[start:stop], column.unit) for name, column in table.columns.items()}
+    return Table(table.source, columns, table.notes, table.named), t_s[start:stop]
+
+
+def _jump_rows(values: Floats, t_s: Floats) -> set[int]:
+    """Find the rows at which an encoder's angle jumps, as when a program joins two flights in one log."""
+    known = np.flatnonzero(np.isfinite(values) & np.isfinite(t_s))
+    # Voltages jump with their setpoints; only encoders are quantised.
+    if known.size < _MIN_ROWS or not quantisation_step(values):
+        return set()
+    elapsed_rows = np.maximum(np.diff(t_s[known]) / float(np.median(np.diff(t_s[known]))), 1.0)
+    changes = np.abs(np.diff(unwrapped(values[known])))
+    moving = changes[changes > 0.0]
+    # A setpoint stands still except for its jumps.
+    if moving.size < _MIN_MOVING_SHARE * changes.size:
+        return set()
+    typical_maximum = float(np.quantile(moving, 0.99))
+    is_jump = changes > _JUMP_STEPS * typical_maximum * elapsed_rows
+    is_jump &= changes > _JUMP_SHARE * np.ptp(values[known])
+    jumps = [int(row) for row in np.flatnonzero(is_jump)]
+    if len(jumps) > _MAX_JUMPS:
+        return set()
+    for row in jumps:
+        # The angle moves smoothly before and after its jump.
+        neighbours = np.delete(changes[max(row - 5, 0) : row + 6], min(row, 5))
+        if float(neighbours.max(initial=0.0)) > 3.0 * typical_maximum:
+            return set()
+    return {int(known[row + 1]) for row in jumps}
+
+
+def quantisation_step(values: Floats) -> float:
+    """Find the quantisation step of a column, in its unit; 0 if the column is not quantised. Shapes:
+    `values` (n,).
+
+    A column is quantised if more than nine tenths of its small changes are multiples of the smallest one.
+    """
+    changes = np.abs(np.diff(values[np.isfinite(values)]))
+    # Without the rounding errors of floats.
+    changes = changes[changes > 1e-9 * max(1.0, float(np.ptp(values)))]
+    if not changes.size:
+        return 0.0
+    smallest = float(changes.min())
+    # The mean of all single steps has less rounding than the smallest change.
+    step = float(changes[changes < 1.5 * smallest].mean())
+    # A change of more than 20 steps contains the step's error 20 times, which exceeds the tolerance below.
+    multiples = changes[changes < 20.0 * step] / step
+    is_multiple = np.abs(multiples - np.round(multiples)) < 0.05
+    return step if float(np.mean(is_multiple)) > 0.9 else 0.0
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A low-passed column and its derivatives: `value`, `rate` and `acceleration`, each of shape (n,).
+
+    The unit is the column's, per s and per s^2.
+    """
+
+    value: Floats
+    rate: Floats
+    acceleration: Floats
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Columns of a table at even times, by name."""
+
+    t_s: Floats  # (n,): Even times [s]
+    raw: Mapping[str, Floats]  # (n,): Values at these times, unwrapped, without low-pass filter
+    filtered: Mapping[str, Signal]  # Low-passed values with their derivatives
+    inner: Booleans  # (n,): False for rows near both ends, where the filter has transients
+    counts_per_turn: tuple[float, ...] = ()  # Counts per turn of the encoders that a column may come from
+
+
+def column_signals(
+    table: Table, t_s: Floats, columns: list[str], counts_per_turn: Collection[float] = ()
+) -> Signals:
+    """Resample columns of a table to even times, and low-pass them. Shapes: `t_s` (n,)."""
+    has_time = np.isfinite(t_s)
+    has_time[has_time] = np.concatenate(([True], np.diff(t_s[has_time]) > 0.0))
+    even_s = np.arange(t_s[has_time][0], t_s[has_time][-1], SAMPLE_STEP_s)
+    raw = {}
+    for name in columns:
+        values = table.columns[name].values
+        known = has_time & np.isfinite(values)
+        if known.sum() > 10:
+            raw[name] = np.interp(even_s, t_s[known], unwrapped(values[known], counts_per_turn))
+    filtered = {name: filtered_signal(samples) for name, samples in raw.items()}
+    inner = (even_s > even_s[0] + EDGE_S) & (even_s < even_s[-1] - EDGE_S)
+    return Signals(even_s, raw, filtered, inner, tuple(counts_per_turn))
+
+
+def filtered_signal(values: Floats, cutoff_Hz: float = CUTOFF_Hz) -> Signal:
+    """Low-pass evenly sampled `values` with zero phase, and differentiate the result twice."""
+    extended = np.pad(values, _EXTENDED_ROWS, mode="reflect", reflect_type="odd")
+    # The second pass, backwards in time, cancels the phase lag of the first one.
+    forward = _butterworth(extended, cutoff_Hz)
+    low_passed = _butterworth(forward[::-1], cutoff_Hz)[::-1][_EXTENDED_ROWS:-_EXTENDED_ROWS]
+    rate = np.gradient(low_passed, SAMPLE_STEP_s)
+    return Signal(low_passed, rate, np.gradient(rate, SAMPLE_STEP_s))
+
+
+def _butterworth(values: Floats, cutoff_Hz: float) -> Floats:
+    """Apply a fourth-order Butterworth low-pass that is settled at the first value.
+
+    The result equals that of scipy.signal.sosfilt, but importing scipy.signal takes longer than a guess.
+    """
+    # The next power of 2 at which the end of the circular convolution does not reach its beginning.
+    fft_rows = 1 << (values.size + _SETTLED_ROWS - 1).bit_length()
+    spectrum = np.fft.rfft(values - values[0], fft_rows)
+    convolution = np.fft.irfft(spectrum * _butterworth_response(fft_rows, cutoff_Hz), fft_rows)
+    low_passed: Floats = convolution[: values.size] + values[0]
+    return low_passed
+
+
+@cache
+def _butterworth_response(fft_rows: int, cutoff_Hz: float) -> NDArray[np.complex128]:
+    """Frequency response of a digital fourth-order Butterworth filter (bilinear transform), at the
+    frequencies of a real FFT of `fft_rows` values; shape (fft_rows / 2 + 1,).
+    """
+    warped = np.tan(np.pi * np.fft.rfftfreq(fft_rows)) / np.tan(np.pi * cutoff_Hz * SAMPLE_STEP_s)
+    # Poles of the analogue prototype, evenly spaced on the left half of the unit circle.
+    poles = np.exp(1j * np.pi * np.array([5.0, 7.0, 9.0, 11.0]) / 8.0)
+    response: NDArray[np.complex128] = 1.0 / np.prod(1j * warped[:, None] - poles, axis=1)
+    return response
+
+
+def unwrapped(values: Floats, counts_per_turn: Collection[float] = ()) -> Floats:
+    """Unwrap a column that jumps by one turn; return other columns unchanged. Shapes: `values` (n,).
+
+    At a wrap, the jump minus one turn is a step as small as the steps nearby. A voltage that is switched on
+    may jump by nearly a turn too, but the difference from a turn is large; such a column stays unchanged.
+    """
+    steps = np.abs(np.diff(values))
+    # A wrap crosses almost the whole range of the column, and happens seldom.
+    is_jump = steps > 0.5 * np.ptp(values)
+    jumps = steps[is_jump]
+    if not jumps.size or jumps.size > 0.02 * values.size:
+        return values
+    largest_smooth_step = _WRAP_STEPS * _typical_steps_near_jumps(steps, is_jump)
+    for turn in (2.0 * np.pi, 360.0, 1.0, *sorted(set(counts_per_turn)), _COUNTER):
+        is_about_a_turn = np.all(np.abs(jumps / turn - 1.0) < 0.2)
+        is_smooth = np.median(np.abs(jumps - turn) - largest_smooth_step) <= 0.0
+        # The range of a wrapped angle is at most a turn.
+        if is_about_a_turn and is_smooth and np.ptp(values) < 1.05 * turn:
+            result: Floats = np.unwrap(values, period=turn)
+            return result
+    return values
+
+
+def _typical_steps_near_jumps(steps: Floats, is_jump: Booleans) -> Floats:
+    """Return, for each of the k jumps, the median of the steps nearby, which do not count jumps; at least
+    the smallest step of the column. Shapes: `steps` (n,), `is_jump` (n,); returns (k,).
+    """
+    small_steps = np.where(is_jump, 0.0, steps)
+    smallest = float(np.min(small_steps[small_steps > 0.0], initial=np.inf))
+    if np.isinf(smallest):
+        return np.zeros(int(is_jump.sum()))
+    nearby_rows = [
+        slice(max(row - _NEARBY_ROWS, 0), row + _NEARBY_ROWS + 1) for row in np.flatnonzero(is_jump)
+    ]
+    return np.array([max(float(np.median(small_steps[rows])), smallest) for rows in nearby_rows])
+
+
+def delay(values: Floats, lag_s: float) -> Floats:
+    """Delay evenly sampled `values` by `lag_s` [s]; the end value fills the gap."""
+    rows = round(lag_s / SAMPLE_STEP_s)
+    result: Floats = np.roll(values, rows)
+    if rows > 0:
+        result[:rows] = values[0]
+    elif rows < 0:
+        result[rows:] = values[-1]
+    return result
+
+
+def lagged(values: Floats, time_constant_s: float) -> Floats:
+    """Pass evenly sampled `values` through a first-order lag that is settled at the first value."""
+    age_s = np.arange(0.0, 10.0 * time_constant_s, SAMPLE_STEP_s)
+    weight = np.exp(-age_s / time_constant_s)
+    result: Floats = np.convolve(values - values[0], weight / weight.sum())[: values.size] + values[0]
+    return result

@@ -1,0 +1,535 @@
+"""Find units, zero and limits: a stated unit decides; gains, hover voltage and table confirm it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from heli_host.data.arrays import Floats
+from heli_host.data.tables import Profile, Table, flights_of
+from heli_host.data.tables.table import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS
+from heli_sim.rig import Rig
+
+from heli_lab.setup.guess.columns import PreparedFile, stated_unit
+from heli_lab.setup.guess.motion import (
+    NO_LIMITS,
+    REST_DURATION_S,
+    Assignment,
+    Reference,
+    RegressionFit,
+    axis_regressions,
+    free_rows,
+    pooled_fits,
+    sum_and_difference,
+)
+from heli_lab.setup.guess.names import AXES, is_half
+from heli_lab.setup.guess.result import DECISIVE_NATS, Ambiguity
+from heli_lab.setup.guess.signals import SAMPLE_STEP_s, Signals, quantisation_step
+
+_ANGLE_UNITS: Final = ("rad", "deg", COUNT, "turn", "mrad")
+_VOLTAGE_UNITS: Final = ("V", "mV", "duty", "percent", "pwm")
+_FULL_SCALES: Final = (255.0, 1023.0, 4095.0)
+_RARE_UNIT_NATS: Final = {"turn": 3.0, "mrad": 3.0, "mV": 1.0, "percent": 1.0, "duty": 1.0}
+"""Penalty of a rare unit that the file does not state [nats]."""
+_MIXED_UNITS_NATS: Final = 3.0
+"""Penalty of an angle whose unit differs from elevation's, unless it is stated [nats]."""
+_MISSING_BIAS_NATS: Final = 4.0
+"""Penalty of a sum that was logged without its bias [nats]."""
+_HALVED_SUM_NATS: Final = 3.0
+"""Penalty of half sums and half differences that no name states [nats]."""
+_IMPLAUSIBLE_PEAK_NATS: Final = 6.0
+"""Penalty of a voltage unit in which the peak is outside of the plausible shares of the supply [nats]."""
+_PLAUSIBLE_PEAK_SHARES: Final = (0.16, 1.2)
+"""Plausible peak voltages over the rig file's supply; the upper limit allows another supply."""
+_MAX_SHARE: Final = 1.02
+"""Upper limit for units that are shares of the supply: a share above 1 is impossible."""
+_SATURATION_NATS: Final = 3.0
+"""Penalty of a unit that is not stated and in which some commands exceed the supply [nats]. Set by judgement:
+such logs are rarer than those of limited voltages."""
+_COUNTS_TOLERANCE: Final = 0.01
+"""Largest relative difference between the steps per turn of a column and the counts of an encoder."""
+_QUANTISATION_NATS: Final = 3.0
+"""Reward of an angle quantised by the encoder; penalty of whole numbers that are not counts [nats]."""
+_GAIN_STD: Final = {"elevation": 0.5, "pitch": 0.7, "travel": 0.4}
+"""Standard deviation of the logarithm of measured over modelled gain. On measured flights this logarithm is
+up to 0.87 on pitch, 0.57 on elevation and 0.45 on travel. Smaller values give wrong units with a rough rig
+file, larger ones do not distinguish counts from degrees."""
+_HOVER_STD: Final = 0.25
+"""Standard deviation of the logarithm of measured over modelled hover voltage. Measured and simulated flights
+are within 0.15."""
+_MAX_DEVIATION_STD: Final = 3.0
+"""Deviation from the rig file, in standard deviations, from which on the guess reports that no unit fits."""
+_MAX_ALTERNATIVES: Final = 4
+"""Largest number of other units that an ambiguity lists."""
+REST_TOLERANCE_DEG: Final = 4.0
+"""Largest difference between elevation at rest and the rig file's table angle, in addition to its tolerance
+[deg]. Measured flights rest at -30.0 and -30.4 deg. Rest and level differ by 25 deg, so any value between 2
+and 10 distinguishes them."""
+_STILL_deg: Final = 0.5
+"""Largest range of the elevation at rest [deg]: five counts of an encoder with 4096 per turn."""
+_MIN_RISE_deg: Final = 5.0
+"""Smallest difference between the median of a flight and its beginning [deg] for the beginning to be a rest
+on the table. Rest and level differ by some 25 deg, so values up to 20 distinguish a rest from a hover."""
+_LOWEST_deg: Final = 3.0
+"""Largest elevation above the lowest of a flight [deg] that still counts as the lowest. Flights are some
+25 deg above their rest, so values up to 20 distinguish them."""
+_CLIP_SHARE: Final = 1.02
+"""Share of the supply from which on a voltage is a command before saturation. Rounding stays below it."""
+_CLIPPED_SHARES: Final = (0.002, 0.5)
+"""Shares of rows beyond a limit between which commands are taken to be limited there. Fewer rows change no
+gain; with more, the supply, a sign or a zero is wrong. Control loops with commands beyond the supply for 40 %
+of the time still fly."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """One choice of units for all columns, with its likelihood."""
+
+    angles: Mapping[str, str]  # Unit of each axis
+    voltage: str  # Unit of both voltages
+    full_scale: float  # Value of full supply, for `pwm`
+    factor: float  # 2 if the voltages are half sums and half differences, otherwise 1
+    bias_removed: bool  # Whether the sum was logged without its bias
+    log_likelihood: float = 0.0  # Log-likelihood of this choice [nats]
+    deviation_std: Mapping[str, float] | None = None
+    """Deviation from the rig file in standard deviations, by axis and for `hover`."""
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units and factors as a profile states them."""
+        return (*self.angles.values(), self.voltage, str(self.full_scale), str(self.factor))
+
+    def volts(self, reference: Reference) -> float:
+        """Volts per unit of the voltage columns."""
+        if self.voltage in VOLTAGE_UNITS:
+            return self.factor * VOLTAGE_UNITS[self.voltage]
+        full_scale = self.full_scale if self.voltage == "pwm" else SHARES[self.voltage]
+        return self.factor * reference.supply_V / full_scale
+
+    def rad(self, reference: Reference) -> dict[str, float]:
+        """Radians per unit of each angle's column, by axis."""
+        return {
+            axis: 2.0 * math.pi / reference.counts[axis] if unit == COUNT else ANGLE_UNITS[unit]
+            for axis, unit in self.angles.items()
+        }
+
+    def agrees(self, stated_units: Mapping[str, str]) -> bool:
+        """Whether the units are those that the file states."""
+        units = {**self.angles, "voltage": self.voltage}
+        return all(stated_units.get(name, "") in ("", unit) for name, unit in units.items())
+
+    def __str__(self) -> str:
+        if len(set(self.angles.values())) == 1:
+            angle_units = self.angles[AXES[0]]
+        else:
+            angle_units = ", ".join(f"{axis} in {unit}" for axis, unit in self.angles.items())
+        halves = ", sum and difference by halves" if self.factor != 1.0 else ""
+        return f"angles in {angle_units}, voltages in {self.voltage}{self.full_scale_text}{halves}"
+
+    @property
+    def full_scale_text(self) -> str:
+        """Words for the value of full supply, if the voltages are in ``pwm``; otherwise empty."""
+        return f" of {self.full_scale:g}" if self.voltage == "pwm" else ""
+
+
+@dataclass(frozen=True)
+class MeasuredMotion:
+    """Measured gains, ranges and steps of the assigned columns, from which their units are inferred.
+
+    All values are in the units of the columns.
+    """
+
+    gain: Mapping[str, float]  # Size of the gain of each axis as in `Reference.gain`
+    mean_sum: float  # Mean of the sum of the voltages in flight
+    total: Floats  # total, difference: (n,): Sum and difference of the voltages
+    difference: Floats
+    quantisation_step: Mapping[str, float]  # Smallest step of each angle; 0 if the angle is not quantised
+    integer_valued: Mapping[str, bool]  # Whether each angle has whole numbers only
+    stated_units: Mapping[str, str]
+    """Units that names or the file state, by axis and for `voltage`; empty if none is stated."""
+    summed: bool  # Whether the voltages are sum and difference instead of front and back
+    halved: bool  # Whether a name states that these are half sums or half differences
+
+    def supply_shares(self, scale: Scale, reference: Reference) -> Floats:
+        """Larger voltage of the two motors over the supply, in the units of a scale, shape (n,)."""
+        volts = scale.volts(reference)
+        bias = reference.hover_V / volts * scale.bias_removed
+        sizes_V: Floats = 0.5 * volts * (np.abs(self.total + bias) + np.abs(self.difference))
+        return sizes_V / reference.supply_V
+
+    def exceeds(self, scale: Scale, reference: Reference) -> bool:
+        """Whether a few commands exceed the supply in the units of a scale, so that they act limited."""
+        share_beyond = float(np.mean(self.supply_shares(scale, reference) > _CLIP_SHARE))
+        return _CLIPPED_SHARES[0] < share_beyond <= _CLIPPED_SHARES[1]
+
+
+def measured_motion(
+    files: Sequence[PreparedFile], assignment: Assignment, reference: Reference
+) -> MeasuredMotion:
+    """Measure the motion of the assigned columns over all files of one rig."""
+    first = files[0]
+    regressions = pooled_fits([axis_regressions(file.signals, assignment, reference) for file in files])
+    means = []
+    sums_and_differences = [sum_and_difference(file.signals, assignment) for file in files]
+    for file, (total, _) in zip(files, sums_and_differences, strict=True):
+        rows = free_rows(file.signals, assignment.columns["elevation"])
+        means.append(float(np.mean(total[rows])) if rows.any() else 0.0)
+    columns = {axis: assignment.columns[axis] for axis in AXES}
+    values = {axis: first.table.columns[column].values for axis, column in columns.items()}
+    angle_units, voltage_units = frozenset(_ANGLE_UNITS), frozenset((*VOLTAGE_UNITS, *SHARES))
+    stated = {axis: stated_unit(first.table, column, angle_units) for axis, column in columns.items()}
+    voltage = [stated_unit(first.table, column, voltage_units) for column in assignment.voltages]
+    return MeasuredMotion(
+        gain={axis: abs(regressions[axis].gain) for axis in AXES},
+        mean_sum=float(np.mean(means)),
+        total=np.concatenate([total for total, _ in sums_and_differences]),
+        difference=np.concatenate([difference for _, difference in sums_and_differences]),
+        quantisation_step={axis: quantisation_step(values[axis]) for axis in AXES},
+        integer_valued={
+            axis: bool(np.all(np.mod(values[axis][np.isfinite(values[axis])], 1.0) == 0.0)) for axis in AXES
+        },
+        stated_units={**stated, "voltage": voltage[0] or voltage[1]},
+        summed=assignment.summed,
+        halved=any(is_half(column) for column in assignment.voltages),
+    )
+
+
+def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
+    """Score all combinations of units of angles and voltages; return them, the most likely first."""
+    voltage_choices = [(unit, 255.0) for unit in _VOLTAGE_UNITS if unit != "pwm"]
+    voltage_choices += [("pwm", full_scale) for full_scale in _FULL_SCALES]
+    sums = list(itertools.product((1.0, 2.0), (False, True))) if motion.summed else [(1.0, False)]
+    ranked = []
+    for (unit, full_scale), (factor, bias_removed) in itertools.product(voltage_choices, sums):
+        choice = Scale(dict.fromkeys(AXES, "rad"), unit, full_scale, factor, bias_removed)
+        mean_V = abs(motion.mean_sum) * choice.volts(reference)
+        if bias_removed and mean_V > 0.5 * reference.hover_V:
+            continue
+        hover_std = 0.0 if bias_removed else _deviation_std(mean_V, reference.hover_V, _HOVER_STD)
+        voltage_nats = _voltage_unit_nats(choice, motion, reference) - 0.5 * hover_std**2
+        for units in itertools.product(_ANGLE_UNITS, repeat=3):
+            scale = replace(choice, angles=dict(zip(AXES, units, strict=True)))
+            deviation_std = _gain_deviations(scale, motion, reference)
+            nats = voltage_nats - 0.5 * sum(deviation**2 for deviation in deviation_std.values())
+            nats += sum(_angle_unit_nats(scale, axis, motion, reference) for axis in AXES)
+            ranked.append(
+                replace(scale, log_likelihood=nats, deviation_std={"hover": hover_std, **deviation_std})
+            )
+    return sorted(ranked, key=lambda scale: -scale.log_likelihood)
+
+
+def _voltage_unit_nats(choice: Scale, motion: MeasuredMotion, reference: Reference) -> float:
+    """Log-likelihood of a unit of the voltages [nats], by names and the voltages' range; the gains of the
+    axes are scored separately.
+    """
+    stated = motion.stated_units["voltage"]
+    nats = 0.0 if stated else -_RARE_UNIT_NATS.get(choice.voltage, 0.0)
+    if choice.bias_removed:
+        nats -= _MISSING_BIAS_NATS
+    if motion.summed and motion.halved != (choice.factor != 1.0):
+        nats -= _HALVED_SUM_NATS
+    min_share, max_share = _PLAUSIBLE_PEAK_SHARES
+    if choice.voltage not in VOLTAGE_UNITS:
+        max_share = _MAX_SHARE
+    # Half a percent of the rows may be outliers.
+    peak_share = float(np.quantile(motion.supply_shares(choice, reference), 0.995))
+    if min_share < peak_share < max_share:
+        return nats
+    if peak_share >= max_share and motion.exceeds(choice, reference):
+        return nats - (0.0 if stated else _SATURATION_NATS)
+    return nats - _IMPLAUSIBLE_PEAK_NATS
+
+
+def _gain_deviations(scale: Scale, motion: MeasuredMotion, reference: Reference) -> dict[str, float]:
+    """Compare each axis' measured gain with the rig file's; return deviations in standard deviations, by
+    axis.
+    """
+    volts, rad = scale.volts(reference), scale.rad(reference)
+    measured = {
+        "elevation": motion.gain["elevation"] * rad["elevation"] / volts,
+        "pitch": motion.gain["pitch"] * rad["pitch"] / volts,
+        "travel": motion.gain["travel"] * rad["travel"] / rad["pitch"],
+    }
+    return {axis: _deviation_std(measured[axis], reference.gain[axis], _GAIN_STD[axis]) for axis in AXES}
+
+
+def _deviation_std(measured: float, reference: float, std: float) -> float:
+    """Logarithm of a measured value over the reference's, in units of its standard deviation `std`; 0 if the
+    reference is 0.
+    """
+    return math.log(max(abs(measured), 1e-300) / abs(reference)) / std if reference else 0.0
+
+
+def _angle_unit_nats(scale: Scale, axis: str, motion: MeasuredMotion, reference: Reference) -> float:
+    """Log-likelihood of the unit of an axis [nats], by quantisation; whole numbers are counts."""
+    unit = scale.angles[axis]
+    nats = 0.0
+    if not motion.stated_units[axis]:
+        nats -= _RARE_UNIT_NATS.get(unit, 0.0)
+        nats -= _MIXED_UNITS_NATS if unit != scale.angles["elevation"] else 0.0
+    if motion.integer_valued[axis] or unit == COUNT:
+        is_count = motion.integer_valued[axis] and unit == COUNT
+        return nats if is_count else nats - _QUANTISATION_NATS
+    step_rad = motion.quantisation_step[axis] * scale.rad(reference)[axis]
+    if not step_rad:
+        return nats
+    is_rigs_encoder = abs(2.0 * math.pi / step_rad / reference.counts[axis] - 1.0) < _COUNTS_TOLERANCE
+    return nats + _QUANTISATION_NATS * is_rigs_encoder
+
+
+def choose_scale(motion: MeasuredMotion, reference: Reference, rig: Rig) -> tuple[Scale, list[Ambiguity]]:
+    """Choose the units: those that the file states, and otherwise those with gains most like the rig's."""
+    ranked = scales(motion, reference)
+    as_stated = [scale for scale in ranked if scale.agrees(motion.stated_units)] or ranked
+    best = as_stated[0]
+    return best, [
+        *_contradicted_headers(best, ranked[0], motion),
+        *_equally_likely_units(as_stated, motion, reference, rig),
+        *_implausible_scales(best, rig),
+        *_supply_ambiguities(as_stated, motion, reference),
+    ]
+
+
+def _contradicted_headers(best: Scale, by_motion: Scale, motion: MeasuredMotion) -> list[Ambiguity]:
+    """Report each stated unit of which the motion fits another one decisively better."""
+    if by_motion.log_likelihood - best.log_likelihood < DECISIVE_NATS:
+        return []
+    subjects = {axis: f"{axis}'s unit" for axis in AXES} | {"voltage": "the voltages' unit"}
+    units = {**by_motion.angles, "voltage": by_motion.voltage}
+    return [
+        Ambiguity(
+            subject,
+            f"{motion.stated_units[name]}, as the header says",
+            units[name],
+            "the motion fits another unit than the header",
+        )
+        for name, subject in subjects.items()
+        if motion.stated_units[name] not in ("", units[name])
+    ]
+
+
+def _equally_likely_units(
+    possible: Sequence[Scale], motion: MeasuredMotion, reference: Reference, rig: Rig
+) -> list[Ambiguity]:
+    """Report the other units that are nearly as likely as the best ones, in one ambiguity."""
+    best = possible[0]
+    # Some choices have the same units, and differ only in whether the bias is removed: keep the most likely.
+    others: dict[tuple[str, ...], Scale] = {}
+    for scale in possible:
+        if scale.units != best.units and best.log_likelihood - scale.log_likelihood < DECISIVE_NATS:
+            others.setdefault(scale.units, scale)
+    if not others:
+        return []
+    near = list(others.values())
+    clipped = f", clipped to {reference.supply_V:g} V"
+    texts = [
+        f"{scale}{clipped if motion.exceeds(scale, reference) else ''}" for scale in near[:_MAX_ALTERNATIVES]
+    ]
+    return [
+        Ambiguity(
+            "the units",
+            str(best),
+            ", or ".join(texts),
+            f"for rig {rig.name} they differ by only "
+            f"{best.log_likelihood - near[0].log_likelihood:.1f} nats; "
+            "state the unit in the header or the profile",
+        )
+    ]
+
+
+def _implausible_scales(best: Scale, rig: Rig) -> list[Ambiguity]:
+    """Report each quantity that differs much from the rig file even in the chosen unit."""
+    return [
+        Ambiguity(
+            f"the scale of {quantity}",
+            str(best),
+            f"a much {'larger' if deviation_std < 0 else 'smaller'} unit",
+            f"even the best unit is {abs(deviation_std):.1f} standard deviations from rig "
+            f"{rig.name}; give your rig with --rig",
+        )
+        for quantity, deviation_std in (best.deviation_std or {}).items()
+        if abs(deviation_std) > _MAX_DEVIATION_STD
+    ]
+
+
+def _supply_ambiguities(
+    possible: Sequence[Scale], motion: MeasuredMotion, reference: Reference
+) -> list[Ambiguity]:
+    """Report an unknown bias of the voltages, and an unknown supply."""
+    best, ambiguities = possible[0], []
+    if best.bias_removed:
+        ambiguities.append(
+            Ambiguity(
+                "the sum's bias",
+                f"{reference.hover_V:.2f} V, the rig file's hover voltage",
+                "another value",
+                "the sum was logged without its bias; look up the bias and set offset_V",
+            )
+        )
+    if best.voltage in SHARES and not motion.stated_units["voltage"]:
+        in_volts = max((each.log_likelihood for each in possible if each.voltage == "V"), default=-math.inf)
+        or_volts = ", or V" if best.log_likelihood - in_volts < 2.0 * DECISIVE_NATS else ""
+        ambiguities.append(
+            Ambiguity(
+                "the voltages' unit",
+                f"{best.voltage}{best.full_scale_text}, a share of {reference.supply_V:g} V",
+                f"a share of another supply{or_volts}",
+                "the file does not state it; measure the supply and set supply_V",
+            )
+        )
+    return ambiguities
+
+
+@dataclass(frozen=True)
+class RestElevation:
+    """Elevation at the beginning of a flight, where the arm may rest on its table."""
+
+    deg: float | None  # Elevation at rest [deg], with its sign; None if the flight does not begin at rest
+    median_deg: float  # Median of the elevation in the flight [deg]
+    begins_lowest: bool  # Whether the flight begins at its lowest elevation
+
+
+def rest_elevation(signals: Signals, column: str, deg_per_unit: float) -> RestElevation:
+    """Find the elevation at which the arm rests at the beginning of a flight."""
+    elevation_deg = deg_per_unit * signals.raw[column]
+    # An unsigned counter that starts below 0 has an offset of one turn.
+    elevation_deg = elevation_deg - 360.0 * np.round(np.median(elevation_deg) / 360.0)
+    beginning_deg = elevation_deg[: round(REST_DURATION_S / SAMPLE_STEP_s)]
+    median_deg = float(np.median(elevation_deg))
+    start_deg = float(np.median(beginning_deg))
+    is_at_rest = float(np.ptp(beginning_deg)) < _STILL_deg and abs(median_deg - start_deg) > _MIN_RISE_deg
+    return RestElevation(
+        deg=start_deg if is_at_rest else None,
+        median_deg=median_deg,
+        begins_lowest=start_deg < float(elevation_deg.min()) + _LOWEST_deg,
+    )
+
+
+def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, list[Ambiguity]]:
+    """Decide which angle to add to the elevation so that it is 0 at level [deg].
+
+    Programs zero the elevation either at level or at rest on the table. The rest at the beginning of the
+    flight shows which, because the rig file states the angle of the arm on its table.
+    """
+    table_deg = reference.rest_deg
+    tolerance_deg = REST_TOLERANCE_DEG + reference.rest_tolerance_deg
+    if rest.deg is None:
+        if abs(rest.median_deg) < 0.5 * abs(table_deg):
+            return 0.0, []
+        return 0.0, [
+            Ambiguity(
+                "the elevation's zero",
+                f"0 as it is, with {rest.median_deg:.0f} deg in flight",
+                f"0 at rest, so {table_deg:g} deg to add",
+                "the flight does not begin at rest; start logging while the arm is on the table",
+            )
+        ]
+    zero_at_level = abs(rest.deg - table_deg) < tolerance_deg
+    zero_at_rest = abs(rest.deg) < tolerance_deg
+    if rest.begins_lowest and zero_at_level != zero_at_rest:
+        return (0.0 if zero_at_level else table_deg - rest.deg), []
+    at_rest = f"{table_deg - rest.deg:.1f} deg to add, so that it rests at {table_deg:g} deg"
+    # A log that begins in flight may be zeroed there, and most pilots fly near level.
+    in_flight = (
+        "" if rest.begins_lowest else f", or {-rest.median_deg:.1f} deg to add, so that it flies at 0 deg"
+    )
+    return 0.0, [
+        Ambiguity(
+            "the elevation's zero",
+            f"as it is, at rest {rest.deg:.1f} deg",
+            f"{at_rest}{in_flight}",
+            "with the rig file's table angle, neither level nor rest would be 0; measure the angle at rest",
+        )
+    ]
+
+
+def supply_limits(scale: Scale, motion: MeasuredMotion, reference: Reference) -> tuple[float, float]:
+    """Return the smallest and the largest voltage of a motor, in the unit of the columns.
+
+    The limits are minus and plus the supply if some commands exceed it, otherwise infinite.
+    """
+    limit = reference.supply_V / scale.volts(reference)
+    return (-limit, limit) if motion.exceeds(scale, reference) else NO_LIMITS
+
+
+def one_way_nats(
+    regress: Callable[[tuple[float, float]], Mapping[str, RegressionFit]], limits: tuple[float, float]
+) -> float:
+    """Log-likelihood ratio of motors that do not reverse against motors within the limits [nats]."""
+    reversing, one_way = regress(limits), regress((0.0, limits[1]))
+    return sum(
+        one_way[axis].log_likelihood_ratio - reversing[axis].log_likelihood_ratio
+        for axis in ("elevation", "pitch")
+    )
+
+
+def limited(
+    tables: Sequence[Table], profile: Profile, reference: Reference, nats_for_one_way: Callable[[], float]
+) -> tuple[Profile, list[Ambiguity]]:
+    """Add voltage limits to a profile, so that commands are clipped to what the amplifier gives."""
+    profile, supply_ambiguities = _clipped_to_supply(tables, profile, reference.supply_V)
+    profile, zero_ambiguities = _clipped_to_zero(tables, profile, reference, nats_for_one_way)
+    return profile, supply_ambiguities + zero_ambiguities
+
+
+def _voltages_V(tables: Sequence[Table], profile: Profile) -> Floats:
+    """Return the voltages of all flights of the tables [V], shape (n, 2)."""
+    return np.concatenate([flight.voltages_V for table in tables for flight in flights_of(table, profile)])
+
+
+def _clipped_to_zero(
+    tables: Sequence[Table], profile: Profile, reference: Reference, nats_for_one_way: Callable[[], float]
+) -> tuple[Profile, list[Ambiguity]]:
+    """Clip negative voltages of a profile to 0 V if the rig's motors do not reverse and the motion does not
+    contradict it; report it if the motion may be that of motors that do not reverse.
+    """
+    volts_V = _voltages_V(tables, profile)
+    share_below = float(np.mean(volts_V < (1.0 - _CLIP_SHARE) * reference.supply_V))
+    # Rotors that push down most of the time cannot fly: then signs or zeros are wrong, not the limits.
+    if not _CLIPPED_SHARES[0] <= share_below <= _CLIPPED_SHARES[1]:
+        return profile, []
+    nats = nats_for_one_way()
+    # If the rig file says that motors do not reverse, only clear evidence to the contrary keeps the commands.
+    if nats < (DECISIVE_NATS if reference.reverses else -DECISIVE_NATS):
+        return profile, []
+    # A reversed propeller may hardly push although its driver reverses, so the motion alone clips nothing. In
+    # a rig file whose reversed rotors do not push, clipped commands fly like the commands themselves.
+    is_clipped = not reference.reverses
+    top_V = max(reference.supply_V, math.ceil(volts_V.max()))
+    values = ("clipped to 0 V", f"as logged, down to {volts_V.min():.1f} V")
+    chosen, alternative = values if is_clipped else values[::-1]
+    ambiguity = Ambiguity(
+        "the voltages' lower limit",
+        chosen,
+        alternative,
+        f"{100.0 * share_below:.1f} % of the rows are below 0 V, and the motion is {abs(nats):.1f} nats "
+        f"{'for' if nats >= 0.0 else 'against'} motors that do not push when reversed; if yours cannot "
+        f"reverse, set clip_V to [0, {top_V:g}]",
+    )
+    return (replace(profile, clip_V=(0.0, top_V)) if is_clipped else profile), [ambiguity]
+
+
+def _clipped_to_supply(
+    tables: Sequence[Table], profile: Profile, limit_V: float
+) -> tuple[Profile, list[Ambiguity]]:
+    """Clip the voltages of a profile to the supply, `limit_V`, if a few exceed it; report it if any does."""
+    sizes_V = np.abs(_voltages_V(tables, profile))
+    largest_V = float(sizes_V.max())
+    share_beyond = float(np.mean(sizes_V > _CLIP_SHARE * limit_V))
+    if largest_V < _CLIP_SHARE * limit_V:
+        return profile, []
+    clipped = f"clipped to {limit_V:g} V, the rig file's supply"
+    as_logged = f"as logged, up to {largest_V:.1f} V"
+    if share_beyond > _CLIPPED_SHARES[1]:
+        reason = (
+            f"{100.0 * share_beyond:.0f} % of the rows exceed the supply; set clip_V, or give your rig with "
+            "--rig"
+        )
+        return profile, [Ambiguity("the voltages' limit", as_logged, clipped, reason)]
+    reason = "the amplifier cannot give more than the supply; set clip_V to your limit, or remove it"
+    ambiguity = Ambiguity("the voltages' limit", clipped, as_logged, reason)
+    return replace(profile, clip_V=(-limit_V, limit_V)), [ambiguity]

@@ -1,0 +1,216 @@
+"""Names decide which column is which; the motion confirms them, and proposes columns without names."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_host.data.arrays import Floats
+from heli_host.data.tables import Column, Table
+from heli_host.errors import FlightDataError
+from heli_lab.setup.guess import Guess
+from heli_lab.setup.guess.columns import ColumnOptions, column_options, prepare_file
+from heli_lab.setup.guess.motion import reference_of
+from heli_lab.setup.guess.names import is_time, meaning_of
+from heli_lab.setup.guess.propose import propose
+from heli_lab.setup.guess.result import NOTHING_KNOWN, read_known
+from heli_sim.rig import load_rig
+
+from tests.guess.flights import piloted
+
+RIG = load_rig("quanser-course")
+REFERENCE = reference_of(RIG)
+
+
+@pytest.mark.parametrize(
+    ("name", "role"),
+    [
+        ("Høyde (grader)", "elevation"),
+        ("Höhenwinkel [°]", "elevation"),
+        ("Élévation", "elevation"),
+        ("高度角(°)", "elevation"),
+        ("cabeceo", "pitch"),
+        ("俯仰角", "pitch"),
+        ("pitch_real_data", "pitch"),
+        ("Vandring", "travel"),
+        ("旋转角", "travel"),
+        ("Moteur arrière [V]", "back"),
+        ("前电机", "front"),
+        ("v_delantero", "front"),
+        ("cmd_front", "front"),
+        ("V_s", "sum"),
+        ("u2", ""),
+        ("x3", ""),
+    ],
+)
+def test_a_name_states_a_role(name: str, role: str) -> None:
+    meaning = meaning_of(name)
+    assert (meaning.role, meaning.quantity) == (role, "")
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity"),
+    [
+        ("pitch_ref", "a setpoint"),
+        ("e_c", "a setpoint"),
+        ("r[1]", "a setpoint"),
+        ("front_ref", "a setpoint"),
+        ("pitch [deg/s]", "a rate"),
+        ("lambda_dot", "a rate"),
+        ("pitch_filtered", "an estimate"),
+        ("front_current", "a current"),
+        ("i_f", "a current"),
+    ],
+)
+def test_a_name_states_another_quantity(name: str, quantity: str) -> None:
+    assert meaning_of(name).quantity == quantity
+
+
+@pytest.mark.parametrize("name", ["Tid [s]", "Zeit", "Temps (s)", "tiempo", "时间(s)"])
+def test_a_name_states_the_time(name: str) -> None:
+    assert is_time(name)
+
+
+def flight_table(pilot: str = "travel", commands: bool = False, **others: Floats) -> Table:
+    """A flight under `pilot` with named columns, and further columns of 12500 rows."""
+    source = piloted("quanser-course", pilot, 3, 25.0)
+    flight, every = source.flight, slice(None, None, 5)
+    volts = source.commands_V if commands else flight.voltages_V
+    columns = {"elevation": flight.elevation_rad, "pitch": flight.pitch_rad, "travel": flight.travel_rad}
+    columns |= {"front": volts[:, 0], "back": volts[:, 1], **others}
+    named = {name: Column(values[every]) for name, values in columns.items()}
+    return Table("x.csv", {"t": Column(flight.t_s[every]), **named})
+
+
+def renamed(table: Table, **names: str) -> Table:
+    return replace(table, columns={names.get(name, name): item for name, item in table.columns.items()})
+
+
+def proposed(table: Table) -> Guess:
+    return propose([table], RIG)[0]
+
+
+def columns_of(guess: Guess) -> dict[str, str]:
+    angles = {axis: angle.column for axis, angle in guess.profile.angles.items()}
+    return angles | {role: voltage.column for role, voltage in guess.profile.voltages.items()}
+
+
+def subjects(guess: Guess) -> set[str]:
+    return {ambiguity.subject for ambiguity in guess.ambiguities}
+
+
+@pytest.mark.medium
+def test_a_setpoint_never_replaces_a_column_that_a_name_calls_measured() -> None:
+    source = piloted("quanser-course", "travel", 3, 25.0)
+    late = np.roll(source.flight.pitch_rad, 20)
+    noisy = source.flight.pitch_rad + np.random.default_rng(1).normal(0.0, 0.01, late.size)
+    table = flight_table(pitch_ref=source.flight.pitch_rad, pitch_real_data=noisy, front_current=late)
+    guess = proposed(table)
+    assert columns_of(guess)["pitch"] == "pitch_real_data"
+    (left_out,) = (sentence for sentence in guess.evidence if sentence.startswith("left out"))
+    assert "pitch_ref (a setpoint)" in left_out
+    assert "pitch (pitch_real_data is measured)" in left_out
+    assert "front_current (a current)" in left_out
+    assert "the columns" not in subjects(guess)
+
+
+@pytest.mark.medium
+def test_names_that_the_motion_contradicts_are_kept_and_doubted() -> None:
+    guess = proposed(renamed(flight_table(), elevation="travel", travel="elevation"))
+    assert columns_of(guess)["elevation"] == "elevation"
+    (doubt,) = (ambiguity for ambiguity in guess.ambiguities if ambiguity.subject == "the columns")
+    assert "elevation is travel" in doubt.alternative and "disagree" in doubt.reason
+
+
+@pytest.mark.medium
+def test_without_names_the_motion_proposes_columns_and_asks_for_a_profile() -> None:
+    names = {"elevation": "x4", "pitch": "x2", "travel": "x0", "front": "x3", "back": "x1"}
+    guess = proposed(renamed(flight_table(), **names))
+    assert {role: columns_of(guess)[role] for role in ("elevation", "pitch", "travel")} == {
+        "elevation": "x4",
+        "pitch": "x2",
+        "travel": "x0",
+    }
+    (doubt,) = (ambiguity for ambiguity in guess.ambiguities if ambiguity.subject == "the columns")
+    assert "no name states elevation" in doubt.reason and "state them in a profile" in doubt.reason
+
+
+@pytest.mark.medium
+def test_the_one_column_that_is_left_for_a_role_needs_no_name() -> None:
+    guess = proposed(renamed(flight_table(), pitch="Pi"))
+    assert columns_of(guess)["pitch"] == "Pi"
+    assert "the columns" not in subjects(guess)
+
+
+@pytest.mark.medium
+def test_the_name_of_one_matrix_says_nothing_of_its_columns() -> None:
+    table = flight_table()
+    numbered = [f"pc_ec_lam_r_p[{number}]" for number in range(1, len(table.columns) + 1)]
+    options = options_of(replace(table, columns=dict(zip(numbered, table.columns.values(), strict=True))))
+    assert not options.stated and not options.left_out
+
+
+def options_of(table: Table) -> ColumnOptions:
+    return column_options([prepare_file(table, REFERENCE, None)], NOTHING_KNOWN)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("gain", [1.0, 0.05], ids=["volts", "the size of the rate"])
+def test_a_sum_that_follows_the_rate_of_elevation_is_no_copy_of_it(gain: float) -> None:
+    source = piloted("quanser-course", "hands off", 3, 25.0)
+    total = source.flight.voltages_V.sum(axis=1)
+    added = {"w1": gain * (total - total.mean()), "w2": source.rates_rad_s[:, 0]}
+    table = renamed(flight_table("hands off", **added), front="x1", back="x2")
+    options = options_of(table)
+    assert "w1" in options.by_role["sum"]
+    assert options.left_out["w2"] == "the rate of elevation"
+
+
+@pytest.mark.medium
+def test_a_known_column_keeps_its_role_against_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "known.toml"
+    path.write_text('[front]\ncolumn = "back"\n[back]\ncolumn = "front"\n')
+    guess, _ = propose([flight_table()], RIG, known=read_known(path))
+    assert {guess.profile.voltages[role].column for role in ("front", "back")} == {"front", "back"}
+    assert guess.profile.voltages["front"].column == "back"
+
+
+@pytest.mark.medium
+def test_a_stated_unit_decides_and_the_motion_doubts_it() -> None:
+    table = flight_table()
+    columns = {
+        name: replace(item, unit="deg") if name == "pitch" else item for name, item in table.columns.items()
+    }
+    guess = proposed(replace(table, columns=columns))
+    assert guess.profile.angles["pitch"].unit == "deg"
+    (doubt,) = (ambiguity for ambiguity in guess.ambiguities if ambiguity.subject == "pitch's unit")
+    assert (doubt.chosen, doubt.alternative) == ("deg, as the header says", "rad")
+
+
+@pytest.mark.medium
+def test_commands_beyond_the_supply_do_not_change_their_unit() -> None:
+    guess = proposed(flight_table("manual", commands=True))
+    assert {item.unit for item in guess.profile.voltages.values()} == {"V"}
+
+
+@pytest.mark.medium
+def test_a_file_without_voltages_is_refused_with_the_reason() -> None:
+    table = flight_table()
+    angles = {name: item for name, item in table.columns.items() if name not in ("front", "back")}
+    with pytest.raises(FlightDataError, match="no column is a motor voltage") as refused:
+        proposed(replace(table, columns=angles))
+    assert "--one-flight" in refused.value.remedy
+    t_s = table.columns["t"].values
+    others = {"a": Column(t_s % 3.0), "b": Column(t_s % 7.0)}
+    with pytest.raises(FlightDataError, match="no two columns act like motor voltages"):
+        proposed(replace(table, columns={**angles, **others}))
+    setpoints = {
+        f"w{axis}": Column(np.roll(table.columns[axis].values, -40)) for axis in ("elevation", "pitch")
+    }
+    with pytest.raises(FlightDataError, match="as an axis follows its setpoint"):
+        proposed(replace(table, columns={**angles, **setpoints}))
+    few = {name: table.columns[name] for name in ("t", "pitch", "travel", "front")}
+    with pytest.raises(FlightDataError, match="fewer than five columns can be an angle or a voltage"):
+        proposed(replace(table, columns=few))
