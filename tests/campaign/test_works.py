@@ -74,7 +74,7 @@ def test_the_number_of_threads_changes_no_number() -> None:
     rig = load_rig("makki2024")
     record = prepare(thinned(flights("rotor_lag=0.08")[0], 2), rig, "a", stop_s=20.0)
     fitted_values = [
-        identify(MultibodyModel(), rig, [record], free=["thrust_gain"], threads=threads).fit.values
+        identify(MultibodyModel(), rig, [record], free=["thrust_gain"], threads=threads).fit.params
         for threads in (1, 3)
     ]
     assert fitted_values[0] == fitted_values[1]
@@ -87,7 +87,7 @@ def test_a_fit_that_was_pickled_predicts_the_same() -> None:
     problem = Problem(MultibodyModel(), rig, [record], free=["thrust_gain"], threads=1)
     fit = solve(problem, budget=Budget(max_evaluations=4), scatter=False)
     copied = pickle.loads(pickle.dumps(fit))
-    assert copied.values == fit.values
+    assert copied.values == fit.params
     before, after = (each.problem.evaluation(0, each.theta, each.states[0]) for each in (fit, copied))
     assert np.array_equal(before.residual, after.residual)
     assert np.array_equal(before.normal_matrix, after.normal_matrix)

@@ -215,10 +215,12 @@ def test_missing_torque_agrees_with_the_hidden_effect_without_its_equation(
 
 def test_a_page_says_why_no_region_fails_although_something_is_missing() -> None:
     diagnosis = diagnosed(unlisted=True)
-    nothing_fails = replace(diagnosis.failing.after, fails=np.zeros_like(diagnosis.failing.after.fails))
+    nothing_fails = replace(
+        diagnosis.failing_regions.after, fails=np.zeros_like(diagnosis.failing_regions.after.fails)
+    )
     diagnosis = replace(diagnosis)
-    # Replace the cached property `failing`.
-    diagnosis.__dict__["failing"] = replace(diagnosis.failing, after=nothing_fails)
+    # Replace the cached property `failing_regions`.
+    diagnosis.__dict__["failing_regions"] = replace(diagnosis.failing_regions, after=nothing_fails)
     section = regions_section(diagnosis, lambda *_: None)
     assert "although the model lacks a torque" in section["note"]
 

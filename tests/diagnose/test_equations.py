@@ -62,6 +62,8 @@ from tests.cli.terminal import Terminal
 from tests.diagnose.hidden import flights
 from tests.diagnose.test_causes import diagnosed
 
+pytestmark = pytest.mark.diagnosis
+
 SPANS = dict.fromkeys(SYMBOLS, (-1.0, 1.2))
 ALL_GROUPS = groups(SPANS)
 FIRST_OF_FORM = {
@@ -136,7 +138,6 @@ def test_grammar_has_thousands_of_distinct_terms_on_all_channels() -> None:
     assert all(len(group.terms) <= 2 and len(group.terms[0].term.factors) <= 3 for group in ALL_GROUPS)
 
 
-@pytest.mark.medium
 def test_sympy_text_of_a_term_has_the_values_along_a_flight() -> None:
     import sympy
 
@@ -162,7 +163,6 @@ def test_sympy_text_of_a_term_has_the_values_along_a_flight() -> None:
         assert float(read) == pytest.approx(expected, rel=1e-9, abs=1e-12), group.key
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("number", range(0, len(SAMPLE), 6))
 def test_written_effect_file_has_the_fitted_equation(number: int, tmp_path: Path) -> None:
     # An equation of two groups on different channels, together with a lag of the rotors.
@@ -203,7 +203,6 @@ def test_rotor_channel_acts_on_the_rotors_in_its_name(channel: str, signs: tuple
 HIDDEN_Nm_per_rad = 0.05
 
 
-@pytest.mark.diagnosis
 def test_equation_is_found_with_its_coefficient_and_confirmed() -> None:
     diagnosis = diagnosed(unlisted=True)
     assert diagnosis.label == "unexplained"
@@ -220,7 +219,6 @@ def test_equation_is_found_with_its_coefficient_and_confirmed() -> None:
     assert np.corrcoef(proposed.trace.term_Nm, proposed.trace.missing_Nm)[0, 1] > 0.9
 
 
-@pytest.mark.diagnosis
 def test_the_json_has_the_keys_that_were_promised() -> None:
     numbers = json.loads(json.dumps(to_json(diagnosed(unlisted=True)), allow_nan=False))
     equation = numbers["proposed_term"]
@@ -242,13 +240,11 @@ def test_the_json_has_the_keys_that_were_promised() -> None:
     assert fails["after"]["share_of_time"] < 0.1
 
 
-@pytest.mark.diagnosis
 def test_nothing_hidden_and_a_listed_cause_have_no_equation() -> None:
     for diagnosis in (diagnosed(), diagnosed("rotor_lag=0.06")):
         assert to_json(diagnosis)["proposed_term"] is None
 
 
-@pytest.mark.diagnosis
 def test_rig_has_the_equation_on_request_and_flies_with_its_effect_file(
     terminal: Terminal, tmp_path: Path
 ) -> None:
@@ -276,7 +272,6 @@ def test_rig_has_the_equation_on_request_and_flies_with_its_effect_file(
     assert len({*logs.values()}) == 3
 
 
-@pytest.mark.diagnosis
 def test_equation_that_a_held_out_flight_contradicts_is_dropped() -> None:
     fit, _ = flights(unlisted=True)
     rig = load_rig("makki2024")
@@ -287,7 +282,6 @@ def test_equation_that_a_held_out_flight_contradicts_is_dropped() -> None:
     assert discover(comparison, comparison.refit([])) is None
 
 
-@pytest.mark.diagnosis
 def test_second_equation_gets_another_name() -> None:
     assert free_name(()) == "proposed_term"
     assert free_name(("proposed_term", "rotor_lag")) == "proposed_term_2"
@@ -312,7 +306,6 @@ def equation_search(base: Hypothesis) -> EquationSearch:
     return EquationSearch(EquationRefits(comparison, base, "proposed_term", {1: 100}), lambda _: None)
 
 
-@pytest.mark.diagnosis
 def test_encoder_errors_do_not_fill_all_places_of_the_finalists() -> None:
     search = equation_search(cast(Hypothesis, SimpleNamespace(ids=())))
     on_encoders = [scored_as(f"measurement.{axis}", axis, 80.0 + i) for i, axis in enumerate(AXES)]
@@ -321,7 +314,6 @@ def test_encoder_errors_do_not_fill_all_places_of_the_finalists() -> None:
     assert channels == ["measurement.travel", "measurement.pitch", "torque.pitch"]
 
 
-@pytest.mark.diagnosis
 def test_terms_hidden_by_a_slow_disturbance_are_scored_without_it() -> None:
     proposed = diagnosed(unlisted=True).proposed_term
     assert proposed is not None
@@ -344,7 +336,6 @@ def test_terms_hidden_by_a_slow_disturbance_are_scored_without_it() -> None:
     assert without_drift.log_likelihood_gain > 1.2 * with_drift.log_likelihood_gain
 
 
-@pytest.mark.diagnosis
 def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
     rig = load_rig("makki2024")
     comparison = ModelComparison(MultibodyModel(), rig, [prepare(flights()[0], rig, "fit")], [])
@@ -373,7 +364,6 @@ def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
         assert scored.coefficients == pytest.approx(coefficients, rel=1e-6)
 
 
-@pytest.mark.diagnosis
 def test_right_model_has_no_failing_region_in_95_percent_of_cases() -> None:
     estimate = diagnosed().search.baseline.estimate
     screening = Screening(estimate)
@@ -402,7 +392,6 @@ def test_right_model_has_no_failing_region_in_95_percent_of_cases() -> None:
     assert false_alarms <= 19
 
 
-@pytest.mark.diagnosis
 def test_a_region_in_which_nothing_is_missing_is_not_outlined() -> None:
     diagnosis = diagnosed(unlisted=True)
     proposed = diagnosis.proposed_term
@@ -412,7 +401,6 @@ def test_a_region_in_which_nothing_is_missing_is_not_outlined() -> None:
     assert regions.after.share < 0.1
 
 
-@pytest.mark.diagnosis
 def test_command_writes_equation_and_effect_file(
     terminal: Terminal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -433,7 +421,6 @@ def test_command_writes_equation_and_effect_file(
     assert "Proposed equation" in page
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize(
     ("periods", "errors", "whole"),
     [
@@ -463,12 +450,12 @@ def test_sine_and_cosine_of_a_wave_share_their_whole_number(
     std = dict(zip(names, (1e-3, 1e-3, *errors), strict=True))
     refitted_hypothesis = SimpleNamespace(
         candidates=[SimpleNamespace(effect=effect)],
-        values=dict(zip(names, theta, strict=True)),
+        params=dict(zip(names, theta, strict=True)),
         std=std,
         log_likelihood=100.0,
         ids=(),
     )
-    base = cast(Hypothesis, SimpleNamespace(ids=(), candidates=(), values={}, log_likelihood=0.0))
+    base = cast(Hypothesis, SimpleNamespace(ids=(), candidates=(), params={}, log_likelihood=0.0))
     refits = equation_search(base).refits
     monkeypatch.setattr(refits, "prior_std", lambda equation, _: dict.fromkeys(equation.coefficients, 0.1))
     monkeypatch.setattr(
@@ -523,7 +510,6 @@ def equivalent_effect(hidden: str, equation: Equation, *ids: str, unlisted: bool
     ]
 
 
-@pytest.mark.diagnosis
 @pytest.mark.slow
 def test_listed_effect_of_the_same_form_is_equivalent() -> None:
     equation = Equation((EquationTerm("torque.travel", Term((Factor("linear", "travel"),))),))
@@ -533,7 +519,6 @@ def test_listed_effect_of_the_same_form_is_equivalent() -> None:
     assert equivalent_ids == [None, "cable_spring.travel"]
 
 
-@pytest.mark.diagnosis
 @pytest.mark.slow
 def test_equation_is_dropped_while_a_stronger_listed_effect_is_missing() -> None:
     equation = Equation((EquationTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
@@ -543,7 +528,6 @@ def test_equation_is_dropped_while_a_stronger_listed_effect_is_missing() -> None
     assert equivalent_ids == ["cable_spring.travel"]
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize(
     ("equation_nats", "effect_nats", "both_nats", "stays"),
     [
@@ -558,7 +542,7 @@ def test_equation_that_encompasses_the_effect_stays(
 ) -> None:
     def model(nats: float) -> Hypothesis:
         """Return a model of this log-likelihood; its last candidate is the equation."""
-        return cast(Hypothesis, SimpleNamespace(log_likelihood=nats, values={}, candidates=("equation",)))
+        return cast(Hypothesis, SimpleNamespace(log_likelihood=nats, params={}, candidates=("equation",)))
 
     comparison = SimpleNamespace(
         rows=1500, held_out=(), refit=lambda candidates, start, warm_start: model(both_nats)

@@ -17,8 +17,9 @@ from heli_sim.rig import load_rig
 from tests.identify.made import flown_by_plan, thinned
 from tests.running.long import LONG, samples
 
+pytestmark = pytest.mark.diagnosis
 
-@pytest.mark.medium
+
 @pytest.mark.parametrize("parts", [(), ("motors",), ("fast",), ("travel", "time"), ("elevation",)])
 def test_next_flight_is_a_plan_that_can_be_flown(parts: tuple[str, ...]) -> None:
     flight = compose_experiment("Why.", parts)
@@ -27,7 +28,6 @@ def test_next_flight_is_a_plan_that_can_be_flown(parts: tuple[str, ...]) -> None
     assert plan.duration_s > 20.0
 
 
-@pytest.mark.medium
 def test_every_effect_has_a_part_that_shows_it() -> None:
     assert {segment_for(kind) for kind in catalogue().values()} == {"motors", "travel", "elevation", "time"}
 
@@ -77,7 +77,6 @@ def diagnosed_with_two_effects(flights: list[Flight], validation: list[Flight]) 
     return diagnose(MultibodyModel(), load_rig("makki2024"), flights, validation, kinds=kinds)
 
 
-@pytest.mark.diagnosis
 def test_weak_excitation_is_ambiguous_and_proposes_a_flight() -> None:
     assert ambiguous_diagnosis()["verdict"] == "ambiguous"
     (cause,) = ambiguous_diagnosis()["causes"]
@@ -88,7 +87,6 @@ def test_weak_excitation_is_ambiguous_and_proposes_a_flight() -> None:
     assert Plan.parse(next_flight["plan"], "next flight").segments
 
 
-@pytest.mark.diagnosis
 @pytest.mark.skipif(not LONG, reason="skipped: 40 s of CPU, in make long")
 def test_proposed_flight_distinguishes_the_hypotheses() -> None:
     _, held_out = weakly_excited(30)

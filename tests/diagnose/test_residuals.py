@@ -38,6 +38,8 @@ from tests.diagnose.test_causes import diagnosed
 from tests.estimation.pendulum import RIG, flight_with_disturbances
 from tests.running.long import LONG
 
+pytestmark = pytest.mark.diagnosis
+
 
 def significant(fit: Flight, held_out: Flight, *, uncertain: bool) -> list[Dependence]:
     """Test the baseline's residuals on the held-out flight, with or without the parameters' uncertainty."""
@@ -52,7 +54,6 @@ def significant(fit: Flight, held_out: Flight, *, uncertain: bool) -> list[Depen
     return [dependence for dependence in dependences([screening]) if dependence.is_significant]
 
 
-@pytest.mark.diagnosis
 def test_parameters_that_a_hover_does_not_show_are_no_missing_effect_in_another_flight() -> None:
     hover, (_, held_out) = hovering(20.0), flights()
     # As if the hover had shown them exactly, their error is structure.
@@ -60,14 +61,12 @@ def test_parameters_that_a_hover_does_not_show_are_no_missing_effect_in_another_
     assert not significant(hover, held_out, uncertain=True)
 
 
-@pytest.mark.diagnosis
 def test_unlisted_effect_remains_significant_on_another_flight() -> None:
     strongest, *_ = significant(*flights(unlisted=True), uncertain=True)
     assert strongest.what == "torque.pitch on elevation"
     assert strongest.change_counts > 10.0 * MATTERS_COUNTS
 
 
-@pytest.mark.diagnosis
 def test_linear_change_of_the_prediction_is_that_of_simulations() -> None:
     diagnosis = diagnosed(unlisted=True)
     (linear,) = Screening(diagnosis.search.baseline.estimate).filtered.linearised_flights
@@ -96,7 +95,6 @@ def judged(change_counts: float, total: float = 1.4) -> Diagnosis:
     )
 
 
-@pytest.mark.diagnosis
 def test_remainder_that_changes_no_prediction_is_listed_and_the_cause_stands() -> None:
     diagnosis = judged(0.9 * MATTERS_COUNTS)
     assert diagnosis.label == "cause_found"
@@ -115,7 +113,6 @@ def test_remainder_that_changes_no_prediction_is_listed_and_the_cause_stands() -
     ) in lines(diagnosis)
 
 
-@pytest.mark.diagnosis
 def test_estimate_that_did_not_converge_is_stated() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     assert to_json(diagnosis)["converged"] is True
@@ -134,11 +131,10 @@ def test_estimate_that_did_not_converge_is_stated() -> None:
     assert any("the free runs of the extended model did not converge" in c for c in numbers["cautions"])
 
 
-@pytest.mark.diagnosis
 def test_remainder_that_changes_the_prediction_stays_unexplained() -> None:
     diagnosis = judged(1.1 * MATTERS_COUNTS)
     assert diagnosis.label == "unexplained"
-    assert diagnosis.verdict.remainder == ()
+    assert diagnosis.verdict.negligible_dependences == ()
     # In large disturbances, every significant effect matters, and so does what remains.
     after = diagnosis.assessment.after
     disturbed = replace(after, train=replace(after.train, total=6.0))
@@ -164,7 +160,6 @@ def model() -> tuple[InnovationsModel, DisturbanceModel]:
     return estimate.filtered(), estimate.disturbances
 
 
-@pytest.mark.diagnosis
 @pytest.mark.slow
 def test_gusts_of_constant_strength_contain_no_kicks(
     model: tuple[InnovationsModel, DisturbanceModel],
@@ -172,7 +167,6 @@ def test_gusts_of_constant_strength_contain_no_kicks(
     assert kicks(*model) == {}
 
 
-@pytest.mark.diagnosis
 @pytest.mark.slow
 def test_kicks_about_one_axis_are_counted_with_their_size(
     model: tuple[InnovationsModel, DisturbanceModel],
@@ -211,7 +205,6 @@ def assert_disturbances_are_estimated(numbers: dict[str, Any]) -> None:
         assert numbers["disturbances"][axis]["log_likelihood_ratio"] > 100.0
 
 
-@pytest.mark.diagnosis
 def test_disturbances_alone_are_explained_and_their_size_is_estimated() -> None:
     numbers = to_json(diagnosed_under_disturbances(*_DISTURBANCES))
     assert numbers["verdict"] == "explained"
@@ -220,7 +213,6 @@ def test_disturbances_alone_are_explained_and_their_size_is_estimated() -> None:
     assert "mN m about elevation" in summary(diagnosed_under_disturbances(*_DISTURBANCES))
 
 
-@pytest.mark.diagnosis
 @pytest.mark.skipif(not LONG, reason="tests/benchmark finds a lag, too; this one runs in make long")
 def test_lag_under_disturbances_is_named_with_its_size_and_nothing_else() -> None:
     numbers = to_json(diagnosed_under_disturbances(*_DISTURBANCES, "rotor_lag=0.06"))
@@ -233,7 +225,6 @@ def test_lag_under_disturbances_is_named_with_its_size_and_nothing_else() -> Non
     assert_disturbances_are_estimated(numbers)
 
 
-@pytest.mark.diagnosis
 def test_disturbance_about_a_single_axis_is_a_random_torque_of_its_size() -> None:
     numbers = to_json(diagnosed_under_disturbances(_RANDOM_TORQUE))
     assert numbers["verdict"] == "cause_found"
@@ -244,7 +235,6 @@ def test_disturbance_about_a_single_axis_is_a_random_torque_of_its_size() -> Non
     assert numbers["residual"]["innovations"]["predicted_by"] == []
 
 
-@pytest.mark.diagnosis
 def test_disturbance_without_correlation_in_time_is_no_random_torque() -> None:
     remaining = diagnosed_under_disturbances(_RANDOM_TORQUE).assessment.residual_analysis
     assert has_random_torque(remaining, catalogue())

@@ -41,6 +41,8 @@ from heli_sim.rig import load_rig
 
 from tests.diagnose.hidden import flights
 
+pytestmark = pytest.mark.diagnosis
+
 
 def test_bspline_basis_has_a_sum_of_one_everywhere() -> None:
     values = np.linspace(-3.0, 5.0, 200)
@@ -98,7 +100,6 @@ def comparison() -> ModelComparison:
     return ModelComparison(MultibodyModel(), RIG, [prepare(flight, RIG, "a")], [])
 
 
-@pytest.mark.diagnosis
 @pytest.mark.slow
 def test_concentrated_score_of_a_slip_predicts_the_gain_of_its_refit(comparison: ModelComparison) -> None:
     base = comparison.refit([])
@@ -113,7 +114,6 @@ def test_concentrated_score_of_a_slip_predicts_the_gain_of_its_refit(comparison:
     assert concentrated.coefficients[0] == pytest.approx(SLIP_m, rel=0.3)
 
 
-@pytest.mark.diagnosis
 @pytest.mark.slow
 def test_a_low_score_of_an_event_in_large_disturbances_still_leads_to_a_refit(
     comparison: ModelComparison,
@@ -131,7 +131,6 @@ def test_a_low_score_of_an_event_in_large_disturbances_still_leads_to_a_refit(
     assert with_concentrated_scores(screening, lambda screened: screened, plain) == plain
 
 
-@pytest.mark.diagnosis
 @pytest.mark.slow
 def test_effects_that_disturbances_replace_are_worth_a_refit(comparison: ModelComparison) -> None:
     base = comparison.refit([])
@@ -152,7 +151,6 @@ def test_effects_that_disturbances_replace_are_worth_a_refit(comparison: ModelCo
     assert hidden_in_disturbances(screening, worth_a_refit, faint) == []
 
 
-@pytest.mark.diagnosis
 @pytest.mark.slow
 def test_a_round_without_a_cause_refits_what_the_disturbances_hide(monkeypatch: pytest.MonkeyPatch) -> None:
     spring = ScoredCandidate(
@@ -177,7 +175,6 @@ KINDS = catalogue()
 MOMENT_s = 13.7
 
 
-@pytest.mark.diagnosis
 @pytest.mark.slow
 def test_a_step_hidden_by_disturbances_is_scored_where_the_torque_jumps() -> None:
     rig = load_rig("makki2024")
@@ -204,7 +201,6 @@ def hypothesis(candidates: list[Candidate]) -> Hypothesis:
     )
 
 
-@pytest.mark.diagnosis
 def test_effects_come_back_if_held_out_flights_contradict_a_spline() -> None:
     first, second, third = (
         typical_candidate(KINDS[id_]) for id_ in ("rotor_lag", "encoder_eccentricity.travel", "axis_tilt")
@@ -241,7 +237,6 @@ def test_effects_come_back_if_held_out_flights_contradict_a_spline() -> None:
     assert np.isfinite(list(restored.values.values())).all()
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize(("ratio", "kept"), [(-1.0, ["axis_tilt"]), (1.0, ["axis_tilt", "spline:a:b"])])
 def test_a_spline_must_gain_on_held_out_flights_but_an_effect_need_not(
     monkeypatch: pytest.MonkeyPatch, ratio: float, kept: list[str]
@@ -265,7 +260,6 @@ def test_a_spline_must_gain_on_held_out_flights_but_an_effect_need_not(
     assert backward.contradicted_ids == {"axis_tilt", "spline:a:b"} - set(kept)
 
 
-@pytest.mark.diagnosis
 def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
     kind = KINDS["encoder_eccentricity.travel"]
     order = kind.full("order")
@@ -291,7 +285,6 @@ def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
     assert best.gain == 182.0
 
 
-@pytest.mark.diagnosis
 def test_added_candidate_is_the_one_scored_in_any_order_of_the_model() -> None:
     play, friction = (typical_candidate(KINDS[f"{name}.pitch"]) for name in ("backlash", "coulomb_friction"))
     # The cached model has the added play first, and not last as a new refit has.
@@ -306,8 +299,6 @@ def test_added_candidate_is_the_one_scored_in_any_order_of_the_model() -> None:
 EVENT_FLIGHTS_MOMENT_s, OTHER_s = 9.3, 6.2
 
 
-@pytest.mark.diagnosis
-@pytest.mark.medium
 def test_moment_of_an_event_belongs_to_its_flight() -> None:
     records = [
         replace(prepare(flights("rotor_lag=0.1")[0], RIG, "x"), label=label) for label in ("a", "b", "c")
@@ -326,7 +317,6 @@ def test_moment_of_an_event_belongs_to_its_flight() -> None:
     assert RigParameters(shared, RIG, records).parameters(theta, 2)[index_of_moment] == 11.0
 
 
-@pytest.mark.diagnosis
 @pytest.mark.slow
 @pytest.mark.parametrize("held_out_s", [None, OTHER_s])
 def test_a_slip_is_found_in_the_flight_where_it_happened(held_out_s: float | None) -> None:
@@ -340,7 +330,7 @@ def test_a_slip_is_found_in_the_flight_where_it_happened(held_out_s: float | Non
     assert scored.candidate.effect.flight == "a"
     refit = comparison.refit([scored.candidate], scored.candidate.start_values(scored.coefficients), base)
     # The clock of a log starts a little before that of the simulation.
-    assert refit.values["counterweight_shift_at_s"] == pytest.approx(EVENT_FLIGHTS_MOMENT_s, abs=0.2)
+    assert refit.params["counterweight_shift_at_s"] == pytest.approx(EVENT_FLIGHTS_MOMENT_s, abs=0.2)
     final = with_held_out_moments(comparison, refit)
     moments_s = final.candidates[0].effect.other_moments_s
     if held_out_s is None:
@@ -355,7 +345,6 @@ def test_a_slip_is_found_in_the_flight_where_it_happened(held_out_s: float | Non
     assert np.isfinite([with_event, without_event]).all()
 
 
-@pytest.mark.diagnosis
 def test_effects_without_a_flight_happen_in_every_flight() -> None:
     (effect,) = parse_effects(["counterweight_shift=0.01@12"])
     assert effect.values_in("any", effect.values) == dict(effect.values)

@@ -40,6 +40,8 @@ from heli_sim.rig import load_rig
 
 from tests.diagnose.hidden import hovering
 
+pytestmark = pytest.mark.diagnosis
+
 KINDS = catalogue()
 
 
@@ -61,7 +63,6 @@ def dry_friction(resting: list[float], *, there: tuple[str, ...] = ()) -> list[s
     return [scored.candidate.id for scored in proposed]
 
 
-@pytest.mark.diagnosis
 def test_friction_of_typical_size_is_proposed_for_axes_that_rest() -> None:
     assert dry_friction([0.9, 0.1, 0.2]) == ["coulomb_friction.elevation"]
     assert dry_friction([0.9, 0.1, 0.7]) == ["coulomb_friction.elevation", "coulomb_friction.travel"]
@@ -69,7 +70,6 @@ def test_friction_of_typical_size_is_proposed_for_axes_that_rest() -> None:
     assert dry_friction([0.3, 0.1, 0.2]) == []
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize("there", [(), ("backlash.pitch",)])
 def test_play_is_proposed_for_axes_whose_count_pauses(there: tuple[str, ...]) -> None:
     # Elevation pauses for a tenth of the time, pitch for a fifth; travel stops often, but only briefly.
@@ -83,7 +83,6 @@ def test_play_is_proposed_for_axes_whose_count_pauses(there: tuple[str, ...]) ->
     assert [scored.candidate.id for scored in proposed] == ([] if there else ["backlash.pitch"])
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize(
     ("play_margin", "refitted_ids"),
     [
@@ -126,11 +125,10 @@ def test_play_is_refitted_and_then_friction_if_the_play_is_best(
     assert round_refits.tried_ids == set(refitted_ids)
 
 
-@pytest.mark.diagnosis
 def test_a_clear_log_likelihood_ratio_overrides_the_wald_test() -> None:
     kind = KINDS["coulomb_friction.elevation"]
     size = kind.size[0]
-    hypothesis = cast(Hypothesis, SimpleNamespace(values={size: 0.03}, std={size: 0.05}))
+    hypothesis = cast(Hypothesis, SimpleNamespace(params={size: 0.03}, std={size: 0.05}))
     candidate = typical_candidate(kind)
     record = SimpleNamespace(step_s=0.01, count_rad=np.full(3, 0.0015))
     acceptance = Acceptance(cast(ModelComparison, SimpleNamespace(train=[record])), KINDS)
@@ -138,7 +136,6 @@ def test_a_clear_log_likelihood_ratio_overrides_the_wald_test() -> None:
     assert not acceptance.is_significant(Refit(hypothesis, 30.0, 11.0, 0.0), candidate)
 
 
-@pytest.mark.diagnosis
 def test_a_play_needs_more_evidence_next_to_friction_about_its_axis() -> None:
     assert min_margin("backlash.pitch", ["coulomb_friction.pitch"]) == thresholds.PLAY_NEXT_TO_FRICTION_NATS
     assert min_margin("backlash.pitch", ["coulomb_friction.travel"]) == thresholds.MIN_MARGIN
@@ -153,7 +150,7 @@ def hypothesis(candidates: Sequence[Candidate], gains: dict[str, float]) -> Hypo
     ids = tuple(candidate.id for candidate in candidates)
     nats = sum(gains.get(id_, 0.0) for id_ in ids)
     made = SimpleNamespace(
-        candidates=tuple(candidates), ids=ids, values={}, log_likelihood=nats, estimate=None
+        candidates=tuple(candidates), ids=ids, params={}, log_likelihood=nats, estimate=None
     )
     return cast(Hypothesis, made)
 
@@ -211,18 +208,15 @@ def eliminated(
     }
 
 
-@pytest.mark.diagnosis
 def test_equivalent_effect_with_a_low_score_is_compared() -> None:
     assert eliminated({TORQUE: 60.0, ZERO: 52.0}, TORQUE) == {TORQUE: {ZERO: 4.0}}
 
 
-@pytest.mark.diagnosis
 def test_equivalent_effect_is_compared_even_without_refits_left() -> None:
     kept = eliminated({TORQUE: 60.0, ZERO: 52.0, SLIP: 90.0}, SLIP, TORQUE, refits_left=False)
     assert kept[TORQUE] == {ZERO: 4.0}
 
 
-@pytest.mark.diagnosis
 def test_more_probable_effect_replaces_a_cause() -> None:
     gains = {TORQUE: 60.0, ZERO: 63.0, SLIP: 90.0}
     kept = eliminated(gains, SLIP, TORQUE)
@@ -230,18 +224,15 @@ def test_more_probable_effect_replaces_a_cause() -> None:
     assert kept[ZERO] == {TORQUE: 7.0}
 
 
-@pytest.mark.diagnosis
 def test_held_out_flights_may_forbid_the_exchange() -> None:
     gains = {TORQUE: 60.0, ZERO: 63.0}
     assert eliminated(gains, TORQUE, held_out={TORQUE: 20.0, ZERO: -20.0}) == {TORQUE: {ZERO: -7.0}}
 
 
-@pytest.mark.diagnosis
 def test_insignificant_effect_does_not_replace_a_cause() -> None:
     assert eliminated({TORQUE: 60.0, ZERO: 63.0}, TORQUE, refused=[ZERO]) == {TORQUE: {ZERO: -7.0}}
 
 
-@pytest.mark.diagnosis
 def test_causes_after_an_exchange_have_the_alternatives_of_its_round() -> None:
     gains = {TORQUE: 60.0, ZERO: 63.0, "axis_tilt": 20.0}
     kept = eliminated(gains, TORQUE, refitted=["axis_tilt"])
@@ -249,7 +240,6 @@ def test_causes_after_an_exchange_have_the_alternatives_of_its_round() -> None:
     assert kept[ZERO].keys() == {TORQUE, "axis_tilt"}
 
 
-@pytest.mark.diagnosis
 def test_a_lag_is_not_ambiguous_with_the_wider_effect_that_contains_it() -> None:
     kept = eliminated(
         {"rotor_lag": 200.0, "rotor_lag_with_delay": 200.5, "rotor_speed_lag": 90.0}, "rotor_lag"
@@ -257,7 +247,6 @@ def test_a_lag_is_not_ambiguous_with_the_wider_effect_that_contains_it() -> None
     assert kept["rotor_lag"].keys() == {"rotor_speed_lag"}
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize(
     ("cause", "other"), [("flywheel", "gyroscopic_torque"), ("supply_fade", "thrust_fade"), (TORQUE, ZERO)]
 )
@@ -269,10 +258,9 @@ def test_effects_that_imitate_each_other_are_declared_as_a_family(cause: str, ot
 def combinations_hypothesis(*ids: str) -> Hypothesis:
     """Return a model with typical causes, without an estimate."""
     candidates = tuple(typical_candidate(KINDS[id_]) for id_ in ids)
-    return cast(Hypothesis, SimpleNamespace(candidates=candidates, ids=ids, values={}))
+    return cast(Hypothesis, SimpleNamespace(candidates=candidates, ids=ids, params={}))
 
 
-@pytest.mark.diagnosis
 def test_effects_in_the_place_of_an_equation_may_join_its_causes() -> None:
     listed = ListedEffects(cast(Any, None), combinations_hypothesis("input_delay"), KINDS, lambda _: None)
     ids = {kind.id for kind in listed.eligible_effects}
@@ -280,7 +268,6 @@ def test_effects_in_the_place_of_an_equation_may_join_its_causes() -> None:
     assert ids >= {"rotor_lag", "rotor_speed_lag", "axis_tilt"}
 
 
-@pytest.mark.diagnosis
 def test_effects_of_the_given_model_exclude_candidates() -> None:
     model = MultibodyModel(parse_effects(["input_delay=0.02"]))
     tried = [id_ for id_, kind in KINDS.items() if _is_candidate(kind, model, {"input_delay"}, KINDS)]
@@ -288,7 +275,6 @@ def test_effects_of_the_given_model_exclude_candidates() -> None:
     assert "rotor_lag" in tried
 
 
-@pytest.mark.diagnosis
 def test_displaced_effect_stays_out_if_a_later_cause_excludes_it() -> None:
     made = spline_term("measurement.travel", "travel", -1.0, 0.25, 1)
     spline = Candidate("spline:measurement.travel:travel", made, tuple(made.priors))
@@ -328,7 +314,7 @@ def exchange_hypothesis(id_: str, lag_s: float, delay_s: float) -> Hypothesis:
     stub = SimpleNamespace(
         candidates=candidates,
         ids=tuple(candidate.id for candidate in candidates),
-        values={**values, **friction.effect.values},
+        params={**values, **friction.effect.values},
         std={**dict.fromkeys(values, 3.5e-4), **dict.fromkeys(friction.effect.values, 1e-3)},
         log_likelihood=NATS[id_],
     )
@@ -350,7 +336,6 @@ def exchanged(final: Hypothesis, lag_s: float, delay_s: float) -> tuple[Hypothes
     return result, starts
 
 
-@pytest.mark.diagnosis
 def test_a_lag_below_a_step_is_left_out_although_the_fit_finds_it_significant() -> None:
     result, starts = exchanged(exchange_hypothesis(WIDE, 0.0008, 0.0283), 0.0008, 0.0283)
     assert result.ids == ("coulomb_friction.travel", "input_delay")
@@ -358,7 +343,6 @@ def test_a_lag_below_a_step_is_left_out_although_the_fit_finds_it_significant() 
     assert {"rotor_lag_s": 0.0008} in starts
 
 
-@pytest.mark.diagnosis
 def test_a_lag_and_a_delay_that_are_both_resolved_stay() -> None:
     final = exchange_hypothesis(WIDE, 0.02, 0.0283)
     result, starts = exchanged(final, 0.02, 0.0283)
@@ -366,14 +350,12 @@ def test_a_lag_and_a_delay_that_are_both_resolved_stay() -> None:
     assert starts == []
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize(("lag_s", "is_wide"), [(0.0008, False), (0.02, True)])
 def test_a_delay_becomes_a_lag_with_delay_only_if_the_lag_is_resolved(lag_s: float, is_wide: bool) -> None:
     result, _ = exchanged(exchange_hypothesis("input_delay", 0.0, 0.0295), lag_s, 0.0283)
     assert (WIDE in result.ids) is is_wide
 
 
-@pytest.mark.diagnosis
 def test_effects_with_sizes_that_no_flight_resolves_are_no_alternatives() -> None:
     comparison = SimpleNamespace(train=[RECORD])
     acceptance = Acceptance(cast(ModelComparison, comparison), KINDS)
@@ -397,7 +379,6 @@ def stds_of(id_: str, **numbers: tuple[float, float]) -> dict[str, float]:
     return limited_std(KINDS[id_], values, {**std, "thrust_gain": 0.1}, RESOLUTION_RECORD)
 
 
-@pytest.mark.medium
 def test_no_standard_error_is_finer_than_steps_samples_and_counts_resolve() -> None:
     lag = stds_of("rotor_lag", rotor_lag_s=(0.1, 1e-6))
     # Half a sample, and 0.7 % of a size.
@@ -415,13 +396,11 @@ def test_no_standard_error_is_finer_than_steps_samples_and_counts_resolve() -> N
     assert spring["cable_spring_travel_rest_rad"] == 1e-6
 
 
-@pytest.mark.medium
 def test_a_time_is_no_more_certain_than_half_a_step() -> None:
     assert time_std_s(0.0, STEP_s) == pytest.approx(0.5 * STEP_s)
     assert time_std_s(0.01, STEP_s) == pytest.approx(np.hypot(0.014, 0.5 * STEP_s))
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("id_", "size", "too_small", "large_enough"),
     [
@@ -438,7 +417,7 @@ def test_delays_below_a_step_and_plays_below_a_count_are_not_significant(
     acceptance = Acceptance(comparison, KINDS)
     candidate = typical_candidate(KINDS[id_])
     for value, is_visible in ((too_small, False), (large_enough, True)):
-        hypothesis = cast(Hypothesis, SimpleNamespace(values={size: value}, std={size: 1e-6}))
+        hypothesis = cast(Hypothesis, SimpleNamespace(params={size: value}, std={size: 1e-6}))
         assert is_resolved(hypothesis, KINDS[id_], RESOLUTION_RECORD) is is_visible
         assert acceptance.is_significant(Refit(hypothesis, 30.0, 8.0, 0.0), candidate) is is_visible
         # Evidence that is large for any size overrides the resolution: flights without disturbances.
@@ -446,7 +425,6 @@ def test_delays_below_a_step_and_plays_below_a_count_are_not_significant(
         assert acceptance.is_significant(large, candidate)
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     "id_",
     [
@@ -479,7 +457,6 @@ def comparison(*, held_out: bool) -> ModelComparison:
     return cast(ModelComparison, stub)
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize(
     ("friction", "play", "held_out", "accepted_id"),
     [
@@ -498,7 +475,6 @@ def test_friction_and_play_of_an_axis_are_compared_on_all_flights(
     assert chosen.candidate.id == accepted_id
 
 
-@pytest.mark.diagnosis
 def test_effects_of_other_axes_are_no_rivals() -> None:
     refits = [refit("coulomb_friction.pitch", 80.0), refit("backlash.travel", 70.0)]
     assert better_rival(comparison(held_out=True), refits[0], refits) is refits[0]
@@ -506,7 +482,6 @@ def test_effects_of_other_axes_are_no_rivals() -> None:
     assert better_rival(comparison(held_out=True), lag, [lag, *refits]) is lag
 
 
-@pytest.mark.diagnosis
 def test_refit_that_makes_its_candidate_negligible_is_not_a_cause() -> None:
     kind = KINDS["backlash.pitch"]
     (size,) = kind.size
@@ -514,14 +489,13 @@ def test_refit_that_makes_its_candidate_negligible_is_not_a_cause() -> None:
     acceptance = Acceptance(cast(ModelComparison, None), KINDS)
     for share, is_absent in ((1e-3, True), (0.5, False)):
         values = {size: share * kind.typical[size]}
-        hypothesis = cast(Hypothesis, SimpleNamespace(values=values, std={size: 1e-5}))
+        hypothesis = cast(Hypothesis, SimpleNamespace(params=values, std={size: 1e-5}))
         assert is_neutral(hypothesis, candidate, KINDS) is is_absent
         assert acceptance.is_significant(Refit(hypothesis, 289.0, 7.0, 0.0), candidate) is not is_absent
-    without_free_size = cast(Hypothesis, SimpleNamespace(values={}, std={}))
+    without_free_size = cast(Hypothesis, SimpleNamespace(params={}, std={}))
     assert not is_neutral(without_free_size, candidate, KINDS)
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize(("nats", "is_better"), [(1289.0, True), (1003.0, False)])
 def test_round_restarts_from_a_better_estimate_of_the_base(nats: float, is_better: bool) -> None:
     kind = KINDS["backlash.pitch"]
@@ -531,7 +505,7 @@ def test_round_restarts_from_a_better_estimate_of_the_base(nats: float, is_bette
     estimate_without_play = SimpleNamespace(log_likelihood=nats)
     absent = cast(
         Hypothesis,
-        SimpleNamespace(candidates=(friction, typical_candidate(kind)), values={size: 0.0}, std={size: 1e-5}),
+        SimpleNamespace(candidates=(friction, typical_candidate(kind)), params={size: 0.0}, std={size: 1e-5}),
     )
     stub = SimpleNamespace(refit=lambda candidates, start, warm_start: estimate_without_play)
     round_refits = RoundRefits(
@@ -594,7 +568,6 @@ def _record() -> Record:
     return prepare(hovering(4.0), load_rig("makki2024"), "still")
 
 
-@pytest.mark.medium
 def test_flights_rigs_models_and_parts_have_different_digests() -> None:
     rig, record = load_rig("makki2024"), _record()
     start, stop = record.segments[0]
@@ -611,7 +584,6 @@ def test_flights_rigs_models_and_parts_have_different_digests() -> None:
     assert fingerprint(*variants[0]) == digests[0]
 
 
-@pytest.mark.medium
 def test_fingerprint_changes_with_the_compiled_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = MultibodyModel(), load_rig("makki2024"), [_record()]
     before, read = fingerprint(*arguments), Path.read_bytes
@@ -626,7 +598,6 @@ def test_fingerprint_changes_with_the_compiled_filter(monkeypatch: pytest.Monkey
     assert after != before
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -643,7 +614,6 @@ def test_file_of_another_kind_is_refused_and_not_changed(tmp_path: Path, content
     assert (tmp_path / "search").read_bytes() == content
 
 
-@pytest.mark.medium
 def test_incomplete_last_line_is_dropped_and_earlier_lines_stay(tmp_path: Path) -> None:
     path = tmp_path / "search"
     EstimateCache(path, "mine")

@@ -31,10 +31,10 @@ from heli_lab.explain.thresholds import DISTURBED_STD
 from heli_lab.explain.verdict import (
     CauseParameter,
     FamilyNumber,
+    describe_negligible_effects,
     family_number,
     judge,
     prior_conflicts,
-    small_effects,
     tried_without,
 )
 from heli_lab.fit.records import prepare
@@ -53,6 +53,8 @@ from tests.identify import made
 from tests.identify.made import flown, thinned
 from tests.running.kept import FLOWN, KEPT
 from tests.running.long import samples
+
+pytestmark = pytest.mark.diagnosis
 
 KINDS = catalogue()
 LAG, DELAY = "rotor_lag_with_delay_lag_s", "rotor_lag_with_delay_delay_s"
@@ -87,7 +89,7 @@ def number(id_: str, arm_m: float, *ambiguous_with: str, **sizes: float) -> Fami
     fit = SimpleNamespace(
         problem=SimpleNamespace(names=(*values, "L_a"), rig=load_rig("makki2024")),
         covariance=np.diag([error**2 for error in (*std.values(), 0.0)]),
-        values={**values, "L_a": arm_m},
+        params={**values, "L_a": arm_m},
         std=std,
     )
     parameters = {name: CauseParameter(value, std[name], "") for name, value in values.items()}
@@ -132,7 +134,6 @@ def with_tight_prior(value: float) -> Rig:
     return Rig(rig.name, rig.description, {**rig.numbers, "friction_travel": number}, rig.effects, rig.model)
 
 
-@pytest.mark.diagnosis
 def test_estimate_without_a_tight_wrong_prior_is_right() -> None:
     fit, _ = flights()
     rig = with_tight_prior(2.0 * FRICTION)
@@ -147,7 +148,6 @@ def test_estimate_without_a_tight_wrong_prior_is_right() -> None:
     assert "these flights alone give 0.0" in prior_conflict_sentence(conflict)
 
 
-@pytest.mark.diagnosis
 def test_without_prior_conflicts_nothing_is_refitted() -> None:
     fit, _ = flights()
     rig = load_rig("makki2024")
@@ -184,7 +184,6 @@ def diagnosed_without_term(effect: str) -> Diagnosis:
     )
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize("axis", ["travel", "elevation", "pitch"][: samples(3, 1)])
 def test_absent_friction_is_named_from_its_estimate(axis: str) -> None:
     comparison, _ = refitted(f"removed.friction.{axis}=1")
@@ -196,7 +195,6 @@ def test_absent_friction_is_named_from_its_estimate(axis: str) -> None:
     assert term.z_from_rig > 10.0
 
 
-@pytest.mark.diagnosis
 def test_absent_pendulum_with_a_tight_prior_has_a_high_score() -> None:
     comparison, baseline = refitted("removed.pendulum.elevation=1")
     terms = tightly_specified_terms(comparison, KINDS.values(), Screening(baseline.estimate))
@@ -207,7 +205,6 @@ def test_absent_pendulum_with_a_tight_prior_has_a_high_score() -> None:
     assert without_pendulum.log_likelihood > baseline.log_likelihood + 100.0
 
 
-@pytest.mark.diagnosis
 def test_pendulum_far_below_its_prior_is_tried_as_absent(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -215,7 +212,7 @@ def test_pendulum_far_below_its_prior_is_tried_as_absent(
     screening = Screening(baseline.estimate)
     prior = comparison.rig["L_theta"]
     # A tolerance is two standard deviations.
-    deviation = (baseline.values["L_theta"] - prior.value) / (0.5 * prior.tolerance)
+    deviation = (baseline.params["L_theta"] - prior.value) / (0.5 * prior.tolerance)
     # No term has a score, so only the distance from the prior counts.
     score = Score(0.0, np.zeros(1), np.ones(1))
     monkeypatch.setattr(screening, "score", lambda candidates: [score for _ in candidates])
@@ -224,20 +221,17 @@ def test_pendulum_far_below_its_prior_is_tried_as_absent(
     assert terms[0].log_likelihood_gain == pytest.approx(0.5 * deviation**2)
 
 
-@pytest.mark.diagnosis
 def test_clearly_absent_pendulum_is_named_despite_its_tight_prior() -> None:
     comparison, _ = refitted("removed.pendulum.pitch=1")
     (term,) = absent_terms(free_run("removed.pendulum.pitch=1").fit, comparison.rig, KINDS)
     assert term.id == "removed.pendulum.pitch"
 
 
-@pytest.mark.diagnosis
 def test_other_effect_makes_no_term_absent() -> None:
     comparison, _ = refitted("rotor_lag=0.06")
     assert absent_terms(free_run("rotor_lag=0.06").fit, comparison.rig, KINDS) == ()
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize("term", ["friction.travel", "pendulum.elevation"][: samples(2, 1)])
 def test_removed_term_is_the_cause_and_in_the_extended_rig(term: str) -> None:
     diagnosis = diagnosed_without_term(f"removed.{term}=1")
@@ -254,7 +248,6 @@ def test_removed_term_is_the_cause_and_in_the_extended_rig(term: str) -> None:
     assert effect_ids == ({f"removed.{term}"} if term.startswith("pendulum") else set())
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize(
     ("value", "std", "low", "high"),
     [
@@ -276,7 +269,6 @@ _NO_REFIT: Any = SimpleNamespace()
 """A single cause needs no refit: the model without it is the baseline."""
 
 
-@pytest.mark.diagnosis
 def test_lag_changes_the_prediction_by_many_counts() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     before, after = diagnosis.assessment.before, diagnosis.assessment.after
@@ -290,7 +282,6 @@ def test_lag_changes_the_prediction_by_many_counts() -> None:
     assert same == {"rotor_lag": 0.0}
 
 
-@pytest.mark.diagnosis
 def test_cause_matters_if_only_the_held_out_flights_are_predicted_worse_without_it() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     extended, after = diagnosis.assessment.extended, diagnosis.assessment.after
@@ -303,7 +294,6 @@ def test_cause_matters_if_only_the_held_out_flights_are_predicted_worse_without_
     assert changes["rotor_lag"] == 0.0
 
 
-@pytest.mark.diagnosis
 def test_every_significant_cause_matters_under_disturbances() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     before, after = diagnosis.assessment.before, diagnosis.assessment.after
@@ -314,12 +304,11 @@ def test_every_significant_cause_matters_under_disturbances() -> None:
     )
 
 
-@pytest.mark.diagnosis
 def test_effect_that_is_too_small_is_listed_and_is_no_cause() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
-    assert diagnosis.verdict.small == ()
+    assert diagnosis.verdict.negligible_effects == ()
     after, kinds = diagnosis.assessment.after, diagnosis.kinds
-    small = small_effects(diagnosis.search, {"rotor_lag": 0.11}, kinds, after.fit)
+    small = describe_negligible_effects(diagnosis.search, {"rotor_lag": 0.11}, kinds, after.fit)
     verdict = judge(diagnosis.search, diagnosis.assessment.residual_analysis, after, kinds, False, small)
     assert verdict.label == "explained"
     assert verdict.causes == ()
@@ -378,7 +367,6 @@ def _justified(comparison: ModelComparison, verdict: str, gain_nats: float = 20.
     return justified_thrust_noise(comparison, search, assessment)
 
 
-@pytest.mark.diagnosis
 def test_a_wandering_supply_is_estimated_with_its_size_and_time() -> None:
     noisy = _justified(wandering(), "unexplained")
     assert noisy is not None
@@ -390,7 +378,6 @@ def test_a_wandering_supply_is_estimated_with_its_size_and_time() -> None:
     assert gain_ratios(Screening(estimate))[0] > 100.0
 
 
-@pytest.mark.diagnosis
 def test_no_thrust_noise_without_need_or_evidence() -> None:
     assert _justified(wandering(), "explained") is None
     assert _justified(wandering(), "unexplained", gain_nats=1000.0) is None
@@ -398,7 +385,6 @@ def test_no_thrust_noise_without_need_or_evidence() -> None:
     assert _justified(gusts_alone, "unexplained") is None
 
 
-@pytest.mark.diagnosis
 def test_a_supply_that_varies_is_stated_in_words() -> None:
     noise = {
         "supply": {"std": 0.021, "correlation_time_s": 2.1, "log_likelihood_ratio": 80.0},
@@ -485,7 +471,6 @@ def explained(
     return assessment.with_remainder(comparison, search, TRIED)
 
 
-@pytest.mark.diagnosis
 def test_an_effect_that_all_flights_show_together_is_a_cause_with_little_evidence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -499,13 +484,11 @@ def test_an_effect_that_all_flights_show_together_is_a_cause_with_little_evidenc
     assert cause.ambiguous_with == (other,)
 
 
-@pytest.mark.diagnosis
 def test_flights_that_contradict_each_other_show_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     assert explained(monkeypatch, {DRAG: 12.0}, {DRAG: -12.0}) is None
     assert explained(monkeypatch, {DRAG: 3.0}, {DRAG: 2.0}) is None
 
 
-@pytest.mark.diagnosis
 def test_remainder_search_skips_events_and_short_flights(monkeypatch: pytest.MonkeyPatch) -> None:
     assert explained(monkeypatch, {STEP: 90.0}, {STEP: 90.0}) is None
     assert explained(monkeypatch, {DRAG: 20.0}, {DRAG: 20.0}, used_s=5.0) is None

@@ -34,6 +34,8 @@ from tests.estimation.pendulum import (
     run,
 )
 
+pytestmark = pytest.mark.diagnosis
+
 KINDS = catalogue()
 
 
@@ -49,16 +51,14 @@ def baseline() -> Hypothesis:
     return comparison().refit([])
 
 
-@pytest.mark.diagnosis
 def test_estimates_are_true_within_their_standard_errors() -> None:
     hypothesis = baseline()
     estimate = hypothesis.estimate
     std = dict(zip(estimate.parameter_vector.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
     for name in ("thrust_gain", "dead_zone", "friction_elevation", "friction_pitch", "friction_travel"):
-        assert abs(hypothesis.values[name] - TRUE_RIG[name].value) < 3.5 * std[name], name
+        assert abs(hypothesis.params[name] - TRUE_RIG[name].value) < 3.5 * std[name], name
 
 
-@pytest.mark.diagnosis
 def test_estimated_disturbances_have_their_true_sizes_and_times() -> None:
     disturbances = baseline().estimate.disturbances
     assert disturbances.fast_std == pytest.approx(list(GUST_Nm.values()), rel=0.35)
@@ -66,7 +66,6 @@ def test_estimated_disturbances_have_their_true_sizes_and_times() -> None:
     assert np.all((disturbances.correlation_time_s > 0.2) & (disturbances.correlation_time_s < 1.2))
 
 
-@pytest.mark.diagnosis
 def test_innovations_of_the_right_model_are_white() -> None:
     estimate = baseline().estimate
     (innovations,) = estimate.filtered().innovations(estimate.disturbances).flights
@@ -78,7 +77,6 @@ def test_innovations_of_the_right_model_are_white() -> None:
         assert np.all(np.abs(correlation) < 4.0 / np.sqrt(len(innovation)) + 0.03), lag
 
 
-@pytest.mark.diagnosis
 def test_no_effect_has_a_high_score_about_the_right_model() -> None:
     screening = Screening(baseline().estimate)
     kinds = [kind for kind in KINDS.values() if kind.suits(MultibodyModel()) and not kind.noise_inputs]
@@ -87,7 +85,6 @@ def test_no_effect_has_a_high_score_about_the_right_model() -> None:
     assert screening.splines()[0].log_likelihood_gain < 20.0
 
 
-@pytest.mark.diagnosis
 def test_encoder_scale_has_no_high_score_about_the_right_model() -> None:
     # Along a smoothed trajectory, which depends on later measurements, this score is high in every flight.
     linear = baseline().estimate.filtered().linearised_flights[0]
@@ -101,7 +98,6 @@ def test_encoder_scale_has_no_high_score_about_the_right_model() -> None:
     assert max(gain for gain, _, _ in scores) < 14.0
 
 
-@pytest.mark.diagnosis
 def test_estimated_disturbances_are_more_likely_than_their_neighbours() -> None:
     estimate = baseline().estimate
 
@@ -118,7 +114,6 @@ def test_estimated_disturbances_are_more_likely_than_their_neighbours() -> None:
     assert log_likelihood(1.0, 1.0) > max(log_likelihood(*factors) for factors in neighbours)
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize("id_", ["coulomb_friction.elevation", "thrust_asymmetry", "rotor_lag"])
 def test_larger_model_is_never_less_likely_than_its_submodel(id_: str) -> None:
     kind = KINDS[id_]
@@ -127,7 +122,6 @@ def test_larger_model_is_never_less_likely_than_its_submodel(id_: str) -> None:
     assert larger.log_likelihood > baseline().log_likelihood - 1.2
 
 
-@pytest.mark.diagnosis
 @pytest.mark.parametrize(
     ("id_", "parameter", "size"),
     [
@@ -146,10 +140,9 @@ def test_friction_and_play_are_estimated_with_their_sizes(id_: str, parameter: s
     refit = comparison.refit([candidate], None, baseline)
     index = refit.estimate.parameter_vector.names.index(parameter)
     assert np.sqrt(refit.estimate.covariance[index, index]) < 0.1 * size
-    assert refit.values[parameter] == pytest.approx(size, rel=0.1)
+    assert refit.params[parameter] == pytest.approx(size, rel=0.1)
 
 
-@pytest.mark.diagnosis
 def test_a_play_of_three_degrees_does_not_pass_for_disturbances() -> None:
     size_rad = math.radians(3.0)
     comparison = ModelComparison(
@@ -167,7 +160,6 @@ def test_a_play_of_three_degrees_does_not_pass_for_disturbances() -> None:
     assert estimate.disturbances.fast_std[0] < 2.0 * GUST_Nm["elevation"]
 
 
-@pytest.mark.diagnosis
 def test_zero_error_of_an_encoder_is_as_likely_as_a_reaction_torque() -> None:
     # The reference trajectory has the angles that the encoder shows, 5.7 degrees off.
     comparison = ModelComparison(MultibodyModel(), RIG, [flown_with("zero_offset.pitch=0.1")], [])
@@ -185,7 +177,6 @@ def test_zero_error_of_an_encoder_is_as_likely_as_a_reaction_torque() -> None:
 KINEMATICS = KinematicModel(20.0, 0.1, 2.0, 0.1)
 
 
-@pytest.mark.medium
 @pytest.mark.slow
 def test_a_cart_with_a_pendulum_is_identified_within_its_standard_errors() -> None:
     runs = [run(1), run(2)]
@@ -215,7 +206,6 @@ def test_a_cart_with_a_pendulum_is_identified_within_its_standard_errors() -> No
     assert second.disturbances.fast_std == pytest.approx([0.08, 0.004], rel=0.3)
 
 
-@pytest.mark.medium
 def test_impossible_parameters_have_minus_infinite_likelihood() -> None:
     shared = [FreeParameter(name, "", NormalPrior(value, value, 1e-4), name) for name, value in TRUE.items()]
     recording = run(1)
@@ -294,7 +284,6 @@ def filtered() -> InnovationsModel:
     return _linearised(parameters, [filter_record(flight_with_disturbances())], functions, parameters.start)
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("output", range(3))
 def test_score_of_a_shock_is_that_of_its_regressor_at_every_instant(
     filtered: InnovationsModel, output: int

@@ -49,10 +49,10 @@ def cover(seed: int) -> Covered:
         [flown_by_plan(rig, seed)],
         validation=[flown(rig, 1000 + seed, HELD_OUT_S)],
     )
-    truth = {name: rig[name].value for name in identified.fit.values} | encoder_zeros_deg(rig, seed)
+    truth = {name: rig[name].value for name in identified.fit.params} | encoder_zeros_deg(rig, seed)
     errors_in_std = {
         name: (value - truth[name]) / std
-        for (name, value), std in zip(identified.fit.values.items(), identified.fit.std.values(), strict=True)
+        for (name, value), std in zip(identified.fit.params.items(), identified.fit.std.values(), strict=True)
     }
     residual = identified.json()["normalised_residual"]
     return Covered(seed, errors_in_std, residual["train"], residual["validation"])

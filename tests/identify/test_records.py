@@ -20,6 +20,8 @@ from heli_sim.rig import Rig, load_rig
 
 from tests.cli.terminal import Terminal, refusal
 
+pytestmark = pytest.mark.medium
+
 COUNT_RAD = 2 * np.pi / 4096
 STEP_S = 0.002
 ROWS = 10_000
@@ -50,7 +52,6 @@ def test_an_arm_that_leans_far_reaches_the_table_with_its_lower_rotor(
     assert all(cut.start_s < 10.0 < cut.stop_s for cut in cuts)
 
 
-@pytest.mark.medium
 def test_thrust_at_the_beginning_of_a_segment_follows_the_voltages_before_it() -> None:
     rig, lag_s = load_rig("quanser-course"), 0.1
     level = leaning(0.0, 0.0)
@@ -228,7 +229,6 @@ SPOILED: dict[str, tuple[Spoil, int, str, str, str]] = {
 }
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("fault", SPOILED)
 def test_useless_flight_gives_a_one_line_error_and_no_files(
     terminal: Terminal, tmp_path: Path, fault: str
@@ -241,14 +241,12 @@ def test_useless_flight_gives_a_one_line_error_and_no_files(
     assert not (tmp_path / "new.toml").exists() and not (tmp_path / "new.json").exists()
 
 
-@pytest.mark.medium
 def test_a_wrapped_angle_is_named_on_a_rig_that_turns_freely(terminal: Terminal, tmp_path: Path) -> None:
     write_csv(wrapped(flight()), tmp_path / "bad.csv")
     line = refusal(terminal("identify", "bad.csv", "--rig", "quanser-course"), code=REQUEST_ERROR)
     assert "bad.csv: travel_rad jumps by 6.28 in data row 70; unwrap the angle" in line
 
 
-@pytest.mark.medium
 def test_a_missing_column_is_named(terminal: Terminal, tmp_path: Path) -> None:
     write_csv(flight(), tmp_path / "bad.csv")
     text = (tmp_path / "bad.csv").read_text()
@@ -257,7 +255,6 @@ def test_a_missing_column_is_named(terminal: Terminal, tmp_path: Path) -> None:
     assert "bad.csv: column front_V is missing" in line
 
 
-@pytest.mark.medium
 def test_error_names_the_file_of_a_bad_validation_flight(terminal: Terminal, tmp_path: Path) -> None:
     write_csv(flight(), tmp_path / "good.csv")
     write_csv(scaled(0.0, "front_V")(flight()), tmp_path / "bad.csv")
@@ -267,7 +264,6 @@ def test_error_names_the_file_of_a_bad_validation_flight(terminal: Terminal, tmp
     assert "bad.csv: front_V is 0" in line
 
 
-@pytest.mark.medium
 def test_a_gap_is_left_out_on_request(terminal: Terminal, tmp_path: Path) -> None:
     write_csv(without_rows(1000, 1200)(flight()), tmp_path / "gap.csv")
     result = terminal(
@@ -284,7 +280,6 @@ def test_a_gap_is_left_out_on_request(terminal: Terminal, tmp_path: Path) -> Non
     assert (tmp_path / "new.json").exists()
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -343,7 +338,6 @@ def flown(label: str) -> Record:
     )
 
 
-@pytest.mark.medium
 def test_rig_of_several_flights_has_their_mean_torque_and_no_zero() -> None:
     model, rig = MultibodyModel(), load_rig("makki2024")
     free = ("friction_pitch", "torque_pitch", "offset_pitch")

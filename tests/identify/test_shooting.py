@@ -56,13 +56,13 @@ def late_flight() -> Flight:
 def assert_estimates(result: Identification, truth: dict[str, float], within: float = 3.0) -> None:
     """Assert that estimates are `within` some standard errors of the truth."""
     for name, value in truth.items():
-        assert result.fit.values[name] == pytest.approx(value, abs=within * result.fit.std[name]), name
+        assert result.fit.params[name] == pytest.approx(value, abs=within * result.fit.std[name]), name
 
 
 def test_flight_of_the_identify_plan_gives_the_true_rig() -> None:
     rig = known().replace(**CHANGED)
     result = identify(MultibodyModel(), known(), [flown_by_plan(rig, 4)], validation=[changed_flight(3)])
-    truth = {name: rig[name].value for name in result.fit.values} | encoder_zeros_deg(rig, 4)
+    truth = {name: rig[name].value for name in result.fit.params} | encoder_zeros_deg(rig, 4)
     assert_estimates(result, truth)
     residual = result.json()["normalised_residual"]
     assert residual["train"] <= 1.02
@@ -110,7 +110,7 @@ def test_a_delay_and_a_lag_are_distinguished() -> None:
     assert_estimates(result, {"rotor_lag_s": 0.08, "input_delay_s": 0.02})
     assert result.fit.std["rotor_lag_s"] < 1e-3 and result.fit.std["input_delay_s"] < 1e-3
     assert result.json()["normalised_residual"]["train"] <= 1.03
-    assert result.rig("new").effects["rotor_lag"]["s"].value == result.fit.values["rotor_lag_s"]
+    assert result.rig("new").effects["rotor_lag"]["s"].value == result.fit.params["rotor_lag_s"]
 
 
 def test_residuals_of_an_incomplete_model_are_large_and_not_white() -> None:
@@ -213,7 +213,7 @@ def fit_with_friction(size_Nm: float, seed: int = 7) -> Problem:
 def test_hard_dry_friction_of_the_light_axis_is_found_from_a_start_without_any() -> None:
     fit = solve(fit_with_friction(0.0))
     assert check(fit).normalised < 1.03
-    error_Nm = fit.values["coulomb_friction_pitch_Nm"] - DRY_Nm
+    error_Nm = fit.params["coulomb_friction_pitch_Nm"] - DRY_Nm
     assert abs(error_Nm) < 3.0 * fit.std["coulomb_friction_pitch_Nm"]
     # In another flight, no window stays in a wrong state.
     assert check(validate(fit, [dry_flight(8)])).normalised < 1.05
@@ -282,8 +282,8 @@ def test_periodic_torque_is_fitted_from_a_small_size_and_wrong_phase() -> None:
     start = kind.make({prefix + "sin_Nm": -0.002, prefix + "cos_Nm": -0.002, prefix + "Hz": 2.26})
     fit = solve(Problem(MultibodyModel((start,)), RIG, [flight], step_s=0.004))
     assert check(fit).normalised < 1.03
-    assert abs(fit.values[prefix + "Hz"] - 2.25) < 3.0 * fit.std[prefix + "Hz"]
-    assert abs(np.hypot(fit.values[prefix + "sin_Nm"], fit.values[prefix + "cos_Nm"]) - 0.04) < 0.002
+    assert abs(fit.params[prefix + "Hz"] - 2.25) < 3.0 * fit.std[prefix + "Hz"]
+    assert abs(np.hypot(fit.params[prefix + "sin_Nm"], fit.params[prefix + "cos_Nm"]) - 0.04) < 0.002
 
 
 def test_refined_states_fall_back_to_better_earlier_states() -> None:

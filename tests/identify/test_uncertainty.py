@@ -35,6 +35,8 @@ from heli_sim.rig import load_rig
 from tests.cli.terminal import Terminal, refusal
 from tests.identify.made import flown, flown_by_plan, perturbed
 
+pytestmark = pytest.mark.slow
+
 ROWS, STEP_S = 6000, 0.002
 COUNT_RAD = 2.0 * np.pi / 4096
 HOLD = 'title = "hold"\n[[segment]]\nkind = "hold"\nduration_s = 12\n'
@@ -74,7 +76,6 @@ def noise(kind: str, seed: int, *, in_counts: bool = False) -> Flight:
     return Flight(t_s, columns[0], columns[1], columns[2], columns[3], columns[4])
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("rig", ["makki2024", "quanser-course"])
 @pytest.mark.parametrize("kind", ["white", "walk", "slow", "drift"])
 def test_noise_is_not_accepted_as_a_flight(kind: str, rig: str) -> None:
@@ -84,7 +85,6 @@ def test_noise_is_not_accepted_as_a_flight(kind: str, rig: str) -> None:
             identify(MultibodyModel(), load_rig(rig), [log], max_fit_s=20.0)
 
 
-@pytest.mark.medium
 def test_noise_is_refused_in_a_line_and_writes_no_rig(terminal: Terminal, tmp_path: Path) -> None:
     write_csv(noise("white", 103), tmp_path / "imu.csv")
     arguments = ("identify", "imu.csv", "--save-rig", "new.toml", "--free", "thrust_gain")
@@ -94,7 +94,6 @@ def test_noise_is_refused_in_a_line_and_writes_no_rig(terminal: Terminal, tmp_pa
     assert terminal(*arguments, "--skip-sign-check").code == 0 and (tmp_path / "new.toml").exists()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("effects", [(), STRONGEST], ids=["no disturbances", "the strongest disturbances"])
 def test_hover_is_accepted_as_a_flight(effects: tuple[str, ...]) -> None:
     # With two free parameters the others keep their errors, but the shape of the motion is explained.
@@ -107,7 +106,6 @@ def test_hover_is_accepted_as_a_flight(effects: tuple[str, ...]) -> None:
         assert identified.training[0].seconds_used > 8.0
 
 
-@pytest.mark.slow
 def test_validation_on_noise_is_refused_with_the_name_of_the_noise() -> None:
     hover = flown_by_plan(perturbed(203), 203, Plan.parse(HOLD, "hold"))
     with pytest.raises(NotExcited, match=r"^validation 1: the voltages do not explain"):
@@ -140,7 +138,6 @@ def coloured(share: float) -> Floats:
     return values
 
 
-@pytest.mark.slow
 def test_only_the_unidentified_combination_of_parameters_is_reported() -> None:
     information = 1e4 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     unidentifiable = combinations(("a", "b", "c"), information, np.ones(3))
@@ -150,7 +147,6 @@ def test_only_the_unidentified_combination_of_parameters_is_reported() -> None:
     assert combinations(("a", "b"), 1e4 * np.eye(2), np.ones(2)) == []
 
 
-@pytest.mark.slow
 def test_a_verdict_says_which_axis_did_not_move_and_what_is_uninformed() -> None:
     moving = identified("M_w", "torque_elevation", "friction_elevation")
     assert "did not move" not in verdict(moving)
@@ -172,7 +168,6 @@ def test_a_verdict_says_which_axis_did_not_move_and_what_is_uninformed() -> None
     assert "Only the encoders' quantisation" not in verdict(nothing)
 
 
-@pytest.mark.slow
 def test_counterweight_and_constant_torque_are_inseparable_near_level() -> None:
     both = identified("M_w", "torque_elevation", "friction_elevation")
     (first, second, value), *others = both.strong_correlations
@@ -186,7 +181,6 @@ def test_counterweight_and_constant_torque_are_inseparable_near_level() -> None:
     assert two_parameters.fit.std["M_w"] < 0.3 * both.fit.std["M_w"]
 
 
-@pytest.mark.slow
 def test_correlations_are_those_of_the_covariance() -> None:
     result = identified()
     names = result.fit.problem.names
@@ -198,7 +192,6 @@ def test_correlations_are_those_of_the_covariance() -> None:
     np.testing.assert_allclose(matrix * np.outer(std, std), result.fit.covariance, atol=1e-4 * std.max() ** 2)
 
 
-@pytest.mark.slow
 def test_parameters_that_a_flight_does_not_inform_are_named() -> None:
     result = identified()
     assert "M_l" in result.uninformed_parameters and "thrust_gain" not in result.uninformed_parameters
@@ -206,7 +199,6 @@ def test_parameters_that_a_flight_does_not_inform_are_named() -> None:
     assert result.json()["uninformed_parameters"] == result.uninformed_parameters
 
 
-@pytest.mark.slow
 def test_no_standard_error_exceeds_that_of_the_prior() -> None:
     result = identified()
     for parameter, std in zip(result.fit.problem.free, result.fit.std.values(), strict=True):
@@ -214,7 +206,6 @@ def test_no_standard_error_exceeds_that_of_the_prior() -> None:
         assert std <= 1.03 * parameter.prior.std, parameter.name
 
 
-@pytest.mark.slow
 def test_standard_error_of_a_time_is_at_least_that_of_a_voltage_step() -> None:
     record = prepare(flown(load_rig("makki2024"), 3, 25.0), load_rig("makki2024"), "a")
     model = MultibodyModel((RotorLag(0.05),))
@@ -226,14 +217,12 @@ def test_standard_error_of_a_time_is_at_least_that_of_a_voltage_step() -> None:
     assert solve(problem).std["rotor_lag_s"] >= record.step_s / math.sqrt(12.0)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
 def test_autocorrelated_residuals_count_as_fewer_samples(share: float) -> None:
     factor = long_run_variance(coloured(share), WINDOWS, UNCERTAINTY_STEP_S)
     np.testing.assert_allclose(factor, (1.0 + share) / (1.0 - share), rtol=0.35)
 
 
-@pytest.mark.slow
 def test_white_residuals_pass_the_test_and_coloured_residuals_fail() -> None:
     lag = 50
     # After 50 rows, a correlation of 0.9 between neighbours has decayed, and one of 0.99 has not.
@@ -242,7 +231,6 @@ def test_white_residuals_pass_the_test_and_coloured_residuals_fail() -> None:
         assert bool(np.all(np.abs(correlations) < bound)) is is_white, share
 
 
-@pytest.mark.slow
 def test_an_outlying_window_loses_weight() -> None:
     residual = coloured(0.0)
     residual[WINDOWS[7]] *= 6.0
@@ -253,7 +241,6 @@ def test_an_outlying_window_loses_weight() -> None:
     assert np.all(np.delete(weights, [7, 8]) == 1.0)
 
 
-@pytest.mark.slow
 def test_no_axis_of_a_wrong_model_counts_as_exact() -> None:
     sigma = np.array([4e-4, 4e-4, 4e-4])
     exact = floor_axes(np.ones(3), np.ones(3), sigma)

@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(_ahead(name, pair_fit), flush=True)
     if pairs == list(PAIRS):
         sizes = {
-            label: [(pair_fit.fit.values[name], pair_fit.fit.std[name]) for _, pair_fit in last]
+            label: [(pair_fit.fit.params[name], pair_fit.fit.std[name]) for _, pair_fit in last]
             for name, label in SIZES.items()
         }
         figure_of_sizes(sizes, pairs).savefig(given.figures / "measured-sizes.png", dpi=90)
@@ -88,7 +88,7 @@ def _row(pair: str, pair_fit: PairFit) -> str:
         of = pair_fit.gain["2"][axis]
         low, high = of.interval95
         cells.append(f"{of.after_deg:.2f} ({of.ratio:.2f}: {low:.2f} to {high:.2f})")
-    cells.append(", ".join(f"{fit.values[n]:.4f} +- {fit.std[n]:.4f}" for n in SIZES if n in fit.values))
+    cells.append(", ".join(f"{fit.params[n]:.4f} +- {fit.std[n]:.4f}" for n in SIZES if n in fit.params))
     return "| " + " | ".join(cells) + " |"
 
 

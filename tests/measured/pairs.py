@@ -154,7 +154,7 @@ def fit_pair(
     teaches, judges = flights(pair, back)
     fits: list[PairFit] = []
     for effects in models:
-        starts = [None, fits[-1].fit.values] if fits and not once else [None]
+        starts = [None, fits[-1].fit.params] if fits and not once else [None]
         fit = fitted(effects, teaches, starts)
         (run,) = free_runs(fit, [judges])
         before = fits[0].run if fits else run
@@ -208,9 +208,9 @@ def cross_validated(pair: PairFit) -> dict[str, dict[str, ErrorReduction]]:
     errors = []
     for part in (windows[: len(windows) // 2], windows[len(windows) // 2 :]):
         half = _rows(pair.judges, part)
-        fit = fitted(pair.effects, _only(pair.judges, free & ~half), [None, pair.fit.values])
+        fit = fitted(pair.effects, _only(pair.judges, free & ~half), [None, pair.fit.params])
         problem = fit.problem
-        errors.append(free_run(problem.model, problem.rig, fit.values, _only(pair.judges, half), 0.0).errors)
+        errors.append(free_run(problem.model, problem.rig, fit.params, _only(pair.judges, half), 0.0).errors)
     return {key: error_reduction([half[key] for half in errors], [pair.run.errors[key]]) for key in HORIZONS}
 
 

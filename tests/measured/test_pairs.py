@@ -34,4 +34,4 @@ def test_on_the_liveliest_pair_three_effects_halve_the_error_of_pitch_and_travel
         assert error_deg == sorted(error_deg, reverse=True)
     fit = all_three.fit
     for name in ("rotor_lag_s", "gyroscopic_torque_m_s", "edgewise_flow_s_per_m"):
-        assert fit.values[name] > 10.0 * fit.std[name]
+        assert fit.params[name] > 10.0 * fit.std[name]

@@ -62,8 +62,8 @@ def fly_and_identify(kind: EffectSpec, seed: int = 7) -> Found:
     values = {name: 0.5 * value if name in kind.size else value for name, value in kind.typical.items()}
     problem = Problem(MultibodyModel((kind.make(values),)), rig, [record], priors=searched(kind))
     fit = solve(problem)
-    off = {name: (fit.values[name] - truth[name]) / fit.std[name] for name in kind.priors}
-    values = {name: fit.values[name] for name in kind.priors}
+    off = {name: (fit.params[name] - truth[name]) / fit.std[name] for name in kind.priors}
+    values = {name: fit.params[name] for name in kind.priors}
     return Found(off, values, {name: fit.std[name] for name in kind.priors}, check(fit).normalised)
 
 
@@ -98,7 +98,7 @@ def main(ids: list[str]) -> None:
             print(f"{kind.id}: residual {estimate.normalised:.3f}", end="")
             for name, off in estimate.off.items():
                 print(
-                    f"; {name} {estimate.values[name]:.5g} +- {estimate.std[name]:.2g} ({off:+.1f} std)",
+                    f"; {name} {estimate.params[name]:.5g} +- {estimate.std[name]:.2g} ({off:+.1f} std)",
                     end="",
                 )
             print(flush=True)

@@ -189,7 +189,7 @@ def shorten(parts: Iterable[str]) -> None:
     import heli_host.fly.plan
     import heli_lab.explain
     import heli_lab.explain.run
-    import heli_lab.fit.identify.run
+    import heli_lab.fit
     import scipy.optimize
     from matplotlib.figure import Figure
 
@@ -197,7 +197,8 @@ def shorten(parts: Iterable[str]) -> None:
         _wrap(heli_host.fly.plan, "parse_toml", _short_plan)
     if WORK in parts:
         _wrap(heli_lab.explain, "diagnose", _computed_once)
-        _wrap(heli_lab.fit.identify.run, "identify", _computed_once)
+        _wrap(heli_lab.fit, "identify", _computed_once)
+        _wrap(heli_lab.fit.identification, "identify", _computed_once)
         _wrap(heli_lab.explain.run, "prepare", _short_record)
         _wrap(heli_lab.explain.run, "search", _small_search)
         _wrap(scipy.optimize, "minimize", _few_iterations)

@@ -196,7 +196,7 @@ def test_such_a_rig_is_identified_with_its_counts() -> None:
     lag = MultibodyModel(parse_effects(["rotor_lag"]))
     result = identify(lag, odd_rig(), [flight])
     for name, value in {**TRUTH, "rotor_lag_s": 0.08}.items():
-        assert result.fit.values[name] == pytest.approx(value, abs=3.0 * result.fit.std[name]), name
+        assert result.fit.params[name] == pytest.approx(value, abs=3.0 * result.fit.std[name]), name
     # Residuals are in counts: a wrong count is far from 1.
     assert result.json()["normalised_residual"]["train"] == pytest.approx(1.0, abs=0.1)
 

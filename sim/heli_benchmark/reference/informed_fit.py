@@ -66,7 +66,7 @@ def fit_informed(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[True
         held_out,
         *_normalised_errors(nothing, records[1]),
         {effect.id: _size_in_standard_errors(informed, kinds[effect.id].size) for effect in hidden},
-        {name: value for name, value in informed.values.items() if name in names},
+        {name: value for name, value in informed.params.items() if name in names},
         {name: value for name, value in informed.std.items() if name in names},
     )
 
@@ -82,7 +82,7 @@ def _best_of_several_starts(
     sizes = {name: effect.values[name] for effect in effects for name in effect.priors}
     best: Fit | None = None
     for share in _START_SHARES:
-        start = {**nothing.values, **{name: share * value for name, value in sizes.items()}}
+        start = {**nothing.params, **{name: share * value for name, value in sizes.items()}}
         fit = _fit_effects(rig, records, tuple(effects), fixed_values, start)
         if best is None or check(fit).normalised < check(best).normalised:
             best = fit

@@ -29,7 +29,7 @@ from heli_lab.explain.residuals import ResidualAnalysis, residual_analysis
 from heli_lab.explain.screening import Screening, coefficient_std, score_of
 from heli_lab.explain.stepwise import Search, held_out_screening
 from heli_lab.explain.thresholds import DISTURBED_STD, MATTERS_COUNTS, MATTERS_NATS_PER_ROW, MIN_MARGIN
-from heli_lab.explain.verdict import Verdict, judge, small_effects
+from heli_lab.explain.verdict import Verdict, describe_negligible_effects, judge
 from heli_lab.fit.flight_model import GAINS
 from heli_lab.fit.problem import Fit
 
@@ -50,7 +50,7 @@ class AbsentTerm:
 
 def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectSpec]) -> tuple[AbsentTerm, ...]:
     """Find terms whose parameters are zero within their standard errors."""
-    values, reported_std = fit.values, fit.std
+    values, reported_std = fit.params, fit.std
     terms = []
     for id_, kind in kinds.items():
         names = [name for name in kind.override if name in values and rig[name].value > 0.0]
@@ -162,7 +162,7 @@ class Assessment:
     before: Prediction
     """before, after: Free runs of the refitted baseline and of the extended model over all flights."""
     after: Prediction
-    absent: tuple[AbsentTerm, ...]  # Terms of the baseline whose parameters the fit estimated as zero
+    absent_terms: tuple[AbsentTerm, ...]  # Terms of the baseline whose parameters the fit estimated as zero
     verdict: Verdict  # The verdict and its causes
 
 
@@ -179,15 +179,15 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
     absent = absent_terms(after.fit, comparison.rig, kinds)
     changes = prediction_changes(comparison, search, extended, before, after)
     spline_counts = spline_change(comparison, search, extended, after)
-    small_changes = {id_: counts for id_, counts in changes.items() if counts < MATTERS_COUNTS}
-    small = small_effects(search, small_changes, kinds, after.fit)
-    if small:
+    negligible_changes = {id_: counts for id_, counts in changes.items() if counts < MATTERS_COUNTS}
+    negligible = describe_negligible_effects(search, negligible_changes, kinds, after.fit)
+    if negligible:
         # The extended model has only the effects that matter.
-        extended = without(comparison, search, extended, small_changes)
+        extended = without(comparison, search, extended, negligible_changes)
         after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
         absent = absent_terms(after.fit, comparison.rig, kinds)
-    verdict = judge(search, residual, after, kinds, bool(absent), small, spline_counts)
-    return Assessment(residual, extended=extended, before=before, after=after, absent=absent, verdict=verdict)
+    verdict = judge(search, residual, after, kinds, bool(absent), negligible, spline_counts)
+    return Assessment(residual, extended, before, after, absent, verdict)
 
 
 def without_splines(comparison: ModelComparison, search: Search) -> Hypothesis:

@@ -125,17 +125,14 @@ class Hypothesis:
         return self.estimate.log_likelihood
 
     @property
-    def values(self) -> dict[str, float]:
+    def params(self) -> dict[str, float]:
         """Estimates of the free parameters by name."""
-        values: dict[str, float] = self.estimate.parameter_vector.by_name(self.estimate.theta)
-        return values
+        return self.estimate.params
 
     @property
     def std(self) -> dict[str, float]:
         """Standard errors of the free parameters by name."""
-        errors = np.sqrt(np.diag(self.estimate.covariance))
-        std: dict[str, float] = self.estimate.parameter_vector.by_name(errors)
-        return std
+        return self.estimate.std
 
 
 @dataclass(frozen=True, eq=False)
@@ -456,7 +453,7 @@ class ModelComparison:
         if not hypothesis.candidates:
             return self.filtering_baseline
         disturbances = hypothesis.estimate.disturbances.with_gains(len(GAINS))
-        return self.refit_from(hypothesis.candidates, hypothesis.values, disturbances)
+        return self.refit_from(hypothesis.candidates, hypothesis.params, disturbances)
 
     def folds(self) -> ModelComparison | None:
         """Return a comparison that fits one half of the fitted flights and holds the other half out.
@@ -552,7 +549,7 @@ class ModelComparison:
 
         At the edge of a flight, a step cannot be distinguished from a constant.
         """
-        values = hypothesis.values
+        values = hypothesis.params
         for candidate in hypothesis.candidates:
             effect = candidate.effect
             if effect.moment not in values:
@@ -573,7 +570,7 @@ class ModelComparison:
     ) -> Estimate:
         """Estimate the model with some candidates on the fitted flights, or return the cached estimate."""
         parameter_vector = self._parameter_vector(candidates)
-        theta = parameter_vector.started_from({**(warm_start.values if warm_start else {}), **start})
+        theta = parameter_vector.started_from({**(warm_start.params if warm_start else {}), **start})
         return self._cache.estimate(
             cache_key(f"{self.side}train", candidates, start, warm_start.estimate if warm_start else None),
             parameter_vector,

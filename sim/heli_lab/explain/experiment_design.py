@@ -77,8 +77,8 @@ def expected_log_likelihood_ratio(
         return None
     new = ModelComparison(comparison.model, comparison.rig, [record], (), seed=comparison.seed)
     try:
-        with_truth = new.refit(truth.candidates, truth.values)
-        with_alternative = new.refit(alternative.candidates, alternative.values)
+        with_truth = new.refit(truth.candidates, truth.params)
+        with_alternative = new.refit(alternative.candidates, alternative.params)
     except SimError:
         return None
     return with_truth.log_likelihood - with_alternative.log_likelihood
@@ -269,7 +269,7 @@ def informative_experiment(
     parameter_vector = baseline.estimate.parameter_vector
     try:
         comparison = ModelComparison(parameter_vector.model, parameter_vector.rig, [record], ())
-        refitted = comparison.refit([], baseline.values)
+        refitted = comparison.refit([], baseline.params)
         missed = undetectable_effects(Screening(refitted.estimate).effects(wanted_kinds), kinds)
     except SimError:
         return flight
@@ -351,7 +351,7 @@ def _closest_pair(comparison: ModelComparison, search: Search, assessment: Asses
     with_alternative = refit.hypothesis
     if other_causes:
         with_alternative = comparison.refit(
-            [*other_causes, refit.candidate], with_alternative.values, extended
+            [*other_causes, refit.candidate], with_alternative.params, extended
         )
     ids = (least_certain.candidate.id, alternative.id)
     return Pair(extended, with_alternative, ids, alternative.log_likelihood_ratio)

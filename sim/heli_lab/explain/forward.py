@@ -201,7 +201,7 @@ def _significant_sizes(hypothesis: Hypothesis, kind: EffectSpec, record: Record)
     """Return for each free size of an effect whether it differs from its neutral value by two of its
     `limited_std`.
     """
-    values, neutral = hypothesis.values, kind.neutral
+    values, neutral = hypothesis.params, kind.neutral
     std = limited_std(kind, values, hypothesis.std, record)
     return [
         abs(values[size] - neutral[size]) > thresholds.SIGNIFICANT_STD_ERRORS * std[size]
@@ -218,7 +218,7 @@ def is_neutral(hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str,
     kind = kinds.get(candidate.id)
     if kind is None:
         return False
-    values, neutral, typical = hypothesis.values, kind.neutral, kind.typical
+    values, neutral, typical = hypothesis.params, kind.neutral, kind.typical
     free_sizes = [size for size in kind.size if size in values]
     return bool(free_sizes) and all(
         abs(values[size] - neutral[size]) < _NEUTRAL_SHARE * abs(typical[size]) for size in free_sizes
@@ -526,7 +526,7 @@ def refit_on_grid(
     for neighbours in directions:
         for candidate in neighbours:
             grid_values = {name: candidate.effect.values[name] for name in candidate.grid}
-            start = {**best.values, **grid_values}
+            start = {**best.params, **grid_values}
             hypothesis = comparison.refit([*base.candidates, candidate], start, base)
             if hypothesis.log_likelihood <= best.log_likelihood:
                 break

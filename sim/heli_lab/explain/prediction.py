@@ -93,8 +93,8 @@ def free_run(
     if calibration.segments:
         problem = windows_problem(model, rig, parameters, [calibration], priors, threads)
         fit = solve(problem, robust=False, scatter=False, warm_start=True)
-        constants = {name: (value, fit.std[name]) for name, value in fit.values.items()}
-        parameters |= fit.values
+        constants = {name: (value, fit.std[name]) for name, value in fit.params.items()}
+        parameters |= fit.params
     # Equal bounds fix the constants: with the same free parameters the compiled kernel is reused.
     fixed_priors = {
         name: Prior(parameters[name], prior.std, parameters[name], parameters[name])

@@ -111,7 +111,7 @@ class Discovery:
     @property
     def values(self) -> dict[str, EquationParameter]:
         """Parameters of the equation by name, without the effect's prefix."""
-        values, std = {**self.effect.values, **self.hypothesis.values}, self.hypothesis.std
+        values, std = {**self.effect.values, **self.hypothesis.params}, self.hypothesis.std
         return {
             q.name.removeprefix(f"{self.effect.prefix}_"): EquationParameter(
                 values[q.name], std.get(q.name, 0.0), q.unit
@@ -155,7 +155,7 @@ class RefittedEquation:
     def values(self) -> dict[str, float]:
         """Values of all parameters of the equation, by name without prefix."""
         effect = self.hypothesis.candidates[-1].effect
-        all_values = {**effect.values, **self.hypothesis.values}
+        all_values = {**effect.values, **self.hypothesis.params}
         return {q.name.removeprefix(f"{effect.prefix}_"): all_values[q.name] for q in effect.parameters}
 
     @property
@@ -164,7 +164,7 @@ class RefittedEquation:
         prefix, std = f"{self.hypothesis.candidates[-1].effect.prefix}_", self.hypothesis.std
         return {
             name.removeprefix(prefix): (value, std[name])
-            for name, value in self.hypothesis.values.items()
+            for name, value in self.hypothesis.params.items()
             if name.startswith(prefix)
         }
 
@@ -339,7 +339,7 @@ def _equation_without_term(refitted: RefittedEquation, number: int) -> _Equation
 
     The names of parameters contain the number of their term, so those of later terms change.
     """
-    longer, old_values = refitted.equation, refitted.values
+    longer, old_values = refitted.equation, refitted.params
     equation = Equation(tuple(term for i, term in enumerate(longer.terms) if i != number))
     start, held = dict[str, float](), set[str]()
     for i, term in enumerate(equation.terms):
@@ -442,9 +442,9 @@ class ListedEffects:
         size, too.
         """
         parameters = [
-            (model.values[name], prior)
+            (model.params[name], prior)
             for name, prior in effect.effect.priors.items()
-            if name in model.values
+            if name in model.params
         ]
         prior_nats = sum(0.5 * ((value - prior.mean) / prior.std) ** 2 for value, prior in parameters)
         return model.log_likelihood + prior_nats - self.complexity_penalty(effect)
@@ -472,7 +472,7 @@ class ListedEffects:
         the J test (Davidson and MacKinnon, Econometrica 49 (1981) 781) by likelihoods.
         """
         equation = warm_start.candidates[-1]
-        start = {name: rival.values[name] for name in effect.effect.priors if name in rival.values}
+        start = {name: rival.params[name] for name in effect.effect.priors if name in rival.params}
         with_both_terms = self.comparison.refit([*self.base.candidates, effect, equation], start, warm_start)
 
         def gain_over(model: Hypothesis) -> float:

@@ -382,7 +382,7 @@ class _CauseSubsets:
         candidates = tuple(candidate for candidate in side.whole.candidates if candidate.id in key)
         if len(candidates) == len(side.whole.candidates):
             return side.whole
-        return side.comparison.refit_from(candidates, side.whole.values, side.whole.estimate.disturbances)
+        return side.comparison.refit_from(candidates, side.whole.params, side.whole.estimate.disturbances)
 
     def _free_runs(self, side: Direction, hypothesis: Hypothesis) -> Sequence[FreeRun]:
         """Simulate the held-out flights of a direction."""

@@ -178,7 +178,7 @@ class Diagnosis:
         return spline_curves_of(self.verdict.unlisted, self.search.final.estimate)
 
     @cached_property
-    def failing(self) -> FailingRegions:
+    def failing_regions(self) -> FailingRegions:
         """Regions in which the baseline and the extended model fail.
 
         If there is a proposed equation, the two models are the extended model without and with it. The axis
@@ -186,17 +186,17 @@ class Diagnosis:
         """
         term = self.proposed_term
         if term is not None:
-            return self.failing_about(term.trace.axis, term.trace.on)
+            return self.failing_regions_about(term.trace.axis, term.trace.on)
         if self.missing is not None:
-            return self.failing_about(self.missing.axis, self.missing.quantity)
+            return self.failing_regions_about(self.missing.axis, self.missing.quantity)
         for spline in self.search.rounds[0].splines:
             channel, quantity = spline.candidate.dependence
             if channel.startswith("torque"):
-                return self.failing_about(channel.partition(".")[2], quantity)
-        return self.failing_about(self.assessment.residual_analysis.axis)
+                return self.failing_regions_about(channel.partition(".")[2], quantity)
+        return self.failing_regions_about(self.assessment.residual_analysis.axis)
 
-    def failing_about(self, axis: str, on: str = "") -> FailingRegions:
-        """Regions in which the two models of `failing` fail about an `axis`.
+    def failing_regions_about(self, axis: str, on: str = "") -> FailingRegions:
+        """Regions in which the two models of `failing_regions` fail about an `axis`.
 
         `on` is one of the two quantities of the plane; by default, the plane has the most evidence.
         """

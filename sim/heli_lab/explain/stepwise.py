@@ -67,7 +67,7 @@ class _HeldOutMoment:
         """Return the model with the moment in the held-out flight, or unchanged if that shows no event."""
         without_event = self.comparison.held_out_estimate(hypothesis)
         effect = hypothesis.candidates[self.index].effect
-        moments_s = [hypothesis.values[effect.moment], *self._suggested_s(without_event)]
+        moments_s = [hypothesis.params[effect.moment], *self._suggested_s(without_event)]
         moments_s = [moment_s for moment_s in moments_s if event_is_inside(self.record, moment_s)]
         if not moments_s:
             return hypothesis
@@ -202,7 +202,7 @@ def with_fixed_moments(hypothesis: Hypothesis) -> tuple[Candidate, ...]:
         effect = candidate.effect
         if not effect.flight:
             return candidate
-        moments_s = {**effect.other_moments_s, effect.flight: hypothesis.values[effect.moment]}
+        moments_s = {**effect.other_moments_s, effect.flight: hypothesis.params[effect.moment]}
         return replace(candidate, effect=replace(effect, flight=_NO_FLIGHT, other_moments_s=moments_s))
 
     return tuple(map(with_fixed_moment, hypothesis.candidates))
@@ -223,7 +223,7 @@ def exchange(
             other_causes = [other for other in final.candidates if other is not candidate]
             if not may_join(kind.id, [other.id for other in other_causes], kinds):
                 continue
-            wider = Candidate(kind.id, kind.make(kind.from_contained(final.values)), (), {})
+            wider = Candidate(kind.id, kind.make(kind.from_contained(final.params)), (), {})
             refit = comparison.refit([*other_causes, wider], wider.start_values(np.zeros(0)), final)
             gain = refit.log_likelihood - final.log_likelihood
             margin = gain - acceptance.penalty(wider) + acceptance.penalty(candidate)
@@ -249,7 +249,7 @@ def _without_unresolved_sizes(
         other_causes = [other for other in final.candidates if other is not candidate]
         narrower = [
             comparison.refit([*other_causes, contained], contained.effect.values, final)
-            for contained in _contained(kind, kinds, final.values)
+            for contained in _contained(kind, kinds, final.params)
             if progress.refits_left()
         ]
         if narrower:
@@ -373,7 +373,7 @@ class BackwardElimination:
                 present_ids.append(candidate.id)
         if not restored:
             return reduced
-        start = {**round_.base.values, **reduced.values}
+        start = {**round_.base.params, **reduced.params}
         return self.comparison.refit([*reduced.candidates, *restored], start, reduced)
 
     def _round_of(self, cause_id: str) -> Round | None:
@@ -436,7 +436,7 @@ class BackwardElimination:
             replaced = refit
             # The round may have begun with causes that were removed since, or without those of later rounds.
             if replaced is None or {*replaced.ids} != {present.id for present in candidates}:
-                replaced = self.comparison.refit(candidates, replaced.values if replaced else None, reduced)
+                replaced = self.comparison.refit(candidates, replaced.params if replaced else None, reduced)
             if self.comparison.in_flight(replaced) and not self._adds_unresolved(candidate, other, replaced):
                 ratio = final.log_likelihood - replaced.log_likelihood
                 ratio = ratio + self.acceptance.penalty(other) - self.acceptance.penalty(candidate)

@@ -39,9 +39,9 @@ class CauseParameter:
 
 def cause_parameters(fit: Fit, kind: EffectSpec, start: Mapping[str, float]) -> dict[str, CauseParameter]:
     """Parameters of an effect by full name, as they are reported."""
-    std = limited_std(kind, fit.values, fit.std, fit.problem.records[0])
+    std = limited_std(kind, fit.params, fit.std, fit.problem.records[0])
     return {
-        q.name: CauseParameter(fit.values.get(q.name, start[q.name]), std.get(q.name, 0.0), q.unit)
+        q.name: CauseParameter(fit.params.get(q.name, start[q.name]), std.get(q.name, 0.0), q.unit)
         for q in kind.parameters
     }
 
@@ -107,7 +107,7 @@ def _reported_covariance(names: Sequence[str], parameters: Mapping[str, CausePar
 
 def _value_of(name: str, fit: Fit) -> float:
     """Return the estimate of a rig parameter, or its value in the rig file if it was not estimated."""
-    return float(fit.values.get(name, fit.problem.rig[name].value))
+    return float(fit.params.get(name, fit.problem.rig[name].value))
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class NamedCause(Cause):
 
 
 @dataclass(frozen=True)
-class SmallEffect:
+class NegligibleEffect:
     """A significant effect that is too small to matter."""
 
     cause: NamedCause  # The effect with its evidence
@@ -132,7 +132,7 @@ class SmallEffect:
 
 
 @dataclass(frozen=True)
-class SmallRemainder:
+class NegligibleDependence:
     """A significant dependence that no effect of the catalogue explains, and that is too small to matter."""
 
     what: str  # ``CHANNEL on QUANTITY``
@@ -150,8 +150,8 @@ class Verdict:
     """Spline terms in the place of causes that the catalogue lacks, the strongest first."""
     random_torque: bool
     """Whether a random torque acts about a single axis, unlike the disturbances that every rig has."""
-    small: tuple[SmallEffect, ...] = ()  # Significant effects that are too small to matter
-    remainder: tuple[SmallRemainder, ...] = ()
+    negligible_effects: tuple[NegligibleEffect, ...] = ()  # Significant effects that are too small to matter
+    negligible_dependences: tuple[NegligibleDependence, ...] = ()
     """Significant dependences that no effect explains, and that are too small to matter."""
 
 
@@ -161,53 +161,55 @@ def judge(
     after: Prediction,
     kinds: Mapping[str, EffectSpec],
     absent: bool,
-    small: tuple[SmallEffect, ...] = (),
+    negligible_effects: tuple[NegligibleEffect, ...] = (),
     spline_counts: float = math.inf,
 ) -> Verdict:
     """Decide the verdict.
 
     The label is ``unexplained`` if something remains that a better model could predict, and that matters by
-    the measure of effects. Otherwise it is
-    ``ambiguous`` if one of the causes has a close alternative, ``cause_found`` if there is a cause, and
-    ``explained`` if the baseline needs none.
+    the measure of effects. Otherwise it is ``ambiguous`` if one of the causes has a close alternative,
+    ``cause_found`` if there is a cause, and ``explained`` if the baseline needs none.
     """
-    small_ids = {effect.cause.effect for effect in small}
+    negligible_ids = {effect.cause.effect for effect in negligible_effects}
     splines = tuple(cause for cause in search.causes if cause.candidate.is_spline)
     is_above_quantisation = max(after.train.total, after.held_out.total) > thresholds.NOISE_FLOOR
     is_predictable = bool(splines or residual.dependences)
-    remainder = _small_remainder(splines, spline_counts, residual, after)
-    is_unexplained = is_above_quantisation and len(remainder) < len(splines) + len(residual.dependences)
+    dependences = _negligible_dependences(splines, spline_counts, residual, after)
+    is_unexplained = is_above_quantisation and len(dependences) < len(splines) + len(residual.dependences)
     random_torque = is_above_quantisation and not is_predictable and has_random_torque(residual, kinds)
     causes = tuple(
         _named_cause(cause, kinds, after.fit, is_unexplained)
         for cause in search.causes
-        if not cause.candidate.is_spline and cause.effect not in small_ids
+        if not cause.candidate.is_spline and cause.effect not in negligible_ids
     )
     if is_unexplained:
-        return Verdict("unexplained", causes, unlisted=splines, random_torque=False, small=small)
-    remainder = remainder if is_above_quantisation else ()
+        return Verdict("unexplained", causes, splines, False, negligible_effects)
     if any(cause.ambiguous_with for cause in causes):
         label = "ambiguous"
     elif causes or random_torque or absent:
         label = "cause_found"
     else:
         label = "explained"
-    return Verdict(label, causes, (), random_torque, small, remainder)
+    negligible_dependences = dependences if is_above_quantisation else ()
+    return Verdict(label, causes, (), random_torque, negligible_effects, negligible_dependences)
 
 
-def _small_remainder(
+def _negligible_dependences(
     splines: Sequence[Cause], spline_counts: float, residual: ResidualAnalysis, after: Prediction
-) -> tuple[SmallRemainder, ...]:
+) -> tuple[NegligibleDependence, ...]:
     """Return what remains significant but is too small to matter; empty in large disturbances, where every
     significant effect matters.
     """
     if after.train.total > thresholds.DISTURBED_STD:
         return ()
-    small_splines = splines if spline_counts < thresholds.MATTERS_COUNTS else ()
+    negligible_splines = splines if spline_counts < thresholds.MATTERS_COUNTS else ()
     return (
-        *(SmallRemainder(" on ".join(s.candidate.dependence), spline_counts, s.train) for s in small_splines),
         *(
-            SmallRemainder(dependence.what, dependence.change_counts, dependence.log_likelihood_gain)
+            NegligibleDependence(" on ".join(s.candidate.dependence), spline_counts, s.train)
+            for s in negligible_splines
+        ),
+        *(
+            NegligibleDependence(dependence.what, dependence.change_counts, dependence.log_likelihood_gain)
             for dependence in residual.dependences
             if not dependence.matters
         ),
@@ -226,12 +228,12 @@ def with_confirmation(verdict: Verdict, unconfirmed: Collection[str]) -> Verdict
     return replace(verdict, causes=tuple(map(with_limited_confidence, verdict.causes)))
 
 
-def small_effects(
+def describe_negligible_effects(
     search: Search, changes: Mapping[str, float], kinds: Mapping[str, EffectSpec], fit: Fit
-) -> tuple[SmallEffect, ...]:
+) -> tuple[NegligibleEffect, ...]:
     """Describe effects that are too small to matter."""
     return tuple(
-        SmallEffect(_named_cause(cause, kinds, fit, unexplained=False), changes[cause.effect])
+        NegligibleEffect(_named_cause(cause, kinds, fit, unexplained=False), changes[cause.effect])
         for cause in search.causes
         if cause.effect in changes
     )

@@ -284,6 +284,16 @@ class Estimate(Generic[VectorT]):
     functions: ModelFunctions
 
     @property
+    def params(self) -> dict[str, float]:
+        """Free parameters by name."""
+        return self.parameter_vector.by_name(self.theta)
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard errors by name."""
+        return self.parameter_vector.by_name(np.sqrt(np.diag(self.covariance)))
+
+    @property
     def prior_deviations(self) -> Floats:
         """Distances of the parameters from the means of their priors, in standard deviations, shape (f,)."""
         vector = self.parameter_vector

@@ -352,7 +352,7 @@ class Identification:
         """
         problem = self.fit.problem
         values = problem.parameter_vector.values_by_name
-        estimates, std = self.fit.values, self.fit.std
+        estimates, std = self.fit.params, self.fit.std
         labels = ", ".join(record.label for record in problem.records)
         effects: dict[str, dict[str, Number]] = {}
         for effect in problem.model.effects:

@@ -640,7 +640,7 @@ class Fit:
     converged: bool
 
     @property
-    def values(self) -> dict[str, float]:
+    def params(self) -> dict[str, float]:
         """Free parameters by name."""
         return self.problem.parameter_vector.by_name(self.theta)
 

@@ -201,7 +201,7 @@ def identify(settings: Settings) -> Result:
     fit = identification.fit
     errors_in_std = {
         name: (value - true[name].value) / fit.std[name]
-        for name, value in fit.values.items()
+        for name, value in fit.params.items()
         if name in true and not name.startswith("offset_")
     }
     sizes = [abs(error) for error in errors_in_std.values()]
@@ -214,7 +214,7 @@ def identify(settings: Settings) -> Result:
         "converged": identification.converged,
         **training.drawn.row,
     }
-    return row, {"values": fit.values, "std": fit.std, "standard_errors_off": errors_in_std}
+    return row, {"values": fit.params, "std": fit.std, "standard_errors_off": errors_in_std}
 
 
 def diagnose(settings: Settings) -> Result:

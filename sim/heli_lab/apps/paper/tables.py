@@ -229,7 +229,7 @@ def _estimate_and_interval(fit: Fit, name: str, per_si: float) -> tuple[float, f
     """Return an estimate and half its 95 % interval, which is two standard errors; `per_si` converts both to
     the unit of the table.
     """
-    return per_si * fit.values[name], 2.0 * per_si * fit.std[name]
+    return per_si * fit.params[name], 2.0 * per_si * fit.std[name]
 
 
 _IDENTIFIED: Final = 0.5
@@ -318,7 +318,7 @@ def fit_rig(
             half_interval = _STD_PER_HALF_INTERVAL * std
             if name in rig and (name not in best or half_interval < best[name].half_interval):
                 source = f"Fig. {tests[0].panel[:2]}"
-                best[name] = _ParameterEstimate(fit.values[name], half_interval, source)
+                best[name] = _ParameterEstimate(fit.params[name], half_interval, source)
     parameter_rows = [_parameter_row(name, rig, best) for name in (*_IN_TABLE, *_NOT_IN_TABLE)]
     return RigTable((*parameter_rows, *_inertia_rows(rig)), normalised)
 

@@ -319,8 +319,8 @@ def regions_section(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, 
 
     The axis of the verdict is the first.
     """
-    first = diagnosis.failing
-    all_regions = [first, *(diagnosis.failing_about(axis) for axis in AXES if axis != first.axis)]
+    first = diagnosis.failing_regions
+    all_regions = [first, *(diagnosis.failing_regions_about(axis) for axis in AXES if axis != first.axis)]
     models = _compared_models(diagnosis)
     figure = figures.figure_of_failing_regions(all_regions, models)
     return {
@@ -351,7 +351,7 @@ def _regions_sentence(regions: FailingRegions, models: Sequence[str]) -> str:
 
 def _regions_note(diagnosis: Diagnosis, test: RegionTest) -> str:
     """Explain an apparent contradiction between the verdict and the cells of the last model; else empty."""
-    first = diagnosis.failing
+    first = diagnosis.failing_regions
     if diagnosis.label == "unexplained" and not test.fails.any():
         x, y = quantity_in_words(first.x), quantity_in_words(first.y)
         return (
@@ -373,9 +373,9 @@ def unknown_torque(diagnosis: Diagnosis, save_figure: SaveFigure) -> Picture | N
     """
     if diagnosis.missing is None or diagnosis.verdict.unlisted or diagnosis.proposal is not None:
         return None
-    if (diagnosis.failing.axis, diagnosis.failing.x) != diagnosis.missing:
+    if (diagnosis.failing_regions.axis, diagnosis.failing_regions.x) != diagnosis.missing:
         return None
-    return save_figure("unknown", figures.figure_of_unknown_torque(diagnosis.failing))
+    return save_figure("unknown", figures.figure_of_unknown_torque(diagnosis.failing_regions))
 
 
 def _torque_text_mNm(torque_Nm: float) -> str:

@@ -57,7 +57,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
         "gain": _error_reduction_json(result),
         "unexplained": unexplained(result),
         "proposed_term": proposal_json(result.proposal) if result.proposal else None,
-        "failing_regions": _failing_regions_json(result.failing),
+        "failing_regions": _failing_regions_json(result.failing_regions),
         "next_flight": {"why": experiment.why, "plan": experiment.plan} if experiment else None,
         "undetectable": list(result.undetectable),
         "unidentifiable": list(result.unidentifiable),

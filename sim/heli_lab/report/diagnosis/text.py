@@ -72,7 +72,7 @@ def too_small_effects(result: Diagnosis) -> list[dict[str, Any]]:
             "change_counts": effect.change_counts,
             "log_likelihood_ratio": effect.cause.train,
         }
-        for effect in result.verdict.small
+        for effect in result.verdict.negligible_effects
     ]
 
 
@@ -87,7 +87,7 @@ def small_remainder(result: Diagnosis) -> list[dict[str, Any]]:
             "change_counts": dependence.change_counts,
             "log_likelihood_gain": dependence.log_likelihood_gain,
         }
-        for dependence in result.verdict.remainder
+        for dependence in result.verdict.negligible_dependences
     ]
 
 
@@ -162,7 +162,7 @@ def _absent_term_causes(result: Diagnosis) -> list[dict[str, Any]]:
     """Return the causes that are absent terms of the baseline."""
     factor = CONFIDENCE_FACTOR_UNEXPLAINED if result.label == "unexplained" else 1.0
     absent_causes = []
-    for term in result.assessment.absent:
+    for term in result.assessment.absent_terms:
         kind = result.kinds[term.id]
         (name,) = kind.size
         absent_causes.append(
