@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
@@ -10,8 +12,9 @@ from pathlib import Path
 from typing import Final
 
 import heli_host
-from heli_host.board.heli import Heli
 from heli_host.declaration import AXES
+from heli_host.errors import HeliError
+from heli_host.fly.heli import Heli
 from heli_lab.setup.calibrate.calibration import BenchCalibration, calibrate
 from heli_lab.setup.calibrate.motors import PulseLimits
 from heli_lab.setup.calibrate.operator import SimulatedOperator
@@ -108,3 +111,34 @@ def stops_while_driven(world: SilWorld, do: Callable[[], None]) -> Callable[[], 
             do()
 
     return check
+
+
+def main() -> int:
+    """Calibrate all, and return 1 if something was not found."""
+    bad = 0
+    with tempfile.TemporaryDirectory() as folder:
+        for name in HIDDEN:
+            gains, zeros = [], []
+            for wires in ALL:
+                try:
+                    result = calibrated(Path(folder), name, wires)
+                    outcome: Wires | str = wires_found(result)
+                    gain, zero_V = errors_of(result, name)
+                except HeliError as error:
+                    outcome, gain, zero_V = str(error), 1.0, 1.0
+                gains.append(abs(gain))
+                zeros.append(abs(zero_V))
+                if outcome != wires or abs(gain) > GAIN_SHARE or abs(zero_V) > DEAD_ZONE_V:
+                    bad += 1
+                    print(f"{name}: {wires}: {outcome}, thrust {gain:+.1%}, dead zone {zero_V:+.3f} V")
+            print(
+                f"{name}: {len(ALL)} combinations; largest error of thrust {max(gains):.1%}, "
+                f"of the dead zone {max(zeros):.3f} V",
+                flush=True,
+            )
+    print(f"{bad} wrong")
+    return int(bad > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -18,6 +18,8 @@ from heli_test_native import law as native_law
 
 from tests.firmware.cost import PERIOD_S, Flight
 
+LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
+"""Laws of the documents."""
 DUTY_FULL = {"native": 2100, "due": 2100}
 COUNTS = [Channel.ELEVATION_COUNT, Channel.PITCH_COUNT, Channel.TRAVEL_COUNT]
 SETPOINTS = [Channel.ELEVATION_SETPOINT, Channel.PITCH_SETPOINT, Channel.TRAVEL_SETPOINT]

@@ -26,7 +26,7 @@ from heli_lab.law import Command, Law, control_law, motor_volts, sqrt
 from firmware.due.report import read_image
 from tests.firmware.built import built_elf
 from tests.firmware.cost import LAW_UPDATE, Flight, fly_the_worst
-from tests.law.flown import fly_and_steer, law_of
+from tests.law.flown import LAWS, fly_and_steer, law_of
 from tests.law.processor import Processor, adversarial_sums, operation_cost, pairs, sum_cost, sum_words
 from tests.running.long import LONG, samples
 
@@ -34,7 +34,6 @@ pytestmark = pytest.mark.emulated
 
 TAPES = samples(10_000, 300)
 ROOT = Path(__file__).resolve().parents[2]
-LAWS = ROOT / "docs" / "laws"
 # Setting up and leaving the interpreter's loop.
 AROUND = 20
 ALL = tuple(sorted(path.stem for path in LAWS.glob("*.py")))

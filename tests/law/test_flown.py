@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,15 +11,44 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
-from heli_host.board.law_flight import engage
-from heli_host.declaration import Channel, Fault, LawFlyMessage
+from heli_host.board.law_program import LawProgram
+from heli_host.data.response import responses
+from heli_host.declaration import (
+    LINK_HASH,
+    Channel,
+    Fault,
+    Flags,
+    HelloMessage,
+    LawBeginMessage,
+    LawEndMessage,
+    LawFlyMessage,
+    LawMessage,
+    LawPartMessage,
+    LawReadMessage,
+    LawState,
+    MessageId,
+)
+from heli_host.fly.guest_law import PART_WORDS, engage, loaded
 from heli_host.link.telemetry import Ticks
+from heli_lab.apps.classroom.grade import FlightScore, LawGrade, score_of_trial
+from heli_lab.control.law_flight import LawTrial
+from heli_lab.control.linear_law import linearised
+from heli_lab.control.tune.loops import linear_plant
+from heli_lab.law import Command, Law, control_law, from_gain
+from heli_sim.rig import load_rig
+from heli_sim.sil.inprocess import InProcessTransport
 
-from tests.law.flown import fly, law_of, replayed
+from tests.cli.terminal import Terminal, terminal
+from tests.law.flown import LAWS, fly, law_of, replayed
 from tests.law.hostile import HOSTILE, RIGS, CALM_s, Good, MAX_deg, Volts, follows, hostile, motors, tries
+from tests.link.core_harness import Harness, open_harness, payloads_of
 from tests.running.long import LONG, samples
 
-LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
+__all__ = [
+    "terminal",
+]
+
+
 NAMES = ("cascade", "feedback_linearisation", "gain_scheduled", "input_shaping", "lqg", "lqi", "lqr", "mpc",
          "sliding_mode")  # fmt: skip
 SECONDS = 60.0 if LONG else 6.0
@@ -170,3 +201,195 @@ def test_the_board_takes_over_without_a_bump() -> None:
     last = int(np.flatnonzero(flown.flying)[-1])
     volts = flown.raw[last - 5 : last + 6][:, [Channel.FRONT, Channel.BACK]].astype(int)
     assert np.abs(np.diff(volts, axis=0)).max() < 60, "more than 60 mV from one tick to the next"
+
+
+def small(name: str, gain: float) -> Law:
+    @control_law(name=name)
+    def law(now, state, parameter):  # type: ignore[no-untyped-def]
+        return Command(gain * now.pitch_rad + 1.0, 1.0)
+
+    return law
+
+
+def upload_frames(harness: Harness, program: LawProgram, request: int) -> list[bytes]:
+    """Frames of an upload, in order."""
+    words = program.words
+    frames = [harness.frame(LawBeginMessage(request, program.hash, len(words)))]
+    for first in range(0, len(words), PART_WORDS):
+        part = [*words[first : first + PART_WORDS], *([0] * PART_WORDS)][:PART_WORDS]
+        frames.append(harness.frame(LawPartMessage(request + len(frames), first, *part)))
+    frames.append(harness.frame(LawEndMessage(request + len(frames))))
+    return frames
+
+
+def law_on(harness: Harness) -> LawMessage:
+    """The board's report of its law to a host that has just reconnected."""
+    # Half a frame swallows what follows it, as on a line; a host greets until it is answered.
+    hello = HelloMessage(240, LINK_HASH, 2)
+    greeted = any(
+        payloads_of(harness.turn(harness.frame(hello), ticks=2), MessageId.WELCOME) for _ in range(9)
+    )
+    assert greeted
+    (payload,) = payloads_of(harness.ask(LawReadMessage(241)), MessageId.LAW)
+    return LawMessage.unpack(payload)
+
+
+def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
+    old, new = small("old", 0.5).program, small("new", 0.25).program
+    byte_count = len(b"".join(upload_frames(open_harness(), new, 50)))
+    observed = set()
+    for cut in range(byte_count + 1):
+        harness = open_harness()
+        for frame in upload_frames(harness, old, 1):
+            harness.turn(frame, ticks=2)
+        remaining_bytes = cut
+        for frame in upload_frames(harness, new, 50):
+            harness.turn(frame[:remaining_bytes], ticks=2)
+            remaining_bytes = max(0, remaining_bytes - len(frame))
+        law = law_on(harness)
+        if law.state == LawState.READY:
+            assert law.hash == (new.hash if cut == byte_count else old.hash), cut
+        else:
+            assert law.state in (LawState.NONE, LawState.RECEIVING), cut
+            assert cut < byte_count
+        observed.add((law.state, law.hash if law.state == LawState.READY else 0))
+    assert observed >= {(LawState.READY, old.hash), (LawState.READY, new.hash), (LawState.RECEIVING, 0)}
+
+
+@pytest.mark.medium
+def test_a_board_that_was_reset_gets_its_law_again_when_it_is_armed() -> None:
+    law = law_of(LAWS / "lqr.py")
+    with heli_host.connect("sil://") as heli:
+        heli.load_law(law.program)
+        transport = heli.session.transport
+        assert isinstance(transport, InProcessTransport)
+        transport.world.cycle_power()
+        assert heli.session.wait_for(lambda: heli.counters.restarts > 0, 8.0)
+        assert loaded(heli.session).state == LawState.NONE
+        heli.take_off()
+        assert loaded(heli.session).hash == law.program.hash
+        assert loaded(heli.session).state == LawState.READY
+
+
+@pytest.mark.medium
+def test_a_cable_that_was_out_costs_no_law() -> None:
+    law = law_of(LAWS / "lqr.py")
+    with heli_host.connect("sil://?unplug=2:1") as heli:
+        heli.load_law(law.program)
+        heli.session.wait_for(lambda: heli.counters.reconnects > 0, 8.0)
+        assert heli.counters.reconnects == 1
+        assert loaded(heli.session).hash == law.program.hash
+
+
+@pytest.mark.medium
+def test_from_the_beginning_of_an_upload_to_a_voltage_of_the_law_it_takes_half_a_second_at_most() -> None:
+    law = law_of(LAWS / "lqg.py")
+    with heli_host.connect("sil://") as heli:
+        heli.take_off()
+        start = heli.latest.tick
+        acting: list[int] = []
+
+        def look(new: Ticks) -> None:
+            flown = new.raw[:, Channel.FLAGS] & Flags.LAW
+            acting.extend(new.tick[flown != 0].tolist())
+
+        heli.session.subscribe_ticks(look)
+        heli.fly_law(law.program, duration_s=0.1)
+        assert 0 < acting[0] - start <= 500
+
+
+PLANT = linear_plant(load_rig("makki2024"))
+GAINS = np.array([[12.0, 0, 0, 5.0, 0, 0], [0, 6.0, 1.5, 0, 2.0, 2.5]])
+FILE = """
+from heli_lab.law import from_gain
+
+LAW = from_gain({gains}, hover_V={hover_V})
+"""
+
+
+@pytest.mark.medium
+def test_a_law_that_leaves_an_axis_free_is_not_stable() -> None:
+    """Without feedback, travel has a pole at 0, and no margin limits anything."""
+    linear = linearised(from_gain(0.0 * GAINS, hover_V=1.41), PLANT)
+    assert not linear.stable
+    assert np.isnan([*linear.gain_up, *linear.phase_deg]).all()
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("signs", [(-1, 1), (1, -1)])
+def test_a_law_with_a_wrong_sign_is_not_stable(signs: tuple[int, int]) -> None:
+    linear = linearised(from_gain(np.array(signs)[:, None] * GAINS, hover_V=1.41), PLANT)
+    assert not linear.stable
+    assert np.isnan(linear.gain_up).all()
+
+
+@pytest.mark.medium
+def test_a_law_that_is_stable_keeps_its_margins() -> None:
+    linear = linearised(from_gain(GAINS, hover_V=1.41), PLANT)
+    assert linear.stable
+    assert min(linear.phase_deg) > 10.0
+    assert linear.nonlinearity_V < 1e-6
+
+
+@pytest.mark.medium
+def test_a_law_that_switches_is_not_linear() -> None:
+    @control_law(rate_Hz=500)
+    def switches(now: object, state: object, parameter: object) -> Command:
+        pushed_V = (now.elevation_rad < -0.001) * 3.0  # type: ignore[attr-defined]
+        return Command(1.7 + pushed_V, 1.7 + pushed_V)
+
+    assert linearised(switches, PLANT).nonlinearity_V == pytest.approx(3.0)
+
+
+@pytest.mark.medium
+def test_the_check_of_a_law_that_fails_ends_with_1_and_its_flight_with_4(
+    terminal: Terminal, tmp_path: Path
+) -> None:
+    (tmp_path / "falls.py").write_text(FILE.format(gains=(0.0 * GAINS).tolist(), hover_V=3.5))
+    checked = terminal("law", "check", tmp_path / "falls.py", "--rigs", 1, "--json", tmp_path / "check.json")
+    assert checked.code == 1
+    assert "NOT STABLE" in checked.out
+    assert "margin" not in checked.out
+    assert "the board's own law had to take over on 1 of 1 rigs" in checked.out
+    assert json.loads((tmp_path / "check.json").read_text())["stable"] is False
+    files = ("--log", tmp_path / "a.mcap", "--json", tmp_path / "fly.json")
+    flown = terminal("law", "fly", tmp_path / "falls.py", "--duration", 4, "--sil", "--speed", "max", *files)
+    assert flown.code == 4
+    assert "law_taken_over: elevation_" in flown.err
+    assert "nan" not in flown.out
+    assert json.loads((tmp_path / "fly.json").read_text())["outcome"].startswith("law_taken_over")
+
+
+@pytest.mark.medium
+def test_a_comparison_with_a_law_that_fails_says_so_in_its_labels(terminal: Terminal, tmp_path: Path) -> None:
+    (tmp_path / "falls.py").write_text(FILE.format(gains=(0.0 * GAINS).tolist(), hover_V=3.5))
+    where = ("--figure", tmp_path / "a.png", "--json", tmp_path / "a.json")
+    compared = terminal(
+        "law", "compare", tmp_path / "falls.py", "--duration", 4, "--sil", "--speed", "max", *where
+    )
+    assert compared.code == 4
+    labels = [flight["flight"] for flight in json.loads((tmp_path / "a.json").read_text())["flights"]]
+    assert sum("taken over" in label for label in labels) == 1
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize(
+    ("settling_s", "text"),
+    [((3.66,), "3.66"), ((3.0, 4.0), "3.50"), ((3.66, math.inf), "3.66 in 1 of 2"), ((math.inf,), "never")],
+)
+def test_the_settling_of_a_grade_is_that_of_the_flights_that_settled(
+    settling_s: tuple[float, ...], text: str
+) -> None:
+    grade = LawGrade("lqr", scores=tuple(FlightScore(settling_s=time_s) for time_s in settling_s))
+    assert grade.row()[1] == text
+
+
+@pytest.mark.medium
+def test_a_grade_and_its_figure_measure_the_same(terminal: Terminal, tmp_path: Path) -> None:
+    (tmp_path / "holds.py").write_text(FILE.format(gains=GAINS.tolist(), hover_V=1.41))
+    log = tmp_path / "a.mcap"
+    assert terminal("law", "fly", tmp_path / "holds.py", "--sil", "--speed", "max", "--log", log).code == 0
+    trial = LawTrial.of_log(log)
+    travel = responses(trial.flight)[2]
+    settling_s = score_of_trial(trial).settling_s
+    assert settling_s == (math.inf if math.isnan(travel.settling_s) else travel.settling_s)

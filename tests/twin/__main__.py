@@ -26,8 +26,7 @@ from heli_lab.watch.twin_model import TwinModel
 from heli_sim.model.multibody import MultibodyModel
 from scipy.stats import binom
 
-from tests.twin.changes import SIZES, ONSET_s, change
-from tests.twin.rigs import RigWithTwin, random_flights, rig_with_twin
+from tests.twin.rigs import SIZES, ONSET_s, RigWithTwin, change, random_flights, rig_with_twin
 
 Results = dict[str, Any]
 """Content of the result file: for each seed of a rig, the tail of its twin's evidence, and its flights."""

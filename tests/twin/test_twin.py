@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -11,14 +12,18 @@ import numpy as np
 import pytest
 from heli_host.data.log.reader import Log, read_log
 from heli_host.ui.cli import run
-from heli_lab.watch.calibration import open_rig
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.watch.calibration import DEFAULT_CALIBRATION, Calibration, TwinRig, open_rig
 from heli_lab.watch.monitor import TwinReport, monitor_file, open_twin
+from scipy.special import bdtrc
 
-pytestmark = pytest.mark.slow
+from tests.running.long import LONG, samples
+from tests.twin.__main__ import FALSE_ALARM_INTERVAL_h, fly_changed, fly_healthy
+from tests.twin.rigs import RigWithTwin, rig_with_twin, true_rig
+
 CHANGED_s = 12.0
 """Time from the first turn of the motors to the change [s]."""
 TICK_s = 1e-3
-FALSE_ALARM_INTERVAL_h = 10.0
 PLAN = """
 title = "Short"
 [start]
@@ -60,6 +65,7 @@ def flight_with_twin() -> WatchedFlight:
     return WatchedFlight(path, exit_code, read_log(path), report)
 
 
+@pytest.mark.slow
 def test_a_loss_of_thrust_is_detected_named_and_measured() -> None:
     flight = flight_with_twin()
     (alarm,) = flight.report.alarms
@@ -72,6 +78,7 @@ def test_a_loss_of_thrust_is_detected_named_and_measured() -> None:
     assert "the front rotor lost" in alarm.text and "times more likely than the next" in alarm.text
 
 
+@pytest.mark.slow
 def test_the_flight_ends_in_a_landing_and_the_log_states_why() -> None:
     flight = flight_with_twin()
     assert flight.exit_code != 0
@@ -81,6 +88,7 @@ def test_the_flight_ends_in_a_landing_and_the_log_states_why() -> None:
     assert flight.log.ticks["t_s"][-1] < 21.0
 
 
+@pytest.mark.slow
 def test_the_events_in_flight_and_afterwards_are_equal() -> None:
     """In flight the ticks arrive in batches of random length."""
     flight = flight_with_twin()
@@ -99,6 +107,7 @@ def test_the_events_in_flight_and_afterwards_are_equal() -> None:
     assert live_ticks == [round(event.t_s / TICK_s) for event in later_events]
 
 
+@pytest.mark.slow
 def test_the_log_has_the_alarm_at_the_time_of_the_later_report() -> None:
     flight = flight_with_twin()
     logged_s = [
@@ -109,7 +118,93 @@ def test_the_log_has_the_alarm_at_the_time_of_the_later_report() -> None:
     assert 0.0 <= logged_s[0] - reported_s[0] < 0.06
 
 
+@pytest.mark.slow
 def test_the_part_of_a_flight_before_the_change_has_no_alarm() -> None:
     path = flight_with_twin().path
     report = monitor_file(open_rig("makki2024"), path, FALSE_ALARM_INTERVAL_h, stop_s=CHANGED_s)
     assert report.free_s > 5.0 and not report.alarms
+
+
+EXCITED_PLAN = """
+title = "Short"
+[start]
+elevation_deg = 0
+rate_deg_s = 12
+settle_s = 2
+[[segment]]
+kind = "sine"
+travel_amplitude_deg = 12
+travel_period_s = 12
+elevation_amplitude_deg = 4
+elevation_period_s = 8
+duration_s = 14
+excite = { signal = "multisine", front_V = 0.3, back_V = 0.3, start_Hz = 0.1, stop_Hz = 3 }
+"""
+
+
+def fly_with_scale(folder: Path, encoder_scale: str) -> Path:
+    """Fly `EXCITED_PLAN` with a twin and a scale such as ``travel:0.5``; return the log."""
+    plan, log = folder / "short.toml", folder / "flight.mcap"
+    plan.write_text(EXCITED_PLAN)
+    port = f"sil://?encoder_scale={encoder_scale}"
+    run(["fly", str(plan), "--log", str(log), "--twin", "makki2024", "--port", port])
+    return log
+
+
+@pytest.mark.slow
+def test_half_the_counts_of_travel_are_named_in_flight(tmp_path: Path) -> None:
+    log = fly_with_scale(tmp_path, "travel:0.5")
+    messages = [str(event["message"]) for event in read_log(log).events if event["name"] == "twin"]
+    (alarm,) = monitor_file(open_rig("makki2024"), log, FALSE_ALARM_INTERVAL_h).alarms
+    most_likely = alarm.ranking[0]
+    assert most_likely.change.id == "encoder_scale.travel"
+    # The estimate of so large a change is approximate, because the twin is linearised.
+    assert -1.0 < most_likely.size < -0.25
+    assert any(
+        "the travel encoder counts" in message and "fewer than its counts" in message for message in messages
+    )
+
+
+@pytest.mark.slow
+def test_right_scales_are_no_change(tmp_path: Path) -> None:
+    log = fly_with_scale(tmp_path, "travel:1")
+    report = monitor_file(open_rig("makki2024"), log, FALSE_ALARM_INTERVAL_h)
+    assert report.free_s > 10.0 and not report.alarms
+
+
+RIGS = samples(20, 1)
+HEALTHY_FLIGHTS = samples(10, 1)
+CHANGES = [("thrust_step.back", 0.1), ("zero_offset.elevation", 0.02), ("coulomb_friction.pitch", 0.02)]
+
+
+def rig_for_test(seed: int) -> RigWithTwin:
+    """Return a rig with a trained twin; in the short tests, the twin has the true parameters instead."""
+    if LONG:
+        return rig_with_twin(seed, drawn_minutes=12)
+    drawn = true_rig(seed)
+    # An angle's rounding error repeats itself, so that the filter needs a larger variance.
+    disturbances = DisturbanceModel(
+        drawn.disturbances.fast_std,
+        drawn.disturbances.correlation_time_s,
+        drawn.disturbances.slow_std,
+        quantisation=np.array([1.8, 1.4, 1.1]),
+    )
+    calibration = Calibration(disturbances, DEFAULT_CALIBRATION.tail)
+    twin = TwinRig(drawn.rig, drawn.model, calibration, f"rig {seed}")
+    return RigWithTwin(seed, drawn.rig, drawn.disturbed_model, twin)
+
+
+@pytest.mark.slow
+def test_false_alarms_are_as_rare_as_stated_and_changes_get_their_names() -> None:
+    false_alarms, chances, changed = 0, [], []
+    for seed in range(1, RIGS + 1):
+        rig = rig_for_test(seed)
+        healthy = fly_healthy(rig, HEALTHY_FLIGHTS)["healthy"]
+        false_alarms += sum(flight["alarms"] > 0 for flight in healthy)
+        chances += [1.0 - math.exp(-flight["free_s"] / 3600.0 / FALSE_ALARM_INTERVAL_h) for flight in healthy]
+        for number, (name, size) in enumerate(CHANGES[: samples(3, 1)]):
+            changed.append(fly_changed(rig, name, size, flight_seed=2_000 + 20 * number))
+    probability_of_as_many = bdtrc(false_alarms - 1, len(chances), float(np.mean(chances)))
+    assert probability_of_as_many > 0.01
+    named = [flight for flight in changed if flight.get("name") == flight["change"]]
+    assert len(named) >= 0.9 * len(changed)

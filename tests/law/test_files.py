@@ -1,29 +1,37 @@
 """``heli-host law`` on files that hold no law a board could fly: one line with its remedy, nothing sent."""
 
-# ruff: noqa: E501  -- a row each
-
 from __future__ import annotations
 
+import os
+import sys
 import time
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import heli_host
 import pytest
 from heli_host.board.law_program import read_law
 from heli_host.errors import BadLaw
 from heli_lab.control import law_files
-from heli_lab.control.law_files import load_law
+from heli_lab.control.fence import FileLimits
+from heli_lab.control.law_files import RIG_VARIABLE, load_law, load_limited
+from heli_lab.control.program_json import law_of_program, program_json, program_of_json
+from heli_lab.law import Command, control_law, law_rig
+from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal, refusal, terminal
-from tests.law.flown import law_of
+from tests.law.flown import LAWS, law_of
+from tests.running.long import samples
 
-__all__ = ["terminal"]
+__all__ = [
+    "terminal",
+]
 
-pytestmark = pytest.mark.medium
+
+# ruff: noqa: E501  -- a row each
+
 
 ASKED, FILE = 2, 5
-LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
 START: Final = "from heli_lab.law import *\nimport math, casadi\n"
 
 
@@ -105,6 +113,7 @@ def nothing_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(heli_host, "connect", connect)
 
 
+@pytest.mark.medium
 @pytest.mark.usefixtures("nothing_sent")
 @pytest.mark.parametrize("name", BAD)
 def test_a_file_without_a_law_to_fly_is_one_line_with_its_remedy(name: str, terminal: Terminal) -> None:
@@ -117,6 +126,7 @@ def test_a_file_without_a_law_to_fly_is_one_line_with_its_remedy(name: str, term
     assert "heli_lab" not in line.replace("of heli_lab.law", "")
 
 
+@pytest.mark.medium
 @pytest.mark.usefixtures("nothing_sent")
 @pytest.mark.parametrize("verb", ["check", "fly", "compare", "export"])
 def test_a_file_that_is_not_there_is_named_by_every_verb(verb: str, terminal: Terminal) -> None:
@@ -126,6 +136,7 @@ def test_a_file_that_is_not_there_is_named_by_every_verb(verb: str, terminal: Te
     assert "folder.py is not a file" in refusal(terminal("law", verb, "folder.py", *out), code=ASKED)
 
 
+@pytest.mark.medium
 @pytest.mark.usefixtures("nothing_sent")
 @pytest.mark.parametrize("verb", ["check", "fly", "compare", "export"])
 def test_a_file_that_never_ends_is_one_line_with_its_limit(verb: str, terminal: Terminal) -> None:
@@ -136,6 +147,7 @@ def test_a_file_that_never_ends_is_one_line_with_its_limit(verb: str, terminal: 
     assert "--load-timeout" in line
 
 
+@pytest.mark.medium
 def test_what_an_endless_file_has_started_ends_with_it(tmp_path: Path) -> None:
     pid_file = tmp_path / "pid"
     (tmp_path / "law.py").write_text(
@@ -150,6 +162,7 @@ def test_what_an_endless_file_has_started_ends_with_it(tmp_path: Path) -> None:
     assert ends(int(pid_file.read_text()), within_s=30.0)
 
 
+@pytest.mark.medium
 def test_a_page_refuses_a_law_whose_file_never_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(law_files.load_law, "__defaults__", (0.3, None))
     (tmp_path / "endless.py").write_text("while True: pass\n")
@@ -157,6 +170,7 @@ def test_a_page_refuses_a_law_whose_file_never_ends(tmp_path: Path, monkeypatch:
         read_law(tmp_path / "endless.py")
 
 
+@pytest.mark.medium
 @pytest.mark.usefixtures("nothing_sent")
 def test_a_file_that_crashes_python_is_one_line(terminal: Terminal) -> None:
     Path("crash.py").write_text("import ctypes\nctypes.string_at(0)\n")
@@ -167,6 +181,7 @@ def test_a_file_that_crashes_python_is_one_line(terminal: Terminal) -> None:
     )
 
 
+@pytest.mark.medium
 @pytest.mark.slow
 def test_a_law_of_another_process_has_the_same_tape_and_may_print(tmp_path: Path) -> None:
     for path in sorted(LAWS.glob("*.py"))[::4]:
@@ -175,6 +190,7 @@ def test_a_law_of_another_process_has_the_same_tape_and_may_print(tmp_path: Path
     assert load_law(tmp_path / "talks.py").name == "law"
 
 
+@pytest.mark.medium
 def test_a_law_may_import_a_file_of_its_folder(terminal: Terminal) -> None:
     Path("gains_of_mine.py").write_text("KP = 2.5\n")
     text = law("return Command(KP * now.pitch_rad + 1.0, 1.0)")
@@ -184,12 +200,179 @@ def test_a_law_may_import_a_file_of_its_folder(terminal: Terminal) -> None:
     assert "2.5" in Path("law.c").read_text()
 
 
+@pytest.mark.medium
 def test_c_that_cannot_be_written_is_one_line(terminal: Terminal) -> None:
     Path("law.py").write_text(law("return Command(1.0, 1.0)"))
     assert "nowhere" in refusal(terminal("law", "export", "law.py", "--output", "nowhere/law.c"), code=FILE)
 
 
+@pytest.mark.medium
 def test_a_log_without_a_law_is_one_line(terminal: Terminal) -> None:
     Path("a.csv").write_text("t_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad\n")
     assert "a.csv" in refusal(terminal("law", "compare", "a.csv", "b.csv"), code=FILE)
     assert "give two logs" in refusal(terminal("law", "compare", "a.csv"), code=FILE)
+
+
+LAW: Final = (
+    "from heli_lab.law import *\n@control_law()\ndef law(now, state, parameter):\n"
+    "    return Command(1.0, 1.0 + now.pitch_rad)\nLAW = law\n"
+)
+HOSTILE: Final = {
+    "an endless loop": ("while True: pass\n", "did not end within 0.2 s of processor time"),
+    "1 GB": ("data = bytearray(1 << 30)\n", "use less than 1024 MB"),
+    "a file": ("open('written.txt', 'w')\n", "may not write a file"),
+    "a socket": ("import socket\nsocket.socket()\n", "may not open a socket"),
+    "an end without an answer": ("import os\nos._exit(0)\n", "ended Python (exit status 0)"),
+    "an answer of its own": (
+        'import os\nfor pipe in range(3, 60):\n    try: os.write(pipe, b\'{"program": "[]"}\')\n'
+        "    except OSError: pass\nos._exit(0)\n",
+        "did not return a program",
+    ),
+    "pickled code for an answer": (
+        "import os\nfor pipe in range(3, 60):\n"
+        "    try: os.write(pipe, b'cos\\nsystem\\n(S\"touch written.txt\"\\ntR.')\n"
+        "    except OSError: pass\nos._exit(0)\n",
+        "did not return a law",
+    ),
+}
+PYTHON: Final = (
+    "import os, socket, subprocess\n"
+    "for wish in (lambda: os.remove('kept.txt'), lambda: os.rename('kept.txt', 'written.txt'), os.fork,\n"
+    "        lambda: os.kill(os.getppid(), 9), lambda: os.mkdir('written.txt'), socket.socket,\n"
+    "        lambda: subprocess.run(['true']), lambda: os.open('kept.txt', os.O_RDWR)):\n"
+    "    try: wish()\n"
+    "    except PermissionError as error: assert 'may not' in str(error)\n"
+    "    else: raise AssertionError(wish)\n"
+)
+RAW: Final = (
+    "import ctypes, os\nlibc = ctypes.CDLL(None, use_errno=True)\n"
+    "pipe = os.open('kept.txt', os.O_RDONLY)\n"
+    "for name, arguments in (('socket', (2, 1, 0)), ('fork', ()), ('creat', (b'written.txt', 0o644)),\n"
+    "        ('open', (b'kept.txt', 1)), ('unlink', (b'kept.txt',)), ('kill', (os.getppid(), 0)),\n"
+    "        ('setsid', ()), ('rename', (b'kept.txt', b'written.txt'))):\n"
+    "    assert getattr(libc, name)(*arguments) == -1, name\n"
+    "    assert ctypes.get_errno() == 1, (name, ctypes.get_errno())\n"
+)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_file_is_one_line_with_its_reason(name: str, tmp_path: Path) -> None:
+    text, reason = HOSTILE[name]
+    (tmp_path / "kept.txt").write_text("kept")
+    (tmp_path / "law.py").write_text(text)
+    with pytest.raises(BadLaw) as refused:
+        load_limited(tmp_path / "law.py", FileLimits(0.2))
+    assert reason in str(refused.value)
+    assert refused.value.remedy
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["kept.txt", "law.py"]
+
+
+@pytest.mark.medium
+@pytest.mark.skipif(os.uname().sysname != "Linux", reason="the filter of system calls is of Linux")
+def test_neither_python_nor_the_c_library_leads_around_the_fence(tmp_path: Path) -> None:
+    (tmp_path / "kept.txt").write_text("kept")
+    (tmp_path / "law.py").write_text(PYTHON + RAW + LAW)
+    assert load_limited(tmp_path / "law.py", FileLimits(10.0)).name == "law"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["kept.txt", "law.py"]
+    assert (tmp_path / "kept.txt").read_text() == "kept"
+
+
+@pytest.mark.medium
+def test_a_module_in_the_present_folder_replaces_none_of_the_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "casadi.py").write_text("raise SystemExit(7)\n")
+    (tmp_path / "student").mkdir()
+    (tmp_path / "student" / "law.py").write_text(LAW)
+    monkeypatch.chdir(tmp_path)
+    # As a program does that puts the folder in which it was started on its own path.
+    monkeypatch.setattr(sys, "path", ["", ".", *sys.path])
+    assert load_limited(Path("student/law.py"), FileLimits(10.0)).name == "law"
+    assert load_law(Path("student/law.py")).name == "law"
+
+
+@pytest.mark.medium
+def test_a_program_as_data_is_the_same_law() -> None:
+    law = law_of(LAWS / "lqi.py")
+    program = law.program
+    read = program_of_json(program_json(program))
+    assert read.words == program.words
+    inputs = [0.01 * place for place in range(17)]
+    ours = law_of_program(read).runner()(inputs)
+    assert ours == pytest.approx(law.runner()(inputs), abs=1e-6)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"divisor": 1', '"divisor": 300'),
+        ('"divisor": 1', '"divisor": true'),
+        ('"outputs": [', '"outputs": [600, '),
+        ('"outputs": [', '"outputs": [0, '),
+        ('"constants": [', '"constants": [NaN, '),
+        ('"constants": [', '"constants": [1e39, '),
+        ('"instructions": [', '"instructions": [[99, 0, 0, 0, []], '),
+        ('"instructions": [', '"instructions": [[1, 400, 401, 0, []], '),
+        ('"instructions": [', '"instructions": [[1, 20, 0, 0, [[0, 0, 0]]], '),
+        ("{", "[" * 100_000 + "{"),
+    ],
+)
+def test_a_forged_program_is_refused(old: str, new: str) -> None:
+    @control_law(states={"x": 0.0})
+    def law(now: Any, state: Any, parameter: Any) -> Command:
+        return Command(now.pitch_rad + state.x, 1.5 * now.pitch_rad)
+
+    text = program_json(law.program)
+    assert old in text
+    with pytest.raises(BadLaw):
+        program_of_json(text.replace(old, new, 1))
+
+
+SHIPPED = [path for path in sorted(LAWS.glob("*.py")) if path.stem != "cascade"]
+PRINTS_ITS_RIG = """
+from heli_lab.law import Command, control_law, law_rig
+
+@control_law(parameters={"weight": law_rig("quanser-course")["M_w"].value})
+def law(now, state, parameter):
+    return Command(parameter.weight, parameter.weight)
+
+LAW = law
+"""
+
+
+def test_the_default_counts_where_no_rig_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(RIG_VARIABLE, raising=False)
+    assert law_rig("quanser-course").name == "quanser-course"
+    monkeypatch.setenv(RIG_VARIABLE, "makki2024-identified")
+    assert law_rig("quanser-course").name == "makki2024-identified"
+
+
+@pytest.mark.slow
+def test_a_file_gets_a_rig_by_name_and_by_a_relative_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "student").mkdir()
+    file = Path("student/law.py")
+    file.write_text(PRINTS_ITS_RIG)
+    write_rig(load_rig("makki2024").replace(M_w=1.7), Path("mine.toml"))
+    assert load_law(file, rig="mine.toml").parameters["weight"] == 1.7
+    assert load_law(file).parameters["weight"] == load_rig("quanser-course")["M_w"].value
+    # A stranger's file runs in its own folder.
+    fenced = load_limited(file, FileLimits(10.0), "mine.toml")
+    assert fenced.words == load_law(file, rig="mine.toml").program.words
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", SHIPPED[:: samples(1, len(SHIPPED) - 1)], ids=lambda path: path.stem)
+def test_each_shipped_law_is_another_on_another_rig(path: Path) -> None:
+    programs = [load_law(path, rig=rig).program.words for rig in ("makki2024", "quanser-course")]
+    assert list(programs[0]) != list(programs[1])
+
+
+@pytest.mark.slow
+def test_a_shipped_law_is_checked_for_the_rig_that_is_named(terminal: Terminal) -> None:
+    checked = terminal("law", "check", LAWS / "lqi.py", "--rig", "quanser-course", "--rigs", 0)
+    assert checked.code == 0 and "stable around level" in checked.out
