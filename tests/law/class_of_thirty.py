@@ -1,19 +1,9 @@
-"""A class of submissions, some of them hostile, and what `heli-host class` makes of it.
-
-Command line: ``python -m tests.law.class_of_thirty [COUNT] [HOSTILE] [--duration S] [--folder DIR]`` marks a
-class twice, and prints what went wrong.
-"""
+"""A class of submissions, some of them hostile, and what `heli-host class` makes of it."""
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
-import os
-import subprocess
-import sys
-import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,10 +16,8 @@ from heli_lab.control.law_flight import trial_plan
 
 from tests.law.hostile import PITCH_STOP_deg, STOP_deg
 
-HOST: Final = (sys.executable, "-c", "from heli_host.ui.cli import main; main()")
 OUTSIDE: Final = "outside"
 """Folder next to the class; nothing in it may change."""
-LOAD_s: Final = 3.0
 
 GOOD_LAW: Final = """\
 from heli_lab.law import *
@@ -161,13 +149,7 @@ Run = Callable[[Sequence[str]], tuple[int, str]]
 """Runs a command line; its exit code and what it printed."""
 
 
-def in_a_process(words: Sequence[str]) -> tuple[int, str]:
-    """Run ``heli-host`` in another process."""
-    process = subprocess.run([*HOST, *words], capture_output=True, text=True, check=False)
-    return process.returncode, process.stdout + process.stderr
-
-
-def mark_class(folder: Path, *options: str, run: Run = in_a_process) -> Marked:
+def mark_class(folder: Path, *options: str, run: Run) -> Marked:
     """Run `heli-host class` over a folder, and look at what it left."""
     result = folder.parent / "class.json"
     code, text = run(["class", str(folder), "--json", str(result), *options])
@@ -221,36 +203,3 @@ def problems(folder: Path, first: Marked, second: Marked, before: str) -> list[s
         again = {**second.marks.get(name, {}), "rig": mark["rig"]}
         checks[f"{name}: the second mark is another"] = mark == again
     return [text for text, good in checks.items() if not good]
-
-
-def main() -> None:
-    """Mark a class twice, and print what went wrong."""
-    parser = argparse.ArgumentParser(description="a class of submissions, some of them hostile")
-    parser.add_argument("count", type=int, nargs="?", default=180)
-    parser.add_argument("hostile", type=int, nargs="?", default=len(HOSTILE))
-    parser.add_argument("--duration", type=float, default=8.0)
-    parser.add_argument("--folder", type=Path)
-    arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as made:
-        folder = (arguments.folder or Path(made)) / "submissions"
-        make_class(folder, arguments.count, list(HOSTILE)[: arguments.hostile], arguments.duration)
-        before, runs = digest(folder), []
-        for number in (1, 2):
-            began_s, cpu_s = time.monotonic(), sum(os.times()[2:4])
-            run = mark_class(folder, "--duration", f"{arguments.duration}", "--load-timeout", f"{LOAD_s}")
-            runs.append(run)
-            print(
-                f"run {number}: {len(run.marks)} answers, {run.ticks} ticks, {run.unsafe} unsafe; "
-                f"{time.monotonic() - began_s:.0f} s, {sum(os.times()[2:4]) - cpu_s:.0f} s of processor time",
-                flush=True,
-            )
-        for name, mark in sorted(runs[0].marks.items()):
-            if not name.endswith("student"):
-                print(f"  {name}: {mark['points']}; {mark['reason'][:110]}")
-        wrong = problems(folder, runs[0], runs[1], before)
-        print(*wrong, f"{len(wrong)} problems", sep="\n")
-    sys.exit(bool(wrong))
-
-
-if __name__ == "__main__":
-    main()

@@ -36,13 +36,7 @@ SPECIAL: Final = np.array(
 
 
 class Processor:
-    """The firmware in flash, ready to run tapes.
-
-    Parameters
-    ----------
-    elf : Path
-        The linked firmware.
-    """
+    """The firmware in flash, ready to run tapes."""
 
     def __init__(self, elf: Path) -> None:
         image = read_image(elf)

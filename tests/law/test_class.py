@@ -1,7 +1,4 @@
-"""A class of submissions is marked: each is answered, and a hostile one costs its own mark only.
-
-The class of 180 is ``python -m tests.law.class_of_thirty``.
-"""
+"""A class of submissions is marked: each is answered, and a hostile one costs its own mark only."""
 
 from __future__ import annotations
 
@@ -51,6 +48,7 @@ from heli_lab.verbs.class_ import _write_marks
 
 from tests.cli.terminal import Terminal, terminal
 from tests.law.class_of_thirty import HOSTILE, digest, law_text, make_class, mark_class, problems
+from tests.running.long import LONG
 
 __all__ = [
     "terminal",
@@ -101,6 +99,15 @@ def test_each_submission_is_answered_and_marked_the_same_again(tmp_path: Path, i
     mark = json.loads((student / MARKED / "mark.json").read_text())
     efforts_V = [score["effort_V"] for score in mark["flights"]]
     assert float(row["effort_V"]) == pytest.approx(sum(efforts_V) / len(efforts_V), rel=0.01)
+
+
+@pytest.mark.skipif(not LONG, reason="180 submissions, each marked twice: make long")
+def test_a_class_with_every_hostile_submission_is_answered(tmp_path: Path, in_process: Any) -> None:
+    folder = tmp_path / "submissions"
+    make_class(folder, 180, list(HOSTILE), 8.0)
+    before = digest(folder)
+    runs = [mark_class(folder, "--duration", "8", "--load-timeout", "3", run=in_process) for _ in range(2)]
+    assert not problems(folder, *runs, before)
 
 
 def test_a_flight_on_the_rig_is_kept_when_a_submission_is_marked_again(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""``heli-host law`` on files that hold no law a board could fly: one line with its remedy, nothing sent."""
+"""A law's file: each mistake is one line with its remedy, a stranger's file is fenced, and it gets a rig."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from heli_host.board.law_program import read_law
 from heli_host.errors import BadLaw
 from heli_lab.control import law_files
 from heli_lab.control.fence import FileLimits
-from heli_lab.control.law_files import RIG_VARIABLE, load_law, load_limited
+from heli_lab.control.law_files import RIG_VARIABLE, load_law, load_limited, run_law
 from heli_lab.control.program_json import law_of_program, program_json, program_of_json
 from heli_lab.law import Command, control_law, law_rig
 from heli_sim.rig import load_rig, write_rig
@@ -23,13 +23,11 @@ from tests.cli.terminal import Terminal, refusal, terminal
 from tests.law.flown import LAWS, law_of
 from tests.running.long import samples
 
-__all__ = [
-    "terminal",
-]
-
+__all__ = ["terminal"]
 
 # ruff: noqa: E501  -- a row each
 
+pytestmark = pytest.mark.medium
 
 ASKED, FILE = 2, 5
 START: Final = "from heli_lab.law import *\nimport math, casadi\n"
@@ -65,6 +63,8 @@ BAD: Final[dict[str, tuple[str | bytes, str, str]]] = {
         law("return Command(1.0, 1.0)", "parameters={f'k{k}': 0.0 for k in range(300)}"),
         "300 parameters", "give at most 255",
     ),
+    "five signals": (law("return Command(1.0, 1.0, signals={f's{k}': 0.0 for k in range(5)})"), "5 signals", "at most 4"),
+    "a state that is not there": (law("return Command(1.0, 1.0, states={'x': 0.0})"), "no state x", "name it"),
     "an unknown function": (law("return Command(casadi.erf(now.pitch_rad), 1.0)"), "erf", "use only"),
     "a function of math": (law("return Command(math.sin(now.pitch_rad), 1.0)"), "nan", "of math do not accept symbols"),
     "an if": (law("if now.pitch_rad > 0:\n    return Command(1.0, 1.0)\nreturn Command(2.0, 1.0)"), "line 5", "if_else"),
@@ -113,41 +113,48 @@ def nothing_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(heli_host, "connect", connect)
 
 
-@pytest.mark.medium
-@pytest.mark.usefixtures("nothing_sent")
+def write_bad_file(name: str, folder: Path) -> Path:
+    content = BAD[name][0]
+    path = folder / "bad.py"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
 @pytest.mark.parametrize("name", BAD)
-def test_a_file_without_a_law_to_fly_is_one_line_with_its_remedy(name: str, terminal: Terminal) -> None:
-    content, cause, remedy = BAD[name]
-    file = Path("bad.py")
-    file.write_bytes(content if isinstance(content, bytes) else content.encode())
-    line = refusal(terminal("law", "check", file), code=ASKED)
-    assert cause in line
-    assert remedy in line
+def test_a_file_without_a_law_to_fly_is_one_line_with_its_remedy(name: str, tmp_path: Path) -> None:
+    """The file runs in this process, as the process of a file runs it."""
+    with pytest.raises(BadLaw) as refused:
+        run_law(write_bad_file(name, tmp_path)).program  # noqa: B018  -- compiled when it is asked for
+    _, cause, remedy = BAD[name]
+    line = str(refused.value)
+    assert cause in line and remedy in line and refused.value.remedy and "\n" not in line
     assert "heli_lab" not in line.replace("of heli_lab.law", "")
 
 
-@pytest.mark.medium
 @pytest.mark.usefixtures("nothing_sent")
-@pytest.mark.parametrize("verb", ["check", "fly", "compare", "export"])
-def test_a_file_that_is_not_there_is_named_by_every_verb(verb: str, terminal: Terminal) -> None:
-    out = {"export": ("--output", "law.c"), "fly": ("--sil",), "compare": ("--sil",)}.get(verb, ())
-    assert "nowhere.py" in refusal(terminal("law", verb, "nowhere.py", *out), code=ASKED)
+@pytest.mark.parametrize("name", ["no Python", "one voltage", "too much for a tick"])
+def test_the_command_says_the_same_of_a_bad_file_and_sends_nothing(name: str, terminal: Terminal) -> None:
+    line = refusal(terminal("law", "check", write_bad_file(name, Path())), code=ASKED)
+    _, cause, remedy = BAD[name]
+    assert cause in line and remedy in line
+
+
+@pytest.mark.usefixtures("nothing_sent")
+@pytest.mark.parametrize(
+    ("verb", "more"),
+    [("check", ()), ("fly", ("--sil",)), ("compare", ("--sil",)), ("export", ("--output", "law.c"))],
+)
+def test_every_verb_names_a_file_that_is_not_there_or_never_ends(
+    verb: str, more: tuple[str, ...], terminal: Terminal
+) -> None:
     Path("folder.py").mkdir()
-    assert "folder.py is not a file" in refusal(terminal("law", verb, "folder.py", *out), code=ASKED)
-
-
-@pytest.mark.medium
-@pytest.mark.usefixtures("nothing_sent")
-@pytest.mark.parametrize("verb", ["check", "fly", "compare", "export"])
-def test_a_file_that_never_ends_is_one_line_with_its_limit(verb: str, terminal: Terminal) -> None:
+    assert "folder.py is not a file" in refusal(terminal("law", verb, "folder.py", *more), code=ASKED)
     Path("endless.py").write_text("n = 0\nwhile True:\n    n += 1\n")
-    out = {"export": ("--output", "law.c"), "fly": ("--sil",), "compare": ("--sil",)}.get(verb, ())
-    line = refusal(terminal("law", verb, "endless.py", "--load-timeout", "0.3", *out), code=ASKED)
+    line = refusal(terminal("law", verb, "endless.py", "--load-timeout", "0.3", *more), code=ASKED)
     assert "endless.py did not end within 0.3 s; look for a loop without an end" in line
     assert "--load-timeout" in line
 
 
-@pytest.mark.medium
 def test_what_an_endless_file_has_started_ends_with_it(tmp_path: Path) -> None:
     pid_file = tmp_path / "pid"
     (tmp_path / "law.py").write_text(
@@ -162,7 +169,6 @@ def test_what_an_endless_file_has_started_ends_with_it(tmp_path: Path) -> None:
     assert ends(int(pid_file.read_text()), within_s=30.0)
 
 
-@pytest.mark.medium
 def test_a_page_refuses_a_law_whose_file_never_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(law_files.load_law, "__defaults__", (0.3, None))
     (tmp_path / "endless.py").write_text("while True: pass\n")
@@ -170,7 +176,6 @@ def test_a_page_refuses_a_law_whose_file_never_ends(tmp_path: Path, monkeypatch:
         read_law(tmp_path / "endless.py")
 
 
-@pytest.mark.medium
 @pytest.mark.usefixtures("nothing_sent")
 def test_a_file_that_crashes_python_is_one_line(terminal: Terminal) -> None:
     Path("crash.py").write_text("import ctypes\nctypes.string_at(0)\n")
@@ -181,7 +186,6 @@ def test_a_file_that_crashes_python_is_one_line(terminal: Terminal) -> None:
     )
 
 
-@pytest.mark.medium
 @pytest.mark.slow
 def test_a_law_of_another_process_has_the_same_tape_and_may_print(tmp_path: Path) -> None:
     for path in sorted(LAWS.glob("*.py"))[::4]:
@@ -190,7 +194,6 @@ def test_a_law_of_another_process_has_the_same_tape_and_may_print(tmp_path: Path
     assert load_law(tmp_path / "talks.py").name == "law"
 
 
-@pytest.mark.medium
 def test_a_law_may_import_a_file_of_its_folder(terminal: Terminal) -> None:
     Path("gains_of_mine.py").write_text("KP = 2.5\n")
     text = law("return Command(KP * now.pitch_rad + 1.0, 1.0)")
@@ -200,13 +203,11 @@ def test_a_law_may_import_a_file_of_its_folder(terminal: Terminal) -> None:
     assert "2.5" in Path("law.c").read_text()
 
 
-@pytest.mark.medium
 def test_c_that_cannot_be_written_is_one_line(terminal: Terminal) -> None:
     Path("law.py").write_text(law("return Command(1.0, 1.0)"))
     assert "nowhere" in refusal(terminal("law", "export", "law.py", "--output", "nowhere/law.c"), code=FILE)
 
 
-@pytest.mark.medium
 def test_a_log_without_a_law_is_one_line(terminal: Terminal) -> None:
     Path("a.csv").write_text("t_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad\n")
     assert "a.csv" in refusal(terminal("law", "compare", "a.csv", "b.csv"), code=FILE)
@@ -255,7 +256,6 @@ RAW: Final = (
 )
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_hostile_file_is_one_line_with_its_reason(name: str, tmp_path: Path) -> None:
     text, reason = HOSTILE[name]
@@ -268,7 +268,6 @@ def test_a_hostile_file_is_one_line_with_its_reason(name: str, tmp_path: Path) -
     assert sorted(path.name for path in tmp_path.iterdir()) == ["kept.txt", "law.py"]
 
 
-@pytest.mark.medium
 @pytest.mark.skipif(os.uname().sysname != "Linux", reason="the filter of system calls is of Linux")
 def test_neither_python_nor_the_c_library_leads_around_the_fence(tmp_path: Path) -> None:
     (tmp_path / "kept.txt").write_text("kept")
@@ -278,7 +277,6 @@ def test_neither_python_nor_the_c_library_leads_around_the_fence(tmp_path: Path)
     assert (tmp_path / "kept.txt").read_text() == "kept"
 
 
-@pytest.mark.medium
 def test_a_module_in_the_present_folder_replaces_none_of_the_reader(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -292,7 +290,6 @@ def test_a_module_in_the_present_folder_replaces_none_of_the_reader(
     assert load_law(Path("student/law.py")).name == "law"
 
 
-@pytest.mark.medium
 def test_a_program_as_data_is_the_same_law() -> None:
     law = law_of(LAWS / "lqi.py")
     program = law.program
@@ -303,7 +300,6 @@ def test_a_program_as_data_is_the_same_law() -> None:
     assert ours == pytest.approx(law.runner()(inputs), abs=1e-6)
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("old", "new"),
     [

@@ -65,6 +65,12 @@ def taken_over(harness: Harness) -> list[Takeover]:
     return [Takeover(event.detail) for event in harness.events if event.kind == Event.LAW_TAKEN_OVER]
 
 
+def newest_row(harness: Harness) -> Any:
+    """The newest tick that the board has sent, by channel."""
+    payload = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY][-1]
+    return TelemetryDecoder().decode([payload]).raw[-1]
+
+
 def law_on(harness: Harness) -> d.LawMessage:
     """The board's report of the law that it has."""
     before = len(harness.frames)
@@ -74,7 +80,7 @@ def law_on(harness: Harness) -> d.LawMessage:
     return d.LawMessage.unpack(frame.payload)
 
 
-def test_a_law_that_flies_cannot_be_replaced() -> None:
+def test_a_law_that_flies_cannot_be_replaced_and_no_part_reaches_its_tape() -> None:
     flying, other = (
         program_of("flying", lambda now: (1.6, 1.5)),
         program_of("other", lambda now: (3.0, 0.0)),
@@ -85,25 +91,14 @@ def test_a_law_that_flies_cannot_be_replaced() -> None:
     motors = harness.motors
     refused = harness.ask(d.LawBeginMessage(0, other.hash, len(other.words)))
     assert (refused.result, refused.detail) == (Result.BAD_LAW, LawError.FLYING)
-    assert upload(harness, other).result == Result.BAD_LAW
+    for first in range(0, len(flying.words), PART_WORDS):
+        answer = harness.ask(d.LawPartMessage(0, first, *([0] * PART_WORDS)))
+        assert (answer.result, answer.detail) == (Result.BAD_LAW, LawError.WRONG_PART)
     harness.keep_flying(50)
     reported = law_on(harness)
     assert (reported.state, reported.hash) == (LawState.FLYING, flying.hash)
     assert harness.motors == motors
     assert not taken_over(harness)
-
-
-def test_no_part_reaches_the_tape_of_a_law_that_flies() -> None:
-    flying = program_of("flying", lambda now: (1.6, 1.5))
-    harness = hovering()
-    assert engage(harness, flying).result == Result.OK
-    harness.keep_flying(2500)
-    motors = harness.motors
-    for first in range(0, len(flying.words), PART_WORDS):
-        answer = harness.ask(d.LawPartMessage(0, first, *([0] * PART_WORDS)))
-        assert (answer.result, answer.detail) == (Result.BAD_LAW, LawError.WRONG_PART)
-    harness.keep_flying(50)
-    assert (harness.motors, law_on(harness).state) == (motors, LawState.FLYING)
 
 
 @pytest.mark.parametrize("axes", [1, 2, 3, 6])
@@ -204,34 +199,20 @@ def test_board_and_host_agree_on_the_ticks_and_the_cost_of_a_law(states: int, si
     assert ticks == {1, 2, 3}
 
 
-def test_a_law_logs_each_of_its_signals_in_its_own_channel() -> None:
+def test_a_law_logs_each_of_its_signals_in_its_own_channel_and_a_large_one_at_its_size() -> None:
+    # On the line a signal counts steps of 1e-5: 200 is above 2^24, where a float has no fraction.
+    signals = {"first": 1.0, "second": 2.0, "large": 200.0, "low": -1000.0}
+
     @control_law(name="signals")
     def law(now: Any, state: Any, parameter: Any) -> Command:
-        return Command(1.5, 1.5, signals={f"s{k}": float(k) for k in range(1, 5)})
+        return Command(1.5, 1.5, signals=signals)
 
     harness = hovering()
     assert engage(harness, law.program).result == Result.OK
     harness.keep_flying(200)
-    payload = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY][-1]
-    last = TelemetryDecoder().decode([payload]).raw[-1]
     channels = (Channel.SIGNAL_1, Channel.SIGNAL_2, Channel.SIGNAL_3, Channel.SIGNAL_4)
-    logged = [float(physical(last, channel)) for channel in channels]
-    assert logged == pytest.approx([1.0, 2.0, 3.0, 4.0], abs=0.01)
-
-
-def test_a_signal_that_has_more_digits_than_a_float_keeps_its_size() -> None:
-    # On the line a signal counts steps of 1e-5: 200 is above 2^24, where a float has no fraction.
-    @control_law(name="large")
-    def law(now: Any, state: Any, parameter: Any) -> Command:
-        return Command(1.5, 1.5, signals={"large": 200.0, "low": -1000.0})
-
-    harness = hovering()
-    assert engage(harness, law.program).result == Result.OK
-    harness.keep_flying(200)
-    payload = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY][-1]
-    last = TelemetryDecoder().decode([payload]).raw[-1]
-    logged = [float(physical(last, channel)) for channel in (Channel.SIGNAL_1, Channel.SIGNAL_2)]
-    assert logged == pytest.approx([200.0, -1000.0], rel=1e-6)
+    logged = [float(physical(newest_row(harness), channel)) for channel in channels]
+    assert logged == pytest.approx([*signals.values()], rel=1e-6)
 
 
 def test_a_law_as_long_as_the_tape_is_received_and_a_word_more_is_refused() -> None:
@@ -251,8 +232,7 @@ def test_a_law_with_a_setpoint_of_its_own_logs_the_boards_in_the_first_free_sign
     harness = hovering()
     assert engage(harness, law.program).result == Result.OK
     harness.keep_flying(1500, elevation_deg=4.0)
-    payload = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY][-1]
-    last = TelemetryDecoder().decode([payload]).raw[-1]
+    last = newest_row(harness)
     board_raw, law_raw = last[Channel.SIGNAL_2], last[Channel.ELEVATION_SETPOINT]
     assert board_raw == pytest.approx(2 * law_raw, abs=2)
     assert math.degrees(float(physical(last, Channel.ELEVATION_SETPOINT))) == pytest.approx(2.0, abs=0.2)

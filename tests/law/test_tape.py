@@ -266,13 +266,7 @@ _MEANING: Final[dict[str, Callable[[float, float], float]]] = {
 
 
 class Reference:
-    """A program as it is meant, in double precision: a result is NaN if an operand is that counts.
-
-    Parameters
-    ----------
-    program : LawProgram
-        What is run.
-    """
+    """A program as it is meant, in double precision: a result is NaN if an operand is that counts."""
 
     def __init__(self, program: LawProgram) -> None:
         self.program = program

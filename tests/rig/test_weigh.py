@@ -19,6 +19,8 @@ from tests.cli.terminal import Terminal, refusal, terminal
 __all__ = ["terminal"]
 
 
+pytestmark = pytest.mark.medium
+
 mujoco = pytest.importorskip("mujoco")
 HIDDEN = {"M_w": 1.571, "friction_pitch": 0.012, "L_phi": 0.032, "thrust_gain": 0.66, "dead_zone": 0.93}
 
@@ -70,7 +72,6 @@ def bench(rig: Rig) -> dict[str, Any]:
     }
 
 
-@pytest.mark.medium
 def test_numbers_that_were_hidden_are_found_within_their_tolerances() -> None:
     known = load_rig("makki2024")
     weighed = weigh(known, *bench_tests_from(bench(truth())))
@@ -104,7 +105,6 @@ def filled() -> str:
     return table
 
 
-@pytest.mark.medium
 def test_reading_that_no_such_rig_gives_is_said(terminal: Terminal) -> None:
     Path("bench.toml").write_text(filled().replace("seconds = 13.2", "seconds = 60.0"))
     Path("good.toml").write_text(filled())
@@ -116,7 +116,6 @@ def test_reading_that_no_such_rig_gives_is_said(terminal: Terminal) -> None:
     assert load_rig("new.toml").name == "new"
 
 
-@pytest.mark.medium
 def test_template_is_refused_until_it_is_filled_in(terminal: Terminal) -> None:
     assert terminal("rig", "weigh", "makki2024", "--template", "bench.toml").code == 0
     arguments = ("rig", "weigh", "makki2024", "bench.toml", "--save-rig", "new.toml")
@@ -133,7 +132,6 @@ def test_template_is_refused_until_it_is_filled_in(terminal: Terminal) -> None:
     assert len(changed) == 7 and not Path("new.toml").exists()
 
 
-@pytest.mark.medium
 def test_template_filled_in_is_read(terminal: Terminal) -> None:
     Path("bench.toml").write_text(filled())
     result = json.loads(terminal("rig", "weigh", "makki2024", "bench.toml", "--json", "-").out)
@@ -141,7 +139,6 @@ def test_template_filled_in_is_read(terminal: Terminal) -> None:
     assert {test["what"] for test in result["tests"]} >= {"elevation of balance", "5 swings of pitch"}
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("table", "message"),
     [
@@ -170,7 +167,6 @@ def test_tests_that_cannot_be_are_refused_in_one_line(terminal: Terminal, table:
     assert message in refusal(terminal("rig", "weigh", "makki2024", "bench.toml"), code=2)
 
 
-@pytest.mark.medium
 def test_arm_that_does_not_balance_is_said() -> None:
     with pytest.raises(RigError, match="does not balance"):
         weigh(

@@ -34,26 +34,14 @@ _BEFORE_TICKS = 400
 
 @dataclass(frozen=True)
 class PilotFlight:
-    """A flight from the moment at which the loops closed.
+    """A flight from the moment at which the loops closed."""
 
-    Parameters
-    ----------
-    t_s : ndarray (n,)
-        Time since then.
-    angle_deg, setpoint_deg, path_deg : ndarray (n, 3)
-        Elevation, pitch and travel: measured, used by the control law, asked for.
-    volts_V : ndarray (n, 2)
-        Front and back.
-    state, fault, flags : ndarray (n,)
-        State, fault and flags of the supervisor.
-    """
-
-    t_s: Floats
-    angle_deg: Floats
+    t_s: Floats  # Time since then
+    angle_deg: Floats  # Elevation, pitch and travel: measured, used by the control law, asked for
     setpoint_deg: Floats
     path_deg: Floats
-    volts_V: Floats
-    state: npt.NDArray[np.int32]
+    volts_V: Floats  # Front and back
+    state: npt.NDArray[np.int32]  # State, fault and flags of the supervisor
     fault: npt.NDArray[np.int32]
     flags: npt.NDArray[np.int32]
 
@@ -71,17 +59,7 @@ def param_set(index: int, value: float, request: int) -> d.ParamSetMessage:
 
 
 def with_numbers(plant: Plant, rig: Rig, **effects: float) -> Plant:
-    """Another rig, and other numbers of its effects, for the equations that a plant has already compiled.
-
-    Parameters
-    ----------
-    plant : Plant
-        Gives the equations.
-    rig : Rig
-        The rig.
-    effects : float
-        Numbers of the model's effects, by name.
-    """
+    """Another rig, and other numbers of its effects, for the equations that a plant has already compiled."""
     other = copy.copy(plant)
     other.rig = rig
     names = plant.model.parameter_names
@@ -99,21 +77,7 @@ def fly(
     parameters: Mapping[str, float] | None = None,
     seed: int = 1,
 ) -> PilotFlight:
-    """Close all loops on the table and stream a path at 50 Hz.
-
-    Parameters
-    ----------
-    plant : Plant
-        Model and rig to fly.
-    path_deg : callable
-        From times since the loops closed, (n,), to elevation, pitch and travel, (n, 3).
-    duration_s : float
-        Length.
-    parameters : mapping of str to float, optional
-        Board parameters that differ from their defaults.
-    seed : int
-        Seed of the starting points of the encoders.
-    """
+    """Close all loops on the table and stream a path at 50 Hz."""
     world = SilWorld(SilOptions(seed=seed), plant)
     # Table 2 as point masses balances at -22 degrees: the arm is held down until the loops close.
     world.native.locked = [True, True, True]
@@ -191,30 +155,15 @@ def demanding_path_deg(t_s: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class FlightMetrics:
-    """Promises of a flight along `demanding_path_deg`.
+    """Promises of a flight along `demanding_path_deg`."""
 
-    Parameters
-    ----------
-    fault : d.Fault
-        First fault.
-    take_off_s : float
-        From when on the elevation stays within half a degree of level, until the step.
-    overshoot : float
-        Overshoot as a share of the travel step; the worse of both steps.
-    settling_time_s : float
-        From when on travel stays within half a degree of the step; the worse of both.
-    travel_rms_deg, elevation_rms_deg : float
-        Error to the path over the sines.
-    pitch_setpoint_ripple_deg, volts_ripple_V : float
-        Over the sines: what is left of the pitch setpoint, and of the difference of the voltages, above 2 Hz.
-    """
-
-    fault: d.Fault
-    take_off_s: float
-    overshoot: float
-    settling_time_s: float
-    travel_rms_deg: float
+    fault: d.Fault  # First fault
+    take_off_s: float  # From when on the elevation stays within half a degree of level, until the step
+    overshoot: float  # Overshoot as a share of the travel step; the worse of both steps
+    settling_time_s: float  # From when on travel stays within half a degree of the step; the worse of both
+    travel_rms_deg: float  # Error to the path over the sines
     elevation_rms_deg: float
+    # Over the sines: what is left of the pitch setpoint, and of the difference of the voltages, above 2 Hz.
     pitch_setpoint_ripple_deg: float
     volts_ripple_V: float
 

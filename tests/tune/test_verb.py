@@ -17,6 +17,8 @@ from heli_sim.rig import load_rig, write_rig
 
 from tests.running.long import samples
 
+pytestmark = pytest.mark.slow
+
 
 def tuned(rig: str, folder: Path, *more: str) -> dict[str, Any]:
     files = [f"--{name}={folder / name}.{end}" for name, end in (("save-params", "toml"), ("json", "json"))]
@@ -25,7 +27,6 @@ def tuned(rig: str, folder: Path, *more: str) -> dict[str, Any]:
     return numbers
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rig", "travel_rms_deg", "elevation_rms_deg"),
     # A constant torque pulls the course's rig round: it hovers with 7 degrees of tilt.
@@ -52,7 +53,6 @@ def test_gains_for_a_rig_fly_hover_and_sines_on_it_within_stated_errors(
     assert errors["elevation"] <= elevation_rms_deg
 
 
-@pytest.mark.slow
 def test_margins_of_every_loop_and_plant_and_excluded_effects_are_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -74,14 +74,12 @@ def test_margins_of_every_loop_and_plant_and_excluded_effects_are_reported(
     assert flight["overshoot_percent"] <= 10.0
 
 
-@pytest.mark.slow
 def test_a_step_that_never_settles_has_no_settling_time() -> None:
     metrics = FlightMetrics("completed", math.inf, 11.0, math.inf, 0.44, 0.04, 12.0)
     (_, line) = _flight_lines([SimpleNamespace(label="lag 120 ms", metrics=metrics)])  # type: ignore[list-item]
     assert "take-off not settled; travel step: overshoot 11 %, not settled;" in line
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "why"),
     [
@@ -109,7 +107,6 @@ def test_a_rig_that_cannot_fly_gets_one_line(
     assert not (tmp_path / "save-params.toml").exists()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [
@@ -129,7 +126,6 @@ def test_a_wrong_option_gets_one_line(
     assert error.count("\n") == 1
 
 
-@pytest.mark.slow
 def test_parameters_and_published_gains_are_not_flown_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -142,7 +138,6 @@ def test_parameters_and_published_gains_are_not_flown_at_once(
     assert "hover_V = 150 is out of range" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_gains_whose_test_flights_failed_are_not_offered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -89,27 +89,13 @@ def fly_missing(options: argparse.Namespace, results: Results) -> None:
 
 @dataclass(frozen=True)
 class Case:
-    """A flight with a change.
+    """A flight with a change."""
 
-    Parameters
-    ----------
-    change : str
-        Id of the change.
-    size : float
-        Its size [SI].
-    repeat : int
-        Number of flights with the same change and size before this one.
-    number : int
-        Number of the change and size in the list of all cases.
-    rig_seed : int
-        Seed of the rig that flies.
-    """
-
-    change: str
-    size: float
-    repeat: int
-    number: int
-    rig_seed: int
+    change: str  # Id of the change
+    size: float  # Its size [SI]
+    repeat: int  # Number of flights with the same change and size before this one
+    number: int  # Number of the change and size in the list of all cases
+    rig_seed: int  # Seed of the rig that flies
 
     @property
     def flight_seed(self) -> int:
@@ -118,17 +104,7 @@ class Case:
 
 
 def cases_of(seeds: range, repeats: int, *, middle_sizes: bool) -> list[Case]:
-    """Return the flights with changes. The repeats of a change and size fly on different rigs.
-
-    Parameters
-    ----------
-    seeds : range
-        Seeds of the rigs.
-    repeats : int
-        Number of flights of each change and size.
-    middle_sizes : bool
-        True leaves out the smallest and the largest size of each change.
-    """
+    """Return the flights with changes. The repeats of a change and size fly on different rigs."""
     sized_changes = [
         (name, size) for name, sizes in SIZES.items() for size in (sizes[1:2] if middle_sizes else sizes)
     ]

@@ -16,17 +16,14 @@ from typing import Final
 import numpy as np
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
-from heli_lab.fit.estimator import estimate
-from heli_lab.fit.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.watch.calibration import DEFAULT_CALIBRATION, TwinRig
 from heli_lab.watch.learn import DRAWN_s, learn
 from heli_lab.watch.monitor import TwinReport, monitor_flight
-from heli_sim.model import MultibodyModel
-from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig
 
 from tests.field.cases import NO_DATA
 from tests.measured.pairs import MEASURED, PAIRS, RIG, FROM_s, LANDS_s, add_pairs, flights
+from tests.twin.rigs import identify_rig
 
 EFFECTS: Final = ("rotor_speed_lag", "gyroscopic_torque", "edgewise_flow")
 """Effects of all machines, from docs/validation/measured-flights.md."""
@@ -40,21 +37,13 @@ class Loss:
     """A simulated loss of voltage.
 
     Thrust of these models is a linear function of the voltage, so a share of voltage is a share of thrust.
-
-    Parameters
-    ----------
-    label : str
-        Description for the printed result.
-    front, back : float
-        Share of the logged voltage that does not reach the rotor.
-    right_names : frozenset of str
-        Ids of the changes that name this loss. A weaker supply and two rotors that fade look alike, because
-        both rotors lose the same share.
     """
 
-    label: str
-    front: float
+    label: str  # Description for the printed result
+    front: float  # Share of the logged voltage that does not reach the rotor
     back: float
+    # Ids of the changes that name this loss. A weaker supply and two rotors that fade look alike, because
+    # both rotors lose the same share.
     right_names: frozenset[str]
 
 
@@ -67,27 +56,13 @@ LOSSES: Final = (
 
 @dataclass(frozen=True)
 class LossResult:
-    """Result of monitoring a flight with a loss.
+    """Result of monitoring a flight with a loss."""
 
-    Parameters
-    ----------
-    loss : Loss
-        The simulated loss.
-    has_early_alarm : bool
-        True if an alarm or a contradiction came before the loss.
-    delay_s : float or None
-        Time from the loss to its alarm [s]; None without an alarm.
-    name : str
-        Id of the change that the final ranking of that alarm puts first; empty without a ranking.
-    is_judged : bool
-        True if the twin judged at least half of the flight.
-    """
-
-    loss: Loss
-    has_early_alarm: bool
-    delay_s: float | None
-    name: str
-    is_judged: bool
+    loss: Loss  # The simulated loss
+    has_early_alarm: bool  # True if an alarm or a contradiction came before the loss
+    delay_s: float | None  # Time from the loss to its alarm [s]; None without an alarm
+    name: str  # Id of the change that the final ranking of that alarm puts first; empty without a ranking
+    is_judged: bool  # True if the twin judged at least half of the flight
 
     @property
     def is_detected(self) -> bool:
@@ -121,24 +96,9 @@ def identified_twin(pair: str, *, exchanged: bool = False) -> TwinRig:
 
     The twin has the default calibration.
     """
-    rig = load_rig(RIG)
     record, _ = flights(pair, exchanged)
-    typical_model = MultibodyModel(parse_effects(EFFECTS))
-    parameter_vector = RigParameters(typical_model, rig, [record])
-    functions = model_functions(typical_model, parameter_vector.quantities)
-    fit = estimate(parameter_vector, [filter_record(record)], functions, parameter_vector.start)
-    estimates = {
-        parameter.quantity: float(value)
-        for parameter, value in zip(parameter_vector.free, fit.theta, strict=True)
-    }
-    identified_rig = rig.replace(**{name: value for name, value in estimates.items() if name in rig})
-    effects = tuple(
-        replace(
-            effect, values={name: estimates.get(name, typical) for name, typical in effect.values.items()}
-        )
-        for effect in typical_model.effects
-    )
-    return TwinRig(identified_rig, MultibodyModel(effects), DEFAULT_CALIBRATION, pair)
+    model, rig = identify_rig(EFFECTS, load_rig(RIG), [record])
+    return TwinRig(rig, model, DEFAULT_CALIBRATION, pair)
 
 
 def trained_twin(twin: TwinRig, name: str, drawn_s: float = DRAWN_s) -> TwinRig:

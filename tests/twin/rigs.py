@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from heli_host.errors import HeliError
 from heli_lab.fit.estimator import estimate
 from heli_lab.fit.flight_model import RigParameters, filter_record, model_functions
 from heli_lab.fit.grey_box import DisturbanceModel
-from heli_lab.fit.records import prepare
+from heli_lab.fit.records import Record, prepare
 from heli_lab.watch.calibration import TwinRig
 from heli_lab.watch.learn import fly_simulated, learn, random_plan, with_process_noise
 from heli_sim.model import MultibodyModel
@@ -47,21 +47,11 @@ _RIG_STREAM = 16
 
 @dataclass(frozen=True)
 class TrueRig:
-    """A simulated rig.
+    """A simulated rig."""
 
-    Parameters
-    ----------
-    rig : Rig
-        True parameters.
-    model : Model
-        True equations of motion, without disturbances.
-    disturbances : DisturbanceModel
-        Gusts and drift of its room.
-    """
-
-    rig: Rig
-    model: Model
-    disturbances: DisturbanceModel
+    rig: Rig  # True parameters
+    model: Model  # True equations of motion, without disturbances
+    disturbances: DisturbanceModel  # Gusts and drift of its room
 
     @property
     def disturbed_model(self) -> Model:
@@ -71,24 +61,12 @@ class TrueRig:
 
 @dataclass(frozen=True)
 class RigWithTwin:
-    """A simulated rig, and the twin that its user has trained.
+    """A simulated rig, and the twin that its user has trained."""
 
-    Parameters
-    ----------
-    seed : int
-        Seed from which everything about the rig was drawn.
-    rig : Rig
-        True parameters.
-    model : Model
-        True equations of motion; the effects include the disturbances.
-    twin : TwinRig
-        Twin with the identified parameters.
-    """
-
-    seed: int
-    rig: Rig
-    model: Model
-    twin: TwinRig
+    seed: int  # Seed from which everything about the rig was drawn
+    rig: Rig  # True parameters
+    model: Model  # True equations of motion; the effects include the disturbances
+    twin: TwinRig  # Twin with the identified parameters
 
 
 def true_rig(seed: int) -> TrueRig:
@@ -121,23 +99,22 @@ def true_rig(seed: int) -> TrueRig:
 
 
 def rig_with_twin(seed: int, drawn_minutes: int) -> RigWithTwin:
-    """Draw a rig, fly it, identify it, and train its twin.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the rig, its flights and the training.
-    drawn_minutes : int
-        Time of flight for which the training draws evidence [min].
-    """
+    """Draw a rig, fly it, identify it, and train its twin."""
     drawn = true_rig(seed)
     training_flights = random_flights(drawn.disturbed_model, drawn.rig, 10_000 * seed, TRAINING_FLIGHTS)
-    identified_model, identified_rig = identify_rig(drawn.model, training_flights)
+    nominal = load_rig(NOMINAL_RIG)
+    labels = [f"training {number}" for number in range(TRAINING_FLIGHTS)]
+    records = [
+        prepare(flight, nominal, label) for flight, label in zip(training_flights, labels, strict=True)
+    ]
+    identified_model, identified_rig = identify_rig(
+        [effect.name for effect in drawn.model.effects], nominal, records
+    )
     calibration = learn(
         identified_model,
         identified_rig,
         training_flights,
-        [_training_label(number) for number in range(TRAINING_FLIGHTS)],
+        labels,
         drawn_s=60.0 * drawn_minutes,
         seed=seed,
     )
@@ -164,17 +141,12 @@ def random_flights(
     return flights
 
 
-def identify_rig(model: Model, training_flights: list[Flight]) -> tuple[Model, Rig]:
-    """Estimate the parameters of a rig and of the model's effects from flights.
-
-    The estimation starts from the nominal rig and from typical values of the effects, as a user's does.
+def identify_rig(effects: Sequence[str], start: Rig, records: Sequence[Record]) -> tuple[Model, Rig]:
+    """Estimate the parameters of a rig and of effects from flights, as a user does: from the rig `start` and
+    from typical values of the effects.
     """
-    nominal = load_rig(NOMINAL_RIG)
-    typical_model = type(model)(parse_effects([effect.name for effect in model.effects]))
-    records = [
-        prepare(flight, nominal, _training_label(number)) for number, flight in enumerate(training_flights)
-    ]
-    parameter_vector = RigParameters(typical_model, nominal, records)
+    typical_model = MultibodyModel(parse_effects(effects))
+    parameter_vector = RigParameters(typical_model, start, list(records))
     functions = model_functions(typical_model, parameter_vector.quantities)
     fit = estimate(
         parameter_vector, [filter_record(record) for record in records], functions, parameter_vector.start
@@ -185,18 +157,14 @@ def identify_rig(model: Model, training_flights: list[Flight]) -> tuple[Model, R
         for parameter, value in zip(parameter_vector.free, fit.theta, strict=True)
         if parameter.record is None
     }
-    identified_rig = nominal.replace(**{name: value for name, value in estimates.items() if name in nominal})
-    effects: list[Effect] = [
+    identified_rig = start.replace(**{name: value for name, value in estimates.items() if name in start})
+    identified_effects = tuple(
         replace(
             effect, values={name: estimates.get(name, typical) for name, typical in effect.values.items()}
         )
         for effect in typical_model.effects
-    ]
-    return type(model)(tuple(effects)), identified_rig
-
-
-def _training_label(number: int) -> str:
-    return f"training {number}"
+    )
+    return MultibodyModel(identified_effects), identified_rig
 
 
 ONSET_s = 30.0

@@ -81,27 +81,11 @@ def reported_events(
     change: Change = CHANGES[0],
     size: float = 0.1,
 ) -> list[tuple[str, int]]:
-    """Run a twin on a flight at rest with the given evidence, and return its events.
+    """Run a twin on a flight at rest with the given evidence of each measurement. Return the kind of each
+    event, and the number of measurements before it.
 
-    Parameters
-    ----------
-    monkeypatch : MonkeyPatch
-        Replaces filter and evidence of the twin.
-    evidence_nats : list of float
-        Evidence of each measurement.
-    off_after, lands_after : int, optional
-        Number of measurements after which the motors are off for a moment, and a landing begins.
-    calibration_s : float
-        Time at the beginning in which evidence contradicts the model [s].
-    uncertainty : ParameterUncertainty
-        Contains the range of known voltages; both rotors get 1 V.
-    change, size : Change, float
-        Most likely change, and the estimate of its size.
-
-    Returns
-    -------
-    list of (str, int)
-        Kind of each event, and the number of measurements before it.
+    After `off_after` measurements the motors are off for a moment; after `lands_after` a landing begins. Both
+    rotors get 1 V. The most likely change is `change` of the `size`.
     """
     remaining_evidence = iter(evidence_nats)
     candidate = ChangeCandidate(change, 0, size, 0.01, THRESHOLD_nats)
@@ -255,21 +239,9 @@ class _JumpFilter:
 def decisions(
     differences_counts: list[float], settled_blocks: int = 20, std_counts: float = 0.3
 ) -> list[str]:
-    """Return the decision after each measurement of pitch.
-
-    Parameters
-    ----------
-    differences_counts : list of float
-        Measured minus predicted pitch of each measurement [counts].
-    settled_blocks : int
-        Number of earlier measurements, which agreed with their predictions.
-    std_counts : float
-        Standard deviation of a prediction [counts].
-
-    Returns
-    -------
-    list of str
-        ``open`` while a jump may return, ``returned`` when the encoder has returned, otherwise ``-``.
+    """Return the decision after each measurement of pitch: ``open`` while a jump may return, ``returned``
+    when the encoder has returned, otherwise ``-``. Before them, `settled_blocks`
+    measurements had their predictions.
     """
     watch: GlitchWatch[_JumpFilter] = GlitchWatch(ONE_COUNT_rad)
     kalman, ratio = _JumpFilter(std_counts), _JumpFilter(std_counts)

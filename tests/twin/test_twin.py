@@ -165,13 +165,6 @@ def test_half_the_counts_of_travel_are_named_in_flight(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.slow
-def test_right_scales_are_no_change(tmp_path: Path) -> None:
-    log = fly_with_scale(tmp_path, "travel:1")
-    report = monitor_file(open_rig("makki2024"), log, FALSE_ALARM_INTERVAL_h)
-    assert report.free_s > 10.0 and not report.alarms
-
-
 RIGS = samples(20, 1)
 HEALTHY_FLIGHTS = samples(10, 1)
 CHANGES = [("thrust_step.back", 0.1), ("zero_offset.elevation", 0.02), ("coulomb_friction.pitch", 0.02)]
