@@ -78,9 +78,9 @@ def compile_program(
     )
 
 
-def _translate_to_values(name: str, function: ca.Function, output_count: int) -> tuple[Program, list[int]]:
+def _translate_to_values(name: str, function: ca.Function, output_count: int) -> tuple[_Program, list[int]]:
     """Translate CasADi's instructions into values. Returns `program`, `outputs`."""
-    program = Program(name)
+    program = _Program(name)
     argument_kinds = ("input", "state", "parameter")
     # Result 0 has the outputs, result 1 the new states.
     outputs = [program.constant(0.0)] * (output_count + function.size1_out(1))
@@ -108,13 +108,13 @@ def _translate_to_values(name: str, function: ca.Function, output_count: int) ->
     return program, outputs
 
 
-def _without_unused_values(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
+def _without_unused_values(program: _Program, outputs: list[int]) -> tuple[_Program, list[int]]:
     """Remove the values that no operation and no output reads; return the program and its `outputs`."""
     read_values = set(outputs)
     for index in range(len(program.values) - 1, -1, -1):
         if index in read_values:
             read_values.update(program.values[index].operands)
-    smaller = Program(program.name)
+    smaller = _Program(program.name)
     new_index: dict[int, int] = {}
     for index in sorted(read_values):
         smaller.copy_value(program, index, new_index)
@@ -122,7 +122,7 @@ def _without_unused_values(program: Program, outputs: list[int]) -> tuple[Progra
 
 
 def _assign_cells(
-    program: Program, outputs: list[int], parameter_count: int, state_count: int
+    program: _Program, outputs: list[int], parameter_count: int, state_count: int
 ) -> tuple[list[Instruction], list[int]]:
     """Assign a cell of the board's memory to every value, and write the instructions. Returns
     `instructions`, `output_cells`.
@@ -188,7 +188,7 @@ class Value:
     operands: tuple[int, ...] = ()  # Indices of the values from which this value is computed
 
 
-class Program:
+class _Program:
     """Values in the order of their computation; the same operation on the same values occurs once."""
 
     def __init__(self, name: str) -> None:
@@ -206,7 +206,7 @@ class Program:
             self.values.append(value)
         return index
 
-    def copy_value(self, other: Program, index: int, new_index: dict[int, int]) -> None:
+    def copy_value(self, other: _Program, index: int, new_index: dict[int, int]) -> None:
         """Copy a value of another program, and add its new index to `new_index`.
 
         `new_index`: For each value copied so far, its index in this program by its index in `other`. The
@@ -320,14 +320,14 @@ _Numbers = list[float | None]
 # is cheaper to compute and has the same result; None if there is none.
 
 
-def _simpler_sum(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+def _simpler_sum(program: _Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
     """Simplify x + 0 to x."""
     if 0.0 in numbers:
         return operands[1 - numbers.index(0.0)]
     return None
 
 
-def _simpler_difference(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+def _simpler_difference(program: _Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
     """Simplify x - x to 0, x - 0 to x, and 0 - x to -x."""
     if operands[0] == operands[1]:
         return program.constant(0.0)
@@ -336,7 +336,7 @@ def _simpler_difference(program: Program, operands: tuple[int, ...], numbers: _N
     return program.append("negate", operands[1]) if numbers[0] == 0.0 else None
 
 
-def _simpler_product(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+def _simpler_product(program: _Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
     """Simplify products with 1, -1 and 0."""
     for number, other in zip(numbers, reversed(operands), strict=True):
         if number == 1.0:
@@ -348,7 +348,7 @@ def _simpler_product(program: Program, operands: tuple[int, ...], numbers: _Numb
     return None
 
 
-def _simpler_quotient(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+def _simpler_quotient(program: _Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
     """Replace a division by a constant by a product with its reciprocal, which is cheaper."""
     divisor = numbers[1]
     # Beyond these limits, the reciprocal is not a normal number of single precision.
@@ -357,7 +357,7 @@ def _simpler_quotient(program: Program, operands: tuple[int, ...], numbers: _Num
     return program.append("multiply", operands[0], program.constant(1.0 / divisor))
 
 
-def _simpler_negation(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+def _simpler_negation(program: _Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
     """Simplify -(-x) to x, and -(x - y) to y - x."""
     inner = program.values[operands[0]]
     if inner.kind == "negate":
@@ -365,26 +365,26 @@ def _simpler_negation(program: Program, operands: tuple[int, ...], numbers: _Num
     return program.append("subtract", *reversed(inner.operands)) if inner.kind == "subtract" else None
 
 
-def _simpler_extremum(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+def _simpler_extremum(program: _Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
     """Simplify the minimum and the maximum of x and x to x."""
     return operands[0] if operands[0] == operands[1] else None
 
 
-def _simpler_selection(program: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+def _simpler_selection(program: _Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
     """Simplify a selection, x if a condition holds and otherwise 0, of 0 or by a constant condition."""
     if numbers[1] == 0.0 or numbers[0] == 0.0:
         return program.constant(0.0)
     return operands[1] if numbers[0] is not None else None
 
 
-_SIMPLIFICATION: Final[dict[str, Callable[[Program, tuple[int, ...], _Numbers], int | None]]] = {
+_SIMPLIFICATION: Final[dict[str, Callable[[_Program, tuple[int, ...], _Numbers], int | None]]] = {
     "add": _simpler_sum, "subtract": _simpler_difference, "multiply": _simpler_product,
     "divide": _simpler_quotient, "negate": _simpler_negation, "minimum": _simpler_extremum,
     "maximum": _simpler_extremum, "select": _simpler_selection,
 }  # fmt: skip
 """Functions that simplify an operation, by its name."""
 
-_COMPOSED: Final[dict[int, Callable[[Program, int, int], int]]] = {
+_COMPOSED: Final[dict[int, Callable[[_Program, int, int], int]]] = {
     ca.OP_ASSIGN: lambda _, a, b: a,
     ca.OP_SQ: lambda p, a, b: p.append("multiply", a, a),
     ca.OP_TWICE: lambda p, a, b: p.append("add", a, a),
@@ -410,7 +410,7 @@ class _Product:
     second: int | None = None  # Index of a second value that is multiplied; None if there is none
 
 
-def _with_sums(program: Program, outputs: list[int]) -> tuple[Program, list[int]]:
+def _with_sums(program: _Program, outputs: list[int]) -> tuple[_Program, list[int]]:
     """Replace additions and multiplications by sums of products where these cost less. Returns `program`,
     `outputs`.
     """
@@ -432,7 +432,7 @@ def _with_sums(program: Program, outputs: list[int]) -> tuple[Program, list[int]
                     read_values.add(product.second)
         else:
             read_values.update(value.operands)
-    result = Program(program.name)
+    result = _Program(program.name)
     new_index: dict[int, int] = {}
     for index in sorted(read_values):
         if index in sums:
@@ -450,7 +450,7 @@ def _reindexed(product: _Product, new_index: dict[int, int]) -> _Product:
 
 
 def _expand_to_products(
-    program: Program, readers: Counter[int], index: int, factor: float, is_root: bool = False
+    program: _Program, readers: Counter[int], index: int, factor: float, is_root: bool = False
 ) -> list[_Product]:
     """Expand a value of the program, times a factor, into products.
 
@@ -477,7 +477,7 @@ def _expand_to_products(
     return [_Product(factor, index)]
 
 
-def _merge_equal_products(program: Program, products: list[_Product]) -> list[_Product]:
+def _merge_equal_products(program: _Program, products: list[_Product]) -> list[_Product]:
     """Combine products of the same values into one, and all constant terms into one."""
     factors: dict[tuple[int, int | None], float] = {}
     offset, constant = 0.0, -1
@@ -498,7 +498,7 @@ def _cost_on_board(name: str) -> int:
     return OPERATIONS[CODE[name]].cost
 
 
-def _append_cheapest_sum(program: Program, products: list[_Product]) -> int:
+def _append_cheapest_sum(program: _Program, products: list[_Product]) -> int:
     """Append the sum of some products to a program; return the index of the result.
 
     The sum becomes one operation, or single additions and multiplications if they cost less.
@@ -518,7 +518,7 @@ def _append_cheapest_sum(program: Program, products: list[_Product]) -> int:
     return _append_sum(program, products)
 
 
-def _with_two_operands(program: Program, product: _Product) -> _Product:
+def _with_two_operands(program: _Program, product: _Product) -> _Product:
     """Simplify a product so that a sum of products can hold it, which has two operands and a sign per term.
 
     A constant with a factor becomes another constant. The product of two values with a factor becomes one
@@ -532,7 +532,7 @@ def _with_two_operands(program: Program, product: _Product) -> _Product:
     return product
 
 
-def _append_sum(program: Program, products: list[_Product]) -> int:
+def _append_sum(program: _Program, products: list[_Product]) -> int:
     """Append one sum of products to a program; return its index."""
     operands: list[int] = []
     subtracted_bits = 0
@@ -543,7 +543,7 @@ def _append_sum(program: Program, products: list[_Product]) -> int:
     return program.put(Value(SUM, subtracted_bits, tuple(operands)))
 
 
-def _append_single_operations(program: Program, products: list[_Product]) -> int:
+def _append_single_operations(program: _Program, products: list[_Product]) -> int:
     """Append a multiplication per product and additions between them; return the index of the result."""
     total: int | None = None
     # Added products first, so that the others can be subtracted from them.

@@ -21,7 +21,7 @@ from typing import Any, Final
 
 from heli_host.data.files import limit_process
 
-MEMORY_LIMIT_MB: Final = 1024
+_MEMORY_LIMIT_MB: Final = 1024
 """Address space [MB]. A law of the documents takes 170 MB, with scipy and control 330 MB. With less, a file
 that imports a large library is refused; with more, thirty files could exhaust the teacher's computer."""
 _OPEN_FILES: Final = 64
@@ -51,7 +51,7 @@ class FileLimits:
     """Limits of the process that runs a stranger's law file."""
 
     cpu_s: float  # Processor time [s], rounded up
-    memory_MB: int = MEMORY_LIMIT_MB  # Address space [MB]
+    memory_MB: int = _MEMORY_LIMIT_MB  # Address space [MB]
 
 
 def fence_process(limits: FileLimits) -> None:

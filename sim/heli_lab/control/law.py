@@ -1,4 +1,7 @@
-"""A control law, made from a Python function: it runs with numpy, over the link, on the board, or as C."""
+"""A control law, made from a Python function, a gain matrix, a state space, or a CasADi function.
+
+It runs with numpy, over the link, on the board, or as C. `heli_lab.law` has the names for law files.
+"""
 
 from __future__ import annotations
 
@@ -333,7 +336,7 @@ def _type_text(value: object) -> str:
     return f"a value of type {type(value).__name__}"
 
 
-MAX_STATES: Final = 255
+_MAX_STATES: Final = 255
 """Largest number of states, and of parameters, that a board stores."""
 LONGEST_NAME: Final = 63
 """Longest name that MATLAB accepts."""
@@ -357,9 +360,9 @@ def _check_values(kind: str, values: Mapping[str, float], remedy: str) -> None:
     """Raise a BadLaw if there are too many states or parameters, or if a value is not a number of the
     board.
     """
-    if len(values) > MAX_STATES:
+    if len(values) > _MAX_STATES:
         raise BadLaw(
-            f"{len(values)} {kind}s are too many for a board", f"give at most {MAX_STATES}: {remedy}"
+            f"{len(values)} {kind}s are too many for a board", f"give at most {_MAX_STATES}: {remedy}"
         )
     for name, value in values.items():
         check_number(f"{kind} {name}", value)
@@ -372,13 +375,13 @@ def casadi_function(
     return ca.Function(
         "law",
         [inputs, states, parameters],
-        [ca.densify(column_of(outputs)), ca.densify(column_of(new_states))],
+        [ca.densify(_column_of(outputs)), ca.densify(_column_of(new_states))],
         ["inputs", "states", "parameters"],
         ["outputs", "new_states"],
     )
 
 
-def column_of(scalars: Sequence[ca.SX]) -> ca.SX:
+def _column_of(scalars: Sequence[ca.SX]) -> ca.SX:
     """Return a column of `scalars`, shape (n, 1); n may be 0, which `casadi.vertcat` does not accept."""
     return ca.vertcat(*scalars) if scalars else ca.SX(0, 1)
 
@@ -485,7 +488,7 @@ def from_state_space(
     )
     def law(now: Any, state: Any, parameter: Any) -> Command:
         """Take one step of the state space: compute voltages and new states."""
-        x = column_of([getattr(state, key) for key in names])
+        x = _column_of([getattr(state, key) for key in names])
         errors = _tracking_errors(now)
         command_V = ca.mtimes(C, x) + ca.mtimes(D, errors)
         next_x = ca.mtimes(A, x) + ca.mtimes(B, errors)
@@ -544,7 +547,7 @@ def from_function(
     def law(now: Any, state: Any, parameter: Any) -> Command:
         """Call the CasADi function with columns of symbols."""
         arguments = [
-            column_of([getattr(symbols, key) for key in keys])
+            _column_of([getattr(symbols, key) for key in keys])
             for symbols, keys in ((now, LAW_INPUTS), (state, names), (parameter, values))
         ]
         results = function.call(arguments[: len(sizes)])
@@ -555,7 +558,7 @@ def from_function(
     return law
 
 
-BLEND_V = 0.05
+_BLEND_V = 0.05
 """Lift voltage over which the dead zone is blended in [V]."""
 
 
@@ -591,7 +594,7 @@ def motor_volts(collective_V: Any, differential_V: Any, dead_zone_V: Any = 1.0) 
     def motor(lift_V: Any) -> Any:
         """Add the dead zone to the voltage that lifts."""
         # Near 0 it is added gradually, so that noise does not switch a rotor without lift on and off.
-        return ca.fmin(lift_V + dead_zone_V, lift_V * (1.0 + dead_zone_V / BLEND_V))
+        return ca.fmin(lift_V + dead_zone_V, lift_V * (1.0 + dead_zone_V / _BLEND_V))
 
     return motor(level_V + tilt_V), motor(level_V - tilt_V)
 

@@ -140,7 +140,7 @@ def _run_in_process(
             **os.environ,
             # A relative entry, as of `sys.path.insert(0, ".")`, would be the present folder too.
             "PYTHONPATH": os.pathsep.join(filter(os.path.isabs, sys.path)),
-            **rig_environment(rig),
+            **_rig_environment(rig),
             **(_FENCED_ENVIRONMENT if fenced else {}),
         },
         stdin=subprocess.DEVNULL,
@@ -193,7 +193,7 @@ def load_program(path: Path, rig: str | None = None) -> LawProgram:
     return load_law(path, rig=rig).program
 
 
-def answer_to(path: Path) -> dict[str, Any]:
+def _answer_to(path: Path) -> dict[str, Any]:
     """Run a file; return its law, or the cause and fix of the error."""
     try:
         law = run_law(path)
@@ -205,12 +205,12 @@ def answer_to(path: Path) -> dict[str, Any]:
     return {"law": picklable_law, "cause": "", "remedy": ""}
 
 
-def program_or_error(path: Path) -> dict[str, str]:
+def _program_or_error(path: Path) -> dict[str, str]:
     """Run an untrusted file, and compile its law.
 
     `path`: The file. The limits of this process must be set before.
     """
-    answer = answer_to(path)
+    answer = _answer_to(path)
     law = answer["law"]
     if law is None:
         return {"cause": answer["cause"], "remedy": answer["remedy"]}
@@ -301,9 +301,9 @@ def main() -> None:
         if limits:
             sys.dont_write_bytecode = True
             fence_process(FileLimits(limits[0], int(limits[1])))
-            answers.write(json.dumps(program_or_error(path)).encode())
+            answers.write(json.dumps(_program_or_error(path)).encode())
         else:
-            answers.write(pickle.dumps(answer_to(path)))
+            answers.write(pickle.dumps(_answer_to(path)))
 
 
 RIG_VARIABLE: Final = "HELI_LAW_RIG"
@@ -335,7 +335,7 @@ def law_rig(default: str | Path = "makki2024") -> Rig:
     return load_rig(os.environ.get(RIG_VARIABLE) or default)
 
 
-def rig_environment(rig: str | None) -> Mapping[str, str]:
+def _rig_environment(rig: str | None) -> Mapping[str, str]:
     """Return the environment variable that states the rig for `law_rig` in another process."""
     if rig is None:
         return {}

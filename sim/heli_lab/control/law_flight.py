@@ -1,4 +1,7 @@
-"""Fly control laws with the options of the command line, for the verbs `law` and `class`."""
+"""Fly control laws with the options of the command line, and measure their test flight.
+
+The test flight is a step of travel and then sines of elevation and travel.
+"""
 
 from __future__ import annotations
 
@@ -73,10 +76,10 @@ def flown_with(
 
 
 STEP_deg: Final = 10.0
-STEP_AT_s: Final = 2.0
+_STEP_AT_s: Final = 2.0
 """Time of the step [s]. The setpoint is held until then, so that the step begins at rest."""
-SINES_AT_s: Final = 12.0
-PLAN_NAME: Final = "trial"
+_SINES_AT_s: Final = 12.0
+_PLAN_NAME: Final = "trial"
 _TOLERANCE_deg: Final = 180.0
 """Large enough that no error aborts the flight, because a flight with large errors is a valid result too."""
 
@@ -128,9 +131,9 @@ def _error_text(rms_deg: float) -> str:
 
 def trial_plan(duration_s: float) -> Plan:
     """Return the plan of a trial that lasts `duration_s`: a step of travel, then sines."""
-    step_s = min(duration_s, SINES_AT_s) - STEP_AT_s
-    sines_s = duration_s - SINES_AT_s
-    segments = [f'kind = "hold"\nduration_s = {min(duration_s, STEP_AT_s)}']
+    step_s = min(duration_s, _SINES_AT_s) - _STEP_AT_s
+    sines_s = duration_s - _SINES_AT_s
+    segments = [f'kind = "hold"\nduration_s = {min(duration_s, _STEP_AT_s)}']
     if step_s > 0.0:
         segments.append(f'kind = "step"\ntravel_deg = {STEP_deg}\nduration_s = {step_s}')
     if sines_s > 0.0:
@@ -142,7 +145,7 @@ def trial_plan(duration_s: float) -> Plan:
     text = f'title = "Step of travel, then sines"\n\n[tolerance]\n{tolerance}\n' + "".join(
         f"\n[[segment]]\n{segment}\n" for segment in segments
     )
-    return Plan.parse(text, f"{PLAN_NAME}.toml", PLAN_NAME)
+    return Plan.parse(text, f"{_PLAN_NAME}.toml", _PLAN_NAME)
 
 
 def flight_of_law(path: Path) -> Flight:

@@ -15,7 +15,7 @@ from heli_host.declaration import AXES, LAW_INPUTS
 from heli_lab.control.law import Law
 from heli_lab.control.tune.loops import LinearPlant
 
-BODE_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
+_BODE_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
 """Frequencies at which the margins are computed."""
 
 
@@ -139,7 +139,9 @@ def _margins(loop: control.StateSpace, channel: int) -> tuple[float, float]:
     A, B, C, D = (np.asarray(matrix) for matrix in (loop.A, loop.B, loop.C, loop.D))
     other_closed_A = A + B[:, [other_channel]] @ C[[other_channel]] / (1.0 - D[other_channel, other_channel])
     single_loop = control.ss(other_closed_A, B[:, [channel]], -C[[channel]], -D[channel, channel], loop.dt)
-    response = np.asarray(control.frequency_response(single_loop, BODE_FREQUENCY_rad_s, squeeze=True).complex)
+    response = np.asarray(
+        control.frequency_response(single_loop, _BODE_FREQUENCY_rad_s, squeeze=True).complex
+    )
     # Phase relative to -180 degrees.
     phase_deg = np.degrees(np.angle(-response))
     crosses_180_below_1 = (

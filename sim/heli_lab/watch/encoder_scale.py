@@ -11,6 +11,9 @@ This contains no second derivative of a measured angle. Each axis has a separate
 acceleration depends on the true angles: that of elevation by gravity and thrust, that of travel by the sine
 of pitch. The rig parameters p are estimated together with s, with the rig file's tolerances as their priors.
 The standard error of s therefore includes their uncertainty.
+
+`check_flight` is an entry point ``heli_host.flight_checks``. It warns after a flight if an encoder seems to
+have wrong counts per turn, or if the flight does not fit its rig for another reason that looks the same.
 """
 
 from __future__ import annotations
@@ -34,9 +37,9 @@ from heli_sim.rig import Rig, load_rig
 from heli_lab.fit.normal_equations import DampedStep, minimise
 from heli_lab.watch.weak_form import SCALES_AND_FACTOR, VOLTAGE_FACTOR, FlightInWeakForm
 
-WRONG_SUPPLY: Final = "supply_V"
+_WRONG_SUPPLY: Final = "supply_V"
 """Name of a wrong supply among the explanations: the board's parameter."""
-MIN_s: Final = 5.0
+_MIN_s: Final = 5.0
 """Shortest free flight that gives an estimate [s]: almost twice the longest test function."""
 _NOISE_ROUNDS: Final = 3
 """Number of fits from whose residuals the noise is estimated."""
@@ -181,7 +184,7 @@ class ScaleTest:
     def __init__(self, weak_form: FlightInWeakForm) -> None:
         self._weak_form = weak_form
         self.estimates: tuple[ScaleEstimate, ...] = ()
-        if weak_form.seconds < MIN_s:
+        if weak_form.seconds < _MIN_s:
             return
         self._noise, all_free = _noise_of_axes(weak_form)
         self._all_one = _fit_scales(weak_form, self._noise, (), weak_form.mean)
@@ -209,7 +212,7 @@ class ScaleTest:
             start[VOLTAGE_FACTOR] = np.log(factor)
             fits.append(_fit_scales(self._weak_form, self._noise, (VOLTAGE_FACTOR,), start))
         best = min(fits, key=lambda fit: fit.cost)
-        return Explanation(WRONG_SUPPLY, self._nats(best), float(np.exp(best.unknowns[VOLTAGE_FACTOR])))
+        return Explanation(_WRONG_SUPPLY, self._nats(best), float(np.exp(best.unknowns[VOLTAGE_FACTOR])))
 
     def _nats(self, fit: _Fit) -> float:
         """Log-likelihood ratio of a fit to the fit of the rig's model, nats; 0 if it is not a number."""
@@ -341,12 +344,12 @@ def _fit_scales(
 
 MAX_SIGMAS: Final = 3.0
 """Distance of a scale from 1, in standard errors, above which there is a warning."""
-MAX_NATS: Final = 0.5 * MAX_SIGMAS**2
+_MAX_NATS: Final = 0.5 * MAX_SIGMAS**2
 """The same threshold as a log-likelihood ratio. Both must be exceeded: far from 1, a standard error may
 be small although a scale of 1 fits as well."""
 
 
-LEAD_NATS: Final = MAX_NATS
+_LEAD_NATS: Final = _MAX_NATS
 """Log-likelihood ratio by which the scale of an encoder must be more likely than everything else that
 explains the flight, nats: what the scale adds to another explanation must be significant by itself. Lower:
 healthy encoders are named in the place of a supply that sags. Higher: wrong encoders are not named."""
@@ -359,7 +362,7 @@ def wrong_scale(estimates: Sequence[ScaleEstimate]) -> ScaleEstimate | None:
     significant = [
         estimate
         for estimate in estimates
-        if estimate.converged and estimate.sigmas > MAX_SIGMAS and estimate.nats > MAX_NATS
+        if estimate.converged and estimate.sigmas > MAX_SIGMAS and estimate.nats > _MAX_NATS
     ]
     return max(significant, key=lambda estimate: estimate.nats, default=None)
 
@@ -371,12 +374,12 @@ def finding_of(wrong: ScaleEstimate, explanations: Sequence[Explanation]) -> Fli
     """
     best_nats = max([wrong.nats, *(other.nats for other in explanations)])
     # What is not significant by itself explains nothing, even if the scale is hardly significant either.
-    others = [other for other in explanations if other.nats > max(best_nats - LEAD_NATS, MAX_NATS)]
-    is_encoder_likely = wrong.nats > best_nats - LEAD_NATS
+    others = [other for other in explanations if other.nats > max(best_nats - _LEAD_NATS, _MAX_NATS)]
+    is_encoder_likely = wrong.nats > best_nats - _LEAD_NATS
     if not others:
         name = f"{wrong.axis}_encoder_scale"
         return FlightFinding(name, wrong.scale, wrong.standard_error, warning_text(wrong))
-    text = common_text(wrong, others, is_encoder_likely)
+    text = _common_text(wrong, others, is_encoder_likely)
     return FlightFinding(f"{wrong.axis}_motion", wrong.scale, wrong.standard_error, text)
 
 
@@ -388,7 +391,7 @@ def warning_text(estimate: ScaleEstimate) -> str:
     )
 
 
-def common_text(wrong: ScaleEstimate, others: Sequence[Explanation], is_encoder_likely: bool) -> str:
+def _common_text(wrong: ScaleEstimate, others: Sequence[Explanation], is_encoder_likely: bool) -> str:
     """Return the warning that a flight does not fit its rig, for a reason that may be no encoder."""
     names = [_explanation_text(other) for other in others]
     if len(names) > _MAX_NAMES:
@@ -397,7 +400,7 @@ def common_text(wrong: ScaleEstimate, others: Sequence[Explanation], is_encoder_
         names.append(f"{wrong.axis}_counts_per_rev")
     reasons = f"{', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else names[0]
     certainty = "this flight does not show which" if len(names) > 1 else "no encoder explains it as well"
-    has_supply = any(other.name == WRONG_SUPPLY for other in others)
+    has_supply = any(other.name == _WRONG_SUPPLY for other in others)
     remedy = "check supply_V and the rig's file" if has_supply else "find the cause with heli-host diagnose"
     return (
         f"{wrong.axis} moves {_ratio_text(wrong)} times as far as the rig's model predicts, probably because "
@@ -407,7 +410,7 @@ def common_text(wrong: ScaleEstimate, others: Sequence[Explanation], is_encoder_
 
 def _explanation_text(explanation: Explanation) -> str:
     """Name an explanation: an effect by its id, a supply with the factor on the voltages."""
-    if explanation.name == WRONG_SUPPLY:
+    if explanation.name == _WRONG_SUPPLY:
         return f"a wrong supply_V (the motors act as if they had {explanation.factor:.2g} times the voltage)"
     return explanation.name
 

@@ -17,10 +17,10 @@ from heli_sim.model.parts import AXES
 
 from heli_lab.watch.likelihood_ratio import LikelihoodRatio
 
-JUMP_STD: Final = 5.0
+_JUMP_STD: Final = 5.0
 """Size of a jump in standard deviations of the prediction. Chance reaches it once in some hours. Larger:
 jumps by few counts count as changes. Smaller: gusts are reported as jumps."""
-MIN_JUMP_COUNTS: Final = 2.0
+_MIN_JUMP_COUNTS: Final = 2.0
 """Smallest jump, counts. Smaller: an angle at the border of a count looks like a jump by one."""
 MAX_BLOCKS: Final = 12
 """Greatest number of successive measurements that are left out, 40 ms apart: 0.5 s. Longer: the alarm of an
@@ -39,7 +39,7 @@ _ARMING_BLOCKS: Final = MAX_BLOCKS
 then. Fewer: a filter that has not settled takes its own errors for jumps."""
 
 
-class AngleFilter(Protocol):
+class _AngleFilter(Protocol):
     """A filter of measured angles, as far as jumps concern it; see `KalmanFilter`."""
 
     left_out: int | None
@@ -50,7 +50,7 @@ class AngleFilter(Protocol):
         """Return a filter with the same state."""
 
 
-F = TypeVar("F", bound=AngleFilter)
+F = TypeVar("F", bound=_AngleFilter)
 
 
 @dataclass
@@ -92,7 +92,7 @@ class GlitchWatch(Generic[F]):
         if self.alternative is not None:
             return
         size_rad = np.abs(kalman.differences_rad)
-        min_jump_rad = np.maximum(JUMP_STD * kalman.stds_rad, MIN_JUMP_COUNTS * self._count_rad)
+        min_jump_rad = np.maximum(_JUMP_STD * kalman.stds_rad, _MIN_JUMP_COUNTS * self._count_rad)
         axis = int(np.argmax(size_rad / min_jump_rad))
         if size_rad[axis] <= min_jump_rad[axis]:
             self._settled_blocks += 1

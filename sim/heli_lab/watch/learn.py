@@ -231,7 +231,7 @@ def _calibrate_by_simulation(model: Model, rig: Rig, seed: int, say: Say) -> Cal
     return Calibration(DEFAULT_DISTURBANCES, fit_tail(histories), source)
 
 
-PIECE: Final = 25
+_PIECE: Final = 25
 """Length of the pieces of innovations, in measurements: 1 s. Longer: few different draws from half a minute
 of flight. Shorter: the innovations lose the dependence that a model with small errors leaves in them."""
 _DAY_STD: Final = 0.1
@@ -264,7 +264,7 @@ class Draws:
         if not self._rows_left_in_piece:
             self._row = self._rng.integers(len(self._innovations), size=self.count)
             self._sign = self._rng.choice((-1.0, 1.0), size=self.count)
-            self._rows_left_in_piece = PIECE
+            self._rows_left_in_piece = _PIECE
         self._rows_left_in_piece -= 1
         # A piece that reaches the last row continues with the first one.
         measured = self._innovations[self._row % len(self._innovations)]
@@ -273,10 +273,10 @@ class Draws:
 
 
 def _near_kicks(innovations: Floats) -> npt.NDArray[np.bool_]:
-    """Whether each row of innovations, (n, 3), is within `PIECE` rows of a kick; False if all rows are."""
+    """Whether each row of innovations, (n, 3), is within `_PIECE` rows of a kick; False if all rows are."""
     kicks = np.flatnonzero(np.any(np.abs(innovations) > CUT_OFF_STD, axis=1))
     rows = np.arange(len(innovations))
-    is_near = np.any(np.abs(rows[:, None] - kicks) <= PIECE, axis=1)
+    is_near = np.any(np.abs(rows[:, None] - kicks) <= _PIECE, axis=1)
     return is_near if not is_near.all() else np.zeros(len(rows), bool)
 
 

@@ -45,7 +45,7 @@ CUT_OFF_STD: Final = 4.0
 """Size at which an innovation is cut off for the alarm (Huber), in standard deviations: 8 nats, below every
 threshold. The jump of an encoder is seen uncut. Larger: a single kick of a real rig raises an alarm, and
 those of nominal flights set the threshold: 38 nats at 5, 15 at 4. Smaller: large changes count little."""
-MIN_ZERO_SHIFT_COUNTS: Final = 2.0
+_MIN_ZERO_SHIFT_COUNTS: Final = 2.0
 """Smallest jump of an encoder's zero that is reported, counts. Smaller: an angle at the border of a count
 looks like a jump by one. Larger: lost edges stay undetected."""
 
@@ -101,7 +101,7 @@ class LikelihoodRatio:
         self.changes = tuple(changes)
         # Properties of each change. A change has one or two parameters, each with a column of sensitivities.
         min_sizes_rad = {
-            f"zero_offset.{axis}": MIN_ZERO_SHIFT_COUNTS * count
+            f"zero_offset.{axis}": _MIN_ZERO_SHIFT_COUNTS * count
             for axis, count in zip(AXES, count_rad, strict=True)
         }
         self._min_size: Floats = np.array([[min_sizes_rad.get(change.id, 0.0)] for change in changes])

@@ -1,4 +1,7 @@
-"""Change detection in a finished flight: the same alarms at the same ticks as live."""
+"""A twin of a finished flight, and a live one for the host: both raise the same alarms at the same ticks.
+
+`open_twin` is an entry point ``heli_host.twins``.
+"""
 
 from __future__ import annotations
 

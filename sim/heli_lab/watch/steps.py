@@ -1,4 +1,8 @@
-"""Groups the samples of a flight into even steps, independent of how the samples are split over calls."""
+"""A flight as even steps of 10 ms, with the voltages that act and whether the flight is free.
+
+Flights in files, logs and ticks of boards become the same samples. The steps do not depend on how the samples
+are split over calls.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,7 @@ from heli_lab.fit.records import ON_GROUND, encoder_counts
 from heli_lab.fit.reference_trajectory import STEP_s
 from heli_lab.watch.twin_model import ParameterUncertainty, TwinModel
 
-MAX_GAP_s: Final = 0.04
+_MAX_GAP_s: Final = 0.04
 """Longest gap that the filter bridges with the last voltage, s: one of its measurements is then missing.
 Longer: the voltages in the gap are unknown. Shorter: every lost batch restarts the filter."""
 
@@ -79,7 +83,7 @@ class Stepper:
     def __init__(self, sample_s: float) -> None:
         self.samples_per_step = max(1, int(STEP_s / sample_s + 1e-6))
         self.step_s = self.samples_per_step * sample_s
-        self._max_gap = round(MAX_GAP_s / sample_s)
+        self._max_gap = round(_MAX_GAP_s / sample_s)
         self._after_gap = True
         self._reset(0)
 
@@ -221,7 +225,7 @@ def count_rad_of(flight: Flight, rig: Rig) -> Floats:
     return encoder_counts(flight, rig)[0]
 
 
-SETTLE_s: Final = 1.5
+_SETTLE_s: Final = 1.5
 """Time off the table before a flight counts as free, s: the ground effect and the thrust of the take-off have
 then decayed. Compare `identify.thresholds.SETTLED_S`. Longer: damage at take-off is detected late.
 Shorter: the ground effect is taken for a change."""
@@ -231,7 +235,7 @@ class FreeFlight:
     """Decides for successive steps whether the flight is free."""
 
     def __init__(self, rig: Rig, step_s: float) -> None:
-        self._settling_steps = round(SETTLE_s / step_s)
+        self._settling_steps = round(_SETTLE_s / step_s)
         # Number of successive steps off the table and the stops.
         self._clear_steps = 0
         uncertainty_deg = min(rig["elevation_min"].tolerance, thresholds.MAX_UNSURE_DEG)
@@ -333,11 +337,11 @@ class InputHistory:
         return Motion(times_s, angles_rad, volts_V)
 
 
-UNKNOWN_s: Final = 1.0
+_UNKNOWN_s: Final = 1.0
 """Time after a voltage that no nominal flight shows for which measurements carry no evidence, s: the filter
 has to settle again. Longer: aggressive flights hide changes. Shorter: what an unknown voltage does is taken
 for a change."""
-EXTRAPOLATED_SHARE: Final = 0.1
+_EXTRAPOLATED_SHARE: Final = 0.1
 """Distance from the range of the nominal flights up to which measurements still carry evidence, as a share of
 the width of that range. The filter adds process noise for such voltages. Larger: what an unknown voltage does
 is taken for a change; with 0.25, two of eight healthy measured flights have a false alarm. Smaller: a change
@@ -349,13 +353,13 @@ _ROTORS: Final = ("front", "back")
 class VoltageRange:
     """Compares the voltages of a flight with those of the nominal flights.
 
-    Voltages that are outside of their range by less than `EXTRAPOLATED_SHARE` of its width count as known.
+    Voltages that are outside of their range by less than `_EXTRAPOLATED_SHARE` of its width count as known.
     """
 
     def __init__(self, uncertainty: ParameterUncertainty, step_s: float) -> None:
         self._uncertainty = uncertainty
-        self._unknown_steps = round(UNKNOWN_s / step_s)
-        tolerance_V = EXTRAPOLATED_SHARE * (uncertainty.high_V - uncertainty.low_V)
+        self._unknown_steps = round(_UNKNOWN_s / step_s)
+        tolerance_V = _EXTRAPOLATED_SHARE * (uncertainty.high_V - uncertainty.low_V)
         # A rotor that reverses follows another curve, so no range is extrapolated across 0 V.
         min_V = np.where(uncertainty.low_V < 0.0, -np.inf, 0.0)
         self._extrapolated = replace(

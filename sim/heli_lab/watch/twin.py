@@ -39,21 +39,21 @@ CALIBRATION_s: Final = 8.0
 and the parameters within their covariance. `diagnose` uses the same time. A model that is contradicted so
 early was wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken
 for a change."""
-MAX_MEAN_SQUARE: Final = 2.0
+_MAX_MEAN_SQUARE: Final = 2.0
 """Mean square of an axis' innovations in `CALIBRATION_s` above which the model is not this
 rig's; 1 is what the model states. 175 innovations with the outliers of real flights (kurtosis 6) have a
 standard error of 0.17, so chance needs six of them. Larger: flights that no model here explains raise alarms
 later. Smaller: a day with gusts 1.4 times as large contradicts the rig."""
-MIN_SCALE_ERROR: Final = 0.25
+_MIN_SCALE_ERROR: Final = 0.25
 """Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
 edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
-FREE_RUN_s: Final = 2.0
+_FREE_RUN_s: Final = 2.0
 """Length of the open-loop simulation, s. A rotor that lost 5 % of its thrust moves the ghost by 5 degrees of
 pitch in that time, disturbances by 1 degree. Longer: disturbances alone move it away. Shorter: it shows no
 difference."""
 _RUNS: Final = 10
 """Number of simulations at the same time. More: the ghost moves more smoothly, and takes more time."""
-NOT_THIS_MODEL: Final = "not this model from the start"
+_NOT_THIS_MODEL: Final = "not this model from the start"
 _MAX_REPORTED_ODDS: Final = 1000.0
 """Odds above which no number is reported: such odds hold only if the catalogue contains the true cause."""
 _HISTORY_BLOCKS: Final = WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) + 1
@@ -76,7 +76,7 @@ class TwinEvent:
     onset_s: float = math.nan  # Time at which the most likely change began [s]; nan for the other kinds
 
 
-def format_ranking(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
+def _format_ranking(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
     """Describe the first change of a `ranking`, its onset (`onset_s`, s), and its odds against the second."""
     first, second = ranking[:2]
     odds = math.exp(min(first.log_evidence - second.log_evidence, 50.0))
@@ -154,7 +154,7 @@ class Twin:
         self._free_flight = FreeFlight(model.rig, self.step_s)
         self._range = VoltageRange(model.uncertainty, self.step_s)
         self._inputs = InputHistory(model, self.step_s)
-        self._ghost = Ghost(model, self.step_s) if with_ghost else None
+        self._ghost = _Ghost(model, self.step_s) if with_ghost else None
         self._comparison: _Comparison | None = None
 
     @property
@@ -334,7 +334,7 @@ class Twin:
         """Stop naming changes, because the flight contradicts the model; return the event with the reason."""
         self.contradicts = True
         comparison.alarm = None
-        text = f"{NOT_THIS_MODEL}: in the first {CALIBRATION_s:g} s, {reason}; no change is named"
+        text = f"{_NOT_THIS_MODEL}: in the first {CALIBRATION_s:g} s, {reason}; no change is named"
         return TwinEvent("contradicts", t_s, text)
 
     def _stop_comparison(self, t_s: float, reason: str) -> Iterator[TwinEvent]:
@@ -355,7 +355,7 @@ class Twin:
             return
         if alarm.is_early:
             most_likely = comparison.evidence.ratio.ranking()[0]
-            if not most_likely.change.is_scale or abs(most_likely.size) < MIN_SCALE_ERROR:
+            if not most_likely.change.is_scale or abs(most_likely.size) < _MIN_SCALE_ERROR:
                 evidence_text = f"the flight contradicts the rig by {comparison.evidence_nats:.0f} nats"
                 yield self._contradict(comparison, t_s, evidence_text)
                 return
@@ -369,7 +369,7 @@ class Twin:
         alarm_block = 0 if comparison.alarm is None else comparison.alarm.block
         onset_s = self._block_end_s(comparison, ranking[0].onset_block)
         alarm_s = self._block_end_s(comparison, alarm_block)
-        text = f"alarm at {alarm_s:.1f} s. Most likely: {format_ranking(ranking, onset_s)}."
+        text = f"alarm at {alarm_s:.1f} s. Most likely: {_format_ranking(ranking, onset_s)}."
         return TwinEvent(kind, t_s, text, ranking, onset_s)
 
     def _block_end_s(self, comparison: _Comparison, block: int) -> float:
@@ -409,7 +409,7 @@ class _Comparison:
         self.block = 0  # Number of measurements since the first step
         self.alarm: _Alarm | None = None
         self.evidence_nats = -math.inf
-        self.model_check = ModelCheck()
+        self.model_check = _ModelCheck()
         self._angles, self._block_s = angles, block_s
 
     @property
@@ -497,7 +497,7 @@ class _Comparison:
         return Innovation(np.zeros(3), np.zeros_like(innovation.sensitivity))
 
 
-class ModelCheck:
+class _ModelCheck:
     """Mean square of the innovations of each axis since the filter began."""
 
     def __init__(self) -> None:
@@ -515,7 +515,7 @@ class ModelCheck:
             return ""
         mean_square = self._squares / self._count
         worst_axis = int(np.argmax(mean_square))
-        if not mean_square[worst_axis] > MAX_MEAN_SQUARE:
+        if not mean_square[worst_axis] > _MAX_MEAN_SQUARE:
             return ""
         rms = mean_square[worst_axis] ** 0.5
         return f"{AXES[worst_axis]} differs from its predictions by {rms:.1f} times the stated deviation"
@@ -541,15 +541,15 @@ class _AngleHistory:
         return np.array([self._angles_rad[place] for place in onset_rows])
 
 
-class Ghost:
+class _Ghost:
     """Overlapping open-loop simulations, called runs.
 
-    A run starts from the filter's state every 0.2 s. The oldest run, of `FREE_RUN_s`, is shown.
+    A run starts from the filter's state every 0.2 s. The oldest run, of `_FREE_RUN_s`, is shown.
     """
 
     def __init__(self, twin: TwinModel, step_s: float) -> None:
         self._twin, self._step_s = twin, step_s
-        self._steps_between_runs = max(1, round(FREE_RUN_s / _RUNS / step_s))
+        self._steps_between_runs = max(1, round(_FREE_RUN_s / _RUNS / step_s))
         # State of each run, oldest first, with the torques and zeros that the filter had at its start.
         self._runs: Floats = np.empty((0, twin.states))
         self._torque_Nm: Floats = np.empty((0, 3))
@@ -582,7 +582,7 @@ class Ghost:
 
     @property
     def angles_rad(self) -> Floats | None:
-        """Angles that the encoders would show for the oldest run [rad], (3,); None before `FREE_RUN_s`."""
+        """Angles that the encoders would show for the oldest run [rad], (3,); None before `_FREE_RUN_s`."""
         if len(self._runs) < _RUNS:
             return None
         angles_rad = self._runs[0, :3].copy()

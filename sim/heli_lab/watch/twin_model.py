@@ -1,7 +1,8 @@
-"""Possible changes of a rig in flight: each one changes one or two parameters of the model.
+"""Equations of a rig as a twin uses them, and the possible changes of the rig in flight.
 
-Effects of the catalogue describe themselves as changes (`heli_sim.model.effects.ChangeSpec`). This file lists
-only changes that are no effect of the catalogue.
+Each change changes one or two parameters. Effects of the catalogue describe themselves as changes
+(`heli_sim.model.effects.ChangeSpec`); this file lists only changes that are no effect of the catalogue. The
+errors of the rig's parameters are unknown constants of a flight.
 """
 
 from __future__ import annotations

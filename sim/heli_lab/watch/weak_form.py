@@ -1,7 +1,7 @@
-"""The weak form of the equations of motion: flights on a coarse grid, and smooth test functions.
+"""A rig's equations of motion along a flight in weak form, with scaled encoders.
 
 Multiplied by a smooth test function and integrated by parts, an equation of motion needs no second derivative
-of a measured angle.
+of a measured angle. `encoder_scale.py` has the equation.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from heli_lab.fit.problem import FLIGHT_CONSTANTS, free_parameters
 GRID_s: Final = 0.02
 """Step of the grid [s]. Twice as long: blurred rates give scales an error of 2 %, twice as much. Half as
 long: a fit takes twice the time."""
-WIDTHS_s: Final = (3.0, 1.5, 3.0)
+_WIDTHS_s: Final = (3.0, 1.5, 3.0)
 """Length of the test functions of elevation, pitch and travel [s]. Shorter: errors by the encoders' rounding
 grow with the inverse square. Longer: the sines of a flight average out."""
 _OVERLAP: Final = 0.5
@@ -93,7 +93,7 @@ def _low_passed(values: Floats, decay: float) -> Floats:
     return np.asarray(result[:, :-1].reshape(-1, columns)[:rows])
 
 
-def gap_free_parts(flight: Flight, rows: Booleans, min_V: float) -> list[Part]:
+def _gap_free_parts(flight: Flight, rows: Booleans, min_V: float) -> list[Part]:
     """Cut a flight into parts without gaps, each longer than the longest test function, on a coarse grid.
     Shapes: `rows` (n,).
     """
@@ -108,7 +108,7 @@ def gap_free_parts(flight: Flight, rows: Booleans, min_V: float) -> list[Part]:
     parts = []
     for start, stop in zip(starts, [*starts[1:], len(usable)], strict=True):
         count = (stop - start) // every
-        if not usable[start] or count * every * step_s < max(WIDTHS_s):
+        if not usable[start] or count * every * step_s < max(_WIDTHS_s):
             continue
         chosen = slice(start, start + count * every)
         angles = flight.angles_rad[chosen].reshape(count, every, 3).mean(axis=1)
@@ -143,7 +143,7 @@ class TestFunctions:
     def __init__(self, part: Part) -> None:
         self._of_axes: list[tuple[Floats, Floats, Integers]] = []
         """For each axis: weights of w, weights of its second derivative, first step of each test function."""
-        for width_s in WIDTHS_s:
+        for width_s in _WIDTHS_s:
             count = round(width_s / part.step_s)
             x = (np.arange(count) + 0.5) / count * 2.0 - 1.0
             scale = 2.0 / width_s
@@ -178,7 +178,7 @@ def _weighted_sums(weights: Floats, starts: Integers, values: Floats) -> Floats:
     return np.asarray(windows @ weights)
 
 
-CLEAR_deg: Final = 8.0
+_CLEAR_deg: Final = 8.0
 """Elevation above the table from which on neither the table nor the air cushion over it pushes the arm [deg].
 Lower: the table counts as thrust. Higher: flights near the table give no estimate."""
 _LAG_s: Final = 0.05
@@ -219,12 +219,12 @@ class FlightInWeakForm:
         self._set_model(_without_random_and_lagged_effects(model))
         rest_deg = flight.parameters.get("elevation_rest_deg", rig["elevation_min"].value)
         self._pivot: Floats = np.array([np.radians(rest_deg), 0.0, 0.0])
-        rows = flown_rows(flight) & (flight.elevation_rad > self._pivot[0] + np.radians(CLEAR_deg))
+        rows = flown_rows(flight) & (flight.elevation_rad > self._pivot[0] + np.radians(_CLEAR_deg))
         rows &= _rows_with_live_encoders(flight)
         # It is the thrust that lags, and below the dead zone there is none: lower voltages must not delay it.
         dead_zone_V = self._model.dead_zone_V(self._parameters)
         self._min_V = -np.inf if dead_zone_V is None else dead_zone_V
-        parts = gap_free_parts(flight, rows, self._min_V)
+        parts = _gap_free_parts(flight, rows, self._min_V)
         self.seconds = sum(part.seconds for part in parts)
         self._parts = parts
         self._tests = [TestFunctions(part) for part in parts]

@@ -123,13 +123,13 @@ def find_gains(
     loop_effects = loop_effects if loop_effects is not None else LoopEffects()
     spread = spread if spread is not None else loop_effects.spread
     plants = spread_plants(rig, spread, model=model, loop_effects=loop_effects)
-    check_lift(rig, plants[0].hover_V)
+    _check_lift(rig, plants[0].hover_V)
     report("elevation: take-off")
     elevation, elevation_path = _design_elevation(rig, plants, sensitivity)
     report("pitch and travel: step")
     tilt = _design_tilt(rig, plants, spread, sensitivity)
     law = CascadeGains(elevation, tilt.pitch, tilt.travel, tilt.pitch_hold)
-    parameters = rig_parameters(rig) | elevation_path | tilt.parameters | law_parameters(law)
+    parameters = rig_parameters(rig) | elevation_path | tilt.parameters | _law_parameters(law)
     return Design(law, plants, sensitivity, parameters)
 
 
@@ -169,7 +169,7 @@ def _design_elevation(
     # The hover voltage rises with elevation, because masses below the axis pull the arm back to level.
     slope_V_rad = -float(nominal.elevation_A[1, 0]) / gain
     acceleration_ff = 1.0 / gain
-    spare_V = min(nominal.hover_V, lift_max_V(rig) - nominal.hover_V)
+    spare_V = min(nominal.hover_V, _lift_max_V(rig) - nominal.hover_V)
     acceleration_deg_s2 = min(_MAX_ELEVATION_DEG_S2, float(np.degrees(_COLLECTIVE_SHARE * spare_V * gain)))
     rise_deg = -rig["elevation_min"].value
     path_deg = shaped_step(
@@ -181,21 +181,21 @@ def _design_elevation(
         """Cost of the elevation loop's gains kp, ki and kd, shape (3,)."""
         pid = _controller_of_gains(gains, _FILTERS_Hz[0])
         closed = np.array([loops.elevation_closed(plant, pid) for plant in plants])
-        pole_1_s = slowest_pole_1_s(closed)
-        if pole_1_s > -MIN_DECAY_1_s:
-            return UNSTABLE_COST + pole_1_s
+        pole_1_s = _slowest_pole_1_s(closed)
+        if pole_1_s > -_MIN_DECAY_1_s:
+            return _UNSTABLE_COST + pole_1_s
         peak = loops.peak_sensitivity(pid.response(loops.FREQUENCY_rad_s) * plant_responses)
         squares_deg2 = np.mean(take_off.error_deg(pid, closed) ** 2, axis=0)
-        return log_cost(squares_deg2, nominal_count) + bound_penalty(peak, sensitivity)
+        return _log_cost(squares_deg2, nominal_count) + _bound_penalty(peak, sensitivity)
 
     # With unit gains, the loop is the response of elevation to the collective.
     unit_gains = CascadeGains(_UNIT_GAIN, _NO_GAIN, _NO_GAIN)
     plant_responses = np.array([loops.open_loops(plant, unit_gains)["elevation"] for plant in plants])
     # At this frequency, the loop gain of a double integrator is 1 by the derivative action, 0.5 by the
     # proportional and 0.1 by the integral action.
-    crossover = initial_crossover_rad_s(plants)
+    crossover = _initial_crossover_rad_s(plants)
     start = np.array([0.5 * crossover**2, 0.1 * crossover**3, crossover]) / gain
-    pid = _controller_of_gains(minimise_positive(cost, start), _FILTERS_Hz[0])
+    pid = _controller_of_gains(_minimise_positive(cost, start), _FILTERS_Hz[0])
     return pid, {
         "hover_V": nominal.hover_V,
         "hover_slope": float(np.radians(slope_V_rad)),
@@ -242,7 +242,7 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
     )
     arrival_row = round(2.0 * np.sqrt(TRAVEL_STEP_DEG / acceleration_deg_s2) / SIMULATION_STEP_s)
     travel_step = TravelStep(plants, pitch_hold, path, arrival_row, constant_loads_deg_s2(rig, spread))
-    differential_max_V = largest_differential_V(rig, nominal.hover_V)
+    differential_max_V = _largest_differential_V(rig, nominal.hover_V)
     # With unit gains, the loops are the responses of pitch and travel to the differential.
     unit_gains = CascadeGains(_NO_GAIN, _UNIT_GAIN, _UNIT_GAIN)
     plant_responses = [loops.open_loops(plant, unit_gains) for plant in plants]
@@ -261,18 +261,18 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
         """Cost of the gains of pitch and travel and of the feed-forward, shape (7,)."""
         pitch, travel, acceleration_ff = pids(gains)
         closed = np.array([loops.tilt_closed(plant, pitch, travel, pitch_hold) for plant in plants])
-        pole_1_s = slowest_pole_1_s(closed)
-        if pole_1_s > -MIN_DECAY_1_s:
-            return UNSTABLE_COST + pole_1_s
+        pole_1_s = _slowest_pole_1_s(closed)
+        if pole_1_s > -_MIN_DECAY_1_s:
+            return _UNSTABLE_COST + pole_1_s
         open_loops = _tilt_loops(pitch, travel, pitch_hold, to_pitch, to_travel)
         peaks = [loops.peak_sensitivity(open_loop) for open_loop in open_loops]
         squares, largest_V = travel_step.simulate(pitch, travel, acceleration_ff, closed)
-        penalty = sum(bound_penalty(peak, sensitivity) for peak in peaks)
-        penalty += bound_penalty(largest_V, differential_max_V)
-        return log_cost(squares, nominal_count) + penalty
+        penalty = sum(_bound_penalty(peak, sensitivity) for peak in peaks)
+        penalty += _bound_penalty(largest_V, differential_max_V)
+        return _log_cost(squares, nominal_count) + penalty
 
-    start = _initial_tilt_gains(nominal, initial_crossover_rad_s(plants))
-    pitch, travel, acceleration_ff = pids(minimise_positive(cost, start))
+    start = _initial_tilt_gains(nominal, _initial_crossover_rad_s(plants))
+    pitch, travel, acceleration_ff = pids(_minimise_positive(cost, start))
     return _TiltDesign(
         pitch=pitch,
         travel=travel,
@@ -316,9 +316,9 @@ MOTOR_MAX_V: Final = 10.0
 _PARAMETERS: Final = {spec.name: spec for spec in PARAMS}
 
 
-def check_lift(rig: Rig, hover_V: float) -> None:
+def _check_lift(rig: Rig, hover_V: float) -> None:
     """Raise a PlantError if the rig's motors cannot hold it at `hover_V`, the sum above the dead zone [V]."""
-    if hover_V >= lift_max_V(rig):
+    if hover_V >= _lift_max_V(rig):
         raise PlantError(
             f"rig '{rig.name}' hovers at {0.5 * hover_V + rig['dead_zone'].value:.1f} V per motor, "
             f"but its motors get at most {_motor_max_V(rig):.1f} V",
@@ -344,7 +344,7 @@ def rig_parameters(rig: Rig) -> dict[str, float]:
     }
 
 
-def law_parameters(law: CascadeGains) -> dict[str, float]:
+def _law_parameters(law: CascadeGains) -> dict[str, float]:
     """Convert the gains and filters of a law to parameters of the board, in its units."""
     values: dict[str, float] = {}
     for axis, pid in (("elevation", law.elevation), ("pitch", law.pitch), ("travel", law.travel)):
@@ -365,16 +365,16 @@ def travel_motion_deg(gain: float) -> float:
     return max(default_acceleration / gain, _PARAMETERS["travel_motion_deg"].min)
 
 
-def largest_differential_V(rig: Rig, hover_V: float) -> float:
+def _largest_differential_V(rig: Rig, hover_V: float) -> float:
     """Compute the largest difference of the voltages at which their sum still holds the arm [V].
 
     Beyond the hover voltage, one rotor stops and the other lifts the arm. Beyond the reserve of the stronger
     motor, the arm sinks.
     """
-    return max(min(hover_V, lift_max_V(rig) - hover_V), 0.1 * hover_V)
+    return max(min(hover_V, _lift_max_V(rig) - hover_V), 0.1 * hover_V)
 
 
-def lift_max_V(rig: Rig) -> float:
+def _lift_max_V(rig: Rig) -> float:
     """Largest sum of both voltages above the dead zone [V]."""
     return 2.0 * (_motor_max_V(rig) - rig["dead_zone"].value)
 
@@ -384,9 +384,9 @@ def _motor_max_V(rig: Rig) -> float:
     return min(rig["supply"].value, MOTOR_MAX_V)
 
 
-MIN_DECAY_1_s: Final = 0.02
+_MIN_DECAY_1_s: Final = 0.02
 """Smallest decay rate of a closed loop; slower loops count as unstable."""
-UNSTABLE_COST: Final = 1e3
+_UNSTABLE_COST: Final = 1e3
 """Cost of an unstable loop, far above any other cost; its slowest pole is added."""
 _BOUND_WEIGHT: Final = 30.0
 """Cost of exceeding a bound by the factor e."""
@@ -394,7 +394,7 @@ _OTHER_LAGS_s: Final = 0.03
 """Lag of a loop in addition to that of the rotors [s], for the start values of the gains."""
 
 
-def initial_crossover_rad_s(plants: Sequence[LinearPlant]) -> float:
+def _initial_crossover_rad_s(plants: Sequence[LinearPlant]) -> float:
     """Choose a crossover frequency for a double integrator with the longest lag, by the symmetrical optimum.
 
     The result is only the start of a minimisation, so that the factor of 2.2 is not critical; the textbook
@@ -404,14 +404,14 @@ def initial_crossover_rad_s(plants: Sequence[LinearPlant]) -> float:
     return 1.0 / (2.2 * longest_lag_s)
 
 
-def slowest_pole_1_s(closed: Floats) -> float:
+def _slowest_pole_1_s(closed: Floats) -> float:
     """Return the largest real part of all poles [1/s] of closed loops with the state matrices `closed`, shape
     (plants, n, n).
     """
     return float(np.linalg.eigvals(closed).real.max())
 
 
-def log_cost(squares: Floats, nominal_count: int) -> float:
+def _log_cost(squares: Floats, nominal_count: int) -> float:
     """Combine the mean squared errors of all plants into one cost. Shapes: `squares` (plants,).
 
     The cost is the mean of two logarithms: that of the nominal plants' mean, and that of the corners' mean.
@@ -419,12 +419,12 @@ def log_cost(squares: Floats, nominal_count: int) -> float:
     return float(0.5 * (np.log(squares[:nominal_count].mean()) + np.log(squares[nominal_count:].mean())))
 
 
-def bound_penalty(peak: float, bound: float) -> float:
+def _bound_penalty(peak: float, bound: float) -> float:
     """Return the cost of a `peak` that exceeds its `bound`; 0 if it does not."""
     return _BOUND_WEIGHT * max(0.0, float(np.log(peak / bound)))
 
 
-def minimise_positive(cost: Callable[[Floats], float], start: Floats) -> Floats:
+def _minimise_positive(cost: Callable[[Floats], float], start: Floats) -> Floats:
     """Find the positive gains with the lowest cost, by the Nelder-Mead method in their logarithms. Shapes:
     `start` (k,).
 

@@ -29,7 +29,7 @@ from heli_sim.model.effects import RotorLag, RotorSpeedLag
 from heli_sim.model.linear import derivatives, trim
 from heli_sim.rig import Rig
 
-NO_LAG_s: Final = 0.004
+_NO_LAG_s: Final = 0.004
 """Lag of a rotor without lag: too short to matter for any loop, so that all plants have the same states."""
 _LAG_UNCERTAINTY: Final = 0.25
 """Uncertainty of a stated lag, as a share of it."""
@@ -192,7 +192,7 @@ def linear_plant(
     """
     loop_effects = loop_effects if loop_effects is not None else LoopEffects()
     rig = rig.replace(thrust_gain=thrust * rig["thrust_gain"].value, M_w=counterweight * rig["M_w"].value)
-    equations = _model_with_lag(model, max(lag_s + loop_effects.delay_s, NO_LAG_s), loop_effects.linear)
+    equations = _model_with_lag(model, max(lag_s + loop_effects.delay_s, _NO_LAG_s), loop_effects.linear)
     hover = trim(equations, rig)
     linear = derivatives(equations, rig, hover.state, hover.volts_V)
     # Transform the two thrusts, and the two voltages, to their sum and their difference.
@@ -258,10 +258,10 @@ def count_nominal(plants: Sequence[LinearPlant]) -> int:
 
 ComplexArray = npt.NDArray[np.complex128]
 
-SAMPLING_s: Final = 0.001
+_SAMPLING_s: Final = 0.001
 """Delay of the sampled control law [s]: half a period of hold, half for reading, computing and switching."""
 FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 200.0, 160)
-MARGIN_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.02, 300.0, 1500)
+_MARGIN_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.02, 300.0, 1500)
 """Frequency grid of the margins: two crossings closer than 0.64 % are not resolved."""
 _BISECTIONS: Final = 30
 """Halvings of an interval of this grid: enough for nine digits of a frequency."""
@@ -413,9 +413,9 @@ def open_loops(
     """
     s = 1j * frequency_rad_s
     # The matrices approximate the delay of the voltages by additional lag; replace it by the exact delay.
-    lag_s = max(plant.lag_s + plant.delay_s, NO_LAG_s)
-    lag_correction = (1.0 + s * lag_s) / (1.0 + s * max(lag_s - plant.delay_s, NO_LAG_s))
-    delay = lag_correction * np.exp(-s * (SAMPLING_s + plant.delay_s))
+    lag_s = max(plant.lag_s + plant.delay_s, _NO_LAG_s)
+    lag_correction = (1.0 + s * lag_s) / (1.0 + s * max(lag_s - plant.delay_s, _NO_LAG_s))
+    delay = lag_correction * np.exp(-s * (_SAMPLING_s + plant.delay_s))
     to_elevation = delay * _frequency_response(plant.elevation_A, plant.elevation_B, 0, frequency_rad_s)
     to_pitch = delay * _frequency_response(plant.tilt_A, plant.tilt_B, 0, frequency_rad_s)
     to_travel = delay * _frequency_response(plant.tilt_A, plant.tilt_B, 1, frequency_rad_s)
@@ -443,7 +443,7 @@ def peak_sensitivity(loop: ComplexArray) -> float:
 
 def margins(plant: LinearPlant, law: CascadeGains) -> dict[str, Margin]:
     """Compute the stability margins of every loop; the `law` must stabilise the plant."""
-    grid = open_loops(plant, law, MARGIN_FREQUENCY_rad_s)
+    grid = open_loops(plant, law, _MARGIN_FREQUENCY_rad_s)
     phase_crossings = _sign_changes(plant, law, grid, _sine_of_phase)
     gain_crossings = _sign_changes(plant, law, grid, _log_magnitude)
     result = {}
@@ -500,7 +500,7 @@ def _sign_changes(
         loops = np.array(list(open_loops(plant, law, frequency_rad_s).values()))
         return np.asarray(loops[loop_index, crossing])
 
-    low, high = MARGIN_FREQUENCY_rad_s[interval], MARGIN_FREQUENCY_rad_s[interval + 1]
+    low, high = _MARGIN_FREQUENCY_rad_s[interval], _MARGIN_FREQUENCY_rad_s[interval + 1]
     is_negative_at_low = value(np.array(list(grid.values()))[loop_index, interval]) < 0.0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)

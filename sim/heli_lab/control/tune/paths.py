@@ -1,4 +1,4 @@
-"""Compute the shaped setpoint of a step, with the limits of rate and acceleration of firmware/core/flight."""
+"""Simulate many linear plants together along the board's shaped paths, by which a design is evaluated."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ carried over to the next. 250 points take 32 steps in Python instead of 250."""
 
 
 @dataclass(frozen=True)
-class DiscretePlants:
+class _DiscretePlants:
     """Linear plants in discrete time, with inputs constant over a step of `SIMULATION_STEP_s`."""
 
     transition: Floats  # (plants, n, n): State transition matrices over one step
@@ -104,7 +104,7 @@ class DiscretePlants:
         return np.concatenate((initial, response), axis=3)[..., :times]
 
 
-def discretise(closed: Floats, input_matrices: Floats) -> DiscretePlants:
+def discretise(closed: Floats, input_matrices: Floats) -> _DiscretePlants:
     """Discretise plants exactly for inputs that are constant over a step. Shapes: `closed` (plants, n, n),
     `input_matrices` (plants, n, m).
     """
@@ -112,7 +112,7 @@ def discretise(closed: Floats, input_matrices: Floats) -> DiscretePlants:
     augmented = np.zeros((count, size + width, size + width))
     augmented[:, :size, :size], augmented[:, :size, size:] = closed, input_matrices
     step = matrix_exponentials(augmented * SIMULATION_STEP_s)
-    return DiscretePlants(step[:, :size, :size], step[:, :size, size:])
+    return _DiscretePlants(step[:, :size, :size], step[:, :size, size:])
 
 
 _TRIM_TIME_s: Final = 8.0
@@ -148,7 +148,7 @@ class TravelStep:
         squares[count_nominal(self.plants) :] += self._load_squares(plants)
         return squares, self._largest_differential_V(states, setpoint_deg, pitch, travel)
 
-    def _discrete_plants(self, pitch: Pid, closed: Floats) -> DiscretePlants:
+    def _discrete_plants(self, pitch: Pid, closed: Floats) -> _DiscretePlants:
         """Discretise the closed loops; their inputs are pitch setpoint, travel setpoint, then each load."""
         input_matrices = np.zeros((len(self.plants), loops.TILT_STATES, 2 + len(self.loads_deg_s2)))
         # The pitch setpoint acts on the voltage, at the first five states, and on the integral of its error.
@@ -172,14 +172,14 @@ class TravelStep:
         squares = squares + _FINAL_ERROR_WEIGHT * np.mean(final_deg**2, axis=0)
         return np.asarray(squares + _OVERSHOOT_WEIGHT * np.maximum(final_deg.max(axis=0), 0.0) ** 2)
 
-    def _load_squares(self, plants: DiscretePlants) -> Floats:
+    def _load_squares(self, plants: _DiscretePlants) -> Floats:
         """Compute the weighted mean square of the travel error by the constant loads, shape (corners,).
 
         The loads begin at time 0. The error counts from `_TRIM_TIME_s` on, when the integrators have
         compensated most of it.
         """
         nominal_count = count_nominal(self.plants)
-        corners = DiscretePlants(plants.transition[nominal_count:], plants.inputs[nominal_count:, :, 2:])
+        corners = _DiscretePlants(plants.transition[nominal_count:], plants.inputs[nominal_count:, :, 2:])
         trim_row = round(_TRIM_TIME_s / SIMULATION_STEP_s)
         # Shape (corners, states, loads, times); state 1 is travel.
         response_deg = corners.step_response(trim_row + len(self.path) // 2)

@@ -29,9 +29,9 @@ from heli_lab.setup.calibrate.motors import (
 )
 from heli_lab.setup.calibrate.operator import HandAction, Operator
 
-HARD_MAX_V: Final = 6.0
+_HARD_MAX_V: Final = 6.0
 """Voltage that no pulse exceeds, whatever the options say [V]."""
-MAX_ANGLE_deg: Final = 20.0
+_MAX_ANGLE_deg: Final = 20.0
 """Default of the angle by which an axis may move in a pulse [deg]."""
 _ABOVE_DEAD_ZONE_V: Final = 1.0
 """Default of the highest voltage of a pulse, above the rig file's dead zone [V]."""
@@ -72,8 +72,8 @@ def default_limits(rig: Rig) -> PulseLimits:
     dead_zone_V = rig["dead_zone"].value
     return PulseLimits(
         start_V=max(_MIN_FIRST_V, _FIRST_SHARE * dead_zone_V),
-        max_V=min(dead_zone_V + _ABOVE_DEAD_ZONE_V, HARD_MAX_V),
-        max_angle_deg=MAX_ANGLE_deg,
+        max_V=min(dead_zone_V + _ABOVE_DEAD_ZONE_V, _HARD_MAX_V),
+        max_angle_deg=_MAX_ANGLE_deg,
     )
 
 
@@ -104,12 +104,12 @@ def calibrate(
     if not motors:
         return _calibration(encoders, encoder_values, (), rig, name or rig.name)
     motor_signs = {f"motor_{output}_sign": heli.params[f"motor_{output}_sign"] for output in MOTOR_OUTPUTS}
-    with temporary_parameters(heli, encoder_values | motor_signs, operator.report):
+    with _temporary_parameters(heli, encoder_values | motor_signs, operator.report):
         heli.zero()
         _block_arm(heli, operator)
         results = []
-        board_limits = pulse_limits(heli, max_V=limits.max_V, max_angle_deg=limits.max_angle_deg)
-        with temporary_parameters(heli, board_limits, operator.report):
+        board_limits = _pulse_limits(heli, max_V=limits.max_V, max_angle_deg=limits.max_angle_deg)
+        with _temporary_parameters(heli, board_limits, operator.report):
             for output in MOTOR_OUTPUTS:
                 mark(f"{output} output")
                 results.append(calibrate_motor(heli, operator, output, rig, limits, check))
@@ -149,7 +149,7 @@ def _check_counts(heli: Heli, rig: Rig) -> None:
 
 def _check_voltages(heli: Heli, limits: PulseLimits) -> None:
     """Raise a CalibrationError unless 0 < first voltage < highest voltage <= limit of the board."""
-    highest_V = min(HARD_MAX_V, heli.params["motor_max_V"])
+    highest_V = min(_HARD_MAX_V, heli.params["motor_max_V"])
     if not 0.0 < limits.start_V < limits.max_V <= highest_V:
         raise CalibrationError(
             f"pulses from {limits.start_V:g} to {limits.max_V:g} V are not possible",
@@ -271,7 +271,7 @@ def _thrust_numbers(motors: Sequence[MotorResult], rig: Rig) -> tuple[dict[str, 
 
 
 @contextlib.contextmanager
-def temporary_parameters(
+def _temporary_parameters(
     heli: Heli, values: Mapping[str, float], warn: Callable[[str], None]
 ) -> Iterator[None]:
     """Set parameters in the board's memory, and restore the previous values when the block ends.
@@ -318,7 +318,7 @@ _PITCH_SETPOINT_MARGIN_deg: Final = 1.0
 """The board accepts a limit of pitch only above the limit of its setpoint."""
 
 
-def pulse_limits(heli: Heli, *, max_V: float, max_angle_deg: float) -> dict[str, float]:
+def _pulse_limits(heli: Heli, *, max_V: float, max_angle_deg: float) -> dict[str, float]:
     """Return the parameters by which the board itself bounds voltage and motion of the pulses."""
     spec_of = heli.params.spec
     values = {

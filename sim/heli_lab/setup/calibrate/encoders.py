@@ -15,10 +15,10 @@ from heli_host.declaration import AXES
 from heli_lab.errors import CalibrationError
 from heli_lab.setup.calibrate.operator import HandAction, Operator
 
-MOVED_deg: Final = 5.0
+_MOVED_deg: Final = 5.0
 """Change of an angle that counts as a movement [deg]. Less: the play of an axis that a hand touches
 counts too. More: travel of a rig with short cables cannot be turned so far."""
-RETURNED_deg: Final = 1.0
+_RETURNED_deg: Final = 1.0
 """Largest error of the elevation after its return to rest [deg]. Less: an arm on a soft table is refused.
 More: a slipping coupling is not noticed."""
 _MAX_ATTEMPTS: Final = 3
@@ -88,14 +88,16 @@ def _movement_deg(heli: Heli, operator: Operator, axis: str, action: HandAction)
         before_deg = angles_deg(heli)
         operator.act(action)
         change_deg = angles_deg(heli) - before_deg
-        moved_axes = [name for name, change in zip(AXES, change_deg, strict=True) if abs(change) >= MOVED_deg]
+        moved_axes = [
+            name for name, change in zip(AXES, change_deg, strict=True) if abs(change) >= _MOVED_deg
+        ]
         if moved_axes == [axis]:
             return float(change_deg[AXES.index(axis)])
         changes_text = ", ".join(
             f"{name} {change:+.1f}" for name, change in zip(AXES, change_deg, strict=True)
         )
         if not moved_axes:
-            reason = f"no encoder counted {MOVED_deg:g} degrees for {axis} ({changes_text})"
+            reason = f"no encoder counted {_MOVED_deg:g} degrees for {axis} ({changes_text})"
             remedy = f"move it further, and check the plug and the supply of the {axis} encoder"
         elif len(moved_axes) > 1:
             reason = f"{' and '.join(moved_axes)} moved together ({changes_text} degrees)"
@@ -110,7 +112,7 @@ def _check_return(heli: Heli, start_deg: Floats, axis: str) -> None:
     """Raise a CalibrationError if the elevation does not return to its first reading."""
     error_deg = angles_deg(heli) - start_deg
     # Only the elevation has a table that stops it; pitch and travel may come to rest anywhere.
-    if abs(error_deg[0]) > RETURNED_deg:
+    if abs(error_deg[0]) > _RETURNED_deg:
         raise CalibrationError(
             f"elevation reads {error_deg[0]:+.1f} degrees from its first rest after {axis} moved",
             "check the coupling, the cable and the pull-ups of the elevation encoder",

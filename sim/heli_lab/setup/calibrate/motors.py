@@ -1,5 +1,6 @@
-"""Calibrate a motor output with voltage pulses: which rotor it drives, and that rotor's direction, dead zone
-and thrust.
+"""Calibrate a motor output with voltage pulses.
+
+The pulses show which rotor the output drives, and that rotor's direction, dead zone and thrust.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from heli_lab.setup.calibrate.operator import HandAction, Operator
 from heli_lab.state_space import matrix_exponentials
 
 MOTOR_OUTPUTS: Final = ("front", "back")
-STEP_V: Final = 0.1
+_STEP_V: Final = 0.1
 """Increase of the voltage from pulse to pulse before pitch has moved [V]. More: the first pulse above the
 dead zone turns a strong rotor too far. Less: more pulses are needed, each with a confirmation."""
 _MIN_STEP_V: Final = 0.02
@@ -101,9 +102,9 @@ def calibrate_motor(
     for sign in (first_sign, -first_sign):
         heli.params[sign_parameter] = sign
         series = pulser.series(limits.start_V)
-        if series.pulses and series.turn == lift_turn(series.rotor):
+        if series.pulses and series.turn == _lift_turn(series.rotor):
             heli.params[sign_parameter] = first_sign
-            thrust = thrust_of(series.pulses, lift_turn(series.rotor), rig)
+            thrust = thrust_of(series.pulses, _lift_turn(series.rotor), rig)
             return MotorResult(output, series.rotor, sign, series.begins_V, thrust)
         reason = f"the {series.rotor} rotor pushes down" if series.pulses else "no pulse moved pitch"
         operator.report(f"{output} output with {sign_parameter} {sign}: {reason}")
@@ -114,7 +115,7 @@ def calibrate_motor(
     )
 
 
-def lift_turn(rotor: str) -> int:
+def _lift_turn(rotor: str) -> int:
     """Return the sign of the pitch that a `rotor`, ``front`` or ``back``, causes when it pushes up."""
     return 1 if rotor == "front" else -1
 
@@ -144,11 +145,11 @@ class _Pulser:
         The first pulse that moves pitch is also shown to the operator, who says which rotor turned.
         """
         series = _Series()
-        volts_V, step_V = start_V, STEP_V
+        volts_V, step_V = start_V, _STEP_V
         peaks: list[tuple[float, float]] = []
         while volts_V <= self._limits.max_V + 1e-9 and len(series.pulses) < _MOVING_PULSES:
             pulse = self.pulse(volts_V)
-            change_counts, std_counts = response_counts(
+            change_counts, std_counts = _response_counts(
                 pulse, self._count_rad, self._rig if self._drifts else None
             )
             if abs(change_counts) > max(_MOVED_counts, _MOVED_STDS * std_counts):
@@ -164,7 +165,7 @@ class _Pulser:
                     )
                 series.pulses.append(pulse)
                 # Reversed, or wired to push down: the caller repeats the series with the other sign.
-                if turn != lift_turn(series.rotor):
+                if turn != _lift_turn(series.rotor):
                     break
                 peak_deg = float(np.degrees(abs(change_counts) * self._count_rad))
                 peaks.append((volts_V, peak_deg))
@@ -177,9 +178,9 @@ class _Pulser:
     def _next_step(self, peaks: list[tuple[float, float]]) -> float:
         """Return the next increase of the voltage [V], small enough that pitch stays far below its limit."""
         volts_V, peak_deg = peaks[-1]
-        previous_V, previous_deg = peaks[-2] if len(peaks) > 1 else (volts_V - STEP_V, 0.0)
+        previous_V, previous_deg = peaks[-2] if len(peaks) > 1 else (volts_V - _STEP_V, 0.0)
         deg_per_V = max((peak_deg - previous_deg) / (volts_V - previous_V), 1e-3)
-        return min(STEP_V, (_MAX_ANGLE_SHARE * self._limits.max_angle_deg - peak_deg) / deg_per_V)
+        return min(_STEP_V, (_MAX_ANGLE_SHARE * self._limits.max_angle_deg - peak_deg) / deg_per_V)
 
     def _confirm_rotor(self, volts_V: float) -> str:
         """Ask the operator which rotor turned, ``front`` or ``back``."""
@@ -197,7 +198,7 @@ class _Pulser:
         """Ask the operator, wait until pitch is still, and give one pulse; return pitch around it."""
         if not self._confirmed:
             answer = self._operator.choose(
-                f"pulse: {self._output} output, {volts_V:g} V for {PULSE_s:g} s. "
+                f"pulse: {self._output} output, {volts_V:g} V for {_PULSE_s:g} s. "
                 "Hands off, nobody in the arm's circle",
                 ("pulse", "all", "stop"),
             )
@@ -236,8 +237,8 @@ class _Pulser:
         start_deg = angles_deg(heli)
         heli.control(Axes(0))
         front_V, back_V = (volts_V if output == self._output else 0.0 for output in MOTOR_OUTPUTS)
-        heli.excite(Excitation.STEP, front_V, back_V, duration_s=PULSE_s)
-        end_s = heli.latest.t_s + PULSE_s + AFTER_s + 0.2
+        heli.excite(Excitation.STEP, front_V, back_V, duration_s=_PULSE_s)
+        end_s = heli.latest.t_s + _PULSE_s + _AFTER_s + 0.2
         while (sample := heli.latest).t_s < end_s:
             if sample.state is not State.OPEN_LOOP:
                 if sample.fault:
@@ -256,7 +257,7 @@ class _Pulser:
                 raise FlightAborted("the stop key was pressed; the motors are off")
             self._check()
             heli.wait(_POLL_s)
-        return heli.samples(BEFORE_s + PULSE_s + AFTER_s + 1.0)
+        return heli.samples(_BEFORE_s + _PULSE_s + _AFTER_s + 1.0)
 
     def _drifts_slowly(self, pitch_deg: Floats, count_deg: float) -> bool:
         """Whether the short arm drifts so smoothly and slowly that the model of a pulse includes the drift.
@@ -267,7 +268,7 @@ class _Pulser:
         parabola = np.polynomial.Polynomial.fit(t_s, pitch_deg, 2)
         is_smooth = np.abs(parabola(t_s) - pitch_deg).max() <= _SMOOTH_counts * count_deg
         rate_deg_s = float(parabola.deriv()(t_s[-1]))
-        at_end_deg = pitch_deg[-1] + rate_deg_s * (PULSE_s + AFTER_s)
+        at_end_deg = pitch_deg[-1] + rate_deg_s * (_PULSE_s + _AFTER_s)
         near_deg = _MAX_DRIFT_SHARE * self._limits.max_angle_deg
         return bool(is_smooth and max(abs(pitch_deg[-1]), abs(at_end_deg)) < near_deg)
 
@@ -297,33 +298,33 @@ class _Pulser:
 
 
 def _pulse_of_samples(samples: Samples, output: str, volts_V: float) -> Pulse:
-    """Cut out pitch around the pulse of an output, in steps of `PULSE_GRID_s`."""
+    """Cut out pitch around the pulse of an output, in steps of `_PULSE_GRID_s`."""
     powered_rows = np.flatnonzero(getattr(samples, f"{output}_V"))
     if not len(powered_rows):
         raise CalibrationError(
             f"the board gave no voltage to the {output} output", "check the limits of its parameters"
         )
-    ticks_per_step = round(PULSE_GRID_s / TICK_S)
-    first_row = powered_rows[0] - round(BEFORE_s / TICK_S)
-    count = round((BEFORE_s + PULSE_s + AFTER_s) / PULSE_GRID_s)
+    ticks_per_step = round(_PULSE_GRID_s / TICK_S)
+    first_row = powered_rows[0] - round(_BEFORE_s / TICK_S)
+    count = round((_BEFORE_s + _PULSE_s + _AFTER_s) / _PULSE_GRID_s)
     rows = first_row + ticks_per_step * np.arange(count)
     if rows[0] < 0 or rows[-1] >= len(samples) or np.any(np.diff(samples.tick) != 1):
         raise CalibrationError("samples of a pulse are missing", "check the USB cable, then calibrate again")
     return Pulse(volts_V, samples.pitch_rad[rows])
 
 
-PULSE_GRID_s: Final = 0.005
+_PULSE_GRID_s: Final = 0.005
 """Time step at which measured and modelled pitch are compared [s]."""
-BEFORE_s: Final = 0.3
+_BEFORE_s: Final = 0.3
 """Time before a pulse that is compared [s]."""
-PULSE_s: Final = 0.3
+_PULSE_s: Final = 0.3
 """Length of a pulse [s]. Longer: a strong rotor turns pitch too far. Shorter: a slow rotor gives no
 thrust."""
-AFTER_s: Final = 1.2
+_AFTER_s: Final = 1.2
 """Time after a pulse that is compared [s]; long enough for the thrust of a slow rotor to act."""
-MIN_PULSES: Final = 3
+_MIN_PULSES: Final = 3
 """Smallest number of pulses that move pitch: a straight line through fewer has no standard error."""
-MAX_SHARE: Final = 0.2
+_MAX_SHARE: Final = 0.2
 """Largest standard error of a thrust gain, as a share of the gain. Above it, the rig file's value stays."""
 _LOWER_BOUNDS: Final = (0.0, 0.0, 1e-3)
 _UPPER_BOUNDS: Final = (100.0, 20.0, 0.5)
@@ -337,7 +338,7 @@ class Pulse:
     """Pitch around one pulse."""
 
     volts_V: float  # Voltage of the output during the pulse
-    pitch_rad: Floats  # Pitch from BEFORE_s before the pulse to AFTER_s after it, in steps of PULSE_GRID_s
+    pitch_rad: Floats  # Pitch from _BEFORE_s before the pulse to _AFTER_s after it, in steps of _PULSE_GRID_s
 
 
 @dataclass(frozen=True)
@@ -369,9 +370,11 @@ def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
             [0.0, 0.0, 0.0, 0.0],
         ]
     )
-    before, during, after = (round(duration_s / PULSE_GRID_s) for duration_s in (BEFORE_s, PULSE_s, AFTER_s))
+    before, during, after = (
+        round(duration_s / _PULSE_GRID_s) for duration_s in (_BEFORE_s, _PULSE_s, _AFTER_s)
+    )
     count = before + during + after
-    powers = _matrix_powers(matrix_exponentials(state_matrix[np.newaxis] * PULSE_GRID_s)[0], count)
+    powers = _matrix_powers(matrix_exponentials(state_matrix[np.newaxis] * _PULSE_GRID_s)[0], count)
     # States are angle, rate, acceleration by thrust, and the voltage, which only the pulse sets.
     state_after_pulse = powers[during] @ (0.0, 0.0, 0.0, 1.0)
     state_after_pulse[3] = 0.0
@@ -428,14 +431,14 @@ def _fit_pitch_dynamics(measured: Floats, start: _PitchDynamics) -> _PitchDynami
     return _PitchDynamics(*map(float, fit.x))
 
 
-def response_counts(pulse: Pulse, count_rad: float, drifting: Rig | None = None) -> tuple[float, float]:
+def _response_counts(pulse: Pulse, count_rad: float, drifting: Rig | None = None) -> tuple[float, float]:
     """Measure how much a pulse moves pitch, in encoder counts of `count_rad` [rad]. Returns `change_counts`,
     `std_counts`.
 
     If the short arm drifts, because its rotors differ by a few grams, the drift is estimated together with
     the response, with the dynamics of the rig file `drifting`.
     """
-    before, during = round(BEFORE_s / PULSE_GRID_s), round(PULSE_s / PULSE_GRID_s)
+    before, during = round(_BEFORE_s / _PULSE_GRID_s), round(_PULSE_s / _PULSE_GRID_s)
     before_rad = pulse.pitch_rad[:before]
     if drifting is None:
         change_rad = pulse.pitch_rad[before : before + 2 * during] - before_rad.mean()
@@ -446,7 +449,7 @@ def response_counts(pulse: Pulse, count_rad: float, drifting: Rig | None = None)
     coefficients = _least_squares(design, pulse.pitch_rad)
     residual_rad = pulse.pitch_rad - design @ coefficients
     # Neighbouring residuals are alike, so that a fit has as many observations as the pulse has lengths.
-    observations = len(residual_rad) * PULSE_GRID_s / PULSE_s
+    observations = len(residual_rad) * _PULSE_GRID_s / _PULSE_s
     covariance = np.linalg.pinv(design.T @ design) * len(residual_rad) / max(observations, 1.0)
     std = float(np.sqrt(covariance[0, 0]) * residual_rad.std())
     peak_counts = float(np.abs(design[:, 0]).max() / count_rad)
@@ -458,8 +461,8 @@ def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> ThrustLine | str:
 
     Standard errors are those of the jackknife: the estimate is repeated without each pulse.
     """
-    if len(pulses) < MIN_PULSES:
-        return f"{len(pulses)} pulses moved pitch, and a line needs {MIN_PULSES}"
+    if len(pulses) < _MIN_PULSES:
+        return f"{len(pulses)} pulses moved pitch, and a line needs {_MIN_PULSES}"
     volts_V = np.array([pulse.volts_V for pulse in pulses])
     # Thrust per acceleration of pitch: inertia over lever arm.
     newton_per_acceleration = sign * _pitch_inertia(rig) / rig["L_h"].value
@@ -479,7 +482,7 @@ def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> ThrustLine | str:
     gain_std, dead_zone_std = np.sqrt(factor * np.sum(deviations**2, axis=0))
     if not gain_N_per_V > 0.0:
         return f"thrust does not grow with the voltage ({gain_N_per_V:.3g} N/V)"
-    if gain_std > MAX_SHARE * gain_N_per_V:
+    if gain_std > _MAX_SHARE * gain_N_per_V:
         return f"the pulses scatter: {gain_N_per_V:.3g} N/V with a standard error of {gain_std:.2g} N/V"
     return ThrustLine(gain_N_per_V, float(gain_std), dead_zone_V, float(dead_zone_std), len(pulses))
 

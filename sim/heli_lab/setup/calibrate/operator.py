@@ -1,4 +1,4 @@
-"""The interface to the operator, who moves the rig by hand and answers questions at the bench."""
+"""The operator at the bench, who moves the rig by hand and answers questions: a person or a simulated one."""
 
 from __future__ import annotations
 
