@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Final
 
 import heli_host
+from heli_host.board.heli import Heli
 from heli_host.declaration import AXES
 from heli_host.errors import HeliError
-from heli_host.fly.heli import Heli
 from heli_lab.setup.calibrate.calibration import BenchCalibration, calibrate
 from heli_lab.setup.calibrate.motors import PulseLimits
 from heli_lab.setup.calibrate.operator import SimulatedOperator

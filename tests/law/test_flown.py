@@ -11,6 +11,7 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.law_flight import PART_WORDS, engage, loaded
 from heli_host.board.law_program import LawProgram
 from heli_host.data.response import responses
 from heli_host.declaration import (
@@ -28,7 +29,6 @@ from heli_host.declaration import (
     LawState,
     MessageId,
 )
-from heli_host.fly.guest_law import PART_WORDS, engage, loaded
 from heli_host.link.telemetry import Ticks
 from heli_lab.apps.classroom.grade import FlightScore, LawGrade, score_of_trial
 from heli_lab.control.law_flight import LawTrial

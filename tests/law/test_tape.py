@@ -11,9 +11,9 @@ import heli_host
 import numpy as np
 import numpy.typing as npt
 import pytest
+from heli_host.board.law_flight import engage, set_parameter
 from heli_host.board.law_program import Instruction, LawProgram, Term
 from heli_host.declaration import AXES, LAW_INPUTS, OPERATIONS, PARAMS, Takeover
-from heli_host.fly.guest_law import engage, set_parameter
 from heli_lab.law import (
     Command,
     Law,
