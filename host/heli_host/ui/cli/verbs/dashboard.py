@@ -45,9 +45,6 @@ if TYPE_CHECKING:
     from heli_host.ui.page.cockpit import Cockpit
     from heli_host.ui.page.serve import Address
 
-STEP_S = 0.5
-"""Between two looks at whether the board is still there."""
-
 
 def dashboard(
     plans: Annotated[
@@ -207,7 +204,9 @@ def _serve_board(
                         target=_fly_plans, args=(cockpit, first_plans, has_ended), name="plans", daemon=True
                     ).start()
                 try:
-                    _wait_for_interrupt(heli)
+                    with contextlib.suppress(KeyboardInterrupt):
+                        heli.session.wait_for(has_ended.is_set)
+                    _land_if_flying(heli)
                 finally:
                     has_ended.set()
         finally:
@@ -229,16 +228,12 @@ def _fly_plans(cockpit: Cockpit, names: Sequence[str], ended: threading.Event) -
             say(f"flown: {', '.join(names)}: {result['outcome']}")
 
 
-def _wait_for_interrupt(heli: Heli) -> None:
-    """Wait for Ctrl-C, then land; a second one stops the motors, which closing the board does."""
-    try:
-        while True:
-            heli.session.wait_for(lambda: False, STEP_S)
-    except KeyboardInterrupt:
-        if heli.motors_may_run:
-            say("landing; Ctrl-C stops the motors")
-            heli.land()
-            say("landed")
+def _land_if_flying(heli: Heli) -> None:
+    """Land; a second Ctrl-C stops the motors, which closing the board does."""
+    if heli.motors_may_run:
+        say("landing; Ctrl-C stops the motors")
+        heli.land()
+        say("landed")
 
 
 def _serve_log(log: Path, rig: str | None, host: str, http_port: int) -> None:
