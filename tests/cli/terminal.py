@@ -6,10 +6,11 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import pytest
 from heli_host.ui.cli import run
@@ -17,17 +18,9 @@ from heli_host.ui.cli import run
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended.
+    """How a command ended, and what it printed."""
 
-    Parameters
-    ----------
-    code : int
-        Exit code.
-    out, err : str
-        Its output.
-    """
-
-    code: int
+    code: int  # Exit code
     out: str
     err: str
 
@@ -88,17 +81,17 @@ def until_open(running: Process, port: str) -> None:
 
 
 def refusal(ended: Ended, *, code: int) -> str:
-    """Return the one line of a command that was refused.
-
-    Parameters
-    ----------
-    ended : Ended
-        How it ended.
-    code : int
-        Exit code that it must have.
-    """
+    """Return the one line of a command that was refused with an exit code."""
     assert ended.code == code, ended
     lines = ended.err.splitlines()
     assert len(lines) == 1, ended.err
     assert lines[0].startswith("error: ")
     return lines[0]
+
+
+def listed_commands(group: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Each command that the help lists, verbs and their parts, with its words; groups come first."""
+    yield name or "heli-host", group
+    for part, command in getattr(group, "commands", {}).items():
+        if not command.hidden:
+            yield from listed_commands(command, f"{name} {part}".strip())

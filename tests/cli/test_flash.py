@@ -5,22 +5,20 @@ from __future__ import annotations
 import os
 import shutil
 import struct
-import subprocess
 import termios
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import heli_host
 import pytest
 import serial
-from heli_host.board import flashing as uploading
 from heli_host.board.flashing import (
     ERASE_S,
     ERASING_BAUD,
     FLASH_START,
     RAM_START,
     VECTORS,
-    Bossac,
     erase_chip,
     find_bossac,
     read_image,
@@ -37,13 +35,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from serial.tools import list_ports
 
-from tests.cli.terminal import Terminal, refusal
+from tests.cli.terminal import Ended, Terminal, refusal
 from tests.cli.uploader import Uploader
 from tests.sil.patient import PATIENT
 
 ASKED, LINK, FILE = 2, 3, 5
 ENTRY = FLASH_START + 4 * VECTORS + 1
-
 pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this system")
 
 
@@ -84,126 +81,135 @@ def quick_and_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
 
 
+class Flash:
+    """Runs ``heli-host flash IMAGE --port PORT --yes`` with an uploader of its own."""
+
+    def __init__(self, terminal: Terminal, image: Path, port: str, folder: Path) -> None:
+        self.terminal, self.image, self.port, self.folder = terminal, image, port, folder
+        self.calls: list[list[str]] = []
+
+    def __call__(self, *more: str, ending: str = "good", version: str = "1.7.0", yes: bool = True) -> Ended:
+        uploader = Uploader(self.folder, ending, version)
+        options = ("--port", self.port, "--bossac", uploader.program, *(("--yes",) if yes else ()), *more)
+        ended = self.terminal("flash", self.image, *options)
+        self.calls = uploader.calls
+        return ended
+
+
+@pytest.fixture
+def flash(terminal: Terminal, image: Path, silent_port: str, tmp_path: Path) -> Flash:
+    """Flash a board that does not answer."""
+    return Flash(terminal, image, silent_port, tmp_path / "bin")
+
+
+@pytest.fixture
+def flash_board(
+    terminal: Terminal, image: Path, board: SilProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Flash:
+    """Flash a simulated board, which answers before and afterwards."""
+    monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
+    return Flash(terminal, image, board.url, tmp_path / "bin")
+
+
 def on_path(monkeypatch: pytest.MonkeyPatch, uploader: Uploader) -> None:
     monkeypatch.setenv("PATH", str(uploader.folder))
 
 
 @pytest.mark.medium
 def test_a_board_is_flashed_and_answers(
-    terminal: Terminal, image: Path, board: SilProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    terminal: Terminal, image: Path, flash_board: Flash, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
-    uploader = Uploader(tmp_path / "bin")
+    uploader = Uploader(flash_board.folder)
     on_path(monkeypatch, uploader)
-    result = terminal("flash", image, "--port", board.url, "--yes")
+    result = terminal("flash", image, "--port", flash_board.port, "--yes")
     assert result.code == 0, result
-    device = os.path.realpath(board.url).removeprefix("/dev/")
-    assert uploader.calls == [
-        [
-            f"--port={device}",
-            "--force_usb_port=false",
-            "--erase",
-            "--write",
-            "--verify",
-            "--boot=1",
-            "--reset",
-            str(image),
-        ]
-    ]
+    device = os.path.realpath(flash_board.port).removeprefix("/dev/")
+    options = ["--force_usb_port=false", "--erase", "--write", "--verify", "--boot=1", "--reset"]
+    assert uploader.calls == [[f"--port={device}", *options, str(image)]]
     assert "flashed: simulated board, firmware 0.1.0" in result.out
     assert "nothing to keep" in result.out
 
 
-@pytest.mark.slow
-def test_parameters_that_were_changed_are_kept_in_a_file_that_restores_them(
-    terminal: Terminal, image: Path, board: SilProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
+@pytest.fixture
+def changed(terminal: Terminal, board: SilProcess) -> None:
+    """The board has saved parameters that are not the defaults."""
     assert terminal("params", "set", "hover_V", "1.25", "--save", "--port", board.url).code == 0
-    result = terminal(
-        "flash", image, "--port", board.url, "--yes", "--bossac", Uploader(tmp_path / "bin").program
-    )
-    assert result.code == 0, result
-    [kept] = tmp_path.glob("parameters-*.toml")
-    assert f"params restore {kept.name} --save --port {board.url}" in result.out
-    # The flash of the simulated board is not erased; a changed value shows that the file has the old one.
-    assert terminal("params", "set", "hover_V", "1.75", "--port", board.url).code == 0
-    assert terminal("params", "restore", kept, "--port", board.url).code == 0
-    assert terminal("params", "get", "hover_V", "--port", board.url).out.strip() == "1.25"
 
 
 @pytest.fixture
 def other_link(monkeypatch: pytest.MonkeyPatch) -> None:
     """This host was built from another declaration of the link than the board."""
-    monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
     monkeypatch.setattr("heli_host.link.engine.LINK_HASH", LINK_HASH ^ 1)
 
 
 @pytest.mark.slow
-def test_parameters_of_a_board_with_another_link_version_are_kept(
-    terminal: Terminal, image: Path, board: SilProcess, tmp_path: Path, request: pytest.FixtureRequest
+def test_parameters_that_were_changed_are_kept_in_a_file_that_restores_them(
+    changed: None, terminal: Terminal, flash_board: Flash, tmp_path: Path
 ) -> None:
-    assert terminal("params", "set", "hover_V", "1.25", "--save", "--port", board.url).code == 0
-    request.getfixturevalue("other_link")
-    uploader = Uploader(tmp_path / "bin")
-    result = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
+    result, port = flash_board(), flash_board.port
+    assert result.code == 0, result
+    [kept] = tmp_path.glob("parameters-*.toml")
+    assert f"params restore {kept.name} --save --port {port}" in result.out
+    # The flash of the simulated board is not erased; a changed value shows that the file has the old one.
+    assert terminal("params", "set", "hover_V", "1.75", "--port", port).code == 0
+    assert terminal("params", "restore", kept, "--port", port).code == 0
+    assert terminal("params", "get", "hover_V", "--port", port).out.strip() == "1.25"
+
+
+@pytest.mark.slow
+def test_parameters_of_a_board_with_another_link_version_are_kept(
+    changed: None, other_link: None, flash_board: Flash, tmp_path: Path
+) -> None:
+    result = flash_board()
     [kept] = tmp_path.glob("parameters-*.toml")
     assert read_parameter_set(kept).values["hover_V"] == 1.25
-    assert len(uploader.calls) == 1
+    assert len(flash_board.calls) == 1
     # The simulated board is not really flashed, so that it still has the other link version.
     assert "has link version" in refusal(result, code=LINK)
 
 
 @pytest.mark.slow
 def test_a_board_with_another_link_version_and_no_saved_parameters_is_flashed(
-    terminal: Terminal, image: Path, board: SilProcess, tmp_path: Path, other_link: None
+    other_link: None, flash_board: Flash
 ) -> None:
-    uploader = Uploader(tmp_path / "bin")
-    result = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
-    assert "nothing to keep" in result.out
-    assert len(uploader.calls) == 1
+    assert "nothing to keep" in flash_board().out
+    assert len(flash_board.calls) == 1
 
 
 @pytest.mark.slow
 def test_saved_parameters_of_another_schema_are_erased_only_on_demand(
-    terminal: Terminal,
-    image: Path,
-    board: SilProcess,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    request: pytest.FixtureRequest,
+    changed: None, other_link: None, flash_board: Flash, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert terminal("params", "set", "hover_V", "1.25", "--save", "--port", board.url).code == 0
-    request.getfixturevalue("other_link")
     monkeypatch.setattr("heli_host.board.flashing.PARAMS_HASH", PARAMS_HASH ^ 1)
-    uploader = Uploader(tmp_path / "bin")
-    arguments = ("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
-    line = refusal(terminal(*arguments), code=LINK)
-    assert f"{PARAMS_HASH:08x}" in line
-    assert "params dump" in line
-    assert uploader.calls == []
-    assert "discarded: " in terminal(*arguments, "--discard-parameters").out
-    assert len(uploader.calls) == 1
+    line = refusal(flash_board(), code=LINK)
+    assert f"{PARAMS_HASH:08x}" in line and "params dump" in line
+    assert flash_board.calls == []
+    assert "discarded: " in flash_board("--discard-parameters").out
+    assert len(flash_board.calls) == 1
 
 
 @pytest.mark.medium
-def test_nothing_is_erased_before_somebody_agreed(
-    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
-) -> None:
-    uploader = Uploader(tmp_path / "bin")
-    result = terminal("flash", image, "--port", silent_port, "--bossac", uploader.program)
-    assert "--yes" in refusal(result, code=ASKED)
-    assert uploader.calls == []
+def test_nothing_is_erased_before_somebody_agreed(flash: Flash, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "--yes" in refusal(flash(yes=False), code=ASKED)
+    assert flash.calls == []
+    ours, theirs = os.openpty()
+    os.write(ours, b"n\n")
+    with os.fdopen(theirs) as keyboard:
+        monkeypatch.setattr("sys.stdin", keyboard)
+        result = flash(yes=False)
+    os.close(ours)
+    assert "erases the whole flash" in result.out
+    assert result.code == 130
+    assert flash.calls == []
 
 
 @pytest.mark.medium
-def test_a_board_without_this_firmware_is_flashed_without_its_parameters(
-    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
-) -> None:
-    uploader = Uploader(tmp_path / "bin")
-    result = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)
+def test_a_board_without_this_firmware_is_flashed_and_its_silence_is_an_error(flash: Flash) -> None:
+    result = flash()
     assert "no parameters could be read" in result.out
-    assert len(uploader.calls) == 1
+    assert len(flash.calls) == 1
+    line = refusal(result, code=LINK)
+    assert "written and verified, but the board does not answer" in line and "RESET" in line
 
 
 def test_the_rate_that_erases_is_left_again_before_the_next_program_opens_the_port(
@@ -260,11 +266,6 @@ def test_a_restart_pulses_DTR_at_a_rate_that_erases_nothing(monkeypatch: pytest.
     assert lines == [(BAUD, False), (BAUD, True)]
 
 
-def test_the_wait_covers_the_erasing() -> None:
-    # 180 rounds of 4.096 ms: sim/due/board/usb_bridge.hpp.
-    assert ERASE_S > 180 * 4.096e-3
-
-
 @pytest.mark.medium
 @pytest.mark.parametrize(
     ("ending", "says"),
@@ -276,13 +277,9 @@ def test_the_wait_covers_the_erasing() -> None:
         ("crash", "crashed"),
     ],
 )
-def test_each_way_in_which_the_uploader_fails_has_its_remedy(
-    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path, ending: str, says: str
-) -> None:
-    uploader = Uploader(tmp_path / "bin", ending)
-    result = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)
-    assert says in refusal(result, code=LINK)
-    assert len(uploader.calls) == 1
+def test_each_way_in_which_the_uploader_fails_has_its_remedy(flash: Flash, ending: str, says: str) -> None:
+    assert says in refusal(flash(ending=ending), code=LINK)
+    assert len(flash.calls) == 1
 
 
 @pytest.mark.medium
@@ -293,54 +290,32 @@ def test_an_uploader_that_hangs_is_ended(image: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.medium
-def test_a_board_that_does_not_answer_afterwards_is_an_error(
-    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
-) -> None:
-    result = terminal(
-        "flash", image, "--port", silent_port, "--yes", "--bossac", Uploader(tmp_path / "bin").program
-    )
-    line = refusal(result, code=LINK)
-    assert "written and verified, but the board does not answer" in line
-    assert "RESET" in line
-
-
-@pytest.mark.medium
-def test_a_version_that_is_reported_not_to_boot_is_named_before_and_after(
-    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
-) -> None:
-    new = Uploader(tmp_path / "bin", version="1.9.1")
-    result = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", new.program)
+def test_a_version_that_is_reported_not_to_boot_is_named_before_and_after(flash: Flash) -> None:
+    result = flash(version="1.9.1")
     assert "1.9.1 is reported" in result.out
     assert "1.7.0" in refusal(result, code=LINK)
-    assert "--usb-port=0" in new.calls[0]
-    assert "--reset" not in new.calls[0]
+    assert "--usb-port=0" in flash.calls[0] and "--reset" not in flash.calls[0]
 
 
 @pytest.mark.medium
-def test_a_busy_port_is_named_and_nothing_erased(
-    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
-) -> None:
-    uploader = Uploader(tmp_path / "bin")
-    with serial.Serial(silent_port, exclusive=True):
-        result = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)
+def test_a_busy_port_is_named_and_nothing_erased(flash: Flash) -> None:
+    with serial.Serial(flash.port, exclusive=True):
+        result = flash()
     assert "in use by another program" in refusal(result, code=LINK)
-    assert uploader.calls == []
+    assert flash.calls == []
 
 
 @pytest.mark.medium
 def test_a_missing_uploader_says_how_to_get_it(terminal: Terminal, image: Path, silent_port: str) -> None:
     line = refusal(terminal("flash", image, "--port", silent_port, "--yes"), code=ASKED)
-    assert "not installed" in line
-    assert "tool-bossac" in line
+    assert "not installed" in line and "tool-bossac" in line
 
 
 @pytest.mark.medium
 @pytest.mark.parametrize("port", ["socket://127.0.0.1:5000", "sil://"])
-def test_only_a_port_of_this_computer_can_be_flashed(
-    terminal: Terminal, image: Path, tmp_path: Path, port: str
-) -> None:
-    result = terminal("flash", image, "--port", port, "--yes", "--bossac", Uploader(tmp_path / "bin").program)
-    assert "port of this computer" in refusal(result, code=ASKED)
+def test_only_a_port_of_this_computer_can_be_flashed(flash: Flash, port: str) -> None:
+    flash.port = port
+    assert "port of this computer" in refusal(flash(), code=ASKED)
 
 
 @pytest.mark.medium
@@ -350,12 +325,7 @@ def test_flash_without_a_port_erases_nothing(
     monkeypatch.setattr(list_ports, "comports", list)
     result = terminal("flash", image, "--yes", "--bossac", Uploader(tmp_path / "bin").program)
     line = refusal(result, code=LINK)
-    assert "no board is named, and no Due is plugged in; add --port PORT" in line
-    assert "--sil" not in line
-
-
-def test_a_missing_file_is_named(terminal: Terminal) -> None:
-    assert "nowhere.bin" in refusal(terminal("flash", "nowhere.bin", "--yes"), code=FILE)
+    assert "no board is named, and no Due is plugged in; add --port PORT" in line and "--sil" not in line
 
 
 @pytest.mark.medium
@@ -375,15 +345,10 @@ def test_a_missing_file_is_named(terminal: Terminal) -> None:
     ],
     ids=["elf", "hex", "empty", "short", "long", "erased", "stack", "arm", "elsewhere", "hash"],
 )
-def test_a_file_that_is_no_firmware_of_ours_erases_nothing(
-    terminal: Terminal, tmp_path: Path, silent_port: str, content: bytes, says: str
-) -> None:
-    path = tmp_path / "firmware.bin"
-    path.write_bytes(content)
-    uploader = Uploader(tmp_path / "bin")
-    result = terminal("flash", path, "--port", silent_port, "--yes", "--bossac", uploader.program)
-    assert says in refusal(result, code=ASKED)
-    assert uploader.calls == []
+def test_a_file_that_is_no_firmware_of_ours_erases_nothing(flash: Flash, content: bytes, says: str) -> None:
+    flash.image.write_bytes(content)
+    assert says in refusal(flash(), code=ASKED)
+    assert flash.calls == []
 
 
 @pytest.mark.medium
@@ -421,13 +386,6 @@ def test_a_program_that_is_no_bossac_is_refused(tmp_path: Path) -> None:
         find_bossac(program)
 
 
-@pytest.mark.parametrize(
-    ("version", "doubtful"), [("1.6.1-arduino", False), ("1.7.0", False), ("1.9.1", True)]
-)
-def test_versions_that_are_reported_not_to_boot_are_known(version: str, doubtful: bool) -> None:
-    assert Bossac("bossac", version, ()).doubtful is doubtful
-
-
 def test_the_real_uploader_takes_these_options_as_far_as_the_missing_board(
     image: Path, silent_port: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -439,54 +397,15 @@ def test_the_real_uploader_takes_these_options_as_far_as_the_missing_board(
         write_image(find_bossac(Path(path)), silent_port, image)
 
 
-def test_options_of_platformio_are_not_those_of_the_new_uploader(image: Path) -> None:
-    """Why the version is asked: with 1.9.1 the value of -U hangs on it, or it is taken for the file."""
-    path = shutil.which("bossac", path=os.defpath + ":/usr/bin")
-    if path is None or not find_bossac(Path(path)).version.startswith("1.9"):
-        pytest.skip("bossac 1.9 is not installed; on Debian: apt-get install bossa-cli")
-    process = subprocess.run(
-        [path, "--port", "nowhere", "--write", "-U", "false", str(image)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert "extra arguments" in process.stderr
-    failed = uploading._error_from_output(
-        find_bossac(Path(path)), "nowhere", process.returncode, process.stderr
-    )
-    assert "does not know the options" in str(failed)
-
-
 @pytest.mark.slow
-def test_a_board_that_flies_is_neither_flashed_nor_landed(
-    terminal: Terminal, image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import heli_host
-
-    monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
-    uploader = Uploader(tmp_path / "bin")
-    with SilProcess(speed=None) as board:
-        heli = heli_host.connect(board.url)
-        heli.params.restore(PATIENT)
-        heli.take_off()
-        # Ends the session but not the flight: the board holds level for a while.
-        heli.session.close()
-        result = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
-        with heli_host.connect(board.url, land_on_exit=False) as again:
-            assert again.state in (State.CLOSED_LOOP, State.HOLD)
+def test_a_board_that_flies_is_neither_flashed_nor_landed(flash_board: Flash) -> None:
+    heli = heli_host.connect(flash_board.port)
+    heli.params.restore(PATIENT)
+    heli.take_off()
+    # Ends the session but not the flight: the board holds level for a while.
+    heli.session.close()
+    result = flash_board()
+    with heli_host.connect(flash_board.port, land_on_exit=False) as again:
+        assert again.state in (State.CLOSED_LOOP, State.HOLD)
     assert "land first, or stop the motors" in refusal(result, code=LINK)
-    assert uploader.calls == []
-
-
-@pytest.mark.medium
-def test_after_a_no_the_board_is_unchanged(
-    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    uploader = Uploader(tmp_path / "bin")
-    ours, theirs = os.openpty()
-    os.write(ours, b"n\n")
-    with os.fdopen(theirs) as keyboard:
-        monkeypatch.setattr("sys.stdin", keyboard)
-        result = terminal("flash", image, "--port", silent_port, "--bossac", uploader.program)
-    os.close(ours)
-    assert "erases the whole flash" in result.out
-    assert result.code == 130
-    assert uploader.calls == []
+    assert flash_board.calls == []

@@ -6,7 +6,6 @@ import errno
 import gzip
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,8 @@ from heli_host.data.files import (
     write_text,
 )
 from heli_host.ui.cli.entry import command_line, run
+
+from tests.cli.terminal import listed_commands
 
 LAW = "# My own law; three evenings of work.\nimport heli_host  # written by me\n"
 
@@ -82,15 +83,6 @@ FOLDERS_AFTER_WORK = {
 `test_nothing_writes_a_result_past_the_rule`."""
 
 
-def verbs(name: str, command: Any) -> Iterator[tuple[str, Any]]:
-    parts = getattr(command, "commands", {})
-    for part, child in parts.items():
-        if not child.hidden:
-            yield from verbs(f"{name} {part}".strip(), child)
-    if not parts:
-        yield name, command
-
-
 def writes(parameter: Any) -> bool:
     """Whether an option or argument names a place for a result, by its help alone."""
     text = str(getattr(parameter, "help", "") or "")
@@ -104,7 +96,7 @@ def places() -> list[tuple[str, str]]:
     """Each verb with each of its outputs: an option, or empty for an argument."""
     return [
         (name, max(parameter.opts, key=len) if parameter.opts[0].startswith("-") else "")
-        for name, command in verbs("", command_line())
+        for name, command in listed_commands(command_line())
         for parameter in command.params
         if writes(parameter)
     ]
@@ -308,7 +300,7 @@ STATE = {
     "sim/heli_sim/model/effects/table.py": "a document of this repository",
     "sim/heli_sim/sil/boards.py": "the flash of a simulated board",
     "sim/heli_lab/report/page/drawing.py": "a picture in memory",
-    "sim/heli_lab/apps/campaign/run.py": "the state of a campaign, in a folder with its token",
+    "sim/heli_lab/apps/campaign/store.py": "the state of a campaign, in a folder with its token",
     "sim/heli_lab/apps/classroom/marking.py": "a temporary folder",
     "sim/heli_lab/explain/comparison.py": "the file of --resume, which checks its first line",
 }

@@ -1,42 +1,57 @@
-"""Each verb that does not fly a plan, once."""
+"""Each verb that does not fly a plan; `watch` moves nothing, and `motors` leaves everything off."""
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+import os
+import pty
 import re
+import signal
+import struct
 import subprocess
 import sys
+import termios
 import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import heli_host
+import numpy as np
 import pytest
 from heli_host.data.log.reader import read_flight
 from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import State
-from heli_host.errors import FlightAborted
+from heli_host.errors import CommandRefused, FlightAborted
+from heli_host.fly.heli import Heli
+from heli_host.link.engine import Command
+from heli_host.link.session import Session
 from heli_host.ui.cli import doctor
 from heli_host.ui.cli.doctor import USERS_EXTRAS, Verdict, packages_of
 from heli_host.ui.cli.flight import FlownFlight
+from heli_host.ui.cli.verbs import board as bench_verbs
 from heli_sim.checks import check_compiler
+from heli_sim.sil.process import SilProcess
 from serial.tools import list_ports
 
-from tests.cli.terminal import Terminal, process
-
-pytestmark = pytest.mark.medium
+from tests.cli.terminal import Process, Terminal, command, process, refusal, until_open
+from tests.sil.patient import PATIENT
 
 ROOT = Path(__file__).resolve().parents[2]
-
 SIL = ("--sil", "--speed", "max")
 DUE = SimpleNamespace(device="/dev/ttyDUE", description="n/a", vid=0x2341, pid=0x003D, serial_number=None)
 NATIVE = SimpleNamespace(device="/dev/ttyUSBX", description="n/a", vid=0x2341, pid=0x003E, serial_number=None)
+ASKED, ABORTED = 2, 4
 
 
+@pytest.mark.medium
 def test_ports_names_a_due(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(list_ports, "comports", lambda: [NATIVE, DUE])
     out = terminal("ports").out
     assert out.index("programming port") < out.index("native port")
 
 
+@pytest.mark.medium
 def test_params_survive_dump_and_restore(terminal: Terminal, tmp_path: Path) -> None:
     dump = tmp_path / "rig.toml"
     assert terminal("params", "dump", dump, "--sil").code == 0
@@ -45,6 +60,7 @@ def test_params_survive_dump_and_restore(terminal: Terminal, tmp_path: Path) -> 
     assert "hover_V -> 1.625" in terminal("params", "restore", dump, "--sil", "--save").out
 
 
+@pytest.mark.medium
 def test_params_list_and_get_agree(terminal: Terminal) -> None:
     value = terminal("params", "get", "hover_V", "--sil").out.strip()
     rows = terminal("params", "list", "hover", "--sil").out.splitlines()
@@ -52,11 +68,13 @@ def test_params_list_and_get_agree(terminal: Terminal) -> None:
     assert value in row.split()
 
 
+@pytest.mark.medium
 def test_params_set_says_what_was_before(terminal: Terminal) -> None:
     assert "1.4 -> 1.5 V" in terminal("params", "set", "hover_V", "1.5", "--sil").out
     assert "not saved" in terminal("params", "set", "motor_min_V", "-2", "--sil").out
 
 
+@pytest.mark.medium
 def test_setpoint_holds_then_lands(terminal: Terminal, tmp_path: Path) -> None:
     log = tmp_path / "f.mcap"
     given = ("--elevation-deg", "4", "--travel-deg", "8", "--duration", "12")
@@ -72,11 +90,19 @@ def test_setpoint_holds_then_lands(terminal: Terminal, tmp_path: Path) -> None:
     assert flight.travel_rad.max() > 0.12
 
 
-def test_log_records_for_the_given_time(terminal: Terminal, tmp_path: Path) -> None:
-    assert terminal("record", "--duration", "3", "-o", tmp_path / "f.mcap", *SIL).code == 0
-    assert read_flight(tmp_path / "f.mcap").duration_s == pytest.approx(3.0, abs=0.2)
+@pytest.mark.medium
+def test_record_records_for_the_given_time_in_a_folder_named_after_local_time(
+    terminal: Terminal, tmp_path: Path
+) -> None:
+    day = time.strftime("%Y-%m-%d")
+    for _ in range(2):
+        assert terminal("record", "--duration", "1", *SIL).code == 0
+    folders = sorted((tmp_path / "flights").iterdir())
+    assert len(folders) == 2 and folders[0].name >= day
+    assert read_flight(folders[0] / "flight.mcap").duration_s == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.medium
 def test_info_reads_a_table_too(terminal: Terminal, tmp_path: Path) -> None:
     rows = "".join(f"{k * 0.01:.2f},1,1,0,0,0\n" for k in range(50))
     table = tmp_path / "t.csv"
@@ -86,15 +112,7 @@ def test_info_reads_a_table_too(terminal: Terminal, tmp_path: Path) -> None:
     assert "100 Hz" in out
 
 
-def test_export_does_not_overwrite_its_source(terminal: Terminal, tmp_path: Path) -> None:
-    table = tmp_path / "t.csv"
-    rows = "".join(f"{k * 0.01:.2f},1,1,0,0,0\n" for k in range(50))
-    table.write_text("t_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad\n" + rows)
-    before = table.read_bytes()
-    assert terminal("export", table, "--csv").code == 2
-    assert table.read_bytes() == before
-
-
+@pytest.mark.medium
 def test_sil_serves_a_board_until_it_is_stopped(terminal: Terminal, tmp_path: Path) -> None:
     with process(tmp_path, "sil", "--pty", "due", "--speed", "20") as board:
         assert board.stdout is not None
@@ -106,11 +124,13 @@ def test_sil_serves_a_board_until_it_is_stopped(terminal: Terminal, tmp_path: Pa
     assert err == ""
 
 
+@pytest.mark.medium
 def test_doctor_finds_this_computer_fit(terminal: Terminal) -> None:
     result = terminal("doctor")
     assert result.code == 0, result.out
 
 
+@pytest.mark.medium
 def test_doctor_says_what_to_repair(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -123,6 +143,7 @@ def test_doctor_says_what_to_repair(
     assert "XDG_CACHE_HOME" in result.out
 
 
+@pytest.mark.medium
 def test_doctor_calls_a_missing_compiler_slow_not_broken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
@@ -131,17 +152,20 @@ def test_doctor_calls_a_missing_compiler_slow_not_broken(monkeypatch: pytest.Mon
     assert "50 times slower" in finding.what
 
 
+@pytest.mark.medium
 def test_doctor_knows_an_old_python() -> None:
     assert doctor.check_python((3, 10, 2)).verdict is Verdict.BAD
     assert doctor.check_python((3, 11, 0)).verdict is Verdict.GOOD
 
 
+@pytest.mark.medium
 def test_doctor_names_a_missing_package() -> None:
     finding = doctor.check_packages(lambda name: name != "cobs")
     assert finding.verdict is Verdict.BAD
     assert "cobs" in finding.what
 
 
+@pytest.mark.medium
 def test_doctor_lists_optional_parts_and_how_to_add_them() -> None:
     notes = {finding.what: finding for finding in doctor.check_extras(lambda name: name != "pyarrow")}
     lacking = next(finding for what, finding in notes.items() if "logs as Parquet" in what)
@@ -152,6 +176,7 @@ def test_doctor_lists_optional_parts_and_how_to_add_them() -> None:
     assert "the Gymnasium environment" in complete and "logs as Parquet" not in complete
 
 
+@pytest.mark.medium
 def test_every_optional_part_of_the_documents_exists() -> None:
     rows = (ROOT / "docs" / "how-to" / "platforms.md").read_text().partition("## Optional parts")[2]
     listed = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", rows.partition("## Containers")[0], re.M))
@@ -159,6 +184,7 @@ def test_every_optional_part_of_the_documents_exists() -> None:
     assert all(packages_of(extra) for extra in listed)
 
 
+@pytest.mark.medium
 def test_help_imports_nothing_heavy() -> None:
     code = (
         "import sys; from heli_host.ui.cli import run; run(['--help']); "
@@ -171,13 +197,7 @@ def test_help_imports_nothing_heavy() -> None:
     assert process.returncode == 0, process.stderr
 
 
-def test_a_folder_is_named_after_local_time(terminal: Terminal, tmp_path: Path) -> None:
-    day = time.strftime("%Y-%m-%d")
-    assert terminal("record", "--duration", "0.5", *SIL).code == 0
-    (folder,) = (tmp_path / "flights").iterdir()
-    assert folder.name >= day
-
-
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("outcome", "message"),
     [
@@ -190,3 +210,142 @@ def test_a_flight_that_ended_early_says_what_to_do(outcome: str, message: str) -
     with pytest.raises(FlightAborted) as ended:
         FlownFlight(summary, Path("f.mcap"), (), None, None).end()
     assert str(ended.value) == message
+
+
+@pytest.mark.medium
+def test_watch_shows_counts_angles_and_errors_of_each_axis(terminal: Terminal) -> None:
+    result = terminal("watch", *SIL, "--duration", "1")
+    assert result.code == 0, result
+    first, *lines = result.out.splitlines()
+    assert "native board, firmware 0.1.0" in first
+    # On the table, at -25 degrees, 284 counts of 4096 below level.
+    assert lines[0].startswith("elevation   -284 ( -24.96 deg, 0 bad)  pitch     +0")
+    assert lines[0].endswith("front +0.00 V, back +0.00 V  idle")
+
+
+@pytest.mark.medium
+def test_watch_is_a_table_that_fits_a_terminal_of_80_columns(tmp_path: Path) -> None:
+    screen, terminal = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    with (
+        SilProcess() as board,
+        Process(
+            command("watch", "--port", board.url, "--duration", "1.5"),
+            cwd=tmp_path,
+            stdin=subprocess.DEVNULL,
+            stdout=terminal,
+            stderr=terminal,
+            env={**os.environ, "TERM": "xterm", "COLUMNS": "80"},
+        ) as running,
+    ):
+        os.close(terminal)
+        shown = b""
+        with contextlib.suppress(OSError):  # how a terminal ends whose program has gone
+            while piece := os.read(screen, 65536):
+                shown += piece
+        assert running.wait() == 0
+    os.close(screen)
+    text = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown.decode())
+    lines = re.split(r"[\r\n]+", text)
+    tables = [line for line in lines if line.startswith(("elevation", "pitch", "travel", "front", "link"))]
+    assert "is" in text
+    assert "bad edges" in text
+    assert len(tables) >= 5
+    assert max(map(len, lines[1:])) <= 79
+
+
+@pytest.mark.medium
+def test_watch_commands_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_session: Session, command: Command, timeout_s: float = 0.0) -> None:
+        raise AssertionError(f"watch commanded {command}")
+
+    monkeypatch.setattr(Session, "command", refuse)
+    monkeypatch.setattr(Session, "stream", refuse)
+    # Its own session ends in stop(), but only where the motors may run.
+    assert terminal("watch", *SIL, "--duration", "1").code == 0
+
+
+@pytest.mark.medium
+def test_motors_get_the_voltage_for_the_time_and_are_off_afterwards() -> None:
+    with heli_host.connect("sil://?speed=max") as heli:
+        heli.arm()
+        bench_verbs._apply_voltages(heli, 1.0, 0.5, 1.0)
+        heli.stop()
+        heli.wait(0.1)
+        flown = heli.samples()
+        acted = flown.state == State.OPEN_LOOP
+        assert 0.9 <= np.count_nonzero(acted) * 1e-3 <= 1.3
+        # The board's own filter takes a while to get there.
+        assert flown.front_V[acted][-1] == pytest.approx(1.0, abs=0.05)
+        assert flown.back_V[acted][-1] == pytest.approx(0.5, abs=0.03)
+        assert flown.state[-1] == State.IDLE
+        assert flown.front_V[-1] == 0.0
+
+
+@pytest.mark.medium
+def test_motors_without_a_voltage_only_enable(terminal: Terminal) -> None:
+    result = terminal("motors", *SIL, "--duration", "1")
+    assert result.code == 0, result
+    assert "drivers off again" in result.out
+
+
+@pytest.mark.medium
+def test_motors_refuse_a_voltage_beyond_the_limits_and_enable_nothing(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    armed: list[Heli] = []
+    monkeypatch.setattr(Heli, "arm", armed.append)
+    assert "motor_max_V" in refusal(terminal("motors", *SIL, "--front-V", "50"), code=ASKED)
+    assert armed == []
+
+
+@pytest.mark.medium
+def test_motors_that_the_board_switches_off_say_why(terminal: Terminal) -> None:
+    # Back motor alone: the short arm turns over.
+    line = refusal(terminal("motors", *SIL, "--back-V", "6", "--duration", "10"), code=ABORTED)
+    assert "pitch" in line
+
+
+@pytest.mark.slow
+def test_ctrl_c_switches_the_motors_off(tmp_path: Path) -> None:
+    with SilProcess() as board:
+        with heli_host.connect(board.url) as heli:
+            heli.params.restore(PATIENT)
+        with process(tmp_path, "motors", "--port", board.url, "--duration", "30") as running:
+            until_open(running, board.url)
+            with pytest.raises(subprocess.TimeoutExpired):
+                running.wait(timeout=1.0)
+            running.send_signal(signal.SIGINT)
+            running.communicate(timeout=60.0)
+            assert running.returncode == 130
+        with heli_host.connect(board.url) as heli:
+            assert heli.state is State.IDLE
+
+
+@pytest.mark.medium
+def test_a_person_at_the_terminal_of_a_served_board_presses_its_stop_switch(tmp_path: Path) -> None:
+    keyboard, stdin = pty.openpty()
+    with Process(
+        command("sil", "--pty", "./due", "--speed", "5"),
+        cwd=tmp_path,
+        stdin=stdin,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as server:
+        assert server.stdout is not None
+        assert "Ctrl-C ends it" in server.stdout.readline()
+        assert "pull elevation|pitch|travel" in server.stdout.readline()
+        os.write(keyboard, b"stop\n")
+        assert "the stop switch is pressed" in server.stdout.readline()
+        with heli_host.connect(str(tmp_path / "due")) as heli:
+            with pytest.raises(CommandRefused, match="hardware_stop"):
+                heli.arm()
+            os.write(keyboard, b"release\n")
+            assert "released" in server.stdout.readline()
+            heli.arm()
+        server.send_signal(signal.SIGINT)
+        out, _ = server.communicate(timeout=60)
+    for fd in (keyboard, stdin):
+        os.close(fd)
+    assert server.returncode == 0
+    assert "simulated" in out

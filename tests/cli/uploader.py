@@ -41,20 +41,10 @@ sys.exit(code)
 
 
 class Uploader:
-    """A program in a folder of its own.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to make it.
-    ending : str
-        A key of `ENDINGS`, ``crash`` or ``hang``.
-    version : str
-        Version that it prints.
-    """
+    """A program in a folder of its own; `ending` is a key of `ENDINGS`, ``crash`` or ``hang``."""
 
     def __init__(self, folder: Path, ending: str = "good", version: str = "1.7.0") -> None:
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.program = folder / "bossac"
         self._notes = folder / "notes"
