@@ -221,7 +221,7 @@ def test_a_log_cut_short_is_read_up_to_there(terminal: Terminal, tmp_path: Path)
 
 @pytest.mark.medium
 @pytest.mark.parametrize(
-    "module", ["heli_host.ui.cli.entry", "heli_host.ui.cli.verbs.flying", "typer", "heli_host.fly.heli"]
+    "module", ["heli_host.ui.cli.entry", "heli_host.ui.cli.verbs.flying", "typer", "heli_host.board.heli"]
 )
 def test_an_interrupt_while_the_program_loads_is_one_word(module: str) -> None:
     ended = subprocess.run(

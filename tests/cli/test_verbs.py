@@ -19,11 +19,11 @@ from types import SimpleNamespace
 import heli_host
 import numpy as np
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.data.log.reader import read_flight
 from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import State
 from heli_host.errors import CommandRefused, FlightAborted
-from heli_host.fly.heli import Heli
 from heli_host.link.engine import Command
 from heli_host.link.session import Session
 from heli_host.ui.cli import doctor
