@@ -1,4 +1,4 @@
-"""What holds for every verb: its help, its board, its JSON, whom it serves, and what it imports."""
+"""Every verb has readable help, names one board, writes JSON, serves this machine only and imports little."""
 
 from __future__ import annotations
 
