@@ -17,9 +17,8 @@ from firmware.generator.cpp import generate_cpp
 from firmware.generator.declared import DeclarationError, read
 from firmware.generator.document import generate_doc, generate_faults, generate_parameters
 from firmware.generator.matlab import generate_matlab
-from firmware.generator.pins import read_pins
 from firmware.generator.python import generate_python
-from firmware.generator.wiring import generate_header, with_table
+from firmware.generator.wiring import generate_header, read_pins, with_table
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = "firmware/link.toml"

@@ -15,8 +15,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 sys.path.insert(0, str(ROOT))
 
-from firmware.generator.pins import CHIP_PINS, read_pins  # noqa: E402 - found by the line above
-from firmware.generator.wiring import rows  # noqa: E402
+from firmware.generator.wiring import CHIP_PINS, read_pins, rows  # noqa: E402 - found by the line above
 
 PINS = ROOT / "firmware" / "pins.toml"
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from firmware.generator.declared import DeclarationError
-from firmware.generator.pins import CHIP_PINS, read_pins
-from firmware.generator.wiring import generate_header, rows
+from firmware.generator.wiring import CHIP_PINS, generate_header, read_pins, rows
 from tests.firmware.built import BUILD, ROOT, built_elf
 
 PINS = ROOT / "firmware" / "pins.toml"

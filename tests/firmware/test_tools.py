@@ -1,4 +1,4 @@
-"""The PlatformIO build needs no network, makes the same program as the Makefile, and uploads it."""
+"""Tools around the firmware: the PlatformIO build, the uploader on an emulated chip, the debugger."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from tests.cli.uploader import Uploader
 from tests.firmware.built import ROOT
 from tests.firmware.desk import Board
 from tests.firmware.loader import RomLoader
+from tests.running.long import LONG
 
 pytestmark = pytest.mark.emulated
 
@@ -98,6 +99,7 @@ def test_platformio_builds_the_same_program_as_the_makefile_wherever_the_project
     assert (built / "firmware.map").exists()
 
 
+@pytest.mark.skipif(not LONG, reason="compiles all sources again: make long")
 def test_platformio_builds_for_another_wiring_apart(uploaded: Uploaded, tmp_path: Path) -> None:
     project, pins = uploaded.project, tmp_path / "my.toml"
     pins.write_text((project / "firmware" / "pins.toml").read_text().replace('"D22"', '"D34"'))

@@ -1,4 +1,4 @@
-"""Every claim of firmware/proofs is proved, and its mutants are refuted."""
+"""Every claim of firmware/proofs is proved, its mutants are refuted, and flights assert what it assumes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from heli_test_native import proofs
 
 from tests.running.kept import KEPT
 from tests.running.long import LONG
@@ -117,3 +118,25 @@ def test_a_property_that_was_not_checked_is_no_proof() -> None:
 def test_a_loop_that_is_cut_short_refutes_no_mutant() -> None:
     assert not prove.about_the_code("[f.assertion.1] line 3 unwinding assertion loop 2")
     assert prove.about_the_code("[f.assertion.1] line 3 the payload fits")
+
+
+@pytest.mark.parametrize(
+    ("member", "claim"),
+    [
+        ("none", ""),
+        ("decoded_count", "parser"),
+        ("busy", "exchange"),
+        ("reply_size", "exchange"),
+        ("fault", "supervisor"),
+        ("exciter", "supervisor"),
+        ("flying", "upload"),
+        ("parameters", "interpreter"),
+        ("program_end", "verifier"),
+        ("max_duty", "duty"),
+        ("differential", "mixer"),
+        ("slew", "setpoints"),
+        ("path", "setpoints"),
+    ],
+)
+def test_a_broken_invariant_is_noticed(member: str, claim: str) -> None:
+    assert proofs.broken_by(member) == claim

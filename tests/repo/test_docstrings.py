@@ -176,20 +176,6 @@ def test_the_reference_publishes_what_flies() -> None:
     assert {"heli_host.fly.runner:fly", "heli_lab.explain.run:diagnose"} <= set(THINGS)
 
 
-def test_an_argument_whose_name_and_type_say_everything_needs_no_entry() -> None:
-    def fly(duration_s: float, front_V: float, path: Path, folder: str | Path, seed: int) -> None: ...
-
-    assert arguments(fly) - explained_by_name(fly) == set()
-
-
-def test_an_argument_whose_name_or_type_leaves_a_question_needs_an_entry() -> None:
-    def fly(
-        duration: float, stop_s: float | None, times_s: Floats, path: str, mode: str, seeds: int
-    ) -> None: ...
-
-    assert arguments(fly) - explained_by_name(fly) == arguments(fly)
-
-
 def test_an_undocumented_argument_is_noticed() -> None:
     def half_documented(elevation_rad: float, pitch_rad: float) -> None:
         """Do.
@@ -202,13 +188,3 @@ def test_an_undocumented_argument_is_noticed() -> None:
 
     doc = inspect.getdoc(half_documented) or ""
     assert arguments(half_documented) - documented_arguments(doc) == {"pitch_rad"}
-
-
-def test_arguments_named_in_the_sentences_count() -> None:
-    doc = "Wait `duration_s` [s] like ``sleep(other)``; see `f`.\n\nReturns\n-------\nint\n    Of `ticks`.\n"
-    assert documented_arguments(doc) == {"duration_s", "f"}
-
-
-def test_arguments_documented_together_count() -> None:
-    doc = "Do.\n\nParameters\n----------\nfront_V, back_V : float\n    V.\n\nReturns\n-------\nother : int\n"
-    assert documented_arguments(doc) == {"front_V", "back_V"}

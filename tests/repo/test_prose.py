@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.repo.prose.__main__ import GLOSSARY, HERE, check, findings, long_share, page_words
+from tests.repo.prose.__main__ import GLOSSARY, HERE, check, findings
 from tests.repo.prose.rules import Rules, abbreviations
 
 RULES = Rules.read(HERE / "words.toml", GLOSSARY)
@@ -66,37 +66,11 @@ def test_help_and_comments_of_a_script_are_read(line: str, tmp_path: Path) -> No
     assert rules_broken(tmp_path, "Makefile", line) == ["word"]
 
 
-def test_the_text_of_a_constant_in_a_test_is_read(tmp_path: Path) -> None:
-    source = 'LIMIT_s = 1.0\n"""Of the board."""\nNAMES = ()\n"""The program tells it."""\n'
-    assert rules_broken(tmp_path, "tests/test_module.py", source) == ["opening", "word"]
-
-
-def test_private_docstrings_and_code_are_not_read(tmp_path: Path) -> None:
-    source = (
-        'def _tell() -> None:\n    """Tell it."""\n\n\ndef fly(tell: bool) -> None:\n    """Fly `tell`."""\n'
-    )
-    assert not rules_broken(tmp_path, "host/heli_host/module.py", source)
-
-
 def test_an_exception_covers_its_count_and_must_shrink_with_it(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("It tells. It tells.\n")
     seen = list(findings([page], RULES, tmp_path))
     assert [check(seen, {("page.md", "word"): count}) for count in (1, 2, 3)] == [False, True, False]
-
-
-def test_long_sentences_are_counted_in_documents(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("Short. " + "Word" + " word" * 30 + "end.\n")
-    assert long_share([page], RULES, tmp_path) == (1, 2)
-
-
-def test_words_of_a_page_are_counted_without_its_fences(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(
-        "# A title\n\nRun `fly hover now` again.\n\n```console\n$ a b c\n```\n\n| a | b c |\n|---|---|\n"
-    )
-    assert page_words(page, tmp_path) == (3, 5)
 
 
 ERRORS = """
