@@ -65,15 +65,6 @@ def test_an_error_of_the_campaign_is_raised_where_results_are_waited_for(tmp_pat
 
 
 @pytest.mark.medium
-def test_results_of_other_code_are_other_results(tmp_path: Path) -> None:
-    log = tmp_path / "log.txt"
-    store = Store(tmp_path / "out")
-    for code in ("one", "other", "one"):
-        run_campaign(logged(tmp_path, log), store, code=code)
-    assert len(log.read_text().split()) == 8
-
-
-@pytest.mark.medium
 def test_cases_are_repeated_on_request(tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     store = Store(tmp_path / "out")
@@ -191,12 +182,6 @@ def test_a_case_that_waits_for_ever_is_ended_by_the_clock() -> None:
 
 
 @pytest.mark.medium
-def test_work_that_does_not_exist_is_the_failure_of_its_case(cage: WorkerProcess) -> None:
-    assert "no_such" in cage.run(Case("a", "tests.no_such:work"), "key").failure
-    assert "no_such" in cage.run(Case("a", "tests.campaign.works:no_such"), "key").failure
-
-
-@pytest.mark.medium
 def test_good_cases_share_a_process(cage: WorkerProcess) -> None:
     pids = {cage.run(FINE, "key").detail["pid"] for _ in range(3)}
     assert len(pids) == 1
@@ -286,20 +271,3 @@ def test_a_worker_of_other_code_refuses_also_what_it_gets_later(tmp_path: Path) 
 def test_a_worker_without_the_package_says_so() -> None:
     assert code_difference(code_digest(WORKS), WORKS) == ""
     assert "no_such_package" in code_difference("x", ("no_such_package.module:work",))
-
-
-@pytest.mark.medium
-def test_cases_that_fail_are_named_and_the_others_go_on(tmp_path: Path) -> None:
-    bad = [Case(how, "tests.campaign.works:bad", {"how": how}) for how in ("crashes", "raises", "fine")]
-    states: list[CampaignProgress] = []
-    rows = run_campaign(
-        Campaign("bad", tuple(bad), Limits(5.0, 60.0)), Store(tmp_path), on_progress=states.append
-    )
-    assert {row["case"]: row["failure"] for row in rows} == {
-        "crashes": "its process crashed: SIGSEGV",
-        "raises": "ValueError: seven lines of it",
-        "fine": "",
-    }
-    assert [(state.ended, state.failed) for state in states][-1] == (3, 2)
-    again = run_campaign(Campaign("bad", tuple(bad), Limits(5.0, 60.0)), Store(tmp_path))
-    assert [{**row} for row in again] == rows, "what failed is done again only if that is asked for"

@@ -56,7 +56,6 @@ def test_all_notebooks_run_and_those_that_write_run_twice_in_one_folder(typed: T
     written = sorted(folder.relative_to(tmp_path).as_posix() for folder in tmp_path.glob("*/*"))
     assert written == ["course/02", "course/04", "course/05"]
     assert [folder.name for folder in tmp_path.iterdir()] == ["course"]
-    for path in NOTEBOOKS:
-        # A notebook that has written nothing finds its second folder as it found the first.
-        if LONG or f"course/0{path.name[0]}" in written:
-            run(path, "second")
+    # One that wrote nothing finds its folder as before; the second notebook stands for those that write.
+    for path in NOTEBOOKS if LONG else NOTEBOOKS[1:2]:
+        run(path, "second")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -61,96 +61,118 @@ _COUNTS: Final = 4096.0
 _AXES: Final = ("elevation", "pitch", "travel")
 
 
-def _table(
-    path: Path,
-    header: Sequence[str],
-    columns: Sequence[Floats | Sequence[str]],
-    separator: str = ",",
-    comma: bool = False,
-    encoding: str = "utf-8",
-) -> Path:
-    lines = [separator.join(header)] if header else []
-    cells = [[item if isinstance(item, str) else f"{item:.9g}" for item in column] for column in columns]
-    for row in zip(*cells, strict=True):
-        text = separator.join(row)
-        lines.append(text.replace(".", ",") if comma else text)
-    path.write_text("\n".join(lines) + "\n", encoding=encoding)
-    return path
+def _cells(flight: Flight) -> dict[str, Floats]:
+    """Every fifth row as columns: times, angles in radians, degrees and counts, voltages and their forms."""
+    some = {name: getattr(flight, name)[::5] for name in ("t_s", "front_V", "back_V")}
+    cells = {"t": some["t_s"], "ms": 1e3 * some["t_s"], "f": some["front_V"], "b": some["back_V"]}
+    for letter, axis, turns in zip("epl", _AXES, (1, 1, 2), strict=True):
+        angle = getattr(flight, f"{axis}_rad")[::5]
+        counts = _COUNTS * turns / (2.0 * math.pi)
+        cells |= {letter: angle, letter.upper(): angle * DEG, f"-{letter.upper()}": -angle * DEG}
+        cells |= {f"{letter}#": np.round(angle * counts), f"{letter}16": np.round(angle * counts) % 65536.0}
+        cells[f"{letter}0"] = np.round((angle - angle[0]) * counts)
+    cells |= {f"{motor}pwm": np.round(cells[motor] / 10.0 * 255.0) for motor in "fb"}
+    cells |= {"s/2": 0.5 * (cells["f"] + cells["b"]), "d/2": 0.5 * (cells["f"] - cells["b"])}
+    cells["wrapped"] = np.mod(cells["L"] + 180.0, 360.0) - 180.0
+    cells["arduino"] = 12345.0 + np.round(cells["ms"])
+    random = np.random.default_rng(1)
+    for motor in "fb":
+        # Commands before the clip: now and then far beyond what acted.
+        wild = cells[motor] * (1.0 + random.exponential(0.5, cells[motor].size))
+        cells[f"{motor}cmd"] = np.where(np.abs(cells[motor]) >= 4.999, wild, cells[motor])
+    return cells
 
 
-def _slow(flight: Flight, every: int = 5) -> dict[str, Floats]:
-    names = ("t_s", "front_V", "back_V", "elevation_rad", "pitch_rad", "travel_rad")
-    return {name: getattr(flight, name)[::every] for name in names}
+@dataclass(frozen=True)
+class TextForm:
+    """Text as a program writes it; it is called like the functions below.
+
+    Parameters
+    ----------
+    header : str
+        Names of the columns, separated by ``|``; empty if the file has none.
+    columns : str
+        Keys of `_cells`, separated by blanks.
+    """
+
+    file: str
+    header: str
+    columns: str
+    separator: str = ","
+    comma: bool = False
+    encoding: str = "utf-8"
+
+    def __call__(self, flight: Flight, folder: Path) -> Path:
+        cells = _cells(flight)
+        return self.write([cells[key] for key in self.columns.split()], folder / self.file)
+
+    def write(self, columns: Sequence[Floats | Sequence[str]], path: Path) -> Path:
+        """Write columns of numbers or texts."""
+        lines = [self.header.replace("|", self.separator)] if self.header else []
+        texts = [[item if isinstance(item, str) else f"{item:.9g}" for item in column] for column in columns]
+        for row in zip(*texts, strict=True):
+            text = self.separator.join(row)
+            lines.append(text.replace(".", ",") if self.comma else text)
+        path.write_text("\n".join(lines) + "\n", encoding=self.encoding)
+        return path
 
 
-def _degrees(flight: Flight) -> list[Floats]:
-    some = _slow(flight)
-    return [some[f"{axis}_rad"] * DEG for axis in _AXES]
-
-
-def _in_radians(flight: Flight, path: Path, header: list[str]) -> Path:
-    """Times, elevation, pitch, travel, front and back under these names."""
-    some = _slow(flight)
-    angles = [some[f"{axis}_rad"] for axis in _AXES]
-    return _table(path, header, [some["t_s"], *angles, some["front_V"], some["back_V"]])
-
-
-def norwegian(flight: Flight, folder: Path) -> Path:
-    some = _slow(flight)
-    header = ["Tid (s)", "Høyde (grader)", "Helling (grader)", "Vandring (grader)", "Foran (V)", "Bak (V)"]
-    columns = [some["t_s"], *_degrees(flight), some["front_V"], some["back_V"]]
-    return _table(folder / "norsk.csv", header, columns, ";", comma=True)
-
-
-def german(flight: Flight, folder: Path) -> Path:
-    some = _slow(flight)
-    header = ["Zeit_ms", "U_vorne", "U_hinten", "Höhenwinkel", "Nickwinkel", "Drehwinkel"]
-    columns = [some["t_s"] * 1e3, some["front_V"], some["back_V"], *_degrees(flight)]
-    return _table(folder / "deutsch.csv", header, columns, ";", comma=True, encoding="latin-1")
-
-
-def french(flight: Flight, folder: Path) -> Path:
-    some = _slow(flight)
-    header = [
-        "Temps [s]",
-        "Élévation [°]",
-        "Tangage [°]",
-        "Rotation [°]",
-        "Moteur avant [V]",
-        "Moteur arrière [V]",
-    ]
-    columns = [some["t_s"], *_degrees(flight), some["front_V"], some["back_V"]]
-    return _table(folder / "francais.csv", header, columns, "\t", comma=True)
-
-
-def spanish(flight: Flight, folder: Path) -> Path:
-    header = ["tiempo", "elevacion", "cabeceo", "giro", "v_delantero", "v_trasero"]
-    return _in_radians(flight, folder / "es.csv", header)
-
-
-def chinese(flight: Flight, folder: Path) -> Path:
-    some = _slow(flight)
-    header = ["时间(s)", "高度角(°)", "俯仰角(°)", "旋转角(°)", "前电机(V)", "后电机(V)"]
-    columns = [some["t_s"], *_degrees(flight), some["front_V"], some["back_V"]]
-    return _table(folder / "gbk.csv", header, columns, encoding="gb18030")
-
-
-def epsilon_theta(flight: Flight, folder: Path) -> Path:
-    """Greek letters of books in which theta is the pitch."""
-    return _in_radians(flight, folder / "eps.csv", ["t", "epsilon", "theta", "psi", "U1", "U2"])
-
-
-def phi_theta(flight: Flight, folder: Path) -> Path:
-    """Names of an aeroplane's angles in another order: phi is the elevation, theta the pitch."""
-    return _in_radians(flight, folder / "phi.csv", ["t", "phi", "theta", "psi", "Vf", "Vb"])
+TEXT_FORMS: Final = {
+    "norwegian": TextForm(
+        "norsk.csv",
+        "Tid (s)|Høyde (grader)|Helling (grader)|Vandring (grader)|Foran (V)|Bak (V)",
+        "t E P L f b",
+        ";",
+        comma=True,
+    ),
+    "german": TextForm(
+        "deutsch.csv",
+        "Zeit_ms|U_vorne|U_hinten|Höhenwinkel|Nickwinkel|Drehwinkel",
+        "ms f b E P L",
+        ";",
+        comma=True,
+        encoding="latin-1",
+    ),
+    "french": TextForm(
+        "francais.csv",
+        "Temps [s]|Élévation [°]|Tangage [°]|Rotation [°]|Moteur avant [V]|Moteur arrière [V]",
+        "t E P L f b",
+        "\t",
+        comma=True,
+    ),
+    "spanish": TextForm("es.csv", "tiempo|elevacion|cabeceo|giro|v_delantero|v_trasero", "t e p l f b"),
+    "chinese": TextForm(
+        "gbk.csv",
+        "时间(s)|高度角(°)|俯仰角(°)|旋转角(°)|前电机(V)|后电机(V)",
+        "t E P L f b",
+        encoding="gb18030",
+    ),
+    # In some books theta is the pitch, in others phi is the elevation.
+    "epsilon_theta": TextForm("eps.csv", "t|epsilon|theta|psi|U1|U2", "t e p l f b"),
+    "phi_theta": TextForm("phi.csv", "t|phi|theta|psi|Vf|Vb", "t e p l f b"),
+    "serial_monitor": TextForm("putty.log.txt", "", "arduino e# p# l# fpwm bpwm"),
+    "wrapped_counts": TextForm(
+        "enc.csv", "time_ms|enc_elev|enc_pitch|enc_travel|Vf|Vb", "ms e16 p16 l16 f b"
+    ),
+    "half_sums": TextForm("half.csv", "t|travel|pitch|elevation|u_coll|u_diff", "t l p e s/2 d/2"),
+    "before_and_after_calibration": TextForm(
+        "cal.csv",
+        "time|elev_raw|pitch_raw|travel_raw|elev_deg|pitch_deg|travel_deg|Vf|Vb",
+        "t e0 p0 l0 E P L f b",
+    ),
+    "turns_wrapped": TextForm("wrap.csv", "Time(s)|El|Pi|Tr|M1|M2", "t E P wrapped f b"),
+    "clipped_late": TextForm(
+        "cmd.csv", "t|elevation_deg|pitch_deg|travel_deg|Vf_cmd|Vb_cmd", "t E P L fcmd bcmd"
+    ),
+    # Without names: elevation positive downwards, travel the other way, back motor first, no bias.
+    "all_turned": TextForm("turned.txt", "", "t b f -L P -E", " "),
+}
 
 
 def state_space(flight: Flight, folder: Path) -> Path:
-    states = state_rows(flight)
-    columns = [flight.t_s, *states, flight.front_V, flight.back_V]
-    return _table(
-        folder / "x.csv", ["t", *(f"x{i}" for i in range(1, 7)), "u1", "u2"], [c[::5] for c in columns]
-    )
+    header = "|".join(["t", *(f"x{i}" for i in range(1, 7)), "u1", "u2"])
+    columns = [flight.t_s, *state_rows(flight), flight.front_V, flight.back_V]
+    return TextForm("", header, "").write([column[::5] for column in columns], folder / "x.csv")
 
 
 def to_workspace(flight: Flight, folder: Path) -> Path:
@@ -218,36 +240,6 @@ def series(flight: Flight, folder: Path) -> Path:
     return path
 
 
-def serial_monitor(flight: Flight, folder: Path) -> Path:
-    """An Arduino's lines: milliseconds since it started, counts, PWM; no header."""
-    some = _slow(flight)
-    counts = [
-        np.round(some[f"{axis}_rad"] * _COUNTS * turns / (2.0 * math.pi))
-        for axis, turns in zip(_AXES, (1, 1, 2), strict=True)
-    ]
-    pwm = [np.round(some[f"{motor}_V"] / 10.0 * 255.0) for motor in ("front", "back")]
-    return _table(folder / "putty.log.txt", [], [12345.0 + np.round(some["t_s"] * 1e3), *counts, *pwm])
-
-
-def wrapped_counts(flight: Flight, folder: Path) -> Path:
-    """Counts of 16 bits without a sign."""
-    some = _slow(flight)
-    counts = [
-        np.mod(np.round(some[f"{axis}_rad"] * _COUNTS * turns / (2.0 * math.pi)), 65536.0)
-        for axis, turns in zip(_AXES, (1, 1, 2), strict=True)
-    ]
-    header = ["time_ms", "enc_elev", "enc_pitch", "enc_travel", "Vf", "Vb"]
-    return _table(folder / "enc.csv", header, [some["t_s"] * 1e3, *counts, some["front_V"], some["back_V"]])
-
-
-def half_sums(flight: Flight, folder: Path) -> Path:
-    some = _slow(flight)
-    total, difference = some["front_V"] + some["back_V"], some["front_V"] - some["back_V"]
-    header = ["t", "travel", "pitch", "elevation", "u_coll", "u_diff"]
-    angles = [some[f"{axis}_rad"] for axis in reversed(_AXES)]
-    return _table(folder / "half.csv", header, [some["t_s"], *angles, 0.5 * total, 0.5 * difference])
-
-
 def half_sums_unnamed(flight: Flight, folder: Path) -> Path:
     rows = [*state_rows(flight), *(0.5 * item for item in voltage_rows(flight))]
     return write_mat(folder / "half.mat", flight.t_s, rows)
@@ -273,48 +265,26 @@ def crowded(flight: Flight, folder: Path) -> Path:
     return write_mat(folder / "day4.mat", flight.t_s, rows)
 
 
-def before_and_after_calibration(flight: Flight, folder: Path) -> Path:
-    some = _slow(flight)
-    raw = [
-        np.round((some[f"{axis}_rad"] - some[f"{axis}_rad"][0]) * _COUNTS * turns / (2.0 * math.pi))
-        for axis, turns in zip(_AXES, (1, 1, 2), strict=True)
-    ]
-    header = [
-        "time",
-        "elev_raw",
-        "pitch_raw",
-        "travel_raw",
-        "elev_deg",
-        "pitch_deg",
-        "travel_deg",
-        "Vf",
-        "Vb",
-    ]
-    columns = [some["t_s"], *raw, *_degrees(flight), some["front_V"], some["back_V"]]
-    return _table(folder / "cal.csv", header, columns)
-
-
 def clock_strings(flight: Flight, folder: Path) -> Path:
-    some = _slow(flight)
-    at = [f"13:{int(t + 2840) // 60:02d}:{(t + 2840) % 60:06.3f}" for t in some["t_s"]]
-    header = ["Time", "Elevation", "Pitch", "Travel", "Front", "Back"]
-    return _table(folder / "clock.csv", header, [at, *_degrees(flight), some["front_V"], some["back_V"]])
+    cells = _cells(flight)
+    at = [f"13:{int(t + 2840) // 60:02d}:{(t + 2840) % 60:06.3f}" for t in cells["t"]]
+    form = TextForm("", "Time|Elevation|Pitch|Travel|Front|Back", "")
+    return form.write([at, *(cells[key] for key in "EPLfb")], folder / "clock.csv")
 
 
 def dates(flight: Flight, folder: Path) -> Path:
-    some = _slow(flight)
+    cells = _cells(flight)
     start = np.datetime64("2024-01-04T12:58:31.250", "us")
-    at = [str(start + np.timedelta64(round(t * 1e6), "us")).replace("T", " ") for t in some["t_s"]]
-    header = ["timestamp", "elevation", "pitch", "travel", "front", "back"]
-    return _table(folder / "dates.csv", header, [at, *_degrees(flight), some["front_V"], some["back_V"]])
+    at = [str(start + np.timedelta64(round(t * 1e6), "us")).replace("T", " ") for t in cells["t"]]
+    form = TextForm("", "timestamp|elevation|pitch|travel|front|back", "")
+    return form.write([at, *(cells[key] for key in "EPLfb")], folder / "dates.csv")
 
 
 def since_1970(flight: Flight, folder: Path) -> Path:
-    some = _slow(flight)
-    at = [f"{1704373111.25 + t:.6f}" for t in some["t_s"]]
-    header = ["stamp", "state", "elevation", "pitch", "travel", "cmd_front", "cmd_back"]
-    state = ["FLY"] * len(at)
-    return _table(folder / "ros.csv", header, [at, state, *_degrees(flight), some["front_V"], some["back_V"]])
+    cells = _cells(flight)
+    at = [f"{1704373111.25 + t:.6f}" for t in cells["t"]]
+    form = TextForm("", "stamp|state|elevation|pitch|travel|cmd_front|cmd_back", "")
+    return form.write([at, ["FLY"] * len(at), *(cells[key] for key in "EPLfb")], folder / "ros.csv")
 
 
 def trailing_zeros(flight: Flight, folder: Path) -> Path:
@@ -341,27 +311,16 @@ def logged_on(flight: Flight, folder: Path) -> Path:
 
 def times_begin_again(flight: Flight, folder: Path) -> Path:
     """Two runs in one file: the time begins at 0 again."""
-    some = _slow(flight)
-    half = 2 * len(some["t_s"]) // 3
-    t_s = np.concatenate((some["t_s"][:half], some["t_s"][half:] - some["t_s"][half]))
-    header = ["t", "elevation_deg", "pitch_deg", "travel_deg", "front_V", "back_V"]
-    return _table(folder / "twice.csv", header, [t_s, *_degrees(flight), some["front_V"], some["back_V"]])
-
-
-def turns_wrapped(flight: Flight, folder: Path) -> Path:
-    some = _slow(flight)
-    elevation, pitch, travel = _degrees(flight)
-    header = ["Time(s)", "El", "Pi", "Tr", "M1", "M2"]
-    wrapped = np.mod(travel + 180.0, 360.0) - 180.0
-    return _table(
-        folder / "wrap.csv", header, [some["t_s"], elevation, pitch, wrapped, some["front_V"], some["back_V"]]
-    )
+    cells = _cells(flight)
+    t_s = cells["t"].copy()
+    half = 2 * t_s.size // 3
+    t_s[half:] -= t_s[half]
+    form = TextForm("", "t|elevation_deg|pitch_deg|travel_deg|front_V|back_V", "")
+    return form.write([t_s, *(cells[key] for key in "EPLfb")], folder / "twice.csv")
 
 
 def labview(flight: Flight, folder: Path) -> Path:
-    some = _slow(flight)
-    columns = [some["t_s"], *_degrees(flight), some["front_V"], some["back_V"]]
-    path = _table(folder / "body.lvm", [], columns, "\t", comma=True)
+    path = TextForm("body.lvm", "", "t E P L f b", "\t", comma=True)(flight, folder)
     head = (
         "LabVIEW Measurement\t\nWriter_Version\t2\nReader_Version\t2\nSeparator\tTab\nDecimal_Separator\t,\n"
         "Multi_Headings\tNo\nX_Columns\tOne\nTime_Pref\tRelative\nDate\t2024/01/04\nTime\t12:58:31,25\n"
@@ -372,36 +331,24 @@ def labview(flight: Flight, folder: Path) -> Path:
     return path
 
 
-def clipped_late(flight: Flight, folder: Path) -> Path:
-    """Commands before the clip: now and then far beyond what acted."""
-    some = _slow(flight)
-    random = np.random.default_rng(1)
-    volts = []
-    for motor in ("front", "back"):
-        item = some[f"{motor}_V"]
-        wild = np.where(np.abs(item) >= 4.999, item * (1.0 + random.exponential(0.5, item.size)), item)
-        volts.append(wild)
-    header = ["t", "elevation_deg", "pitch_deg", "travel_deg", "Vf_cmd", "Vb_cmd"]
-    return _table(folder / "cmd.csv", header, [some["t_s"], *_degrees(flight), *volts])
-
-
-def all_turned(flight: Flight, folder: Path) -> Path:
-    """Without names: elevation positive downwards, travel the other way, back motor first, no bias."""
-    some = _slow(flight)
-    elevation, pitch, travel = _degrees(flight)
-    columns = [some["t_s"], some["back_V"], some["front_V"], -travel, pitch, -elevation]
-    return _table(folder / "turned.txt", [], columns, " ")
-
-
 FORMS: Final[dict[str, Form]] = {
-    item.__name__: item
-    for item in (
-        *(norwegian, german, french, spanish, chinese, epsilon_theta, phi_theta, state_space),
-        *(to_workspace, scope_with_labels, workspace_variables, series),
-        *(serial_monitor, wrapped_counts, half_sums, half_sums_unnamed, crowded),
-        *(before_and_after_calibration, clock_strings, dates, since_1970, trailing_zeros, logged_on),
-        *(times_begin_again, turns_wrapped, labview, clipped_late, all_turned),
-    )
+    **TEXT_FORMS,
+    **{
+        item.__name__: item
+        for item in (
+            *(state_space, to_workspace, scope_with_labels, workspace_variables, series, half_sums_unnamed),
+            *(
+                crowded,
+                clock_strings,
+                dates,
+                since_1970,
+                trailing_zeros,
+                logged_on,
+                times_begin_again,
+                labview,
+            ),
+        )
+    },
 }
 
 

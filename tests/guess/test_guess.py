@@ -42,7 +42,7 @@ def test_nothing_wrong_is_sure(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "late_s", "is_doubted"),
-    [(0, 0.0, False), (0, 0.1, True), (1, 0.0, False), (1, 0.1, True), (2, 0.08, True)],
+    [(0, 0.0, False), (0, 0.1, True), (1, 0.1, True)],
 )
 def test_late_voltages_are_doubted_and_rotors_without_a_lag_are_not(
     number: int, late_s: float, is_doubted: bool, tmp_path: Path
@@ -107,13 +107,6 @@ def assert_right(flight: Flight, rig: Rig, path: Path, offset_V: float = 0.0) ->
     both = (imported.front_V + imported.back_V - flight.front_V - flight.back_V).mean()
     assert abs(both) < 0.5 + 0.1 * abs(offset_V)
     return {ambiguity.subject for ambiguity in guess_result.ambiguities}
-
-
-@pytest.mark.slow
-def test_rates_next_to_angles_are_not_taken_for_angles(tmp_path: Path) -> None:
-    flight, rig = simulated(1)
-    path = write_mat(tmp_path / "a.mat", flight.t_s, [*voltage_rows(flight), *state_rows(flight)])
-    assert assert_right(flight, rig, path) == {"which rotor is the front one", "the columns"}
 
 
 @pytest.mark.slow

@@ -296,7 +296,7 @@ def axis_regressions(
         )
         for axis in AXES
     }
-    if responds_without_lag(fits["pitch"].lag_s):
+    if _responds_without_lag(fits["pitch"].lag_s):
         nats = _no_rotor_lag_nats(signals, assignment.columns["pitch"], difference, reference)
         fits["pitch"] = replace(fits["pitch"], no_rotor_lag_nats=nats)
     return fits
@@ -322,7 +322,7 @@ def _fit_at_best_lag(
     return replace(best, lag_range_s=(min(possible_s), max(possible_s)))
 
 
-def responds_without_lag(lag_s: float) -> bool:
+def _responds_without_lag(lag_s: float) -> bool:
     """Whether pitch follows the voltages after a lag, `lag_s` [s], that only rotors without a lag have."""
     return 0.0 <= round(lag_s, 3) < _PLAUSIBLE_LAGS_S[0]
 
@@ -435,7 +435,7 @@ def lag_ambiguities(regressions: Mapping[str, RegressionFit]) -> tuple[list[Ambi
             )
         )
     shortest_s, longest_s = _PLAUSIBLE_LAGS_S
-    without_lag = responds_without_lag(pitch.lag_s)
+    without_lag = _responds_without_lag(pitch.lag_s)
     is_certain = without_lag and pitch.no_rotor_lag_nats >= DECISIVE_NATS
     if not shortest_s <= pitch.lag_s <= longest_s and not is_certain:
         reason = (

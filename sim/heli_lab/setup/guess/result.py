@@ -151,11 +151,6 @@ class KnownEntries:
         }
 
     @property
-    def knows_voltages(self) -> bool:
-        """Whether both voltage columns are known."""
-        return sum(role in VOLTAGE_ROLES for role in self.columns.values()) > 1
-
-    @property
     def knows_motors(self) -> bool:
         """Whether the entries decide which motor is the front one, by columns or by a sign."""
         return bool({"front", "back"}.intersection(self.columns.values())) or bool(self.sign("difference"))

@@ -53,7 +53,7 @@ in either direction, and on measured flights of four rigs, two had the opposite 
 _SIGN_CHANGE_NATS: Final = 1.0
 """Log-likelihood of each further sign or exchange of motors that differs from the usual ones [nats]. Set by
 judgement: one sign in four is turned. Higher values ignore the travel torque, lower ones follow it alone."""
-MIN_DURATION_S: Final = 5.0
+_MIN_DURATION_S: Final = 5.0
 """Shorter flights are not checked [s]: fewer than five independent samples do not decide a sign."""
 _COLUMNS: Final = ("elevation_rad", "pitch_rad", "travel_rad", "front_V", "back_V")
 _DEGREES_RATIO: Final = (0.4 * 180.0 / math.pi, 2.5 * 180.0 / math.pi)
@@ -278,7 +278,7 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     A sign is wrong if an axis clearly accelerates against its cause, and the baseline model of the rig fits
     clearly better with the opposite sign. An unusual rig fulfils neither condition.
     """
-    if flight.duration_s < MIN_DURATION_S:
+    if flight.duration_s < _MIN_DURATION_S:
         return ()
     try:
         reference = reference_of(rig)
