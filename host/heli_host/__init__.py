@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from heli_host.data.log.reader import read_flight
     from heli_host.declaration import Axes, Excitation, Fault, Flags, State
     from heli_host.errors import HeliError
-    from heli_host.fly.runner import connect
+    from heli_host.fly.connection import connect
     from heli_host.ui.page.client import join
 
     __version__: str
@@ -50,7 +50,7 @@ __all__ = [
 _WHERE = {
     "HeliError": "heli_host.errors",
     "Heli": "heli_host.board.heli",
-    "connect": "heli_host.fly.runner",
+    "connect": "heli_host.fly.connection",
     "join": "heli_host.ui.page.client",
     "Flight": "heli_host.data.flight",
     "read_flight": "heli_host.data.log.reader",

@@ -13,8 +13,9 @@ from unittest.mock import patch
 from heli_host.board.heli import Heli
 from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import Event, EventMessage, MessageId, State, Trigger
+from heli_host.fly.connection import connect
 from heli_host.fly.plan import Plan
-from heli_host.fly.runner import connect, fly
+from heli_host.fly.runner import fly
 from heli_host.link.frames import FrameParser
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.world import SilWorld

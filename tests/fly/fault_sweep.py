@@ -20,8 +20,9 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.board.samples import Samples
 from heli_host.declaration import AXES, Fault, State
+from heli_host.fly.connection import connect
 from heli_host.fly.plan import Plan, load_plan
-from heli_host.fly.runner import connect, fly
+from heli_host.fly.runner import fly
 from heli_sim.rig import load_rig, write_rig
 
 from tests.fly.fault_flights import world_of

@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.board.samples import Samples
 from heli_host.declaration import AXES, State
-from heli_host.fly.runner import connect, fly
+from heli_host.fly.connection import connect
+from heli_host.fly.runner import fly
 from heli_sim.errors import SimError
 from heli_sim.rig import Rig, load_rig, write_rig
 from heli_sim.rig.schema import ENCODER_COUNTS

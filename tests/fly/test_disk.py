@@ -18,8 +18,9 @@ from heli_host.data.log.reader import read_log
 from heli_host.data.log.writer import LogWriter
 from heli_host.declaration import State
 from heli_host.errors import LogWriteError
+from heli_host.fly.connection import connect
 from heli_host.fly.recorder import Recorder
-from heli_host.fly.runner import connect, fly
+from heli_host.fly.runner import fly
 
 from tests.fly.test_runner import SHORT, flown, short
 from tests.sil.patient import PATIENT

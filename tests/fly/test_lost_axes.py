@@ -9,8 +9,9 @@ import pytest
 from heli_host.board.parameters import load_gains
 from heli_host.declaration import PARAMS, Axes, Fault, State
 from heli_host.errors import HeliError
+from heli_host.fly.connection import connect
 from heli_host.fly.plan import Plan, load_plan
-from heli_host.fly.runner import connect, fly
+from heli_host.fly.runner import fly
 from heli_host.fly.tracking import NOT_TRACKED
 from heli_sim.rig import write_rig
 

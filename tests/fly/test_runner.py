@@ -18,10 +18,11 @@ from heli_host.data.log.reader import Log, read_flight, read_log
 from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import Axes, Flags, State
 from heli_host.errors import LogWriteError, PlanError
+from heli_host.fly.connection import connect
 from heli_host.fly.pilot import RouteStream
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.recorder import Recorder
-from heli_host.fly.runner import Progress, connect, fly
+from heli_host.fly.runner import Progress, fly
 from heli_host.fly.tracking import TrackingMonitor
 from heli_host.link.telemetry import Ticks
 
@@ -466,7 +467,7 @@ def test_after_kill_9_of_the_host_the_board_lands_and_the_log_opens(tmp_path: Pa
     path = tmp_path / "killed.mcap"
     script = (
         "import sys\n"
-        "from heli_host.fly.runner import connect\n"
+        "from heli_host.fly.connection import connect\n"
         "from heli_host.fly.runner import fly\n"
         "with connect(sys.argv[1]) as heli:\n"
         f"    heli.params.restore({SOON_LANDING})\n"

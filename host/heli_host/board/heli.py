@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 from heli_host.board.bench import Bench
 from heli_host.board.flying import ALL_AXES, LEAD_S, MOTORS_OFF, Flying
@@ -25,7 +25,6 @@ from heli_host.board.law_program import LawLike, LawProgram, program_of
 from heli_host.board.rig_check import check_rig
 from heli_host.board.samples import Sample, Samples
 from heli_host.board.telemetry import BoardInfo, Telemetry
-from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import Axes, Excitation, Fault, State
 from heli_host.errors import FlightAborted, HeliError, PlanError
 from heli_host.link.clock import ClockEstimate
@@ -33,6 +32,9 @@ from heli_host.link.events import LinkEvent
 from heli_host.link.session import EventCallback, Session, Unsubscribe
 from heli_host.link.telemetry import LinkCounters
 from heli_host.link.transport import transport_label, transport_rig, transport_rig_parameters
+
+if TYPE_CHECKING:
+    from heli_host.data.log.summary import FlightSummary
 
 HISTORY_S = 120.0
 

@@ -55,7 +55,7 @@ class BoardProperty(Enum):
     LIMIT = "limit"
 
 
-_PARTS: Final[Mapping[str, BoardProperty]] = {
+_PROPERTIES: Final[Mapping[str, BoardProperty]] = {
     "elevation_counts_per_rev": BoardProperty.SCALE,
     "pitch_counts_per_rev": BoardProperty.SCALE,
     "travel_counts_per_rev": BoardProperty.SCALE,
@@ -119,22 +119,13 @@ def rig_differences(
 ) -> list[RigDifference]:
     """Compare a board with a rig."""
     differences: list[RigDifference] = []
-    for name, board_property in _PARTS.items():
+    for name, board_property in _PROPERTIES.items():
         if name not in expected or name not in parameters:
             continue
         board, rig = parameters[name], expected[name]
-        if board_property is BoardProperty.SCALE:
-            if abs(abs(board) - abs(rig)) > _SAME * abs(rig):
-                differences.append(RigDifference(name, board, rig, board_property))
-            elif (simulated or name in directed) and board * rig < 0.0:
-                differences.append(RigDifference(name, board, rig, BoardProperty.DIRECTION))
-            continue
-        is_different = {
-            BoardProperty.REST: abs(board - rig) > _REST_deg,
-            BoardProperty.SUPPLY: abs(board - rig) > _SUPPLY_V,
-        }
-        if is_different.get(board_property, board > rig + _SAME * abs(rig)):
-            differences.append(RigDifference(name, board, rig, board_property))
+        concerned = _contradiction(board_property, board, rig, is_directed=simulated or name in directed)
+        if concerned is not None:
+            differences.append(RigDifference(name, board, rig, concerned))
     if simulated and expected:
         differences += [
             RigDifference(name, parameters[name], 1.0, BoardProperty.DIRECTION)
@@ -142,6 +133,24 @@ def rig_differences(
             if parameters.get(name, 1.0) * expected.get(name, 1.0) < 0.0
         ]
     return differences
+
+
+def _contradiction(
+    board_property: BoardProperty, board: float, rig: float, *, is_directed: bool
+) -> BoardProperty | None:
+    """Return the property in which the board's value of a parameter contradicts the rig's; None for none."""
+    match board_property:
+        case BoardProperty.SCALE:
+            if abs(abs(board) - abs(rig)) > _SAME * abs(rig):
+                return BoardProperty.SCALE
+            return BoardProperty.DIRECTION if is_directed and board * rig < 0.0 else None
+        case BoardProperty.REST:
+            is_different = abs(board - rig) > _REST_deg
+        case BoardProperty.SUPPLY:
+            is_different = abs(board - rig) > _SUPPLY_V
+        case _:
+            is_different = board > rig + _SAME * abs(rig)
+    return board_property if is_different else None
 
 
 def check_rig(

@@ -1,4 +1,10 @@
-"""The index at the end of an MCAP file: positions of the records, and a copy of schemas and channels."""
+"""Reads a log record by record, and continues after damaged parts.
+
+The mcap library parses the records and the index at the end of the file; runs of ticks are read as arrays. A
+record is used only if it is complete and its CRC is right. If the bytes at the present position are not a
+record, the index gives the position of the next record. Without an index, the next chunk is searched. The
+notes list all parts that were skipped.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +13,7 @@ import json
 import re
 import struct
 import zlib
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +36,7 @@ from mcap.records import (
     Schema,
     Statistics,
 )
+from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
@@ -58,13 +66,6 @@ PARSE_ERRORS = (McapError, ValueError, struct.error)
 
 _FOOTER_BYTES = RECORD_HEADER.size + 20
 _MAGIC = bytes(MCAP0_MAGIC)
-_KINDS = {
-    Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-    Opcode.STATISTICS: Statistics,
-    Opcode.CHUNK_INDEX: ChunkIndex,
-    Opcode.METADATA_INDEX: MetadataIndex,
-}
 
 
 @dataclass(frozen=True)
@@ -91,12 +92,10 @@ def read_index(data: memoryview) -> Index | None:
     checked = data[start : footer_start + _FOOTER_BYTES - 4]
     if not len(_MAGIC) <= start <= footer_start or footer.summary_crc != zlib.crc32(checked):
         return None
-    records: dict[type, list[Any]] = {kind: [] for kind in _KINDS.values()}
+    records: dict[type, list[Any]] = defaultdict(list)
     try:
-        for opcode, body in _index_records(data[start:footer_start]):
-            kind = _KINDS.get(Opcode(opcode))
-            if kind is not None:
-                records[kind].append(parse(kind, body))
+        for record in StreamReader(io.BytesIO(data[start:]), skip_magic=True).records:
+            records[type(record)].append(record)
     except PARSE_ERRORS:
         return None
     data_end = start - DATA_END_BYTES
@@ -121,18 +120,6 @@ def parse(kind: Any, body: memoryview) -> Any:
     if stream.count != len(body):
         raise ValueError("the record does not have its stated length")
     return record
-
-
-def _index_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of each record of the index, in the order of the file."""
-    position = 0
-    while position < len(data):
-        opcode, length = RECORD_HEADER.unpack_from(data, position)
-        position += RECORD_HEADER.size
-        if length > len(data) - position:
-            raise ValueError("a record reaches beyond the index")
-        yield opcode, data[position : position + length]
-        position += length
 
 
 LARGEST_CHUNK_BYTES = 1 << 26
