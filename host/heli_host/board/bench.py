@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from heli_host.board.flying import check_voltages
 from heli_host.board.parameters import Parameters
-from heli_host.board.setpoints import check_voltages
 from heli_host.declaration import (
     Axes,
     ClearFaultMessage,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from heli_host.board.setpoints import setpoint_bounds
+from heli_host.board.flying import setpoint_bounds
 from heli_host.data.arrays import Floats
 from heli_host.data.files import TOML_BYTES, decode_text, parse_toml, read_file
 from heli_host.data.response import TAKE_OFF

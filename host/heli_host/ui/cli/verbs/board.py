@@ -147,7 +147,7 @@ def motors(
 
     Example: `heli-host motors --port /dev/ttyACM0 --front-V 1.0 --duration 2`
     """
-    from heli_host.board.setpoints import check_voltages
+    from heli_host.board.flying import check_voltages
 
     with open_board(port, sil_address(rig=rig, speed=speed) if sil else None) as heli:
         if clear_fault:

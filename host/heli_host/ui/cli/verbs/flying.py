@@ -161,9 +161,8 @@ def setpoint(
         raise typer.BadParameter(
             "--travel-deg and --pitch-deg exclude each other, because pitch controls travel; give one of them"
         )
-    from heli_host.board.flying import ALL_AXES
+    from heli_host.board.flying import ALL_AXES, check_setpoint
     from heli_host.board.interrupts import name_of
-    from heli_host.board.setpoints import check_setpoint
     from heli_host.data.log.disk import check_new
     from heli_host.declaration import Axes
     from heli_host.errors import FlightAborted, HeliError
