@@ -44,7 +44,7 @@ from heli_lab.control.fence import FileLimits
 from heli_lab.control.law_flight import LawTrial
 from heli_lab.control.program_json import law_of_program
 from heli_lab.law import Command, Law, control_law
-from heli_lab.verbs.class_ import _write_marks
+from heli_lab.verbs.classroom import _write_marks
 
 from tests.cli.terminal import Terminal, terminal
 from tests.law.class_of_thirty import HOSTILE, digest, law_text, make_class, mark_class, problems

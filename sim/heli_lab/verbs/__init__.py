@@ -1,1 +1,1 @@
-"""The verbs that identify, diagnose, tune and reproduce the paper, one module each."""
+"""Verbs of the laboratory: each reads options, calls one function of its package, and prints."""

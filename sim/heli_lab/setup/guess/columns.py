@@ -28,7 +28,16 @@ from heli_lab.setup.guess.motion import (
     has_unit_slope,
     regress_acceleration,
 )
-from heli_lab.setup.guess.names import AXES, PAIR, ROLES, SUMS, VOLTAGE_ROLES, Meaning, is_time, meanings_of
+from heli_lab.setup.guess.names import (
+    AXES,
+    PAIR,
+    ROLES,
+    SUMS,
+    VOLTAGE_ROLES,
+    ColumnMeaning,
+    is_time,
+    meanings_of,
+)
 from heli_lab.setup.guess.result import DECISIVE_NATS, Ambiguity, KnownEntries
 from heli_lab.setup.guess.signals import (
     NO_RATE,
@@ -217,7 +226,7 @@ def _without_rates(
     file: PreparedFile,
     free: list[str],
     named: list[str],
-    meanings: Mapping[str, Meaning],
+    meanings: Mapping[str, ColumnMeaning],
     left_out: dict[str, str],
 ) -> list[str]:
     """Leave out the columns without names that are rates or copies of others, and those beyond a limit."""

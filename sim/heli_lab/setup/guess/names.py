@@ -89,7 +89,7 @@ _CHINESE: Final = tuple(
 
 
 @dataclass(frozen=True)
-class Meaning:
+class ColumnMeaning:
     """Role or quantity that the name and the unit of a column state."""
 
     role: str = ""  # One of `ROLES`; empty if they state none
@@ -99,24 +99,24 @@ class Meaning:
     possible_roles: tuple[str, ...] = ()  # Roles that name and unit permit
 
 
-def meanings_of(units: Mapping[str, str]) -> dict[str, Meaning]:
+def meanings_of(units: Mapping[str, str]) -> dict[str, ColumnMeaning]:
     """Return the meanings of the columns of a table, from their names and the units that the file states.
 
     The name of a single matrix, in ``data[1]`` and ``data[2]``, states nothing about its columns.
     """
     if len(units) > 1 and len({_INDEX.sub("", name) for name in units}) == 1:
-        return {name: Meaning(possible_roles=ROLES) for name in units}
+        return {name: ColumnMeaning(possible_roles=ROLES) for name in units}
     return {name: meaning_of(name, unit) for name, unit in units.items()}
 
 
-def meaning_of(name: str, unit: str = "") -> Meaning:
+def meaning_of(name: str, unit: str = "") -> ColumnMeaning:
     """Return what the name of a column, and the `unit` that the file states, mean."""
     words = words_of(name)
     unit = unit or split_unit(name)[1]
     role = _stated_role(words)
     quantity = _RATE_UNITS.get(unit, "") or _stated_quantity(words, role)
     if quantity:
-        return Meaning(role, quantity)
+        return ColumnMeaning(role, quantity)
     if unit in VOLTAGE_UNITS or unit in SHARES:
         possible: tuple[str, ...] = VOLTAGE_ROLES
     elif unit in ANGLE_UNITS or unit == COUNT:
@@ -124,11 +124,11 @@ def meaning_of(name: str, unit: str = "") -> Meaning:
     else:
         possible = ROLES
     if role in possible:
-        return Meaning(role, "", bool(_MEASURED.intersection(words)), (role,))
+        return ColumnMeaning(role, "", bool(_MEASURED.intersection(words)), (role,))
     bare = {word for word in words if not any(char.isdigit() for char in word)}
     if possible == ROLES and bare and bare <= _VOLTAGES:
         possible = VOLTAGE_ROLES
-    return Meaning("", "", bool(_MEASURED.intersection(words)), possible)
+    return ColumnMeaning("", "", bool(_MEASURED.intersection(words)), possible)
 
 
 def words_of(name: str) -> list[str]:

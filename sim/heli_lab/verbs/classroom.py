@@ -1,4 +1,4 @@
-"""``heli-host class``: fly and mark a folder of submissions."""
+"""``heli-host class`` and ``course``: fly and mark submissions, and write editions of notebooks."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
 
     from heli_lab.apps.classroom.marking import Mark, MarkedSubmission
+
 
 _LOAD_s = 10.0
 """Longest processor time for loading a law's file [s]. The laws of the documents take under 2 s. Shorter: a
@@ -199,4 +200,34 @@ def _without_formula(text: str) -> str:
     return printable(f"'{text}" if text[:1] in ("=", "+", "-", "@") else text)
 
 
-VERB = Verb(class_, "Laboratory")
+def course(
+    notebooks: Annotated[
+        list[Path],
+        typer.Argument(metavar="NOTEBOOK.py...", help="Read these notebooks, or all in these folders."),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="DIR", help="Write student/ and teacher/ into this folder."),
+    ],
+) -> None:
+    """Make student and teacher editions of notebooks, for Jupyter and nbgrader.
+
+    A notebook is a Python file with cells, such as those in docs/course. The student edition has no
+    solutions. The teacher edition has solutions, and is a source notebook of nbgrader. The rubric is a file
+    next to it. Former editions in the folder are replaced.
+
+    Example: `heli-host course docs/course --output editions`
+    """
+    from heli_lab.apps.classroom.notebook import NotebookError, write_editions
+
+    sources: list[Path] = []
+    for path in notebooks:
+        sources += sorted(path.glob("*.py")) if path.is_dir() else [path]
+    if not sources:
+        raise NotebookError(f"{notebooks[0]} contains no notebook", "give Python files with cells")
+    files = write_editions(sources, output)
+    say(f"{len(sources)} notebooks, each for students and teachers")
+    say_files(files)
+
+
+VERBS = {"class": Verb(class_, "Laboratory"), "course": Verb(course, "Laboratory")}
