@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from heli_host.data.flight import rate as slope
 from heli_sim.model import MultibodyModel
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig
 
 folder = Path("course/04")  # the files of this notebook

@@ -13,9 +13,9 @@
 import numpy as np
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import trim
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig
-from heli_sim.rig.encoders import count_rad
+from heli_sim.rig.rig import count_rad
 
 rig = load_rig("makki2024")
 names = ("thrust_gain", "friction_pitch", "friction_travel")

@@ -4,7 +4,7 @@ import control
 import numpy as np
 from heli_lab.control.tune import linear_plant
 from heli_lab.law import Command, control_law, law_rig, motor_volts, saturated
-from heli_sim.rig.encoders import count_rad
+from heli_sim.rig.rig import count_rad
 
 DT_s = 2e-3
 rig = law_rig()

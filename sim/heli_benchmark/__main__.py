@@ -17,15 +17,11 @@ from pathlib import Path
 from heli_lab.apps.campaign import Campaign, Store, campaign_results
 from heli_lab.apps.campaign import Case as CampaignCase
 
-from heli_benchmark.cases.clean import Case, clean_cases
+from heli_benchmark.cases.clean import Case, add_choice, chosen, clean_cases, matches
 from heli_benchmark.cases.disturbed import disturbed_cases
-from heli_benchmark.cases.selection import add_choice, chosen, matches
-from heli_benchmark.runs.ask import REFITS
-from heli_benchmark.runs.case import WORK, cause_visibility, code_of_rows
-from heli_benchmark.scoring.goals import further_counts, goals
-from heli_benchmark.scoring.judge import Row
-from heli_benchmark.scoring.reliability import draw, reliability
-from heli_benchmark.scoring.summary import confusion, text
+from heli_benchmark.goals import confusion, draw, further_counts, goals, reliability, text
+from heli_benchmark.judge import Row
+from heli_benchmark.runs.case import REFITS, WORK, cause_visibility, code_of_rows
 
 _PROCESSES = 2
 

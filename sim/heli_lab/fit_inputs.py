@@ -108,8 +108,8 @@ def fit_inputs(
     effects: Sequence[str] = (),
 ) -> FitInputs:
     """Read the rig and build the model of a fit."""
+    from heli_sim.model import model_named
     from heli_sim.model.effects import effects_with
-    from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig
 
     from heli_lab.fit.identification import short_names

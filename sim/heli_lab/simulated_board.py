@@ -16,7 +16,7 @@ from heli_host.fly.runner import Progress, fly
 from heli_host.link.session import Session
 from heli_sim.model.base import Model
 from heli_sim.model.linear import trim
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions

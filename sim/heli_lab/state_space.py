@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from heli_host.data.arrays import Floats
+from heli_sim.model import model_named
 from heli_sim.model.effects import effects_of, parse_effects
 from heli_sim.model.linear import linearise as linearise_model
 from heli_sim.model.linear import trim
 from heli_sim.model.multibody import MultibodyModel
-from heli_sim.model.named import model_named
 from heli_sim.rig import Rig, load_rig
 
 if TYPE_CHECKING:

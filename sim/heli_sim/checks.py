@@ -45,7 +45,7 @@ def check_compiler() -> Finding:
 
 def check_cache() -> Finding:
     """Check that the cache of compiled equations can be written, and by this user only."""
-    from heli_sim.cache import cache_path, writable_by_others
+    from heli_sim.evaluate.compiled import cache_path, writable_by_others
 
     base = os.environ.get("XDG_CACHE_HOME")
     folder = Path(base) if base else Path.home() / ".cache"

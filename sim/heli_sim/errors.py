@@ -9,7 +9,7 @@
         ├── EndpointError       the simulated serial port cannot be opened or did not appear
         ├── EffectError         an effect that is unknown, badly written or has a value it may not have
         ├── OptionError         an option of a sil:// address or of the server is unknown or out of range
-        └── DueError            the emulated Due, see `heli_sim.due.errors`
+        └── DueError            the emulated Due, see `heli_sim.errors`
 """
 
 from __future__ import annotations
@@ -39,3 +39,15 @@ class OptionError(SimError):
 
 class EffectError(SimError):
     """An effect is unknown, its file is wrong, or a value is out of range."""
+
+
+class DueError(SimError):
+    """An error of the emulated board."""
+
+
+class FirmwareError(DueError):
+    """The ELF of the flight code is missing, unreadable, or for another version of the link."""
+
+
+class BoardStopped(DueError):
+    """The emulator stopped the firmware, because it relies on behaviour that the chip does not promise."""

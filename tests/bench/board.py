@@ -24,14 +24,14 @@ from heli_host.fly.runner import fly
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.session import Session
 from heli_host.link.telemetry import TelemetryDecoder, Ticks
-from heli_sim.compiled import c_source, compile_source
+from heli_sim.evaluate.compiled import c_source, compile_source
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import linearise, trim
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions
-from heli_sim.sil.process import SilProcess
+from heli_sim.sil.transport import SilProcess
 from heli_sim.sil.world import SilWorld
 from heli_test_native import link as core_link
 
@@ -300,7 +300,7 @@ def our_step() -> Callable[[], float]:
 def mujocos_step() -> Callable[[], float]:
     """Nanoseconds for one mj_step of the same masses, RK4 at 1 ms as well."""
     import mujoco
-    from heli_benchmark.engine.bodies import mujoco_rig
+    from heli_benchmark.plant import mujoco_rig
 
     plant, _, volts = hovering()
     physics = mujoco_rig(plant.rig)

@@ -24,8 +24,7 @@ from heli_lab.setup.calibrate.operator import (
     TerminalOperator,
 )
 from heli_sim.rig import load_rig, write_rig
-from heli_sim.sil.faults import FaultPlan
-from heli_sim.sil.intervals import Span
+from heli_sim.sil.faults import FaultPlan, Span
 from heli_sim.sil.world import SilWorld
 
 from tests.calibrate.rigs import (

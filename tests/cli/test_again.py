@@ -14,7 +14,7 @@ from heli_host.errors import LogError
 from heli_host.fly.plan import Plan
 from heli_host.ui.cli import flight
 from heli_sim.rig import Rig, load_rig
-from heli_sim.rig.write import rig_text
+from heli_sim.rig.rig import rig_text
 
 from tests.cli.terminal import Terminal
 

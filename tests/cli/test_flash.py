@@ -30,14 +30,14 @@ from heli_host.declaration import BAUD, LINK_HASH, PARAMS_HASH, State
 from heli_host.errors import FlashError, ImageError, UploaderError
 from heli_host.ui.cli.verbs import board as flash_verb
 from heli_host.ui.cli.verbs.board import ANSWER_TIMEOUT_S
-from heli_sim.sil.process import SilProcess
+from heli_sim.sil.transport import SilProcess
 from hypothesis import example, given
 from hypothesis import strategies as st
 from serial.tools import list_ports
 
 from tests.cli.terminal import Ended, Terminal, refusal
 from tests.cli.uploader import Uploader
-from tests.sil.patient import PATIENT
+from tests.sil.harness import PATIENT
 
 ASKED, LINK, FILE = 2, 3, 5
 ENTRY = FLASH_START + 4 * VECTORS + 1
@@ -229,7 +229,7 @@ def test_the_rate_that_erases_is_left_again_before_the_next_program_opens_the_po
 
 def test_the_touch_erases_an_emulated_board_once_and_leaves_its_loader_running() -> None:
     pytest.importorskip("due_emulator._due")
-    from tests.due.chip import Chip
+    from due_chip import Chip
 
     def touched(rate_afterwards: int) -> Chip:
         chip = Chip()

@@ -22,11 +22,11 @@ from heli_host.ui.cli import entry, run
 from heli_sim.due import firmware
 from heli_sim.model.effects import catalogue, effect_numbers
 from heli_sim.rig import Rig, load_rig, write_rig
-from heli_sim.sil.process import SilProcess
+from heli_sim.sil.transport import SilProcess
 
 from tests.cli.terminal import PATIENCE_S, Terminal, command, process
 from tests.running.long import samples
-from tests.sil.patient import patient_file
+from tests.sil.harness import patient_file
 
 SIL = ("--sil", "--speed", "max")
 FLY = ("fly", "hover", "--sil", "--speed", "10", "--log", "f.mcap", "--params", "patient.toml")

@@ -71,7 +71,7 @@ column = "f"
 [back]
 column = "b"
 """
-EFFECT = (ROOT / "sim" / "heli_sim" / "model" / "effects" / "cable_spring.py").read_text()
+EFFECT = (ROOT / "sim" / "heli_sim" / "model" / "effects" / "air.py").read_text()
 
 
 def raw(text: str) -> set[str]:
@@ -359,8 +359,8 @@ def test_every_text_of_a_user_is_read_in_every_encoding(encoding: str, tmp_path:
     rows = "".join(f"{k / 1000},1,1,0,0,{k / 10000}\n" for k in range(300))
     flight = read_csv(written("flight.csv", f"t_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad\n{rows}"))
     np.testing.assert_allclose(flight.t_s[-1], 0.299)
-    kinds = _effects_in_file(written("spring.py", EFFECT.replace("cable_spring", "my_spring")))
-    assert [kind.id for kind in kinds] == ["my_spring.elevation", "my_spring.travel"]
+    kinds = _effects_in_file(written("damping.py", EFFECT.replace("inflow_damping", "my_damping")))
+    assert kinds[0].id == "my_damping"
 
 
 @pytest.fixture(scope="module")

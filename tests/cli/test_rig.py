@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from heli_sim.rig import RIG_QUANTITIES, load_rig, rig_names, write_rig
-from heli_sim.rig.compare import Difference, compare_rigs
+from heli_sim.rig.describe import Difference, compare_rigs
 from heli_sim.rig.rig import Number
 from hypothesis import given
 from hypothesis import strategies as st

@@ -31,11 +31,11 @@ from heli_host.ui.cli.doctor import USERS_EXTRAS, Verdict, packages_of
 from heli_host.ui.cli.flight import FlownFlight
 from heli_host.ui.cli.verbs import board as bench_verbs
 from heli_sim.checks import check_compiler
-from heli_sim.sil.process import SilProcess
+from heli_sim.sil.transport import SilProcess
 from serial.tools import list_ports
 
 from tests.cli.terminal import Process, Terminal, command, process, refusal, until_open
-from tests.sil.patient import PATIENT
+from tests.sil.harness import PATIENT
 
 ROOT = Path(__file__).resolve().parents[2]
 SIL = ("--sil", "--speed", "max")

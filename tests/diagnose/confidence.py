@@ -23,8 +23,8 @@ from unittest.mock import patch
 
 import numpy as np
 from heli_benchmark.effects.disturbances import STRENGTHS_Nm
-from heli_benchmark.scoring.reliability import BINS
-from heli_benchmark.task.combined_causes import PARTS
+from heli_benchmark.goals import BINS
+from heli_benchmark.task import PARTS
 
 from tests.diagnose.calibration import LACKING, DURATIONS_s, kept_rows
 from tests.running.alone import one_thread_each
@@ -87,8 +87,8 @@ class Case:
 
 def case(seed: int) -> Case:
     """Draw the case of a `seed`."""
+    from heli_sim.model.effect import AXES
     from heli_sim.model.effects import catalogue
-    from heli_sim.model.parts import AXES
 
     kinds, rng, kind = catalogue(), np.random.default_rng([seed, 20]), KINDS[seed % len(KINDS)]
     strength, time_s = STRENGTHS_Nm[int(rng.integers(3))], float(rng.choice(CORRELATION_TIMES_s))

@@ -50,8 +50,8 @@ from heli_lab.explain.terms import (
 from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE
 from heli_lab.fit.records import prepare
 from heli_sim.model import MultibodyModel
+from heli_sim.model.effect import AXES
 from heli_sim.model.effects import RotorLag, catalogue, effects_of
-from heli_sim.model.parts import AXES
 from heli_sim.rig import load_rig, write_rig
 from hypothesis import given
 from hypothesis import strategies as st

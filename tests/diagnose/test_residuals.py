@@ -213,7 +213,7 @@ def test_disturbances_alone_are_explained_and_their_size_is_estimated() -> None:
     assert "mN m about elevation" in summary(diagnosed_under_disturbances(*_DISTURBANCES))
 
 
-@pytest.mark.skipif(not LONG, reason="tests/benchmark finds a lag, too; this one runs in make long")
+@pytest.mark.skipif(not LONG, reason="heli_benchmark/tests finds a lag, too; this one runs in make long")
 def test_lag_under_disturbances_is_named_with_its_size_and_nothing_else() -> None:
     numbers = to_json(diagnosed_under_disturbances(*_DISTURBANCES, "rotor_lag=0.06"))
     assert numbers["verdict"] == "cause_found"

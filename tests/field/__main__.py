@@ -11,8 +11,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from heli_benchmark.cases.selection import matches
-from heli_benchmark.runs.ask import REFITS
+from heli_benchmark.cases.clean import matches
+from heli_benchmark.runs.case import REFITS
 
 from tests.field.cases import DATA, NO_DATA, Case, ask, cases, judged
 from tests.running.alone import one_thread_each

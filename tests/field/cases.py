@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from heli_benchmark.reference.truth import ParameterValues, translated
-from heli_benchmark.runs.ask import timed_diagnosis
-from heli_benchmark.scoring.judge import RANDOM_TORQUE
-from heli_benchmark.task.combined_causes import PARTS, of_parts
+from heli_benchmark.judge import RANDOM_TORQUE
+from heli_benchmark.runs.case import timed_diagnosis
+from heli_benchmark.task import PARTS, of_parts
+from heli_benchmark.truth import ParameterValues, translated
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
 from heli_sim.rig import load_rig

@@ -19,7 +19,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
-from heli_benchmark.runs.ask import REFITS
+from heli_benchmark.runs.case import REFITS
 from heli_lab.diagnose import diagnose, to_json
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig

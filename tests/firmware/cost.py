@@ -24,7 +24,7 @@ from firmware.due.report import Image, read_image
 from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Arm, Board
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-PROGRAMS: Final = ROOT / "tests" / "due" / "programs"
+PROGRAMS: Final = ROOT / "sim" / "due" / "tests" / "programs"
 FLAGS: Final = ROOT / "firmware" / "due" / "compile.flags"
 CASCADE: Final = "_ZN4heli7control7Cascade4step"
 LAW_UPDATE: Final = "_ZN4heli3law11UploadedLaw6updateE"

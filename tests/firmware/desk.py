@@ -34,7 +34,7 @@ from heli_host.link.frames import Frame, FrameParser, encode_frame
 from heli_host.link.session import Session
 from heli_sim.due._due_board import motor_duty, motor_enabled, wire
 from heli_sim.model import PaperModel
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig
 
 from firmware.due.report import Image

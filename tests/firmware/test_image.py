@@ -128,7 +128,7 @@ def test_too_large_a_firmware_is_found(image: Image) -> None:
 
 
 FLAGS = ROOT / "firmware" / "due" / "compile.flags"
-PROGRAMS = ROOT / "tests" / "due" / "programs"
+PROGRAMS = ROOT / "sim" / "due" / "tests" / "programs"
 SLOW_FIRST, SLOW_SECOND = "_ZN4Slow5firstE8IdleLoop", "_ZN4Slow6secondE8IdleLoop"
 FIRST = {"_ZN4Idle5firstEv", "_ZN4Tick5firstEv", SLOW_FIRST}
 SECOND = {"_ZN4Idle6secondEv", "_ZN4Tick6secondEv", SLOW_SECOND}

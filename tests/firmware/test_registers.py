@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
+import fetch_svd
 import pytest
 
 from firmware.due.report import Image
-from tests.due import fetch_svd
 from tests.firmware import built
 from tests.firmware.desk import ENABLE_PINS, GPBR, PWM_PINS, Board, call, halt_at
 

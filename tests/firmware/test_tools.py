@@ -20,7 +20,7 @@ from heli_host.board.flashing import find_bossac, read_image, write_image
 from heli_host.declaration import FIRMWARE_VERSION
 from heli_host.errors import ImageError
 from heli_host.link.session import Session
-from heli_sim.sil.process import SilProcess
+from heli_sim.sil.transport import SilProcess
 
 from firmware.due.report import Image
 from tests.cli.uploader import Uploader

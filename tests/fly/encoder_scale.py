@@ -34,17 +34,16 @@ from heli_lab.watch.encoder_scale import (
 )
 from heli_lab.watch.learn import with_process_noise
 from heli_lab.watch.weak_form import FlightInWeakForm
-from heli_sim.model import MultibodyModel
+from heli_sim.model import MultibodyModel, model_named
 from heli_sim.model.base import Model
+from heli_sim.model.effect import AXES
 from heli_sim.model.effects import catalogue, effects_of
 from heli_sim.model.linear import trim
-from heli_sim.model.named import model_named
-from heli_sim.model.parts import AXES
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig, load_rig, rig_names
+from heli_sim.sil.faults import RigFaults
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions
-from heli_sim.sil.rig_faults import RigFaults
 from heli_sim.sil.world import SilWorld
 
 from tests.twin.rigs import true_rig

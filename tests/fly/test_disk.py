@@ -23,7 +23,7 @@ from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import fly
 
 from tests.fly.test_runner import SHORT, flown, short
-from tests.sil.patient import PATIENT
+from tests.sil.harness import PATIENT
 
 pytestmark = pytest.mark.medium
 
@@ -124,7 +124,7 @@ def test_a_disk_that_blocks_for_seconds_is_not_noticed_by_the_board(
 def test_over_a_port_a_full_disk_lands_the_rig_and_is_reported_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
+    process = pytest.importorskip("heli_sim.sil.transport", reason="skipped: no simulation")
 
     class FullDisk(io.FileIO):
         def write(self, data: object) -> int:
@@ -180,7 +180,7 @@ def test_a_log_that_is_there_is_refused_before_anything_is_armed(tmp_path: Path)
 def test_a_disk_that_takes_not_even_the_beginning_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
+    process = pytest.importorskip("heli_sim.sil.transport", reason="skipped: no simulation")
 
     class FullDisk(io.FileIO):
         def write(self, _: object) -> int:

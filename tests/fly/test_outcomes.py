@@ -14,7 +14,7 @@ from heli_host.fly.pilot import LAW_TAKEN_OVER
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
 from heli_lab.control.law import from_gain
-from heli_sim.formatting import rig_findings
+from heli_sim.model.linear import rig_findings
 from heli_sim.rig import Rig, load_rig, write_rig
 
 pytestmark = pytest.mark.medium

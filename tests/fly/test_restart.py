@@ -17,7 +17,7 @@ from heli_host.fly.runner import Progress, fly
 from heli_host.link.events import BOARD_RESTARTED
 from heli_sim.due import firmware
 from heli_sim.sil.inprocess import InProcessTransport
-from heli_sim.sil.process import SilProcess
+from heli_sim.sil.transport import SilProcess
 from heli_sim.sil.world import SilWorld
 
 pytestmark = pytest.mark.medium

@@ -28,7 +28,7 @@ from heli_host.link.telemetry import Ticks
 
 from tests.fly.fault_flights import world_of
 from tests.running.pixels import coloured_share
-from tests.sil.patient import PATIENT, SOON_LANDING
+from tests.sil.harness import PATIENT, SOON_LANDING
 
 pytestmark = pytest.mark.medium
 
@@ -450,7 +450,7 @@ def test_a_recorder_without_a_plan_takes_what_comes(tmp_path: Path) -> None:
 
 
 def test_over_a_pseudo_terminal_it_flies_the_same(tmp_path: Path) -> None:
-    process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
+    process = pytest.importorskip("heli_sim.sil.transport", reason="skipped: no simulation")
     with process.SilProcess(speed=None) as sil, connect(sil.url) as heli:
         heli.params.restore(PATIENT)
         received: list[Progress] = []
@@ -463,7 +463,7 @@ def test_over_a_pseudo_terminal_it_flies_the_same(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="skipped: kill -9 is POSIX")
 def test_after_kill_9_of_the_host_the_board_lands_and_the_log_opens(tmp_path: Path) -> None:
-    process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
+    process = pytest.importorskip("heli_sim.sil.transport", reason="skipped: no simulation")
     path = tmp_path / "killed.mcap"
     script = (
         "import sys\n"

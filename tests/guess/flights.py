@@ -16,7 +16,7 @@ from heli_host.data.log.reader import read_flight
 from heli_lab.setup.guess.motion import Reference, reference_of
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig, load_rig
 
 from tests.identify.made import flown_by_plan, perturbed

@@ -12,7 +12,7 @@ import pytest
 from heli_sim.errors import EffectError, RigError
 from heli_sim.model.effects import parse_effects
 from heli_sim.model.multibody import MultibodyModel
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig, rig_names
 
 gymnasium = pytest.importorskip("gymnasium", reason="skipped: no gymnasium")

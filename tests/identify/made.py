@@ -15,7 +15,7 @@ from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import fly
 from heli_host.link.session import Session
 from heli_sim.model import Model, MultibodyModel
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig, load_rig
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions

@@ -6,7 +6,7 @@ import ctypes
 from pathlib import Path
 
 import casadi as ca
-import heli_sim.compiled
+import heli_sim.evaluate.compiled
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
@@ -77,8 +77,8 @@ def random_initial_states(equations: Model) -> Floats:
 @pytest.fixture
 def no_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Hide the C compiler, and all functions that were compiled earlier."""
-    monkeypatch.setattr(heli_sim.compiled, "compiler", lambda: None)
-    monkeypatch.setattr(heli_sim.compiled, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(heli_sim.evaluate.compiled, "compiler", lambda: None)
+    monkeypatch.setattr(heli_sim.evaluate.compiled, "cache_folder", lambda: tmp_path)
 
 
 @pytest.mark.parametrize("substeps", [1, 2])
@@ -230,7 +230,7 @@ def test_each_operation_in_each_lane_is_that_of_casadi(tmp_path: Path) -> None:
     head = LOOP.read_text(encoding="utf-8").partition("/* The functions")[0]
     size = len(values)
     source = f"#define SIZE {size}\n{head}{c_function(function)}{_CALL}"
-    library = heli_sim.compiled.compile_source("lanes", source)
+    library = heli_sim.evaluate.compiled.compile_source("lanes", source)
     if library is None:
         pytest.skip("no C compiler")
     random = np.random.default_rng(1)

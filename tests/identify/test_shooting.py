@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import heli_sim.compiled
+import heli_sim.evaluate.compiled
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
@@ -123,8 +123,8 @@ def test_without_a_compiler_the_answer_is_the_same(monkeypatch: pytest.MonkeyPat
     flight = changed_flight(3).between(8.0, 8.0 + 0.1 * samples(25, 15))
     problem = Problem(MultibodyModel(), known(), [flight], free=tuple(CHANGED))
     compiled = solve(problem, fine=False)
-    monkeypatch.setattr(heli_sim.compiled, "compiler", lambda: None)
-    monkeypatch.setattr(heli_sim.compiled, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(heli_sim.evaluate.compiled, "compiler", lambda: None)
+    monkeypatch.setattr(heli_sim.evaluate.compiled, "cache_folder", lambda: tmp_path)
     slow = Problem(MultibodyModel(), known(), [flight], free=tuple(CHANGED))
     assert isinstance(slow.kernel, InterpretedKernel)
     interpreted = solve(slow, fine=False)

@@ -11,7 +11,7 @@ from typing import Any
 from heli_lab.diagnose import diagnose, to_json
 from heli_lab.explain.prediction import HORIZONS
 from heli_sim.model import MultibodyModel
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 from heli_sim.rig import load_rig
 
 from tests.field.cases import NO_DATA

@@ -13,9 +13,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import heli_benchmark.real.hide
-from heli_benchmark.real.hide import HIDDEN_EFFECTS, HIDERS, KnownEffect, hide
-from heli_benchmark.real.score import HiddenResult, score
+import heli_benchmark.real
+from heli_benchmark.real import HIDDEN_EFFECTS, HIDERS, HiddenResult, KnownEffect, hide, score
 from heli_host.data.flight import Flight
 from heli_lab.diagnose import diagnose, to_json
 from heli_lab.fit.records import Record, encoder_counts
@@ -27,7 +26,7 @@ from tests.measured import pairs
 from tests.measured.pairs import MEASURED, PAIRS, RIG, FROM_s, LANDS_s, add_pairs, flights
 from tests.running.kept import KEPT
 
-MADE_BY: Final = tuple(map(Path, (__file__, pairs.__file__, heli_benchmark.real.hide.__file__)))
+MADE_BY: Final = tuple(map(Path, (__file__, pairs.__file__, heli_benchmark.real.__file__)))
 
 
 def hidden_pair(pair: str, effect: KnownEffect | None) -> tuple[Record, Record]:

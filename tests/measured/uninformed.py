@@ -20,7 +20,7 @@ from heli_host.data.arrays import Floats
 from heli_lab.explain.prediction import compare_free_runs, free_runs
 from heli_lab.fit.problem import Fit
 from heli_lab.fit.thresholds import UNINFORMED
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 
 from tests.field.cases import NO_DATA
 from tests.measured.pairs import MEASURED, PAIRS, add_pairs, fitted, flights

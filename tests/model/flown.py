@@ -17,6 +17,7 @@ from heli_lab.fit.problem import Problem
 from heli_lab.fit.records import prepare
 from heli_lab.fit.shooting import solve
 from heli_sim.model import MultibodyModel
+from heli_sim.model.effect import AXES
 from heli_sim.model.effects import EffectSpec, catalogue
 from heli_sim.rig import Prior, load_rig
 
@@ -98,7 +99,7 @@ def main(ids: list[str]) -> None:
             print(f"{kind.id}: residual {estimate.normalised:.3f}", end="")
             for name, off in estimate.off.items():
                 print(
-                    f"; {name} {estimate.params[name]:.5g} +- {estimate.std[name]:.2g} ({off:+.1f} std)",
+                    f"; {name} {estimate.values[name]:.5g} +- {estimate.std[name]:.2g} ({off:+.1f} std)",
                     end="",
                 )
             print(flush=True)
@@ -106,3 +107,22 @@ def main(ids: list[str]) -> None:
 
 if __name__ == "__main__":
     main(sys.argv[1:])
+
+
+COMMON = [
+    *("rotor_lag", "rotor_speed_lag", "rotor_lag_with_delay", "input_delay"),
+    *("thrust_quadratic", "thrust_asymmetry", "thrust_fade", "thrust_step.front", "thrust_step.back"),
+    *("supply_sag", "supply_fade", "inflow_damping", "ground_effect", "rotor_reaction_torque"),
+    *(f"coulomb_friction.{axis}" for axis in AXES),
+    *(f"{axis}_drag_quadratic" for axis in AXES),
+    *("cable_spring.elevation", "cable_spring.travel", "axis_tilt"),
+    "counterweight_shift",
+    *(
+        f"{effect}.{axis}"
+        for effect in ("backlash", "encoder_eccentricity", "zero_offset", "periodic_torque", "random_torque")
+        for axis in AXES
+    ),
+]
+
+MEASURED = ["edgewise_flow", "gyroscopic_torque", "flywheel"]
+"""Effects that measured flights of real rigs showed beyond the common ones."""

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from heli_benchmark.tests import test_cases
 from heli_lab.control.tune.loops import loop_effects_of
 from heli_lab.explain.experiment_design import segment_for
 from heli_lab.watch import twin_model
@@ -21,13 +22,11 @@ from heli_sim.model.effects import catalogue, effect_numbers, parse_effects
 from heli_sim.model.effects.catalogue import _built_in_effects
 from heli_sim.model.effects.spec import format_estimate
 from heli_sim.model.effects.table import with_table
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Number, Rig, load_rig, write_rig
-from heli_sim.sil.options import SilOptions, parse_url
-from heli_sim.sil.plant_factory import plant_of
+from heli_sim.sil.options import SilOptions, parse_url, plant_of
 
-from tests.benchmark import test_cases
-from tests.model.effect_list import COMMON, MEASURED
+from tests.model.flown import COMMON, MEASURED
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 DOCUMENT = DOCS / "reference" / "effects.md"

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heli_benchmark.engine.bodies import JOINTS, mujoco_rig
+from heli_benchmark.plant import JOINTS, mujoco_rig
 from heli_host.data.arrays import Floats
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig
 
-from tests.plant.toys import WIDE
+from tests.model.toys import WIDE
 from tests.running.long import samples
 
 pytestmark = pytest.mark.slow

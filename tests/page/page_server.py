@@ -19,7 +19,7 @@ from heli_host.ui.page.cockpit import Cockpit
 from heli_host.ui.page.serve import Address, serving
 from heli_host.ui.page.source import outline
 
-from tests.sil.patient import SOON_HOLDING
+from tests.sil.harness import SOON_HOLDING
 
 RIG = "makki2024"
 SHORT_PLAN = """

@@ -18,7 +18,7 @@ from heli_host.errors import LinkError, PortError
 from heli_host.ui.page.client import PageError
 from heli_host.ui.page.serve import Address
 from heli_host.ui.page.telemetry import THINNED
-from heli_sim.sil.process import SilProcess
+from heli_sim.sil.transport import SilProcess
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 

@@ -7,7 +7,7 @@ import pytest
 from heli_host.board.heli import Heli
 from heli_host.link.session import Session
 from heli_sim.model import Model, MultibodyModel, PaperModel
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions

@@ -18,7 +18,7 @@ from heli_lab.errors import IdentifyError
 from heli_lab.fit.records import Record
 from heli_sim.model import Model, MultibodyModel, Operands, PaperModel
 from heli_sim.model.effects import RotorLag
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig
 
 pytestmark = pytest.mark.slow

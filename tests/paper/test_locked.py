@@ -6,14 +6,14 @@ import casadi as ca
 import numpy as np
 import pytest
 from heli_sim.model import MultibodyModel
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig
 
 mujoco = pytest.importorskip("mujoco")
 
-from heli_benchmark.engine.bodies import JOINTS, mujoco_rig  # noqa: E402
+from heli_benchmark.plant import JOINTS, mujoco_rig  # noqa: E402
 
-from tests.plant.test_multibody import STEP_S, runge_kutta  # noqa: E402
+from tests.model.test_models import STEP_S, runge_kutta  # noqa: E402
 
 pytestmark = pytest.mark.medium
 

@@ -10,7 +10,7 @@ from heli_lab.apps.paper.lumped import analytic, printed_inertias_kg_m2
 from heli_sim.model import MultibodyModel, PaperModel, PaperPrintedModel
 from heli_sim.rig import load_rig
 
-from tests.plant.toys import rates
+from tests.model.toys import rates
 
 RIG = load_rig("makki2024")
 PRINTED, CORRECTED = PaperPrintedModel(), PaperModel()

@@ -14,7 +14,7 @@ from heli_lab.apps.paper.experiments import fly_plan
 from heli_lab.apps.paper.table6 import LoopVerdict, verdicts
 from heli_lab.control.tune import cascade_gains_of, is_stable, linear_plant
 from heli_sim.model import MultibodyModel, PaperModel
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig
 from typer.testing import CliRunner
 

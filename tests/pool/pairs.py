@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from heli_benchmark.cases.disturbed_case import DisturbedCase
+from heli_benchmark.cases.disturbed import DisturbedCase
 from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.effects.listed import RotorLag
-from heli_benchmark.simulation.tracking import CONTROLLERS
+from heli_benchmark.flights import CONTROLLERS
 from heli_lab.apps.pool import ParameterEstimate, RigDiagnosis, pool, without_prior
 from heli_lab.explain.comparison import Hypothesis, ModelComparison
 from heli_lab.explain.prediction import FreeRun, free_runs, predict

@@ -199,7 +199,7 @@ ELSEWHERE: Final = {
     "test": (".ci/run", "make --no-print-directory test"),
     "check": (".ci/test", ".ci/check"),
     "fuzz": (".ci/test", ".ci/fuzz"),
-    "blind": ("tests/benchmark/test_blind.py", "As `make blind` does"),
+    "blind": ("heli_benchmark/tests/test_blind.py", "As `make blind` does"),
     "docs": ("tests/repo/test_site.py", "def test_the_site_builds_without_a_warning"),
     "firmware": ("tests/firmware/test_tools.py", "def test_platformio_builds_the_same_program"),
 }

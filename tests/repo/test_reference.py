@@ -23,7 +23,7 @@ from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Process, command
 from tests.repo.test_documents import ROOT, blocks, verbs
-from tests.sil.patient import PATIENT
+from tests.sil.harness import PATIENT
 
 TEXT = (ROOT / "docs" / "reference" / "glossary.md").read_text()
 PACKAGES = {"heli_host": "host", "heli_sim": "sim", "heli_lab": "sim", "heli_benchmark": "sim"}

@@ -23,7 +23,7 @@ LARGEST_KIB = 300
 TOP_LEVEL = {
     *("firmware", "host", "sim", "tests", "docs", ".ci", ".devcontainer"),
     *("README.md", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "SECURITY.md"),
-    *("Makefile", "CMakeLists.txt", "platformio.ini", "pyproject.toml"),
+    *("Makefile", "CMakeLists.txt", "conftest.py", "platformio.ini", "pyproject.toml"),
     *(".clang-format", ".clang-tidy", ".gitignore"),
 }
 

@@ -21,12 +21,12 @@ from heli_lab.verbs.tune import rounded_parameters
 from heli_sim.errors import RigError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig, load_rig, rig_text, write_rig
 from heli_sim.rig.board import rig_of_board
-from heli_sim.rig.encoders import counts_per_turn, direction_is_known, directions
+from heli_sim.rig.rig import counts_per_turn, direction_is_known, directions
 from heli_sim.sil.inprocess import InProcessTransport
-from heli_sim.sil.process import SilProcess
+from heli_sim.sil.transport import SilProcess
 
 from tests.cli.terminal import Terminal, terminal
 from tests.identify.made import flown, thinned

@@ -13,7 +13,7 @@ from heli_sim.model import MultibodyModel, PaperModel
 from heli_sim.model.linear import linearise, trim
 from heli_sim.rig import load_rig, rig_names
 from heli_sim.rig.describe import number_from, numbers_from_table
-from heli_sim.rig.inertia import inertia_range_kg_m2, inertias_kg_m2
+from heli_sim.rig.schema import inertia_range_kg_m2, inertias_kg_m2
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -1,4 +1,4 @@
-"""How tests are run: plugins of pytest, which `tests/conftest.py` loads.
+"""How tests are run: plugins of pytest, which `conftest.py` loads.
 
 Does not belong here: claims about the project.
 """

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+import contextlib
+import os
+import select
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
 
 from heli_host.declaration import (
     LINK_HASH,
@@ -18,6 +24,8 @@ from heli_host.declaration import (
 )
 from heli_host.link.frames import Frame, FrameParser, encode_frame
 from heli_sim.sil.options import SilOptions, parse_options
+from heli_sim.sil.ports import Endpoint
+from heli_sim.sil.server import SilServer, TimedClock
 from heli_sim.sil.world import SilWorld
 
 
@@ -78,3 +86,106 @@ class Host:
         assert self.order(ControlMessage, 0, front_V, back_V).result == Result.OK
         self.wait(300)
         self.world.native.locked = [False] * 3
+
+
+# Only how long a failing test takes.
+PATIENCE = 2000
+WAIT_s = 0.01
+
+
+class Bench:
+    """Endpoint, world and server; `turn` lets a slice of 4 ms pass."""
+
+    def __init__(self, endpoint: Endpoint, world: SilWorld) -> None:
+        self.endpoint = endpoint
+        self.world = world
+        self.now_s = 0.0
+        self.server = SilServer(endpoint, world, TimedClock(1.0), now_s=lambda: self.now_s)
+
+    def turn(self, count: int = 1) -> None:
+        for _ in range(count):
+            self.now_s += 0.004
+            self.server.turn()
+
+    def turn_all(self, count: int) -> bool:
+        """Turn, as part of a condition."""
+        self.turn(count)
+        return True
+
+    def until(self, done: Callable[[], object]) -> None:
+        """Turn until something is so; the kernel carries bytes in its own time."""
+        for _ in range(PATIENCE):
+            if done():
+                return
+            self.turn()
+            select.select([], [], [], 0.0005)
+        raise AssertionError("it never happened")
+
+
+class PtyHost:
+    """A host with the port open."""
+
+    def __init__(self, path: str) -> None:
+        self._fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+    def write(self, data: bytes) -> None:
+        assert os.write(self._fd, data) == len(data)
+
+    def read(self) -> bytes:
+        with contextlib.suppress(BlockingIOError):
+            return os.read(self._fd, 65536)
+        return b""
+
+    def gone(self) -> bool:
+        try:
+            return os.read(self._fd, 65536) == b""
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+
+    def close(self) -> None:
+        os.close(self._fd)
+
+
+class TcpHost:
+    """A host with a connection open."""
+
+    def __init__(self, url: str) -> None:
+        host, port = url.removeprefix("socket://").split(":")
+        self._socket = socket.create_connection((host, int(port)))
+        self._socket.setblocking(False)
+
+    def write(self, data: bytes) -> None:
+        assert self._socket.send(data) == len(data)
+
+    def read(self) -> bytes:
+        with contextlib.suppress(BlockingIOError):
+            return self._socket.recv(65536)
+        return b""
+
+    def gone(self) -> bool:
+        try:
+            return self._socket.recv(65536) == b""
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+PATIENT: Final = {"setpoint_hold_s": 5.0, "setpoint_land_s": 30.0}
+"""Longest declared times that a board waits for a setpoint, s; for `Parameters.restore`."""
+SOON_LANDING: Final = {"setpoint_hold_s": 5.0, "setpoint_land_s": 10.0}
+"""The same where a test waits for the landing."""
+SOON_HOLDING: Final = {"setpoint_hold_s": 2.0, "setpoint_land_s": 5.0}
+"""The same where it waits for the hold as well, in real time."""
+
+
+def patient_file(folder: Path) -> Path:
+    """Write them as a file for ``--params``."""
+    path = folder / "patient.toml"
+    path.write_text("[parameters]\n" + "".join(f"{name} = {value}\n" for name, value in PATIENT.items()))
+    return path

@@ -16,11 +16,10 @@ from heli_host.declaration import MessageId
 from heli_host.errors import HeliError, PortError
 from heli_host.link.frames import FrameParser
 from heli_host.link.transport import open_transport
-from heli_sim.sil.clock import TimedClock
-from heli_sim.sil.intervals import Span
+from heli_sim.sil.faults import Span
 from heli_sim.sil.options import parse_options
 from heli_sim.sil.pty import PtyEndpoint
-from heli_sim.sil.server import SilServer
+from heli_sim.sil.server import SilServer, TimedClock
 from heli_sim.sil.world import SilWorld
 
 from tests.sil.faulty_flights import Heard

@@ -16,7 +16,7 @@ from heli_lab.apps.campaign import Campaign, Case, Store, run_campaign
 from heli_lab.apps.campaign.run import CampaignProgress
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import RotorLag
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig, load_rig
 
 from tests.tune.pilot import SINE_S, demanding_path_deg, fly, with_numbers

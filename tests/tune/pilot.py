@@ -19,9 +19,9 @@ from heli_host.fly import route
 from heli_host.link.channels import physical
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.telemetry import TelemetryDecoder
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig
-from heli_sim.rig.encoders import counts_per_turn
+from heli_sim.rig.rig import counts_per_turn
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 

@@ -33,7 +33,7 @@ from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel, PaperModel
 from heli_sim.model.base import Model
 from heli_sim.model.effects import RotorLag, parse_effects
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig
 
 from tests.running.long import LONG, samples

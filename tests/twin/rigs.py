@@ -18,12 +18,11 @@ from heli_lab.watch.calibration import TwinRig
 from heli_lab.watch.learn import fly_simulated, learn, random_plan, with_process_noise
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Effect, Model, Operands
+from heli_sim.model.effect import smooth_step
 from heli_sim.model.effects import catalogue, parse_effects
-from heli_sim.model.effects.cable_spring import CableSpring
-from heli_sim.model.effects.coulomb_friction import CoulombFriction
-from heli_sim.model.effects.thrust_fade import ThrustFade
-from heli_sim.model.effects.zero_offset import ZeroOffset
-from heli_sim.model.parts import smooth_step
+from heli_sim.model.effects.encoders import ZeroOffset
+from heli_sim.model.effects.thrust import ThrustFade
+from heli_sim.model.effects.torques import CableSpring, CoulombFriction
 from heli_sim.rig import Rig, load_rig
 
 NOMINAL_RIG = "makki2024"

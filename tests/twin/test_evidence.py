@@ -21,8 +21,8 @@ from heli_lab.watch.likelihood_ratio import (
 )
 from heli_lab.watch.twin_model import Change, all_changes
 from heli_sim.model import MultibodyModel
+from heli_sim.model.effect import AXES
 from heli_sim.model.linear import derivatives, trim
-from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig, load_rig
 from scipy.integrate import solve_ivp
 

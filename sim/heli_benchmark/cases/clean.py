@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import argparse
+import fnmatch
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from heli_host.data.log.table import write_csv
@@ -12,8 +15,8 @@ from heli_sim.rig import Rig, load_rig
 
 from heli_benchmark.effects.listed import LISTED, MORE_LISTED, OTHER_FORMS, Maker
 from heli_benchmark.effects.unlisted import MORE_OFF_LIST, OFF_LIST
-from heli_benchmark.engine.plant import HiddenEffect
-from heli_benchmark.simulation.flight_code import flown, plan
+from heli_benchmark.flights import flown, plan
+from heli_benchmark.plant import HiddenEffect
 
 TRAIN_S, VALIDATE_S = 60.0, 40.0
 _NOTHING = 12
@@ -154,3 +157,23 @@ def _cases_by_kind() -> Iterator[Case]:
 def _size_factor(seed: int) -> float:
     """Draw a factor by which the size of an effect differs from the small or large one in its list."""
     return float(np.random.default_rng([seed, 0]).uniform(0.8, 1.3))
+
+
+AnyCase = TypeVar("AnyCase", bound=Case)
+
+
+def add_choice(parser: argparse.ArgumentParser) -> None:
+    """Add to a `parser` the options that `chosen` reads, and the option for the folder of results."""
+    parser.add_argument("only", nargs="*", help="names of cases, with wildcards; default: all")
+    parser.add_argument("--first", type=int, help="only the first N, a fair sample")
+    parser.add_argument("--folder", type=Path, default=Path("build/blind"), help="flights and results")
+
+
+def matches(name: str, patterns: Sequence[str]) -> bool:
+    """Return whether a `name` matches one of the `patterns`; True if there are none."""
+    return not patterns or any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def chosen(cases: Iterable[AnyCase], options: argparse.Namespace) -> list[AnyCase]:
+    """Return the `cases` that the parsed command line, `options`, selects, in their order."""
+    return [case for case in cases if matches(case.name, options.only)][: options.first]

@@ -19,17 +19,18 @@ from heli_benchmark.cases.disturbed import (
     NEVER_DRAWN,
     PAPER_RIG,
     PAPER_RIG_ONLY,
+    QUANSER_RIG,
     SIZES,
     SPEED_LAG,
     STRENGTH_FACTORS,
     STRONGLY_EXCITED_ONLY,
     WEAK_EXCITATION_FACTOR,
+    DisturbedCase,
     RATES_Hz,
 )
-from heli_benchmark.cases.disturbed_case import QUANSER_RIG, DisturbedCase
 from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.effects.unlisted import DISTURBED
-from heli_benchmark.simulation.tracking import CONTROLLERS, Route
+from heli_benchmark.flights import CONTROLLERS, Route
 
 LISTED_CAUSES: Final = tuple(name for name in SIZES if not name.startswith(NEVER_DRAWN))
 """Causes that a case may hide, by their names in the catalogue."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from heli_benchmark.task import Answer, BenchmarkCase
-from heli_benchmark.task.answer import answer_content
+from heli_benchmark.task import Answer, BenchmarkCase, answer_content
 
 
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:

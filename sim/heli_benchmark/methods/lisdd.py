@@ -14,8 +14,7 @@ from scipy.stats import chi2, f
 from sklearn.cluster import KMeans
 from statsmodels.stats.multitest import multipletests
 
-from heli_benchmark.methods.equation_torques import torques_of_terms
-from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regression
+from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regression, torques_of_terms
 from heli_benchmark.task import NOTHING, BenchmarkCase, answer_with
 
 _REGIMES: Final = 6

@@ -10,8 +10,7 @@ from heli_lab.diagnose import diagnose as lab_diagnose
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig
 
-from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, Estimate, answer_with
-from heli_benchmark.task.combined_causes import of_parts
+from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, Causes, Estimate, answer_with, of_parts
 
 _LISTED: Final = "listed"
 _SHARES: Final = {

@@ -8,8 +8,7 @@ import numpy as np
 from heli_host.data.arrays import Floats
 from pysindy.optimizers import STLSQ, EnsembleOptimizer
 
-from heli_benchmark.methods.equation_torques import torques_of_terms
-from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regression
+from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regression, torques_of_terms
 from heli_benchmark.task import BenchmarkCase, Estimate, answer_with
 
 _MODELS: Final = 10

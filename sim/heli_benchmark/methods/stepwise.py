@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-from heli_benchmark.methods.equation_torques import torques_of_terms
-from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regression
+from heli_benchmark.methods.terms import ResidualRegression, Term, residual_regression, torques_of_terms
 from heli_benchmark.task import UNLISTED, BenchmarkCase, answer_with
 
 MAX_TERMS: Final = 5

@@ -11,8 +11,7 @@ from typing import Any, Final
 import numpy as np
 from pyoperon.sklearn import SymbolicRegressor
 
-from heli_benchmark.methods.equation_torques import torques_of_accelerations
-from heli_benchmark.methods.terms import ResidualRegression, residual_regression
+from heli_benchmark.methods.terms import ResidualRegression, residual_regression, torques_of_accelerations
 from heli_benchmark.task import NOTHING, UNLISTED, BenchmarkCase, answer_with
 
 _SETTINGS: Final = {"population_size": 500, "generations": 200, "max_evaluations": 100_000, "max_length": 15}

@@ -1,65 +1,123 @@
-"""One case from its flights to its row, with files that let an interrupted run continue."""
+"""Run the diagnosis of the laboratory on two flights."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping
+import os
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, Protocol, TypeVar
 
 import heli_lab
 import heli_sim
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
+from heli_host.errors import FlightAborted
+from heli_lab.diagnose import Diagnosis, diagnose, to_json
+from heli_sim.errors import SimError
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
 from heli_sim.rig import Rig, load_rig
 
 from heli_benchmark.cases.clean import Case, clean_cases
-from heli_benchmark.cases.disturbed import disturbed_cases
-from heli_benchmark.cases.disturbed_case import DisturbedCase
-from heli_benchmark.reference.informed_fit import InformedFit, fit_informed
-from heli_benchmark.reference.truth import hidden_in
-from heli_benchmark.reference.visibility import visibility
-from heli_benchmark.runs.ask import REFITS, timed_diagnosis
-from heli_benchmark.scoring.judge import Row, judge
+from heli_benchmark.cases.disturbed import DisturbedCase, disturbed_cases
+from heli_benchmark.judge import Row, judge
+from heli_benchmark.truth import InformedFit, fit_informed, hidden_in
+from heli_benchmark.visibility import visibility
+
+REFITS: Final = 80
+"""Refits of a search, the default of the command line."""
+
+
+class _FlyableCase(Protocol):
+    """A case that can fly its two flights itself."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def rig_name(self) -> str: ...
+    def both_flights(self) -> tuple[Flight, Flight]: ...
+
+
+_Case = TypeVar("_Case", bound=_FlyableCase)
+
+
+def run_diagnosis(
+    rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS, unlisted: Collection[str] = ()
+) -> Diagnosis:
+    """Diagnose two flights; the diagnosis gets the nominal rig and no truth."""
+    kinds = {id_: kind for id_, kind in catalogue().items() if id_ not in unlisted}
+    return diagnose(
+        MultibodyModel(), rig, flights[:1], flights[1:], kinds=kinds, labels=["a", "b"], refits=refits
+    )
+
+
+def diagnosis_json(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:
+    """Return the result of `run_diagnosis`, with at most `refits` refits, as JSON."""
+    return to_json(run_diagnosis(rig, flights, refits))
+
+
+def diagnosed_cases(cases: Iterable[_Case]) -> Iterator[tuple[_Case, dict[str, Any], float]]:
+    """Fly and diagnose `cases`: yield each with its result as JSON and the processor time in s.
+
+    A case whose rig leaves the safe range is reported and skipped.
+    """
+    for case in cases:
+        try:
+            flights = case.both_flights()
+        except FlightAborted as error:
+            print(f"{case.name:55} not flown: {error}", flush=True)
+            continue
+        started_s = time.process_time()
+        result = diagnosis_json(load_rig(case.rig_name), flights)
+        yield case, result, time.process_time() - started_s
+
+
+def timed_diagnosis(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:
+    """Diagnose two flights, and measure the time."""
+    started_s, started_cpu_s = time.perf_counter(), _cpu_s()
+    result, failure = None, ""
+    try:
+        result = diagnosis_json(rig, flights, refits)
+    except (SimError, ArithmeticError, LookupError, TypeError, ValueError) as error:
+        # An error in one case must not end the run; it counts as a miss and is reported.
+        failure = f"{type(error).__name__}: {error}"
+    return {
+        "result": result,
+        "failure": failure,
+        "seconds": time.perf_counter() - started_s,
+        "cpu_seconds": _cpu_s() - started_cpu_s,
+    }
+
+
+def _cpu_s() -> float:
+    """CPU time of this process and of the children that it has waited for."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
 
 WORK = f"{__name__}:run_named_case"
 """Address of the function that a campaign calls for each case."""
 _BENCHMARK = Path(__file__).parents[1]
 _SIM, _LAB = Path(heli_sim.__file__).parent, Path(heli_lab.__file__).parent
-_FLIGHT_CODE_FILES = tuple(
-    _BENCHMARK / name
-    for name in (
-        *("engine/bodies.py", "engine/plant.py", "effects/listed.py", "effects/unlisted.py"),
-        *("cases/clean.py", "simulation/flight_code.py"),
-    )
+_FLIGHT_FILES = (
+    *(_BENCHMARK / name for name in ("plant.py", "flights.py", "cases/clean.py", "cases/disturbed.py")),
+    *sorted((_BENCHMARK / "effects").glob("*.py")),
 )
-_DISTURBED_FILES = tuple(
-    _BENCHMARK / name
-    for name in (
-        *("engine/bodies.py", "engine/plant.py", "effects/listed.py", "effects/unlisted.py"),
-        *("effects/measured.py", "effects/disturbances.py", "simulation/tracking.py"),
-        *("cases/clean.py", "cases/disturbed_case.py"),
-    )
-)
-_REFERENCE_FILES = (_BENCHMARK / "reference/informed_fit.py", _BENCHMARK / "reference/truth.py")
-_VISIBILITY_FILES = tuple(
-    _BENCHMARK / name
-    for name in ("engine/true_trajectory.py", "reference/replay.py", "reference/visibility.py")
-)
-_PAGE_FILES = ("figures.py", "result_figures.py", "page.py", "sentences.py", "equation_figures.py")
 _DIAGNOSIS_FILES = tuple(
     path
     for room in (
-        *(_LAB / name for name in ("diagnose", "estimation", "identify")),
-        *(_SIM / name for name in ("model", "compiled", "rig")),
+        *(_LAB / name for name in ("explain", "fit")),
+        *(_SIM / name for name in ("evaluate", "model", "rig")),
         *(_SIM.with_name(name) for name in ("kalman", "expression_vm")),
     )
     for path in sorted(room.rglob("*"))
-    if path.suffix in (".py", ".toml", ".hpp", ".cpp") and path.name not in _PAGE_FILES
+    if path.suffix in (".py", ".toml", ".hpp", ".cpp", ".c")
 )
-"""Files that an answer depends on: all but those of the page."""
+"""Files that an answer depends on."""
 _PAPER = "makki2024"
 
 
@@ -117,9 +175,7 @@ def prepare(case: Case, folder: Path, *, keep: bool = False) -> PreparedCase:
     """Fly a case, and compute how visible its causes are."""
     case_folder = folder / case.name
     case_folder.mkdir(parents=True, exist_ok=True)
-    made_by = _digest_of_files(
-        repr(case), _DISTURBED_FILES if isinstance(case, DisturbedCase) else _FLIGHT_CODE_FILES
-    )
+    made_by = _digest_of_files(repr(case), _FLIGHT_FILES)
     digest_file = case_folder / "made_by.txt"
     is_current = digest_file.exists() and digest_file.read_text() == made_by
     if not is_current and not (keep and any(case_folder.iterdir())):
@@ -131,12 +187,12 @@ def prepare(case: Case, folder: Path, *, keep: bool = False) -> PreparedCase:
     flights = read_flight(paths[0]), read_flight(paths[1])
     rig = load_rig(case.rig_name if isinstance(case, DisturbedCase) else _PAPER)
     if isinstance(case, DisturbedCase):
-        code = _digest_of_files(made_by, _VISIBILITY_FILES)
+        code = _digest_of_files(made_by, [_BENCHMARK / "visibility.py"])
         visible = _cached_result(case_folder / "visibility.json", code, keep, lambda: dict(visibility(case)))
         return PreparedCase(flights, rig, visible)
     # The truth does not depend on the laboratory: an edit there does not require 127 new fits.
     hidden = hidden_in(case, _motors_on_s(flights[0], rig))
-    code = _digest_of_files(made_by, _REFERENCE_FILES)
+    code = _digest_of_files(made_by, [_BENCHMARK / "truth.py"])
     informed = _cached_result(
         case_folder / "informed.json", code, keep, lambda: asdict(fit_informed(rig, flights, hidden))
     )

@@ -1,4 +1,4 @@
-"""`python -m heli_benchmark.runs.removed_effects`: does a discovered equation replace a removed effect?"""
+"""Cases of effects that are removed from the catalogue, with disturbances, half of them with a rotor lag."""
 
 from __future__ import annotations
 
@@ -7,9 +7,112 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, Final
 
-from heli_benchmark.cases.selection import chosen
-from heli_benchmark.runs.equations import EquationRow, add_rows, judge_rows
+from heli_host.data.flight import Flight
+from heli_lab.apps.campaign.works import DEFAULTS, fly
+from heli_lab.explain.comparison import ModelComparison
+from heli_lab.fit.records import prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.rig import load_rig
+
+from heli_benchmark.cases.clean import chosen
+from heli_benchmark.cases.disturbed import LAG, PAPER_RIG, SIZES, DisturbedCase
+from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
+from heli_benchmark.effects.listed import LISTED, MEASURED_EFFECTS, MORE_LISTED, Maker
+from heli_benchmark.flights import CONTROLLERS
+from heli_benchmark.runs.case import REFITS, run_diagnosis
+from heli_benchmark.runs.equations import (
+    EquationRow,
+    add_rows,
+    informed_errors_deg,
+    judge_rows,
+    listed_candidates,
+)
+
+REMOVED: Final[Mapping[str, tuple[str, ...]]] = {
+    LAG: ("rotor_speed_lag", "rotor_lag_with_delay", "input_delay"),
+    "travel_drag_quadratic": (),
+    "pitch_drag_quadratic": (),
+    "cable_spring.travel": (),
+    "axis_tilt": (),
+    "edgewise_flow": (),
+    "gyroscopic_torque": ("flywheel",),
+    "rotor_reaction_torque": (),
+    "coulomb_friction.travel": (),
+    "thrust_asymmetry": (),
+    "inflow_damping": (),
+    "encoder_eccentricity.travel": (),
+}
+"""Effects, each with those of its family: another name for the same effect would leave no gap."""
+_LAG_s, _LARGER = 0.1, 1.6
+"""Lag in s, and factor of the other sizes under weak disturbances: each effect must reduce an error that is
+visible above the disturbances."""
+_MAKERS: Final[Mapping[str, Maker]] = {
+    **{name: maker for name, (maker, _, _) in (LISTED | MORE_LISTED).items()},
+    **{name: maker for name, (maker, _) in MEASURED_EFFECTS.items()},
+}
+
+
+def removed_effect_cases() -> list[DisturbedCase]:
+    """Return one case of each effect."""
+    cases = []
+    for number, name in enumerate(REMOVED):
+        lag_effect = ((LAG, _LAG_s),) if number % 2 and name != LAG else ()
+        effects = (*lag_effect, (name, SIZES[name] * (1.0 if name == LAG else _LARGER)))
+        cases.append(
+            DisturbedCase(
+                f"taken-off-{name}",
+                effects,
+                (),
+                6000 + number,
+                tuple(_MAKERS[effect] for effect, _ in effects),
+                PAPER_RIG,
+                100,
+                False,
+                CONTROLLERS[number % 3],
+                DisturbanceModel(STRENGTHS_Nm[0], CORRELATION_TIMES_s[number % 3]),
+            )
+        )
+    return cases
+
+
+def judge_replacement(
+    case: DisturbedCase, flights: tuple[Flight, Flight], folder: Path, refits: int = REFITS
+) -> dict[str, Any]:
+    """Diagnose a case without its last effect in the catalogue, and judge the equation that replaces it."""
+    rig = load_rig(case.rig_name)
+    name = case.effects[-1][0]
+    diagnosis = run_diagnosis(rig, flights, refits, (name, *REMOVED[name]))
+    proposed = diagnosis.proposed_term
+    records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]
+    comparison = ModelComparison(MultibodyModel(), rig, records[:1], records[1:])
+    other_causes = listed_candidates(effect for effect, _ in case.effects[:-1])
+    errors_without_deg = informed_errors_deg(comparison, other_causes)
+    informed_deg = informed_errors_deg(comparison, [*other_causes, *listed_candidates([name])])
+    axis = max(informed_deg, key=lambda name: errors_without_deg[name] / informed_deg[name])
+    proposal = diagnosis.proposal
+    reductions = diagnosis.error_reductions if proposal is None else proposal.evaluation.reductions
+    found_deg = reductions[axis].after_deg
+    answer: dict[str, Any] = {
+        "verdict": diagnosis.label,
+        "causes": [cause.candidate.id for cause in diagnosis.verdict.causes],
+        "expression": None if proposed is None else proposed.sentence,
+        "axis": axis,
+        "without_deg": errors_without_deg[axis],
+        "informed_deg": informed_deg[axis],
+        "found_deg": found_deg,
+        "share": (errors_without_deg[axis] - found_deg) / (errors_without_deg[axis] - informed_deg[axis]),
+        "seconds": diagnosis.effort.seconds,
+    }
+    if proposed is not None:
+        path = folder / case.name / "proposed.py"
+        path.write_text(proposed.effect_file("Proposed."))
+        effect = proposed.discovery.effect.name
+        flown, _ = fly({**DEFAULTS, "plan": "hover", "effect_files": [str(path)], "effects": [effect]})
+        answer["flies"] = flown["outcome"]
+    return answer
+
 
 SHARE = 0.8
 """Share of the error reduction of the removed effect that its equation must reach."""
@@ -23,8 +126,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_rows(parser, Path("removed_effects.json"))
     options = parser.parse_args(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from heli_benchmark.cases.removed_effects import removed_effect_cases
-    from heli_benchmark.runs.removed_effect_reference import judge_replacement
 
     cases = chosen(removed_effect_cases(), options)
     rows = judge_rows(

@@ -120,8 +120,7 @@ def run(
     """
     from functools import partial
 
-    from heli_benchmark.cluster import run_on_cluster
-    from heli_benchmark.entries import RunLimits, run_method
+    from heli_benchmark.entries import RunLimits, run_method, run_on_cluster
     from heli_benchmark.task import read_split
 
     split = read_split(folder)
@@ -156,8 +155,8 @@ def score(
     """
     from heli_host.ui.cli.options import check_result_places
 
-    from heli_benchmark.leaderboard import score_runs, scores_content
-    from heli_benchmark.leaderboard.report import comparison_table, pair_lines
+    from heli_benchmark.leaderboard import comparison_table, pair_lines, scores_content
+    from heli_benchmark.scores import score_runs
     from heli_benchmark.task import read_split
 
     check_result_places(json)
@@ -188,8 +187,7 @@ def report(
 
     Example: `heli-host benchmark report scores.json -o report`
     """
-    from heli_benchmark.leaderboard import pooled_scores
-    from heli_benchmark.leaderboard.report import draw_comparison, report_text
+    from heli_benchmark.leaderboard import draw_comparison, pooled_scores, report_text
 
     summary = pooled_scores(scores)
     output.mkdir(parents=True, exist_ok=True)

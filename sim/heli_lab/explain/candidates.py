@@ -20,10 +20,10 @@ import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
 from heli_sim.model.base import Effect, Model, Operands
+from heli_sim.model.effect import AXES
+from heli_sim.model.effect import thrust_N as static_thrust_N
 from heli_sim.model.effects.spec import EffectSpec
-from heli_sim.model.parts import AXES
-from heli_sim.model.parts import thrust_N as static_thrust_N
-from heli_sim.rig.quantity import Prior, Quantity
+from heli_sim.rig.schema import Prior, Quantity
 
 from heli_lab.fit.flight_model import known_directions, model_along
 from heli_lab.fit.linearised_flight import LinearisedFlight

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
 from heli_sim.model.base import Model
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 from heli_sim.rig import Prior
 
 from heli_lab.explain.candidates import (

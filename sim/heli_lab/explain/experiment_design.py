@@ -20,7 +20,7 @@ from heli_sim.errors import SimError
 from heli_sim.model.base import Model
 from heli_sim.model.effect import Stage
 from heli_sim.model.effects import EffectSpec
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig
 
 from heli_lab.explain.assessment import Assessment

@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats
+from heli_sim.model.effect import AXES
 from heli_sim.model.effects.spec import EffectSpec
-from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior, Rig
 
 from heli_lab.explain import thresholds

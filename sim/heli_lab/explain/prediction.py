@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Floats
 from heli_sim.model.base import Model
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 from heli_sim.rig import Prior, Rig
 
 from heli_lab.errors import IdentifyError

@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.arrays import Floats
-from heli_sim.model.parts import AXES
-from heli_sim.rig.quantity import Prior
+from heli_sim.model.effect import AXES
+from heli_sim.rig.schema import Prior
 
 from heli_lab.explain.contributions import accelerations
 from heli_lab.explain.regression import Discovery

@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 
 from heli_lab.explain import thresholds
 from heli_lab.explain.candidates import Candidate, ScoredCandidate, quantity_values, spline_candidates

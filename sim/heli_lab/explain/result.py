@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from heli_sim.model.effect import AXES
 from heli_sim.model.effects import EffectSpec, effect_numbers
-from heli_sim.model.parts import AXES
 from heli_sim.rig import Number, Rig
 
 from heli_lab.explain.assessment import Assessment

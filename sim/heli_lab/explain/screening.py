@@ -22,8 +22,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Floats
+from heli_sim.model.effect import AXES
 from heli_sim.model.effects.spec import EffectSpec
-from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior
 
 from heli_lab.explain.candidates import (

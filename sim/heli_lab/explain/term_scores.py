@@ -15,7 +15,7 @@ from typing import Final
 import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 
 from heli_lab.explain.candidates import ExtendedModel
 from heli_lab.explain.screening import Screening, score_of

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import casadi as ca
-from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.parts import AXES
-from heli_sim.rig.quantity import Prior, Quantity
+from heli_sim.model.effect import AXES, Effect, Operands, Stage
+from heli_sim.rig.schema import Prior, Quantity
 
 BASE: Final = ("N", "m", "s", "V", "rad")
 """Base units. The radian counts as 1 in the argument of a function, and is kept in units of parameters: N

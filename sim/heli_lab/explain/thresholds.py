@@ -190,7 +190,7 @@ Higher: small unlisted terms are missed."""
 MATTERS_COUNTS: Final[Annotated[float, "encoder counts", JUDGEMENT]] = 0.1
 """Root mean square change of the 2 s open-loop prediction, or of its error on held-out flights, from which on
 a significant effect is named: a third of the quantisation's standard deviation. A sag of 0.005 per volt
-changes 0.085 counts, a delay of 30 ms 4.7 (development seeds 7000 of `heli_benchmark.cases.calm`, 2026-11).
+changes 0.085 counts, a delay of 30 ms 4.7 (development seeds 7000 of `heli_benchmark.runs.calm`, 2026-11).
 Lower: numerical errors are named in flights without disturbances. Higher: weak causes are not named."""
 
 MATTERS_NATS_PER_ROW: Final[Annotated[float, "nats", MEASUREMENT]] = 0.5

@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from heli_host.data.arrays import Floats
-from heli_sim.model.effect import Effect
+from heli_sim.model.effect import AXES, Effect
 from heli_sim.model.effects import EffectSpec
 from heli_sim.model.effects.spec import format_estimate
-from heli_sim.model.parts import AXES
 
 from heli_lab.explain import thresholds
 from heli_lab.explain.candidates import ScoredCandidate

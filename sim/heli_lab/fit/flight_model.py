@@ -11,8 +11,7 @@ import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
 from heli_sim.model.base import Model
-from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES, Effect, Operands, Stage
 from heli_sim.rig import Prior, Quantity, Rig
 from typing_extensions import override
 

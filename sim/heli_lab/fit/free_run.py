@@ -28,8 +28,8 @@ from typing import Final
 import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats, Integers
-from heli_sim.compiled import compile_source
 from heli_sim.errors import PlantError
+from heli_sim.evaluate.compiled import compile_source
 from heli_sim.model.base import Model
 from typing_extensions import override
 

@@ -19,7 +19,7 @@ import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_sim.model.base import Model
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 from heli_sim.rig import Number, Rig
 
 from heli_lab.errors import IdentifyError, NotExcited

@@ -12,7 +12,7 @@ import numpy as np
 from heli_host.data.arrays import Floats, Integers
 from heli_host.data.flight import Flight
 from heli_sim.model.base import Model
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 from heli_sim.rig import Prior, Rig
 from heli_sim.rig.schema import ENCODER_COUNTS, UNSTATED
 

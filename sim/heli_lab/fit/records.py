@@ -12,9 +12,9 @@ import numpy as np
 from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import Flight
 from heli_host.data.response import count_rad
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 from heli_sim.rig import Rig
-from heli_sim.rig.encoders import count_rad as rig_count_rad
+from heli_sim.rig.rig import count_rad as rig_count_rad
 
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.fit import thresholds

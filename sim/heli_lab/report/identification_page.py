@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from heli_host.data.flight import broken_at_gaps
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 
 from heli_lab.fit.identification import Identification, Trace, rounded, unexcited_axes
 from heli_lab.fit.thresholds import QUANTISATION_ONLY

@@ -14,7 +14,7 @@ from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.ui.cli.verb import Verb
 
 if TYPE_CHECKING:
-    from heli_sim.plant import Plant
+    from heli_sim.model.plant import Plant
     from matplotlib.figure import Figure
 
     from heli_lab.apps.paper.experiments import PaperFlight
@@ -81,7 +81,7 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonOption = None) -> None:
     Example: `heli-host paper gains`
     """
     from heli_host.ui.cli.options import check_result_places
-    from heli_sim.model.named import model_named
+    from heli_sim.model import model_named
     from heli_sim.rig import load_rig
 
     from heli_lab.apps.paper.table6 import gain_lines, verdicts
@@ -106,7 +106,7 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonOption = 
     """
     from heli_host.ui.cli.live import WorkBar
     from heli_host.ui.cli.options import check_result_places
-    from heli_sim.model.named import MODELS, model_named
+    from heli_sim.model import MODELS, model_named
 
     from heli_lab.apps.paper.experiments import fly_plan
     from heli_lab.apps.paper.tables import model_errors, model_lines
@@ -138,8 +138,8 @@ def equations(
 
     Example: `heli-host paper equations paper_printed`
     """
+    from heli_sim.model import model_named
     from heli_sim.model.latex import equations as equations_of
-    from heli_sim.model.named import model_named
 
     for equation in equations_of(model_named(model)):
         say(*equation.text.splitlines())
@@ -198,8 +198,8 @@ def figures(
 
 def _flyable_plant(rig: str, model: str) -> Plant:
     """Return a rig with a model; an IdentifyError is raised if its hover voltage differs from the paper's."""
-    from heli_sim.model.named import model_named
-    from heli_sim.plant import Plant
+    from heli_sim.model import model_named
+    from heli_sim.model.plant import Plant
     from heli_sim.rig import load_rig
 
     from heli_lab.apps.paper.experiments import check_rig
@@ -211,7 +211,7 @@ def _flyable_plant(rig: str, model: str) -> Plant:
 
 def _with_heavier_rotor(plant: Plant) -> Plant:
     """Return a plant whose front rotor is heavier by its tolerance."""
-    from heli_sim.plant import Plant
+    from heli_sim.model.plant import Plant
 
     mass = plant.rig[_HEAVIER_ROTOR]
     return Plant(plant.model, plant.rig.replace(**{_HEAVIER_ROTOR: mass.value + mass.tolerance}))

@@ -76,9 +76,9 @@ def tune(
     from heli_host.errors import FlightAborted
     from heli_host.ui.cli.live import WorkBar
     from heli_host.ui.cli.options import check_parameters_place, check_result_places
+    from heli_sim.model import MODELS, model_named
     from heli_sim.model.effects import effects_with
-    from heli_sim.model.effects.rotor_lag import RotorLag
-    from heli_sim.model.named import MODELS, model_named
+    from heli_sim.model.effects.lags import RotorLag
     from heli_sim.rig import load_rig
 
     from heli_lab.control.tune import find_gains, loop_effects_of
@@ -159,7 +159,7 @@ def _fly_test(
     test_models: Sequence[_TestModel], rig: Rig, parameters: Mapping[str, float], seed: int, bar: WorkBar
 ) -> list[Trial]:
     """Simulate a test flight with the board's parameters for each model, and return the results."""
-    from heli_sim.plant import Plant
+    from heli_sim.model.plant import Plant
 
     from heli_lab.control.tune.trial import try_gains
 
@@ -181,7 +181,7 @@ def _lag_label(lag_s: float | None) -> str:
 def _rig_lines(rig: Rig, model: str, design: Design, loop_effects: LoopEffects) -> list[str]:
     """Describe the rig and the plants of the design; name unknown encoder directions and excluded effects."""
     from heli_host.declaration import AXES
-    from heli_sim.rig.encoders import direction_is_known
+    from heli_sim.rig.rig import direction_is_known
 
     lags_ms = [1e3 * plant.lag_s for plant in design.plants]
     delay_text = f", delay {1e3 * loop_effects.delay_s:.0f} ms" if loop_effects.delay_s else ""

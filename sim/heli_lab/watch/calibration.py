@@ -16,9 +16,9 @@ import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.data.files import TOML_BYTES, decode_text, parse_toml, read_file, toml_string, write_signed
 from heli_host.errors import file_remedy
+from heli_sim.model import model_named
 from heli_sim.model.base import Model
 from heli_sim.model.effects import effects_of
-from heli_sim.model.named import model_named
 from heli_sim.rig import Rig, load_rig
 from scipy.optimize import brentq, minimize
 from scipy.stats import genpareto

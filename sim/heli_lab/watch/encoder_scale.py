@@ -28,10 +28,10 @@ import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_host.data.log.summary import FlightFinding
+from heli_sim.model import model_named
 from heli_sim.model.base import Model
+from heli_sim.model.effect import AXES
 from heli_sim.model.effects import EffectSpec, catalogue, effects_of
-from heli_sim.model.named import model_named
-from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig, load_rig
 
 from heli_lab.fit.normal_equations import DampedStep, minimise

@@ -13,7 +13,7 @@ from typing import Final, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from heli_host.data.arrays import Floats
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 
 from heli_lab.watch.likelihood_ratio import LikelihoodRatio
 

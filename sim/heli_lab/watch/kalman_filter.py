@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from heli_host.data.arrays import Floats
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 from scipy.special import erf
 
 from heli_lab.fit import _kalman

@@ -21,12 +21,12 @@ from heli_host.data.flight import Flight
 from heli_host.errors import FlightAborted
 from heli_host.fly.plan import Plan
 from heli_sim.model.base import Effect, Model
+from heli_sim.model.effect import AXES
 from heli_sim.model.effects import catalogue
 from heli_sim.model.linear import derivatives, trim
-from heli_sim.model.parts import AXES
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig
-from heli_sim.rig.quantity import Quantity
+from heli_sim.rig.schema import Quantity
 
 from heli_lab.errors import TwinError
 from heli_lab.fit.estimator import estimate

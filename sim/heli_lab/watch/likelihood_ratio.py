@@ -21,7 +21,7 @@ from typing import Final, NamedTuple, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 from heli_host.data.arrays import Floats, Integers
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 from scipy.special import log_ndtr, logsumexp
 
 from heli_lab.fit.linearised_flight import BLOCK_s

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.arrays import Floats
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 
 from heli_lab.fit import _kalman
 from heli_lab.fit.linearised_flight import BLOCK_s

@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
 from heli_sim.model.base import Effect, Model
+from heli_sim.model.effect import AXES
 from heli_sim.model.effects import catalogue
 from heli_sim.model.effects.spec import format_estimate
-from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.fit.flight_model import model_along, model_functions

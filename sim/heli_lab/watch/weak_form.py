@@ -18,7 +18,7 @@ from heli_host.data.arrays import Booleans, Floats, Integers
 from heli_host.data.flight import Flight
 from heli_host.data.response import flown_rows
 from heli_sim.model.base import Effect, Model
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.fit.flight_model import TORQUE_STD_Nm, model_functions

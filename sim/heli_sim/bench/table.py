@@ -7,8 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from heli_sim.bench.thrust_curve import SCALE_N, ThrustCurve
-from heli_sim.bench.weigh import Balance, Swing, Thrust
+from heli_sim.bench.weigh import SCALE_N, Balance, Swing, Thrust, ThrustCurve
 from heli_sim.errors import RigError
 
 BLANK: Final = "?"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from heli_sim.due.errors import FirmwareError
+from heli_sim.errors import FirmwareError
 
 if TYPE_CHECKING:
     from due_emulator import Image

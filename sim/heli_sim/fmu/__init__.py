@@ -1,4 +1,4 @@
-"""A plant as a functional mock-up unit; see the README in this folder."""
+"""A plant as a functional mock-up unit (FMI 3.0), for other simulators."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 from xml.etree import ElementTree
 
-from heli_sim.plant import LIMITS, Plant, STEP_s
+from heli_sim.model.plant import LIMITS, Plant, STEP_s
 from heli_sim.rig import RIG_QUANTITIES
 
 # As sources/fmi3.c has them.

@@ -15,13 +15,22 @@ from typing import Final
 import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
+from typing_extensions import override
 
 from heli_sim.errors import PlantError
-from heli_sim.model.effect import Effect, Operands, Stage
-from heli_sim.model.parts import AXES, friction_torque_Nm, thrust_N
+from heli_sim.model.effect import AXES, Effect, Operands, Stage, friction_torque_Nm, thrust_N
 from heli_sim.rig import RIG_QUANTITIES, Rig
-from heli_sim.rig.quantity import Quantity
-from heli_sim.rig.schema import ENCODER_COUNTS
+from heli_sim.rig.schema import ENCODER_COUNTS, Quantity
+
+__all__ = [
+    "INPUTS",
+    "STATES",
+    "Effect",
+    "Model",
+    "Operands",
+    "Stage",
+]
+
 
 STATES: Final[tuple[Quantity, ...]] = (
     Quantity("elevation_rad", "rad", "long arm above level, up positive"),
@@ -35,7 +44,6 @@ INPUTS: Final[tuple[Quantity, ...]] = (
     Quantity("front_V", "V", "voltage that acts on the front motor"),
     Quantity("back_V", "V", "voltage that acts on the back motor"),
 )
-__all__ = ["INPUTS", "STATES", "Effect", "Model", "Operands", "Stage"]
 
 _SHARED: Final = (
     *("thrust_gain", "dead_zone", "reverse_thrust"),
@@ -310,3 +318,32 @@ class Model(ABC):
         return np.array(
             [rig[q.name].value if q.name in rig else effect_values[q.name] for q in self.parameters]
         )
+
+
+class Locked(Model):
+    """A model with locked axes: they do not accelerate, and the others feel the reactions of the locks."""
+
+    def __init__(self, model: Model, locked: tuple[bool, bool, bool]) -> None:
+        self._model = model
+        self._locked = ca.SX([float(is_locked) for is_locked in locked])
+        locked_axes = [axis for axis, is_locked in zip(AXES, locked, strict=True) if is_locked]
+        self.name = f"{model.name} with {' and '.join(locked_axes) or 'nothing'} locked"
+        self.effects = model.effects
+        self.states, self.inputs, self.parameters = model.states, model.inputs, model.parameters
+        self.delay = model.delay
+
+    @override
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+        return self._model.acceleration(at, thrust_N, torque_Nm)
+
+    @override
+    def dynamics(
+        self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, locked: ca.SX | None = None
+    ) -> ca.SX:
+        # A locked axis keeps its rate. A fit estimates that rate from the flight, and finds that it is 0.
+        all_locked = self._locked if locked is None else ca.fmax(self._locked, locked)
+        return self._model.dynamics(x, u, p, time_s, all_locked)
+
+    @override
+    def parameter_values(self, rig: Rig) -> Floats:
+        return self._model.parameter_values(rig)

@@ -15,8 +15,8 @@ import casadi as ca
 
 from heli_sim.errors import PlantError
 from heli_sim.model.base import Model, Operands
+from heli_sim.model.effect import AXES, friction_torque_Nm
 from heli_sim.model.multibody import MultibodyModel
-from heli_sim.model.parts import AXES, friction_torque_Nm
 
 _ANGLES: Final = (r"\theta", r"\phi", r"\psi")
 _RATES: Final = (r"\dot{\theta}", r"\dot{\phi}", r"\dot{\psi}")

@@ -24,7 +24,7 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.base import Model, Operands
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 
 
 @dataclass(frozen=True)

@@ -92,3 +92,66 @@ class PaperModel(Model):
         rate = at.state["travel_rate_rad_s"]
         area = p["drag_area_arm"] + p["drag_area_body"] * ca.fabs(ca.sin(at.state["pitch_rad"]))
         return 0.5 * p["air_density"] * area * p["L_a"] ** 3 * rate * ca.fabs(rate)
+
+
+class PaperPrintedModel(Model):
+    """The paper's equations as printed, and on top of them `effects`, applied in this order."""
+
+    name = "paper_printed"
+    rig_parameters = PaperModel.rig_parameters
+
+    def inertia_kg_m2(self, at: Operands) -> ca.SX:
+        """J_theta (27), J_phi (28) and J_psi (29) at the present angles, about the elevation, pitch and
+        travel axes, shape (3, 1).
+        """
+        p = at.parameter
+        elevation, pitch = at.state["elevation_rad"], at.state["pitch_rad"]
+        rotors, L_theta2 = p["M_f"] + p["M_b"], p["L_theta"] ** 2
+        short_arm2 = p["L_h"] ** 2 + p["L_phi"] ** 2
+        about_elevation = (
+            rotors * (short_arm2 * ca.sin(pitch) ** 2 + p["L_a"] ** 2)
+            + p["M_l"] * (p["L_x"] ** 2 + L_theta2)
+            + p["M_w"] * (p["L_b"] ** 2 + L_theta2)
+            + p["M_h"] * (p["L_a"] ** 2 + L_theta2)
+        )
+        about_pitch = rotors * short_arm2 + p["M_h"] * p["L_phi"] ** 2
+        level2 = ca.cos(elevation) ** 2
+        about_travel = (
+            rotors * (short_arm2 * ca.cos(pitch) ** 2 + p["L_a"] ** 2 * level2)
+            + (p["M_l"] * p["L_x"] ** 2 + p["M_w"] * p["L_b"] ** 2 + p["M_h"] * p["L_a"] ** 2) * level2
+        )
+        return ca.vertcat(about_elevation, about_pitch, about_travel)
+
+    @override
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+        # Right-hand sides of (14), (19) and (25), divided by the inertias. The paper does not cut the thrust
+        # off below the dead zone: it is put back.
+        p, state = at.parameter, at.state
+        elevation, pitch = state["elevation_rad"], state["pitch_rad"]
+        rate = state["travel_rate_rad_s"]
+        straight_N = thrust_N + p["thrust_gain"] * ca.fmin(at.volts_V - p["dead_zone"], 0.0)
+        total_N, difference_N = straight_N[0] + straight_N[1], straight_N[0] - straight_N[1]
+
+        zeta_a, zeta_w = ca.atan(p["L_theta"] / p["L_a"]), ca.atan(p["L_theta"] / p["L_b"])
+        zeta_x, zeta_h = ca.atan(p["L_theta"] / p["L_x"]), ca.atan(p["L_phi"] / p["L_h"])
+        body_N = (p["M_f"] + p["M_b"] + p["M_h"]) * p["g"]
+        elevation_Nm = (
+            total_N * ca.cos(pitch) * p["L_a"]
+            - body_N * p["L_a"] / ca.cos(zeta_a) * ca.cos(elevation - zeta_a)
+            + p["M_w"] * p["g"] * p["L_b"] / ca.cos(zeta_w) * ca.cos(elevation + zeta_w)
+            - p["M_l"] * p["g"] * p["L_x"] / ca.cos(zeta_x) * ca.cos(elevation - zeta_x)
+        )
+        pitch_Nm = (
+            difference_N * p["L_h"]
+            + p["M_b"] * p["g"] * p["L_h"] / ca.cos(zeta_h) * ca.cos(pitch + p["L_h"])
+            - p["M_f"] * p["g"] * p["L_h"] / ca.cos(zeta_h) * ca.cos(pitch - zeta_h)
+            - p["M_h"] * p["g"] * p["L_phi"] * ca.sin(pitch)
+        )
+        drag = 0.5 * p["air_density"] * (rate * p["L_a"]) ** 2
+        travel_Nm = (
+            total_N * ca.sin(pitch) * p["L_a"]
+            + difference_N * p["L_h"] * ca.sin(pitch)
+            - drag * p["drag_area_arm"]
+            - drag * p["drag_area_body"] * ca.sin(pitch)
+        )
+        return (ca.vertcat(elevation_Nm, pitch_Nm, travel_Nm) + torque_Nm) / self.inertia_kg_m2(at)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from heli_sim.rig.quantity import Prior, Quantity
-from heli_sim.rig.rig import Number, Rig, load_rig, rig_names
-from heli_sim.rig.schema import RIG_QUANTITIES
-from heli_sim.rig.write import rig_text, write_rig
+from heli_sim.rig.rig import Number, Rig, load_rig, rig_names, rig_text, write_rig
+from heli_sim.rig.schema import RIG_QUANTITIES, Prior, Quantity
 
 __all__ = [
     "RIG_QUANTITIES",

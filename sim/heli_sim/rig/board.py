@@ -11,8 +11,7 @@ from heli_host.board.rig_check import RigParameters
 from heli_host.declaration import AXES, PARAMS
 
 from heli_sim.errors import RigError
-from heli_sim.rig.encoders import counts_per_turn, direction_is_known, directions
-from heli_sim.rig.rig import Number, Rig, load_rig
+from heli_sim.rig.rig import Number, Rig, counts_per_turn, direction_is_known, directions, load_rig
 from heli_sim.rig.schema import ENCODER_COUNTS, ENCODER_DIRECTIONS, UNSTATED
 
 _SPECS: Final = {spec.name: spec for spec in PARAMS}

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from heli_host.data.files import TOML_BYTES, decode_text, parse_toml, read_file
+import numpy as np
+from heli_host.data.arrays import Floats
+from heli_host.data.files import TOML_BYTES, decode_text, parse_toml, read_file, toml_string, write_signed
 from heli_host.errors import file_remedy
 
 from heli_sim.errors import RigError
-from heli_sim.rig.inertia import STATED_INERTIAS, inertia_range_kg_m2
-from heli_sim.rig.plausible import check_size
 from heli_sim.rig.schema import (
     COMMON_COUNTS,
     ENCODER_COUNTS,
     ENCODER_DIRECTIONS,
     RIG_QUANTITIES,
+    STATED_INERTIAS,
     TRAVEL_RATIO,
     UNSTATED,
+    check_size,
+    inertia_range_kg_m2,
 )
 
 _FOLDER: Final = Path(__file__).parent
@@ -177,6 +181,28 @@ def counts_by_encoder(rig: str, numbers: Mapping[str, Number]) -> dict[str, Numb
                 common, value=common.value * ratio.value, source=f"{common.source}; {ratio.source}"
             )
     return numbers
+
+
+def counts_per_turn(rig: Rig) -> Floats:
+    """Return the counts of each encoder for one revolution of its axis, positive, shape (3,)."""
+    return np.array([rig[name].value for name in ENCODER_COUNTS])
+
+
+def count_rad(rig: Rig) -> Floats:
+    """Return the angle of one count of each encoder [rad], shape (3,)."""
+    return 2.0 * np.pi / counts_per_turn(rig)
+
+
+def directions(rig: Rig) -> Floats:
+    """Return 1 for each encoder that counts up with its angle or whose direction is not known, and -1 for
+    each that counts down, shape (3,).
+    """
+    return np.array([rig[name].value or 1.0 for name in ENCODER_DIRECTIONS])
+
+
+def direction_is_known(rig: Rig) -> tuple[bool, ...]:
+    """Return whether the rig file states the direction of each encoder, shape (3,)."""
+    return tuple(rig[name].value != 0.0 for name in ENCODER_DIRECTIONS)
 
 
 def rig_names() -> list[str]:
@@ -353,3 +379,39 @@ def _check_numbers(rig: str, numbers: Mapping[str, Number]) -> None:
             f"rig '{rig}': driver_dead_band is not below 0.5, so that no duty has an effect",
             "give 0 or more, and less than 0.5",
         )
+
+
+_DIGITS = 7
+
+
+def rig_text(rig: Rig, comment: str = "", digits: int = _DIGITS) -> str:
+    """Return a rig as TOML after a `comment`, with `digits` significant digits; 17 keep each number
+    exactly.
+    """
+    lines = [f"# {line}" for line in textwrap.wrap(comment, 108)]
+    lines += [f"name = {toml_string(rig.name)}", f"description = {toml_string(rig.description)}"]
+    if rig.model:
+        lines.append(f"model = {toml_string(rig.model)}")
+    for name, number in rig.items():
+        lines += _lines_of_number(name, number, digits)
+    for effect, numbers in rig.effects.items():
+        for short_name, number in numbers.items():
+            lines += _lines_of_number(f"effects.{toml_string(effect)}.{short_name}", number, digits)
+    return "\n".join(lines) + "\n"
+
+
+def _lines_of_number(name: str, number: Number, digits: int) -> list[str]:
+    """Return the lines of a number in a rig file."""
+    return [
+        "",
+        f"[{name}]",
+        f"value = {number.value:.{digits}g}",
+        f"unit = {toml_string(number.unit)}",
+        f"tolerance = {number.tolerance:.{digits}g}",
+        f"source = {toml_string(number.source)}",
+    ]
+
+
+def write_rig(rig: Rig, path: str | Path, comment: str = "") -> None:
+    """Write a rig into the file at `path`, under a `comment`."""
+    write_signed(path, rig_text(rig, comment))

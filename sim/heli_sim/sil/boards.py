@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from heli_host.data.files import file_digest
+
 from heli_sim import _native
 from heli_sim.errors import SimError
+from heli_sim.rig import Rig
+from heli_sim.rig.rig import rig_text
 from heli_sim.sil.options import AUTO, DUE, NATIVE, SilOptions
 
 if TYPE_CHECKING:
     from heli_sim.due._due_board import DueBoard
+
 
 # The two pages of the parameters, as in firmware/due/drivers.hpp. A flash file has them first, and is as long
 # as the native board's flash, so that the two boards can take each other's.
@@ -76,7 +82,7 @@ class NativeBoard:
         """Do nothing: this board writes its file by itself."""
 
     def fill_flash(self, flash: bytes) -> None:
-        """Write `flash`, as `heli_sim.sil.flash_pages.saved` makes it, into the board before its first
+        """Write `flash`, as `heli_sim.sil.world.saved` makes it, into the board before its first
         start.
         """
         self.sim.flash = flash
@@ -111,7 +117,7 @@ class EmulatedDue:
         return self.sim.due.uart_overruns
 
     def fill_flash(self, flash: bytes) -> None:
-        """Write `flash`, as `heli_sim.sil.flash_pages.saved` makes it, into the board before its first
+        """Write `flash`, as `heli_sim.sil.world.saved` makes it, into the board before its first
         start.
         """
         self.sim.due.load(_PAGES_AT, flash[:_PAGES_BYTES])
@@ -137,3 +143,22 @@ def make_board(options: SilOptions, boot_seed: int = 1) -> SimBoard:
     if options.board == DUE:
         return EmulatedDue(options.elf, options.flash_file, boot_seed)
     return NativeBoard(options.flash_file, boot_seed)
+
+
+_EXACT_DIGITS = 17
+
+
+def recipe_of(url: str, options: SilOptions, rig: Rig, choice: Choice) -> dict[str, str]:
+    """Return the address of the simulation, the whole rig, and digests of the files that it executes.
+
+    `heli_host.ui.cli.flight` reads this recipe from a log and repeats the flight. The recipe has no code,
+    because a log from another person must not execute code.
+    """
+    return {
+        "address": url,
+        "rig_name": rig.name,
+        "rig": rig_text(rig, digits=_EXACT_DIGITS),
+        "effect_files": json.dumps({file: file_digest(Path(file)) for file in options.effect_files}),
+        "flash": options.flash_file,
+        "firmware": file_digest(Path(choice.elf)) if choice.elf else "",
+    }

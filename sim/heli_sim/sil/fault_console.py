@@ -10,8 +10,7 @@ from typing import Final
 
 from heli_host.declaration import AXES
 
-from heli_sim.sil.intervals import Interval
-from heli_sim.sil.rig_faults import RigFaults
+from heli_sim.sil.faults import Interval, RigFaults
 from heli_sim.sil.world import SilWorld
 
 _MAX_BYTES: Final = 4096

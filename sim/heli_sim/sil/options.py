@@ -11,9 +11,12 @@ from urllib.parse import parse_qsl, urlsplit
 from heli_host.declaration import AXES
 
 from heli_sim.errors import OptionError
-from heli_sim.sil.faults import FaultPlan
-from heli_sim.sil.intervals import Interval, Span
-from heli_sim.sil.rig_faults import RigFaults
+from heli_sim.model import model_named
+from heli_sim.model.effects import effects_with
+from heli_sim.model.multibody import MultibodyModel
+from heli_sim.model.plant import Plant
+from heli_sim.rig import load_rig
+from heli_sim.sil.faults import FaultPlan, Interval, RigFaults, Span
 
 _KEYS: Final = (
     *("board", "elf", "rig", "seed", "speed", "slice_ms", "flash", "reset_on_open"),
@@ -235,3 +238,15 @@ def parse_encoders_out(key: str, texts: Sequence[str]) -> tuple[tuple[str, Inter
         (interval,) = parse_times(key, [times or "0"])
         unplugged.append((axis, interval))
     return tuple(unplugged)
+
+
+def plant_of(options: SilOptions) -> Plant:
+    """Make a plant of rig, model and effects; its random numbers are drawn from the seed of the options.
+
+    The rig's file may name the model whose parameters it holds, and effects; options come before both. A
+    RigError, EffectError or PlantError when one of the three is unknown, unreadable or has an invalid value.
+    """
+    rig = load_rig(options.rig)
+    effects = effects_with(rig, options.effects, options.effect_files)
+    model = model_named(options.model or rig.model or MultibodyModel.name, effects)
+    return Plant(model, rig, options.seed)

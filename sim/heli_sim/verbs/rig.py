@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from heli_host.data.files import write_signed
+from heli_host.errors import printable
 from heli_host.ui.cli.options import JsonOption
 from heli_host.ui.cli.say import STDOUT, data_on_stdout, say, say_data, say_files, write_result
 from heli_host.ui.cli.verb import Verb
-
-from heli_sim.formatting import half_width, plain, rig_findings, signed, with_tolerance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from heli_sim.rig import Number, Rig
-    from heli_sim.rig.compare import Difference
+    from heli_sim.rig.describe import Difference
 
 WIDE = 160
 """Columns of a table that does not go to a terminal."""
@@ -134,6 +134,7 @@ def check(
     """
     from heli_sim.errors import EffectError, RigError
     from heli_sim.model.effects import effects_of
+    from heli_sim.model.linear import rig_findings
     from heli_sim.rig import load_rig
 
     data_on_stdout(json)
@@ -283,7 +284,7 @@ def diff(
     from rich.table import Table
 
     from heli_sim.rig import load_rig
-    from heli_sim.rig.compare import compare_rigs
+    from heli_sim.rig.describe import compare_rigs
 
     first, second = load_rig(left), load_rig(right)
     compared = compare_rigs(first, second)
@@ -350,9 +351,10 @@ def new(
     from heli_host.ui.cli.options import check_place
 
     from heli_sim.errors import RigError
+    from heli_sim.model.linear import rig_findings
     from heli_sim.rig import load_rig, write_rig
     from heli_sim.rig.describe import described, numbers_from_table, numbers_from_words
-    from heli_sim.rig.plausible import beyond_a_table
+    from heli_sim.rig.schema import beyond_a_table
 
     base = load_rig(like)
     check_place(out)
@@ -556,8 +558,7 @@ def _export_mjcf(rig: str, output: Path | None) -> None:
 def _export_fmu(rig: str, effects: list[str], model: str, seed: int, out: Path | None) -> None:
     """Write a rig as an FMU, and print what it contains."""
     from heli_sim.fmu import write_fmu
-    from heli_sim.sil.options import SilOptions
-    from heli_sim.sil.plant_factory import plant_of
+    from heli_sim.sil.options import SilOptions, plant_of
 
     plant = plant_of(SilOptions(rig=rig, seed=seed, model=model, effects=tuple(effects)))
     target = out if out is not None else Path(f"{plant.rig.name}.fmu")
@@ -593,6 +594,32 @@ def _console() -> Console:
     console = Console(highlight=False)
     # A file or another program has no width; rich would take 80 columns and cut.
     return console if console.is_terminal else Console(highlight=False, width=WIDE)
+
+
+def half_width(number: Number) -> str:
+    """Write the tolerance of a `number`."""
+    return f"{number.tolerance:g}" if number.tolerance else "exact"
+
+
+def with_tolerance(number: Number | None) -> str:
+    """Write a `number` with its tolerance; a dash for none."""
+    if number is None:
+        return "-"
+    return f"{number.value:g} (tolerance {number.tolerance:g})" if number.tolerance else f"{number.value:g}"
+
+
+def signed(tolerances: float) -> str:
+    """Write a difference in `tolerances`, with a star if it is above one."""
+    if math.isinf(tolerances):
+        return "no tolerance"
+    return f"{tolerances:+.1f}{' *' if abs(tolerances) > 1.0 else ''}"
+
+
+def plain(text: str) -> str:
+    """Escape a `text` from another source, so that a terminal prints it unchanged."""
+    from rich.markup import escape
+
+    return escape(printable(text))
 
 
 VERB = Verb(app, "Simulation")

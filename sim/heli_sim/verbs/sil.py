@@ -100,8 +100,8 @@ def sil(
     from heli_sim.rig.board import in_simulation, set_from_rig_text
     from heli_sim.sil.boards import choose
     from heli_sim.sil.fault_console import HELP
+    from heli_sim.sil.faults import RigFaults
     from heli_sim.sil.options import SilOptions, parse_encoders_out, parse_times
-    from heli_sim.sil.rig_faults import RigFaults
     from heli_sim.sil.server import is_local, run_server
 
     flown_rig = load_rig(rig or DEFAULT_RIG)

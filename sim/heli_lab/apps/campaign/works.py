@@ -15,12 +15,11 @@ import numpy as np
 from heli_host.board.parameters import read_parameter_set
 from heli_host.data.flight import Flight
 from heli_host.data.log.summary import FlightSummary
-from heli_sim.model import MultibodyModel
+from heli_sim.model import MultibodyModel, model_named
 from heli_sim.model.base import Effect, Model
+from heli_sim.model.effect import AXES
 from heli_sim.model.effects import catalogue, effects_of, effects_with, parse_effects
-from heli_sim.model.named import model_named
-from heli_sim.model.parts import AXES
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig, load_rig
 
 from heli_lab.apps.campaign.cases import Cell

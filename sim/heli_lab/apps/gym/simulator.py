@@ -16,15 +16,15 @@ import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.declaration import Axes, State
 from heli_host.errors import HeliError
-from heli_sim.compiled import compile_function
 from heli_sim.errors import RigError
+from heli_sim.evaluate.compiled import compile_function
+from heli_sim.model import model_named
 from heli_sim.model.effect import Effect
 from heli_sim.model.effects import effects_with, parse_effects
 from heli_sim.model.multibody import MultibodyModel
-from heli_sim.model.named import model_named
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig, load_rig, write_rig
-from heli_sim.rig.encoders import count_rad
+from heli_sim.rig.rig import count_rad
 from heli_sim.sil.inprocess import InProcessTransport
 from typing_extensions import override
 

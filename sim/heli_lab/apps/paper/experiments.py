@@ -25,12 +25,12 @@ from heli_host.declaration import Axes, State
 from heli_host.fly.plan import Plan, take_off
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import Progress
-from heli_sim.bench.thrust_curve import SCALE_N, ThrustCurve
+from heli_sim.bench.weigh import SCALE_N, ThrustCurve
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import trim
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig
-from heli_sim.rig.encoders import count_rad
+from heli_sim.rig.rig import count_rad
 from heli_sim.sil.world import SilWorld
 
 from heli_lab.errors import IdentifyError

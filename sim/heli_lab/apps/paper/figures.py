@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from heli_host.data.response import rms
-from heli_sim.bench.thrust_curve import ThrustCurve
-from heli_sim.model.parts import AXES
+from heli_sim.bench.weigh import ThrustCurve
+from heli_sim.model.effect import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.apps.paper.experiments import ELEVATION_STEPS, PaperFlight

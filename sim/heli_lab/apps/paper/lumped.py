@@ -17,9 +17,9 @@ import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
 from heli_sim.model.base import Effect, Model, Operands
+from heli_sim.model.plant import runge_kutta_step
 from heli_sim.rig import Rig
-from heli_sim.rig.quantity import Prior, Quantity
-from heli_sim.runge_kutta import runge_kutta_step
+from heli_sim.rig.schema import Prior, Quantity
 from typing_extensions import override
 
 from heli_lab.apps.paper.experiments import TABLE_DEG, BenchTest

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from heli_host.data.flight import Flight
-from heli_sim.bench.thrust_curve import Line
+from heli_sim.bench.weigh import Line
 from heli_sim.model import MultibodyModel
-from heli_sim.model.base import Model
-from heli_sim.model.locked import Locked
-from heli_sim.model.parts import AXES
+from heli_sim.model.base import Locked, Model
+from heli_sim.model.effect import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.apps.paper.experiments import ELEVATION_STEPS, PITCH_RELEASES, TRAVEL_STEPS, BenchTest
@@ -34,8 +33,8 @@ from heli_lab.fit.records import Record, prepare
 from heli_lab.fit.shooting import solve
 
 if TYPE_CHECKING:
-    from heli_sim.bench.thrust_curve import Line
-    from heli_sim.plant import Plant
+    from heli_sim.bench.weigh import Line
+    from heli_sim.model.plant import Plant
 
 
 _PRIOR_STD: Final = {

@@ -23,7 +23,7 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
 from heli_sim.rig import Rig
 from heli_sim.rig.board import encoder_parameters
-from heli_sim.rig.encoders import direction_is_known
+from heli_sim.rig.rig import direction_is_known
 
 from heli_lab.control.tune import loops
 from heli_lab.control.tune.loops import (

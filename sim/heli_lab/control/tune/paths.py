@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Floats
 from heli_sim.rig import Rig
-from heli_sim.rig.inertia import inertias_kg_m2
+from heli_sim.rig.schema import inertias_kg_m2
 
 from heli_lab.control.tune import loops
 from heli_lab.control.tune.loops import LinearPlant, Pid, Spread, count_nominal

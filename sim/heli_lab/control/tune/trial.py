@@ -17,8 +17,8 @@ from heli_host.data.response import count_rad, rms, step_metrics
 from heli_host.declaration import State
 from heli_host.fly.plan import Plan, take_off
 from heli_host.fly.runner import Progress
-from heli_sim.model.parts import AXES
-from heli_sim.plant import Plant
+from heli_sim.model.effect import AXES
+from heli_sim.model.plant import Plant
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 

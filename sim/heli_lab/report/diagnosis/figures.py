@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.data.flight import broken_at_gaps
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 
 from heli_lab.explain.candidates import QUANTITIES
 from heli_lab.explain.comparison import Round

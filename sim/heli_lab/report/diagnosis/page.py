@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 from heli_host.data.files import write_signed
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 
 from heli_lab.explain.contributions import TIME, MissingTerm, missing_term
 from heli_lab.explain.experiment_design import InsufficientExcitation

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES
 
 from heli_lab.explain.candidates import QUANTITIES
 from heli_lab.explain.experiment_design import InsufficientExcitation

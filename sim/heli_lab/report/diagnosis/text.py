@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Final
 
-from heli_sim.model.effect import NEVER_s
-from heli_sim.model.parts import AXES
+from heli_sim.model.effect import AXES, NEVER_s
 
 from heli_lab.explain.experiment_design import InsufficientExcitation
 from heli_lab.explain.prediction import ErrorReduction, Extrapolation

@@ -14,7 +14,7 @@ from heli_host.board.heli import Heli
 from heli_host.declaration import AXES, State
 from heli_host.errors import HeliError, fault_text
 from heli_sim.rig import Number, Rig
-from heli_sim.rig.encoders import counts_per_turn
+from heli_sim.rig.rig import counts_per_turn
 from heli_sim.rig.schema import ENCODER_DIRECTIONS
 
 from heli_lab.errors import CalibrationError

@@ -19,7 +19,7 @@ from heli_host.declaration import AXES, Axes, Excitation, Fault, State
 from heli_host.errors import CommandRefused, FlightAborted, HeliError, fault_text
 from heli_host.link.clock import TICK_S
 from heli_sim.rig import Rig
-from heli_sim.rig.inertia import inertias_kg_m2
+from heli_sim.rig.schema import inertias_kg_m2
 
 from heli_lab.errors import CalibrationError
 from heli_lab.setup.calibrate.encoders import angles_deg, sample_angles_deg

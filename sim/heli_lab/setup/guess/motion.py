@@ -13,7 +13,7 @@ from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import derivatives, trim
 from heli_sim.rig import Rig
-from heli_sim.rig.encoders import counts_per_turn
+from heli_sim.rig.rig import counts_per_turn
 
 from heli_lab.errors import IdentifyError
 from heli_lab.setup.guess.names import AXES, SUMS

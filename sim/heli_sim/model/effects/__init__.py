@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from heli_sim.model.effects.catalogue import catalogue
-from heli_sim.model.effects.parse import effect_numbers, effects_of, effects_with, parse_effects
-from heli_sim.model.effects.rotor_lag import RotorLag
-from heli_sim.model.effects.rotor_speed_lag import RotorSpeedLag
+from heli_sim.model.effects.catalogue import (
+    catalogue,
+    effect_numbers,
+    effects_of,
+    effects_with,
+    parse_effects,
+)
+from heli_sim.model.effects.lags import RotorLag, RotorSpeedLag
 from heli_sim.model.effects.spec import ChangeSpec, EffectFamily, EffectSpec, Parameter
 
 __all__ = [

@@ -8,10 +8,9 @@ from typing import Final
 import casadi as ca
 from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Operands, Stage
+from heli_sim.model.effect import AXES, Effect, Operands, Stage, on_axis
 from heli_sim.model.effects.spec import EffectSpec, Parameter
-from heli_sim.model.parts import AXES, on_axis
-from heli_sim.rig.quantity import Prior
+from heli_sim.rig.schema import Prior
 
 
 class RemovedTerm(Effect):

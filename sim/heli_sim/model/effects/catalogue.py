@@ -5,13 +5,15 @@ A new module in this folder needs no registration.
 
 from __future__ import annotations
 
+import difflib
 import functools
 import importlib
 import importlib.util
 import inspect
 import pkgutil
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -25,7 +27,7 @@ from heli_sim.model.effect import Effect
 from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.paper import PaperModel
-from heli_sim.rig import load_rig
+from heli_sim.rig import Number, Prior, Rig, load_rig
 
 
 def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectSpec]:
@@ -165,3 +167,196 @@ def _error_with_line(path: Path, error: Exception) -> str:
     line_numbers = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == path]
     prefix = f"line {line_numbers[-1]}: " if line_numbers else ""
     return f"{prefix}{type(error).__name__} {lines[0]}".strip()
+
+
+def parse_effects(texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
+    """Read effects such as ``rotor_lag=0.1``, ``thrust_step.front=0.1@25``, ``axis_tilt=x_rad:0.02,y_rad:0``,
+    in the order given.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        ``ID`` alone gives all parameters their typical values. ``ID=VALUE`` sets the first parameter, and
+        scales other sizes in proportion. ``ID=VALUE@SECONDS`` also sets the moment ``at_s``.
+        ``ID=NAME:VALUE,NAME:VALUE`` sets parameters by name. Parameters that are not set keep their typical
+        values. Units are those of the parameters.
+    extra : sequence of str or Path
+        Users' files with more effects.
+
+    Raises
+    ------
+    EffectError
+        When a text cannot be read, names an unknown effect or one twice, or a value is out of range.
+    """
+    kinds = catalogue(extra)
+    return tuple(kind.make(values) for kind, values in _parse_texts(texts, kinds))
+
+
+def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
+    """Return the effects that a rig file states, with priors from its tolerances.
+
+    Parameters
+    ----------
+    extra : sequence of str or Path
+        Users' files with more effects.
+
+    Raises
+    ------
+    EffectError
+        When an effect or a number of it is unknown, in another unit, missing or out of range.
+    """
+    kinds = catalogue(extra)
+    effects = []
+    for name, numbers in rig.effects.items():
+        source_name = f"rig '{rig.name}'"
+        kind = _find_effect(kinds, name, source_name)
+        units = {parameter.name: parameter.unit for parameter in kind.numbers}
+        for short_name, number in numbers.items():
+            if short_name not in units:
+                raise EffectError(
+                    f"{source_name}: effect '{name}' has no '{short_name}'", f"choose from {', '.join(units)}"
+                )
+            if number.unit != units[short_name]:
+                raise EffectError(
+                    f"{source_name}: {short_name} of '{name}' is in '{number.unit}'",
+                    f"give it in '{units[short_name]}'",
+                )
+        missing = [
+            parameter.name
+            for parameter in kind.numbers
+            if parameter.prior is not None and parameter.name not in numbers
+        ]
+        if missing:
+            raise EffectError(f"{source_name}: effect '{name}' lacks {', '.join(missing)}", "add each")
+        effect = kind.make({kind.full(short_name): number.value for short_name, number in numbers.items()})
+        effects.append(replace(effect, priors={**effect.priors, **_stated_priors(kind, numbers)}))
+    return tuple(effects)
+
+
+def effects_with(rig: Rig, texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
+    """Return the effects of a rig file and of `texts`; an effect in `texts` replaces that of the rig file.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        Effects in the form that `parse_effects` reads.
+    extra : sequence of str or Path
+        Users' files with more effects.
+
+    Raises
+    ------
+    EffectError
+        When an effect of either is unknown or invalid.
+    """
+    from_texts = parse_effects(texts, extra)
+    replaced = {effect.name for effect in from_texts}
+    return *(effect for effect in effects_of(rig, extra) if effect.name not in replaced), *from_texts
+
+
+def _stated_priors(kind: EffectSpec, numbers: Mapping[str, Number]) -> dict[str, Prior]:
+    """Return priors, by full name, for the parameters whose tolerance a rig file states.
+
+    A prior is normal within the effect's bounds. Its standard deviation is half the tolerance, as for the
+    parameters of the rig.
+    """
+    priors = {}
+    for parameter in kind.numbers:
+        name, number = kind.full(parameter.name), numbers.get(parameter.name)
+        prior = kind.priors.get(name)
+        if prior is not None and number is not None and number.tolerance > 0.0:
+            priors[name] = replace(prior, mean=number.value, std=0.5 * number.tolerance)
+    return priors
+
+
+def effect_numbers(
+    kind: EffectSpec, values: Mapping[str, float], tolerances: Mapping[str, float], source: str
+) -> dict[str, Number]:
+    """Return the parameters of an effect by short name, in the form of ``rig.effects``.
+
+    Parameters
+    ----------
+    values : Mapping[str, float]
+        Values by full name; a missing one is that of `EffectSpec.neutral`.
+    tolerances : Mapping[str, float]
+        Half widths of the 95 % intervals by full name; a missing one is 0.
+    source : str
+        Origin of the numbers, for readers of the rig file.
+    """
+    all_values = {**kind.neutral, **values}
+    return {
+        parameter.name: Number(
+            all_values[kind.full(parameter.name)],
+            parameter.unit,
+            tolerances.get(kind.full(parameter.name), 0.0),
+            source,
+        )
+        for parameter in kind.numbers
+    }
+
+
+def _parse_texts(
+    texts: Sequence[str], kinds: Mapping[str, EffectSpec]
+) -> list[tuple[EffectSpec, dict[str, float]]]:
+    """Read texts such as ``rotor_lag=0.1`` to effects with their parameters by full name."""
+    result: list[tuple[EffectSpec, dict[str, float]]] = []
+    for text in texts:
+        name, equals_sign, values_text = text.partition("=")
+        kind = _find_effect(kinds, name.strip(), f"--effect {text}")
+        if any(kind is other for other, _ in result):
+            raise EffectError(f"--effect {text}: '{kind.id}' is given twice", "give it once")
+        values = dict(kind.typical)
+        if equals_sign:
+            values.update(_parse_values(kind, values_text, text))
+        result.append((kind, values))
+    return result
+
+
+def _find_effect(kinds: Mapping[str, EffectSpec], name: str, source_name: str) -> EffectSpec:
+    """Return an effect by its id; an EffectError that begins with `source_name` lists similar ids."""
+    if name in kinds:
+        return kinds[name]
+    similar = [kind for kind in kinds if kind.startswith(f"{name}.")]
+    similar = similar or difflib.get_close_matches(name, kinds, n=1)
+    hint = f"did you mean {' or '.join(similar)}?" if similar else f"effects are: {', '.join(kinds)}"
+    raise EffectError(f"{source_name}: unknown effect '{name}'", hint)
+
+
+def _proportional_sizes(kind: EffectSpec, value: str) -> dict[str, str]:
+    """Scale the other sizes of an effect like its first one, `value`; empty if that is not a number."""
+    first, *others = (parameter for parameter in kind.numbers if parameter.size)
+    try:
+        factor = float(value) / first.typical
+    except ValueError:
+        return {}
+    return {parameter.name: repr(factor * parameter.typical) for parameter in others}
+
+
+def _parse_values(kind: EffectSpec, values_text: str, text: str) -> dict[str, float]:
+    """Read the text after the equals sign, `values_text`; `text` is the whole text, for messages.
+
+    The text is one value, with ``@`` and a time for an event, or pairs ``name:value`` separated by commas.
+    """
+    if ":" not in values_text:
+        value, at_sign, moment = values_text.partition("@")
+        texts_by_name = {kind.numbers[0].name: value, **_proportional_sizes(kind, value)}
+        if at_sign:
+            texts_by_name["at_s"] = moment
+    else:
+        pairs = [pair.partition(":") for pair in values_text.split(",")]
+        texts_by_name = {short_name.strip(): value for short_name, _, value in pairs}
+    names = [parameter.name for parameter in kind.numbers]
+    values = {}
+    for spelled, value in texts_by_name.items():
+        short_name = spelled.removeprefix(f"{kind.prefix}_")
+        if short_name not in names:
+            raise EffectError(
+                f"--effect {text}: '{kind.id}' has no '{short_name}'", f"choose from {', '.join(names)}"
+            )
+        try:
+            values[kind.full(short_name)] = float(value)
+        except ValueError:
+            raise EffectError(
+                f"--effect {text}: {kind.full(short_name)} = '{value}' is not a number",
+                "write it with a decimal point and without a unit",
+            ) from None
+    return values

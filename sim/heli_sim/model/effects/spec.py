@@ -12,7 +12,7 @@ import numpy as np
 from heli_sim.errors import EffectError
 from heli_sim.model.base import Model
 from heli_sim.model.effect import Effect, Stage
-from heli_sim.rig.quantity import Prior, Quantity
+from heli_sim.rig.schema import Prior, Quantity
 
 GridValues = tuple[float, ...] | Callable[[float], tuple[float, ...]]
 """Values to start a fit from, or a function that gives them for a flight of so many seconds."""

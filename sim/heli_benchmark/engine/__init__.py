@@ -1,1 +1,0 @@
-"""The rig as bodies and joints in MuJoCo, and what it did at each step."""

@@ -1,1 +1,0 @@
-"""Known effects, hidden in real flights."""

@@ -1,1 +1,0 @@
-"""Reference results: the truth in the parameters of the catalogue, fits with the true causes, visibility."""

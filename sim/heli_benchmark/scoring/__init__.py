@@ -1,1 +1,0 @@
-"""Answers against the truth: rows, goals, calibration, and tables for people."""

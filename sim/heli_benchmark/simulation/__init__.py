@@ -1,1 +1,0 @@
-"""Flights of the MuJoCo rig: by the flight code, and by other controllers."""
