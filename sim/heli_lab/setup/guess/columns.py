@@ -140,11 +140,50 @@ class ColumnOptions:
 def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> ColumnOptions:
     """Find the columns that may have each role, by their names and by what the user knows."""
     first = files[0]
-    known_roles = set(known.columns.values())
     meanings = meanings_of({name: first.table.columns[name].unit for name in first.signals.raw})
+    named, free, left_out = _sorted_by_meaning(files, known, meanings)
+    unnamed_axes = [axis for axis in AXES if not named[axis]]
+    # Two columns with the name of one angle, and no name for another angle: books use other letters.
+    shared = [axis for axis in AXES if unnamed_axes and len(named[axis]) > 1]
+    spare = [name for axis in shared for name in named[axis]]
+    has_voltages = _keep_motors_or_sums(named, left_out)
+    if unnamed_axes or not has_voltages:
+        named_columns = [name for names in named.values() for name in names]
+        free = _without_rates(first, free, named_columns, meanings, left_out)
+    motors = [name for name in free if meanings[name].possible_roles == VOLTAGE_ROLES]
+    names_no_voltage = not any(named[role] for role in VOLTAGE_ROLES)
+    by_role: dict[str, list[str]] = {}
+    for role in ROLES:
+        if named[role]:
+            by_role[role] = named[role]
+            continue
+        possible = [name for name in free if role in meanings[name].possible_roles]
+        if role in AXES:
+            by_role[role] = possible + spare
+        elif not has_voltages and (names_no_voltage or any(named[each] for each in _partners(role))):
+            by_role[role] = motors if len(motors) > 1 else possible
+        else:
+            by_role[role] = []
+    stated = frozenset(role for role in ROLES if named[role] and role not in shared)
+    return ColumnOptions(by_role, stated, left_out)
+
+
+def _partners(role: str) -> tuple[str, str]:
+    """Return both roles of voltages that a log has together with a `role`."""
+    return PAIR if role in PAIR else SUMS
+
+
+def _sorted_by_meaning(
+    files: Sequence[PreparedFile], known: KnownEntries, meanings: Mapping[str, ColumnMeaning]
+) -> tuple[dict[str, list[str]], list[str], dict[str, str]]:
+    """Sort the columns: those that a name or the user gives each role, those whose name states nothing, and
+    those that are left out, with the reason.
+    """
+    first = files[0]
+    known_roles = set(known.columns.values())
     named: dict[str, list[str]] = {role: [] for role in ROLES}
-    left_out: dict[str, str] = {}
     free: list[str] = []
+    left_out: dict[str, str] = {}
     for name, meaning in meanings.items():
         if name in known.columns:
             named[known.columns[name]].append(name)
@@ -162,38 +201,13 @@ def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> Column
             free.append(name)
     for role, columns in named.items():
         columns.sort(key=lambda name: (not meanings[name].is_measured, name not in first.encoders))
-        named[role] = _without_copies(
-            first.signals, columns, [name for name in columns if meanings[name].is_measured], left_out
-        )
-    unnamed_axes = [axis for axis in AXES if not named[axis]]
-    # Two columns with the name of one angle, and no name for another angle: books use other letters.
-    shared = [axis for axis in AXES if unnamed_axes and len(named[axis]) > 1]
-    spare = [name for axis in shared for name in named[axis]]
-    voltages = _named_voltages(named, left_out)
-    if unnamed_axes or not voltages:
-        named_columns = [name for names in named.values() for name in names]
-        free = _without_rates(first, free, named_columns, meanings, left_out)
-    motors = [name for name in free if meanings[name].possible_roles == VOLTAGE_ROLES]
-    by_role: dict[str, list[str]] = {}
-    for axis in AXES:
-        others = [name for name in free if axis in meanings[name].possible_roles] + spare
-        by_role[axis] = named[axis] or others
-    for role in VOLTAGE_ROLES:
-        unnamed = motors if len(motors) > 1 else [name for name in free if name not in spare]
-        partners = PAIR if role in PAIR else SUMS
-        may_fill = not voltages and (any(named[each] for each in partners) or not _any_voltage(named))
-        by_role[role] = named[role] or (unnamed if may_fill else [])
-    stated = frozenset(role for role in ROLES if named[role] and role not in shared)
-    return ColumnOptions(by_role, stated, left_out)
+        measured = [name for name in columns if meanings[name].is_measured]
+        named[role] = _without_copies(first.signals, columns, measured, left_out)
+    return named, free, left_out
 
 
-def _any_voltage(named: Mapping[str, Sequence[str]]) -> bool:
-    """Whether a name states any role of a voltage."""
-    return any(named[role] for role in VOLTAGE_ROLES)
-
-
-def _named_voltages(named: dict[str, list[str]], left_out: dict[str, str]) -> bool:
-    """Whether names state both voltages; then the motors are kept, and sum and difference left out."""
+def _keep_motors_or_sums(named: dict[str, list[str]], left_out: dict[str, str]) -> bool:
+    """Whether names state both voltages. If they state the motors and their sums, the motors are kept."""
     if all(named[role] for role in PAIR):
         for role in SUMS:
             left_out |= dict.fromkeys(named[role], "the motors have columns too")
@@ -240,16 +254,15 @@ def _without_rates(
         """
         return any(_rate_correlation(signals, name, other) > FEEDBACK_MATCH**0.5 for other in (*named, *free))
 
+    motors = {name for name in free if meanings[name].possible_roles == VOLTAGE_ROLES}
     kept: list[str] = []
     for name in sorted(
         (name for name in free if name not in rates),
-        key=lambda name: (
-            meanings[name].possible_roles != VOLTAGE_ROLES,
-            name not in file.encoders,
-            resembles_rate(name),
-        ),
+        key=lambda name: (name not in motors, name not in file.encoders, resembles_rate(name)),
     ):
-        copied = next((other for other in (*named, *kept) if _are_copies(signals, name, other)), None)
+        # Two motors may get the same voltage.
+        others = [other for other in (*named, *kept) if not {name, other} <= motors]
+        copied = next((other for other in others if _are_copies(signals, name, other)), None)
         if copied is None:
             kept.append(name)
         else:
