@@ -106,8 +106,10 @@ def test_a_class_with_every_hostile_submission_is_answered(tmp_path: Path, in_pr
     folder = tmp_path / "submissions"
     make_class(folder, 180, list(HOSTILE), 8.0)
     before = digest(folder)
-    runs = [mark_class(folder, "--duration", "8", "--load-timeout", "3", run=in_process) for _ in range(2)]
-    assert not problems(folder, *runs, before)
+    first, second = (
+        mark_class(folder, "--duration", "8", "--load-timeout", "3", run=in_process) for _ in range(2)
+    )
+    assert not problems(folder, first, second, before)
 
 
 def test_a_flight_on_the_rig_is_kept_when_a_submission_is_marked_again(tmp_path: Path) -> None:
