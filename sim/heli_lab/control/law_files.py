@@ -28,8 +28,8 @@ from heli_host.board.law_program import FILE_LIMIT_s, LawProgram
 from heli_host.errors import BadLaw, HeliError
 
 from heli_lab.control.fence import FileLimits, fence_process
+from heli_lab.control.law import Law
 from heli_lab.control.program_json import program_json, program_of_json
-from heli_lab.law import Law
 
 if TYPE_CHECKING:
     from heli_sim.rig import Rig

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from heli_host.data.arrays import Floats
 from heli_host.declaration import AXES, LAW_INPUTS
 
+from heli_lab.control.law import Law
 from heli_lab.control.tune.loops import LinearPlant
-from heli_lab.law import Law
 
 _BODE_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
 """Frequencies at which the margins are computed."""

@@ -15,8 +15,7 @@ from heli_host.declaration import LAW_CELLS, LAW_INPUTS, LAW_MAX_TERMS, OPERATIO
 from heli_host.errors import BadLaw
 
 from heli_lab.control.compile import CODE, FIXED_OUTPUTS, SUM
-from heli_lab.control.law import LONGEST_NAME, casadi_function
-from heli_lab.law import Law
+from heli_lab.control.law import LONGEST_NAME, Law, casadi_function
 
 _MAX_ITEMS: Final = 8192
 """Longest list [entries]: more than the 1,536 words that a board stores."""
