@@ -87,7 +87,7 @@ def test_a_fit_that_was_pickled_predicts_the_same() -> None:
     problem = Problem(MultibodyModel(), rig, [record], free=["thrust_gain"], threads=1)
     fit = solve(problem, budget=Budget(max_evaluations=4), scatter=False)
     copied = pickle.loads(pickle.dumps(fit))
-    assert copied.values == fit.params
+    assert copied.params == fit.params
     before, after = (each.problem.evaluation(0, each.theta, each.states[0]) for each in (fit, copied))
     assert np.array_equal(before.residual, after.residual)
     assert np.array_equal(before.normal_matrix, after.normal_matrix)

@@ -499,7 +499,7 @@ def equivalent_effect(hidden: str, equation: Equation, *ids: str, unlisted: bool
     base = comparison.refit([])
     effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 0.1))
     warm_start = comparison.refit(
-        [Candidate(effect.name, effect, tuple(effect.priors))], {**effect.values, **base.values}, base
+        [Candidate(effect.name, effect, tuple(effect.priors))], {**effect.values, **base.params}, base
     )
     assert warm_start.log_likelihood > base.log_likelihood + 50.0 + PENALTY
     return [

@@ -23,7 +23,7 @@ from heli_lab.fit.problem import Fit, Problem
 from heli_lab.fit.records import Record
 from heli_lab.report.diagnosis.figures import figure_of_missing_terms
 from heli_lab.report.diagnosis.page import explained_by, legend, missing_section, symbols_of
-from heli_lab.report.diagnosis.text import stated
+from heli_lab.report.diagnosis.text import CauseEntry
 from heli_lab.report.page import drawing
 from heli_lab.report.page.drawing import Drawing, png_of
 from heli_sim.model import MultibodyModel
@@ -190,7 +190,8 @@ def test_symbols_are_those_of_the_equation_without_its_functions() -> None:
     ],
 )
 def test_an_uncertain_cause_is_not_stated_as_a_fact(confidence: float, certain: bool, text: str) -> None:
-    assert stated({"sentence": "the rotors lag", "confidence": confidence}, certain) == text
+    cause = CauseEntry("rotor_lag", {}, confidence, "the rotors lag", "", {})
+    assert cause.statement(certain) == text
 
 
 @pytest.mark.parametrize(

@@ -234,7 +234,7 @@ def test_effects_come_back_if_held_out_flights_contradict_a_spline() -> None:
     # A cause that is not a spline is dropped, and nothing replaces it.
     assert backward.restore_displaced(final, first.id, hypothesis([spline])).ids == (spline.id,)
     assert len(refitted_ids) == 1
-    assert np.isfinite(list(restored.values.values())).all()
+    assert np.isfinite(list(restored.params.values())).all()
 
 
 @pytest.mark.parametrize(("ratio", "kept"), [(-1.0, ["axis_tilt"]), (1.0, ["axis_tilt", "spline:a:b"])])

@@ -169,7 +169,7 @@ def test_zero_error_of_an_encoder_is_as_likely_as_a_reaction_torque() -> None:
         for id_ in ("zero_offset.pitch", "rotor_reaction_torque")
     )
     name = "zero_offset_pitch_rad"
-    assert abs(zero.values[name] - 0.1) < 3.0 * zero.std[name]
+    assert abs(zero.params[name] - 0.1) < 3.0 * zero.std[name]
     # A reaction torque of both rotors is almost equivalent, and has an additional parameter.
     assert zero.log_likelihood > torque.log_likelihood - 1.0
 

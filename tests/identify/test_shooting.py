@@ -147,7 +147,7 @@ def test_the_take_off_is_left_out_wherever_the_log_begins() -> None:
     )
     for name in CHANGED:
         within = 3 * in_flight.std[name]
-        assert with_take_off.values[name] == pytest.approx(in_flight.values[name], abs=within), name
+        assert with_take_off.params[name] == pytest.approx(in_flight.params[name], abs=within), name
 
 
 def test_a_touch_of_the_table_in_flight_is_left_out() -> None:
@@ -170,8 +170,8 @@ def test_disturbed_window_hardly_changes_the_robust_estimate() -> None:
     robust, plain = solve(problem, fine=False), solve(problem, fine=False, robust=False)
     assert robust.weights[0].min() < 0.1
     for name, value in CHANGED.items():
-        assert robust.values[name] == pytest.approx(value, rel=0.05), name
-        assert abs(robust.values[name] - value) < abs(plain.values[name] - value), name
+        assert robust.params[name] == pytest.approx(value, rel=0.05), name
+        assert abs(robust.params[name] - value) < abs(plain.params[name] - value), name
 
 
 def test_a_budget_that_runs_out_is_reported() -> None:

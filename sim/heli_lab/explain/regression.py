@@ -339,7 +339,7 @@ def _equation_without_term(refitted: RefittedEquation, number: int) -> _Equation
 
     The names of parameters contain the number of their term, so those of later terms change.
     """
-    longer, old_values = refitted.equation, refitted.params
+    longer, old_values = refitted.equation, refitted.values
     equation = Equation(tuple(term for i, term in enumerate(longer.terms) if i != number))
     start, held = dict[str, float](), set[str]()
     for i, term in enumerate(equation.terms):

@@ -576,5 +576,5 @@ def _start_values(problem: Problem) -> dict[str, float] | None:
             short_windows = problem.with_windows(SHORT_WINDOW_S)
             return solve(
                 short_windows, budget=Budget(max_evaluations=_SHORT_WINDOW_EVALUATIONS), fine=False
-            ).values
+            ).params
     return None

@@ -657,7 +657,7 @@ def _start_point(cost: ShootingCost, start: Fit | Mapping[str, float] | None) ->
     windows, shape (w, states).
     """
     problem = cost.problem
-    values = start.values if isinstance(start, Fit) else start or {}
+    values = start.params if isinstance(start, Fit) else start or {}
     theta = problem.parameter_vector.started_from(values)
     states = cost.initial_state_guess(theta)
     if isinstance(start, Fit) and len(start.states) == len(states):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,6 +14,7 @@ from heli_sim.model.effect import AXES
 
 from heli_lab.explain.contributions import TIME, MissingTerm, missing_term
 from heli_lab.explain.experiment_design import InsufficientExcitation
+from heli_lab.explain.replication import CauseReplication
 from heli_lab.explain.residuals import FailingRegions, RegionTest
 from heli_lab.explain.result import Diagnosis
 from heli_lab.explain.thresholds import MIN_MARGIN
@@ -32,11 +33,12 @@ from heli_lab.report.diagnosis import figures
 from heli_lab.report.diagnosis.figures import figure_of_gain, figure_of_missing_terms, figure_of_prediction
 from heli_lab.report.diagnosis.serialize import proposal_json, to_json
 from heli_lab.report.diagnosis.text import (
+    CauseEntry,
+    cause_entries,
     disturbances_in_words,
     equation_evidence,
     next_step,
     small_effect_lines,
-    stated,
     summary,
     title,
 )
@@ -168,29 +170,27 @@ SaveFigure = Callable[[str, Any], Picture | None]
 
 
 def cause_section(
-    cause: dict[str, Any], meanings: Mapping[str, str], certain: bool, save_figure: SaveFigure
+    cause: CauseEntry, meanings: Mapping[str, str], certain: bool, save_figure: SaveFigure
 ) -> dict[str, Any]:
     """Return the section of a `cause` as the template of the page expects it."""
-    ambiguous_effects = ", ".join(cause["ambiguous_with"])
-    equation_figure = figures.figure_of_latex(cause["equation"])
-    parameters = cause["parameters"]
-    parameter_meanings = [meanings.get(name, "") for name in parameters]
+    ambiguous_effects = ", ".join(cause.ambiguous_with)
+    parameter_meanings = [meanings.get(name, "") for name in cause.parameters]
     return {
-        "effect": cause["effect"],
-        "confidence": f"{cause['confidence']:.2f}",
-        "sentence": capital(stated(cause, certain)),
+        "effect": cause.effect,
+        "confidence": f"{cause.confidence:.2f}",
+        "sentence": capital(cause.statement(certain)),
         "unclear": f" These flights do not distinguish it from {ambiguous_effects}."
         if ambiguous_effects
         else "",
-        "confirmed": _confirmation_sentence(cause),
-        "latex": cause["equation"],
-        "equation": save_figure(f"equation-{cause['effect']}", equation_figure),
-        "symbols": legend(cause["effect"], cause["equation"], parameter_meanings),
+        "confirmed": _confirmation_sentence(cause.replication),
+        "latex": cause.equation,
+        "equation": save_figure(f"equation-{cause.effect}", figures.figure_of_latex(cause.equation)),
+        "symbols": legend(cause.effect, cause.equation, parameter_meanings),
         "rows": [
-            [name, plus_minus(number, number["unit"]), display_unit(number["unit"])[1], meaning]
-            for (name, number), meaning in zip(parameters.items(), parameter_meanings, strict=True)
+            [name, plus_minus(asdict(number), number.unit), display_unit(number.unit)[1], meaning]
+            for (name, number), meaning in zip(cause.parameters.items(), parameter_meanings, strict=True)
         ],
-        "evidence": _evidence_sentence(cause["evidence"]),
+        "evidence": _evidence_sentence(cause.evidence),
     }
 
 
@@ -211,18 +211,17 @@ def _evidence_sentence(evidence: Mapping[str, Any]) -> str:
     )
 
 
-def _confirmation_sentence(cause: Mapping[str, Any]) -> str:
+def _confirmation_sentence(replication: CauseReplication | None) -> str:
     """State in a sentence whether a cause is confirmed; empty if that was not tested."""
-    if "confirmed" not in cause:
+    if replication is None:
         return ""
-    if not cause["confirmed"]:
-        return f"Not confirmed, and not in the extended rig: {cause['replication']['why_not']}."
-    reverse = cause["replication"]["log_likelihood_ratio"]["reverse"]
-    if reverse is None:
+    if not replication.confirmed:
+        return f"Not confirmed, and not in the extended rig: {replication.why_not}."
+    if replication.reverse is None:
         return "Confirmed on the validation flights."
     return (
         "Confirmed: it also holds if the fitted and the validation flights are exchanged, with "
-        f"{evidence_in_words(reverse)}."
+        f"{evidence_in_words(replication.reverse)}."
     )
 
 
@@ -496,7 +495,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         },
         causes=[
             cause_section(cause, meanings, diagnosis.label != "unexplained", save_figure)
-            for cause in numbers["causes"]
+            for cause in cause_entries(diagnosis)
         ],
         small=[full_sentence(line) for line in small_effect_lines(diagnosis)],
         unknown=_unexplained_section(numbers["unexplained"]),

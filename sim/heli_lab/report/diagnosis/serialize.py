@@ -47,7 +47,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
     return {
         "verdict": result.label,
         "sentence": summary(result),
-        "causes": cause_entries(result),
+        "causes": [cause.to_json() for cause in cause_entries(result)],
         "too_small": too_small_effects(result),
         "small_remainder": small_remainder(result),
         "rig": rig_numbers(result),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from heli_sim.model.effect import AXES, NEVER_s
@@ -11,7 +11,7 @@ from heli_sim.model.effect import AXES, NEVER_s
 from heli_lab.explain.experiment_design import InsufficientExcitation
 from heli_lab.explain.prediction import ErrorReduction, Extrapolation
 from heli_lab.explain.regression import Discovery
-from heli_lab.explain.replication import worse_axis_sentence
+from heli_lab.explain.replication import CauseReplication, worse_axis_sentence
 from heli_lab.explain.residuals import Kicks, ResidualAnalysis, correlates
 from heli_lab.explain.result import Diagnosis, Proposal
 from heli_lab.explain.thresholds import (
@@ -22,38 +22,111 @@ from heli_lab.explain.thresholds import (
     MIN_MARGIN,
     SHORT_s,
 )
-from heli_lab.explain.verdict import CauseParameter, NamedCause, PriorConflict
+from heli_lab.explain.verdict import CauseParameter, FamilyNumber, NamedCause, PriorConflict
 from heli_lab.explain.wording import capital, dependence_in_words, evidence_in_words
 
 
-def cause_entries(result: Diagnosis) -> list[dict[str, Any]]:
-    """List the causes, the strongest first, each as a JSON object.
+@dataclass(frozen=True)
+class CauseEntry:
+    """A cause as a report states it."""
 
-    A cause has an effect, parameters, confidence, a sentence, an equation, evidence, and alternatives.
-    """
+    effect: str  # Id of the effect
+    parameters: Mapping[str, CauseParameter]
+    confidence: float
+    sentence: str
+    equation: str
+    evidence: Mapping[str, Any]  # As in the JSON
+    ambiguous_with: tuple[str, ...] = ()  # Ids of effects that the flights do not distinguish from it
+    replication: CauseReplication | None = None  # None if no other flights test the cause
+    moments_s: Mapping[str, float | None] | None = None
+    """Time of an event by label of the flight, None in a flight without it; None for other effects."""
+    family: FamilyNumber | None = None
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the confidence is high, and no test left the cause unconfirmed."""
+        is_refuted = self.replication is not None and not self.replication.confirmed
+        return self.confidence >= CONFIDENCE_RANDOM_TORQUE and not is_refuted
+
+    @property
+    def is_unclear_in_family(self) -> bool:
+        """Whether the flights do not distinguish the cause from a member of its family."""
+        return self.family is not None and bool({*self.ambiguous_with} & {*self.family.members})
+
+    @property
+    def family_sentence(self) -> str:
+        """The number of the family in words, with a remark if its members are not distinguished."""
+        if self.family is None:
+            return ""
+        unclear = f"; {self.family.unclear}" if self.is_unclear_in_family else ""
+        return f"{self.family.sentence}{unclear}"
+
+    def statement(self, certain: bool = True) -> str:
+        """Write the sentence as a fact, or with "perhaps" and the confidence.
+
+        It is a fact if the verdict is `certain` and the cause is.
+        """
+        if certain and self.is_certain:
+            return self.sentence
+        return f"perhaps {self.sentence} (confidence {self.confidence:.2f})"
+
+    def to_json(self) -> dict[str, Any]:
+        """Write the cause as a JSON object."""
+        entry: dict[str, Any] = {
+            "effect": self.effect,
+            "parameters": _parameter_entries(self.parameters),
+            "confidence": self.confidence,
+            "sentence": self.sentence,
+            "equation": self.equation,
+            "evidence": dict(self.evidence),
+            "ambiguous_with": list(self.ambiguous_with),
+        }
+        if self.replication is not None:
+            ratios = {"forward": self.replication.forward, "reverse": self.replication.reverse}
+            entry["confirmed"] = self.replication.confirmed
+            entry["replication"] = {
+                "log_likelihood_ratio": ratios,
+                "why_not": self.replication.why_not or None,
+            }
+        if self.moments_s is not None:
+            entry["moments_s"] = dict(self.moments_s)
+        if self.family is not None:
+            entry["family"] = {
+                "name": self.family.name,
+                "value": self.family.value,
+                "std": self.family.std,
+                "unit": self.family.unit,
+                "members": list(self.family.members),
+                "sentence": self.family_sentence,
+            }
+        return entry
+
+
+def cause_entries(result: Diagnosis) -> list[CauseEntry]:
+    """List the causes, the strongest first."""
     return [*_effect_causes(result), *_random_torque_causes(result), *_absent_term_causes(result)]
 
 
-def _effect_causes(result: Diagnosis) -> list[dict[str, Any]]:
+def _effect_causes(result: Diagnosis) -> list[CauseEntry]:
     """Return the causes that are effects of the catalogue."""
     return [
-        {
-            "effect": cause.effect,
-            "parameters": _parameter_entries(cause.parameters),
-            "confidence": round(cause.confidence, 3),
-            "sentence": cause.sentence,
-            "equation": cause.equation,
-            "evidence": {
+        CauseEntry(
+            cause.effect,
+            cause.parameters,
+            round(cause.confidence, 3),
+            cause.sentence,
+            cause.equation,
+            {
                 "log_likelihood_ratio_train": cause.train,
                 "log_likelihood_ratio_held_out": cause.held_out,
                 "penalty": cause.penalty,
                 "alternatives": {other.id: other.log_likelihood_ratio for other in cause.alternatives},
             },
-            "ambiguous_with": list(cause.ambiguous_with),
-            **_replication_of_cause(cause, result),
-            **_event_times(cause, result),
-            **_family_and_remark(cause),
-        }
+            tuple(cause.ambiguous_with),
+            result.replication.causes[cause.effect],
+            _event_times_s(cause, result),
+            cause.family,
+        )
         for cause in result.verdict.causes
     ]
 
@@ -90,44 +163,13 @@ def small_remainder(result: Diagnosis) -> list[dict[str, Any]]:
     ]
 
 
-def _replication_of_cause(cause: NamedCause, result: Diagnosis) -> dict[str, Any]:
-    """Return whether a cause is confirmed, its ratios in both directions, and the reason if it is not."""
-    replication = result.replication.causes[cause.effect]
-    return {
-        "confirmed": replication.confirmed,
-        "replication": {
-            "log_likelihood_ratio": {"forward": replication.forward, "reverse": replication.reverse},
-            "why_not": replication.why_not or None,
-        },
-    }
-
-
-def _family_and_remark(cause: NamedCause) -> dict[str, dict[str, Any]]:
-    """Return the number of a cause's family, with a remark if its members are not distinguished."""
-    family = cause.family
-    if family is None:
-        return {}
-    unclear = bool({*cause.ambiguous_with} & {*family.members})
-    text = f"{family.sentence}; {family.unclear}" if unclear else family.sentence
-    return {
-        "family": {
-            "name": family.name,
-            "value": family.value,
-            "std": family.std,
-            "unit": family.unit,
-            "members": list(family.members),
-            "sentence": text,
-        }
-    }
-
-
-def _event_times(cause: NamedCause, result: Diagnosis) -> dict[str, dict[str, float | None]]:
-    """Return the times of an effect that begins during a flight, as the entry ``moments_s`` of the cause:
-    time [s] by label of the flight, None in a flight in which it does not begin. Empty for other effects.
+def _event_times_s(cause: NamedCause, result: Diagnosis) -> dict[str, float | None] | None:
+    """Return the times of an effect that begins during a flight, by label of the flight; None for other
+    effects.
     """
     effect = cause.candidate.effect
     if not effect.flight:
-        return {}
+        return None
     after = result.assessment.after
     records = [
         *after.fit.problem.records,
@@ -135,50 +177,49 @@ def _event_times(cause: NamedCause, result: Diagnosis) -> dict[str, dict[str, fl
     ]
     values = {name: number.value for name, number in cause.parameters.items()}
     times_s = {record.label: effect.values_in(record.label, values)[effect.moment] for record in records}
-    return {"moments_s": {label: None if at_s == NEVER_s else at_s for label, at_s in times_s.items()}}
+    return {label: None if at_s == NEVER_s else at_s for label, at_s in times_s.items()}
 
 
-def _random_torque_causes(result: Diagnosis) -> list[dict[str, Any]]:
+def _random_torque_causes(result: Diagnosis) -> list[CauseEntry]:
     """Return the cause of a random torque about a single axis, if the verdict has one."""
     return [
-        {
-            "effect": id_,
-            "parameters": _parameter_entries(values),
-            "confidence": CONFIDENCE_RANDOM_TORQUE,
-            "sentence": result.kinds[id_].describe(
+        CauseEntry(
+            id_,
+            values,
+            CONFIDENCE_RANDOM_TORQUE,
+            result.kinds[id_].describe(
                 {key: number.value for key, number in values.items()},
                 {key: number.std for key, number in values.items()},
             ),
-            "equation": result.kinds[id_].equation,
-            "evidence": {"log_likelihood_ratio": float(result.assessment.residual_analysis.gains.max())},
-            "ambiguous_with": [],
-        }
+            result.kinds[id_].equation,
+            {"log_likelihood_ratio": float(result.assessment.residual_analysis.gains.max())},
+        )
         for id_, values in result.random_torque.items()
     ]
 
 
-def _absent_term_causes(result: Diagnosis) -> list[dict[str, Any]]:
+def _absent_term_causes(result: Diagnosis) -> list[CauseEntry]:
     """Return the causes that are absent terms of the baseline."""
     factor = CONFIDENCE_FACTOR_UNEXPLAINED if result.label == "unexplained" else 1.0
-    absent_causes = []
+    entries = []
     for term in result.assessment.absent_terms:
         kind = result.kinds[term.id]
         (name,) = kind.size
-        absent_causes.append(
-            {
-                "effect": term.id,
-                "parameters": _parameter_entries({name: CauseParameter(term.share, term.std, "1")}),
-                "confidence": round(term.confidence * factor, 3),
-                "sentence": kind.describe({name: term.share}, {name: term.std}),
-                "equation": kind.equation,
-                "evidence": {
-                    "standard_errors_from_zero": term.z_from_zero,
-                    "standard_errors_from_rig": term.z_from_rig,
-                },
-                "ambiguous_with": [],
-            }
+        evidence = {
+            "standard_errors_from_zero": term.z_from_zero,
+            "standard_errors_from_rig": term.z_from_rig,
+        }
+        entries.append(
+            CauseEntry(
+                term.id,
+                {name: CauseParameter(term.share, term.std, "1")},
+                round(term.confidence * factor, 3),
+                kind.describe({name: term.share}, {name: term.std}),
+                kind.equation,
+                evidence,
+            )
         )
-    return absent_causes
+    return entries
 
 
 def unexplained(result: Diagnosis) -> dict[str, Any] | None:
@@ -365,9 +406,9 @@ METRIC: Final = "2 s free-run rms on the validation flights, deg"
 def title(result: Diagnosis) -> str:
     """Write the verdict as a headline that claims no more than `summary` does."""
     causes = cause_entries(result)
-    effects = [cause["effect"] for cause in causes]
+    effects = [cause.effect for cause in causes]
     plural = "s" * (len(effects) > 1)
-    is_certain = all(_is_certain(cause) for cause in causes)
+    is_certain = all(cause.is_certain for cause in causes)
     heading = f"Cause{plural} found" if is_certain else f"Probable cause{plural}"
     return {
         "explained": "The model explains these flights",
@@ -401,13 +442,12 @@ def _verdict_text(result: Diagnosis) -> str:
             f"predicted.{disturbance_text}"
         )
     if label in ("cause_found", "ambiguous"):
-        text = "; ".join(stated(cause) for cause in causes)
-        others = sorted({other for cause in causes for other in cause["ambiguous_with"]})
+        text = "; ".join(cause.statement() for cause in causes)
+        others = sorted({other for cause in causes for other in cause.ambiguous_with})
         ambiguity_text = f" These flights do not distinguish it from {', '.join(others)}." if others else ""
         for cause in causes:
-            family = cause.get("family")
-            if family and {*cause["ambiguous_with"]} & {*family["members"]}:
-                ambiguity_text += f" {capital(family['sentence'])}."
+            if cause.is_unclear_in_family:
+                ambiguity_text += f" {capital(cause.family_sentence)}."
         return f"{capital(text)}.{ambiguity_text}{disturbance_text}"
     missing = unexplained(result) or {}
     text = (
@@ -416,27 +456,9 @@ def _verdict_text(result: Diagnosis) -> str:
         f"{missing['axis']}, with {evidence_in_words(missing['log_likelihood_gain'])}."
     )
     if causes:
-        cause_text = "; ".join(
-            f"{cause['sentence']} (confidence {cause['confidence']:.2f})" for cause in causes
-        )
+        cause_text = "; ".join(f"{cause.sentence} (confidence {cause.confidence:.2f})" for cause in causes)
         text += f" Together with it, perhaps: {cause_text}."
     return text
-
-
-def stated(cause: Mapping[str, Any], certain: bool = True) -> str:
-    """Write the sentence of a `cause` as a fact, or with "perhaps" and its confidence.
-
-    It is a fact if the verdict is `certain`, the confidence in the cause is high, and the test by other
-    flights did not leave it unconfirmed.
-    """
-    if certain and _is_certain(cause):
-        return str(cause["sentence"])
-    return f"perhaps {cause['sentence']} (confidence {cause['confidence']:.2f})"
-
-
-def _is_certain(cause: Mapping[str, Any]) -> bool:
-    """Whether the confidence in a `cause` is high, and no test left it unconfirmed."""
-    return bool(cause["confidence"] >= CONFIDENCE_RANDOM_TORQUE and cause.get("confirmed", True))
 
 
 def disturbances_in_words(result: Diagnosis) -> str:
@@ -479,10 +501,10 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
         ]
     lines = []
     for cause in cause_entries(result):
-        others = cause["ambiguous_with"]
-        unclear = f"; not distinguished from {', '.join(others)}" if others else ""
+        others = ", ".join(cause.ambiguous_with)
+        unclear = f"; not distinguished from {others}" if others else ""
         lines.append(
-            f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear}{_confirmation_text(cause)})"
+            f"{cause.effect} (confidence {cause.confidence:.2f}{unclear}{_confirmation_text(cause)})"
         )
     lines += small_effect_lines(result)
     lines.append(f"{metric(result)}, before and after, and their ratio:")
@@ -525,11 +547,11 @@ def small_effect_lines(result: Diagnosis) -> list[str]:
     ]
 
 
-def _confirmation_text(cause: Mapping[str, Any]) -> str:
+def _confirmation_text(cause: CauseEntry) -> str:
     """Return the end of a remark: whether a cause is confirmed; empty if that was not tested."""
-    if "confirmed" not in cause:
+    if cause.replication is None:
         return ""
-    return "; confirmed" if cause["confirmed"] else f"; not confirmed: {cause['replication']['why_not']}"
+    return "; confirmed" if cause.replication.confirmed else f"; not confirmed: {cause.replication.why_not}"
 
 
 def unconfirmed_in_rig(result: Diagnosis, with_term: bool = False, with_unconfirmed: bool = False) -> str:
