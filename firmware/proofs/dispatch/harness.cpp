@@ -224,9 +224,9 @@ CommandInfo row() {
   return {heli::proofs::Folded<MessageId, kInfo.id>::value(),
           heli::proofs::Folded<Kind, kInfo.kind>::value(),
           heli::proofs::Folded<std::uint8_t, kInfo.size>::value(),
-          heli::proofs::Folded<std::uint8_t, kInfo.float_offset>::value(),
-          heli::proofs::Folded<std::uint8_t, kInfo.float_field>::value(),
-          heli::proofs::Folded<std::uint8_t, kInfo.float_count>::value()};
+          {heli::proofs::Folded<std::uint8_t, kInfo.floats.offset>::value(),
+           heli::proofs::Folded<std::uint8_t, kInfo.floats.field>::value(),
+           heli::proofs::Folded<std::uint8_t, kInfo.floats.count>::value()}};
 }
 
 // Checks the commands of one kind, with or without floats, from row kRow of the table on.
@@ -234,7 +234,7 @@ template <std::size_t kRow>
 void check_rows(Kind kind, bool has_floats) {
   if constexpr (kRow < sizeof heli::link::kCommands / sizeof heli::link::kCommands[0]) {
     const CommandInfo info = row<kRow>();
-    if (info.kind == kind && (info.float_count > 0) == has_floats) {
+    if (info.kind == kind && (info.floats.count > 0) == has_floats) {
       if (kind == Kind::stream) {
         check_stream(info);
       } else {
